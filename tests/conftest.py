@@ -22,7 +22,7 @@ pytest_plugins = (
 
 
 @pytest.fixture(scope="session")
-def shared() -> Path:
+def shared():
     """The folder of reference recordings beside the project."""
     root = Path(__file__).resolve().parent.parent
     folder = Path(os.environ.get("DUPLEX_SHARED", root.parent / "shared"))

@@ -7,16 +7,13 @@ import runpy
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from fusion import FuserSettings
-from fusion.setup import Method
 from recordings import Session, fuse
 from tests.helpers.command_line import duplex
 from tests.helpers.machine import need_networks
@@ -29,13 +26,11 @@ TESTED_ELSEWHERE = ("kinect_v2_on_another_pc.py",)  # tests/devices/network/test
 
 
 @pytest.fixture
-def printed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., str]:
+def printed(tmp_path, monkeypatch, capsys):
     """Runs an example in this process and in an empty folder; returns what it prints."""
     monkeypatch.chdir(tmp_path)
 
-    def run_example(name: str, *arguments: str) -> str:
+    def run_example(name, *arguments):
         monkeypatch.setattr(sys, "argv", [name, *arguments])
         runpy.run_path(str(EXAMPLES / name), run_name="__main__")
         return capsys.readouterr().out
@@ -43,7 +38,7 @@ def printed(
     return run_example
 
 
-def test_every_example_is_short_and_has_a_test() -> None:
+def test_every_example_is_short_and_has_a_test():
     tests = Path(__file__).read_text(encoding="utf-8")
     for example in EXAMPLES.iterdir():
         assert f'"{example.name}"' in tests
@@ -53,7 +48,7 @@ def test_every_example_is_short_and_has_a_test() -> None:
         assert len(source.splitlines()) <= 30
 
 
-def test_two_recordings_are_fused(printed: Callable[..., str], tmp_path: Path) -> None:
+def test_two_recordings_are_fused(printed, tmp_path):
     write_recordings(tmp_path)
     assert "70 frames of 25 joints" in printed("fuse_two_recordings.py", "a.csv", "b.csv", "walk.rrd")
     assert len(Session.open(tmp_path / "walk.rrd")) == 70
@@ -62,13 +57,13 @@ def test_two_recordings_are_fused(printed: Callable[..., str], tmp_path: Path) -
 @pytest.mark.parametrize(
     ("name", "line"), [("frame_by_frame.py", "right wrist at ["), ("own_sensor.py", "head at [")]
 )
-def test_own_arrays_and_own_sensors_give_joints(name: str, line: str, printed: Callable[..., str]) -> None:
+def test_own_arrays_and_own_sensors_give_joints(name, line, printed):
     said = printed(name)
     assert said.count(line) > 100
     assert "nan" not in said
 
 
-def test_any_depth_camera_gives_joints(printed: Callable[..., str]) -> None:
+def test_any_depth_camera_gives_joints(printed):
     need_networks()
     said = printed("any_depth_camera.py")
     assert said.count("head at [") > 100
@@ -76,13 +71,11 @@ def test_any_depth_camera_gives_joints(printed: Callable[..., str]) -> None:
 
 
 @pytest.fixture
-def notebook() -> dict[str, Any]:
+def notebook():
     return read_notebook(EXAMPLES / "session_in_a_notebook.ipynb")
 
 
-def test_a_session_is_read_in_a_notebook(
-    notebook: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_session_is_read_in_a_notebook(notebook, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = "".join(notebook["cells"][0]["source"])
     commands = [line for line in text.splitlines() if line.startswith("duplex ")]
@@ -97,7 +90,7 @@ def test_a_session_is_read_in_a_notebook(
     assert all((picture.min(axis=2) < 200).mean() > 0.01 for picture in pixels), "each plot has lines"
 
 
-def test_the_notebook_shows_small_pictures(notebook: dict[str, Any]) -> None:
+def test_the_notebook_shows_small_pictures(notebook):
     shown = [len(cell["outputs"]) for cell in code_cells(notebook)]
     assert shown == [1, 1, 1, 1]  # a text, and three plots
     assert (EXAMPLES / "session_in_a_notebook.ipynb").stat().st_size < 100_000
@@ -106,7 +99,7 @@ def test_the_notebook_shows_small_pictures(notebook: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("method", "says"), [("duplex", "2 passed"), ("paper", "S* differs by more than 0.01 mm")]
 )
-def test_a_session_is_checked_in_a_test_of_ones_own(method: Method, says: str, tmp_path: Path) -> None:
+def test_a_session_is_checked_in_a_test_of_ones_own(method, says, tmp_path):
     expected = fuse(*write_recordings(tmp_path), settings=FuserSettings(method=method))
     expected.save(tmp_path / "expected.rrd")
     example = tmp_path / "test_fusion.py"
@@ -122,7 +115,7 @@ def test_a_session_is_checked_in_a_test_of_ones_own(method: Method, says: str, t
     assert says in done.stdout
 
 
-def test_readmes_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readmes_python_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     assert blocks

@@ -4,7 +4,6 @@ import ast
 import importlib
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import devices
 import fusion
 import recordings
 from devices import Sensor, SensorFrame
-from fusion import KINECT_V2, FusionSetup, Skeleton
+from fusion import KINECT_V2, FusionSetup
 from recordings import RecordingError, Session, fuse, fuse_live
 from tests.helpers.recorded_pairs import write_recordings
 from tests.helpers.two_views import FRAME_NS, calibration_of, moving, pair_of
@@ -23,7 +22,7 @@ PACKAGES = (fusion, devices, recordings)
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
-def test_every_public_name_is_there_and_documented(package: object) -> None:
+def test_every_public_name_is_there_and_documented(package):
     tree = ast.parse(Path(package.__file__).read_text())
     homes = {
         alias.name: node.module
@@ -42,7 +41,7 @@ def test_every_public_name_is_there_and_documented(package: object) -> None:
         _ = package.nonsense
 
 
-def test_importing_changes_no_file_and_no_environment() -> None:
+def test_importing_changes_no_file_and_no_environment():
     program = """
 import os, sys
 before = dict(os.environ)
@@ -61,7 +60,7 @@ print(dict(os.environ) == before, deleted)
     assert said.stdout == "True []\n", said.stderr
 
 
-def test_three_lines_fuse_two_files_in_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_three_lines_fuse_two_files_in_memory(tmp_path, capsys):
     session = fuse(*write_recordings(tmp_path))
     assert session.fused.shape == (70, len(KINECT_V2), 3)
     assert session.path is None
@@ -81,15 +80,15 @@ class Made(Sensor):
 
     body = KINECT_V2
 
-    def __init__(self, name: str, views: list[Skeleton]) -> None:
+    def __init__(self, name, views):
         self.name, self.views = name, views
 
-    def frames(self) -> Iterator[SensorFrame]:
+    def frames(self):
         for skeleton in self.views:
             yield SensorFrame(skeleton.time_ns, {"1": skeleton})
 
 
-def test_a_live_session_is_kept_on_request_and_saved(tmp_path: Path) -> None:
+def test_a_live_session_is_kept_on_request_and_saved(tmp_path):
     views = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 8))]
     setup = FusionSetup(calibration_of(KINECT_V2))
     made = [Made(name, [getattr(pair, name) for pair in views]) for name in "ab"]

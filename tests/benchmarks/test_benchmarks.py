@@ -17,7 +17,7 @@ from tests.helpers.two_views import FRAME_NS, moving, pair_of
 NAMES = tuple(method.name for method in METHODS)
 
 
-def made_up(size: dict[str, float]) -> list[Outcome]:
+def made_up(size):
     """Two movements, two angles, three seeds; all figures of a method as large as ``size`` says, or 1."""
     return [
         Outcome(
@@ -32,7 +32,7 @@ def made_up(size: dict[str, float]) -> list[Outcome]:
     ]
 
 
-def test_a_trial_counts_only_where_every_method_has_the_figure() -> None:
+def test_a_trial_counts_only_where_every_method_has_the_figure():
     outcomes = made_up({})
     for outcome in outcomes:
         outcome.figures["lag"] = 1.0 if outcome.trial.motion == "still" else 5.0
@@ -42,7 +42,7 @@ def test_a_trial_counts_only_where_every_method_has_the_figure() -> None:
     assert {row["lag"] for row in methods.values()} == {1.0}
 
 
-def test_nearer_recordings_are_counted_one_by_one() -> None:
+def test_nearer_recordings_are_counted_one_by_one():
     outcomes = made_up({})
     for outcome in outcomes:
         nearer = outcome.trial.motion == "still" and outcome.trial.seed > 0  # 4 of 12 recordings
@@ -52,7 +52,7 @@ def test_nearer_recordings_are_counted_one_by_one() -> None:
     assert accuracy.nearer(outcomes, "mean, refined") == 1.0
 
 
-def test_cases_where_a_baseline_is_nearer_on_average_are_reported() -> None:
+def test_cases_where_a_baseline_is_nearer_on_average_are_reported():
     outcomes = made_up(dict.fromkeys(NAMES, 2.0) | {OURS: 1.0, "oracle": 0.1, "duplex, smoothed": 0.5})
     assert accuracy.lost(outcomes) == []
     for outcome in outcomes:
@@ -66,12 +66,12 @@ def test_cases_where_a_baseline_is_nearer_on_average_are_reported() -> None:
     assert case["by"] == pytest.approx(0.51)
 
 
-def test_means_leave_out_what_a_recording_does_not_have() -> None:
+def test_means_leave_out_what_a_recording_does_not_have():
     rows = {"one": {"rough": 0.004, "jumps": 0.1}, "two": {"rough": np.nan, "jumps": 0.3}}
     assert mean_of(rows) == {"rough": 0.004, "jumps": pytest.approx(0.2)}
 
 
-def test_harsher_trackers_are_harsher() -> None:
+def test_harsher_trackers_are_harsher():
     trial = [Trial("arms", 90.0, 3)]
     ((plain,),), ((larger,),) = (
         list(run_trials(trial, simulation, 6.0, ["mean, refined"]))
@@ -84,7 +84,7 @@ def test_harsher_trackers_are_harsher() -> None:
     assert Simulation("kinect_v2", 2.0, "heavy-tailed").errors_of_tracker() == scaled(tails, 2.0)
 
 
-def test_a_repeated_recording_has_no_jumps_and_rising_times() -> None:
+def test_a_repeated_recording_has_no_jumps_and_rising_times():
     pairs = [pair_of(KINECT_V1, joints, t * FRAME_NS) for t, joints in enumerate(moving(KINECT_V1, 5))]
     many = speed.repeated(pairs, 15)
     assert [pair.a for pair in many] == [pair.a for pair in pairs + pairs[::-1] + pairs]

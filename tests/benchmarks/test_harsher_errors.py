@@ -1,6 +1,5 @@
 """Trackers that no constant was fitted to: with larger errors, and with heavy-tailed errors."""
 
-from collections.abc import Iterator
 from dataclasses import fields, replace
 from itertools import islice
 
@@ -9,7 +8,7 @@ import pytest
 
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from fusion.body import AZURE_KINECT, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V2
 from tests.benchmarks.harsher_errors import (
     LARGEST_SHARE,
     SHAPES,
@@ -23,13 +22,13 @@ from tests.benchmarks.harsher_errors import (
 FITTED = TrackerErrors.of(AZURE_KINECT)
 
 
-def test_every_knob_is_a_size_a_share_or_a_shape() -> None:
+def test_every_knob_is_a_size_a_share_or_a_shape():
     knobs = [field.name for field in fields(TrackerErrors)]
     assert set(knobs) == SIZES | SHARES | SHAPES
     assert len(SIZES) + len(SHARES) + len(SHAPES) == len(knobs)
 
 
-def test_sizes_and_shares_grow_and_shapes_stay() -> None:
+def test_sizes_and_shares_grow_and_shapes_stay():
     larger = scaled(FITTED, 1.5)
     assert larger.view_bias == pytest.approx(1.5 * FITTED.view_bias)
     assert larger.jitter["thumb"] == pytest.approx(1.5 * FITTED.jitter["thumb"])
@@ -42,7 +41,7 @@ def test_sizes_and_shares_grow_and_shapes_stay() -> None:
     assert (larger.seen_share, larger.lost_seconds) == (FITTED.seen_share, FITTED.lost_seconds)
 
 
-def distances(body: Body) -> np.ndarray:
+def distances(body):
     """(T, J) of 40,000 frames: over 1,300 independent sizes, so a 99th percentile is known to a third."""
     errors = islice(heavy_tails(body, 1 / 30, np.random.default_rng(5)), 40_000)
     return np.linalg.norm([*errors], axis=2)
@@ -59,7 +58,7 @@ PUBLISHED = {
 }
 
 
-def test_tails_are_as_heavy_as_measured() -> None:
+def test_tails_are_as_heavy_as_measured():
     found = distances(KINECT_V2) * 1e3
     for joint, ranges in PUBLISHED.items():
         tails = np.percentile(found[:, KINECT_V2.joint(joint)], (50, 90, 99))
@@ -69,10 +68,10 @@ def test_tails_are_as_heavy_as_measured() -> None:
         )
 
 
-def test_tails_change_no_other_error() -> None:
+def test_tails_change_no_other_error():
     """A tracker with added errors reports what it reports without them, plus those errors."""
 
-    def one_metre_left(body: Body, frame_seconds: float, random: np.random.Generator) -> Iterator[np.ndarray]:
+    def one_metre_left(body, frame_seconds, random):
         del frame_seconds, random
         while True:
             yield np.tile((1.0, 0.0, 0.0), (len(body), 1))

@@ -13,15 +13,15 @@ TRACKED = np.full((150, 20), 2, dtype=np.uint8)
 
 
 @pytest.fixture(scope="module")
-def truth() -> np.ndarray:
+def truth():
     return moving(KINECT_V1, 150)
 
 
-def measure(found: np.ndarray, truth: np.ndarray, a: np.ndarray = TRACKED, b: np.ndarray = TRACKED):
+def measure(found, truth, a=TRACKED, b=TRACKED):
     return accuracy(KINECT_V1, found, truth, a, b, DT)
 
 
-def test_the_truth_itself_has_no_error(truth: np.ndarray) -> None:
+def test_the_truth_itself_has_no_error(truth):
     of = measure(truth, truth)
     assert (of.mpjpe, of.p95, of.acceleration, of.swapped) == (0.0, 0.0, 0.0, 0.0)
     assert of.bone_error < 1e-12
@@ -29,21 +29,21 @@ def test_the_truth_itself_has_no_error(truth: np.ndarray) -> None:
     assert np.isnan(of.hidden_one)
 
 
-def test_an_offset_is_the_error_and_nothing_else(truth: np.ndarray) -> None:
+def test_an_offset_is_the_error_and_nothing_else(truth):
     of = measure(truth + [0.03, 0.0, 0.04], truth)
     assert of.mpjpe == pytest.approx(0.05)
     assert of.bone_error < 1e-12
     assert of.acceleration < 1e-12
 
 
-def test_noise_while_still_is_jitter(truth: np.ndarray) -> None:
+def test_noise_while_still_is_jitter(truth):
     rng = np.random.default_rng(0)
     of = measure(truth + rng.normal(0, 0.01, truth.shape), truth)
     # white noise minus its mean over 5 frames: variance (1 - 1/5) per coordinate, three coordinates
     assert of.jitter == pytest.approx(0.01 * np.sqrt(3 * 0.8), rel=0.1)
 
 
-def test_bone_error_is_the_largest_and_bone_deviation_the_mean(truth: np.ndarray) -> None:
+def test_bone_error_is_the_largest_and_bone_deviation_the_mean(truth):
     hand, foot = KINECT_V1.joint("HandLeft"), KINECT_V1.joint("FootRight")  # ends: one bone each
     longer = np.zeros((150, 20))
     longer[:, foot] = 0.02  # always: an error, no deviation
@@ -56,7 +56,7 @@ def test_bone_error_is_the_largest_and_bone_deviation_the_mean(truth: np.ndarray
     assert of.bone_deviation == pytest.approx(0.03 / len(KINECT_V1.bone_joints))
 
 
-def test_95_of_100_errors_are_smaller_than_p95(truth: np.ndarray) -> None:
+def test_95_of_100_errors_are_smaller_than_p95(truth):
     # 3000 errors, evenly from 0 to 0.3 m, over joints and frames
     size = np.random.default_rng(3).permutation(np.linspace(0.0, 0.3, 3000)).reshape(150, 20)
     of = measure(truth + size[..., None] * [1.0, 0.0, 0.0], truth)
@@ -64,21 +64,21 @@ def test_95_of_100_errors_are_smaller_than_p95(truth: np.ndarray) -> None:
     assert of.mpjpe == pytest.approx(0.5 * 0.3)
 
 
-def test_exchanged_sides_are_seen(truth: np.ndarray) -> None:
+def test_exchanged_sides_are_seen(truth):
     found = np.array(truth)
     found[100:130] = found[100:130][:, KINECT_V1.mirror]
     assert measure(found, truth).swapped == pytest.approx(30 / 150)
 
 
 @pytest.mark.parametrize("frames", [1, 3])
-def test_a_delay_is_the_lag(truth: np.ndarray, frames: int) -> None:
+def test_a_delay_is_the_lag(truth, frames):
     assert measure(
         np.concatenate([truth[:1].repeat(frames, axis=0), truth[:-frames]]), truth
     ).lag == pytest.approx(frames, abs=0.15)
 
 
 @pytest.mark.parametrize("frames", [10, 14])
-def test_a_lag_at_the_end_of_the_search_range_is_nan(frames: int) -> None:
+def test_a_lag_at_the_end_of_the_search_range_is_nan(frames):
     # a speed that rises once and falls once: the nearer the delays, the larger the correlation
     t = np.arange(150.0)
     along = np.cumsum(np.exp(-(((t - 75.0) / 30.0) ** 2)) * 0.03)
@@ -88,7 +88,7 @@ def test_a_lag_at_the_end_of_the_search_range_is_nan(frames: int) -> None:
     assert measure(np.concatenate([truth[:1].repeat(8, axis=0), truth[:-8]]), truth).lag == pytest.approx(8)
 
 
-def test_errors_of_hidden_joints_are_told_apart(truth: np.ndarray) -> None:
+def test_errors_of_hidden_joints_are_told_apart(truth):
     a, b, found = TRACKED.copy(), TRACKED.copy(), np.array(truth)
     a[:, 4] = 1
     a[:, 8] = b[:, 8] = 0
@@ -99,7 +99,7 @@ def test_errors_of_hidden_joints_are_told_apart(truth: np.ndarray) -> None:
     assert of.hidden_both == pytest.approx(0.2)
 
 
-def test_baselines_agree_on_two_flawless_views(truth: np.ndarray) -> None:
+def test_baselines_agree_on_two_flawless_views(truth):
     for found in (
         baselines.alone(truth),
         baselines.mean(truth, truth),
@@ -108,20 +108,20 @@ def test_baselines_agree_on_two_flawless_views(truth: np.ndarray) -> None:
         np.testing.assert_allclose(found, truth, atol=1e-15)
 
 
-def test_a_lost_joint_stays_where_it_was(truth: np.ndarray) -> None:
+def test_a_lost_joint_stays_where_it_was(truth):
     a = np.array(truth)
     a[50:60, 7] = np.nan
     assert (baselines.alone(a)[50:60, 7] == truth[49, 7]).all()
     np.testing.assert_allclose(baselines.mean(a, truth), truth, atol=1e-15)
 
 
-def test_the_tracked_view_wins(truth: np.ndarray) -> None:
+def test_the_tracked_view_wins(truth):
     wrong, states = truth + 1.0, TRACKED.copy()
     states[:] = 1
     np.testing.assert_allclose(baselines.tracked_wins(wrong, truth, states, TRACKED), truth)
 
 
-def test_the_kalman_filter_settles_on_a_still_person_and_follows_a_steady_one() -> None:
+def test_the_kalman_filter_settles_on_a_still_person_and_follows_a_steady_one():
     rng = np.random.default_rng(1)
     states = np.full((300, 20), 2, dtype=np.uint8)
     line = np.arange(300)[:, None, None] * DT * np.array([0.5, 0.0, -0.2]) + rng.normal(size=(1, 20, 3))
@@ -134,7 +134,7 @@ def test_the_kalman_filter_settles_on_a_still_person_and_follows_a_steady_one() 
     assert np.abs((found - line)[50:].mean(axis=(0, 1))).max() < 4 * 0.02 / np.sqrt(250 * 20)
 
 
-def test_coverage_is_the_share_within_what_a_method_states(truth: np.ndarray) -> None:
+def test_coverage_is_the_share_within_what_a_method_states(truth):
     rng = np.random.default_rng(1)
     sd = rng.uniform(0.005, 0.05, TRACKED.shape)
     found = truth + sd[..., None] / np.sqrt(3.0) * rng.normal(size=truth.shape)
@@ -145,7 +145,7 @@ def test_coverage_is_the_share_within_what_a_method_states(truth: np.ndarray) ->
     assert np.isnan(measure(found, truth).within_1sd)
 
 
-def test_the_oracle_takes_the_nearer_view_of_each_joint() -> None:
+def test_the_oracle_takes_the_nearer_view_of_each_joint():
     truth = np.zeros((4, 3, 3))
     a, b = truth + 0.02, truth + 0.01
     a[:, 0] = 0.0

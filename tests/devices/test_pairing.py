@@ -12,12 +12,12 @@ from fusion.skeleton import Skeleton
 from tests.helpers.two_views import FRAME_NS, standing
 
 
-def frames_at(times_ns: list[int], person: str = "0") -> list[SensorFrame]:
+def frames_at(times_ns, person="0"):
     skeleton = Skeleton.of(KINECT_V1, standing(KINECT_V1))
     return [SensorFrame(t, {person: skeleton}) for t in times_ns]
 
 
-def test_frames_pair_with_the_nearest_within_half_a_frame() -> None:
+def test_frames_pair_with_the_nearest_within_half_a_frame():
     a = frames_at([t * FRAME_NS for t in range(100)])
     b = frames_at([t * FRAME_NS + 5_000_000 for t in range(100) if t not in (10, 11, 50)])
     pairing = pair_recordings(a, b, "0", "0")
@@ -26,7 +26,7 @@ def test_frames_pair_with_the_nearest_within_half_a_frame() -> None:
     assert {pair.skew_ns for pair in pairing.pairs} == {5_000_000}
 
 
-def test_frames_in_a_gap_of_the_other_recording_are_given_alone() -> None:
+def test_frames_in_a_gap_of_the_other_recording_are_given_alone():
     a = frames_at([t * FRAME_NS for t in range(100)])
     b = frames_at([t * FRAME_NS for t in range(10, 90) if not 40 <= t < 60])
     pairing = pair_recordings(a, b, "0", "0")
@@ -36,7 +36,7 @@ def test_frames_in_a_gap_of_the_other_recording_are_given_alone() -> None:
     assert [pair.skeletons.b for pair in pairing.pairs if pair.b is None] == [None] * 18
 
 
-def test_a_slower_sensor_has_no_gaps() -> None:
+def test_a_slower_sensor_has_no_gaps():
     a = frames_at([t * FRAME_NS for t in range(300)])
     b = frames_at([t * FRAME_NS * 6 // 5 for t in range(250)])  # 25 fps
     pairing = pair_recordings(a, b, "0", "0")
@@ -44,7 +44,7 @@ def test_a_slower_sensor_has_no_gaps() -> None:
     assert pairing.dropped_a >= 49
 
 
-def test_every_frame_within_both_recordings_is_kept_for_a_method_that_takes_single_views() -> None:
+def test_every_frame_within_both_recordings_is_kept_for_a_method_that_takes_single_views():
     a = frames_at([t * FRAME_NS for t in range(300)])
     b = frames_at([t * FRAME_NS * 2 for t in range(150)])  # half the rate
     pairing = pair_recordings(a, b, "0", "0", every_frame=True)
@@ -53,7 +53,7 @@ def test_every_frame_within_both_recordings_is_kept_for_a_method_that_takes_sing
     assert len(pairing.pairs) == 299
 
 
-def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a() -> None:
+def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a():
     a = frames_at([t * FRAME_NS for t in range(100)])
     b = frames_at([t * FRAME_NS + 7_000_000_000 for t in range(100)])
     pairing = pair_recordings(a, b, "0", "0", offset_ns=-6_990_000_000)
@@ -68,9 +68,7 @@ def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a() -> None:
     st.integers(1, 300),
     st.booleans(),
 )
-def test_no_frame_pairs_twice_or_beyond_the_tolerance(
-    times_a: list[int], times_b: list[int], tolerance: int, every_frame: bool
-) -> None:
+def test_no_frame_pairs_twice_or_beyond_the_tolerance(times_a, times_b, tolerance, every_frame):
     a, b = frames_at(sorted(times_a)), frames_at(sorted(times_b))
     try:
         pairing = pair_recordings(a, b, "0", "0", tolerance, every_frame=every_frame)
@@ -93,14 +91,14 @@ def test_no_frame_pairs_twice_or_beyond_the_tolerance(
     assert min(abs(pair.skew_ns) for pair in paired) == closest
 
 
-def test_recordings_that_never_overlap_are_refused_with_their_times() -> None:
+def test_recordings_that_never_overlap_are_refused_with_their_times():
     with pytest.raises(
         DeviceError, match=r"never overlap.*A runs from 0\.000 s to 0\.033 s, B from 10\.000 s"
     ):
         pair_recordings(frames_at([0, FRAME_NS]), frames_at([10_000_000_000]), "0", "0")
 
 
-def test_a_person_absent_from_a_frame_is_none_there() -> None:
+def test_a_person_absent_from_a_frame_is_none_there():
     a = [*frames_at([0]), SensorFrame(FRAME_NS)]
     pairing = pair_recordings(a, frames_at([0, FRAME_NS], "5"), "0", "5")
     assert pairing.pairs[0].skeletons.a is not None
@@ -108,7 +106,7 @@ def test_a_person_absent_from_a_frame_is_none_there() -> None:
     assert pairing.pairs[1].skeletons.b is not None
 
 
-def test_times_far_from_zero_pair_exactly() -> None:
+def test_times_far_from_zero_pair_exactly():
     start = 1_700_000_000_000_000_000  # a wall clock in ns is beyond a float's whole numbers
     times = [start + t * FRAME_NS for t in range(10)]
     pairing = pair_recordings(frames_at(times), frames_at([t + 1 for t in times]), "0", "0")

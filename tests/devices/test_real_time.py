@@ -2,46 +2,43 @@
 
 import threading
 import time
-from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from devices.capture.frame_decimation import FrameDecimation
 from devices.real_time import PacedSensor, paced_together
-from devices.sensor import SensorFrame
-from devices.simulated.kinect import SimulatedKinect, simulated_pair
+from devices.simulated.kinect import simulated_pair
 from fusion.body import KINECT_V1
 
 
 class Clock:
     """Time that passes only when someone waits or works."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 100.0
 
-    def __call__(self) -> float:
+    def __call__(self):
         return self.now
 
-    def wait(self, stopping: threading.Event, seconds: float) -> bool:
+    def wait(self, stopping, seconds):
         self.now += seconds
         return stopping.is_set()
 
 
 @pytest.fixture
-def clock() -> Clock:
+def clock():
     return Clock()
 
 
 @pytest.fixture
-def images_take(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[float]]:
+def images_take(clock, monkeypatch):
     """Sets how many seconds an image takes, and the first one; returns when the images were begun."""
 
-    def set_seconds(seconds: float, first: float | None = None) -> list[float]:
-        begins: list[float] = []
+    def set_seconds(seconds, first=None):
+        begins = []
 
-        def rendered(z: NDArray[np.float32], *_: object) -> NDArray[np.uint16]:
+        def rendered(z, *_):
             takes = seconds if begins or first is None else first
             begins.append(clock.now)
             clock.now += takes
@@ -53,15 +50,15 @@ def images_take(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
     return set_seconds
 
 
-def simulated(seconds: float, **more: object) -> SimulatedKinect:
-    return simulated_pair(motion="still", seconds=seconds, body=KINECT_V1, **more)[0]  # type: ignore[arg-type]
+def simulated(seconds, **more):
+    return simulated_pair(motion="still", seconds=seconds, body=KINECT_V1, **more)[0]
 
 
-def paced(sensor: SimulatedKinect, clock: Clock, decimation: FrameDecimation | None = None) -> PacedSensor:
+def paced(sensor, clock, decimation=None):
     return PacedSensor(sensor, None, decimation, clock=clock, wait=clock.wait)
 
 
-def test_each_frame_is_given_when_it_is_due(clock: Clock) -> None:
+def test_each_frame_is_given_when_it_is_due(clock):
     begun, frames = clock.now, []
     for frame in paced(simulated(0.5), clock).frames():
         frames.append(frame)
@@ -71,9 +68,7 @@ def test_each_frame_is_given_when_it_is_due(clock: Clock) -> None:
     assert len(frames) == 15
 
 
-def test_a_sensor_that_is_late_leaves_images_out_and_no_skeleton(
-    clock: Clock, images_take: Callable[..., list[float]]
-) -> None:
+def test_a_sensor_that_is_late_leaves_images_out_and_no_skeleton(clock, images_take):
     takes = 0.08
     images_take(takes)
     sensor = simulated(3.0, depth="half")
@@ -91,15 +86,13 @@ def test_a_sensor_that_is_late_leaves_images_out_and_no_skeleton(
 @pytest.mark.parametrize(
     ("takes", "ahead"), [(0.004, 1.0 / 60.0), (0.02, 0.03)], ids=["half a frame", "more than it takes"]
 )
-def test_a_frame_is_made_late_so_that_others_can_work_early(
-    clock: Clock, images_take: Callable[..., list[float]], takes: float, ahead: float
-) -> None:
+def test_a_frame_is_made_late_so_that_others_can_work_early(clock, images_take, takes, ahead):
     begins = images_take(takes)
     given = [clock.now for _ in paced(simulated(0.5, depth="half"), clock).frames()]
     assert np.array(given[1:]) - begins[1:] == pytest.approx(ahead)
 
 
-def test_a_slow_frame_is_forgotten(clock: Clock, images_take: Callable[..., list[float]]) -> None:
+def test_a_slow_frame_is_forgotten(clock, images_take):
     begins = images_take(0.004, first=0.03)
     given = [clock.now for _ in paced(simulated(2.0, depth="half"), clock).frames()]
     ahead = np.array(given) - begins
@@ -108,9 +101,7 @@ def test_a_slow_frame_is_forgotten(clock: Clock, images_take: Callable[..., list
 
 
 @pytest.mark.parametrize("step", [1, 2, 3])
-def test_images_are_made_and_given_of_the_kept_moments_only(
-    clock: Clock, images_take: Callable[..., list[float]], step: int
-) -> None:
+def test_images_are_made_and_given_of_the_kept_moments_only(clock, images_take, step):
     made = images_take(0.0)
     decimation = FrameDecimation(30.0)
     for _ in range(10 if step > 1 else 0):
@@ -127,11 +118,11 @@ def test_images_are_made_and_given_of_the_kept_moments_only(
     assert source.images_left_out == 0, "they were not wanted"
 
 
-def test_sensors_begin_together() -> None:
+def test_sensors_begin_together():
     a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
-    given: dict[str, list[SensorFrame]] = {}
+    given = {}
 
-    def read(sensor: PacedSensor) -> None:
+    def read(sensor):
         given[sensor.name] = list(sensor.frames())
 
     threads = [threading.Thread(target=read, args=(sensor,)) for sensor in paced_together(a, b)]
@@ -145,7 +136,7 @@ def test_sensors_begin_together() -> None:
     assert abs(np.median(apart) - 0.96e6) < 0.2e9  # B captures so much later
 
 
-def test_a_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch):
     monkeypatch.setattr("devices.real_time._TOGETHER", 0.3)
     a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
     frames = list(paced_together(a, b)[0].frames())
@@ -153,7 +144,7 @@ def test_a_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch: pytest
     assert frames[-1].host_ns - frames[0].host_ns > 0.12e9  # at its pace, without catching up
 
 
-def test_a_sensor_ends_while_it_waits_for_its_fellow(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sensor_ends_while_it_waits_for_its_fellow(monkeypatch):
     monkeypatch.setattr("devices.real_time._TOGETHER", 60.0)
     a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
     waiting, _ = paced_together(a, b)
@@ -163,7 +154,7 @@ def test_a_sensor_ends_while_it_waits_for_its_fellow(monkeypatch: pytest.MonkeyP
     assert time.monotonic() - begun < 30.0
 
 
-def test_a_sensor_ends_when_it_is_interrupted(clock: Clock) -> None:
+def test_a_sensor_ends_when_it_is_interrupted(clock):
     sensor = paced(simulated(10.0), clock)
     frames = sensor.frames()
     next(frames)

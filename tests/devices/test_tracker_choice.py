@@ -1,7 +1,6 @@
 """Which body tracker runs, and why: one rule for fuse, live and doctor."""
 
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -13,9 +12,8 @@ from devices.blazepose.tracked_images import TrackedImages
 from devices.live_sensors import connected_sensors
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice, choose_tracker, tracker_name
-from tests.helpers.orbbec.standin import Orbbec, OrbbecBus
-from tests.helpers.standin_library import Standin
-from tests.helpers.standin_pyk4a import Bus, Device
+from tests.helpers.orbbec.standin import Orbbec
+from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish
 
 A, B = "CL8H741005K", "CL8H7410123"
@@ -23,7 +21,7 @@ OURS, MICROSOFTS = TrackerChoice("blazepose", "a test"), TrackerChoice("k4abt", 
 
 
 @pytest.fixture
-def installed(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Standin:
+def installed(standin, monkeypatch):
     """libk4abt where the system finds it."""
     load = checks.load_library
     monkeypatch.setattr(
@@ -34,7 +32,7 @@ def installed(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Standin:
 
 
 @pytest.mark.usefixtures("installed")
-def test_auto_is_k4abt_where_it_works(tmp_path: Path) -> None:
+def test_auto_is_k4abt_where_it_works(tmp_path):
     if sys.platform == "linux":
         choice = choose_tracker(root=tmp_path)
         assert (choice.name, choice.reason) == ("blazepose", "libk4abt finds no GPU driver")
@@ -45,8 +43,8 @@ def test_auto_is_k4abt_where_it_works(tmp_path: Path) -> None:
     assert (slow.name, slow.reason) == ("blazepose", "libk4abt tracks about one frame per second on a CPU")
 
 
-def test_auto_is_blazepose_without_libk4abt(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def missing(*_: object) -> None:
+def test_auto_is_blazepose_without_libk4abt(monkeypatch, tmp_path):
+    def missing(*_):
         raise DeviceError("The library k4abt cannot be loaded. Install it.")
 
     monkeypatch.setattr(checks, "load_library", missing)
@@ -55,14 +53,14 @@ def test_auto_is_blazepose_without_libk4abt(monkeypatch: pytest.MonkeyPatch, tmp
     assert (choice.full_name, choice.reason) == ("blazepose lite", "libk4abt is not installed")
 
 
-def test_the_requested_tracker_runs(tmp_path: Path) -> None:
+def test_the_requested_tracker_runs(tmp_path):
     assert choose_tracker("k4abt", root=tmp_path).name == "k4abt"
     assert choose_tracker("blazepose", root=tmp_path).name == "blazepose"
     named = choose_tracker(k4abt=TrackerSettings(library=tmp_path / "libk4abt.so"), root=tmp_path)
     assert (named.name, named.asked) == ("k4abt", True)
 
 
-def test_the_programs_tracker_takes_images_of_other_sensors() -> None:
+def test_the_programs_tracker_takes_images_of_other_sensors():
     assert MICROSOFTS.for_images_of([]) is MICROSOFTS
     assert OURS.for_images_of([A]) is OURS
     changed = MICROSOFTS.for_images_of([A, B])
@@ -74,13 +72,13 @@ def test_the_programs_tracker_takes_images_of_other_sensors() -> None:
         choose_tracker("k4abt").for_images_of([A])
 
 
-def test_the_name_is_that_of_the_sensors_tracker() -> None:
+def test_the_name_is_that_of_the_sensors_tracker():
     kinect = KinectSensor("000123", track=False)
     assert tracker_name(TrackedImages(kinect, BlazePoseSettings(network="lite"))) == "blazepose lite"
     assert tracker_name(KinectSensor("000123")) == "k4abt"
 
 
-def test_sensors_of_both_vendors_are_listed(bus: Bus, orbbecs: OrbbecBus) -> None:
+def test_sensors_of_both_vendors_are_listed(bus, orbbecs):
     bus.devices, orbbecs.devices = [Device("000123")], [Orbbec(A)]
     listed = connected_sensors(OURS)
     assert [(one.index, one.serial, one.sdk) for one in listed] == [(0, "000123", "k4a"), (1, A, "orbbec")]
@@ -88,15 +86,13 @@ def test_sensors_of_both_vendors_are_listed(bus: Bus, orbbecs: OrbbecBus) -> Non
     assert listed[1].is_orbbec
 
 
-def test_a_femto_in_both_lists_is_taken_once(bus: Bus, orbbecs: OrbbecBus) -> None:
+def test_a_femto_in_both_lists_is_taken_once(bus, orbbecs):
     bus.devices, orbbecs.devices = [Device(A, orbbec=True)], [Orbbec(A)]
     assert [one.sdk for one in connected_sensors(OURS)] == ["orbbec"]
     assert [one.sdk for one in connected_sensors(MICROSOFTS)] == ["k4a"], "k4abt needs libk4a's captures"
 
 
-def test_one_vendors_software_is_enough(
-    bus: Bus, orbbecs: OrbbecBus, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_vendors_software_is_enough(bus, orbbecs, monkeypatch):
     bus.devices, orbbecs.devices = [Device("000123")], [Orbbec(A)]
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     assert [one.serial for one in connected_sensors(OURS)] == [A]

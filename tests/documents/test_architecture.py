@@ -1,7 +1,6 @@
 """The documents list every folder and every long module, and name modules that exist."""
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -11,7 +10,7 @@ FOLDER = re.compile(r"`((?:fusion|devices|recordings|viewer_app)/[a-z_/]+)`")
 NAMED = re.compile(r"`((?:fusion|devices|recordings|viewer_app|tests)(?:[./][a-z_0-9]+)+(?:\.py)?)`")
 
 
-def exists(name: str) -> bool:
+def exists(name):
     """Whether a dotted name or a path is a folder or a module, or a name in a module."""
     path = ROOT / name
     if "/" in name:
@@ -26,11 +25,11 @@ def exists(name: str) -> bool:
     return False
 
 
-def _defines(module: Path, name: str) -> bool:
+def _defines(module, name):
     return re.search(rf"\b{name}\b", module.read_text(encoding="utf-8")) is not None
 
 
-def test_the_table_of_folders_is_complete() -> None:
+def test_the_table_of_folders_is_complete():
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     rows = [line for line in page.splitlines() if line.startswith("| `")]
     listed = {folder for row in rows for folder in FOLDER.findall(row)}
@@ -43,12 +42,12 @@ def test_the_table_of_folders_is_complete() -> None:
 
 
 @pytest.mark.parametrize("page", documents(), ids=lambda page: page.name)
-def test_modules_that_a_page_names_exist(page: Path) -> None:
+def test_modules_that_a_page_names_exist(page):
     named = NAMED.findall(page.read_text(encoding="utf-8"))
     assert [name for name in named if not exists(name)] == []
 
 
-def test_every_long_module_has_a_reason() -> None:
+def test_every_long_module_has_a_reason():
     reasons = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     for package in PACKAGES:
         for module in (ROOT / package).rglob("*.py"):

@@ -1,8 +1,6 @@
 """Every command in the documents is one that the program takes; those that need no sensor are run."""
 
 import shlex
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -21,9 +19,7 @@ WITH_VIEWER = ("demo", "fuse", "review", "replay", "compare")
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_command_is_understood(
-    name: str, parsed: list[Any], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_is_understood(name, parsed, capsys):
     commands = list(commands_of(ROOT / name))
     refused = [command for command in commands if duplex(*shlex.split(command)[1:]) != 0]
     assert not refused, capsys.readouterr().err
@@ -31,11 +27,11 @@ def test_every_command_is_understood(
     assert len(parsed) == sum("--help" not in command for command in commands)
 
 
-def test_the_documents_have_commands() -> None:
+def test_the_documents_have_commands():
     assert sum(len(list(commands_of(document))) for document in documents()) > 30
 
 
-def test_commands_in_sentences_exist() -> None:
+def test_commands_in_sentences_exist():
     known = {name for command in COMMANDS for name in (command, command.partition(" ")[0])}
     for document in documents():
         for mention in mentions_of(document):
@@ -43,7 +39,7 @@ def test_commands_in_sentences_exist() -> None:
             assert {words[1], " ".join(words[1:3])} & known, f"{document.name}: {mention}"
 
 
-def test_the_start_page_works_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_start_page_works_from_top_to_bottom(tmp_path, monkeypatch):
     write_recordings(tmp_path)
     monkeypatch.chdir(tmp_path)
     for command in commands_of(ROOT / "docs" / "start.md"):

@@ -1,7 +1,6 @@
 """The start page's way from tables in other columns, units and axes to recordings."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas
@@ -25,7 +24,7 @@ AXES = re.findall(
 
 
 @pytest.fixture
-def own_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
+def own_tables(tmp_path, monkeypatch):
     """Writes ``mine_a.csv`` and ``mine_b.csv`` in the current folder; the session expected of them."""
     expected = fuse(*write_recordings(tmp_path))
     for sensor in "ab":
@@ -48,7 +47,7 @@ def own_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     return expected
 
 
-def test_tables_in_other_units_and_axes_give_the_same_session(own_tables: Session, tmp_path: Path) -> None:
+def test_tables_in_other_units_and_axes_give_the_same_session(own_tables, tmp_path):
     exec(FROM_TABLE, {})
     assert duplex("fuse", "a.csv", "b.csv", "--no-viewer", "--save", "walk.rrd") == 0
     session = Session.open(tmp_path / "walk.rrd")
@@ -57,7 +56,7 @@ def test_tables_in_other_units_and_axes_give_the_same_session(own_tables: Sessio
     np.testing.assert_allclose(session.fused, own_tables.fused, atol=1e-5)
 
 
-def test_arrays_become_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arrays_become_a_recording(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     positions, joints = moving(KINECT_V2, 70), KINECT_V2.joints
     exec(FROM_ARRAYS, {"positions": positions, "joints": joints, "seconds": np.arange(70) / 30})
@@ -67,7 +66,7 @@ def test_arrays_become_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     np.testing.assert_allclose(session.time_ns * 1e-9, np.arange(70) / 30, atol=1e-6)
 
 
-def test_axes_are_turned_and_never_mirrored() -> None:
+def test_axes_are_turned_and_never_mirrored():
     handed = {"Unity": -1}  # left-handed
     assert [convention.split()[0] for convention, *_ in AXES] == ["Kinect", "Azure", "Unity", "OpenGL", "ROS"]
     for convention, *target in AXES:
@@ -75,7 +74,7 @@ def test_axes_are_turned_and_never_mirrored() -> None:
         assert np.linalg.det(np.array(rows)) == handed.get(convention.split()[0], 1), convention
 
 
-def test_the_names_of_the_joints_are_those_of_the_bodies() -> None:
+def test_the_names_of_the_joints_are_those_of_the_bodies():
     rows = re.findall(
         r"^\| `(\w+)` \((\d+)\) \| (.*) \+ _?L\w+ or _?R\w+ \|$", START.read_text("utf-8"), re.M | re.I
     )

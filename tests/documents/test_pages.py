@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,25 +18,23 @@ LINK = re.compile(r"\]\(([^)#\s]+)(#[^)]*)?\)")
 TROUBLES = HEADING.findall((ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8"))
 
 
-def plain(message: str) -> str:
+def plain(message):
     """A message without the markup of colours."""
     return MARKUP.sub("", message)
 
 
 @pytest.fixture(scope="module")
-def templates() -> list[str]:
+def templates():
     return sorted(message_templates())
 
 
 @pytest.mark.parametrize("message", TROUBLES)
-def test_every_message_of_the_troubleshooting_page_is_one_of_the_program(
-    message: str, templates: list[str]
-) -> None:
+def test_every_message_of_the_troubleshooting_page_is_one_of_the_program(message, templates):
     words = message.rstrip("…").rstrip()  # the rest may be a value
     assert any(words in plain(template) for template in templates)
 
 
-def test_every_link_between_documents_leads_somewhere() -> None:
+def test_every_link_between_documents_leads_somewhere():
     pages = {"examples.md", "contributing.md", "changelog.md"}  # made by docs/site_pages.py
     for document in documents():
         for path, _ in LINK.findall(document.read_text(encoding="utf-8")):
@@ -45,14 +42,14 @@ def test_every_link_between_documents_leads_somewhere() -> None:
                 assert (document.parent / path).exists(), f"{document.name}: {path}"
 
 
-def test_the_site_has_every_page() -> None:
+def test_the_site_has_every_page():
     nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     for page in (ROOT / "docs").glob("*.md"):
         assert f": {page.name}\n" in nav
 
 
 @pytest.mark.parametrize("angle", [60.0, 90.0, 120.0])
-def test_both_sensors_see_the_person_where_the_picture_says(angle: float) -> None:
+def test_both_sensors_see_the_person_where_the_picture_says(angle):
     b = a_from_b(angle)
     assert seen_by_both(b, PERSON_AT)
     assert not seen_by_both(b, np.zeros(3)), "nobody stands in a sensor"
@@ -62,7 +59,7 @@ def test_both_sensors_see_the_person_where_the_picture_says(angle: float) -> Non
     np.testing.assert_allclose(np.degrees(np.arccos(cosine)), angle, atol=1e-6)
 
 
-def test_the_version_and_its_date_are_the_same_everywhere() -> None:
+def test_the_version_and_its_date_are_the_same_everywhere():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert re.findall(r"^version: (.*)$", citation, re.MULTILINE) == [version]
@@ -72,15 +69,15 @@ def test_the_version_and_its_date_are_the_same_everywhere() -> None:
     assert newest.groups() == (version, *released)
 
 
-def test_the_page_has_the_figures_of_the_files() -> None:
+def test_the_page_has_the_figures_of_the_files():
     assert benchmarks_page.PAGE.read_text(encoding="utf-8") == benchmarks_page.page(), "make benchmarks"
 
 
-def test_the_page_is_short() -> None:
+def test_the_page_is_short():
     assert len(benchmarks_page.page().split()) <= 1300
 
 
-def test_every_file_names_its_command_and_its_machine() -> None:
+def test_every_file_names_its_command_and_its_machine():
     for file in results.FOLDER.glob("*.json"):
         document = results.read(file.stem)
         assert document["command"].startswith("python -m tests.benchmarks."), file
@@ -88,9 +85,7 @@ def test_every_file_names_its_command_and_its_machine() -> None:
         assert document["figures"]
 
 
-def test_the_summary_on_the_start_page_is_that_of_the_real_walk(
-    shared: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_summary_on_the_start_page_is_that_of_the_real_walk(shared, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
     shown = re.search(r"such as this one of a walk.*?```text\n(.*?)```", page, re.DOTALL)

@@ -1,7 +1,6 @@
 """The fuser with the paper's method; see ``tests/fusion/estimator`` for the default."""
 
 from dataclasses import replace
-from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -11,12 +10,12 @@ from numba.core import event
 from numba.core.runtime import _nrt_python, rtsys
 from scipy.spatial.transform import Rotation
 
-from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
+from fusion.body import BODIES, KINECT_V1, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.calibration.calibration import calibrate
 from fusion.compiling.kernels import kernel
 from fusion.errors import FusionError
-from fusion.fuser import FusedFrame, Fuser
+from fusion.fuser import Fuser
 from fusion.paper import method as paper_method
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
@@ -28,24 +27,23 @@ from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, 
 FLOAT32 = 3e-6
 
 PAPER = FuserSettings(method="paper")
-Weights = Literal["paper", "equal"]
-WEIGHTS: tuple[Weights, ...] = ("paper", "equal")
+WEIGHTS = ("paper", "equal")
 
 
-def with_states(skeleton: Skeleton | None, states: dict[str, TrackingState]) -> Skeleton:
+def with_states(skeleton, states):
     all_states = np.array(skeleton.states)
     for name, state in states.items():
         all_states[skeleton.body.joint(name)] = state
     return Skeleton.of(skeleton.body, skeleton.positions, all_states, skeleton.time_ns)
 
 
-def bone_error(body: Body, frame: FusedFrame) -> float:
+def bone_error(body, frame):
     lengths = bone_lengths_of(body, frame.positions)[body.bone_joints]
     return float(np.abs(lengths - body.nominal_lengths[body.bone_joints]).max())
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_two_flawless_views_give_the_truth(body: Body) -> None:
+def test_two_flawless_views_give_the_truth(body):
     truth = moving(body, 90)
     pairs = [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(truth)]
     fuser = Fuser(FusionSetup(calibrate(body, pairs[:40], "test"), PAPER))
@@ -54,7 +52,7 @@ def test_two_flawless_views_give_the_truth(body: Body) -> None:
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_fused_bones_have_their_length_whatever_the_noise(body: Body) -> None:
+def test_fused_bones_have_their_length_whatever_the_noise(body):
     rng = np.random.default_rng(5)
     fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
     for t, at in enumerate(moving(body, 40)):
@@ -62,7 +60,7 @@ def test_fused_bones_have_their_length_whatever_the_noise(body: Body) -> None:
         assert bone_error(body, frame) < 1e-9
 
 
-def test_a_mistracked_elbow_follows_the_view_that_keeps_it_apart() -> None:
+def test_a_mistracked_elbow_follows_the_view_that_keeps_it_apart():
     # fig. 3: in A's image the elbow covers the hip; B sees them far apart and gets the weight
     body = KINECT_V1
     truth = standing(body)
@@ -82,7 +80,7 @@ def test_a_mistracked_elbow_follows_the_view_that_keeps_it_apart() -> None:
     assert off < 0.02 < 0.1 < np.linalg.norm(equal.positions[elbow] - truth[elbow])
 
 
-def test_a_tracked_view_outweighs_an_inferred_one() -> None:
+def test_a_tracked_view_outweighs_an_inferred_one():
     body = KINECT_V1
     pair = pair_of(body, standing(body))
     hidden = with_states(pair.a, {"KneeLeft": TrackingState.INFERRED})
@@ -96,7 +94,7 @@ def test_a_tracked_view_outweighs_an_inferred_one() -> None:
 
 
 @pytest.mark.parametrize("weights", WEIGHTS)
-def test_a_joint_that_one_view_lost_is_taken_from_the_other(weights: Weights) -> None:
+def test_a_joint_that_one_view_lost_is_taken_from_the_other(weights):
     body = KINECT_V2
     truth = standing(body)
     pair = pair_of(body, truth)
@@ -109,7 +107,7 @@ def test_a_joint_that_one_view_lost_is_taken_from_the_other(weights: Weights) ->
     np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
 
 
-def test_a_joint_that_both_views_lost_follows_its_bones_and_the_previous_frame() -> None:
+def test_a_joint_that_both_views_lost_follows_its_bones_and_the_previous_frame():
     body = KINECT_V2
     truth = standing(body)
     pair = pair_of(body, truth)
@@ -127,7 +125,7 @@ def test_a_joint_that_both_views_lost_follows_its_bones_and_the_previous_frame()
     assert bone_error(body, frame) < 1e-9
 
 
-def test_one_sensor_alone_still_gives_a_skeleton_with_the_same_bones() -> None:
+def test_one_sensor_alone_still_gives_a_skeleton_with_the_same_bones():
     body = KINECT_V1
     truth = standing(body)
     pair = pair_of(body, truth)
@@ -137,7 +135,7 @@ def test_one_sensor_alone_still_gives_a_skeleton_with_the_same_bones() -> None:
         np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
 
 
-def test_without_anyone_there_is_no_skeleton_and_the_next_person_is_picked_up() -> None:
+def test_without_anyone_there_is_no_skeleton_and_the_next_person_is_picked_up():
     body = KINECT_V1
     fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
     fuser.update(pair_of(body, standing(body)))
@@ -150,7 +148,7 @@ def test_without_anyone_there_is_no_skeleton_and_the_next_person_is_picked_up() 
 
 
 @pytest.mark.parametrize(("seconds", "forgotten"), [(0.5, False), (1.5, True)])
-def test_after_a_second_without_anyone_the_frame_before_is_forgotten(seconds: float, forgotten: bool) -> None:
+def test_after_a_second_without_anyone_the_frame_before_is_forgotten(seconds, forgotten):
     body = KINECT_V2
     lost = dict.fromkeys(("ElbowLeft", "WristLeft", "HandLeft", "HandTipLeft"), TrackingState.NOT_TRACKED)
     back = pair_of(body, standing(body, arms_out=20.0), round(seconds * 1e9))
@@ -163,7 +161,7 @@ def test_after_a_second_without_anyone_the_frame_before_is_forgotten(seconds: fl
     assert (np.linalg.norm(found[elbow] - anew[elbow]) < FLOAT32) == forgotten
 
 
-def test_a_repeated_frame_is_noticed_for_each_sensor_separately() -> None:
+def test_a_repeated_frame_is_noticed_for_each_sensor_separately():
     body = KINECT_V1
     fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
     first, second = (pair_of(body, at, t) for t, at in enumerate(moving(body, 60)[58:]))
@@ -172,7 +170,7 @@ def test_a_repeated_frame_is_noticed_for_each_sensor_separately() -> None:
     assert (frame.stale_a, frame.stale_b) == (True, False)
 
 
-def test_t_follows_the_torso_when_a_sensor_is_pushed() -> None:
+def test_t_follows_the_torso_when_a_sensor_is_pushed():
     body = KINECT_V1
     truth = standing(body)
     push = np.array([0.1, -0.03, 0.2])
@@ -183,12 +181,12 @@ def test_t_follows_the_torso_when_a_sensor_is_pushed() -> None:
 
 
 @pytest.mark.parametrize("h", [0.5, 1.0, 2.0, float("nan")])
-def test_h_outside_its_range_is_refused(h: float) -> None:
+def test_h_outside_its_range_is_refused(h):
     with pytest.raises(FusionError, match=r"between 0\.5 and 1"):
         FuserSettings(h=h)
 
 
-def test_a_sequence_is_bit_for_bit_the_pairs_one_by_one() -> None:
+def test_a_sequence_is_bit_for_bit_the_pairs_one_by_one():
     body = KINECT_V2
     rng = np.random.default_rng(9)
     pairs = [noisy(pair_of(body, at, t * FRAME_NS), rng, 0.05) for t, at in enumerate(moving(body, 60))]
@@ -209,7 +207,7 @@ def test_a_sequence_is_bit_for_bit_the_pairs_one_by_one() -> None:
         )  # fmt: skip
 
 
-def test_a_frame_allocates_nothing() -> None:
+def test_a_frame_allocates_nothing():
     """A call allocates the same memory for any number of frames."""
     _nrt_python.memsys_enable_stats()
     pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 20))]
@@ -230,8 +228,8 @@ def test_a_frame_allocates_nothing() -> None:
 @pytest.mark.parametrize(
     ("method", "name"), [("paper", "fuse_frames"), ("published", "fuse_frames_as_published")]
 )
-def test_no_frame_after_warming_up_compiles(method: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    fresh: Any = kernel(getattr(paper_method, name).py_func)  # as in a new process
+def test_no_frame_after_warming_up_compiles(method, name, monkeypatch):
+    fresh = kernel(getattr(paper_method, name).py_func)  # as in a new process
     monkeypatch.setattr(paper_method, name, fresh)
     pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 8))]
     pairs += [
@@ -251,7 +249,7 @@ def test_no_frame_after_warming_up_compiles(method: Any, name: str, monkeypatch:
     assert len(fresh.signatures) == 1  # a kernel found on disk here would have to be compiled elsewhere
 
 
-def test_warming_up_leaves_no_trace() -> None:
+def test_warming_up_leaves_no_trace():
     body = KINECT_V1
     pairs = [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(moving(body, 5))]
     cold, warm = (Fuser(FusionSetup(calibration_of(body), PAPER)) for _ in range(2))
@@ -260,7 +258,7 @@ def test_warming_up_leaves_no_trace() -> None:
         assert cold.update(pair).positions.tobytes() == warm.update(pair).positions.tobytes()
 
 
-def a_noisy_pair(body: Body, seed: int) -> SkeletonPair:
+def a_noisy_pair(body, seed):
     """Views that differ by 20 mm a coordinate, with an inferred joint in each and one that B lost."""
     rng = np.random.default_rng(seed)
     pair = noisy(pair_of(body, standing(body)), rng, 0.02)
@@ -272,13 +270,11 @@ def a_noisy_pair(body: Body, seed: int) -> SkeletonPair:
     return SkeletonPair(a, b, 0)
 
 
-def moved_by(skeleton: Skeleton | None, by: RigidTransform) -> Skeleton:
+def moved_by(skeleton, by):
     return Skeleton.of(skeleton.body, by.apply(skeleton.positions), skeleton.states, skeleton.time_ns)
 
 
-def fused_in_moved_frames(
-    pair: SkeletonPair, weights: Weights, by_a: RigidTransform, by_b: RigidTransform
-) -> tuple[np.ndarray, np.ndarray]:
+def fused_in_moved_frames(pair, weights, by_a, by_b):
     """S* of a pair, moved; and S* of the pair whose views were moved, each by its sensor's motion."""
     chosen = FuserSettings(method="paper", weights=weights)
     calibration = calibration_of(pair.a.body)
@@ -296,9 +292,7 @@ TWICE = 2 * FLOAT32
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), angles=st.tuples(*[st.floats(-180.0, 180.0)] * 2))
-def test_a_sensor_turned_about_its_optical_axis_turns_the_skeleton_with_it(
-    seed: int, angles: tuple[float, float]
-) -> None:
+def test_a_sensor_turned_about_its_optical_axis_turns_the_skeleton_with_it(seed, angles):
     """The motion that leaves all distances in a viewing plane as they are, and so eqs. (10), (11)."""
     turns = [
         RigidTransform.of(Rotation.from_euler("z", angle, degrees=True).as_matrix(), np.zeros(3))
@@ -310,9 +304,7 @@ def test_a_sensor_turned_about_its_optical_axis_turns_the_skeleton_with_it(
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-0.5, 0.5)] * 3))
-def test_with_equal_weights_any_motion_of_a_sensor_moves_the_skeleton_with_it(
-    seed: int, shift: tuple[float, float, float]
-) -> None:
+def test_with_equal_weights_any_motion_of_a_sensor_moves_the_skeleton_with_it(seed, shift):
     centre = np.array([0.0, 0.0, 2.6])  # a rotation that keeps the person in front of the sensor
     motions = []
     for rotation in Rotation.random(2, rng=seed):
@@ -324,7 +316,7 @@ def test_with_equal_weights_any_motion_of_a_sensor_moves_the_skeleton_with_it(
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), weights=st.sampled_from(WEIGHTS))
-def test_a_weighted_mean_with_the_right_bones_is_the_skeleton(seed: int, weights: Weights) -> None:
+def test_a_weighted_mean_with_the_right_bones_is_the_skeleton(seed, weights):
     body = KINECT_V2
     pair = a_noisy_pair(body, seed)
     chosen = FuserSettings(method="paper", weights=weights)

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fusion.body import AZURE_KINECT, BODIES, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V2
 from fusion.joint_rotations import JointRotations, joint_bones, rotations_of
 from tests.helpers.poses import BACK, FRONT, LEFT, posed, turned_about
 from tests.helpers.two_views import FRAME_NS, moving, standing
@@ -13,13 +12,13 @@ from tests.helpers.two_views import FRAME_NS, moving, standing
 ROUNDING = 1e-12  # some hundred operations on numbers of size 1
 
 
-def angle(p: NDArray[np.float64], q: NDArray[np.float64]) -> float:
+def angle(p, q):
     """Between two quaternions, radians."""
     return float((Rotation.from_quat(p).inv() * Rotation.from_quat(q)).magnitude())
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_forward_kinematics_reproduces_every_joint(body: Body) -> None:
+def test_forward_kinematics_reproduces_every_joint(body):
     joints = moving(body, 90)
     rotations = rotations_of(body, joints, np.arange(90) * FRAME_NS)
     for j in body.bone_joints:
@@ -30,7 +29,7 @@ def test_forward_kinematics_reproduces_every_joint(body: Body) -> None:
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_at_rest_nothing_is_rotated_and_a_turned_person_is_turned_as_a_whole(body: Body) -> None:
+def test_at_rest_nothing_is_rotated_and_a_turned_person_is_turned_as_a_whole(body):
     rest = posed(body, {})
     np.testing.assert_allclose(
         JointRotations(body).update(rest, 0), [[0, 0, 0, 1]] * len(body), atol=ROUNDING
@@ -41,7 +40,7 @@ def test_at_rest_nothing_is_rotated_and_a_turned_person_is_turned_as_a_whole(bod
         assert angle(each, turn.as_quat()) < 1e-7  # the arc cosine near 1 halves the digits
 
 
-def test_a_forearm_bent_forward_or_sideways_twists_the_upper_arm() -> None:
+def test_a_forearm_bent_forward_or_sideways_twists_the_upper_arm():
     # The elbow's axis is the person's left at rest. A hanging arm whose forearm points to the front has that
     # axis. If it points to the left, the axis has turned by a quarter turn about the upper arm: left → back.
     body = AZURE_KINECT
@@ -55,7 +54,7 @@ def test_a_forearm_bent_forward_or_sideways_twists_the_upper_arm() -> None:
 
 
 @pytest.mark.parametrize("side", ["Left", "Right"])
-def test_a_bent_knee_has_the_person_s_left_as_its_axis(side: str) -> None:
+def test_a_bent_knee_has_the_person_s_left_as_its_axis(side):
     body = KINECT_V2
     knee, ankle = body.joint(f"Knee{side}"), body.joint(f"Ankle{side}")
     bent = JointRotations(body).update(posed(body, {f"Ankle{side}": BACK}), 0)
@@ -63,7 +62,7 @@ def test_a_bent_knee_has_the_person_s_left_as_its_axis(side: str) -> None:
         np.testing.assert_allclose(Rotation.from_quat(bent[joint]).apply(LEFT), LEFT, atol=ROUNDING)
 
 
-def test_the_head_turns_with_the_ears() -> None:
+def test_the_head_turns_with_the_ears():
     body = AZURE_KINECT
     yaw = Rotation.from_rotvec([0.0, 0.6, 0.0])
     joints = posed(body, {})
@@ -76,7 +75,7 @@ def test_the_head_turns_with_the_ears() -> None:
     assert angle(rotations[body.joint("Neck")], np.array([0.0, 0.0, 0.0, 1.0])) < 1e-7
 
 
-def test_the_twist_of_a_straight_arm_ignores_the_noise_of_its_plane() -> None:
+def test_the_twist_of_a_straight_arm_ignores_the_noise_of_its_plane():
     body = KINECT_V2
     rng = np.random.default_rng(5)
     rotations = JointRotations(body)
@@ -92,7 +91,7 @@ def test_the_twist_of_a_straight_arm_ignores_the_noise_of_its_plane() -> None:
         before = now
 
 
-def test_an_elbow_s_plane_that_flips_turns_the_arm_at_a_limited_speed() -> None:
+def test_an_elbow_s_plane_that_flips_turns_the_arm_at_a_limited_speed():
     body = KINECT_V2
     rotations = JointRotations(body)
     elbow = body.joint("ElbowLeft")
@@ -109,7 +108,7 @@ def test_an_elbow_s_plane_that_flips_turns_the_arm_at_a_limited_speed() -> None:
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_signs_and_rotations_are_continuous_in_time(body: Body) -> None:
+def test_signs_and_rotations_are_continuous_in_time(body):
     joints = moving(body, 240)
     rotations = rotations_of(body, joints, np.arange(240) * FRAME_NS)
     cosine = np.einsum("tjc,tjc->tj", rotations[1:], rotations[:-1])
@@ -125,7 +124,7 @@ def test_signs_and_rotations_are_continuous_in_time(body: Body) -> None:
     assert (cosine > 0.0).all()
 
 
-def test_without_a_person_there_are_no_rotations_and_the_twist_outlasts_a_short_gap() -> None:
+def test_without_a_person_there_are_no_rotations_and_the_twist_outlasts_a_short_gap():
     body = KINECT_V2
     rotations = JointRotations(body)
     elbow = body.joint("ElbowLeft")
@@ -140,7 +139,7 @@ def test_without_a_person_there_are_no_rotations_and_the_twist_outlasts_a_short_
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_each_joint_shows_one_bone(body: Body) -> None:
+def test_each_joint_shows_one_bone(body):
     shown = joint_bones(body)
     assert shown[body.root] == body.root
     assert shown[body.joint("ElbowLeft")] == body.joint("WristLeft")

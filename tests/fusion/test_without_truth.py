@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fusion.body import BODIES, KINECT_V2, Body
+from fusion.body import BODIES, KINECT_V2
 from fusion.errors import FusionError
 from fusion.rigid import RigidTransform
 from fusion.without_truth import FusedPair, facing, figures_without_truth, judge_registration
@@ -14,7 +14,7 @@ FRAMES = 200
 BODY = KINECT_V2
 
 
-def walking(metres_per_second: float, *, backwards: bool = False) -> np.ndarray:
+def walking(metres_per_second, *, backwards=False):
     """(T, J, 3) a stiff person who is carried in the direction faced, or against it."""
     still = standing(BODY)
     left = (still[BODY.joint("HipLeft")] - still[BODY.joint("HipRight")])[[0, 2]]
@@ -24,14 +24,14 @@ def walking(metres_per_second: float, *, backwards: bool = False) -> np.ndarray:
     return still + travelled[:, None, None] * way
 
 
-def pair(a: np.ndarray, fused: np.ndarray | None = None, b_in_a: np.ndarray | None = None) -> FusedPair:
+def pair(a, fused=None, b_in_a=None):
     b = A_FROM_B.inverse().apply(a if b_in_a is None else b_in_a)
     times = np.arange(len(a), dtype=np.int64) * FRAME_NS
     return FusedPair(BODY, times, a, b, a if fused is None else fused, (A_FROM_B,) * len(a))
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))
-def test_a_person_faces_the_sensor_in_a_rest_pose(body: Body) -> None:
+def test_a_person_faces_the_sensor_in_a_rest_pose(body):
     at = np.zeros((1, len(body), 3))
     for joint in body.order[1:]:
         at[0, joint] = at[0, body.parents[joint]] + body.nominal_lengths[joint] * body.rest[joint]
@@ -39,7 +39,7 @@ def test_a_person_faces_the_sensor_in_a_rest_pose(body: Body) -> None:
 
 
 @pytest.mark.parametrize(("backwards", "against"), [(False, 0.0), (True, 1.0)])
-def test_walking_backwards_fast_is_against_the_motion(backwards: bool, against: float) -> None:
+def test_walking_backwards_fast_is_against_the_motion(backwards, against):
     found = figures_without_truth(pair(walking(1.2, backwards=backwards)))
     assert (found.against_a, found.against_b, found.against_fused) == (against,) * 3
     assert found.flips_per_minute == 0.0
@@ -47,11 +47,11 @@ def test_walking_backwards_fast_is_against_the_motion(backwards: bool, against: 
     assert found.rotation_off < 1e-6
 
 
-def test_slow_walking_backwards_is_not_judged() -> None:
+def test_slow_walking_backwards_is_not_judged():
     assert np.isnan(figures_without_truth(pair(walking(0.5, backwards=True))).against_fused)
 
 
-def test_roughness_is_the_mean_second_difference() -> None:
+def test_roughness_is_the_mean_second_difference():
     still = np.repeat(standing(BODY)[None], FRAMES, axis=0)
     shaken = still.copy()
     shaken[::2, :, 0] += 0.01  # second differences of 20 mm, always
@@ -63,7 +63,7 @@ def test_roughness_is_the_mean_second_difference() -> None:
     assert found.roughness_ratio == pytest.approx(2.0, rel=0.01)
 
 
-def test_only_a_jump_that_neither_view_made_counts_for_the_fused_skeleton() -> None:
+def test_only_a_jump_that_neither_view_made_counts_for_the_fused_skeleton():
     still = np.repeat(standing(BODY)[None], FRAMES, axis=0)
     hand, foot = BODY.joint("HandLeft"), BODY.joint("FootRight")
     fused, a = still.copy(), still.copy()
@@ -78,7 +78,7 @@ def test_only_a_jump_that_neither_view_made_counts_for_the_fused_skeleton() -> N
     assert found.jumps_b == 0.0
 
 
-def test_a_mirrored_spell_is_two_flips() -> None:
+def test_a_mirrored_spell_is_two_flips():
     still = np.repeat(standing(BODY)[None], FRAMES, axis=0)
     fused = still.copy()
     fused[80:120] = fused[80:120][:, BODY.mirror]
@@ -86,7 +86,7 @@ def test_a_mirrored_spell_is_two_flips() -> None:
     assert figures_without_truth(pair(still, fused)).flips_per_minute == pytest.approx(2 / minutes)
 
 
-def test_an_unseen_joint_gives_no_figure() -> None:
+def test_an_unseen_joint_gives_no_figure():
     a = walking(1.2)
     a[20:40] = np.nan
     a[:, BODY.joint("ThumbLeft")] = np.nan
@@ -95,12 +95,12 @@ def test_an_unseen_joint_gives_no_figure() -> None:
     assert found.jumps_own == 0.0
 
 
-def test_too_short_a_recording_is_an_error() -> None:
+def test_too_short_a_recording_is_an_error():
     with pytest.raises(FusionError, match="30 pairs or more to be judged; got 29"):
         figures_without_truth(pair(walking(1.0)[:29]))
 
 
-def test_a_registration_is_judged_where_the_person_is() -> None:
+def test_a_registration_is_judged_where_the_person_is():
     a = walking(1.2)
     b = A_FROM_B.inverse().apply(a)
     turned = RigidTransform.of(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]), np.zeros(3))

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fusion.array_fields import new_arrays
-from fusion.body import BODIES, KINECT_V2, Body
+from fusion.body import BODIES, KINECT_V2
 from fusion.joint_kinds import kind_of
 from fusion.skeleton import Skeleton, TrackingState
 from fusion.witness import (
@@ -25,7 +25,7 @@ BODY = KINECT_V2
 WRIST, ELBOW = BODY.joint("WristLeft"), BODY.joint("ElbowLeft")
 
 
-def witness_of(**wrist: float) -> np.ndarray:
+def witness_of(**wrist):
     """Of a skeleton whose joints are all where they should be, but for the left wrist's numbers."""
     found = np.zeros((len(BODY), 4), dtype=np.float32)
     found[:, 0] = -new_witness_model(BODY).flesh
@@ -36,11 +36,11 @@ def witness_of(**wrist: float) -> np.ndarray:
 
 
 @pytest.fixture
-def skeleton() -> Skeleton:
+def skeleton():
     return Skeleton.of(BODY, standing(BODY))
 
 
-def test_evidence_follows_the_table(skeleton: Skeleton) -> None:
+def test_evidence_follows_the_table(skeleton):
     row = EVIDENCE["end"]
     flesh = FLESH["wrist"]
     cases = [
@@ -57,7 +57,7 @@ def test_evidence_follows_the_table(skeleton: Skeleton) -> None:
         assert evidence_in(witness, skeleton).log_odds[WRIST] == pytest.approx(expected, abs=1e-5)
 
 
-def test_only_tracked_joints_are_judged(skeleton: Skeleton) -> None:
+def test_only_tracked_joints_are_judged(skeleton):
     states = np.array(skeleton.states)
     states[WRIST] = TrackingState.INFERRED
     inferred = Skeleton.of(BODY, skeleton.positions, states)
@@ -69,7 +69,7 @@ def test_only_tracked_joints_are_judged(skeleton: Skeleton) -> None:
     assert not information[WRIST].any()
 
 
-def test_evidence_falls_away_from_where_joints_should_be() -> None:
+def test_evidence_falls_away_from_where_joints_should_be():
     for row in EVIDENCE.values():
         assert len(row) == len(KNOTS)
         top = int(np.argmax(row))
@@ -79,7 +79,7 @@ def test_evidence_falls_away_from_where_joints_should_be() -> None:
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))
-def test_every_joint_has_a_kind_and_a_neighbour(body: Body) -> None:
+def test_every_joint_has_a_kind_and_a_neighbour(body):
     model = new_witness_model(body)
     assert {kind_of(joint) for joint in body.joints} <= set(FLESH)
     for j, n in enumerate(model.neighbours):
@@ -88,7 +88,7 @@ def test_every_joint_has_a_kind_and_a_neighbour(body: Body) -> None:
     assert set(SURFACE_SD) == set(FLESH)
 
 
-def test_the_surface_places_a_joint_below_the_middle_of_its_silhouette(skeleton: Skeleton) -> None:
+def test_the_surface_places_a_joint_below_the_middle_of_its_silhouette(skeleton):
     witness = witness_of(gap=-0.01, offset_x=0.02, offset_y=-0.01)
     _, places, information = evidence_in(witness, skeleton)
     at = skeleton.positions.astype(np.float64)
@@ -110,16 +110,14 @@ def test_the_surface_places_a_joint_below_the_middle_of_its_silhouette(skeleton:
     "wrist",
     [{"gap": 0.1}, {"gap": -0.3}, {"edge": -0.03}, {"offset_x": np.nan}, {"offset_x": 0.09}],
 )
-def test_a_surface_that_is_not_the_joints_measures_nothing(
-    skeleton: Skeleton, wrist: dict[str, float]
-) -> None:
+def test_a_surface_that_is_not_the_joints_measures_nothing(skeleton, wrist):
     _, places, information = evidence_in(witness_of(**wrist), skeleton)
     assert np.isnan(places[WRIST]).all()
     assert not information[WRIST].any()
     assert np.isfinite(places[ELBOW]).all()
 
 
-def test_a_rotated_frame_rotates_places_and_information(skeleton: Skeleton) -> None:
+def test_a_rotated_frame_rotates_places_and_information(skeleton):
     witness = witness_of(gap=-0.04, offset_x=0.015)
     _, places, information = evidence_in(witness, skeleton)
     R, t = Rotation.from_rotvec([0.3, -1.2, 0.4]).as_matrix(), np.array([1.0, -0.2, 2.0])

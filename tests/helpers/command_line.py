@@ -9,7 +9,7 @@ from viewer_app import cli
 
 
 @pytest.fixture
-def parsed(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+def parsed(monkeypatch):
     """Options of the commands that were accepted; nothing is carried out."""
     seen: list[Any] = []
     stand_in = SimpleNamespace(import_module=lambda _: SimpleNamespace(run=seen.append))

@@ -41,7 +41,7 @@ def record_fused(
 
 
 @pytest.fixture
-def fused_run(tmp_path: Path) -> FusedRun:
+def fused_run(tmp_path):
     """A function like :func:`record_fused` without the path; each call records a new session."""
     return lambda *pairs_and_calibration, **more: record_fused(
         tmp_path / f"{uuid4()}.rrd", *pairs_and_calibration, **more

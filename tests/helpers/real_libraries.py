@@ -111,13 +111,13 @@ ORBBEC = Library(
 
 
 @pytest.fixture(scope="session")
-def real_pyk4a(shared: Path) -> Results:
+def real_pyk4a(shared):
     """What the real pyk4a does with every clause of the contract."""
     return PYK4A.run(pyk4a_contract.__file__, str(shared / "azure" / "recording.mkv"))
 
 
 @pytest.fixture(scope="session")
-def real_orbbec() -> Results:
+def real_orbbec():
     """What the real pyorbbecsdk2 does with every clause of the contract."""
     return ORBBEC.run("-m", "tests.helpers.orbbec.contract")
 

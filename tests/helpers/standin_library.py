@@ -46,7 +46,7 @@ class Standin:
 
 
 @pytest.fixture(scope="session")
-def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def compiled(tmp_path_factory):
     path = tmp_path_factory.mktemp("standin") / "libk4abt.so"
     command = [need_compiler(), "-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o", str(path), str(_SOURCE)]
     subprocess.run(command, check=True)
@@ -54,7 +54,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def wheel_library(compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel_library(compiled, tmp_path_factory):
     """The stand-in loaded as libk4a from a wheel, whose libraries carry a hash in their names."""
     path = tmp_path_factory.mktemp("wheel.libs") / "libk4a-f64cb9eb.so.1.4.2"
     shutil.copyfile(compiled, path)
@@ -63,7 +63,7 @@ def wheel_library(compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 
 
 @pytest.fixture
-def standin(compiled: Path):
+def standin(compiled):
     """The stand-in in its initial state. After the test it must hold no live handle and no misuse."""
     library = Standin(compiled)
     library.reset()

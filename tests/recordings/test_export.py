@@ -2,13 +2,11 @@
 
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from fusion.body import BODIES, KINECT_V2, Body
+from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError
@@ -25,24 +23,24 @@ GAP = (20, 21, 22)
 
 
 @pytest.fixture(params=BODIES.values(), ids=str)
-def session(request: pytest.FixtureRequest, tmp_path: Path) -> Session:
+def session(request, tmp_path):
     """A moving person, whom no sensor sees in three frames; timestamps jitter by up to 3 ms."""
-    body: Body = request.param
+    body = request.param
     pairs = frame_pairs(body, 60, gap=GAP, jitter_ns=3_000_000)
     return record_fused(tmp_path / "s.rrd", pairs, calibration_of(body))
 
 
-def y_up(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def y_up(positions):
     return np.stack([positions[..., 0], -positions[..., 1], -positions[..., 2]], axis=-1)
 
 
-def exported(session: Session, name: str, **how: str) -> Path:
+def exported(session, name, **how):
     path = session.path.with_name(name)
     writer_for(path, **how)(session, path)
     return path
 
 
-def test_long_csv_has_every_skeleton_in_k_a_s_frame(session: Session) -> None:
+def test_long_csv_has_every_skeleton_in_k_a_s_frame(session):
     pandas = pytest.importorskip("pandas")
     table = pandas.read_csv(exported(session, "s.csv"))
     rows, T, J = session.rows, len(session), len(session.body)
@@ -54,7 +52,7 @@ def test_long_csv_has_every_skeleton_in_k_a_s_frame(session: Session) -> None:
     assert table[(table.frame == GAP[0]) & (table.skeleton == "fused")].x.isna().all()
 
 
-def test_wide_csv_has_a_row_a_frame(session: Session) -> None:
+def test_wide_csv_has_a_row_a_frame(session):
     pandas = pytest.importorskip("pandas")
     table = pandas.read_csv(exported(session, "s.csv", table="wide"))
     joint = session.body.joints[5]
@@ -63,7 +61,7 @@ def test_wide_csv_has_a_row_a_frame(session: Session) -> None:
     assert len(table.columns) == 2 + 3 * len(session.body)
 
 
-def test_parquet_has_the_same_rows_and_says_its_units(session: Session) -> None:
+def test_parquet_has_the_same_rows_and_says_its_units(session):
     pandas = pytest.importorskip("pandas")
     pyarrow_parquet = pytest.importorskip("pyarrow.parquet")
     path = exported(session, "s.parquet")
@@ -73,14 +71,14 @@ def test_parquet_has_the_same_rows_and_says_its_units(session: Session) -> None:
     assert pyarrow_parquet.read_schema(path).metadata[b"units"] == b"metres, seconds"
 
 
-def test_npz_has_every_array(session: Session) -> None:
+def test_npz_has_every_array(session):
     with np.load(exported(session, "s.npz")) as arrays:
         np.testing.assert_array_equal(arrays["fused"], session.rows.fused)
         np.testing.assert_array_equal(arrays["positions_b"], session.rows.positions_b)
         assert tuple(arrays["joints"]) == session.body.joints
 
 
-def test_trc_is_in_millimetres_y_up_with_empty_cells_for_gaps(session: Session) -> None:
+def test_trc_is_in_millimetres_y_up_with_empty_cells_for_gaps(session):
     pandas = pytest.importorskip("pandas")
     path = exported(session, "s.trc")
     lines = path.read_text(encoding="utf-8").split("\n")
@@ -93,7 +91,7 @@ def test_trc_is_in_millimetres_y_up_with_empty_cells_for_gaps(session: Session) 
     np.testing.assert_allclose(table[1], session.rows.time_ns * 1e-9, atol=1e-6)
 
 
-def test_c3d_is_read_by_another_library(session: Session) -> None:
+def test_c3d_is_read_by_another_library(session):
     pytest.importorskip("ezc3d")
     c3d = pytest.importorskip("c3d")
     path = exported(session, "s.c3d")
@@ -116,7 +114,7 @@ def test_c3d_is_read_by_another_library(session: Session) -> None:
         )  # float32 of metres
 
 
-def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(session: Session) -> None:
+def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(session):
     path = exported(session, "s.bvh")
     even = even_moments(session.rows)
     body = session.body
@@ -128,7 +126,7 @@ def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(sess
     np.testing.assert_allclose(bvh_joints(path, body), y_up(there[known]), atol=1e-4)
 
 
-def bvh_joints(path: Path, body: Body) -> NDArray[np.float64]:
+def bvh_joints(path, body):
     """(N, J, 3) metres, as another library makes them of the file."""
     bvhio = pytest.importorskip("bvhio")
     root = bvhio.readAsHierarchy(str(path))
@@ -140,7 +138,7 @@ def bvh_joints(path: Path, body: Body) -> NDArray[np.float64]:
     return np.array(found) / 100.0
 
 
-def test_bvh_has_the_frames_of_the_last_bone_lengths_and_says_so(tmp_path: Path) -> None:
+def test_bvh_has_the_frames_of_the_last_bone_lengths_and_says_so(tmp_path):
     first = calibration_of(KINECT_V2)
     other = replace(first, bone_lengths=first.bone_lengths * 1.1)
     moved = replace(other, a_from_b=RigidTransform.of(first.a_from_b.rotation, [2.3, 0.1, 2.6]))
@@ -158,7 +156,7 @@ def test_bvh_has_the_frames_of_the_last_bone_lengths_and_says_so(tmp_path: Path)
     np.testing.assert_allclose(bvh_joints(path, KINECT_V2), y_up(session.rows.fused[:12]), atol=1e-4)
 
 
-def paused(tmp_path: Path, frames: int) -> Session:
+def paused(tmp_path, frames):
     """Three frames at 30 Hz and one after a pause, so that there are so many moments of 30 Hz."""
     pairs = frame_pairs(KINECT_V2, 4)
     late = replace(pairs[3].skeletons, time_ns=round((frames - 1) * 1e9 / 30))
@@ -166,7 +164,7 @@ def paused(tmp_path: Path, frames: int) -> Session:
     return record_fused(tmp_path / "paused.rrd", pairs, calibration_of(KINECT_V2))
 
 
-def test_c3d_refuses_what_its_readers_would_silently_lose(tmp_path: Path) -> None:
+def test_c3d_refuses_what_its_readers_would_silently_lose(tmp_path):
     pytest.importorskip("ezc3d")
     session = paused(tmp_path, 65_536)
     with pytest.raises(RecordingError, match=r"holds 65535 frames, 36 min at 30 Hz; .* has 65536"):
@@ -174,7 +172,7 @@ def test_c3d_refuses_what_its_readers_would_silently_lose(tmp_path: Path) -> Non
     assert not (tmp_path / "s.c3d").exists()
 
 
-def test_s_star_between_two_frames_keeps_its_bones_and_turns_evenly(session: Session) -> None:
+def test_s_star_between_two_frames_keeps_its_bones_and_turns_evenly(session):
     rows, body = session.rows, session.body
     before = int(np.flatnonzero(np.isfinite(rows.fused).all(axis=(1, 2)))[3])
     first_ns, last_ns = rows.time_ns[before : before + 2]
@@ -192,7 +190,7 @@ def test_s_star_between_two_frames_keeps_its_bones_and_turns_evenly(session: Ses
     assert np.isnan(session.at([rows.time_ns[0] - 1, rows.time_ns[-1] + 1])).all()
 
 
-def test_a_rate_is_for_formats_without_times(session: Session, tmp_path: Path) -> None:
+def test_a_rate_is_for_formats_without_times(session, tmp_path):
     path = tmp_path / "fast.bvh"
     writer_for(path, rate=60.0)(session, path)
     header = path.read_text(encoding="utf-8")
@@ -205,7 +203,7 @@ def test_a_rate_is_for_formats_without_times(session: Session, tmp_path: Path) -
         writer_for(path, rate=0.0)
 
 
-def test_a_pause_in_the_recording_is_a_gap_at_an_even_rate(tmp_path: Path) -> None:
+def test_a_pause_in_the_recording_is_a_gap_at_an_even_rate(tmp_path):
     pairs = frame_pairs(KINECT_V2, 40)
     late = [p for k, p in enumerate(pairs) if not 10 <= k < 25]
     session = record_fused(tmp_path / "s.rrd", late, calibration_of(KINECT_V2))
@@ -217,6 +215,6 @@ def test_a_pause_in_the_recording_is_a_gap_at_an_even_rate(tmp_path: Path) -> No
     assert there[26:].all()
 
 
-def test_an_unknown_ending_says_which_are_known(tmp_path: Path) -> None:
+def test_an_unknown_ending_says_which_are_known(tmp_path):
     with pytest.raises(RecordingError, match=r"Known: \.bvh, \.c3d"):
         writer_for(tmp_path / "s.fbx")

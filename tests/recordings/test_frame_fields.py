@@ -29,18 +29,18 @@ SIGMA = FrameField(
 
 
 @given(hnp.arrays(np.float64, (3, J), elements=st.floats(0.0, 10.0)))
-def test_a_scaled_figure_has_the_same_checksum_before_and_after_the_file(sigma: np.ndarray) -> None:
+def test_a_scaled_figure_has_the_same_checksum_before_and_after_the_file(sigma):
     stored = SIGMA.to_file(KINECT_V1, sigma)
     back = SIGMA.from_file(KINECT_V1, stored)
     np.testing.assert_array_equal(SIGMA.checked(KINECT_V1, sigma), SIGMA.checked(KINECT_V1, back))
     np.testing.assert_allclose(back, sigma, rtol=2.0**-11, atol=2.0**-25 * 1e-3)  # of float16
 
 
-def test_metres_are_stored_as_millimetres() -> None:
+def test_metres_are_stored_as_millimetres():
     assert SIGMA.to_file(KINECT_V1, np.full((1, J), 0.025))[0, 0] == np.float16(25.0)
 
 
-def test_no_joint_is_the_last_name() -> None:
+def test_no_joint_is_the_last_name():
     spec = FRAME_FIELDS["misleading"]
     values = np.array([[-1, *range(J - 1)]], dtype=np.int32)
     stored = spec.to_file(KINECT_V1, values)
@@ -49,7 +49,7 @@ def test_no_joint_is_the_last_name() -> None:
     assert no_joint_or_joint(KINECT_V1)[-1] == "none"
 
 
-def test_frames_without_a_value_have_the_absent_one_and_none_at_all_is_none() -> None:
+def test_frames_without_a_value_have_the_absent_one_and_none_at_all_is_none():
     one = np.full(J, 0.01)
     stacked = SIGMA.stacked(KINECT_V1, [None, one])
     assert np.isnan(stacked[0]).all()
@@ -57,8 +57,8 @@ def test_frames_without_a_value_have_the_absent_one_and_none_at_all_is_none() ->
     assert SIGMA.stacked(KINECT_V1, [None, None]) is None
 
 
-def test_figures_that_share_a_component_are_neither_optional_nor_of_two_types() -> None:
-    shared: dict[tuple[str, str], list[FrameField]] = {}
+def test_figures_that_share_a_component_are_neither_optional_nor_of_two_types():
+    shared = {}
     for spec in FRAME_FIELDS.values():
         shared.setdefault((spec.entity, spec.component), []).append(spec)
     for specs in shared.values():
@@ -67,7 +67,7 @@ def test_figures_that_share_a_component_are_neither_optional_nor_of_two_types() 
 
 
 @pytest.mark.parametrize("first_has_it", [True, False])
-def test_a_session_has_an_optional_figure_if_its_first_frame_has_it(first_has_it: bool) -> None:
+def test_a_session_has_an_optional_figure_if_its_first_frame_has_it(first_has_it):
     calibration = calibration_of(KINECT_V1)
     fuser = Fuser(FusionSetup(calibration))
     frames = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 4)]

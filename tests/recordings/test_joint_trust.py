@@ -1,7 +1,6 @@
 """Where a joint of S* came from, as colours, data and lanes."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,18 +27,18 @@ ELBOW = BODY.joint("ELBOW_RIGHT")
 
 
 @pytest.fixture
-def rows() -> SessionArrays:
+def rows():
     """Four seconds of both views."""
     fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     return SessionArrays.stack(BODY, BODY.nominal_lengths, frames(fuser, 120))
 
 
-def trusting(rows: SessionArrays, in_a: float) -> SessionArrays:
+def trusting(rows, in_a):
     weights = np.full_like(rows.weights_a, in_a)
     return replace(rows, weights_a=weights, weights_b=1.0 - weights)
 
 
-def test_a_joint_has_the_colour_of_the_sensor_it_came_from(rows: SessionArrays) -> None:
+def test_a_joint_has_the_colour_of_the_sensor_it_came_from(rows):
     a, b = (np.array(SKELETON_COLORS[side]) for side in layout.SIDES)
     assert (TrustColors().add(trusting(rows, 1.0)) == a).all()
     assert (TrustColors().add(trusting(rows, 0.0)) == b).all()
@@ -51,7 +50,7 @@ def test_a_joint_has_the_colour_of_the_sensor_it_came_from(rows: SessionArrays) 
     assert (TrustColors().add(nothing) == PREDICTED_COLOR).all()
 
 
-def test_a_frame_that_a_sensor_repeats_does_not_flash(rows: SessionArrays) -> None:
+def test_a_frame_that_a_sensor_repeats_does_not_flash(rows):
     even = trusting(rows, 0.5)
     weights_a, weights_b = even.weights_a.copy(), even.weights_b.copy()
     weights_a[60], weights_b[60] = 0.0, 1.0  # A repeats its frame
@@ -62,7 +61,7 @@ def test_a_frame_that_a_sensor_repeats_does_not_flash(rows: SessionArrays) -> No
     assert (TrustColors().add(told) == SKELETON_COLORS["fused"]).all()
 
 
-def test_the_colours_follow_the_trust_of_the_last_second(rows: SessionArrays) -> None:
+def test_the_colours_follow_the_trust_of_the_last_second(rows):
     weights = np.zeros_like(rows.weights_a)
     weights[60:] = 1.0  # B until frame 60, then A
     colors = TrustColors().add(replace(rows, weights_a=weights, weights_b=1.0 - weights))
@@ -72,13 +71,13 @@ def test_the_colours_follow_the_trust_of_the_last_second(rows: SessionArrays) ->
     assert (np.diff(near_a) < 0.0).all()
 
 
-def test_colours_do_not_depend_on_how_frames_are_grouped(rows: SessionArrays) -> None:
+def test_colours_do_not_depend_on_how_frames_are_grouped(rows):
     whole, parts = TrustColors().add(rows), TrustColors()
     each = [parts.add(rows[slice(k, k + 7)]) for k in range(0, len(rows), 7)]
     np.testing.assert_array_equal(np.concatenate(each), whole)
 
 
-def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows: SessionArrays) -> None:
+def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows):
     states, misleading = rows.states_b.copy(), rows.misleading.copy()
     states[3, ELBOW] = TrackingState.INFERRED
     misleading[3, ELBOW] = BODY.joint("WRIST_RIGHT")
@@ -102,7 +101,7 @@ def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows: Ses
     assert said["weight_a"][3, ELBOW] == np.float16(rows.weights_a[3, ELBOW])
 
 
-def test_a_limb_follows_the_view_that_most_of_its_weight_comes_from(rows: SessionArrays) -> None:
+def test_a_limb_follows_the_view_that_most_of_its_weight_comes_from(rows):
     for in_a, source in ((1.0, 0), (0.0, 1), (0.5, 2)):
         assert (LimbSources(BODY).add(trusting(rows, in_a)) == source).all()
     arm = [
@@ -119,13 +118,13 @@ def test_a_limb_follows_the_view_that_most_of_its_weight_comes_from(rows: Sessio
     assert changes.tolist() == [65]  # 1 - 0.9^7 is the first share above a half
 
 
-def test_sources_of_limbs_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays) -> None:
+def test_sources_of_limbs_are_the_same_frame_by_frame_and_at_once(rows):
     at_once, each = LimbSources(BODY), LimbSources(BODY)
     by_frame = np.concatenate([each.add(rows[[t]]) for t in range(len(rows))])
     np.testing.assert_array_equal(at_once.add(rows), by_frame)
 
 
-def test_lanes_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays, tmp_path: Path) -> None:
+def test_lanes_are_the_same_frame_by_frame_and_at_once(rows, tmp_path):
     states = np.full_like(rows.states_a, TrackingState.TRACKED)
     states[40:45, ELBOW], states[90:, ELBOW] = TrackingState.INFERRED, TrackingState.NOT_TRACKED
     changing = replace(rows, states_a=states, states_b=np.full_like(states, TrackingState.TRACKED))
@@ -139,7 +138,7 @@ def test_lanes_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays, tmp_
             recorder.record_rows(part)
         stream.flush()
         stream.disconnect()
-        lane: list[tuple[int, int, list[str]]] = []
+        lane = []
         with RrdFile(file) as read:
             for entity, batch in read.chunks(images=False):
                 if entity == layout.state_lane("a", BODY.joints[ELBOW]) and "frame" in batch.schema.names:
@@ -152,7 +151,7 @@ def test_lanes_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays, tmp_
         assert [at / np.timedelta64(1, "ns") for _, at, _ in lane][1:] == list(rows.time_ns[[40, 45, 90]])
 
 
-def test_only_joints_that_change_have_a_lane_and_it_begins_at_the_beginning(rows: SessionArrays) -> None:
+def test_only_joints_that_change_have_a_lane_and_it_begins_at_the_beginning(rows):
     states = rows.states_a.copy()
     states[40:50, ELBOW] = TrackingState.INFERRED
     lanes = Lanes()

@@ -1,7 +1,6 @@
 """A session holds the depth witness of each joint, so that a replay needs no images."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from recordings.fusing.pairs import fuse_one
 from recordings.session_arrays import SessionArrays
 
 
-def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_path: Path) -> None:
+def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_path):
     a, b, _ = simulated_pair(motion="arms", seconds=3.0, seed=1, depth="half")
     pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
     calibration = calibrate(a.body, *find_start_up_pose(a.body, [pair.skeletons for pair in pairs]))
@@ -37,7 +36,7 @@ def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_pat
     assert seen > 60 * 20  # most joints of most frames
 
 
-def test_a_session_that_begins_with_one_sensor_keeps_the_witness_of_the_other() -> None:
+def test_a_session_that_begins_with_one_sensor_keeps_the_witness_of_the_other():
     a, b, _ = simulated_pair(motion="still", seconds=0.5, depth="half")
     pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
     lengths = a.body.nominal_lengths

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 from unittest import mock
 from uuid import uuid4
 
@@ -12,7 +11,7 @@ import pytest
 import rerun as rr
 
 from devices.events import Event
-from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
+from fusion.body import BODIES, KINECT_V1, KINECT_V2
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from recordings import layout
@@ -24,23 +23,22 @@ from recordings.testing import assert_sessions_match
 from recordings.writing.checksums import event_checksum, fused_checksums
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.fused_runs import FusedRun, record_fused
+from tests.helpers.fused_runs import record_fused
 from tests.helpers.two_views import calibration_of
 
 FRAMES = 70
 
 
 @pytest.fixture(params=BODIES.values(), ids=str)
-def body(request: pytest.FixtureRequest) -> Body:
-    found: Body = request.param
-    return found
+def body(request):
+    return request.param
 
 
-def full_of_faults(body: Body) -> list:  # type: ignore[type-arg]
+def full_of_faults(body):
     return frame_pairs(body, FRAMES, gap=(7, 40, 41), only_a=(9, 10), no_b=(15,), jitter_ns=3_000_000)
 
 
-def test_a_session_gives_back_what_the_sensors_said(body: Body, fused_run: FusedRun) -> None:
+def test_a_session_gives_back_what_the_sensors_said(body, fused_run):
     pairs = full_of_faults(body)
     session = fused_run(pairs, calibration_of(body))
     assert (len(session), session.damage, session.frames_lost) == (FRAMES, None, 0)
@@ -67,7 +65,7 @@ def test_a_session_gives_back_what_the_sensors_said(body: Body, fused_run: Fused
     ],
     ids=str,
 )
-def test_fusing_a_session_again_gives_the_same_bits(settings: FuserSettings, fused_run: FusedRun) -> None:
+def test_fusing_a_session_again_gives_the_same_bits(settings, fused_run):
     session = fused_run(full_of_faults(KINECT_V2), calibration_of(KINECT_V2), settings)
     assert session.settings == settings
     ((setup, _),) = session.setups()
@@ -79,14 +77,14 @@ def test_fusing_a_session_again_gives_the_same_bits(settings: FuserSettings, fus
     np.testing.assert_array_equal([frame.a_from_b.translation for frame in again], session.rows.translation)
 
 
-def test_the_checksum_of_s_notices_the_last_bit() -> None:
+def test_the_checksum_of_s_notices_the_last_bit():
     fused = np.random.default_rng(0).normal(size=(3, 20, 3))
     nudged = fused.copy()
     nudged[1, 4, 2] = np.nextafter(nudged[1, 4, 2], 9.0)
     assert (fused_checksums(fused) == fused_checksums(nudged)).tolist() == [True, False, True]
 
 
-def test_calibration_intrinsics_and_events_are_kept(fused_run: FusedRun) -> None:
+def test_calibration_intrinsics_and_events_are_kept(fused_run):
     calibration = calibration_of(KINECT_V1)
     session = fused_run(full_of_faults(KINECT_V1), calibration)
     np.testing.assert_array_equal(session.calibration.a_from_b.rotation, calibration.a_from_b.rotation)
@@ -96,7 +94,7 @@ def test_calibration_intrinsics_and_events_are_kept(fused_run: FusedRun) -> None
     assert [event.text for event in session.events] == ["calibrated: known truth"]
 
 
-def test_depth_comes_back_exactly_and_only_when_asked_for(fused_run: FusedRun) -> None:
+def test_depth_comes_back_exactly_and_only_when_asked_for(fused_run):
     pairs = frame_pairs(KINECT_V1, 12, no_b=(4,), depth=True)
     session = fused_run(pairs, calibration_of(KINECT_V1), depth_every=2)
     images = dict(session.depth("b"))
@@ -109,7 +107,7 @@ def test_depth_comes_back_exactly_and_only_when_asked_for(fused_run: FusedRun) -
     assert with_depth[3].a.depth is None
 
 
-def test_a_rewritten_session_has_the_same_frames(fused_run: FusedRun, tmp_path: Path) -> None:
+def test_a_rewritten_session_has_the_same_frames(fused_run, tmp_path):
     session = fused_run(frame_pairs(KINECT_V1, 30, depth=True), calibration_of(KINECT_V1), depth_every=1)
     write_session(session, tmp_path / "part.rrd", first=10, end=25)
     part = Session.open(tmp_path / "part.rrd")
@@ -120,7 +118,7 @@ def test_a_rewritten_session_has_the_same_frames(fused_run: FusedRun, tmp_path: 
     np.testing.assert_array_equal(dict(part.depth("a"))[3], dict(session.depth("a"))[13])
 
 
-def test_a_flipped_number_is_noticed_and_counted(tmp_path: Path) -> None:
+def test_a_flipped_number_is_noticed_and_counted(tmp_path):
     whole = record_fused(tmp_path / "s.rrd", full_of_faults(KINECT_V1), calibration_of(KINECT_V1), block=10)
     data = bytearray(whole.path.read_bytes())
     needle = whole.rows.positions_a[33, 5].tobytes()  # stands as it is: it does not compress
@@ -134,7 +132,7 @@ def test_a_flipped_number_is_noticed_and_counted(tmp_path: Path) -> None:
     assert "frame 33" in flipped.damage
 
 
-def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path: Path) -> None:
+def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path):
     (tmp_path / "text.rrd").write_text("hello, world\n", encoding="utf-8")
     (tmp_path / "empty.rrd").touch()
     stream = rr.RecordingStream("something_else")
@@ -153,9 +151,7 @@ def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path: Path) -> Non
         assert "\n" not in str(error.value)
 
 
-def test_another_layout_says_which_version_wrote_it(
-    monkeypatch: pytest.MonkeyPatch, fused_run: FusedRun
-) -> None:
+def test_another_layout_says_which_version_wrote_it(monkeypatch, fused_run):
     readable = ", ".join(map(str, layout.READABLE_VERSIONS))
     older = min(layout.READABLE_VERSIONS) - 1
     monkeypatch.setattr(layout, "VERSION", older)
@@ -168,7 +164,7 @@ def test_another_layout_says_which_version_wrote_it(
         Session.open(old.path)
 
 
-def test_sessions_that_match_and_that_do_not(fused_run: FusedRun) -> None:
+def test_sessions_that_match_and_that_do_not(fused_run):
     pairs, calibration = full_of_faults(KINECT_V1), calibration_of(KINECT_V1)
     one, two = fused_run(pairs, calibration), fused_run(pairs, calibration)
     assert_sessions_match(one, two, position_mm=0.0)
@@ -193,7 +189,7 @@ def test_sessions_that_match_and_that_do_not(fused_run: FusedRun) -> None:
         assert_sessions_match(nudged, one, position_mm=0.0)
 
 
-def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Path) -> None:
+def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path):
     pairs, first = frame_pairs(KINECT_V1, 12), calibration_of(KINECT_V1)
     second = replace(first, bone_lengths=first.bone_lengths * 1.1)
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
@@ -216,7 +212,7 @@ def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Pa
     np.testing.assert_array_equal(Session.open(trimmed).rows.bone_lengths, session.rows.bone_lengths[3:8])
 
 
-def test_a_session_opens_without_pandas(fused_run: FusedRun) -> None:
+def test_a_session_opens_without_pandas(fused_run):
     path = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1)).path
     program = (
         "import sys; sys.modules['pandas'] = None; "
@@ -228,7 +224,7 @@ def test_a_session_opens_without_pandas(fused_run: FusedRun) -> None:
     assert said.stdout == "3\n", said.stderr
 
 
-def test_an_event_moved_to_another_time_is_damage(tmp_path: Path) -> None:
+def test_an_event_moved_to_another_time_is_damage(tmp_path):
     path, moved = tmp_path / "s.rrd", tmp_path / "moved.rrd"
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     for file, at in ((path, (2, 5)), (moved, (1, 7))):

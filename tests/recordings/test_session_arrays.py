@@ -1,7 +1,6 @@
 """Figures that are derived from the arrays of a session."""
 
 import weakref
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +11,12 @@ from fusion.medians import median_of_known
 from fusion.setup import FusionSetup
 from recordings.fusing.pairs import fuse_one
 from recordings.session import Session
-from recordings.session_arrays import SessionArrays, SessionFrame
+from recordings.session_arrays import SessionArrays
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 
 
-def test_disagreement_is_the_median_over_the_joints_that_both_see() -> None:
+def test_disagreement_is_the_median_over_the_joints_that_both_see():
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     frames = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 30)]
     rows = SessionArrays.stack(KINECT_V1, KINECT_V1.nominal_lengths, frames)
@@ -31,7 +30,7 @@ def test_disagreement_is_the_median_over_the_joints_that_both_see() -> None:
     np.testing.assert_array_equal(some.disagreement, wanted)
 
 
-def test_stacking_keeps_what_the_loop_gave() -> None:
+def test_stacking_keeps_what_the_loop_gave():
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     frames = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 20, only_a=(0,), noise=0.0)]
     rows = SessionArrays.stack(KINECT_V1, KINECT_V1.nominal_lengths, frames)
@@ -49,14 +48,14 @@ def test_stacking_keeps_what_the_loop_gave() -> None:
     assert rows.bone_error.max() < 1e-9
 
 
-def test_a_session_of_frames_is_theirs_and_does_not_keep_them() -> None:
+def test_a_session_of_frames_is_theirs_and_does_not_keep_them():
     setup = FusionSetup(calibration_of(KINECT_V1))
     fuser = Fuser(setup)
     made = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 60, only_a=(0,), no_b=(20,))]
-    alive: list[weakref.ref[SessionFrame]] = []
+    alive = []
     most = 0
 
-    def passing() -> Iterator[SessionFrame]:
+    def passing():
         nonlocal most
         for number in range(1000):
             frame = replace(made[number % 60])
@@ -76,7 +75,7 @@ def test_a_session_of_frames_is_theirs_and_does_not_keep_them() -> None:
     np.testing.assert_array_equal(session.bone_lengths, whole.bone_lengths)
 
 
-def test_the_median_of_what_is_known_is_that_of_numpy() -> None:
+def test_the_median_of_what_is_known_is_that_of_numpy():
     values = np.random.default_rng(3).normal(size=(200, 6, 3))
     values[values > 0.5] = np.nan
     some = np.isfinite(values).any(axis=1)

@@ -1,11 +1,9 @@
 """``duplex compare`` on fusions with known differences."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fusion.body import KINECT_V1
 from fusion.setup import FuserSettings
@@ -14,20 +12,19 @@ from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.session_comparison import Comparison, frame_noise_of
 from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.fused_runs import FusedRun
 from tests.helpers.two_views import calibration_of
 
 
 @pytest.fixture
-def session(fused_run: FusedRun) -> Session:
+def session(fused_run):
     return fused_run(frame_pairs(KINECT_V1, 40), calibration_of(KINECT_V1))
 
 
-def with_fused(session: Session, fused: NDArray[np.float64]) -> Session:
+def with_fused(session, fused):
     return replace(session, rows=replace(session.rows, fused=fused))
 
 
-def test_white_noise_is_given_back_as_noise_and_even_movement_as_none() -> None:
+def test_white_noise_is_given_back_as_noise_and_even_movement_as_none():
     T, sigma = 4000, 0.005
     frame = np.arange(T)
     noise = np.random.default_rng(1).normal(0.0, sigma, (T, 2, 3))
@@ -39,7 +36,7 @@ def test_white_noise_is_given_back_as_noise_and_even_movement_as_none() -> None:
     assert moving < 1e-12
 
 
-def test_noise_is_taken_over_frames_that_follow_on_each_other() -> None:
+def test_noise_is_taken_over_frames_that_follow_on_each_other():
     fused = np.zeros((9, 1, 3))
     fused[5:] += 0.3  # while four frames are missing
     frame = np.array([0, 1, 2, 3, 4, 9, 10, 11, 12])
@@ -48,7 +45,7 @@ def test_noise_is_taken_over_frames_that_follow_on_each_other() -> None:
     assert np.isnan(frame_noise_of(alternate, np.array([0, 2, 4, 6]))[0])
 
 
-def test_a_limb_exchanged_with_its_mirror_image_is_swapped(session: Session) -> None:
+def test_a_limb_exchanged_with_its_mirror_image_is_swapped(session):
     left, right = KINECT_V1.joint("WristLeft"), KINECT_V1.joint("WristRight")
     fused = session.rows.fused.copy()
     fused[7:10, [left, right]] = fused[7:10, [right, left]]
@@ -58,7 +55,7 @@ def test_a_limb_exchanged_with_its_mirror_image_is_swapped(session: Session) -> 
     np.testing.assert_array_equal(comparison.swapped, expected)
 
 
-def test_differences_and_bone_deviations_are_those_put_in(session: Session) -> None:
+def test_differences_and_bone_deviations_are_those_put_in(session):
     hand = KINECT_V1.joint("HandLeft")
     fused = session.rows.fused.copy()
     along = fused[12, hand] - fused[12, KINECT_V1.parents[hand]]
@@ -78,7 +75,7 @@ def test_differences_and_bone_deviations_are_those_put_in(session: Session) -> N
     assert comparison.worst(0) == []
 
 
-def test_only_fusions_of_the_same_skeletons_are_compared(fused_run: FusedRun, tmp_path: Path) -> None:
+def test_only_fusions_of_the_same_skeletons_are_compared(fused_run, tmp_path):
     calibration = calibration_of(KINECT_V1)
     one = fused_run(frame_pairs(KINECT_V1, 40), calibration)
     chance = fused_run(frame_pairs(KINECT_V1, 40, noise=0.03), calibration)  # the same times

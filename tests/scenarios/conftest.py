@@ -1,9 +1,7 @@
 """The option of the scenarios."""
 
-import pytest
 
-
-def pytest_addoption(parser: pytest.Parser) -> None:
+def pytest_addoption(parser):
     parser.addoption(
         "--figures",
         action="store_true",

@@ -6,7 +6,6 @@ machine that does nothing else: ``pytest -n 0 tests/scenarios --figures``.
 
 import json
 import re
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +13,7 @@ from devices.capture.causes import Cause
 from recordings.session import Session
 from tests.helpers.rig import built_rig
 from tests.scenarios import program
-from tests.scenarios.table import SCENARIOS, Scenario
+from tests.scenarios.table import SCENARIOS
 
 _ENDS = 2  # frames: the first and the last may lack their partner
 _LABEL = r"(?:Kinect )?\w+"
@@ -42,15 +41,13 @@ _ELSEWHERE = {
 
 
 @pytest.fixture(params=["standin", pytest.param("rig", marks=pytest.mark.rig)])
-def rig(request: pytest.FixtureRequest) -> Path | None:
+def rig(request):
     """Where the rig is built; None for the stand-in."""
     return built_rig(request.getfixturevalue("shared")) if request.param == "rig" else None
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=[each.name.replace(" ", "_") for each in SCENARIOS])
-def test_scenario(
-    scenario: Scenario, rig: Path | None, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+def test_scenario(scenario, rig, tmp_path, request):
     if scenario.xfail:
         request.applymarker(pytest.mark.xfail(reason=scenario.xfail, strict=True))
     done = _run(scenario, rig, tmp_path)
@@ -61,14 +58,14 @@ def test_scenario(
     assert not wrong, f"{wrong}\n{done.said}"
 
 
-def test_every_cause_is_shown_by_a_scenario_or_tested_elsewhere() -> None:
+def test_every_cause_is_shown_by_a_scenario_or_tested_elsewhere():
     shown = {cause for scenario in SCENARIOS for cause in scenario.causes}
     assert shown | set(_ELSEWHERE) == set(Cause)
     assert not shown & set(_ELSEWHERE)
 
 
-def _run(scenario: Scenario, rig: Path | None, folder: Path) -> program.Run:
-    conf: dict[str, object] = dict(pair.split("=", 1) for pair in scenario.conf.split())
+def _run(scenario, rig, folder):
+    conf = dict(pair.split("=", 1) for pair in scenario.conf.split())
     library = "libk4abt.so.1.1"
     if rig is not None:
         for file in (rig / "bus").iterdir():
@@ -85,7 +82,7 @@ def _run(scenario: Scenario, rig: Path | None, folder: Path) -> program.Run:
     return program.run(options, folder, conf, scenario.events, rig)
 
 
-def _wrong_words(scenario: Scenario, done: program.Run, perhaps: set[Cause]) -> list[str]:
+def _wrong_words(scenario, done, perhaps):
     """What the program should not have said or done."""
     wrong = [] if done.code == scenario.code else [f"exit code {done.code}, not {scenario.code}"]
     told = {cause for cause, pattern in _PATTERNS.items() if pattern.search(done.said)}
@@ -104,7 +101,7 @@ def _wrong_words(scenario: Scenario, done: program.Run, perhaps: set[Cause]) -> 
     return wrong
 
 
-def _wrong_figures(scenario: Scenario, done: program.Run) -> list[str]:
+def _wrong_figures(scenario, done):
     """Figures that are not reached."""
     wrong = [] if done.ended_s <= scenario.within_s else [f"ended {done.ended_s:.1f} s after the last event"]
     if scenario.paired:

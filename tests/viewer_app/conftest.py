@@ -2,10 +2,9 @@
 
 import pytest
 
-from fusion.fuser import Fuser
 from tests.helpers.live_frames import known_fuser
 
 
 @pytest.fixture
-def fuser() -> Fuser:
+def fuser():
     return known_fuser()

@@ -1,17 +1,15 @@
 """Output files are complete or absent, and never replace files of others."""
 
-from pathlib import Path
-
 import pytest
 
 from viewer_app.errors import UsageError
 from viewer_app.output_files import free_name, whole_file
 
 
-def test_a_file_that_came_meanwhile_is_left_alone(tmp_path: Path) -> None:
+def test_a_file_that_came_meanwhile_is_left_alone(tmp_path):
     path = tmp_path / "s.rrd"
 
-    def both_write() -> None:
+    def both_write():
         with whole_file(path) as partial:
             partial.write_text("ours")
             path.write_text("theirs")
@@ -23,11 +21,11 @@ def test_a_file_that_came_meanwhile_is_left_alone(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_file_that_was_there_is_replaced_when_all_went_well(tmp_path: Path) -> None:
+def test_a_file_that_was_there_is_replaced_when_all_went_well(tmp_path):
     path = tmp_path / "s.rrd"
     path.write_text("before")
 
-    def fail_half_way() -> None:
+    def fail_half_way():
         with whole_file(path) as partial:
             partial.write_text("half")
             raise ZeroDivisionError
@@ -40,7 +38,7 @@ def test_a_file_that_was_there_is_replaced_when_all_went_well(tmp_path: Path) ->
     assert [(file, file.read_text()) for file in tmp_path.iterdir()] == [(path, "after")]
 
 
-def test_a_free_name_is_the_first_that_is_free(tmp_path: Path) -> None:
+def test_a_free_name_is_the_first_that_is_free(tmp_path):
     path = tmp_path / "demo.rrd"
     assert free_name(path) == path
     for taken in ("demo.rrd", "demo-2.rrd"):

@@ -2,7 +2,6 @@
 
 import _ctypes
 import ctypes
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,12 +13,11 @@ from devices.azure.tracking.recorded_captures import CaptureMaker
 from devices.azure.tracking.tracker_queue import TrackerQueue
 from devices.sensor import DeviceError, SensorFrame
 from fusion.skeleton import TrackingState
-from tests.helpers.standin_library import Standin
 
 TIME_NS = 123_456_000
 
 
-def _frame(time_ns: int = TIME_NS, millimetres: int = 2500) -> SensorFrame:
+def _frame(time_ns=TIME_NS, millimetres=2500):
     image = np.full((576, 640), millimetres, np.uint16)
     return SensorFrame(time_ns, depth=image, ir=image)
 
@@ -27,25 +25,25 @@ def _frame(time_ns: int = TIME_NS, millimetres: int = 2500) -> SensorFrame:
 class _Rig:
     """An open tracker and something to feed it."""
 
-    def __init__(self, standin: Standin, **settings: object) -> None:
+    def __init__(self, standin, **settings):
         self.maker = CaptureMaker(standin.path)
         self.calibration = self.maker.calibration(b"{}", "NFOV_UNBINNED")
-        self.tracker = BodyTracker(TrackerSettings(library=standin.path, **settings))  # type: ignore[arg-type]
+        self.tracker = BodyTracker(TrackerSettings(library=standin.path, **settings))
 
-    def open(self) -> None:
+    def open(self):
         self.tracker.open(ctypes.addressof(self.calibration))
 
-    def enqueue(self, frame: SensorFrame) -> None:
+    def enqueue(self, frame):
         with self.maker.capture(frame) as capture:
             self.tracker.enqueue(capture)
 
-    def track(self, frame: SensorFrame) -> SensorFrame:
+    def track(self, frame):
         self.enqueue(frame)
         return self.tracker.pop()
 
 
 @contextmanager
-def rig(standin: Standin, **settings: object) -> Iterator[_Rig]:
+def rig(standin, **settings):
     result = _Rig(standin, **settings)
     result.open()
     try:
@@ -54,7 +52,7 @@ def rig(standin: Standin, **settings: object) -> Iterator[_Rig]:
         result.tracker.close()
 
 
-def test_joints_come_in_metres_with_their_states_and_time(standin: Standin) -> None:
+def test_joints_come_in_metres_with_their_states_and_time(standin):
     with rig(standin) as r:
         bodies = r.track(_frame())
     assert bodies.time_ns == TIME_NS
@@ -75,7 +73,7 @@ def test_joints_come_in_metres_with_their_states_and_time(standin: Standin) -> N
     [(3, 41, ["41", "42", "43"]), (0, 7, []), (1, 0xFFFFFFFF, [])],
     ids=["three people", "an empty room", "a body without an id"],
 )
-def test_every_body_with_an_id_is_given(standin: Standin, bodies: int, first_id: int, ids: list[str]) -> None:
+def test_every_body_with_an_id_is_given(standin, bodies, first_id, ids):
     standin.bodies, standin.first_id = bodies, first_id
     with rig(standin) as r:
         people = r.track(_frame()).people
@@ -86,12 +84,12 @@ def test_every_body_with_an_id_is_given(standin: Standin, bodies: int, first_id:
 @pytest.mark.parametrize(
     ("processing", "number"), [("gpu", 0), ("cpu", 1), ("cuda", 2), ("tensorrt", 3), ("directml", 4)]
 )
-def test_the_configuration_reaches_the_library(standin: Standin, processing: str, number: int) -> None:
+def test_the_configuration_reaches_the_library(standin, processing, number):
     with rig(standin, processing=processing):
         assert standin.processing == number
 
 
-def test_every_wait_is_finite_and_nothing_is_smoothed_by_default(standin: Standin) -> None:
+def test_every_wait_is_finite_and_nothing_is_smoothed_by_default(standin):
     with rig(standin, timeout_s=2.0) as r:
         assert standin.smoothing == 0.0
         assert r.tracker.pop(0.0) is None, "no result yet"
@@ -114,35 +112,33 @@ def test_every_wait_is_finite_and_nothing_is_smoothed_by_default(standin: Standi
         ("pop", 1, r"failed \(status 1\).*started again"),
     ],
 )
-def test_tracker_stalls_or_crashes_to_an_error_code(
-    standin: Standin, step: str, status: int, message: str
-) -> None:
+def test_tracker_stalls_or_crashes_to_an_error_code(standin, step, status, message):
     with rig(standin, timeout_s=2.0) as r:
         setattr(standin, f"{step}_status", status)
         with pytest.raises(DeviceError, match=message):
             r.track(_frame())
 
 
-def test_a_tracker_that_does_not_start_says_what_to_check(standin: Standin) -> None:
+def test_a_tracker_that_does_not_start_says_what_to_check(standin):
     standin.create_status = 1
     with pytest.raises(DeviceError, match=r"did not start \(status 1, gpu\).*onnx.*processing cpu"):
         _Rig(standin).open()
 
 
-def test_a_depth_mode_the_tracker_cannot_use_is_refused(standin: Standin) -> None:
+def test_a_depth_mode_the_tracker_cannot_use_is_refused(standin):
     maker = CaptureMaker(standin.path)
     calibration = maker.calibration(b"{}", "WFOV_UNBINNED")
     with pytest.raises(DeviceError, match="NFOV_UNBINNED nor WFOV_2X2BINNED"):
         BodyTracker(TrackerSettings(library=standin.path)).open(ctypes.addressof(calibration))
 
 
-def test_a_calibration_that_the_sdk_refuses_is_reported(standin: Standin) -> None:
+def test_a_calibration_that_the_sdk_refuses_is_reported(standin):
     standin.calibration_status = 1
     with pytest.raises(DeviceError, match="refuses the recording's calibration"):
         CaptureMaker(standin.path).calibration(b"{}", "NFOV_UNBINNED")
 
 
-def test_a_frame_without_infrared_cannot_be_tracked(standin: Standin) -> None:
+def test_a_frame_without_infrared_cannot_be_tracked(standin):
     depth = np.zeros((576, 640), np.uint16)
     with (
         pytest.raises(DeviceError, match="needs depth and infrared"),
@@ -151,7 +147,7 @@ def test_a_frame_without_infrared_cannot_be_tracked(standin: Standin) -> None:
         pass
 
 
-def test_a_library_that_is_missing_none_or_another_is_reported(tmp_path: Path) -> None:
+def test_a_library_that_is_missing_none_or_another_is_reported(tmp_path):
     (tmp_path / "text.so").write_text("not a library")
     for library, message in (
         (tmp_path / "libk4abt.so", r"No library at .*libk4abt\.so.*--k4abt PATH"),
@@ -162,20 +158,20 @@ def test_a_library_that_is_missing_none_or_another_is_reported(tmp_path: Path) -
             BodyTracker(TrackerSettings(library=library)).open(0)
 
 
-def test_a_closed_tracker_refuses_work(standin: Standin) -> None:
+def test_a_closed_tracker_refuses_work(standin):
     tracker = BodyTracker(TrackerSettings(library=standin.path))
     with pytest.raises(DeviceError, match="not open"):
         tracker.pop()
     tracker.close()
 
 
-def test_opening_again_leaves_no_tracker_behind(standin: Standin) -> None:
+def test_opening_again_leaves_no_tracker_behind(standin):
     with rig(standin) as r:
         r.open()
         assert standin.alive == 1
 
 
-def test_queue_joins_each_frame_with_its_own_people(standin: Standin) -> None:
+def test_queue_joins_each_frame_with_its_own_people(standin):
     with rig(standin) as r:
         queue, out = TrackerQueue(r.tracker, wait_s=0.0), []
         for index in range(5):
@@ -189,7 +185,7 @@ def test_queue_joins_each_frame_with_its_own_people(standin: Standin) -> None:
     np.testing.assert_allclose(depths, [2.0, 2.001, 2.002, 2.003, 2.004], rtol=1e-6)
 
 
-def test_queue_waits_only_while_more_than_two_are_at_work(standin: Standin) -> None:
+def test_queue_waits_only_while_more_than_two_are_at_work(standin):
     with rig(standin, timeout_s=2.0) as r:
         queue = TrackerQueue(r.tracker, wait_s=0.025)
         standin.pop_status = 2

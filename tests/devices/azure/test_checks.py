@@ -3,7 +3,6 @@
 import os
 import shutil
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -12,32 +11,28 @@ from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.checks import networks_check
 from devices.blazepose.settings import BlazePoseSettings
 from devices.capture.usb import usb_kinects
-from devices.check import Check
 from devices.live_checks import device_checks
 from devices.orbbec.checks import sdk_check, sensor_check
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.tracker_choice import choose_tracker
-from tests.helpers.orbbec.standin import Orbbec, OrbbecBus
-from tests.helpers.standin_library import Standin
-from tests.helpers.standin_pyk4a import Bus, Device
+from tests.helpers.orbbec.standin import Orbbec
+from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish, plug_in
 
 
-def _by_name(checks: list[Check]) -> dict[str, Check]:
+def _by_name(checks):
     named = {check.name: check for check in checks}
     assert len(named) == len(checks)
     return named
 
 
 @pytest.fixture
-def forbidden(monkeypatch: pytest.MonkeyPatch) -> None:
+def forbidden(monkeypatch):
     """Every device file refused, also to root."""
     monkeypatch.setattr(os, "access", lambda *_: False)
 
 
-def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_bare_machine_needs_everything_and_every_failure_has_advice(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
@@ -60,9 +55,7 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
     assert _by_name(device_checks(root=tmp_path))["USB permission"].ok, "Orbbec's udev rule counts too"
 
 
-def test_a_machine_with_all_of_it_can_start(
-    bus: Bus, standin: Standin, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_machine_with_all_of_it_can_start(bus, standin, monkeypatch, tmp_path):
     monkeypatch.setenv("DISPLAY", ":0")
     furnish(tmp_path)
     bus.devices = [Device("000123", jacks=(False, True)), Device("000456", jacks=(True, False))]
@@ -87,8 +80,8 @@ def test_a_machine_with_all_of_it_can_start(
 )
 @pytest.mark.usefixtures("bus")
 def test_one_thing_that_is_missing_is_the_one_that_fails(
-    standin: Standin, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lacks: str, check: str, needed: bool
-) -> None:
+    standin, monkeypatch, tmp_path, lacks, check, needed
+):
     monkeypatch.setenv("DISPLAY", "" if lacks == "DISPLAY" else ":0")
     monkeypatch.setattr(shutil, "which", lambda _: None)
     furnish(tmp_path)
@@ -102,7 +95,7 @@ def test_one_thing_that_is_missing_is_the_one_that_fails(
     assert named[check].advice
 
 
-def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch, tmp_path):
     monkeypatch.setattr(shutil, "which", lambda _: None)
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     gpu = _by_name(device_checks(choose_tracker("k4abt", TrackerSettings(processing="cpu")), tmp_path))["GPU"]
@@ -112,7 +105,7 @@ def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_
 
 
 @pytest.mark.parametrize(("vendor", "product"), [("045e", "097c"), ("2bc5", "066b"), ("2bc5", "0669")])
-def test_the_azure_kinect_and_its_successors_are_known(tmp_path: Path, vendor: str, product: str) -> None:
+def test_the_azure_kinect_and_its_successors_are_known(tmp_path, vendor, product):
     plug_in(tmp_path, product=product, vendor=vendor, number=1)
     plug_in(tmp_path, product="097d", number=2)  # the colour camera of the same Kinect
     (kinect,) = usb_kinects(tmp_path)
@@ -120,7 +113,7 @@ def test_the_azure_kinect_and_its_successors_are_known(tmp_path: Path, vendor: s
     assert kinect.node.name == "001"
 
 
-def test_one_kinect_is_not_enough(bus: Bus, tmp_path: Path) -> None:
+def test_one_kinect_is_not_enough(bus, tmp_path):
     bus.devices = [Device("000123"), Device("000456", busy=True)]
     named = _by_name(device_checks(root=tmp_path))
     assert not named["two Kinects"].ok
@@ -129,7 +122,7 @@ def test_one_kinect_is_not_enough(bus: Bus, tmp_path: Path) -> None:
     assert "k4aviewer" in named["Kinect at place 1"].advice
 
 
-def test_two_of_three_kinects_must_be_chosen_as_for_live(bus: Bus, tmp_path: Path) -> None:
+def test_two_of_three_kinects_must_be_chosen_as_for_live(bus, tmp_path):
     bus.devices = [Device("1"), Device("2", jacks=(False, True)), Device("3", jacks=(True, False))]
     named = _by_name(device_checks(root=tmp_path))
     assert (named["two Kinects"].ok, named["two Kinects"].needed) == (False, True)
@@ -147,7 +140,7 @@ def test_two_of_three_kinects_must_be_chosen_as_for_live(bus: Bus, tmp_path: Pat
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux restricts USB devices")
 @pytest.mark.usefixtures("forbidden")
-def test_missing_usb_permission_names_the_rule(tmp_path: Path) -> None:
+def test_missing_usb_permission_names_the_rule(tmp_path):
     node = plug_in(tmp_path)
     check = _by_name(device_checks(root=tmp_path))["USB permission"]
     assert not check.ok
@@ -155,15 +148,13 @@ def test_missing_usb_permission_names_the_rule(tmp_path: Path) -> None:
     assert "99-k4a.rules" in check.advice
 
 
-def test_a_usb_2_port_is_reported(tmp_path: Path) -> None:
+def test_a_usb_2_port_is_reported(tmp_path):
     plug_in(tmp_path, speed=480)
     check = _by_name(device_checks(root=tmp_path))["USB speed"]
     assert (check.ok, check.detail) == (False, "000123 runs at 480 Mbit/s")
 
 
-def test_the_depth_engine_beside_a_wheels_library_is_found(
-    monkeypatch: pytest.MonkeyPatch, wheel_library: Path, tmp_path: Path
-) -> None:
+def test_the_depth_engine_beside_a_wheels_library_is_found(monkeypatch, wheel_library, tmp_path):
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     monkeypatch.setenv("DISPLAY", ":0")
     engine = wheel_library.with_name("libdepthengine.so.2.0")
@@ -177,13 +168,7 @@ def test_the_depth_engine_beside_a_wheels_library_is_found(
 @pytest.mark.parametrize(
     ("version", "ok"), [((1, 6, 102), False), ((1, 6, 110), True), ((1, 7, 0), True), (None, True)]
 )
-def test_firmware_that_is_too_old_for_a_subordinate_is_reported(
-    bus: Bus,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    version: tuple[int, int, int] | None,
-    ok: bool,
-) -> None:
+def test_firmware_that_is_too_old_for_a_subordinate_is_reported(bus, monkeypatch, tmp_path, version, ok):
     monkeypatch.setattr(pyk4a_access, "firmware_version", lambda _: version)
     bus.devices = [Device("000123"), Device("CL8H741005K")]
     named = _by_name(device_checks(root=tmp_path))
@@ -196,9 +181,7 @@ def test_firmware_that_is_too_old_for_a_subordinate_is_reported(
 # ------------------------------------------------------------------ Orbbec's SDK v2, and our own tracker
 
 
-def test_orbbecs_software_and_our_tracker_are_enough(
-    orbbecs: OrbbecBus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_orbbecs_software_and_our_tracker_are_enough(orbbecs, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     monkeypatch.delenv("DISPLAY", raising=False)
     orbbecs.devices = [Orbbec("CL8H741005K"), Orbbec.gemini("AY8T43E0031", firmware="1.4.60")]
@@ -220,7 +203,7 @@ def test_orbbecs_software_and_our_tracker_are_enough(
     assert orbbecs.open_serials == [], "each is opened briefly"
 
 
-def test_problems_of_an_orbbec_sensor_are_reported(orbbecs: OrbbecBus) -> None:
+def test_problems_of_an_orbbec_sensor_are_reported(orbbecs):
     orbbecs.devices = [
         Orbbec("CL8H741005K", busy=True),
         Orbbec("CL8H7410123", connection="USB2.1"),
@@ -233,7 +216,7 @@ def test_problems_of_an_orbbec_sensor_are_reported(orbbecs: OrbbecBus) -> None:
     assert "no depth from Femto Bolt" in sdk_check("darwin").detail
 
 
-def test_networks_that_can_be_fetched_are_not_needed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_networks_that_can_be_fetched_are_not_needed(monkeypatch, tmp_path):
     monkeypatch.setenv("DUPLEX_TRACKER_MODELS", str(tmp_path))
     monkeypatch.setattr("devices.blazepose.checks.find_spec", lambda _: True)
     check = networks_check(BlazePoseSettings())

@@ -4,7 +4,6 @@ import gc
 import os
 import sys
 from itertools import islice
-from pathlib import Path
 
 import pytest
 
@@ -19,22 +18,21 @@ from devices.live_sensors import connected_sensors
 from devices.sensor import AbsentError, DeviceError
 from devices.tracker_choice import choose_tracker
 from tests.helpers.standin_camera import VirtualTime
-from tests.helpers.standin_library import Standin
-from tests.helpers.standin_pyk4a import Bus, Device
+from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import plug_in
 
 
 @pytest.fixture
-def device(bus: Bus) -> Device:
+def device(bus):
     bus.devices = [Device("000123")]
     return bus.devices[0]
 
 
-def _kinect(serial: str = "000123", **settings: object) -> KinectSensor:
-    return KinectSensor(serial, KinectSettings(**settings), track=False)  # type: ignore[arg-type]
+def _kinect(serial="000123", **settings):
+    return KinectSensor(serial, KinectSettings(**settings), track=False)
 
 
-def test_no_device(bus: Bus) -> None:
+def test_no_device(bus):
     assert bus.devices == []
     with pytest.raises(DeviceError, match=r"No Kinect is connected\. Plug in two"):
         choose_two(connected_kinects())
@@ -42,7 +40,7 @@ def test_no_device(bus: Bus) -> None:
         _kinect().__enter__()
 
 
-def test_one_device(bus: Bus) -> None:
+def test_one_device(bus):
     bus.devices = [Device("000456")]
     with pytest.raises(DeviceError, match="Only one Kinect is connected, 000456; fusion needs two"):
         choose_two(connected_kinects())
@@ -51,9 +49,7 @@ def test_one_device(bus: Bus) -> None:
 
 
 @pytest.mark.usefixtures("orbbecs")
-def test_a_pyk4a_that_cannot_be_imported_is_told_beside_orbbecs_sdk(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_pyk4a_that_cannot_be_imported_is_told_beside_orbbecs_sdk(monkeypatch, tmp_path):
     (tmp_path / "pyk4a.py").write_text("raise ImportError('libk4a.so.1.4: cannot open shared object file')")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "pyk4a", raising=False)
@@ -61,7 +57,7 @@ def test_a_pyk4a_that_cannot_be_imported_is_told_beside_orbbecs_sdk(
         connected_sensors(choose_tracker("k4abt"))
 
 
-def test_device_busy(bus: Bus) -> None:
+def test_device_busy(bus):
     bus.devices = [Device("000123", busy=True), Device("000456")]
     with pytest.raises(DeviceError, match=r"000123 cannot be opened: it is busy.*k4aviewer.*Open: 000456"):
         _kinect().__enter__()
@@ -70,7 +66,7 @@ def test_device_busy(bus: Bus) -> None:
     assert bus.open_serials == []
 
 
-def test_no_permission(bus: Bus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_no_permission(bus, monkeypatch, tmp_path):
     bus.devices = [Device("000123", busy=True)]  # the SDK gives no reason in both cases
     plug_in(tmp_path)
     monkeypatch.setattr(os, "access", lambda *_: False)
@@ -79,10 +75,10 @@ def test_no_permission(bus: Bus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         _kinect().__enter__()
 
 
-def test_unplugged_at_open(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unplugged_at_open(device, monkeypatch):
     check_jack = KinectSensor._check_jack
 
-    def pull_the_plug(self: KinectSensor) -> None:
+    def pull_the_plug(self):
         device.plugged = False
         check_jack(self)
 
@@ -92,7 +88,7 @@ def test_unplugged_at_open(device: Device, monkeypatch: pytest.MonkeyPatch) -> N
     assert device.opened_by is None
 
 
-def test_unplugged_mid_stream(device: Device) -> None:
+def test_unplugged_mid_stream(device):
     with _kinect() as sensor:
         frames = sensor.frames()
         next(frames)
@@ -102,9 +98,7 @@ def test_unplugged_mid_stream(device: Device) -> None:
     assert device.opened_by is None
 
 
-def test_unplugged_mid_stream_beside_another(
-    bus: Bus, device: Device, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_unplugged_mid_stream_beside_another(bus, device, monkeypatch, tmp_path):
     bus.devices.append(Device("000456"))
     plug_in(tmp_path, "000456", number=8)
     plug_in(tmp_path, "000123", number=7)
@@ -119,7 +113,7 @@ def test_unplugged_mid_stream_beside_another(
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
-def test_unplugged_at_close(device: Device) -> None:
+def test_unplugged_at_close(device):
     sensor = _kinect().__enter__()
     device.plugged = False
     sensor.__exit__()
@@ -132,7 +126,7 @@ def test_unplugged_at_close(device: Device) -> None:
 
 
 @pytest.mark.parametrize("fault", ["silent", "blind"])
-def test_stream_stalls(device: Device, fault: str) -> None:
+def test_stream_stalls(device, fault):
     with _kinect(stall_s=5.0) as sensor:
         frames = sensor.frames()
         next(frames)
@@ -141,7 +135,7 @@ def test_stream_stalls(device: Device, fault: str) -> None:
             next(frames)
 
 
-def test_stream_of_a_subordinate_stalls(device: Device) -> None:
+def test_stream_of_a_subordinate_stalls(device):
     device.jacks, device.silent = (True, False), True
     with _kinect(sync="subordinate", start_s=30.0, stall_s=5.0, color="720P") as sensor:
         with pytest.raises(DeviceError, match=r"no depth for 30 s.*check the master"):
@@ -160,7 +154,7 @@ def test_stream_of_a_subordinate_stalls(device: Device) -> None:
             next(frames)
 
 
-def test_opens_again_without_colour_if_capture_sync_drops_all_depth(device: Device) -> None:
+def test_opens_again_without_colour_if_capture_sync_drops_all_depth(device):
     device.first_usec = 600_000
     with _kinect(stall_s=5.0, color="720P") as sensor:
         with pytest.raises(
@@ -174,9 +168,7 @@ def test_opens_again_without_colour_if_capture_sync_drops_all_depth(device: Devi
 @pytest.mark.parametrize(
     ("status", "message"), [(2, "body tracker stalls"), (1, r"body tracker failed \(status 1\)")]
 )
-def test_tracker_stalls_or_crashes_to_an_error_code(
-    bus: Bus, standin: Standin, status: int, message: str
-) -> None:
+def test_tracker_stalls_or_crashes_to_an_error_code(bus, standin, status, message):
     bus.native, bus.devices = standin.library, [Device("000123")]
     with KinectSensor("000123", tracker=TrackerSettings(library=standin.path)) as sensor:
         frames = sensor.frames()
@@ -187,7 +179,7 @@ def test_tracker_stalls_or_crashes_to_an_error_code(
         frames.close()
 
 
-def test_unplugged_beside_another_without_a_usb_list(bus: Bus) -> None:
+def test_unplugged_beside_another_without_a_usb_list(bus):
     # As on Windows: only the SDK's count of sensors shows that one is missing.
     bus.devices = [Device("000123"), Device("000456")]
     with _kinect("000456"), _kinect("000123") as sensor:
@@ -198,7 +190,7 @@ def test_unplugged_beside_another_without_a_usb_list(bus: Bus) -> None:
             next(frames)
 
 
-def test_an_orbbec_that_is_unplugged_shows_by_time_outs_and_is_called_so(bus: Bus) -> None:
+def test_an_orbbec_that_is_unplugged_shows_by_time_outs_and_is_called_so(bus):
     device = Device("CL8H741005K", orbbec=True)
     bus.devices = [device]
     device.time = VirtualTime()
@@ -212,19 +204,19 @@ def test_an_orbbec_that_is_unplugged_shows_by_time_outs_and_is_called_so(bus: Bu
 
 
 @pytest.mark.parametrize("sync", ["standalone", "master"])
-def test_a_busy_orbbec_shows_late_and_is_called_busy(bus: Bus, sync: str) -> None:
+def test_a_busy_orbbec_shows_late_and_is_called_busy(bus, sync):
     bus.devices = [Device("CL8H741005K", orbbec=True, busy=True)]
     with pytest.raises(DeviceError, match="cannot be opened: it is busy"):
         _kinect("CL8H741005K", sync=sync, trust_jacks=False).__enter__()
 
 
-def test_a_kinect_says_what_it_waits_for(bus: Bus, standin: Standin, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kinect_says_what_it_waits_for(bus, standin, monkeypatch):
     bus.native, bus.devices = standin.library, [Device("000123")]
-    heard: list[str] = []
+    heard = []
     sensor = KinectSensor("000123", tracker=TrackerSettings(library=standin.path))
     open_tracker = BodyTracker.open
 
-    def loading(tracker: BodyTracker, calibration: int) -> None:
+    def loading(tracker, calibration):
         heard.append(sensor.waits_for)
         open_tracker(tracker, calibration)
 

@@ -23,21 +23,20 @@ from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from tests.helpers.standin_camera import VirtualTime
-from tests.helpers.standin_library import Standin
-from tests.helpers.standin_pyk4a import JPEG, Bus, Device
+from tests.helpers.standin_pyk4a import JPEG, Device
 
 
 @pytest.fixture
-def two(bus: Bus) -> Bus:
+def two(bus):
     bus.devices = [Device("000456", jacks=(True, False)), Device("000123", jacks=(False, True))]
     return bus
 
 
-def _sensor(serial: str = "000123", **settings: object) -> KinectSensor:
-    return KinectSensor(serial, KinectSettings(**settings), track=False)  # type: ignore[arg-type]
+def _sensor(serial="000123", **settings):
+    return KinectSensor(serial, KinectSettings(**settings), track=False)
 
 
-def test_a_sensor_is_found_by_its_serial_not_its_place(two: Bus) -> None:
+def test_a_sensor_is_found_by_its_serial_not_its_place(two):
     with _sensor() as sensor:
         assert two.open_serials == ["000123"]
         assert two.started == ["000123"]
@@ -46,7 +45,7 @@ def test_a_sensor_is_found_by_its_serial_not_its_place(two: Bus) -> None:
 
 
 @pytest.mark.usefixtures("two")
-def test_frames_carry_images_and_the_sensors_own_time_and_the_lens_is_in_opencvs_order() -> None:
+def test_frames_carry_images_and_the_sensors_own_time_and_the_lens_is_in_opencvs_order():
     with _sensor(infrared=True) as sensor:
         first, second = itertools.islice(sensor.frames(), 2)
         lens = sensor.intrinsics
@@ -58,7 +57,7 @@ def test_frames_carry_images_and_the_sensors_own_time_and_the_lens_is_in_opencvs
     assert lens.distortion == (0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01)
 
 
-def test_frames_that_were_lost_on_usb_are_counted(two: Bus) -> None:
+def test_frames_that_were_lost_on_usb_are_counted(two):
     (device,) = (device for device in two.devices if device.serial == "000123")
     device.skips = 3
     thread = SensorThread(sensor := _sensor())
@@ -81,7 +80,7 @@ def test_frames_that_were_lost_on_usb_are_counted(two: Bus) -> None:
     assert sensor.lost == 6, "closed meanwhile"
 
 
-def test_the_gil_is_never_held_and_every_wait_is_finite(two: Bus) -> None:
+def test_the_gil_is_never_held_and_every_wait_is_finite(two):
     with _sensor(timeout_ms=400) as sensor:
         next(sensor.frames())
     connected_kinects()
@@ -89,7 +88,7 @@ def test_the_gil_is_never_held_and_every_wait_is_finite(two: Bus) -> None:
     assert set(two.timeouts) == {400, 0}
 
 
-def test_a_subordinate_captures_later_than_its_master_which_runs_its_colour_camera_unasked(two: Bus) -> None:
+def test_a_subordinate_captures_later_than_its_master_which_runs_its_colour_camera_unasked(two):
     with _sensor("000456", sync="subordinate"), _sensor("000123", sync="master") as leader:
         subordinate, master = two.configs
         frame = next(leader.frames())
@@ -100,7 +99,7 @@ def test_a_subordinate_captures_later_than_its_master_which_runs_its_colour_came
     assert frame.color is None, "dropped at once"
 
 
-def test_depth_never_waits_for_a_colour_image_that_is_missing(two: Bus) -> None:
+def test_depth_never_waits_for_a_colour_image_that_is_missing(two):
     with _sensor():
         pass
     with _sensor(color="1080P"):
@@ -110,7 +109,7 @@ def test_depth_never_waits_for_a_colour_image_that_is_missing(two: Bus) -> None:
     assert (on.color_resolution, on.synchronized_images_only, on.color_format) == (2, False, 0)
 
 
-def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two: Bus) -> None:
+def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two):
     assert all(device.color for device in two.devices)
     with _sensor(color="720P") as sensor:
         frame = next(sensor.frames())
@@ -120,18 +119,18 @@ def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two: Bus) 
     assert frame.color.camera.color_from_depth.translation.tolist() == [-0.032, 0.0, 0.004]
 
 
-def test_a_thousand_openings_of_sensor_and_tracker_leak_nothing(bus: Bus, standin: Standin) -> None:
+def test_a_thousand_openings_of_sensor_and_tracker_leak_nothing(bus, standin):
     bus.native, bus.devices = standin.library, [Device("000123")]
     descriptors = Path("/proc/self/fd")
 
-    def cycle() -> None:
+    def cycle():
         sensor = KinectSensor("000123", tracker=TrackerSettings(library=standin.path))
         with SensorThread(sensor) as thread:
             while thread.received == 0:
                 thread.arrival.wait(10.0)
                 thread.arrival.clear()
 
-    def held() -> tuple[int, int, object]:
+    def held():
         gc.collect()
         open_files = len(list(descriptors.iterdir())) if descriptors.is_dir() else 0
         return threading.active_count(), open_files, standin.alive
@@ -144,7 +143,7 @@ def test_a_thousand_openings_of_sensor_and_tracker_leak_nothing(bus: Bus, standi
     assert bus.open_serials == []
 
 
-def test_a_colour_image_that_is_cut_off_is_left_out(two: Bus) -> None:
+def test_a_colour_image_that_is_cut_off_is_left_out(two):
     camera = ColorCamera(Intrinsics(128, 72, 60, 60, 64, 36), RigidTransform.identity())
     assert ColorImage.of(JPEG, camera) is not None
     for damaged in (b"", JPEG[:-1], JPEG[1:], JPEG[: len(JPEG) // 2]):
@@ -158,7 +157,7 @@ def test_a_colour_image_that_is_cut_off_is_left_out(two: Bus) -> None:
 
 
 @pytest.mark.parametrize(("sync", "jack"), [("master", "out"), ("subordinate", "in")])
-def test_a_missing_sync_cable_is_explained(bus: Bus, sync: str, jack: str) -> None:
+def test_a_missing_sync_cable_is_explained(bus, sync, jack):
     bus.devices = [Device("000123")]
     with pytest.raises(DeviceError, match=rf"no cable is in its sync {jack} jack.*3\.5 mm"):
         _sensor(sync=sync).__enter__()
@@ -173,13 +172,13 @@ def test_a_missing_sync_cable_is_explained(bus: Bus, sync: str, jack: str) -> No
         ({"color": "4K"}, "No colour mode 4K"),
     ],
 )
-def test_a_mode_the_sensor_lacks_is_refused(two: Bus, settings: dict[str, object], message: str) -> None:
+def test_a_mode_the_sensor_lacks_is_refused(two, settings, message):
     with pytest.raises(DeviceError, match=message):
         _sensor(**settings).__enter__()
     assert two.open_serials == []
 
 
-def test_people_come_with_the_frame_they_are_in(bus: Bus, standin: Standin) -> None:
+def test_people_come_with_the_frame_they_are_in(bus, standin):
     bus.native, bus.devices = standin.library, [Device("000123")]
     with KinectSensor("000123", tracker=TrackerSettings(library=standin.path)) as sensor:
         frames = list(itertools.islice(sensor.frames(), 5))
@@ -191,7 +190,7 @@ def test_people_come_with_the_frame_they_are_in(bus: Bus, standin: Standin) -> N
     gc.collect()
 
 
-def test_a_handle_of_another_pyk4a_is_refused(two: Bus) -> None:
+def test_a_handle_of_another_pyk4a_is_refused(two):
     with _sensor() as sensor:
         calibration = sensor._device.calibration
         with pytest.raises(DeviceError, match=r"no 'pyk4a capture handle'.*another version"):
@@ -199,7 +198,7 @@ def test_a_handle_of_another_pyk4a_is_refused(two: Bus) -> None:
     assert two.open_serials == []
 
 
-def test_interrupting_ends_the_wait_of_a_silent_sensor(two: Bus) -> None:
+def test_interrupting_ends_the_wait_of_a_silent_sensor(two):
     two.devices[1].silent = True
     sensor = _sensor(stall_s=1e9)
     with sensor:
@@ -207,9 +206,7 @@ def test_interrupting_ends_the_wait_of_a_silent_sensor(two: Bus) -> None:
         assert list(sensor.frames()) == []
 
 
-def test_cameras_that_do_not_start_or_a_missing_tracker_leave_the_sensor_closed(
-    two: Bus, tmp_path: Path
-) -> None:
+def test_cameras_that_do_not_start_or_a_missing_tracker_leave_the_sensor_closed(two, tmp_path):
     with pytest.raises(DeviceError, match="No library at"):
         KinectSensor("000123", tracker=TrackerSettings(library=tmp_path / "libk4abt.so")).__enter__()
     assert two.open_serials == []
@@ -219,14 +216,14 @@ def test_cameras_that_do_not_start_or_a_missing_tracker_leave_the_sensor_closed(
     assert two.open_serials == []
 
 
-def test_without_pyk4a_the_message_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyk4a_the_message_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     with pytest.raises(DeviceError, match=r"pyk4a.*pip install '\.\[kinect\]'"):
         connected_kinects()
 
 
 @pytest.mark.usefixtures("two")
-def test_the_second_sensor_of_this_program_is_not_called_busy() -> None:
+def test_the_second_sensor_of_this_program_is_not_called_busy():
     with (
         _sensor("000123"),
         pytest.raises(DeviceError, match=r"No Kinect with serial 000999\. Connected: 000123"),
@@ -234,7 +231,7 @@ def test_the_second_sensor_of_this_program_is_not_called_busy() -> None:
         _sensor("000999").__enter__()
 
 
-def test_connected_sensors_are_listed_with_their_jacks(two: Bus) -> None:
+def test_connected_sensors_are_listed_with_their_jacks(two):
     two.devices.append(Device("000789", busy=True))
     a, b, c = connected_kinects()
     assert a == ConnectedSensor(0, "000456", True, False)
@@ -244,9 +241,7 @@ def test_connected_sensors_are_listed_with_their_jacks(two: Bus) -> None:
     assert two.open_serials == []
 
 
-def test_the_firmwares_version_is_read_from_libk4a(
-    bus: Bus, wheel_library: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_firmwares_version_is_read_from_libk4a(bus, wheel_library, monkeypatch):
     monkeypatch.setattr(pyk4a_internals, "loaded_libk4a", loaded_libk4a)
     version = (ctypes.c_uint32 * 3).in_dll(ctypes.CDLL(str(wheel_library)), "standin_firmware")
     version[:] = (1, 6, 102)
@@ -257,7 +252,7 @@ def test_the_firmwares_version_is_read_from_libk4a(
 
 
 @pytest.mark.parametrize("lost", ["every colour image", "every second colour image"])
-def test_depth_comes_also_where_its_colour_image_does_not(bus: Bus, lost: str) -> None:
+def test_depth_comes_also_where_its_colour_image_does_not(bus, lost):
     device = Device("000123", paced=True, time=VirtualTime())
     device.color_lost = lambda number: number % 2 == 0 or lost.startswith("every colour")
     bus.devices = [device]
@@ -272,7 +267,7 @@ def test_depth_comes_also_where_its_colour_image_does_not(bus: Bus, lost: str) -
 
 
 @pytest.mark.parametrize("color", [None, "720P"])
-def test_depth_waits_for_colour_only_if_colour_is_wanted(bus: Bus, color: str | None) -> None:
+def test_depth_waits_for_colour_only_if_colour_is_wanted(bus, color):
     device = Device(
         "000123", jacks=(False, True), paced=True, time=VirtualTime(), color_latency_ns=200_000_000
     )
@@ -288,7 +283,7 @@ def test_depth_waits_for_colour_only_if_colour_is_wanted(bus: Bus, color: str | 
     assert all((frame.color is None) == (color is None) for frame in frames)
 
 
-def test_the_newest_capture_is_taken_not_the_oldest(bus: Bus) -> None:
+def test_the_newest_capture_is_taken_not_the_oldest(bus):
     device = Device("000123", paced=True, time=VirtualTime())
     bus.devices = [device]
     with _sensor() as sensor:
@@ -303,14 +298,14 @@ def test_the_newest_capture_is_taken_not_the_oldest(bus: Bus) -> None:
         assert sensor.missed == 14
 
 
-def test_the_bus_is_never_searched_while_frames_come(two: Bus) -> None:
+def test_the_bus_is_never_searched_while_frames_come(two):
     with _sensor() as sensor:
         searched = two.counts
         assert len(list(itertools.islice(sensor.frames(), 100))) == 100
         assert two.counts == searched, "pyk4a holds the GIL for it"
 
 
-def test_a_sensor_that_is_gone_is_not_opened_again_and_again(two: Bus) -> None:
+def test_a_sensor_that_is_gone_is_not_opened_again_and_again(two):
     with _sensor("000123"):
         two.devices[0].plugged = False
         for _ in range(100):
@@ -319,7 +314,7 @@ def test_a_sensor_that_is_gone_is_not_opened_again_and_again(two: Bus) -> None:
     assert two.failed_opens == 0, "pyk4a loses a reference to None at each"
 
 
-def test_orbbecs_epoch_times_do_not_become_host_times(bus: Bus) -> None:
+def test_orbbecs_epoch_times_do_not_become_host_times(bus):
     bus.devices = [Device("CL8H741005K", orbbec=True)]
     with _sensor("CL8H741005K") as sensor:
         frame = next(sensor.frames())
@@ -327,7 +322,7 @@ def test_orbbecs_epoch_times_do_not_become_host_times(bus: Bus) -> None:
 
 
 @pytest.mark.skipif(sys.version_info >= (3, 12), reason="None is immortal from Python 3.12 on")
-def test_references_to_none_that_pyk4a_gives_away_are_put_back(bus: Bus) -> None:
+def test_references_to_none_that_pyk4a_gives_away_are_put_back(bus):
     bus.gives_none_away = True
     bus.devices = [Device("000123", color=False), Device("000456", busy=True)]
     gc.collect()

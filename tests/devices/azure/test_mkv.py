@@ -1,7 +1,5 @@
 """Azure Kinect recordings: a real one, longer ones in the same layout, and broken ones."""
 
-from pathlib import Path
-
 import av
 import numpy as np
 import pytest
@@ -22,11 +20,11 @@ _EXAMPLES = settings(
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory):
     return write_mkv(tmp_path_factory.mktemp("mkv") / "whole.mkv", FRAMES, color=True)
 
 
-def test_real_recording_gives_its_one_capture(shared: Path) -> None:
+def test_real_recording_gives_its_one_capture(shared):
     with MkvRecording(shared / "azure" / "recording.mkv") as recording:
         (frame,) = recording.frames()
         info = recording.info
@@ -40,7 +38,7 @@ def test_real_recording_gives_its_one_capture(shared: Path) -> None:
     assert (info.serial, info.sync_mode, info.depth_mode) == ("001514394512", "STANDALONE", "NFOV_UNBINNED")
 
 
-def test_real_calibration_is_that_of_its_mode(shared: Path) -> None:
+def test_real_calibration_is_that_of_its_mode(shared):
     with MkvRecording(shared / "azure" / "recording.mkv") as recording:
         depth = recording.info.intrinsics
     # The rule that was checked against the SDK, with the numbers in the file.
@@ -53,7 +51,7 @@ def test_real_calibration_is_that_of_its_mode(shared: Path) -> None:
     assert depth.distortion == pytest.approx(first + last)
 
 
-def test_frames_come_in_order_with_their_images(recording: Path) -> None:
+def test_frames_come_in_order_with_their_images(recording):
     with MkvRecording(recording) as source:
         begun = source.frames()
         next(begun)
@@ -68,16 +66,14 @@ def test_frames_come_in_order_with_their_images(recording: Path) -> None:
         np.testing.assert_array_equal(frame.ir, depth_image(index) + 1)
 
 
-def _frames_of(path: Path) -> tuple[int, list[str]]:
+def _frames_of(path):
     with MkvRecording(path) as source:
         return len(list(source.frames())), source.warnings
 
 
 @_EXAMPLES
 @given(share=st.floats(0.0, 1.0))
-def test_a_recording_cut_anywhere_gives_its_frames_or_says_why(
-    recording: Path, tmp_path: Path, share: float
-) -> None:
+def test_a_recording_cut_anywhere_gives_its_frames_or_says_why(recording, tmp_path, share):
     content = recording.read_bytes()
     length = int(share * len(content))
     cut = tmp_path / "cut.mkv"
@@ -95,7 +91,7 @@ def test_a_recording_cut_anywhere_gives_its_frames_or_says_why(
         assert count == FRAMES or any("cut off" in warning for warning in warnings)
 
 
-def _depth_images_within(path: Path, length: int) -> int:
+def _depth_images_within(path, length):
     with av.open(str(path)) as container:
         depth = next(stream for stream in container.streams if stream.metadata.get("title") == "DEPTH")
         return sum(packet.pos + packet.size <= length for packet in container.demux(depth) if packet.size)
@@ -103,9 +99,7 @@ def _depth_images_within(path: Path, length: int) -> int:
 
 @_EXAMPLES
 @given(flips=st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), min_size=1, max_size=12))
-def test_a_damaged_head_gives_frames_or_a_device_error(
-    recording: Path, tmp_path: Path, flips: list[tuple[int, int]]
-) -> None:
+def test_a_damaged_head_gives_frames_or_a_device_error(recording, tmp_path, flips):
     content = bytearray(recording.read_bytes())
     for at, value in flips:
         content[at] = value
@@ -118,7 +112,7 @@ def test_a_damaged_head_gives_frames_or_a_device_error(
     assert 0 <= count <= FRAMES
 
 
-def test_passive_infrared_is_refused_by_name(tmp_path: Path) -> None:
+def test_passive_infrared_is_refused_by_name(tmp_path):
     path = write_mkv(tmp_path / "passive.mkv", 1)
     # Same length, so the file stays well-formed.
     path.write_bytes(path.read_bytes().replace(b"NFOV_2X2BINNED", b"PASSIVE_IR\0\0\0\0"))
@@ -126,20 +120,20 @@ def test_passive_infrared_is_refused_by_name(tmp_path: Path) -> None:
         MkvRecording(path).__enter__()
 
 
-def test_a_mode_that_its_images_contradict_is_refused(tmp_path: Path) -> None:
+def test_a_mode_that_its_images_contradict_is_refused(tmp_path):
     path = write_mkv(tmp_path / "odd.mkv", 1, mode="NFOV_UNBINNED", size=(320, 288))
     with pytest.raises(DeviceError, match="640 x 576, but its images are 320 x 288"):
         MkvRecording(path).__enter__()
 
 
-def test_damaged_calibration_is_reported(tmp_path: Path) -> None:
+def test_damaged_calibration_is_reported(tmp_path):
     path = write_mkv(tmp_path / "bad.mkv", 1, calibration=b'{"CalibrationInformation": {}}')
     with pytest.raises(DeviceError, match="calibration cannot be read"):
         MkvRecording(path).__enter__()
 
 
 @pytest.mark.parametrize("content", [b"", b"not a film", bytes(4096)])
-def test_another_kind_of_file_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_another_kind_of_file_is_refused(tmp_path, content):
     path = tmp_path / "other.mkv"
     path.write_bytes(content)
     with pytest.raises(DeviceError, match="cannot be opened"):
@@ -148,6 +142,6 @@ def test_another_kind_of_file_is_refused(tmp_path: Path, content: bytes) -> None
         MkvRecording(tmp_path / "none.mkv").__enter__()
 
 
-def test_frames_of_a_closed_recording_are_refused(recording: Path) -> None:
+def test_frames_of_a_closed_recording_are_refused(recording):
     with pytest.raises(DeviceError, match="not open"):
         next(MkvRecording(recording).frames())

@@ -1,9 +1,6 @@
 """The stand-in for pyk4a and the real library, without hardware, held to the same clauses."""
 
 import sys
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +9,12 @@ from devices.azure.calibration import depth_intrinsics
 from devices.azure.mkv import MkvRecording
 from tests.helpers import pyk4a_contract
 from tests.helpers.pyk4a_contract import CLAUSES, CRASHES, RECORDING_CLAUSES
-from tests.helpers.standin_pyk4a import Bus, WouldCrashError
+from tests.helpers.standin_pyk4a import WouldCrashError
 
-Clause = Callable[[object, str], object]
 NAMES = [clause.__name__ for clause in CLAUSES]
 
 
-def _standin(bus: Bus, clause: Clause, recording: Path) -> dict[str, object]:
+def _standin(bus, clause, recording):
     assert bus.devices == []
     try:
         return {"said": clause(sys.modules["pyk4a"], str(recording))}
@@ -27,25 +23,23 @@ def _standin(bus: Bus, clause: Clause, recording: Path) -> dict[str, object]:
 
 
 @pytest.fixture
-def recording(shared: Path) -> Path:
+def recording(shared):
     return shared / "azure" / "recording.mkv"
 
 
 @pytest.mark.parametrize("clause", CLAUSES, ids=NAMES)
-def test_the_standin_keeps_the_contract(bus: Bus, recording: Path, clause: Clause) -> None:
+def test_the_standin_keeps_the_contract(bus, recording, clause):
     fault = _standin(bus, clause, recording).get("fault")
     assert fault == (CRASHES if clause is pyk4a_contract.stop_before_open else None)
 
 
 @pytest.mark.parametrize("clause", CLAUSES, ids=NAMES)
-def test_the_real_library_keeps_it_and_says_the_same(
-    bus: Bus, recording: Path, real_pyk4a: dict[str, dict[str, object]], clause: Clause
-) -> None:
+def test_the_real_library_keeps_it_and_says_the_same(bus, recording, real_pyk4a, clause):
     real, standin = real_pyk4a[clause.__name__], _standin(bus, clause, recording)
     assert real == standin
 
 
-def test_our_recording_is_the_real_librarys(recording: Path, real_pyk4a: dict[str, dict[str, Any]]) -> None:
+def test_our_recording_is_the_real_librarys(recording, real_pyk4a):
     assert not any("fault" in real_pyk4a[clause.__name__] for clause in RECORDING_CLAUSES)
     with MkvRecording(recording) as opened:
         (frame,), info = opened.frames(), opened.info
@@ -60,9 +54,7 @@ def test_our_recording_is_the_real_librarys(recording: Path, real_pyk4a: dict[st
 
 
 @pytest.mark.parametrize("depth", pyk4a_contract.DEPTH)
-def test_our_lens_is_the_real_librarys_in_every_mode(
-    recording: Path, real_pyk4a: dict[str, dict[str, Any]], depth: str
-) -> None:
+def test_our_lens_is_the_real_librarys_in_every_mode(recording, real_pyk4a, depth):
     with MkvRecording(recording) as opened:
         lens = depth_intrinsics(opened.info.calibration_json, depth)
     for color in pyk4a_contract.COLOR:

@@ -1,8 +1,5 @@
 """Recordings with people: tracked by the stand-in, or joined with skeletons saved before."""
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,22 +11,21 @@ from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import KINECT_V2
 from fusion.skeleton import Skeleton
 from tests.helpers.mkv_writer import INTERVAL_US, write_mkv
-from tests.helpers.standin_library import Standin
 
 FRAMES = 6
 START_NS = 336_277_000
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def path(tmp_path_factory):
     return write_mkv(tmp_path_factory.mktemp("mkv") / "b.mkv", FRAMES, mode="NFOV_UNBINNED")
 
 
-def _times() -> list[int]:
+def _times():
     return [START_NS + index * INTERVAL_US * 1000 for index in range(FRAMES)]
 
 
-def test_every_recorded_frame_is_tracked(standin: Standin, path: Path) -> None:
+def test_every_recorded_frame_is_tracked(standin, path):
     source = TrackedRecording(MkvRecording(path), TrackerSettings(library=standin.path), standin.path)
     with source:
         frames = list(source.frames())
@@ -41,7 +37,7 @@ def test_every_recorded_frame_is_tracked(standin: Standin, path: Path) -> None:
         assert skeleton.time_ns == frame.time_ns
 
 
-def test_a_tracker_that_fails_midway_gives_the_frames_before(standin: Standin, path: Path) -> None:
+def test_a_tracker_that_fails_midway_gives_the_frames_before(standin, path):
     source = TrackedRecording(MkvRecording(path), TrackerSettings(library=standin.path), standin.path)
     with source:
         frames = source.frames()
@@ -51,7 +47,7 @@ def test_a_tracker_that_fails_midway_gives_the_frames_before(standin: Standin, p
             list(frames)
 
 
-def test_a_missing_sdk_closes_the_recording_again(path: Path, tmp_path: Path) -> None:
+def test_a_missing_sdk_closes_the_recording_again(path, tmp_path):
     source = TrackedRecording(MkvRecording(path), libk4a=tmp_path / "libk4a.so")
     with pytest.raises(DeviceError, match=r"No library.*Sensor SDK 1\.4"):
         source.__enter__()
@@ -62,16 +58,16 @@ def test_a_missing_sdk_closes_the_recording_again(path: Path, tmp_path: Path) ->
 class _Saved(Sensor):
     name, body = "saved.csv", KINECT_V2
 
-    def __init__(self, times: list[int]) -> None:
+    def __init__(self, times):
         self.times = times
 
-    def frames(self) -> Iterator[SensorFrame]:
+    def frames(self):
         for index, time_ns in enumerate(self.times):
             person = Skeleton.of(KINECT_V2, np.full((25, 3), index), time_ns=time_ns)
             yield SensorFrame(time_ns, {str(index): person})
 
 
-def test_saved_skeletons_join_the_frame_of_their_time(path: Path) -> None:
+def test_saved_skeletons_join_the_frame_of_their_time(path):
     times = [time_ns + 400_000 for time_ns in _times()]
     del times[2]
     with RecordingWithSkeletons(MkvRecording(path), _Saved(times)) as source:
@@ -82,7 +78,7 @@ def test_saved_skeletons_join_the_frame_of_their_time(path: Path) -> None:
     assert all(frame.depth is not None for frame in frames)
 
 
-def test_skeletons_saved_to_a_file_join_too(path: Path, tmp_path: Path) -> None:
+def test_skeletons_saved_to_a_file_join_too(path, tmp_path):
     # a file's body is known only once it is open
     rows = [f"{time_ns // 1000},0,SPINE_BASE,0,0,2" for time_ns in _times()]
     saved = tmp_path / "b.csv"
@@ -92,7 +88,7 @@ def test_skeletons_saved_to_a_file_join_too(path: Path, tmp_path: Path) -> None:
         assert source.body is KINECT_V2
 
 
-def test_skeletons_of_another_recording_are_refused(path: Path) -> None:
+def test_skeletons_of_another_recording_are_refused(path):
     with (
         RecordingWithSkeletons(MkvRecording(path), _Saved([5_000_000_000])) as source,
         pytest.raises(DeviceError, match=r"No skeleton of saved\.csv falls on a frame of b\.mkv"),

@@ -1,7 +1,5 @@
 """The tracker on images of the simulated person. Truth is the simulator's."""
 
-from collections.abc import Iterator, Sequence
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from devices.blazepose.settings import BlazePoseSettings
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
-from fusion.skeleton import Skeleton, TrackingState
+from fusion.skeleton import TrackingState
 from tests.helpers.machine import need_networks
 from tests.helpers.rendered_people import (
     CAMERA,
@@ -25,23 +23,23 @@ BESIDE = np.array((1.1, 0.0, 0.4))  # metres: a second person
 
 
 @pytest.fixture(scope="module")
-def opened() -> Iterator[BlazePose]:
+def opened():
     with BlazePose(BlazePoseSettings(models=need_networks())) as tracker:
         yield tracker
 
 
 @pytest.fixture
-def tracker(opened: BlazePose) -> BlazePose:
+def tracker(opened):
     opened.forget()
     return opened
 
 
-def only(people: dict[str, Skeleton]) -> Skeleton:
+def only(people):
     assert len(people) == 1
     return next(iter(people.values()))
 
 
-def found_within_three(tracker: BlazePose, people: Sequence[np.ndarray], time_ns: int) -> Skeleton:
+def found_within_three(tracker, people, time_ns):
     """The person in one of three images that differ by their noise: the project's goal for a lost person."""
     for seed in range(3):
         found = tracker.track(*images_of(people, seed=seed), CAMERA, time_ns + seed * FRAME_NS)
@@ -50,13 +48,13 @@ def found_within_three(tracker: BlazePose, people: Sequence[np.ndarray], time_ns
     raise AssertionError("not found within three images")
 
 
-def errors(skeleton: Skeleton, landmarks: np.ndarray) -> np.ndarray:
+def errors(skeleton, landmarks):
     """(J,) metres from the truth; NaN where a joint is not tracked."""
     distance = np.linalg.norm(skeleton.positions - true_joints(landmarks), axis=1)
     return np.where(skeleton.tracked, distance, np.nan)
 
 
-def test_tracked_joints_are_near_the_truth_and_hidden_ones_are_not_tracked(tracker: BlazePose) -> None:
+def test_tracked_joints_are_near_the_truth_and_hidden_ones_are_not_tracked(tracker):
     """The goals of the project: median 35 mm, 90 % 90 mm; at most 5 % of hidden joints tracked."""
     found, hidden, seen = [], [], []
     for motion in ("walk", "arms", "badminton", "sit", "turn", "squat"):
@@ -74,11 +72,11 @@ def test_tracked_joints_are_near_the_truth_and_hidden_ones_are_not_tracked(track
     assert np.concatenate(seen).mean() > 0.7  # else "nothing is tracked" would pass
 
 
-def test_a_person_is_followed_without_the_detector(tracker: BlazePose) -> None:
+def test_a_person_is_followed_without_the_detector(tracker):
     marks = landmarks_at("walk", 2.0)
     only(tracker.track(*images_of([marks]), CAMERA, 0))
     without_detector = (None, tracker._networks[1])
-    networks, tracker._networks = tracker._networks, without_detector  # type: ignore[assignment]
+    networks, tracker._networks = tracker._networks, without_detector
     try:
         for k in range(1, 4):
             marks = landmarks_at("walk", 2.0 + k / 30)
@@ -87,9 +85,7 @@ def test_a_person_is_followed_without_the_detector(tracker: BlazePose) -> None:
         tracker._networks = networks
 
 
-def test_a_covered_person_is_found_again_and_after_a_second_has_another_id(
-    tracker: BlazePose,
-) -> None:
+def test_a_covered_person_is_found_again_and_after_a_second_has_another_id(tracker):
     marks = landmarks_at("walk", 2.0)
     seen, empty = images_of([marks]), images_of([])
     first = tracker.track(*seen, CAMERA, 0)
@@ -102,7 +98,7 @@ def test_a_covered_person_is_found_again_and_after_a_second_has_another_id(
     assert later.keys() != first.keys()
 
 
-def test_of_two_people_the_middle_one_is_followed_and_stays(tracker: BlazePose) -> None:
+def test_of_two_people_the_middle_one_is_followed_and_stays(tracker):
     middle = landmarks_at("walk", 2.0)
     skeleton = only(tracker.track(*images_of([middle, middle + BESIDE]), CAMERA, 0))
     assert np.nanmedian(errors(skeleton, middle)) < 0.05
@@ -113,7 +109,7 @@ def test_of_two_people_the_middle_one_is_followed_and_stays(tracker: BlazePose) 
         assert np.nanmedian(errors(skeleton, moved)) < 0.05
 
 
-def test_when_the_followed_person_vanishes_another_one_is_not_taken_at_once(tracker: BlazePose) -> None:
+def test_when_the_followed_person_vanishes_another_one_is_not_taken_at_once(tracker):
     middle = landmarks_at("walk", 2.0)
     other = middle + BESIDE
     tracker.track(*images_of([middle, other]), CAMERA, 0)
@@ -123,7 +119,7 @@ def test_when_the_followed_person_vanishes_another_one_is_not_taken_at_once(trac
     assert np.nanmedian(errors(found_within_three(tracker, [other], 2 * 10**9), other)) < 0.05
 
 
-def test_a_person_of_impossible_size_is_no_person(tracker: BlazePose) -> None:
+def test_a_person_of_impossible_size_is_no_person(tracker):
     """A doll of 25 cm fills the image as a person at 2.6 m does. The depth tells them apart."""
     marks = landmarks_at("startup", 1.0)
     share = 0.25 / 1.75
@@ -132,7 +128,7 @@ def test_a_person_of_impossible_size_is_no_person(tracker: BlazePose) -> None:
 
 
 @pytest.mark.parametrize("image", ["dark", "saturated", "noise", "empty room", "a person without depth"])
-def test_images_without_a_person_have_no_people(tracker: BlazePose, image: str) -> None:
+def test_images_without_a_person_have_no_people(tracker, image):
     infrared, depth = images_of([])
     if image == "dark":
         infrared = np.zeros_like(infrared)
@@ -146,7 +142,7 @@ def test_images_without_a_person_have_no_people(tracker: BlazePose, image: str) 
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7, 0.95])
-def test_a_tracked_joint_never_lies_where_there_is_no_depth(tracker: BlazePose, share: float) -> None:
+def test_a_tracked_joint_never_lies_where_there_is_no_depth(tracker, share):
     """Blocks of the depth image are lost. A tracked joint has a reading near its pixel, not behind it."""
     marks = landmarks_at("walk", 2.0)
     infrared, depth = images_of([marks])
@@ -163,7 +159,7 @@ def test_a_tracked_joint_never_lies_where_there_is_no_depth(tracker: BlazePose, 
             assert ((readings < z + 0.02) & (readings > z - 0.26)).any(), BLAZEPOSE.joints[joint]
 
 
-def test_joints_covered_by_a_table_are_inferred(tracker: BlazePose) -> None:
+def test_joints_covered_by_a_table_are_inferred(tracker):
     marks = landmarks_at("startup", 1.0)
     infrared, depth = images_of([marks])
     hips = CAMERA.project(true_joints(marks)[[BLAZEPOSE.joint("HIP_LEFT"), BLAZEPOSE.joint("HIP_RIGHT")]])
@@ -177,7 +173,7 @@ def test_joints_covered_by_a_table_are_inferred(tracker: BlazePose) -> None:
     assert np.nanmedian(errors(skeleton, marks)) < 0.05
 
 
-def test_a_person_half_out_of_view_has_no_tracked_joint_outside(tracker: BlazePose) -> None:
+def test_a_person_half_out_of_view_has_no_tracked_joint_outside(tracker):
     marks = landmarks_at("walk", 2.0) + np.array((1.75, 0.0, 0.0))
     for skeleton in tracker.track(*images_of([marks]), CAMERA, 0).values():
         pixels = CAMERA.project(skeleton.positions[skeleton.tracked])
@@ -185,7 +181,7 @@ def test_a_person_half_out_of_view_has_no_tracked_joint_outside(tracker: BlazePo
         assert (pixels[:, 0] < CAMERA.width).all()
 
 
-def test_images_of_different_sizes_are_refused_in_one_line(tracker: BlazePose) -> None:
+def test_images_of_different_sizes_are_refused_in_one_line(tracker):
     infrared, depth = images_of([])
     with pytest.raises(DeviceError, match=r"640 × 576 pixels, the depth image 320 × 288"):
         tracker.track(infrared, depth[::2, ::2], CAMERA, 0)
@@ -193,7 +189,7 @@ def test_images_of_different_sizes_are_refused_in_one_line(tracker: BlazePose) -
         tracker.track(infrared[::2, ::2], depth[::2, ::2], CAMERA, 0)
 
 
-def test_a_tracker_that_is_not_open_says_so() -> None:
+def test_a_tracker_that_is_not_open_says_so():
     with pytest.raises(DeviceError, match="with statement"):
         BlazePose().track(*images_of([]), CAMERA, 0)
 
@@ -214,7 +210,7 @@ MARKS = {
 }
 
 
-def test_landmarks_are_within_a_twentieth_of_the_height_of_marks_made_by_hand() -> None:
+def test_landmarks_are_within_a_twentieth_of_the_height_of_marks_made_by_hand():
     data = pytest.importorskip("skimage.data", reason="scikit-image, which ships the photograph, is missing")
     photograph = data.astronaut()
     height = (CHIN - CROWN) / HEAD_OF_STATURE

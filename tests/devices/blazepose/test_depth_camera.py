@@ -1,7 +1,5 @@
 """Any depth camera as a sensor: a generator of images with a tracker that the tests make up."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -20,17 +18,13 @@ DEPTH = np.full((6, 8), 2000, np.uint16)
 GREY = np.full((6, 8), 90, np.uint8)
 RGB = np.full((6, 8, 3), 90, np.uint8)
 
-Shot = tuple[np.ndarray, np.ndarray, int]
-
 
 @pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, np.ndarray]]:
+def seen(monkeypatch):
     """The images that the tracker gets; it finds one person in each."""
-    images: list[tuple[np.ndarray, np.ndarray]] = []
+    images = []
 
-    def track(
-        _self: BlazePose, image: np.ndarray, depth: np.ndarray, _camera: object, time_ns: int
-    ) -> dict[str, Skeleton]:
+    def track(_self, image, depth, _camera, time_ns):
         images.append((image, depth))
         return {"1": Skeleton.of(BLAZEPOSE, np.full((len(BLAZEPOSE), 3), 1.0), time_ns=time_ns)}
 
@@ -39,15 +33,13 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, np.ndarray]]
     return images
 
 
-def _camera(*shots: Shot) -> DepthCamera:
+def _camera(*shots):
     return DepthCamera("left", lambda: iter(shots), LENS)
 
 
 @pytest.mark.parametrize("image", [GREY, GREY.astype(np.uint16) + 3000, RGB], ids=["grey", "ir", "rgb"])
-def test_images_become_frames_with_people(
-    seen: list[tuple[np.ndarray, np.ndarray]], image: np.ndarray
-) -> None:
-    took: list[int] = []
+def test_images_become_frames_with_people(seen, image):
+    took = []
     shots = (DEPTH, image, 7), (DEPTH, image, 8)
     with DepthCamera("left", lambda: iter(shots), LENS, took=took.append) as camera:
         frames = list(camera.frames())
@@ -61,7 +53,7 @@ def test_images_become_frames_with_people(
     assert seen[0][1] is DEPTH
 
 
-def test_depth_may_be_metres(seen: list[tuple[np.ndarray, np.ndarray]]) -> None:
+def test_depth_may_be_metres(seen):
     metres = np.full((6, 8), 1.2345, np.float32)
     metres[0, :4] = (np.nan, np.inf, -1.0, 70.0)
     with _camera((metres, GREY, 1)) as camera:
@@ -82,17 +74,17 @@ def test_depth_may_be_metres(seen: list[tuple[np.ndarray, np.ndarray]]) -> None:
     ],
 )
 @pytest.mark.usefixtures("seen")
-def test_other_images_are_refused_in_one_line(depth: np.ndarray, image: np.ndarray, message: str) -> None:
+def test_other_images_are_refused_in_one_line(depth, image, message):
     with _camera((depth, image, 1)) as camera, pytest.raises(DeviceError, match=message) as fault:
         list(camera.frames())
     assert "\n" not in str(fault.value)
 
 
 @pytest.mark.usefixtures("seen")
-def test_a_camera_that_fails_is_opened_again() -> None:
+def test_a_camera_that_fails_is_opened_again():
     opened = 0
 
-    def images() -> Iterator[Shot]:
+    def images():
         nonlocal opened
         opened += 1
         yield DEPTH, GREY, opened

@@ -2,7 +2,6 @@
 
 import hashlib
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -32,11 +31,11 @@ FAILS = "import sys; print({line!r}, file=sys.stderr); sys.exit(1)"
 
 
 @pytest.fixture
-def pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def pip(tmp_path, monkeypatch):
     """Sets the program that runs in place of pip."""
     monkeypatch.setattr(fetching, "files_of", lambda network: (FILE,))
 
-    def becomes(code: str) -> None:
+    def becomes(code):
         script = tmp_path / "pip.py"
         script.write_text(code)
         monkeypatch.setattr(fetching, "_pip", lambda: [sys.executable, str(script)])
@@ -44,7 +43,7 @@ def pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return becomes
 
 
-def test_the_files_are_placed_with_licence_and_notice(tmp_path: Path, pip) -> None:
+def test_the_files_are_placed_with_licence_and_notice(tmp_path, pip):
     pip(MAKES_A_WHEEL.format(content=CONTENT))
     folder = tmp_path / "new" / "networks"
     fetched = fetching.fetch("full", folder)
@@ -60,7 +59,7 @@ def test_the_files_are_placed_with_licence_and_notice(tmp_path: Path, pip) -> No
     assert (folder / "net.tflite").read_bytes() == CONTENT, "a truncated file is fetched again"
 
 
-def test_another_content_is_never_placed(tmp_path: Path, pip) -> None:
+def test_another_content_is_never_placed(tmp_path, pip):
     pip(MAKES_A_WHEEL.format(content=CONTENT[:-1]))
     with pytest.raises(DeviceError, match="another SHA-256"):
         fetching.fetch("full", tmp_path / "networks")
@@ -74,7 +73,7 @@ def test_another_content_is_never_placed(tmp_path: Path, pip) -> None:
         ("ERROR: No matching distribution found for mediapipe==0.10.21", "No matching distribution"),
     ],
 )
-def test_without_a_package_index_one_line_says_what_to_do(tmp_path: Path, pip, says: str, told: str) -> None:
+def test_without_a_package_index_one_line_says_what_to_do(tmp_path, pip, says, told):
     pip(FAILS.format(line=says))
     with pytest.raises(DeviceError, match=told) as fault:
         fetching.fetch("full", tmp_path)
@@ -82,7 +81,7 @@ def test_without_a_package_index_one_line_says_what_to_do(tmp_path: Path, pip, s
     assert "\n" not in str(fault.value)
 
 
-def test_without_pip_one_line_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pip_one_line_says_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setattr(fetching, "files_of", lambda network: (FILE,))
     monkeypatch.setattr(sys, "executable", "/bin/false")
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -90,7 +89,7 @@ def test_without_pip_one_line_says_what_to_do(tmp_path: Path, monkeypatch: pytes
         fetching.fetch("full", tmp_path)
 
 
-def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, pip) -> None:
+def test_a_folder_that_cannot_be_written_is_named(tmp_path, pip):
     pip(MAKES_A_WHEEL.format(content=CONTENT))
     (tmp_path / "file").write_text("")
     with pytest.raises(DeviceError, match="cannot be kept in"):
@@ -100,19 +99,19 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, pip) -> None:
     assert "Errno" not in str(told.value)
 
 
-def test_a_damaged_package_is_reported(tmp_path: Path, pip) -> None:
+def test_a_damaged_package_is_reported(tmp_path, pip):
     pip("import sys; open(sys.argv[sys.argv.index('--dest') + 1] + '/a.whl', 'w').write('no zip')")
     with pytest.raises(DeviceError, match="is not the expected package"):
         fetching.fetch("full", tmp_path)
 
 
-def test_a_missing_network_gives_one_line(tmp_path: Path) -> None:
+def test_a_missing_network_gives_one_line(tmp_path):
     with pytest.raises(DeviceError, match="Run duplex tracker fetch") as fault, open_in(tmp_path):
         pass
     assert "\n" not in str(fault.value)
 
 
-def test_a_truncated_network_gives_one_line(tmp_path: Path) -> None:
+def test_a_truncated_network_gives_one_line(tmp_path):
     for path in need_networks().glob("*.tflite"):
         (tmp_path / path.name).write_bytes(path.read_bytes()[:-1])
     with (
@@ -123,14 +122,12 @@ def test_a_truncated_network_gives_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(fault.value)
 
 
-def open_in(folder: Path) -> BlazePose:
+def open_in(folder):
     return BlazePose(BlazePoseSettings(models=folder))
 
 
 @pytest.mark.parametrize("variable", ["DUPLEX_TRACKER_MODELS", "XDG_CACHE_HOME"])
-def test_the_cache_folder_follows_the_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str
-) -> None:
+def test_the_cache_folder_follows_the_environment(tmp_path, monkeypatch, variable):
     monkeypatch.delenv("DUPLEX_TRACKER_MODELS", raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv(variable, str(tmp_path))

@@ -18,7 +18,7 @@ from tests.helpers.rendered_people import CAMERA
 SEEN = np.ones(len(LANDMARK_NAMES))
 
 
-def body() -> np.ndarray:
+def body():
     """(33, 3) a person 2.5 m before the camera who faces it, metres: x to the right of the image."""
     at = np.zeros((len(LANDMARK_NAMES), 3))
     places = {
@@ -34,7 +34,7 @@ def body() -> np.ndarray:
     return at + (0.0, 0.0, 2.5)
 
 
-def depth_of(points: np.ndarray, beneath: np.ndarray | None = None, radius: int = 8) -> np.ndarray:
+def depth_of(points, beneath=None, radius=8):
     """A depth image with a patch over each landmark, as deep above it as its kind says; a wall at 4 m."""
     depth = np.full((CAMERA.height, CAMERA.width), 4000, dtype=np.uint16)
     surface = points[:, 2] - (column("beneath") if beneath is None else beneath)
@@ -44,17 +44,17 @@ def depth_of(points: np.ndarray, beneath: np.ndarray | None = None, radius: int 
     return depth
 
 
-def of_kinds(*kinds: str) -> list[int]:
+def of_kinds(*kinds):
     return [j for name, j in INDEX.items() if name.split("_")[0] in kinds]
 
 
-def world_of(points: np.ndarray) -> np.ndarray:
+def world_of(points):
     """The body as the network states it: relative to the middle of the hips."""
     return points - 0.5 * (points[INDEX["HIP_LEFT"]] + points[INDEX["HIP_RIGHT"]])
 
 
 @pytest.mark.parametrize("size", [0.6, 1.0, 1.3])
-def test_the_place_and_the_size_of_a_body_come_from_the_depth(size: float) -> None:
+def test_the_place_and_the_size_of_a_body_come_from_the_depth(size):
     """Patches of neighbouring landmarks overlap; arms, knees and ankles stand alone. The depth is in mm."""
     points = body()
     real = size * points  # a person of another size, at another distance, in the same image
@@ -66,7 +66,7 @@ def test_the_place_and_the_size_of_a_body_come_from_the_depth(size: float) -> No
     np.testing.assert_allclose(lifted.positions[alone], real[alone], atol=0.004)
 
 
-def test_a_landmark_behind_something_is_not_seen_and_keeps_its_place() -> None:
+def test_a_landmark_behind_something_is_not_seen_and_keeps_its_place():
     """A board 40 cm before the left arm covers elbow, wrist and hand."""
     points = body()
     depth = depth_of(points)
@@ -80,7 +80,7 @@ def test_a_landmark_behind_something_is_not_seen_and_keeps_its_place() -> None:
 
 
 @pytest.mark.parametrize("why", ["the network calls it hidden", "the thigh points at the camera"])
-def test_a_landmark_that_cannot_be_measured_is_not_seen(why: str) -> None:
+def test_a_landmark_that_cannot_be_measured_is_not_seen(why):
     points, visibility = body(), SEEN.copy()
     pixels = CAMERA.project(points)
     if why.startswith("the network"):
@@ -93,13 +93,13 @@ def test_a_landmark_that_cannot_be_measured_is_not_seen(why: str) -> None:
 
 
 @pytest.mark.parametrize("size", [0.1, 0.4, 1.8])
-def test_an_impossible_size_is_no_person(size: float) -> None:
+def test_an_impossible_size_is_no_person(size):
     points = body()
     depth = np.full((CAMERA.height, CAMERA.width), round(2500 * size), dtype=np.uint16)
     assert lift(BodyLandmarks(CAMERA.project(points), SEEN, SEEN, world_of(points)), depth, CAMERA) is None
 
 
-def test_rays_undo_the_lens() -> None:
+def test_rays_undo_the_lens():
     lens = Intrinsics(640, 576, 504.0, 505.0, 320.0, 290.0, (0.5, -0.3, 1e-4, -5e-5, 0.02, 0.8, -0.2, 0.05))
     straight = np.array([[0.3, -0.2], [0.0, 0.0], [-0.4, 0.35]])
     x, y = straight.T
@@ -111,7 +111,7 @@ def test_rays_undo_the_lens() -> None:
     np.testing.assert_allclose(rays(np.column_stack((u, v)), lens), straight, atol=1e-4)
 
 
-def test_every_joint_is_a_mean_of_landmarks() -> None:
+def test_every_joint_is_a_mean_of_landmarks():
     """Moving a person moves every joint alike: weights sum to one; mirrored joints have mirrored weights."""
     np.testing.assert_allclose(JOINT_WEIGHTS.sum(axis=1), 1.0)
     other = [INDEX[_mirrored(name)] for name in LANDMARK_NAMES]
@@ -119,7 +119,7 @@ def test_every_joint_is_a_mean_of_landmarks() -> None:
     assert set(KINDS) == set(CONSTANTS)
 
 
-def test_a_joint_is_moved_along_its_bone_and_keeps_its_own_state() -> None:
+def test_a_joint_is_moved_along_its_bone_and_keeps_its_own_state():
     """A landmark that is hidden, or out of sight, changes the state of its own joint only."""
     points = body()
     landmarks = len(LANDMARK_NAMES)
@@ -141,12 +141,12 @@ def test_a_joint_is_moved_along_its_bone_and_keeps_its_own_state() -> None:
     np.testing.assert_allclose(positions[BLAZEPOSE.joint("ELBOW_LEFT")], elbow + 0.09 * (elbow - shoulder))
 
 
-def _mirrored(name: str) -> str:
+def _mirrored(name):
     swap = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
     return "_".join(swap.get(part, part) for part in name.split("_"))
 
 
-def test_a_region_turns_the_person_upright() -> None:
+def test_a_region_turns_the_person_upright():
     """A person who lies with the head to the right of the image: in the crop the head is above the hips."""
     hips, rim = np.array((300.0, 200.0)), np.array((400.0, 200.0))
     region = Region.around(hips, rim)
@@ -158,7 +158,7 @@ def test_a_region_turns_the_person_upright() -> None:
 
 
 @pytest.mark.parametrize("size", [64, 224])
-def test_a_crop_shows_what_its_transform_says(size: float) -> None:
+def test_a_crop_shows_what_its_transform_says(size):
     """A bright spot in the image appears in the crop where the transform maps it, to half a pixel."""
     image = np.zeros((576, 640), dtype=np.uint16)
     image[396:405, 496:505] = 1000
@@ -172,13 +172,13 @@ def test_a_crop_shows_what_its_transform_says(size: float) -> None:
 
 
 @pytest.mark.parametrize("side", [1024, 2048])
-def test_a_crop_of_a_large_image_skips_no_pixel(side: int) -> None:
+def test_a_crop_of_a_large_image_skips_no_pixel(side):
     """Black and white columns, two pixels wide, are grey in a crop of a quarter of the size or less."""
     image = np.where(np.arange(side) % 4 < 2, 200, 0).astype(np.uint8)
     crop = whole_image(side, side).crop(np.tile(image, (side, 1)), 224)[8:-8, 8:-8]
     np.testing.assert_allclose(crop.astype(float), 100.0, atol=1.0)  # the rounding of uint8
 
 
-def test_the_detector_has_an_anchor_for_each_output() -> None:
+def test_the_detector_has_an_anchor_for_each_output():
     detector = Detector(checked_content(DETECTOR, need_networks()))
     assert detector.detect(np.zeros((224, 224), dtype=np.float32)) == []

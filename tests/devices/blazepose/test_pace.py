@@ -1,9 +1,7 @@
 """Two trackers on one processor: they skip the same frames, then report a change to the lighter network."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +10,9 @@ from devices.blazepose.networks.files import DETECTOR, LANDMARKS
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
-from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_pair import TwoSensors
 from devices.sensor import Sensor, SensorFrame
-from devices.simulated.kinect import SimulatedKinect, simulated_pair
+from devices.simulated.kinect import simulated_pair
 from fusion.body import BLAZEPOSE
 from tests.helpers.machine import need_networks
 
@@ -23,22 +20,20 @@ MS = 1_000_000
 
 
 @pytest.fixture
-def networks(tmp_path: Path) -> BlazePoseSettings:
+def networks(tmp_path):
     """A folder with files of the networks' names; the pace looks at nothing else."""
     for file in (DETECTOR, *LANDMARKS.values()):
         (tmp_path / file.name).write_bytes(b"")
     return BlazePoseSettings(models=tmp_path)
 
 
-def work(pace: FrameDecimation, results: int, milliseconds: int) -> None:
+def work(pace, results, milliseconds):
     for _ in range(results):
         for sensor in ("a", "b"):
             pace.tracked(sensor, milliseconds * MS)
 
 
-def test_a_tracker_that_stays_slow_goes_on_with_lite_and_every_frame_again(
-    networks: BlazePoseSettings,
-) -> None:
+def test_a_tracker_that_stays_slow_goes_on_with_lite_and_every_frame_again(networks):
     pace = TrackingPace(30.0, networks)
     work(pace, 10, 50)
     assert (pace.step, pace.network) == (2, "full"), "fewer frames first"
@@ -51,7 +46,7 @@ def test_a_tracker_that_stays_slow_goes_on_with_lite_and_every_frame_again(
     assert (pace.step, pace.network) == (1, "lite")
 
 
-def test_a_hitch_costs_no_accuracy(networks: BlazePoseSettings) -> None:
+def test_a_hitch_costs_no_accuracy(networks):
     pace = TrackingPace(30.0, networks)
     work(pace, 10, 50)
     work(pace, 90, 15)
@@ -61,9 +56,7 @@ def test_a_hitch_costs_no_accuracy(networks: BlazePoseSettings) -> None:
     assert pace.network == "full", "results of the first hitch do not count"
 
 
-def test_trackers_that_are_fast_enough_only_at_half_the_rate_go_on_with_lite(
-    networks: BlazePoseSettings,
-) -> None:
+def test_trackers_that_are_fast_enough_only_at_half_the_rate_go_on_with_lite(networks):
     pace, steps = TrackingPace(30.0, networks), []
     for _ in range(200):
         steps.append(pace.step)
@@ -73,7 +66,7 @@ def test_trackers_that_are_fast_enough_only_at_half_the_rate_go_on_with_lite(
 
 
 @pytest.mark.parametrize("lacks", ["the file", "a lighter one"])
-def test_without_a_lighter_network_only_frames_are_left_out(networks: BlazePoseSettings, lacks: str) -> None:
+def test_without_a_lighter_network_only_frames_are_left_out(networks, lacks):
     if lacks == "the file":
         (networks.models / LANDMARKS["lite"].name).unlink()
     else:
@@ -85,14 +78,14 @@ def test_without_a_lighter_network_only_frames_are_left_out(networks: BlazePoseS
     assert pace.take_news() == []
 
 
-def test_who_simulates_sensors_is_not_told_to_record_them(networks: BlazePoseSettings) -> None:
+def test_who_simulates_sensors_is_not_told_to_record_them(networks):
     assert "track later" in TrackingPace(30.0, networks).advice
     advice = TrackingPace(30.0, networks, simulated=True).advice
     assert "track later" not in advice
     assert advice == advice.strip()
 
 
-def test_changes_and_advice_reach_the_reader_of_the_sensors(networks: BlazePoseSettings) -> None:
+def test_changes_and_advice_reach_the_reader_of_the_sensors(networks):
     pace, told = TrackingPace(30.0, networks), []
     a, b, _ = simulated_pair(motion="still", seconds=0.1)
     with TwoSensors(a, b, decimation=pace, tell=lambda event: told.append(event.text)) as sensors:
@@ -102,7 +95,7 @@ def test_changes_and_advice_reach_the_reader_of_the_sensors(networks: BlazePoseS
     assert any("15 of 30 frames" in text and "faster processor" in text for text in told)
 
 
-def simulated(seconds: float) -> SimulatedKinect:
+def simulated(seconds):
     a, _, _ = simulated_pair(
         motion="still", seconds=seconds, body=BLAZEPOSE, depth="half", infrared=True, seed=1
     )
@@ -114,17 +107,15 @@ class Source(Sensor):
 
     name, body, making_ns = "s", BLAZEPOSE, 10 * MS
 
-    def __init__(self, frames: list[SensorFrame]) -> None:
+    def __init__(self, frames):
         self._frames = frames
         self.intrinsics = simulated(0.1).intrinsics
 
-    def frames(self) -> Iterator[SensorFrame]:
+    def frames(self):
         yield from self._frames
 
 
-def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(
-    networks: BlazePoseSettings, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(networks, monkeypatch):
     pace, used, told = TrackingPace(30.0, networks), [], []
     image = np.ones((288, 320), np.uint16)
     frames = [SensorFrame(k * 33 * MS, depth=image if k else None, ir=image) for k in range(80)]
@@ -132,7 +123,7 @@ def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(
     tracked = TrackedImages(Source(frames), networks, pace=pace, took=told.append, clock=lambda: next(ticks))
     monkeypatch.setattr(tracked.tracker, "track", lambda *_: {})
 
-    def use(network: str) -> None:
+    def use(network):
         used.append(network)
         tracked.tracker.settings = replace(tracked.tracker.settings, network=network)
 
@@ -144,7 +135,7 @@ def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(
     assert used == ["lite"], "once"
 
 
-def test_a_damaged_lighter_network_does_not_end_the_session(tmp_path: Path) -> None:
+def test_a_damaged_lighter_network_does_not_end_the_session(tmp_path):
     for file in (DETECTOR, LANDMARKS["full"]):
         (tmp_path / file.name).write_bytes((need_networks() / file.name).read_bytes())
     (tmp_path / LANDMARKS["lite"].name).write_bytes(b"damaged")

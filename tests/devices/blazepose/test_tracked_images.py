@@ -1,9 +1,6 @@
 """The tracker as a sensor, and the command that fetches its networks."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Self
 
 import cv2
 import numpy as np
@@ -27,41 +24,41 @@ class Images(Sensor):
     name, body, warnings = "prepared", BLAZEPOSE, ("a warning",)
     intrinsics: Intrinsics | None = CAMERA
 
-    def __init__(self, *frames: SensorFrame) -> None:
+    def __init__(self, *frames):
         self._frames = frames
         self.opened = False
         self.interrupted = False
 
-    def __enter__(self) -> Self:
+    def __enter__(self):
         self.opened = True
         return self
 
-    def __exit__(self, *exc_info: object) -> None:
+    def __exit__(self, *exc_info):
         self.opened = False
 
-    def frames(self) -> Iterator[SensorFrame]:
+    def frames(self):
         yield from self._frames
 
-    def interrupt(self) -> None:
+    def interrupt(self):
         self.interrupted = True
 
 
-def tracked(source: Sensor) -> TrackedImages:
+def tracked(source):
     return TrackedImages(source, BlazePoseSettings(models=need_networks()))
 
 
-def frame_of(ir: np.ndarray, depth: np.ndarray, *, color: ColorImage | None = None) -> SensorFrame:
+def frame_of(ir, depth, *, color=None):
     return SensorFrame(FRAME_NS, depth=depth, ir=None if color else ir, color=color)
 
 
-def color_of(ir: np.ndarray, move: RigidTransform | None = None) -> ColorImage:
+def color_of(ir, move=None):
     """The infrared image as a colour image of the depth camera, or of one that is moved against it."""
     grey = np.clip(np.sqrt(ir) * 8.0, 0, 255).astype(np.uint8)
     jpeg = cv2.imencode(".jpg", grey)[1].tobytes()
     return ColorImage(jpeg, ColorCamera(CAMERA, move or RigidTransform.of(np.eye(3), np.zeros(3))))
 
 
-def test_frames_of_a_simulated_kinect_get_people_and_keep_their_images() -> None:
+def test_frames_of_a_simulated_kinect_get_people_and_keep_their_images():
     a, _, _ = simulated_pair(seconds=0.1, depth="half", infrared=True)
     with tracked(a) as sensor:
         frames = list(sensor.frames())
@@ -73,7 +70,7 @@ def test_frames_of_a_simulated_kinect_get_people_and_keep_their_images() -> None
     assert frames[-1].depth is not None
 
 
-def test_only_images_with_depth_in_its_place_give_people() -> None:
+def test_only_images_with_depth_in_its_place_give_people():
     """Colour serves where there is no infrared and it is registered to depth; the source's people do not."""
     ir, depth = images_of([landmarks_at("startup", 1.0)])
     moved = color_of(ir, RigidTransform.of(np.eye(3), (0.03, 0.0, 0.0)))
@@ -94,14 +91,14 @@ def test_only_images_with_depth_in_its_place_give_people() -> None:
         assert [frame.people for frame in sensor.frames()] == [{}]
 
 
-def test_a_source_without_a_known_camera_is_reported() -> None:
+def test_a_source_without_a_known_camera_is_reported():
     source = Images(frame_of(*images_of([])))
     source.intrinsics = None
     with tracked(source) as sensor, pytest.raises(DeviceError, match="does not know its depth camera"):
         list(sensor.frames())
 
 
-def test_opening_and_closing_reach_the_source(tmp_path: Path) -> None:
+def test_opening_and_closing_reach_the_source(tmp_path):
     source = Images()
     with tracked(source) as sensor:
         assert source.opened
@@ -114,15 +111,13 @@ def test_opening_and_closing_reach_the_source(tmp_path: Path) -> None:
     assert not source.opened
 
 
-def test_the_command_says_that_the_networks_are_there(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_says_that_the_networks_are_there(capsys):
     folder = need_networks()
     assert duplex("tracker", "fetch", "--tracker-model", folder) == 0
     assert "already, and whole" in capsys.readouterr().out
 
 
-def test_the_command_fails_in_one_line_without_a_package_index(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_fails_in_one_line_without_a_package_index(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/simple")  # nothing listens there
     monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
     assert duplex("tracker", "fetch", "--tracker-model", tmp_path) == 2

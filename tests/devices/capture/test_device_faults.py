@@ -3,7 +3,6 @@
 import signal
 import threading
 import time
-from collections.abc import Callable
 
 import pytest
 
@@ -11,7 +10,6 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
-from devices.pairing import FramePair
 from devices.sensor import DeviceError, SensorFrame
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from tests.helpers.two_clocks import INTERVAL_NS
@@ -20,25 +18,25 @@ from tests.helpers.two_clocks import INTERVAL_NS
 class _Bench:
     """Two scripted sensors that run; ``both`` puts a frame on each."""
 
-    def __init__(self, **settings: object) -> None:
+    def __init__(self, **settings):
         self.a, self.b = ScriptedSensor("000123"), ScriptedSensor("000456")
-        self.two = TwoSensors(self.a, self.b, limits=TimeLimits(retry_s=0.05), **settings)  # type: ignore[arg-type]
+        self.two = TwoSensors(self.a, self.b, limits=TimeLimits(retry_s=0.05), **settings)
         self.start = time.perf_counter_ns()
         self.index = 0
         self.b_clock_ns = 0
 
-    def put(self, *sensors: ScriptedSensor) -> None:
+    def put(self, *sensors):
         self.index += 1
         host_ns = self.start + self.index * INTERVAL_NS
         for sensor in sensors:
             clock_ns = self.b_clock_ns if sensor is self.b else 0
             sensor.put(frame_at(self.index * INTERVAL_NS + clock_ns, host_ns))
 
-    def next_pair(self) -> FramePair:
+    def next_pair(self):
         return self.until(lambda pairs: len(pairs) > 0)[-1]
 
-    def until(self, done: Callable[[list[FramePair]], bool]) -> list[FramePair]:
-        pairs: list[FramePair] = []
+    def until(self, done):
+        pairs = []
         end = time.monotonic() + PATIENCE_S
         while not done(pairs):
             assert time.monotonic() < end, "nothing came"
@@ -46,7 +44,7 @@ class _Bench:
         return pairs
 
 
-def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back() -> None:
+def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back():
     # Pairing that by itself would wait forever: what goes on does so because the sensor is known to be gone.
     bench = _Bench(pairing=LivePairing(max_lag_ns=10**18, gone_after_ns=10**18))
     with bench.two as two:
@@ -64,7 +62,7 @@ def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back() 
         # Its clock restarts when it is plugged in, here slightly behind its last time.
         bench.b_clock_ns = -200_000_000
 
-        def paired_again(pairs: list[FramePair]) -> bool:
+        def paired_again(pairs):
             # A's frames go out alone until B's first one is here, so both go on.
             bench.put(bench.a, bench.b)
             return any(pair.a is not None and pair.b is not None for pair in pairs)
@@ -77,11 +75,11 @@ def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back() 
     assert "000456 is back" in told
 
 
-def test_a_pause_of_the_reader_is_not_one_of_the_sensors() -> None:
+def test_a_pause_of_the_reader_is_not_one_of_the_sensors():
     now = [100.0]
     bench = _Bench(clock=lambda: now[0])
 
-    def put_and_wait() -> None:
+    def put_and_wait():
         received = bench.two.a.received + 1
         bench.put(bench.a, bench.b)
         end = time.monotonic() + PATIENCE_S
@@ -100,9 +98,9 @@ def test_a_pause_of_the_reader_is_not_one_of_the_sensors() -> None:
 
 @pytest.mark.parametrize(("lag_ms", "words"), [(90, None), (150, "which wait for them"), (900, "too late")])
 @pytest.mark.parametrize("late", ["a", "b"])
-def test_a_sensor_whose_frames_come_late_is_named_once(late: str, lag_ms: int, words: str | None) -> None:
+def test_a_sensor_whose_frames_come_late_is_named_once(late, lag_ms, words):
     pairing = LivePairing(INTERVAL_NS)
-    told: list[str] = []
+    told = []
     two = TwoSensors(
         ScriptedSensor("000123"),
         ScriptedSensor("000456"),
@@ -113,7 +111,7 @@ def test_a_sensor_whose_frames_come_late_is_named_once(late: str, lag_ms: int, w
         host_ns = index * INTERVAL_NS
         for side in ("a", "b"):
             frame = SensorFrame(host_ns, host_ns=host_ns)
-            pairing.add(side, frame, host_ns + (lag_ms * 1_000_000 if side == late else 0))  # type: ignore[arg-type]
+            pairing.add(side, frame, host_ns + (lag_ms * 1_000_000 if side == late else 0))
         two.poll(0.0)
     name, other = ("000123", "000456") if late == "a" else ("000456", "000123")
     expected = [] if words is None else [f"The frames of {name} come {lag_ms} ms later than those of {other}"]
@@ -121,7 +119,7 @@ def test_a_sensor_whose_frames_come_late_is_named_once(late: str, lag_ms: int, w
     assert words is None or words in told[0]
 
 
-def test_a_sensor_that_does_not_open_closes_the_other() -> None:
+def test_a_sensor_that_does_not_open_closes_the_other():
     bench = _Bench()
     bench.a.open_faults = [DeviceError("No Kinect with serial 000123.")]
     with pytest.raises(DeviceError, match="No Kinect with serial 000123"):
@@ -130,11 +128,11 @@ def test_a_sensor_that_does_not_open_closes_the_other() -> None:
     assert all_threads_end()
 
 
-def test_the_subordinate_starts_first() -> None:
-    order: list[str] = []
+def test_the_subordinate_starts_first():
+    order = []
 
     class Noting(ScriptedSensor):
-        def __enter__(self) -> ScriptedSensor:
+        def __enter__(self):
             order.append(self.name)
             return super().__enter__()
 
@@ -144,7 +142,7 @@ def test_the_subordinate_starts_first() -> None:
     assert order == ["a", "b", "b", "a", "b", "a"]
 
 
-def test_both_sources_ended_end_the_pairs() -> None:
+def test_both_sources_ended_end_the_pairs():
     bench = _Bench()
     with bench.two as two:
         bench.put(bench.a, bench.b)
@@ -155,8 +153,8 @@ def test_both_sources_ended_end_the_pairs() -> None:
     assert [(pair.a is not None, pair.b is not None) for pair in pairs] == [(True, True), (True, False)]
 
 
-def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames() -> None:
-    told: list[str] = []
+def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames():
+    told = []
     release, closed = threading.Event(), threading.Event()
     a, b = ScriptedSensor("a"), ScriptedSensor("b")
     two = TwoSensors(a, b, tell=lambda event: told.append(event.text))
@@ -179,14 +177,14 @@ def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames() -> N
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
 @pytest.mark.parametrize("moment", ["opening a", "opening b", "between frames", "in a pair", "closing"])
-def test_ctrl_c_at_any_moment(moment: str) -> None:
+def test_ctrl_c_at_any_moment(moment):
     class Interrupted(ScriptedSensor):
-        def __enter__(self) -> ScriptedSensor:
+        def __enter__(self):
             if moment == f"opening {self.name}":
                 _press_ctrl_c()
             return super().__enter__()
 
-        def __exit__(self, *exc_info: object) -> None:
+        def __exit__(self, *exc_info):
             super().__exit__()
             if moment == "closing" and self.name == "a":
                 _press_ctrl_c()
@@ -202,7 +200,7 @@ def test_ctrl_c_at_any_moment(moment: str) -> None:
         assert sensor.opened == sensor.closed
 
 
-def _session(two: TwoSensors, a: ScriptedSensor, b: ScriptedSensor, moment: str) -> None:
+def _session(two, a, b, moment):
     if moment == "between frames":
         b.put(_press_ctrl_c)
     if moment in ("in a pair", "closing"):
@@ -216,18 +214,18 @@ def _session(two: TwoSensors, a: ScriptedSensor, b: ScriptedSensor, moment: str)
                 return
 
 
-def _press_ctrl_c() -> None:
+def _press_ctrl_c():
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
-def test_frames_are_counted_from_when_both_are_open() -> None:
+def test_frames_are_counted_from_when_both_are_open():
     bench = _Bench()
     came = threading.Event()
 
     class Loading(ScriptedSensor):
         """A sensor whose tracker loads for as long as the other gives a hundred frames."""
 
-        def __enter__(self) -> ScriptedSensor:
+        def __enter__(self):
             bench.b.put(*(frame_at(index * INTERVAL_NS) for index in range(100)), came.set)
             assert came.wait(PATIENCE_S)
             return super().__enter__()
@@ -253,11 +251,11 @@ def test_frames_are_counted_from_when_both_are_open() -> None:
         ("", "it is left behind. Unplug it"),
     ],
 )
-def test_a_sensor_that_still_loads_is_not_called_hung(waits_for: str, message: str) -> None:
+def test_a_sensor_that_still_loads_is_not_called_hung(waits_for, message):
     release = threading.Event()
 
     class Loading(ScriptedSensor):
-        def __enter__(self) -> ScriptedSensor:
+        def __enter__(self):
             assert release.wait(PATIENCE_S)
             return super().__enter__()
 

@@ -10,7 +10,6 @@ from devices.capture.stream_pairing import LivePairing
 from devices.events import Event
 from tests.helpers.scripted_sensor import ScriptedSensor
 from tests.helpers.slow_trackers import run_slow_trackers
-from tests.helpers.standin_pyk4a import Bus
 
 MS = 1_000_000
 PERIOD_NS = 33_333_333
@@ -18,9 +17,7 @@ PERIOD_NS = 33_333_333
 
 @pytest.mark.parametrize("tracking_ms", [(20, 20), (40, 40), (20, 60), (60, 20)])
 @pytest.mark.parametrize("latency_ms", [0, 100, 200])
-def test_frames_that_both_trackers_can_process_are_paired_and_new(
-    bus: Bus, latency_ms: int, tracking_ms: tuple[int, int]
-) -> None:
+def test_frames_that_both_trackers_can_process_are_paired_and_new(bus, latency_ms, tracking_ms):
     a, b = tracking_ms
     outcome = run_slow_trackers(
         bus, color_latency_ns=latency_ms * MS, tracking_ns=(a * MS, b * MS), seconds=12.0
@@ -30,14 +27,14 @@ def test_frames_that_both_trackers_can_process_are_paired_and_new(
     assert outcome.step == (1 if max(tracking_ms) < 33 else 2)
 
 
-def test_without_a_cable_the_same_moments_survive_too(bus: Bus) -> None:
+def test_without_a_cable_the_same_moments_survive_too(bus):
     outcome = run_slow_trackers(bus, tracking_ns=(60 * MS, 40 * MS), cable=False, seconds=12.0)
     assert outcome.paired >= 0.99
     assert outcome.age_ns <= 60 * MS + PERIOD_NS
 
 
 @pytest.mark.parametrize(("tracking_ms", "step"), [(10, 1), (31, 1), (34, 2), (60, 2), (70, 3), (1000, 32)])
-def test_the_step_follows_from_the_slowest_tracker(tracking_ms: int, step: int) -> None:
+def test_the_step_follows_from_the_slowest_tracker(tracking_ms, step):
     decimation = FrameDecimation(30)
     for index in range(30):
         for sensor, ms in (("a", 10), ("b", 10_000 if index < 2 else tracking_ms)):
@@ -49,7 +46,7 @@ def test_the_step_follows_from_the_slowest_tracker(tracking_ms: int, step: int) 
     )
 
 
-def test_a_tracker_that_recovers_gets_every_frame_again_and_a_short_hitch_changes_nothing() -> None:
+def test_a_tracker_that_recovers_gets_every_frame_again_and_a_short_hitch_changes_nothing():
     decimation, steps = FrameDecimation(30), []
     for ms in [20] * 20 + [200, 200] + [20] * 20 + [50] * 10 + [20] * 90:
         decimation.tracked("a", ms * MS)
@@ -61,7 +58,7 @@ def test_a_tracker_that_recovers_gets_every_frame_again_and_a_short_hitch_change
 
 
 @pytest.mark.parametrize("second_ms", [40, 80])
-def test_two_trackers_that_wait_for_one_gpu_in_turn_keep_one_rate(second_ms: int) -> None:
+def test_two_trackers_that_wait_for_one_gpu_in_turn_keep_one_rate(second_ms):
     decimation, steps = FrameDecimation(30), []
     for index in range(1300):
         behind = decimation.step < 3  # the GPU is busy with 80 ms for both
@@ -76,7 +73,7 @@ def test_two_trackers_that_wait_for_one_gpu_in_turn_keep_one_rate(second_ms: int
     assert len(changes) <= 1 + 2 * 4
 
 
-def _moments(decimation: FrameDecimation, sensor: str, times_ns: list[int], clock_ns: int, ppm: float = 0.0):
+def _moments(decimation, sensor, times_ns, clock_ns, ppm=0.0):
     return [
         decimation.moment(sensor, round(at_ns * (1 + ppm * 1e-6)) + clock_ns, at_ns + 15 * MS)
         for at_ns in times_ns
@@ -84,7 +81,7 @@ def _moments(decimation: FrameDecimation, sensor: str, times_ns: list[int], cloc
 
 
 @pytest.mark.parametrize("clock_ns", [0, 12_345_678_901, -500 * MS])
-def test_both_count_the_same_moments_whatever_their_clocks_say(clock_ns: int) -> None:
+def test_both_count_the_same_moments_whatever_their_clocks_say(clock_ns):
     decimation = FrameDecimation(30)
     times = [10**12 + index * PERIOD_NS for index in range(200)]
     a, b = [], []
@@ -97,7 +94,7 @@ def test_both_count_the_same_moments_whatever_their_clocks_say(clock_ns: int) ->
     assert [later - first for first, later in pairwise(a)].count(2) == 1
 
 
-def test_clocks_that_drift_apart_for_an_hour_stay_on_one_grid() -> None:
+def test_clocks_that_drift_apart_for_an_hour_stay_on_one_grid():
     decimation = FrameDecimation(30)
     off = 0
     for index in range(108_000):
@@ -110,7 +107,7 @@ def test_clocks_that_drift_apart_for_an_hour_stay_on_one_grid() -> None:
     assert off <= 0.75  # the hysteresis is 0.6; a period of B is 50 ppm longer
 
 
-def test_a_clock_that_is_reset_finds_its_place_again() -> None:
+def test_a_clock_that_is_reset_finds_its_place_again():
     decimation = FrameDecimation(30)
     for index in range(200):
         at_ns = 10**12 + index * PERIOD_NS
@@ -120,7 +117,7 @@ def test_a_clock_that_is_reset_finds_its_place_again() -> None:
             assert a == b, index
 
 
-def test_pairing_is_as_patient_as_the_frames_are_few() -> None:
+def test_pairing_is_as_patient_as_the_frames_are_few():
     pairing = LivePairing(PERIOD_NS)
     assert (pairing.max_lag_ns, pairing._gone_after_ns) == (250 * MS, 500 * MS)
     pairing.set_interval(300 * MS)
@@ -129,7 +126,7 @@ def test_pairing_is_as_patient_as_the_frames_are_few() -> None:
     assert (pairing.max_lag_ns, pairing._gone_after_ns) == (250 * MS, 500 * MS)
 
 
-def test_sensors_are_given_as_long_as_a_tracker_of_seconds_takes() -> None:
+def test_sensors_are_given_as_long_as_a_tracker_of_seconds_takes():
     decimation, told = FrameDecimation(30), list[Event]()
     sensors = TwoSensors(ScriptedSensor("a"), ScriptedSensor("b"), decimation=decimation, tell=told.append)
     sensors.poll(0.0)

@@ -1,24 +1,21 @@
 """Sensors on their own threads, driven step by step. No test sleeps; each waits for an event."""
 
-from __future__ import annotations
-
 import gc
 import signal
 import threading
 import weakref
-from collections.abc import Iterator
 
 import pytest
 
 from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError
 from fusion.body import AZURE_KINECT
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from tests.helpers.waiting import eventually
 
 
-def _after(sensor: ScriptedSensor) -> None:
+def _after(sensor):
     """Returns when the sensor's thread has processed everything that was put before."""
     done = threading.Event()
     sensor.put(done.set)
@@ -26,17 +23,17 @@ def _after(sensor: ScriptedSensor) -> None:
 
 
 @pytest.fixture
-def sensor() -> ScriptedSensor:
+def sensor():
     return ScriptedSensor()
 
 
 @pytest.fixture
-def thread(sensor: ScriptedSensor) -> Iterator[SensorThread]:
+def thread(sensor):
     with SensorThread(sensor, keep=2) as running:
         yield running
 
 
-def test_the_newest_frames_win_and_drops_are_counted(sensor: ScriptedSensor, thread: SensorThread) -> None:
+def test_the_newest_frames_win_and_drops_are_counted(sensor, thread):
     sensor.put(*(frame_at(index) for index in range(100)))
     _after(sensor)
     assert [frame.time_ns for _, frame in thread.take()] == [98, 99]
@@ -44,7 +41,7 @@ def test_the_newest_frames_win_and_drops_are_counted(sensor: ScriptedSensor, thr
     assert (thread.received, thread.dropped) == (100, 98)
 
 
-def test_dropped_frames_are_freed(sensor: ScriptedSensor, thread: SensorThread) -> None:
+def test_dropped_frames_are_freed(sensor, thread):
     frames = [frame_at(index) for index in range(50)]
     alive = [weakref.ref(frame) for frame in frames]
     sensor.put(*frames)
@@ -56,14 +53,14 @@ def test_dropped_frames_are_freed(sensor: ScriptedSensor, thread: SensorThread) 
     assert sum(ref() is not None for ref in alive) <= 1
 
 
-def test_every_arrival_wakes_the_reader(sensor: ScriptedSensor, thread: SensorThread) -> None:
+def test_every_arrival_wakes_the_reader(sensor, thread):
     for index in range(3):
         thread.arrival.clear()
         sensor.put(frame_at(index))
         assert thread.arrival.wait(PATIENCE_S)
 
 
-def test_frames_get_their_time_of_arrival(sensor: ScriptedSensor) -> None:
+def test_frames_get_their_time_of_arrival(sensor):
     with SensorThread(sensor, clock=lambda: 42.5) as thread:
         sensor.put(frame_at(1), frame_at(2, host_ns=7))
         _after(sensor)
@@ -71,16 +68,16 @@ def test_frames_get_their_time_of_arrival(sensor: ScriptedSensor) -> None:
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
-def test_ctrl_c_while_a_sensor_opens_closes_it() -> None:
+def test_ctrl_c_while_a_sensor_opens_closes_it():
     pressed = threading.Event()
 
     class Interrupted(ScriptedSensor):
-        def __enter__(self) -> ScriptedSensor:
+        def __enter__(self):
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
             assert pressed.wait(PATIENCE_S)
             return super().__enter__()
 
-        def interrupt(self) -> None:
+        def interrupt(self):
             pressed.set()
 
     sensor = Interrupted()
@@ -92,10 +89,10 @@ def test_ctrl_c_while_a_sensor_opens_closes_it() -> None:
     assert sensor.opened == sensor.closed
 
 
-def test_a_lost_sensor_is_reopened_until_it_is_back(sensor: ScriptedSensor) -> None:
-    pauses: list[float] = []
+def test_a_lost_sensor_is_reopened_until_it_is_back(sensor):
+    pauses = []
 
-    def pause(stopping: threading.Event, seconds: float) -> bool:
+    def pause(stopping, seconds):
         pauses.append(seconds)
         return stopping.is_set()
 
@@ -117,8 +114,8 @@ def test_a_lost_sensor_is_reopened_until_it_is_back(sensor: ScriptedSensor) -> N
     assert (sensor.opened, sensor.closed) == (2, 2)
 
 
-def test_a_lost_sensor_is_reported_before_its_driver_has_closed_it(sensor: ScriptedSensor) -> None:
-    seen: list[SensorState] = []
+def test_a_lost_sensor_is_reported_before_its_driver_has_closed_it(sensor):
+    seen = []
     with SensorThread(sensor) as thread:
         sensor.close_hook = lambda: seen.append(thread.state)
         sensor.put(unplugged())
@@ -127,7 +124,7 @@ def test_a_lost_sensor_is_reported_before_its_driver_has_closed_it(sensor: Scrip
     assert sum("unplugged" in event.text for event in thread.events()) == 1
 
 
-def test_a_slow_first_frame_is_allowed_and_reported_once(sensor: ScriptedSensor) -> None:
+def test_a_slow_first_frame_is_allowed_and_reported_once(sensor):
     now = [100.0]
     with SensorThread(
         sensor, limits=TimeLimits(60.0, 2.0), clock=lambda: now[0], wait=lambda *_: False
@@ -148,7 +145,7 @@ def test_a_slow_first_frame_is_allowed_and_reported_once(sensor: ScriptedSensor)
         assert ["stalls: no frame for 60 s" in event.text for event in thread.events()] == [True]
 
 
-def test_a_sensor_whose_tracker_takes_seconds_is_not_called_stalled(sensor: ScriptedSensor) -> None:
+def test_a_sensor_whose_tracker_takes_seconds_is_not_called_stalled(sensor):
     now = [100.0]
     with SensorThread(sensor, limits=TimeLimits(stall_s=2.0), clock=lambda: now[0]) as thread:
         sensor.put(frame_at(0))
@@ -165,7 +162,7 @@ def test_a_sensor_whose_tracker_takes_seconds_is_not_called_stalled(sensor: Scri
         assert thread.state is SensorState.STALLED
 
 
-def test_a_silent_sensor_is_stalled_and_then_not(sensor: ScriptedSensor) -> None:
+def test_a_silent_sensor_is_stalled_and_then_not(sensor):
     now = [100.0]
     with SensorThread(sensor, limits=TimeLimits(stall_s=2.0), clock=lambda: now[0]) as thread:
         sensor.put(frame_at(0))
@@ -183,7 +180,7 @@ def test_a_silent_sensor_is_stalled_and_then_not(sensor: ScriptedSensor) -> None
         assert ["again" in event.text for event in thread.events()] == [True]
 
 
-def test_a_source_that_ends_is_ended_not_lost(sensor: ScriptedSensor) -> None:
+def test_a_source_that_ends_is_ended_not_lost(sensor):
     with SensorThread(sensor) as thread:
         sensor.put(frame_at(1))
         _after(sensor)
@@ -195,7 +192,7 @@ def test_a_source_that_ends_is_ended_not_lost(sensor: ScriptedSensor) -> None:
     assert sensor.opened == 1
 
 
-def test_a_fault_of_the_program_reaches_the_reader(sensor: ScriptedSensor, thread: SensorThread) -> None:
+def test_a_fault_of_the_program_reaches_the_reader(sensor, thread):
     thread.arrival.clear()
     sensor.put(ZeroDivisionError("a bug"))
     assert thread.arrival.wait(PATIENCE_S)
@@ -204,7 +201,7 @@ def test_a_fault_of_the_program_reaches_the_reader(sensor: ScriptedSensor, threa
     assert isinstance(told.value.__cause__, ZeroDivisionError)
 
 
-def test_closing_a_waiting_sensor_does_not_hang(sensor: ScriptedSensor) -> None:
+def test_closing_a_waiting_sensor_does_not_hang(sensor):
     thread = SensorThread(sensor).open()
     assert thread.close(PATIENCE_S)
     assert (sensor.opened, sensor.closed) == (1, 1)
@@ -212,7 +209,7 @@ def test_closing_a_waiting_sensor_does_not_hang(sensor: ScriptedSensor) -> None:
     assert thread.close()
 
 
-def test_closing_a_driver_that_hangs_leaves_it_behind(sensor: ScriptedSensor) -> None:
+def test_closing_a_driver_that_hangs_leaves_it_behind(sensor):
     release = threading.Event()
     thread = SensorThread(sensor).open()
     sensor.put(lambda: release.wait(PATIENCE_S))
@@ -223,10 +220,10 @@ def test_closing_a_driver_that_hangs_leaves_it_behind(sensor: ScriptedSensor) ->
     release.set()
 
 
-def test_a_lost_sensor_says_so_and_closing_ends_its_retries(sensor: ScriptedSensor) -> None:
+def test_a_lost_sensor_says_so_and_closing_ends_its_retries(sensor):
     reached = threading.Event()
 
-    def pause(stopping: threading.Event, _seconds: float) -> bool:
+    def pause(stopping, _seconds):
         reached.set()
         return stopping.wait(PATIENCE_S)
 
@@ -240,19 +237,19 @@ def test_a_lost_sensor_says_so_and_closing_ends_its_retries(sensor: ScriptedSens
     assert sensor.opened == 1
 
 
-def test_a_class_that_only_has_a_sensors_methods_runs() -> None:
+def test_a_class_that_only_has_a_sensors_methods_runs():
     class OwnSensor:
         name, body, intrinsics, warnings = "own", AZURE_KINECT, None, ()
 
-        def __enter__(self) -> OwnSensor:
+        def __enter__(self):
             return self
 
-        def __exit__(self, *error: object) -> None: ...
+        def __exit__(self, *error): ...
 
-        def frames(self) -> Iterator[SensorFrame]:
+        def frames(self):
             yield from map(frame_at, (1, 2))
 
-    thread = SensorThread(OwnSensor())  # type: ignore[arg-type]
+    thread = SensorThread(OwnSensor())
     with thread:
         assert eventually(lambda: thread.state is SensorState.ENDED)
         assert [arrival.frame.time_ns for arrival in thread.take()] == [1, 2]

@@ -9,24 +9,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from devices.capture.stream_pairing import LivePairing
-from devices.pairing import FramePair
 from devices.sensor import SensorFrame
-from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS, Shot, run, shots, true_skews
+from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS, run, shots, true_skews
 
 MILLISECOND_NS = 1_000_000
 WARM_UP = 90  # frames: by then the least delay of both sensors has been seen
 
 
-def _both(pairs: list[FramePair]) -> list[FramePair]:
+def _both(pairs):
     return [pair for pair in pairs if pair.a is not None and pair.b is not None]
 
 
-def _in_order(pairs: list[FramePair]) -> bool:
+def _in_order(pairs):
     times = [pair.time_ns for pair in pairs]
     return all(earlier < later for earlier, later in pairwise(times))
 
 
-def _every_frame_of_a_once(pairs: list[FramePair], a: list[Shot]) -> bool:
+def _every_frame_of_a_once(pairs, a):
     return [pair.a for pair in pairs if pair.a is not None] == [shot.frame for shot in a]
 
 
@@ -38,9 +37,7 @@ def _every_frame_of_a_once(pairs: list[FramePair], a: list[Shot]) -> bool:
     extra_latency_ms=st.floats(0, 2),
     seed=st.integers(0, 1000),
 )
-def test_frames_of_one_moment_pair_whatever_the_clocks_say(
-    phase_ms: float, clock_s: float, ppm: float, extra_latency_ms: float, seed: int
-) -> None:
+def test_frames_of_one_moment_pair_whatever_the_clocks_say(phase_ms, clock_s, ppm, extra_latency_ms, seed):
     phase_ns = round(phase_ms * MILLISECOND_NS)
     a = shots("a", 12, seed=seed)
     b = shots(
@@ -66,7 +63,7 @@ def test_frames_of_one_moment_pair_whatever_the_clocks_say(
 
 
 @pytest.mark.parametrize("ppm", [50, -50])
-def test_no_pair_is_lost_while_clocks_drift_by_frames(ppm: float) -> None:
+def test_no_pair_is_lost_while_clocks_drift_by_frames(ppm):
     a = shots("a", 900)
     b = shots("b", 900, phase_ns=4_000_000, clock_ns=-77 * SECOND_NS, ppm=ppm)
     pairing = LivePairing(INTERVAL_NS)
@@ -81,7 +78,7 @@ def test_no_pair_is_lost_while_clocks_drift_by_frames(ppm: float) -> None:
     assert pairing.figures.drift_ppm == pytest.approx(ppm, abs=4)
 
 
-def test_a_constant_sync_delay_is_expected_and_found_to_the_microsecond() -> None:
+def test_a_constant_sync_delay_is_expected_and_found_to_the_microsecond():
     a = shots("a", 20)
     b = shots("b", 20, phase_ns=160_000, clock_ns=123_456_789_000, latency_ns=26_000_000)
     pairing = LivePairing(INTERVAL_NS, sync_delay_ns=160_000)
@@ -92,7 +89,7 @@ def test_a_constant_sync_delay_is_expected_and_found_to_the_microsecond() -> Non
     assert pairing.figures.offset_ns == pytest.approx(123_456_789_000, abs=1000)
 
 
-def test_a_subordinate_that_is_a_may_capture_later_than_b() -> None:
+def test_a_subordinate_that_is_a_may_capture_later_than_b():
     a, b = shots("a", 5, phase_ns=160_000), shots("b", 5)
     pairing = LivePairing(INTERVAL_NS, sync_delay_ns=-160_000)
     assert _both(run(pairing, a, b))[-1].skew_ns == pytest.approx(-160_000, abs=1000)
@@ -100,7 +97,7 @@ def test_a_subordinate_that_is_a_may_capture_later_than_b() -> None:
 
 @pytest.mark.parametrize("side", ["a", "b"])
 @pytest.mark.parametrize("restart_ns", [0, 900 * SECOND_NS])
-def test_a_reset_clock_is_found_and_pairing_goes_on(side: str, restart_ns: int) -> None:
+def test_a_reset_clock_is_found_and_pairing_goes_on(side, restart_ns):
     a, b = (
         shots("a", 10, clock_ns=50 * SECOND_NS),
         shots("b", 10, clock_ns=50 * SECOND_NS, phase_ns=3_000_000),
@@ -123,7 +120,7 @@ def test_a_reset_clock_is_found_and_pairing_goes_on(side: str, restart_ns: int) 
     assert pairs[-1].time_ns - pairs[0].time_ns == pytest.approx(10 * SECOND_NS, abs=0.06 * SECOND_NS)
 
 
-def test_a_sensor_5_fps_slower_costs_only_its_missing_frames() -> None:
+def test_a_sensor_5_fps_slower_costs_only_its_missing_frames():
     a, b = shots("a", 20), shots("b", 20, fps=25)
     pairing = LivePairing(INTERVAL_NS)
     pairs = run(pairing, a, b)
@@ -135,7 +132,7 @@ def test_a_sensor_5_fps_slower_costs_only_its_missing_frames() -> None:
     assert np.abs(true_skews(pairs, a, b)).max() <= INTERVAL_NS / 2 + MILLISECOND_NS
 
 
-def test_a_faster_b_gives_its_nearest_frames_and_the_rest_are_counted() -> None:
+def test_a_faster_b_gives_its_nearest_frames_and_the_rest_are_counted():
     a, b = shots("a", 20, fps=25), shots("b", 20)
     pairing = LivePairing(INTERVAL_NS)
     pairs = run(pairing, a, b)
@@ -146,7 +143,7 @@ def test_a_faster_b_gives_its_nearest_frames_and_the_rest_are_counted() -> None:
     assert figures.pairs + figures.unmatched_b == len(b)
 
 
-def test_it_goes_on_with_a_while_b_is_gone_and_takes_b_back() -> None:
+def test_it_goes_on_with_a_while_b_is_gone_and_takes_b_back():
     a, b = shots("a", 9), shots("b", 9, clock_ns=7 * SECOND_NS)
     b = [shot for shot in b if not 3 * SECOND_NS < shot.true_ns - b[0].true_ns < 6 * SECOND_NS]
     pairing = LivePairing(INTERVAL_NS)
@@ -159,7 +156,7 @@ def test_it_goes_on_with_a_while_b_is_gone_and_takes_b_back() -> None:
     assert all(pair.b is not None for pair in pairs[-80:])
 
 
-def test_it_goes_on_with_b_while_a_is_gone_and_takes_a_back() -> None:
+def test_it_goes_on_with_b_while_a_is_gone_and_takes_a_back():
     a, b = shots("a", 9), shots("b", 9, clock_ns=7 * SECOND_NS)
     a = [shot for shot in a if not 3 * SECOND_NS < shot.true_ns - a[0].true_ns < 6 * SECOND_NS]
     pairing = LivePairing(INTERVAL_NS)
@@ -177,7 +174,7 @@ def test_it_goes_on_with_b_while_a_is_gone_and_takes_a_back() -> None:
     assert alone.time_ns == pytest.approx(truth[id(alone.b)], abs=MILLISECOND_NS)
 
 
-def test_a_sensor_reported_as_gone_is_not_waited_for() -> None:
+def test_a_sensor_reported_as_gone_is_not_waited_for():
     pairing = _aligned()
     pairing.set_gone("b", True)
     (pair,) = pairing.add("a", SensorFrame(30 * INTERVAL_NS), 30 * INTERVAL_NS)
@@ -191,11 +188,11 @@ def test_a_sensor_reported_as_gone_is_not_waited_for() -> None:
 
 @pytest.mark.parametrize("late", ["a", "b"])
 @pytest.mark.parametrize("lag_ms", [0, 60, 150, 240])
-def test_a_sensor_whose_frames_come_steadily_later_still_pairs(late: str, lag_ms: int) -> None:
+def test_a_sensor_whose_frames_come_steadily_later_still_pairs(late, lag_ms):
     streams = []
     for side in ("a", "b"):
         held_ns = lag_ms * MILLISECOND_NS if side == late else 0
-        stream = shots(side, 10, clock_ns=10**10 * (side == "b"))  # type: ignore[arg-type]
+        stream = shots(side, 10, clock_ns=10**10 * (side == "b"))
         streams.append([replace(shot, arrives_ns=shot.arrives_ns + held_ns) for shot in stream])
     pairing = LivePairing(INTERVAL_NS)
     pairs = run(pairing, *streams)
@@ -205,15 +202,13 @@ def test_a_sensor_whose_frames_come_steadily_later_still_pairs(late: str, lag_ms
 
 
 @pytest.mark.parametrize(("lag_ms", "waits_ms"), [(0, 0), (100, 100), (600, 250)])
-def test_a_frame_waits_as_long_as_the_other_sensor_takes_and_an_interval_more(
-    lag_ms: int, waits_ms: int
-) -> None:
+def test_a_frame_waits_as_long_as_the_other_sensor_takes_and_an_interval_more(lag_ms, waits_ms):
     pairing = LivePairing(INTERVAL_NS, gone_after_ns=10**18)
     events = [(index * INTERVAL_NS, "a", index) for index in range(60)]
     events += [(index * INTERVAL_NS + lag_ms * MILLISECOND_NS, "b", index) for index in range(60)]
     for at_ns, side, index in sorted(events):
         if at_ns < 30 * INTERVAL_NS:
-            pairing.add(side, SensorFrame(index * INTERVAL_NS, host_ns=index * INTERVAL_NS), at_ns)  # type: ignore[arg-type]
+            pairing.add(side, SensorFrame(index * INTERVAL_NS, host_ns=index * INTERVAL_NS), at_ns)
     last_ns = 29 * INTERVAL_NS
     pairing.poll(last_ns + INTERVAL_NS)
     begun_ns = last_ns + INTERVAL_NS
@@ -226,24 +221,24 @@ def test_a_frame_waits_as_long_as_the_other_sensor_takes_and_an_interval_more(
     assert pair.b is None
 
 
-def _aligned(count: int = 30) -> LivePairing:
+def _aligned(count=30):
     """After ``count`` pairs without jitter; the next frames are at ``count`` times the interval."""
     pairing = LivePairing(INTERVAL_NS)
     for index in range(count):
         for side in ("a", "b"):
-            pairing.add(side, SensorFrame(index * INTERVAL_NS), index * INTERVAL_NS)  # type: ignore[arg-type]
+            pairing.add(side, SensorFrame(index * INTERVAL_NS), index * INTERVAL_NS)
     assert pairing.figures.pairs == count
     return pairing
 
 
-def test_a_repeated_frame_and_one_whose_time_has_passed_are_left_out() -> None:
+def test_a_repeated_frame_and_one_whose_time_has_passed_are_left_out():
     pairing = _aligned()
     assert pairing.add("a", SensorFrame(29 * INTERVAL_NS), 30 * INTERVAL_NS) == []
     assert pairing.add("b", SensorFrame(28 * INTERVAL_NS + 1), 30 * INTERVAL_NS) == []
     assert (pairing.figures.repeated, pairing.figures.late, pairing.figures.pairs) == (1, 1, 30)
 
 
-def test_frames_out_of_order_are_put_in_their_place() -> None:
+def test_frames_out_of_order_are_put_in_their_place():
     pairing = _aligned()
     now = 32 * INTERVAL_NS
     assert pairing.add("a", SensorFrame(31 * INTERVAL_NS), now) == []
@@ -256,7 +251,7 @@ def test_frames_out_of_order_are_put_in_their_place() -> None:
     assert pairing.figures.reordered == 1
 
 
-def test_time_never_goes_back_when_a_returns() -> None:
+def test_time_never_goes_back_when_a_returns():
     pairing = _aligned()
     pairing.set_gone("a", True)
     (alone,) = pairing.add("b", SensorFrame(31 * INTERVAL_NS), 31 * INTERVAL_NS)
@@ -268,14 +263,14 @@ def test_time_never_goes_back_when_a_returns() -> None:
     assert back.time_ns > alone.time_ns
 
 
-def test_memory_is_bounded_when_the_other_sensor_hangs() -> None:
+def test_memory_is_bounded_when_the_other_sensor_hangs():
     pairing = LivePairing(INTERVAL_NS, max_lag_ns=10**18, gone_after_ns=10**18)
     pairing.add("b", SensorFrame(0), 0)
     given_out = sum(len(pairing.add("a", SensorFrame(i * INTERVAL_NS), i * INTERVAL_NS)) for i in range(1000))
     assert given_out >= 1000 - 8
 
 
-def test_a_sensor_opened_anew_starts_its_clock_anew() -> None:
+def test_a_sensor_opened_anew_starts_its_clock_anew():
     pairing = _aligned()
     # Back after 0.2 s with a clock 0.2 s behind: this cannot be distinguished from a late frame.
     pairing.restart("b")
@@ -288,10 +283,10 @@ def test_a_sensor_opened_anew_starts_its_clock_anew() -> None:
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(data=st.data())
-def test_any_mixture_of_faults_keeps_order_and_loses_no_frame_unseen(data: st.DataObject) -> None:
+def test_any_mixture_of_faults_keeps_order_and_loses_no_frame_unseen(data):
     streams = []
     for side in ("a", "b"):
-        stream = shots(side, 4, clock_ns=data.draw(st.integers(0, 10**12)))  # type: ignore[arg-type]
+        stream = shots(side, 4, clock_ns=data.draw(st.integers(0, 10**12)))
         kept = []
         for shot in stream:
             fate = data.draw(st.sampled_from(["ok"] * 6 + ["lost", "twice", "held up"]))

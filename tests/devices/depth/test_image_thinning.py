@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from devices.depth.image_thinning import (
-    Depth,
     has_images,
     thinned,
     thinned_camera,
@@ -22,7 +21,7 @@ LENS = Intrinsics(33, 26, 27.1, 26.9, 15.8, 12.3, (0.5, -2.6, 1e-4, -2e-4, 1.5, 
 
 
 @pytest.mark.parametrize("depth", ["half", "full"])
-def test_a_thinned_image_gives_the_points_of_the_pixels_that_are_kept(depth: Depth) -> None:
+def test_a_thinned_image_gives_the_points_of_the_pixels_that_are_kept(depth):
     image = np.random.default_rng(0).integers(500, 4000, (LENS.height, LENS.width)).astype(np.uint16)
     kept, camera = thinned(image, depth), thinned_camera(LENS, depth)
     assert kept.shape == (camera.height, camera.width)
@@ -32,10 +31,10 @@ def test_a_thinned_image_gives_the_points_of_the_pixels_that_are_kept(depth: Dep
     np.testing.assert_allclose(depth_to_points(kept, ray_table(camera)), expected, atol=4 * 2.4e-7)
 
 
-def test_a_pair_keeps_its_skeletons_whatever_becomes_of_its_images() -> None:
+def test_a_pair_keeps_its_skeletons_whatever_becomes_of_its_images():
     (pair,) = frame_pairs(AZURE_KINECT, 1, depth=True)
     shapes = {}
-    depths: tuple[Depth, ...] = ("none", "half", "full")
+    depths = ("none", "half", "full")
     for depth in depths:
         kept = with_depth(pair, depth)
         assert kept.skeletons == pair.skeletons
@@ -45,7 +44,7 @@ def test_a_pair_keeps_its_skeletons_whatever_becomes_of_its_images() -> None:
     assert not has_images(without_images(pair))
 
 
-def test_infrared_goes_with_the_depth_image_of_the_same_pixels() -> None:
+def test_infrared_goes_with_the_depth_image_of_the_same_pixels():
     (pair,) = frame_pairs(AZURE_KINECT, 1, depth=True)
     pair = replace(pair, a=replace(pair.a, ir=np.arange(24 * 32, dtype=np.uint16).reshape(24, 32)))
     half, none, bare = with_depth(pair, "half"), with_depth(pair, "none"), without_images(pair)

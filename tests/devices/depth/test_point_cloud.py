@@ -1,7 +1,5 @@
 """Depth images as points: against the lens's model written out, and an ideal lens by hand."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from fusion.intrinsics import Intrinsics
 IDEAL = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5)
 
 
-def _project(points: np.ndarray, lens: Intrinsics) -> np.ndarray:
+def _project(points, lens):
     """OpenCV's rational model, from its definition."""
     k1, k2, p1, p2, k3, k4, k5, k6 = lens.distortion
     x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
@@ -24,7 +22,7 @@ def _project(points: np.ndarray, lens: Intrinsics) -> np.ndarray:
     return np.stack((lens.fx * u + lens.cx, lens.fy * v + lens.cy), axis=-1)
 
 
-def test_real_points_project_back_onto_their_pixels(shared: Path) -> None:
+def test_real_points_project_back_onto_their_pixels(shared):
     with MkvRecording(shared / "azure" / "recording.mkv") as recording:
         (frame,) = recording.frames()
         lens = recording.intrinsics
@@ -35,14 +33,14 @@ def test_real_points_project_back_onto_their_pixels(shared: Path) -> None:
     np.testing.assert_allclose(points[:, 2], frame.depth[rows, columns] / 1000, rtol=1e-6)
 
 
-def test_a_pixel_right_and_below_the_centre_is_right_and_below() -> None:
+def test_a_pixel_right_and_below_the_centre_is_right_and_below():
     depth = np.zeros((48, 64), np.uint16)
     depth[40, 60] = 2000
     (point,) = depth_to_points(depth, ray_table(IDEAL))
     np.testing.assert_allclose(point, [2 * (60 - 31.5) / 50, 2 * (40 - 23.5) / 50, 2.0], rtol=1e-6)
 
 
-def test_pixels_outside_the_lens_model_give_no_point() -> None:
+def test_pixels_outside_the_lens_model_give_no_point():
     # With this k1 no ray reaches beyond r(1 - 0.5 r²) = 0.544, but the image's corner is at 0.78.
     lens = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, (-0.5, 0.0, 0.0, 0.0))
     rays = ray_table(lens)
@@ -53,6 +51,6 @@ def test_pixels_outside_the_lens_model_give_no_point() -> None:
     assert np.isfinite(points).all()
 
 
-def test_a_depth_image_of_another_mode_is_refused() -> None:
+def test_a_depth_image_of_another_mode_is_refused():
     with pytest.raises(DeviceError, match="ray table"):
         depth_to_points(np.zeros((24, 32), np.uint16), ray_table(IDEAL))

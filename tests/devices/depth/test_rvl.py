@@ -3,13 +3,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from numpy.typing import NDArray
 
 from devices.depth.rvl import decode_depth, encode_depth
 from devices.sensor import DeviceError
 
 
-def wall(height: int = 576, width: int = 640) -> NDArray[np.uint16]:
+def wall(height=576, width=640):
     """A slanted wall with 2 mm noise, a missing stripe and missing pixels."""
     rng = np.random.default_rng(0)
     y, x = np.mgrid[:height, :width]
@@ -23,16 +22,16 @@ def wall(height: int = 576, width: int = 640) -> NDArray[np.uint16]:
     arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=40))
     | arrays(np.uint16, (20, 30), elements=st.sampled_from([0, 0, 1, 65535, 32768]))
 )
-def test_nothing_is_lost(depth: NDArray[np.uint16]) -> None:
+def test_nothing_is_lost(depth):
     np.testing.assert_array_equal(decode_depth(encode_depth(depth)), depth)
 
 
-def test_a_depth_image_shrinks_to_less_than_half() -> None:
+def test_a_depth_image_shrinks_to_less_than_half():
     assert len(encode_depth(wall())) < 0.5 * wall().nbytes
 
 
 @given(st.binary(max_size=400), st.integers(0, 399), st.integers(0, 255))
-def test_bytes_that_are_no_image_are_refused(junk: bytes, at: int, value: int) -> None:
+def test_bytes_that_are_no_image_are_refused(junk, at, value):
     blob = bytearray(encode_depth(wall(24, 32)))
     blob[at % len(blob)] = value
     with pytest.raises(DeviceError, match="damaged"):

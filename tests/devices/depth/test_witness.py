@@ -5,7 +5,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from devices.depth.witness import depth_witness, with_witness
 from devices.sensor import SensorFrame
@@ -22,16 +21,14 @@ BODY = KINECT_V2
 WRIST = BODY.joint("WristLeft")
 
 
-def skeleton_with(at: tuple[float, float, float]) -> Skeleton:
+def skeleton_with(at):
     """Only the left wrist has a place."""
     positions = np.full((len(BODY), 3), np.nan)
     positions[WRIST] = at
     return Skeleton.of(BODY, positions)
 
 
-def bar(
-    left: float, right: float, z: float = 2.0, wall: float = 3.5, lens: Intrinsics = LENS
-) -> NDArray[np.uint16]:
+def bar(left, right, z=2.0, wall=3.5, lens=LENS):
     """An upright bar between two places (metres, right of the sensor) at depth z, before a wall."""
     columns = (np.arange(lens.width) - lens.cx) / lens.fx * z
     image = np.full((lens.height, lens.width), round(1000 * wall), dtype=np.uint16)
@@ -39,9 +36,7 @@ def bar(
     return image
 
 
-def brute_force(
-    image: NDArray[np.uint16], at: tuple[float, float, float]
-) -> tuple[float, float, float, float]:
+def brute_force(image, at):
     """The definitions of ``fusion.witness``, over all pixels of an image of LENS."""
     x, y, z = (float(np.float32(c)) for c in at)
     along = np.sqrt(x * x + y * y + z * z) / z
@@ -63,7 +58,7 @@ def brute_force(
 
 
 @pytest.mark.parametrize("x", [0.0, 0.02, -0.03, 0.055, -0.09, 0.3])
-def test_a_bar_is_measured_as_by_brute_force(x: float) -> None:
+def test_a_bar_is_measured_as_by_brute_force(x):
     position = (x, 0.1, 2.02)
     image = bar(-0.04, 0.04)
     found = depth_witness(image, LENS, skeleton_with(position))[WRIST]
@@ -75,7 +70,7 @@ def test_a_bar_is_measured_as_by_brute_force(x: float) -> None:
     np.testing.assert_allclose(found[2:], expected[2:], atol=0.3 * pixel)  # which pixels the disc's rim has
 
 
-def test_in_the_middle_of_a_limb_and_beside_it() -> None:
+def test_in_the_middle_of_a_limb_and_beside_it():
     pixel = 2.03 / LENS.fx
     gap, edge, x, y = depth_witness(bar(-0.04, 0.04), LENS, skeleton_with((0.0, 0.0, 2.03)))[WRIST]
     assert gap == pytest.approx(-0.03, abs=1e-4)
@@ -85,7 +80,7 @@ def test_in_the_middle_of_a_limb_and_beside_it() -> None:
     assert (gap, edge) == pytest.approx((1.5, -0.06), rel=0.01, abs=pixel)
 
 
-def test_nothing_is_said_without_a_reading_a_place_or_an_image() -> None:
+def test_nothing_is_said_without_a_reading_a_place_or_an_image():
     image = bar(-0.04, 0.04)
     found = depth_witness(image, LENS, skeleton_with((0.0, 0.0, 2.0)))
     assert np.isnan(found[np.arange(len(BODY)) != WRIST]).all()
@@ -100,7 +95,7 @@ def test_nothing_is_said_without_a_reading_a_place_or_an_image() -> None:
     assert with_witness(SensorFrame(0, {PERSON: seen}, image), LENS).people[PERSON] is seen
 
 
-def test_the_lens_is_opencvs() -> None:
+def test_the_lens_is_opencvs():
     """Each column has its own depth, so that the gap tells which pixel was read."""
     lens = Intrinsics(640, 576, 504.0, 505.0, 320.5, 330.5, (0.5, -0.3, 3e-4, -2e-4, 0.01, 0.8, -0.2, 0.05))
     position = np.array([[0.7, -0.5, 1.9]])
@@ -114,7 +109,7 @@ def test_the_lens_is_opencvs() -> None:
         assert (gap / along + position[0, 2]) * 1e3 - 1500 == pytest.approx(expected, abs=0.3)  # float16
 
 
-def test_a_witness_has_four_numbers_a_joint() -> None:
+def test_a_witness_has_four_numbers_a_joint():
     skeleton = skeleton_with((0.0, 0.0, 2.0))
     with pytest.raises(FusionError, match=r"has shape \(25, 4\); got \(25, 2\)"):
         skeleton.with_witness(np.zeros((25, 2), dtype=np.float32))

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,7 +44,7 @@ class KinectSensor:
 '''
 
 
-def test_a_kinect_v2_is_published_in_the_projects_axes(tmp_path: Path) -> None:
+def test_a_kinect_v2_is_published_in_the_projects_axes(tmp_path):
     (tmp_path / "kinect_next.py").write_text(STAND_IN, encoding="utf-8")
     address = free_address()
     example = subprocess.Popen(

@@ -19,21 +19,21 @@ from devices.network.messages import (
     encode_sensor,
 )
 from devices.sensor import SensorFrame
-from fusion.body import AZURE_KINECT, BODIES, Body
+from fusion.body import AZURE_KINECT, BODIES
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 
 CAMERA = Intrinsics(320, 288, 252.0, 252.5, 160.0, 144.0, (0.1, -0.2, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0))
 
 
-def person(body: Body = AZURE_KINECT, seed: int = 0, time_ns: int = 7) -> Skeleton:
+def person(body=AZURE_KINECT, seed=0, time_ns=7):
     rng = np.random.default_rng(seed)
     positions = rng.uniform(0.5, 3.0, (len(body), 3))
     skeleton = Skeleton.of(body, positions, rng.integers(0, 3, len(body)), time_ns)
     return skeleton.with_witness(rng.normal(size=(len(body), 4)).astype(np.float32)) if seed % 2 else skeleton
 
 
-def message(body: Body = AZURE_KINECT, depth: bool = False) -> FrameMessage:
+def message(body=AZURE_KINECT, depth=False):
     image = np.random.default_rng(1).integers(0, 4000, (24, 32)).astype(np.uint16) if depth else None
     people = {"1": person(body, 0), "änother": person(body, 1)}
     return FrameMessage(2**64 - 1, 41, SensorFrame(7, people, image, host_ns=99), 123)
@@ -41,7 +41,7 @@ def message(body: Body = AZURE_KINECT, depth: bool = False) -> FrameMessage:
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)
 @pytest.mark.parametrize("depth", [False, True])
-def test_a_frame_comes_back_bit_for_bit(body: Body, depth: bool) -> None:
+def test_a_frame_comes_back_bit_for_bit(body, depth):
     sent = message(body, depth)
     got = decode_frame(encode_frame(sent))
     assert (got.session, got.sequence, got.sent_ns) == (sent.session, sent.sequence, sent.sent_ns)
@@ -58,7 +58,7 @@ def test_a_frame_comes_back_bit_for_bit(body: Body, depth: bool) -> None:
 
 
 @pytest.mark.parametrize("camera", [None, CAMERA])
-def test_other_messages_come_back(camera: Intrinsics | None) -> None:
+def test_other_messages_come_back(camera):
     sensor, clock = SensorMessage(3, "000123", AZURE_KINECT, camera, 33_333_333), ClockMessage(8, 1, 2, 3)
     assert decode_sensor(encode_sensor(sensor)) == sensor
     assert decode_clock(encode_clock(clock)) == clock
@@ -67,7 +67,7 @@ def test_other_messages_come_back(camera: Intrinsics | None) -> None:
 
 
 @pytest.mark.parametrize("depth", [False, True])
-def test_every_cut_and_every_flipped_bit_is_noticed(depth: bool) -> None:
+def test_every_cut_and_every_flipped_bit_is_noticed(depth):
     whole = encode_frame(message(depth=depth))
     for end in range(len(whole)):
         with pytest.raises(MalformedError):
@@ -81,7 +81,7 @@ def test_every_cut_and_every_flipped_bit_is_noticed(depth: bool) -> None:
             decode_frame(bytes(damaged))
 
 
-def test_a_message_of_another_kind_or_version_is_refused() -> None:
+def test_a_message_of_another_kind_or_version_is_refused():
     clock = encode_clock(ClockMessage(1, 2))
     with pytest.raises(MalformedError, match="another kind"):
         decode_frame(clock)
@@ -89,7 +89,7 @@ def test_a_message_of_another_kind_or_version_is_refused() -> None:
         decode_clock(resealed(clock[:4] + b"\x02" + clock[5:]))
 
 
-def test_well_formed_nonsense_is_refused() -> None:
+def test_well_formed_nonsense_is_refused():
     """Messages of a faulty sender, with a correct checksum."""
     whole = encode_frame(message())
     for at in range(28, len(whole) - 4):
@@ -103,7 +103,7 @@ def test_well_formed_nonsense_is_refused() -> None:
                 assert np.isfinite(skeleton.positions[skeleton.has_position]).all()
 
 
-def test_an_image_of_absurd_size_is_refused_before_it_is_made() -> None:
+def test_an_image_of_absurd_size_is_refused_before_it_is_made():
     image = struct.pack("<iffii", 0, 0.0, 0.0, 1 << 15, 1 << 15) + b"\x88" * 4
     whole = encode_frame(FrameMessage(1, 0, SensorFrame(0), 0))
     forged = whole[:4] + whole[4:-8] + struct.pack("<I", len(image)) + image + whole[-4:]
@@ -112,6 +112,6 @@ def test_an_image_of_absurd_size_is_refused_before_it_is_made() -> None:
         decode_frame(resealed(forged))
 
 
-def resealed(data: bytes) -> bytes:
+def resealed(data):
     """The message with its checksum made right."""
     return data[:-4] + struct.pack("<I", zlib.crc32(data[:-4]))

@@ -1,8 +1,7 @@
 """A remote sensor over real Zenoh sessions: frames, clocks, absence, restarts, hostile input."""
 
 import threading
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 
 import numpy as np
 import pytest
@@ -26,26 +25,26 @@ CAMERA = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5)
 
 
 @pytest.fixture
-def address() -> str:
+def address():
     return free_address()
 
 
 @contextmanager
-def publisher(address: str, sensor: ScriptedSensor | None = None, **more: bool) -> Iterator[FramePublisher]:
+def publisher(address, sensor=None, **more):
     sensor = sensor or ScriptedSensor("000123")
     with FramePublisher(KEY, ZenohAddresses(connect=(address,)), sensor, **more) as open_publisher:
         yield open_publisher
 
 
-def remote(address: str, appear_s: float = 20.0) -> RemoteSensor:
+def remote(address, appear_s=20.0):
     return RemoteSensor(KEY, ZenohAddresses(listen=(address,)), appear_s=appear_s)
 
 
-def frames_through(published: FramePublisher, thread: SensorThread, wanted: int) -> list[SensorFrame]:
+def frames_through(published, thread, wanted):
     """Publishes frames until so many have arrived."""
-    came: list[SensorFrame] = []
+    came = []
 
-    def more() -> bool:
+    def more():
         published.publish(frame_at(1_000_000 * published.published, people=True))
         came.extend(frame for _, frame in thread.take())
         return len(came) >= wanted
@@ -54,7 +53,7 @@ def frames_through(published: FramePublisher, thread: SensorThread, wanted: int)
     return came
 
 
-def test_published_frames_arrive_in_order_with_their_capture_times(address: str) -> None:
+def test_published_frames_arrive_in_order_with_their_capture_times(address):
     with publisher(address) as published, SensorThread(remote(address), keep=64) as thread:
         clock = published._clock
         sent_from = clock()
@@ -70,7 +69,7 @@ def test_published_frames_arrive_in_order_with_their_capture_times(address: str)
             assert sent_from - link.clock_bound_ns <= frame.host_ns <= clock()
 
 
-def test_depth_images_arrive_if_asked_for(address: str) -> None:
+def test_depth_images_arrive_if_asked_for(address):
     image = np.arange(64 * 48, dtype=np.uint16).reshape(48, 64)
     sensor = ScriptedSensor()
     sensor.intrinsics = CAMERA
@@ -79,7 +78,7 @@ def test_depth_images_arrive_if_asked_for(address: str) -> None:
             assert far.intrinsics == CAMERA
             frames = far.frames()
 
-            def send(to: FramePublisher = published) -> bool:
+            def send(to=published):
                 to.publish(SensorFrame(to.published, depth=image))
                 return bool(far._inbox)
 
@@ -91,18 +90,18 @@ def test_depth_images_arrive_if_asked_for(address: str) -> None:
                 assert np.array_equal(got.depth, image)
 
 
-def test_an_absent_sensor_gives_one_line(address: str) -> None:
+def test_an_absent_sensor_gives_one_line(address):
     with pytest.raises(
         AbsentError, match=r"Nobody publishes 'lab/a' at tcp/.*Start duplex sensor --publish lab/a"
     ):
         remote(address, appear_s=0.0).__enter__()
 
 
-def test_waiting_for_a_sensor_can_be_interrupted(address: str) -> None:
+def test_waiting_for_a_sensor_can_be_interrupted(address):
     far = remote(address, appear_s=3600.0)
     thread = SensorThread(far, limits=TimeLimits(open_s=3600.0))
 
-    def open_it() -> None:
+    def open_it():
         with suppress(DeviceError):
             thread.open()
 
@@ -114,7 +113,7 @@ def test_waiting_for_a_sensor_can_be_interrupted(address: str) -> None:
     assert not opening.is_alive()
 
 
-def test_a_program_that_is_started_anew_is_taken_back(address: str) -> None:
+def test_a_program_that_is_started_anew_is_taken_back(address):
     with ExitStack() as stack:
         stack.enter_context(zenoh_session(ZenohAddresses(listen=(address,))))
         far = remote(address)
@@ -132,16 +131,16 @@ def test_a_program_that_is_started_anew_is_taken_back(address: str) -> None:
         assert "zenoh:lab/a is back." in said
 
 
-def test_two_programs_under_one_key_are_reported_and_the_first_goes_on(address: str) -> None:
+def test_two_programs_under_one_key_are_reported_and_the_first_goes_on(address):
     with ExitStack() as stack:
         published = stack.enter_context(publisher(address))
         thread = stack.enter_context(SensorThread(remote(address), keep=64))
         frames_through(published, thread, 5)
         elsewhere = ZenohAddresses(connect=(address, address))  # a session of its own
         second = stack.enter_context(FramePublisher(KEY, elsewhere, ScriptedSensor()))
-        said: list[str] = []
+        said = []
 
-        def reported() -> bool:
+        def reported():
             second.publish(frame_at(0, people=True))
             frames_through(published, thread, 1)
             said.extend(thread.sensor.take_link_news())
@@ -154,7 +153,7 @@ def test_two_programs_under_one_key_are_reported_and_the_first_goes_on(address: 
         assert (thread.returns, thread.sensor.link.restarts, thread.sensor.link.malformed) == (0, 0, 0)
 
 
-def test_another_body_after_a_restart_gives_one_line(address: str) -> None:
+def test_another_body_after_a_restart_gives_one_line(address):
     far = remote(address)
     with publisher(address), far:
         pass
@@ -167,9 +166,9 @@ def test_another_body_after_a_restart_gives_one_line(address: str) -> None:
         far.__enter__()
 
 
-def test_publishing_ends_with_its_sensor_and_keeps_the_order(address: str) -> None:
+def test_publishing_ends_with_its_sensor_and_keeps_the_order(address):
     sensor = ScriptedSensor()
-    told: list[str] = []
+    told = []
     with remote_after(publisher(address, sensor), address) as (published, far):
         with SensorThread(sensor, keep=8) as thread:
             sensor.put(*(frame_at(k, people=True) for k in range(5)), None)
@@ -182,23 +181,21 @@ def test_publishing_ends_with_its_sensor_and_keeps_the_order(address: str) -> No
 
 
 @contextmanager
-def remote_after(
-    opening: AbstractContextManager[FramePublisher], address: str
-) -> Iterator[tuple[FramePublisher, RemoteSensor]]:
+def remote_after(opening, address):
     """A publisher and a remote sensor that receives its frames."""
     with opening as published, remote(address) as far:
 
-        def heard() -> bool:
+        def heard():
             return bool(published._publisher.matching_status.matching)
 
         assert eventually(heard)
         yield published, far
 
 
-def test_a_clock_request_without_content_is_counted(address: str) -> None:
+def test_a_clock_request_without_content_is_counted(address):
     with publisher(address) as published, zenoh_session(ZenohAddresses(connect=(address,))) as session:
 
-        def counted() -> bool:
+        def counted():
             assert not list(session.get(f"{KEY}/{CLOCK}", timeout=1.0))
             return published.malformed > 0
 

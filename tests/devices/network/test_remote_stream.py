@@ -16,27 +16,27 @@ MS, SECOND = 1_000_000, 1_000_000_000
 HOST_AHEAD_NS = 7 * SECOND  # the publishing PC's clock minus ours
 
 
-def opened(session: int = 1) -> RemoteStream:
+def opened(session=1):
     stream = RemoteStream()
     stream.begin(SensorMessage(session, "k", AZURE_KINECT, None, 33_333_333))
     return stream
 
 
-def frame(sequence: int, session: int = 1, host_ns: int = 0) -> bytes:
+def frame(sequence, session=1, host_ns=0):
     return encode_frame(FrameMessage(session, sequence, SensorFrame(sequence * 33 * MS, host_ns=host_ns), 0))
 
 
-def number(frame: SensorFrame | None) -> int | None:
+def number(frame):
     return None if frame is None else frame.time_ns // (33 * MS)
 
 
-def test_missing_numbers_are_counted_and_nothing_waits_for_them() -> None:
+def test_missing_numbers_are_counted_and_nothing_waits_for_them():
     stream = opened()
     assert [number(stream.receive(frame(k), k * 33 * MS)) for k in (5, 6, 9)] == [5, 6, 9]
     assert (stream.figures.received, stream.figures.lost) == (3, 2)
 
 
-def test_the_clock_of_another_pc_is_known_within_half_of_the_shortest_round_trip() -> None:
+def test_the_clock_of_another_pc_is_known_within_half_of_the_shortest_round_trip():
     """One-way delays are 0.2 ms at least and differ by up to 30 ms, all of it on the way back."""
     rng = np.random.default_rng(0)
     clock, now_ns = RemoteClock(), 0
@@ -50,7 +50,7 @@ def test_the_clock_of_another_pc_is_known_within_half_of_the_shortest_round_trip
     assert bound < 2 * MS  # the shortest of 20 delays of 10 ms is about 0.5 ms; 0.5 ms of drift in 10 s
 
 
-def test_a_clock_that_drifts_is_followed() -> None:
+def test_a_clock_that_drifts_is_followed():
     """40 ppm for ten minutes are 24 ms; the newest seconds must count."""
     clock, offset, now_ns = RemoteClock(), 0, 0
     for k in range(1200):
@@ -62,19 +62,19 @@ def test_a_clock_that_drifts_is_followed() -> None:
 
 
 @pytest.mark.parametrize("reply", [(0, 5, 4, 10), (10, 0, 0, 5), (0, 0, 100, 10)])
-def test_an_impossible_reply_is_left_out(reply: tuple[int, int, int, int]) -> None:
+def test_an_impossible_reply_is_left_out(reply):
     clock = RemoteClock()
     assert not clock.add(*reply)
     assert clock.offset_ns(0) is None
 
 
-def test_the_clock_is_read_while_a_reply_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_clock_is_read_while_a_reply_arrives(monkeypatch):
     """The loop reads the figures, the sensor's thread takes the replies; a deque raised RuntimeError."""
     clock, bound = RemoteClock(), remote_stream._bound
     for now_ns in (1_000, 2_000):
         assert clock.add(now_ns - 1_000, 0, 0, now_ns)
 
-    def meanwhile(reply: tuple[int, int, int], now_ns: int) -> float:
+    def meanwhile(reply, now_ns):
         assert clock.add(2_000, 0, 0, 2_500)
         return bound(reply, now_ns)
 
@@ -83,7 +83,7 @@ def test_the_clock_is_read_while_a_reply_arrives(monkeypatch: pytest.MonkeyPatch
     assert clock.replies > 2
 
 
-def test_capture_times_come_to_this_machines_clock() -> None:
+def test_capture_times_come_to_this_machines_clock():
     stream = opened()
     asked = stream.clock_request(1000 * MS)
     assert asked
@@ -93,7 +93,7 @@ def test_capture_times_come_to_this_machines_clock() -> None:
     assert got.host_ns == 1500 * MS
 
 
-def test_another_run_of_the_program_is_noticed_and_its_numbers_start_anew() -> None:
+def test_another_run_of_the_program_is_noticed_and_its_numbers_start_anew():
     stream = opened(session=1)
     assert number(stream.receive(frame(500, 1), 0)) == 500
     assert stream.receive(frame(0, 2), 1) is None
@@ -111,7 +111,7 @@ def test_another_run_of_the_program_is_noticed_and_its_numbers_start_anew() -> N
 
 
 @pytest.mark.parametrize("order", [(1, 2), (2, 1)])
-def test_two_programs_that_answer_one_request_are_a_double_key_and_no_restart(order: tuple[int, int]) -> None:
+def test_two_programs_that_answer_one_request_are_a_double_key_and_no_restart(order):
     stream = opened(session=1)
     for k in range(20):
         asked = k * SECOND // 2
@@ -124,7 +124,7 @@ def test_two_programs_that_answer_one_request_are_a_double_key_and_no_restart(or
     assert stream.figures.malformed == 0
 
 
-def test_a_slow_reply_is_taken_after_many_further_requests() -> None:
+def test_a_slow_reply_is_taken_after_many_further_requests():
     stream = opened()
     for k in range(40):  # two seconds
         stream.clock_request(k * 50 * MS)
@@ -132,7 +132,7 @@ def test_a_slow_reply_is_taken_after_many_further_requests() -> None:
     assert stream.figures.malformed == 0
 
 
-def test_a_reply_that_nobody_asked_for_or_that_comes_twice_is_left_out() -> None:
+def test_a_reply_that_nobody_asked_for_or_that_comes_twice_is_left_out():
     stream = opened()
     reply = encode_clock(ClockMessage(1, 5, 6, 7))
     assert not stream.clock_reply(reply, 7)
@@ -141,7 +141,7 @@ def test_a_reply_that_nobody_asked_for_or_that_comes_twice_is_left_out() -> None
     assert (stream.replies, stream.doubled, stream.figures.malformed) == (1, 0, 2)
 
 
-def test_one_absurd_number_does_not_end_a_sensor() -> None:
+def test_one_absurd_number_does_not_end_a_sensor():
     stream = opened()
     absurd = encode_frame(FrameMessage(1, 2**64 - 1, SensorFrame(0), 0))
     assert number(stream.receive(frame(0), 0)) == 0
@@ -149,7 +149,7 @@ def test_one_absurd_number_does_not_end_a_sensor() -> None:
     assert [number(stream.receive(frame(k), 2)) for k in (1, 2)] == [1, 2]
 
 
-def test_a_broken_connection_to_the_same_run_is_no_restart() -> None:
+def test_a_broken_connection_to_the_same_run_is_no_restart():
     stream = opened()
     stream.receive(frame(0), 0)
     stream.begin(SensorMessage(1, "k", AZURE_KINECT, None, 33_333_333))
@@ -157,7 +157,7 @@ def test_a_broken_connection_to_the_same_run_is_no_restart() -> None:
     assert (stream.figures.lost, stream.figures.restarts) == (30, 0)
 
 
-def test_damaged_messages_are_counted_and_change_nothing() -> None:
+def test_damaged_messages_are_counted_and_change_nothing():
     stream, rng, given = opened(), np.random.default_rng(3), []
     for sequence in range(300):
         good = frame(sequence)
@@ -169,7 +169,7 @@ def test_damaged_messages_are_counted_and_change_nothing() -> None:
     assert stream.figures.malformed == 300
 
 
-def test_pairs_go_on_with_loss_and_jitter() -> None:
+def test_pairs_go_on_with_loss_and_jitter():
     """5 % loss on each side leaves 28.5 frames of A per second; each gives a pair.
 
     In 120 s that is 3420 ± 13 frames; 28.0 per second are 3360, more than four deviations below. A pair is

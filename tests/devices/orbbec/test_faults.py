@@ -1,7 +1,6 @@
 """Faults of a live Orbbec sensor: the same as those of an Azure Kinect."""
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -12,7 +11,7 @@ from devices.orbbec import sdk_access
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.orbbec.sensor import OrbbecSensor
 from devices.sensor import AbsentError, DeviceError
-from tests.helpers.orbbec.standin import Orbbec, OrbbecBus
+from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.orbbec.standin_values import OBError
 from tests.helpers.usb_tree import plug_in
 from tests.helpers.waiting import eventually
@@ -21,16 +20,16 @@ A, B = "CL8H741005K", "CL8H7410123"
 
 
 @pytest.fixture
-def one(orbbecs: OrbbecBus) -> Orbbec:
+def one(orbbecs):
     orbbecs.devices = [Orbbec(A)]
     return orbbecs.devices[0]
 
 
-def _sensor(serial: str = A, **settings: object) -> OrbbecSensor:
-    return OrbbecSensor(serial, CaptureSettings(**settings))  # type: ignore[arg-type]
+def _sensor(serial=A, **settings):
+    return OrbbecSensor(serial, CaptureSettings(**settings))
 
 
-def test_no_device(orbbecs: OrbbecBus) -> None:
+def test_no_device(orbbecs):
     assert orbbecs.devices == []
     assert connected_orbbecs() == []
     with pytest.raises(AbsentError, match=rf"No Orbbec sensor with serial {A}\. No other is connected\."):
@@ -40,20 +39,20 @@ def test_no_device(orbbecs: OrbbecBus) -> None:
         _sensor().__enter__()
 
 
-def test_the_search_for_sensors_fails(orbbecs: OrbbecBus) -> None:
+def test_the_search_for_sensors_fails(orbbecs):
     orbbecs.fault = OBError("libusb: no permission")
     with pytest.raises(DeviceError, match=r"cannot search for sensors \(libusb: no per.*99-obsensor"):
         connected_orbbecs()
 
 
-def test_device_busy(one: Orbbec) -> None:
+def test_device_busy(one):
     one.busy = True
     with pytest.raises(DeviceError, match=r"cannot be opened: it is busy.*libusb error -6.*OrbbecViewer"):
         _sensor().__enter__()
     assert len(one.opened) == 0
 
 
-def test_no_permission(one: Orbbec, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_no_permission(one, monkeypatch, tmp_path):
     one.busy = True
     plug_in(tmp_path, A, product="066b", vendor="2bc5")
     monkeypatch.setattr(os, "access", lambda *_: False)
@@ -63,11 +62,11 @@ def test_no_permission(one: Orbbec, monkeypatch: pytest.MonkeyPatch, tmp_path: P
         _sensor().__enter__()
 
 
-def test_unplugged_at_open(one: Orbbec, orbbecs: OrbbecBus, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unplugged_at_open(one, orbbecs, monkeypatch):
     read = OrbbecSensor._read_calibration
 
-    def pull_the_plug(self: OrbbecSensor, *arguments: object) -> None:
-        read(self, *arguments)  # type: ignore[arg-type]
+    def pull_the_plug(self, *arguments):
+        read(self, *arguments)
         one.plugged = False
 
     monkeypatch.setattr(OrbbecSensor, "_read_calibration", pull_the_plug)
@@ -76,14 +75,14 @@ def test_unplugged_at_open(one: Orbbec, orbbecs: OrbbecBus, monkeypatch: pytest.
     assert orbbecs.open_serials == []
 
 
-def test_cameras_that_do_not_start_leave_the_sensor_closed(one: Orbbec, orbbecs: OrbbecBus) -> None:
+def test_cameras_that_do_not_start_leave_the_sensor_closed(one, orbbecs):
     one.starts = False
     with pytest.raises(DeviceError, match=r"did not start its cameras \(Failed.*two USB controllers"):
         _sensor().__enter__()
     assert orbbecs.open_serials == []
 
 
-def test_unplugged_mid_stream(one: Orbbec, orbbecs: OrbbecBus) -> None:
+def test_unplugged_mid_stream(one, orbbecs):
     with _sensor(stall_s=3.0) as sensor:
         frames = sensor.frames()
         next(frames)
@@ -93,7 +92,7 @@ def test_unplugged_mid_stream(one: Orbbec, orbbecs: OrbbecBus) -> None:
     assert orbbecs.open_serials == []
 
 
-def test_unplugged_at_close(one: Orbbec, orbbecs: OrbbecBus) -> None:
+def test_unplugged_at_close(one, orbbecs):
     sensor = _sensor().__enter__()
     one.plugged = False
     sensor.__exit__()
@@ -105,7 +104,7 @@ def test_unplugged_at_close(one: Orbbec, orbbecs: OrbbecBus) -> None:
 
 
 @pytest.mark.parametrize("fault", ["silent", "blind"])
-def test_stream_stalls(one: Orbbec, fault: str) -> None:
+def test_stream_stalls(one, fault):
     with _sensor(stall_s=5.0) as sensor:
         frames = sensor.frames()
         next(frames)
@@ -114,7 +113,7 @@ def test_stream_stalls(one: Orbbec, fault: str) -> None:
             next(frames)
 
 
-def test_stream_of_a_secondary_stalls_without_its_primary(orbbecs: OrbbecBus) -> None:
+def test_stream_of_a_secondary_stalls_without_its_primary(orbbecs):
     orbbecs.devices = [Orbbec(A), Orbbec(B)]
     with _sensor(A, sync="subordinate", start_s=30.0, stall_s=5.0) as secondary:
         with pytest.raises(DeviceError, match=r"no depth for 30 s.*check the primary, the sync hub"):
@@ -126,8 +125,8 @@ def test_stream_of_a_secondary_stalls_without_its_primary(orbbecs: OrbbecBus) ->
             next(frames)
 
 
-def test_a_fault_of_the_sdk_mid_stream(one: Orbbec) -> None:
-    def fails() -> None:
+def test_a_fault_of_the_sdk_mid_stream(one):
+    def fails():
         raise OBError("frame queue overflow")
 
     one.at[1] = fails
@@ -137,16 +136,16 @@ def test_a_fault_of_the_sdk_mid_stream(one: Orbbec) -> None:
             next(frames)
 
 
-def test_a_lost_sensor_is_taken_back(orbbecs: OrbbecBus) -> None:
+def test_a_lost_sensor_is_taken_back(orbbecs):
     orbbecs.devices = [Orbbec(A, paced=True), Orbbec(B, paced=True)]
     lost = orbbecs.devices[1]
     sensors = [_sensor(serial, timeout_ms=20, stall_s=0.1) for serial in (A, B)]
     with TwoSensors(*sensors, limits=TimeLimits(retry_s=0.02)) as two:
 
-        def alone_now() -> bool:
+        def alone_now():
             return any(pair.a is not None and pair.b is None for pair in two.poll())
 
-        def paired_now() -> bool:
+        def paired_now():
             return any(pair.a is not None and pair.b is not None for pair in two.poll())
 
         eventually(paired_now)

@@ -1,8 +1,5 @@
 """Recordings of Orbbec's SDK v2, through the stand-in's ``PlaybackDevice``."""
 
-from pathlib import Path
-
-import numpy as np
 import pytest
 
 from devices.blazepose.blazepose import BlazePose
@@ -12,20 +9,20 @@ from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import Skeleton
-from tests.helpers.orbbec.standin import Bag, Orbbec, OrbbecBus
+from tests.helpers.orbbec.standin import Bag, Orbbec
 from tests.helpers.two_views import A_FROM_B, moving
 
 OURS = TrackerChoice("blazepose", "a test")
 
 
-def _bag(bus: OrbbecBus, path: Path, frames: int = 5, **faults: object) -> Path:
+def _bag(bus, path, frames=5, **faults):
     path.touch()
     ends = bool(faults.pop("ends", True))
-    bus.bags[str(path)] = Bag(Orbbec(path.stem, **faults), frames, ends)  # type: ignore[arg-type]
+    bus.bags[str(path)] = Bag(Orbbec(path.stem, **faults), frames, ends)
     return path
 
 
-def test_a_recording_gives_its_frames_and_ends(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+def test_a_recording_gives_its_frames_and_ends(orbbecs, tmp_path):
     path = _bag(orbbecs, tmp_path / "a.bag")
     with OrbbecRecording(path) as recording:
         frames = list(recording.frames())
@@ -40,11 +37,11 @@ def test_a_recording_gives_its_frames_and_ends(orbbecs: OrbbecBus, tmp_path: Pat
     assert "frames are missing: 8;" in recording.warnings[0]
 
 
-def test_a_recording_that_never_reports_its_end_is_abandoned(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+def test_a_recording_that_never_reports_its_end_is_abandoned(orbbecs, tmp_path):
     path = _bag(orbbecs, tmp_path / "a.bag", ends=False)
     now = [0.0]
 
-    def clock() -> float:
+    def clock():
         now[0] += 1.0
         return now[0]
 
@@ -52,16 +49,16 @@ def test_a_recording_that_never_reports_its_end_is_abandoned(orbbecs: OrbbecBus,
         assert len(list(recording.frames())) == 5
 
 
-def test_a_fault_of_closing_does_not_hide_what_was_read(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+def test_a_fault_of_closing_does_not_hide_what_was_read(orbbecs, tmp_path):
     path = _bag(orbbecs, tmp_path / "a.bag")
     with OrbbecRecording(path) as recording:
         frames = recording.frames()
         next(frames)
         orbbecs.bags[str(path)].sensor.plugged = False  # the stand-in's stop now fails
-        frames.close()  # type: ignore[attr-defined]
+        frames.close()
 
 
-def test_a_file_that_is_not_a_recording_is_refused(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_recording_is_refused(orbbecs, tmp_path):
     other = tmp_path / "other.bag"
     with pytest.raises(DeviceError, match="No file"):
         OrbbecRecording(other).__enter__()
@@ -73,17 +70,13 @@ def test_a_file_that_is_not_a_recording_is_refused(orbbecs: OrbbecBus, tmp_path:
         OrbbecRecording(blind).__enter__()
 
 
-def test_two_recordings_are_tracked_by_our_tracker(
-    orbbecs: OrbbecBus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_recordings_are_tracked_by_our_tracker(orbbecs, tmp_path, monkeypatch):
     truth = moving(BLAZEPOSE, 20)
     for name in "ab":
         _bag(orbbecs, tmp_path / f"{name}.bag", 20)
     monkeypatch.setattr(BlazePose, "__enter__", lambda self: self)
 
-    def track(
-        _self: BlazePose, image: np.ndarray, depth: np.ndarray, _camera: object, time_ns: int
-    ) -> dict[str, Skeleton]:
+    def track(_self, image, depth, _camera, time_ns):
         assert image.shape == depth.shape
         seen = truth[int(depth[0, 0]) - 2001]  # the stand-in's depth numbers its frames
         return {"1": Skeleton.of(BLAZEPOSE, A_FROM_B.inverse().apply(seen), time_ns=time_ns)}
@@ -97,7 +90,7 @@ def test_two_recordings_are_tracked_by_our_tracker(
         assert frame_count(source) == 20
 
 
-def test_k4abt_cannot_be_asked_for(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+def test_k4abt_cannot_be_asked_for(orbbecs, tmp_path):
     path = _bag(orbbecs, tmp_path / "a.bag")
     with pytest.raises(DeviceError, match=r"a\.bag: k4abt takes images of libk4a only"):
         open_source(path, tracker=TrackerChoice("k4abt", "asked for with --tracker", asked=True))

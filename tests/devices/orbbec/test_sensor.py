@@ -15,23 +15,23 @@ from devices.orbbec.sdk_access import connected_orbbecs, how_to_install, load_sd
 from devices.orbbec.sensor import OrbbecSensor
 from devices.sensor import DeviceError
 from tests.helpers.orbbec import standin_values as values
-from tests.helpers.orbbec.standin import JPEG, Orbbec, OrbbecBus
+from tests.helpers.orbbec.standin import JPEG, Orbbec
 
 A, B = "CL8H741005K", "CL8H7410123"
 MODES = values.OBMultiDeviceSyncMode
 
 
 @pytest.fixture
-def two(orbbecs: OrbbecBus) -> OrbbecBus:
+def two(orbbecs):
     orbbecs.devices = [Orbbec(A), Orbbec(B)]
     return orbbecs
 
 
-def _sensor(serial: str = A, **settings: object) -> OrbbecSensor:
-    return OrbbecSensor(serial, CaptureSettings(**settings))  # type: ignore[arg-type]
+def _sensor(serial=A, **settings):
+    return OrbbecSensor(serial, CaptureSettings(**settings))
 
 
-def test_listing_opens_nothing_and_takes_one_context(two: OrbbecBus) -> None:
+def test_listing_opens_nothing_and_takes_one_context(two):
     two.devices[1].busy = True
     expected = [
         ConnectedSensor(index, serial, False, False, sdk="orbbec", description="Orbbec Femto Bolt, USB3.2")
@@ -43,7 +43,7 @@ def test_listing_opens_nothing_and_takes_one_context(two: OrbbecBus) -> None:
     assert two.open_serials == []
 
 
-def test_frames_carry_depth_infrared_and_the_sensors_own_time(two: OrbbecBus) -> None:
+def test_frames_carry_depth_infrared_and_the_sensors_own_time(two):
     before_ns = time.perf_counter_ns() - 1000  # the SDK's times are whole microseconds
     with _sensor() as sensor:
         assert two.open_serials == [A]
@@ -57,7 +57,7 @@ def test_frames_carry_depth_infrared_and_the_sensors_own_time(two: OrbbecBus) ->
     assert (two.open_serials, two.running) == ([], [])
 
 
-def test_intrinsics_are_the_sdks_in_opencvs_order(two: OrbbecBus) -> None:
+def test_intrinsics_are_the_sdks_in_opencvs_order(two):
     with _sensor() as sensor:
         lens = sensor.intrinsics
     assert (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy) == (640, 576, 504, 505, 332, 348)
@@ -72,7 +72,7 @@ def test_intrinsics_are_the_sdks_in_opencvs_order(two: OrbbecBus) -> None:
     assert {profile.get_fps() for profile in two.configurations[-1]._profiles} == {15}
 
 
-def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two: OrbbecBus) -> None:
+def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two):
     with _sensor(color="720P") as sensor:
         frame = next(sensor.frames())
     assert frame.color.jpeg == JPEG
@@ -87,7 +87,7 @@ def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two: Orbbe
     assert modes == [values.OBFrameAggregateOutputMode.ANY_SITUATION] * 2, "depth never waits for colour"
 
 
-def test_depth_and_infrared_of_one_moment_are_joined_where_they_come_apart(two: OrbbecBus) -> None:
+def test_depth_and_infrared_of_one_moment_are_joined_where_they_come_apart(two):
     two.devices[0].apart = True
     with _sensor() as sensor:
         frames = list(itertools.islice(sensor.frames(), 3))
@@ -95,7 +95,7 @@ def test_depth_and_infrared_of_one_moment_are_joined_where_they_come_apart(two: 
     assert all(frame.ir is not None and frame.depth is not None for frame in frames)
 
 
-def test_a_stereo_sensor_gives_millimetres_and_8_bit_infrared(orbbecs: OrbbecBus) -> None:
+def test_a_stereo_sensor_gives_millimetres_and_8_bit_infrared(orbbecs):
     orbbecs.devices = [Orbbec.gemini("AY8T43E0031", scale=0.5, stereo=True)]
     with _sensor("AY8T43E0031") as sensor:
         assert (sensor.intrinsics.width, sensor.intrinsics.height) == (640, 400), "nearest to 640 wide"
@@ -114,15 +114,13 @@ def test_a_stereo_sensor_gives_millimetres_and_8_bit_infrared(orbbecs: OrbbecBus
         ({"color": "1440P"}, r"no colour 1440P \(MJPG\) at 30 fps\. It has 1080P, 720P"),
     ],
 )
-def test_a_mode_the_sensor_lacks_is_refused(
-    two: OrbbecBus, settings: dict[str, object], message: str
-) -> None:
+def test_a_mode_the_sensor_lacks_is_refused(two, settings, message):
     with pytest.raises(DeviceError, match=message):
         _sensor(**settings).__enter__()
     assert two.open_serials == []
 
 
-def test_a_sensor_without_infrared_of_depths_size_is_refused(two: OrbbecBus) -> None:
+def test_a_sensor_without_infrared_of_depths_size_is_refused(two):
     two.devices[0].infrared_sizes = ((1280, 800),)
     with pytest.raises(DeviceError, match="no infrared image of its depth image's size"):
         _sensor().__enter__()
@@ -132,7 +130,7 @@ def test_a_sensor_without_infrared_of_depths_size_is_refused(two: OrbbecBus) -> 
     assert two.open_serials == []
 
 
-def test_the_sensor_takes_its_place_on_the_sync_cable(orbbecs: OrbbecBus) -> None:
+def test_the_sensor_takes_its_place_on_the_sync_cable(orbbecs):
     orbbecs.devices = [Orbbec(A), Orbbec.gemini("AY8T43E0031"), Orbbec(B)]
     follower = _sensor("AY8T43E0031", sync="subordinate")
     with _sensor(A, sync="subordinate"), follower, _sensor(B, sync="master"):
@@ -143,9 +141,7 @@ def test_the_sensor_takes_its_place_on_the_sync_cable(orbbecs: OrbbecBus) -> Non
     assert orbbecs.started == [A, "AY8T43E0031", B]
 
 
-def test_a_sensor_left_as_secondary_is_set_to_standalone_and_one_that_drops_its_delay_is_named(
-    two: OrbbecBus,
-) -> None:
+def test_a_sensor_left_as_secondary_is_set_to_standalone_and_one_that_drops_its_delay_is_named(two):
     two.devices[0].sync = {"mode": MODES.SECONDARY, "delay_us": 160}
     with _sensor() as sensor:
         next(sensor.frames())
@@ -155,7 +151,7 @@ def test_a_sensor_left_as_secondary_is_set_to_standalone_and_one_that_drops_its_
         assert "captures 0 µs after the pulse instead of 160 µs" in sensor.warnings[0]
 
 
-def test_a_sensor_without_a_sync_port_runs_alone_only(two: OrbbecBus) -> None:
+def test_a_sensor_without_a_sync_port_runs_alone_only(two):
     two.devices[0].modes = ()
     with _sensor() as sensor:
         next(sensor.frames())
@@ -164,7 +160,7 @@ def test_a_sensor_without_a_sync_port_runs_alone_only(two: OrbbecBus) -> None:
     assert two.open_serials == []
 
 
-def test_frames_without_the_sensors_time_have_the_hosts_and_a_warning(two: OrbbecBus) -> None:
+def test_frames_without_the_sensors_time_have_the_hosts_and_a_warning(two):
     two.devices[0].timed = False
     with _sensor() as sensor:
         frame = next(sensor.frames())
@@ -172,7 +168,7 @@ def test_frames_without_the_sensors_time_have_the_hosts_and_a_warning(two: Orbbe
         assert "gives no times of its own clock" in sensor.warnings[0]
 
 
-def test_the_newest_of_the_waiting_frames_is_taken(two: OrbbecBus) -> None:
+def test_the_newest_of_the_waiting_frames_is_taken(two):
     two.devices[0].waiting = 4
     with _sensor() as sensor:
         first, second = itertools.islice(sensor.frames(), 2)
@@ -181,8 +177,8 @@ def test_the_newest_of_the_waiting_frames_is_taken(two: OrbbecBus) -> None:
     assert set(two.timeouts) == {500, 0}, "every wait is finite"
 
 
-def test_a_hundred_openings_leave_nothing_open(two: OrbbecBus) -> None:
-    def cycle() -> None:
+def test_a_hundred_openings_leave_nothing_open(two):
+    def cycle():
         with SensorThread(_sensor()) as thread:
             while thread.received == 0:
                 thread.arrival.wait(10.0)
@@ -195,14 +191,14 @@ def test_a_hundred_openings_leave_nothing_open(two: OrbbecBus) -> None:
     assert (threading.active_count(), two.open_serials, two.running, two.contexts) == (before, [], [], 1)
 
 
-def test_without_the_package_the_message_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_the_message_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
     with pytest.raises(DeviceError, match=r"pyorbbecsdk2.*pip install --no-deps pyorbbecsdk2"):
         connected_orbbecs()
     assert "3.11 to 3.13 only" in how_to_install((3, 14))
 
 
-def test_the_bindings_of_the_old_sdk_are_refused(orbbecs: OrbbecBus, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_bindings_of_the_old_sdk_are_refused(orbbecs, monkeypatch):
     assert orbbecs.devices == []
     monkeypatch.delattr(sys.modules["pyorbbecsdk"], "PlaybackDevice")
     with pytest.raises(DeviceError, match="is of Orbbec's SDK v1; this program needs v2"):

@@ -1,7 +1,6 @@
 """Claims about motion capture read from BVH."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -31,12 +30,12 @@ _LEG = """
         End Site {{ OFFSET 0 -0.5 1.5 }} }} }} }}"""
 
 
-def _limb(template: str, side: str) -> str:
+def _limb(template, side):
     sign = 1 if side == "Left" else -1
     return template.format(S=side, x1=sign, x3=3 * sign, x25=2.5 * sign)
 
 
-def write_bvh(path: Path, frames: int = 40) -> Path:
+def write_bvh(path, frames=40):
     text = (
         "HIERARCHY\nROOT Hips { OFFSET 0 0 0\n"
         "  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
@@ -64,7 +63,7 @@ def write_bvh(path: Path, frames: int = 40) -> Path:
     return path
 
 
-def test_a_captured_forearm_is_raised_as_in_the_file(tmp_path: Path) -> None:
+def test_a_captured_forearm_is_raised_as_in_the_file(tmp_path):
     motion = read_bvh(write_bvh(tmp_path / "arm.bvh"), startup=False)
     first, last = motion.landmarks([0.0, 1.2])
     elbow, wrist, shoulder = (INDEX[f"{n}_LEFT"] for n in ("ELBOW", "WRIST", "SHOULDER"))
@@ -75,7 +74,7 @@ def test_a_captured_forearm_is_raised_as_in_the_file(tmp_path: Path) -> None:
     assert first[INDEX["FOOT_LEFT"], 2] < first[INDEX["ANKLE_LEFT"], 2] - 0.1
 
 
-def test_captured_bones_are_constant_and_scaled_by_height(tmp_path: Path) -> None:
+def test_captured_bones_are_constant_and_scaled_by_height(tmp_path):
     motion = read_bvh(write_bvh(tmp_path / "arm.bvh"))
     t = np.linspace(0.0, motion.seconds, 200)
     for body in BODIES.values():
@@ -86,7 +85,7 @@ def test_captured_bones_are_constant_and_scaled_by_height(tmp_path: Path) -> Non
     np.testing.assert_allclose(motion.landmarks(1.0, 0.875), 0.5 * motion.landmarks(1.0), atol=1e-12)
 
 
-def test_a_captured_movement_begins_with_the_startup_pose_unless_told_otherwise(tmp_path: Path) -> None:
+def test_a_captured_movement_begins_with_the_startup_pose_unless_told_otherwise(tmp_path):
     path = write_bvh(tmp_path / "arm.bvh")
     with_startup, without = read_bvh(path), read_bvh(path, startup=False)
     joints = with_startup.landmarks(np.linspace(0.0, 2.0, 30))
@@ -108,7 +107,7 @@ def test_a_captured_movement_begins_with_the_startup_pose_unless_told_otherwise(
         (lambda text: text.replace("0 8.7 0", "0 nan 0"), "not finite"),
     ],
 )
-def test_a_damaged_file_is_refused_at_once(tmp_path: Path, cut: Callable[[str], str], what: str) -> None:
+def test_a_damaged_file_is_refused_at_once(tmp_path, cut, what):
     path = write_bvh(tmp_path / "damaged.bvh")
     path.write_text(cut(path.read_text()))
     with pytest.raises(DeviceError, match=what):
@@ -117,7 +116,7 @@ def test_a_damaged_file_is_refused_at_once(tmp_path: Path, cut: Callable[[str], 
         read_bvh(tmp_path / "missing.bvh")
 
 
-def test_real_motion_capture_plays_through_the_pair() -> None:
+def test_real_motion_capture_plays_through_the_pair():
     path = SHARED / "mocap" / "02_01.bvh"
     if not path.exists():
         pytest.skip(f"no motion capture at {path.parent}: set DUPLEX_SHARED")

@@ -22,7 +22,7 @@ SILENT = InfraredModel(read_noise=0.0, shot_noise=0.0)
 NO_CAPSULES = np.zeros(0, np.int8)
 
 
-def exposed(z: float, cosine: float, label: int, model: InfraredModel = SILENT) -> np.ndarray:
+def exposed(z, cosine, label, model=SILENT):
     """An image of one surface that fills the view."""
     size = (LENS.height, LENS.width)
     return infrared_image(
@@ -36,7 +36,7 @@ def exposed(z: float, cosine: float, label: int, model: InfraredModel = SILENT) 
     )
 
 
-def test_brightness_follows_from_material_distance_angle_and_place_in_the_image() -> None:
+def test_brightness_follows_from_material_distance_angle_and_place_in_the_image():
     middle = round(LENS.cy), round(LENS.cx)
     gain, wall = SILENT.gain, float(REFLECTANCE[Material.WALL])
     # Rounding to whole counts; the middle pixel is half a pixel off the axis.
@@ -54,7 +54,7 @@ def test_brightness_follows_from_material_distance_angle_and_place_in_the_image(
 
 
 @pytest.mark.parametrize("z", [1.0, 2.0])
-def test_noise_is_shot_and_read_noise_and_binning_halves_it(z: float) -> None:
+def test_noise_is_shot_and_read_noise_and_binning_halves_it(z):
     for model, factor in ((InfraredModel(), 1.0), (InfraredModel().binned(), 0.5)):
         noise = exposed(z, 1.0, WALL, model).astype(float) - exposed(z, 1.0, WALL).astype(float)
         middle = noise[238:338, 270:370]
@@ -67,7 +67,7 @@ def test_noise_is_shot_and_read_noise_and_binning_halves_it(z: float) -> None:
 
 @pytest.mark.parametrize("which", [0, 1])
 @pytest.mark.parametrize(("name", "time"), [("startup", 1.0), ("arms", 6.9), ("walk", 8.6), ("sit", 8.0)])
-def test_the_dressed_surface_lies_about_the_plain_one(name: str, time: float, which: int) -> None:
+def test_the_dressed_surface_lies_about_the_plain_one(name, time, which):
     """Depth differs by clothes and fingers only: the tracker's errors were fitted to the plain surface."""
     sensor_from_world = Rig().world_from_sensor(which).inverse()
     marks = sensor_from_world.apply(MOTIONS[name].landmarks(time)[0])
@@ -79,7 +79,7 @@ def test_the_dressed_surface_lies_about_the_plain_one(name: str, time: float, wh
     assert np.percentile(np.abs(plain - dressed)[both], 90) < 0.020
 
 
-def test_infrared_changes_no_skeleton_and_the_same_seed_gives_the_same_images() -> None:
+def test_infrared_changes_no_skeleton_and_the_same_seed_gives_the_same_images():
     a, _, _ = simulated_pair(motion="walk", seed=7, seconds=0.2, depth="half")
     dressed, _, _ = simulated_pair(motion="walk", seed=7, seconds=0.2, depth="half", infrared=True)
     for plain, frame in zip(a.frames(), dressed.frames(), strict=True):

@@ -8,13 +8,13 @@ import pytest
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.tracking.mirroring import Mirroring, MirroringTracker
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from fusion.body import AZURE_KINECT, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V2
 from tests.helpers.labelled_views import heading, swapped
 
 BACK = np.array((0.0, 0.0, 1.0))  # the way that a person faces whose back is turned
 
 
-def standing(body: Body = KINECT_V2) -> np.ndarray:
+def standing(body=KINECT_V2):
     """(J, 3) a person who stands with the back turned to the sensor, in its frame."""
     _, _, truth = simulated_pair(
         motion="startup", seconds=1.0, body=body, angle_deg=0.0, errors=TrackerErrors()
@@ -24,14 +24,14 @@ def standing(body: Body = KINECT_V2) -> np.ndarray:
     return (joints - root) * (-1.0, 1.0, -1.0) + root  # half a turn about the vertical
 
 
-def watch(mirroring: Mirroring, frames: int, angle: float, body: Body = KINECT_V2) -> np.ndarray:
+def watch(mirroring, frames, angle, body=KINECT_V2):
     joints, states = standing(body), np.full(len(body), 2, dtype=np.uint8)
     tracker = MirroringTracker(body, mirroring, 1 / 30, np.random.default_rng(0))
     return np.array([tracker.apply(joints, states, BACK, angle)[0] for _ in range(frames)])
 
 
 @pytest.mark.parametrize("cosine", [-1.0, -0.55, -0.3])
-def test_the_share_of_mirrored_frames_is_what_the_knob_says(cosine: float) -> None:
+def test_the_share_of_mirrored_frames_is_what_the_knob_says(cosine):
     mirroring = Mirroring(back=0.9, seconds=0.1, crossing_seconds=0.0, legs_later=0.0)
     truth = standing()
     wrong = swapped(KINECT_V2, watch(mirroring, 9000, np.arccos(cosine)), np.tile(truth, (9000, 1, 1)))
@@ -39,7 +39,7 @@ def test_the_share_of_mirrored_frames_is_what_the_knob_says(cosine: float) -> No
     assert wrong.mean() == pytest.approx(mirroring.share(cosine), abs=0.052)
 
 
-def test_places_stay_and_labels_are_exchanged_but_for_what_depth_hardly_shows() -> None:
+def test_places_stay_and_labels_are_exchanged_but_for_what_depth_hardly_shows():
     mirroring = Mirroring(back=1.0, centre=1.0, width=0.01, seconds=0.01, legs_later=0.0)
     truth = standing()
     last = watch(mirroring, 60, np.pi)[-1]
@@ -55,7 +55,7 @@ def test_places_stay_and_labels_are_exchanged_but_for_what_depth_hardly_shows() 
     assert (last[foot] - last[ankle])[2] == pytest.approx(-0.8 * ahead[2], abs=1e-9)
 
 
-def test_the_tracker_changes_over_smoothly_and_the_legs_later() -> None:
+def test_the_tracker_changes_over_smoothly_and_the_legs_later():
     mirroring = Mirroring(
         back=1.0, centre=1.0, width=0.01, seconds=1e-3, crossing_seconds=0.3, legs_later=0.5
     )
@@ -73,7 +73,7 @@ def test_the_tracker_changes_over_smoothly_and_the_legs_later() -> None:
     assert legs[-1]
 
 
-def test_a_person_who_faces_the_sensor_is_never_mirrored() -> None:
+def test_a_person_who_faces_the_sensor_is_never_mirrored():
     for body in (KINECT_V2, AZURE_KINECT):
         errors = TrackerErrors.of(body)
         assert errors.mirroring.share(0.0) < 0.01
@@ -82,7 +82,7 @@ def test_a_person_who_faces_the_sensor_is_never_mirrored() -> None:
         np.testing.assert_array_equal(joints, np.tile(standing(body), (300, 1, 1)))
 
 
-def test_turning_round_before_a_kinect_v2_is_reported_as_facing_it() -> None:
+def test_turning_round_before_a_kinect_v2_is_reported_as_facing_it():
     errors = replace(TrackerErrors(), mirroring=TrackerErrors.of(KINECT_V2).mirroring)
     a, _, truth = simulated_pair(motion="walk", seconds=25.0, body=KINECT_V2, angle_deg=0.0, errors=errors)
     frames = list(a.frames())

@@ -7,21 +7,21 @@ from hypothesis import strategies as st
 
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import INDEX, landmarks_of, two_bones
-from devices.simulated.person.motion import STARTUP_SECONDS, Motion
+from devices.simulated.person.motion import STARTUP_SECONDS
 from devices.simulated.person.movements import MOTIONS
-from fusion.body import BODIES, Body
+from fusion.body import BODIES
 
 EVERY_MOTION = pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS.keys())
 
 
-def times(motion: Motion, rate: float = 60.0) -> np.ndarray:
+def times(motion, rate=60.0):
     """A round and a half of the movement, its beginning included."""
     return np.arange(0.0, motion.begins + min(1.5 * motion.period, 40.0), 1.0 / rate)
 
 
 @EVERY_MOTION
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES.keys())
-def test_every_bone_of_every_body_keeps_its_length(motion: Motion, body: Body) -> None:
+def test_every_bone_of_every_body_keeps_its_length(motion, body):
     points = motion.landmarks(times(motion))[:, landmarks_of(body)]
     for joint in body.bone_joints:
         lengths = np.linalg.norm(points[:, joint] - points[:, body.parents[joint]], axis=1)
@@ -31,7 +31,7 @@ def test_every_bone_of_every_body_keeps_its_length(motion: Motion, body: Body) -
 
 
 @EVERY_MOTION
-def test_movements_begin_in_the_startup_pose_and_hold_it(motion: Motion) -> None:
+def test_movements_begin_in_the_startup_pose_and_hold_it(motion):
     if not motion.startup:
         pytest.skip("begins at once: there is nothing to calibrate on")
     points = motion.landmarks(np.linspace(0.0, STARTUP_SECONDS, 60))
@@ -44,7 +44,7 @@ def test_movements_begin_in_the_startup_pose_and_hold_it(motion: Motion) -> None
 
 
 @EVERY_MOTION
-def test_movements_are_smooth(motion: Motion) -> None:
+def test_movements_are_smooth(motion):
     rate = 240.0
     points = motion.landmarks(times(motion, rate))
     speed = np.linalg.norm(np.diff(points, axis=0), axis=2) * rate
@@ -58,7 +58,7 @@ def test_movements_are_smooth(motion: Motion) -> None:
 
 
 @EVERY_MOTION
-def test_planted_toes_do_not_slide_and_feet_stay_above_the_floor(motion: Motion) -> None:
+def test_planted_toes_do_not_slide_and_feet_stay_above_the_floor(motion):
     rate = 120.0
     points = motion.landmarks(times(motion, rate))
     for foot in ("FOOT_LEFT", "FOOT_RIGHT"):
@@ -72,12 +72,12 @@ def test_planted_toes_do_not_slide_and_feet_stay_above_the_floor(motion: Motion)
 
 
 @pytest.mark.parametrize("height", [1.2, 1.75, 2.0])
-def test_the_body_is_scaled_by_height(height: float) -> None:
+def test_the_body_is_scaled_by_height(height):
     points = MOTIONS["still"].landmarks([0.0], height)[0]
     assert -points[INDEX["HEAD_TOP"], 1] == pytest.approx(height, rel=0.03)
 
 
-def test_any_time_may_be_asked_for_in_any_order() -> None:
+def test_any_time_may_be_asked_for_in_any_order():
     walk = MOTIONS["walk"]
     together = walk.landmarks([3.0, 50.0, 7.0])
     for k, t in enumerate((3.0, 50.0, 7.0)):
@@ -89,7 +89,7 @@ def test_any_time_may_be_asked_for_in_any_order() -> None:
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
 )
-def test_two_bones_have_their_lengths_wherever_they_reach(target: list[float], pole: list[float]) -> None:
+def test_two_bones_have_their_lengths_wherever_they_reach(target, pole):
     goal, side = np.array([target]), np.array([pole])
     if np.linalg.norm(np.cross(goal, side)) < 1e-3:
         return  # the pole says nothing about the side

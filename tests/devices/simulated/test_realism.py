@@ -11,7 +11,7 @@ import pytest
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.skeleton import Skeleton
-from tests.helpers.pair_statistics import PairStatistics, statistics
+from tests.helpers.pair_statistics import statistics
 
 SHARED = Path(os.environ.get("DUPLEX_SHARED", Path(__file__).parents[4] / "shared"))
 TUNING_SEEDS = range(1000, 1020)
@@ -61,8 +61,8 @@ LARGEST_IF_NONE = {"swapped": 0.01, "stale": 0.01}
 """Largest simulated share where the real recording has none."""
 
 
-def read_csv(path: Path) -> list[Skeleton]:
-    frames: dict[int, np.ndarray] = {}
+def read_csv(path):
+    frames = {}
     with path.open() as file:
         for row in csv.DictReader(file):
             positions = frames.setdefault(int(row["time_us"]), np.full((len(KINECT_V2), 3), np.nan))
@@ -70,11 +70,11 @@ def read_csv(path: Path) -> list[Skeleton]:
     return [Skeleton.of(KINECT_V2, positions, time_ns=1000 * time) for time, positions in frames.items()]
 
 
-def simulated_statistics(setting: Setting, seeds: range) -> dict[str, float]:
+def simulated_statistics(setting, seeds):
     """The statistics of a simulated setting without its start-up pose, each the median over the seeds."""
     found = []
     for seed in seeds:
-        both: list[list[Skeleton | None]] = [[], []]
+        both = [[], []]
         for motion, share in ((setting.motion, 1.0 - setting.standing), ("idle", setting.standing)):
             if share > 0.0:
                 a, b, truth = simulated_pair(
@@ -88,14 +88,14 @@ def simulated_statistics(setting: Setting, seeds: range) -> dict[str, float]:
     return {name: float(np.nanmedian([one.get(name, np.nan) for one in found])) for name in found[0]}
 
 
-def flat(found: PairStatistics) -> dict[str, float]:
+def flat(found):
     values = asdict(found)
     jitter = values.pop("jitter")
     known = values | {f"jitter_{kind}": value for kind, value in jitter.items()}
     return {name: value for name, value in known.items() if np.isfinite(value)}
 
 
-def far_off(simulated: dict[str, float], ranges: dict[str, tuple[float, float]]) -> list[str]:
+def far_off(simulated, ranges):
     """The figures that differ from the nearer end of the real range by more than a factor of two.
 
     The aim is 1.5 over all tuning seeds; a few of them scatter about it.
@@ -108,7 +108,7 @@ def far_off(simulated: dict[str, float], ranges: dict[str, tuple[float, float]])
 
 
 @pytest.mark.parametrize("recording", REAL)
-def test_the_simulated_pair_errs_like_the_real_one(recording: str) -> None:
+def test_the_simulated_pair_errs_like_the_real_one(recording):
     folder = SHARED / "real" / recording
     if not folder.exists():
         pytest.skip(f"no real recording at {folder}: set DUPLEX_SHARED")
@@ -125,5 +125,5 @@ def test_the_simulated_pair_errs_like_the_real_one(recording: str) -> None:
     assert not far_off(simulated, compared)
 
 
-def test_the_simulated_azure_pair_errs_like_the_published_ones() -> None:
+def test_the_simulated_azure_pair_errs_like_the_published_ones():
     assert not far_off(simulated_statistics(AZURE_SQUAT, TUNING_SEEDS[:3]), PUBLISHED_SQUATS)

@@ -29,12 +29,12 @@ NOWHERE = RigidTransform.of(np.eye(3), (0.0, 1000.0, 1000.0))
 FLOAT32 = 1e-6
 
 
-def rays() -> np.ndarray:
+def rays():
     v, u = np.mgrid[: HALF.height, : HALF.width]
     return np.stack(((u - HALF.cx) / HALF.fx, (v - HALF.cy) / HALF.fy, np.ones(u.shape)), axis=-1)
 
 
-def test_a_sphere_has_its_surface_where_it_is() -> None:
+def test_a_sphere_has_its_surface_where_it_is():
     centre, radius = np.array((0.3, -0.2, 2.5)), 0.4
     z, label, cosine = surface(np.array([(*centre, *centre, radius)]), NOWHERE, HALF)
     hit = label == 0
@@ -53,7 +53,7 @@ def test_a_sphere_has_its_surface_where_it_is() -> None:
 
 
 @pytest.mark.parametrize("end", [(0.4, 0.3, 2.2), (-0.1, 0.5, 3.1), (0.01, 0.0, 2.0)])
-def test_a_capsule_has_its_surface_at_its_radius_from_its_axis(end: tuple[float, float, float]) -> None:
+def test_a_capsule_has_its_surface_at_its_radius_from_its_axis(end):
     start, stop, radius = np.array((-0.3, -0.2, 2.6)), np.array(end), 0.12
     z, label, _ = surface(np.array([(*start, *stop, radius)]), NOWHERE, HALF)
     hit = label == 0
@@ -70,7 +70,7 @@ def test_a_capsule_has_its_surface_at_its_radius_from_its_axis(end: tuple[float,
         assert hit[deep].all()
 
 
-def test_floor_and_wall_are_where_the_world_has_them() -> None:
+def test_floor_and_wall_are_where_the_world_has_them():
     rig = Rig()
     sensor_from_world = rig.world_from_sensor(0).inverse()
     z, label, _ = surface(np.zeros((0, 7)), sensor_from_world, HALF)
@@ -89,13 +89,13 @@ def test_floor_and_wall_are_where_the_world_has_them() -> None:
     assert (world[:, 2] < WALL_Z + 1e-3).all()
 
 
-def test_a_perfect_depth_image_is_the_surface_to_the_millimetre() -> None:
+def test_a_perfect_depth_image_is_the_surface_to_the_millimetre():
     z = np.linspace(0.5, 5.0, 320 * 288, dtype=np.float32).reshape(288, 320)
     image = depth_image(z, np.ones_like(z), DepthErrors.none(), np.random.default_rng(0))
     np.testing.assert_allclose(image * 1e-3, z, atol=0.0005 + FLOAT32)
 
 
-def test_depth_noise_grows_with_distance_as_its_knobs_say() -> None:
+def test_depth_noise_grows_with_distance_as_its_knobs_say():
     errors = DepthErrors(noise=0.001, noise_growth=0.0006, edge_loss=0.0)
     for distance in (1.0, 2.0, 4.0):
         z = np.full((288, 320), distance, dtype=np.float32)
@@ -105,7 +105,7 @@ def test_depth_noise_grows_with_distance_as_its_knobs_say() -> None:
         assert np.std(image * 1e-3) == pytest.approx(expected, rel=0.012)
 
 
-def test_there_is_no_reading_out_of_range_at_grazing_angles_or_at_lost_edges() -> None:
+def test_there_is_no_reading_out_of_range_at_grazing_angles_or_at_lost_edges():
     z = np.full((288, 320), 2.0, dtype=np.float32)
     z[:, 160:] = 3.0
     z[0], z[1] = 0.1, 9.0
@@ -120,7 +120,7 @@ def test_there_is_no_reading_out_of_range_at_grazing_angles_or_at_lost_edges() -
     assert kept[20:].all()
 
 
-def test_the_same_point_is_in_the_same_place_of_the_halved_image() -> None:
+def test_the_same_point_is_in_the_same_place_of_the_halved_image():
     # Pixel centres: the first half pixel covers full pixels 0 and 1, centre 0.5.
     point = np.array((0.2, -0.1, 2.0))
     full, half = LENS.project(point), HALF.project(point)
@@ -129,7 +129,7 @@ def test_the_same_point_is_in_the_same_place_of_the_halved_image() -> None:
 
 @pytest.mark.parametrize(("name", "time"), [("arms", 6.9), ("arms", 12.4), ("walk", 8.6), ("sit", 8.0)])
 @pytest.mark.parametrize("which", [0, 1])
-def test_visibility_without_an_image_agrees_with_the_depth_image(name: str, time: float, which: int) -> None:
+def test_visibility_without_an_image_agrees_with_the_depth_image(name, time, which):
     sensor_from_world = Rig().world_from_sensor(which).inverse()
     points = sensor_from_world.apply(MOTIONS[name].landmarks(time)[0])
     shapes, joints = capsules(points), points[anatomy.landmarks_of(AZURE_KINECT)]
@@ -147,7 +147,7 @@ def test_visibility_without_an_image_agrees_with_the_depth_image(name: str, time
     assert (seen == 1.0).sum() > 15
 
 
-def seen_from_in_front(marks: np.ndarray) -> dict[str, float]:
+def seen_from_in_front(marks):
     """Share of each joint that is seen of a person with these landmarks in the world."""
     points = Rig(angle_deg=0.0).world_from_sensor(0).inverse().apply(marks)
     joints = points[anatomy.landmarks_of(AZURE_KINECT)]
@@ -155,7 +155,7 @@ def seen_from_in_front(marks: np.ndarray) -> dict[str, float]:
     return dict(zip(AZURE_KINECT.joints, seen, strict=True))
 
 
-def test_hands_behind_the_back_are_hidden_from_the_front_and_the_nose_from_behind() -> None:
+def test_hands_behind_the_back_are_hidden_from_the_front_and_the_nose_from_behind():
     arms = MOTIONS["arms"]
     marks = arms.landmarks(arms.begins + 8.7)[0]
     front = seen_from_in_front(marks)
@@ -166,7 +166,7 @@ def test_hands_behind_the_back_are_hidden_from_the_front_and_the_nose_from_behin
     assert min(behind["HAND_LEFT"], behind["HAND_RIGHT"]) > 0.4
 
 
-def test_all_joints_are_seen_from_in_front_and_none_outside_the_image() -> None:
+def test_all_joints_are_seen_from_in_front_and_none_outside_the_image():
     marks = MOTIONS["startup"].landmarks(1.0)[0]
     assert min(seen_from_in_front(marks).values()) > 0.5
     assert not any(seen_from_in_front(marks + (5.0, 0.0, 0.0)).values())

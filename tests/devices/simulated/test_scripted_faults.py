@@ -9,13 +9,13 @@ from devices.simulated.kinect import PERSON, Scene, SimulatedKinect, movement
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.scripted_faults import ScriptedFaults, Spells
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from fusion.body import BODIES, KINECT_V2, Body
-from fusion.skeleton import Skeleton, TrackingState
+from fusion.body import BODIES, KINECT_V2
+from fusion.skeleton import TrackingState
 
 ONCE = Spells(1.0, 1.0)
 
 
-def frames(script: ScriptedFaults | None, body: Body, errors: TrackerErrors | None = None) -> list[Skeleton]:
+def frames(script, body, errors=None):
     scene = Scene(movement("startup"), body, seconds=3.0, seed=3)
     # Without lost people there is a skeleton in each frame.
     errors = errors or replace(TrackerErrors.of(body), lost=0.0)
@@ -23,7 +23,7 @@ def frames(script: ScriptedFaults | None, body: Body, errors: TrackerErrors | No
     return [frame.people[PERSON] for frame in sensor.frames()]
 
 
-def test_spells_repeat_and_begin_before_they_end() -> None:
+def test_spells_repeat_and_begin_before_they_end():
     spells = Spells(1.0, 0.5, 4.0)
     at = [0.9, 1.0, 1.4, 1.5, 4.9, 5.0, 5.6]
     assert [spells.include(time) for time in at] == [False, True, True, False, False, True, False]
@@ -34,7 +34,7 @@ def test_spells_repeat_and_begin_before_they_end() -> None:
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)
-def test_a_misplaced_arm_is_tracked_at_a_wrong_place_and_nothing_else_changes(body: Body) -> None:
+def test_a_misplaced_arm_is_tracked_at_a_wrong_place_and_nothing_else_changes(body):
     script = ScriptedFaults(body, misplaced=(ONCE,))
     arm = script.misplaces(1_500_000_000)
     assert {body.joints[j].lower().replace("_", "") for j in np.flatnonzero(arm)} >= {
@@ -58,7 +58,7 @@ def test_a_misplaced_arm_is_tracked_at_a_wrong_place_and_nothing_else_changes(bo
     assert off[time > 2.4].max() < 0.01
 
 
-def test_a_mirrored_person_has_left_and_right_exchanged_for_the_spell() -> None:
+def test_a_mirrored_person_has_left_and_right_exchanged_for_the_spell():
     body = KINECT_V2
     perfect = TrackerErrors()
     plain = frames(None, body, perfect)
@@ -72,8 +72,8 @@ def test_a_mirrored_person_has_left_and_right_exchanged_for_the_spell() -> None:
             np.testing.assert_allclose(one.positions[knees], other.positions[knees[::-1]], atol=0.05)
 
 
-def test_without_its_spells_a_script_changes_no_bit() -> None:
-    def bits(each: list[Skeleton]) -> list[bytes]:
+def test_without_its_spells_a_script_changes_no_bit():
+    def bits(each):
         return [skeleton.positions.tobytes() + skeleton.states.tobytes() for skeleton in each]
 
     assert bits(frames(None, KINECT_V2)) == bits(frames(ScriptedFaults(KINECT_V2), KINECT_V2))

@@ -9,7 +9,7 @@ from devices.pairing import pair_recordings
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker import TrackerErrors
-from fusion.body import BODIES, Body
+from fusion.body import BODIES
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
@@ -21,7 +21,7 @@ fitted to those, and the longest chain of bones is 8."""
 
 
 @pytest.mark.parametrize(("body", "motion"), [*zip(BODIES.values(), cycle(("badminton", "walk")))], ids=str)
-def test_without_errors_fusion_is_the_truth(body: Body, motion: str) -> None:
+def test_without_errors_fusion_is_the_truth(body, motion):
     rig = Rig(skew_seconds=0.0)
     a, b, truth = simulated_pair(motion=motion, body=body, seconds=8.0, errors=TrackerErrors(), rig=rig)
     pairs = [pair.skeletons for pair in pair_recordings([*a.frames()], [*b.frames()], PERSON, PERSON).pairs]

@@ -1,25 +1,24 @@
 """Claims about the simulated pair: the truth, the rig, the clocks, and repeatability."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError
 from devices.simulated.imaging.body_surface import capsules
 from devices.simulated.imaging.rendering import DepthErrors
 from devices.simulated.kinect import PERSON, Truth, TruthAhead, simulated_pair
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from fusion.body import AZURE_KINECT, BODIES, Body
+from fusion.body import AZURE_KINECT, BODIES
 
 # A coordinate below 4 m is rounded to float32 by at most 2⁻²³ m.
 ROUNDED = 2.0**-23 * 1.01
 
 
-def same(one: SensorFrame, other: SensorFrame) -> bool:
+def same(one, other):
     return (
         one.time_ns == other.time_ns
         and one.people.keys() == other.people.keys()
@@ -32,7 +31,7 @@ def same(one: SensorFrame, other: SensorFrame) -> bool:
 @pytest.mark.parametrize(
     ("body", "angle_deg"), list(zip(BODIES.values(), (0.0, 40.0, 90.0, 180.0), strict=True)), ids=str
 )
-def test_without_errors_both_views_are_the_truth(body: Body, angle_deg: float) -> None:
+def test_without_errors_both_views_are_the_truth(body, angle_deg):
     rig = Rig(angle_deg=angle_deg, skew_seconds=0.004, clock_offset_seconds=2.0, drift_ppm=40.0)
     a, b, truth = simulated_pair(
         motion="walk", body=body, seconds=8.0, rig=rig, height=1.6, errors=TrackerErrors()
@@ -47,7 +46,7 @@ def test_without_errors_both_views_are_the_truth(body: Body, angle_deg: float) -
         assert np.abs(np.stack([s.positions for s in skeletons]) - true).max() < ROUNDED
 
 
-def test_the_person_faces_between_the_sensors_and_sees_b_on_the_left() -> None:
+def test_the_person_faces_between_the_sensors_and_sees_b_on_the_left():
     rig = Rig(angle_deg=90.0)
     facing = np.array((0.0, 0.0, -1.0))
     for which, side in ((0, -1.0), (1, 1.0)):
@@ -63,13 +62,13 @@ def test_the_person_faces_between_the_sensors_and_sees_b_on_the_left() -> None:
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0, 90.0, 180.0])
-def test_the_rigs_angle_is_the_angle_between_the_lines_of_sight(angle_deg: float) -> None:
+def test_the_rigs_angle_is_the_angle_between_the_lines_of_sight(angle_deg):
     rig = Rig(angle_deg=angle_deg, tilt_deg=0.0)
     angle = np.degrees(rig.a_from_b.angle_to(type(rig.a_from_b).identity()))
     assert angle == pytest.approx(angle_deg, abs=1e-5)  # arccos near 1 loses half the digits
 
 
-def test_sensor_b_captures_later_by_the_skew_and_shows_its_own_clock() -> None:
+def test_sensor_b_captures_later_by_the_skew_and_shows_its_own_clock():
     rig = Rig(skew_seconds=0.01, clock_offset_seconds=5.0, drift_ppm=100.0)
     a, b, _ = simulated_pair(rig=rig, seconds=2.0)
     times_a = np.array([f.time_ns for f in a.frames()]) * 1e-9
@@ -79,7 +78,7 @@ def test_sensor_b_captures_later_by_the_skew_and_shows_its_own_clock() -> None:
     np.testing.assert_allclose(times_b, true_b * (1 + 1e-4) + 5.0, atol=2e-9)
 
 
-def test_dropped_frames_are_missing_and_change_no_other_frame() -> None:
+def test_dropped_frames_are_missing_and_change_no_other_frame():
     whole, _, _ = simulated_pair(seed=4, seconds=20.0)
     holed, _, _ = simulated_pair(seed=4, seconds=20.0, rig=Rig(dropped=0.1))
     kept = {f.time_ns: f for f in whole.frames()}
@@ -89,8 +88,8 @@ def test_dropped_frames_are_missing_and_change_no_other_frame() -> None:
     assert all(same(f, kept[f.time_ns]) for f in frames)
 
 
-def test_the_same_seed_makes_the_same_frames_bit_for_bit() -> None:
-    def frames(seed: int) -> list[SensorFrame]:
+def test_the_same_seed_makes_the_same_frames_bit_for_bit():
+    def frames(seed):
         a, b, _ = simulated_pair(motion="arms", seed=seed, seconds=1.0, depth="half")
         return [*a.frames(), *b.frames()]
 
@@ -99,7 +98,7 @@ def test_the_same_seed_makes_the_same_frames_bit_for_bit() -> None:
     assert not any(map(same, first, frames(4)))
 
 
-def test_frames_depend_neither_on_how_they_are_asked_for_nor_on_the_other_sensor() -> None:
+def test_frames_depend_neither_on_how_they_are_asked_for_nor_on_the_other_sensor():
     a, b, _ = simulated_pair(seed=5, seconds=3.0)
     alone = list(a.frames())
     interleaved = [pair[0] for pair in zip(a.frames(), b.frames(), strict=True)]
@@ -110,7 +109,7 @@ def test_frames_depend_neither_on_how_they_are_asked_for_nor_on_the_other_sensor
     assert same(next(started), alone[1])
 
 
-def test_depth_images_change_no_skeleton() -> None:
+def test_depth_images_change_no_skeleton():
     with_depth, _, _ = simulated_pair(seed=6, seconds=1.5, depth="half")
     without, _, _ = simulated_pair(seed=6, seconds=1.5)
     for one, other in zip(with_depth.frames(), without.frames(), strict=True):
@@ -119,11 +118,11 @@ def test_depth_images_change_no_skeleton() -> None:
 
 
 @pytest.mark.parametrize(("depth", "size"), [("half", (288, 320)), ("full", (576, 640))])
-def test_depth_images_show_the_person_where_the_joints_are(depth: str, size: tuple[int, int]) -> None:
+def test_depth_images_show_the_person_where_the_joints_are(depth, size):
     a, _, truth = simulated_pair(
         motion="startup",
         seconds=0.1,
-        depth=depth,  # type: ignore[arg-type]
+        depth=depth,
         errors=TrackerErrors(),
         depth_errors=DepthErrors.none(),
     )
@@ -149,19 +148,19 @@ def test_depth_images_show_the_person_where_the_joints_are(depth: str, size: tup
         ({"depth": "none", "infrared": True}, "depth"),
     ],
 )
-def test_senseless_options_are_refused_with_advice(options: dict[str, Any], message: str) -> None:
+def test_senseless_options_are_refused_with_advice(options, message):
     with pytest.raises(DeviceError, match=message):
         simulated_pair(**options)
     with pytest.raises(DeviceError, match="distance"):
         Rig(distance=0.1)
 
 
-def test_the_truth_ahead_is_the_truth_a_second_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_truth_ahead_is_the_truth_a_second_at_a_time(monkeypatch):
     a, _, truth = simulated_pair(motion="badminton", seconds=3.0)
     times = [frame.time_ns for frame in a.frames()]
     times[50:50] = [times[50] - 7_000_000]  # a pair without A's frame
     exact = truth.positions_at(times)
-    asked: list[object] = []
+    asked = []
     real = Truth.positions_at
     monkeypatch.setattr(Truth, "positions_at", lambda self, when: (asked.append(when), real(self, when))[1])
     ahead = TruthAhead(truth)

@@ -9,9 +9,9 @@ import pytest
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.tracking.tracker import Tracker
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from fusion.body import AZURE_KINECT, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.intrinsics import NOMINAL_INTRINSICS
-from fusion.skeleton import Skeleton, TrackingState
+from fusion.skeleton import TrackingState
 from tests.helpers.pair_statistics import run_lengths
 
 NONE = TrackerErrors()
@@ -20,9 +20,7 @@ FLOAT32 = 2.0**-23
 FRAME = 1 / 30
 
 
-def watch(
-    motion: str, errors: TrackerErrors, seconds: float = 20.0, seed: int = 0, body: Body = AZURE_KINECT
-) -> tuple[list[Skeleton | None], np.ndarray]:
+def watch(motion, errors, seconds=20.0, seed=0, body=AZURE_KINECT):
     """Sensor A's skeletons, and (T, J, 3) the truth in its frame."""
     a, _, truth = simulated_pair(motion=motion, seconds=seconds, seed=seed, body=body, errors=errors)
     frames = list(a.frames())
@@ -32,24 +30,24 @@ def watch(
     )
 
 
-def errors_of(skeletons: list[Skeleton | None], true: np.ndarray) -> np.ndarray:
+def errors_of(skeletons, true):
     """(T, J, 3) reported minus true; every frame must have a person."""
     assert all(s is not None for s in skeletons)
     return np.stack([s.positions for s in skeletons if s is not None]) - true
 
 
-def tracker(errors: TrackerErrors, seed: int = 0) -> Tracker:
+def tracker(errors, seed=0):
     flesh = np.full(len(AZURE_KINECT), 0.05)
     return Tracker(AZURE_KINECT, errors, flesh, LENS, FRAME, np.random.default_rng(seed))
 
 
-def stand(errors: TrackerErrors, frames: int) -> tuple[list[Skeleton | None], np.ndarray]:
+def stand(errors, frames):
     """The report of a tracker about a person who stands still with all joints visible, and the truth."""
     watching, joints = tracker(errors), standing()
     return [watching.report(joints, np.ones(32), k) for k in range(frames)], np.tile(joints, (frames, 1, 1))
 
 
-def standing() -> np.ndarray:
+def standing():
     _, _, truth = simulated_pair(motion="startup", seconds=1.0)
     return truth.positions_at(0)
 
@@ -63,13 +61,13 @@ SHAPES = ("inferred_error", "inferred_jitter", "mistracked", "snap", "not_tracke
     [NONE, TrackerErrors(**{name: getattr(TrackerErrors.of(KINECT_V2), name) for name in SHAPES})],
     ids=["none", "knobs that shape other errors"],
 )
-def test_without_errors_the_truth_is_reported_and_all_is_tracked(errors: TrackerErrors) -> None:
+def test_without_errors_the_truth_is_reported_and_all_is_tracked(errors):
     skeletons, true = watch("walk", errors, 6.0)
     assert np.abs(errors_of(skeletons, true)).max() <= 4 * FLOAT32
     assert errors is not NONE or all(s.tracked.all() for s in skeletons)
 
 
-def test_jitter_has_the_size_the_knob_says_by_kind_of_joint() -> None:
+def test_jitter_has_the_size_the_knob_says_by_kind_of_joint():
     jitter = NONE.jitter | {"spine": 0.001, "hand": 0.008, "thumb": 0.02}
     skeletons, true = stand(replace(NONE, jitter=jitter, jitter_memory=0.0), 1800)
     spread = errors_of(skeletons, true).std(axis=(0, 2))
@@ -80,7 +78,7 @@ def test_jitter_has_the_size_the_knob_says_by_kind_of_joint() -> None:
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.7])
-def test_jitter_remembers_from_frame_to_frame(memory: float) -> None:
+def test_jitter_remembers_from_frame_to_frame(memory):
     jitter = NONE.jitter | dict.fromkeys(("spine", "elbow", "knee", "hand"), 0.01)
     skeletons, true = stand(replace(NONE, jitter=jitter, jitter_memory=memory), 1200)
     error = errors_of(skeletons, true)[
@@ -90,7 +88,7 @@ def test_jitter_remembers_from_frame_to_frame(memory: float) -> None:
     assert correlation == pytest.approx(memory, abs=5 / np.sqrt(error.size / 3))
 
 
-def test_moving_joints_jitter_more() -> None:
+def test_moving_joints_jitter_more():
     errors = replace(NONE, moving_jitter=0.01)
     still, true = watch("still", errors, 10.0)
     at_rest = np.abs(errors_of(still, true)).mean()
@@ -98,7 +96,7 @@ def test_moving_joints_jitter_more() -> None:
     assert np.abs(errors_of(walking, true)[120:]).mean() > 10 * at_rest
 
 
-def test_the_views_bias_is_constant_for_one_view_and_changes_with_it() -> None:
+def test_the_views_bias_is_constant_for_one_view_and_changes_with_it():
     errors = replace(NONE, view_bias=0.03)
     skeletons, true = watch("turn", errors, 16.0)
     error = errors_of(skeletons, true)
@@ -108,7 +106,7 @@ def test_the_views_bias_is_constant_for_one_view_and_changes_with_it() -> None:
     assert error.std() == pytest.approx(0.03, rel=0.4)  # one draw for each of some 32 · 3 coordinates
 
 
-def test_the_skin_pulls_joints_towards_the_sensor_along_the_ray() -> None:
+def test_the_skin_pulls_joints_towards_the_sensor_along_the_ray():
     joints = standing()
     reported = tracker(replace(NONE, skin=0.5)).report(joints, np.ones(32), 0)
     shift = reported.positions - joints
@@ -117,7 +115,7 @@ def test_the_skin_pulls_joints_towards_the_sensor_along_the_ray() -> None:
     np.testing.assert_allclose(np.sum(shift * ray, axis=1), -0.5 * 0.05, atol=4 * FLOAT32)
 
 
-def test_the_whole_skeleton_rescales_by_one_factor() -> None:
+def test_the_whole_skeleton_rescales_by_one_factor():
     skeletons, true = stand(replace(NONE, rescale=0.04, rescale_seconds=0.2), 1800)
     body = AZURE_KINECT
     joints = errors_of(skeletons, true) + true
@@ -136,7 +134,7 @@ def test_the_whole_skeleton_rescales_by_one_factor() -> None:
     assert kept == pytest.approx(np.exp(-FRAME / 0.2), abs=0.05)
 
 
-def test_hidden_joints_are_inferred_and_their_guess_errs_smoothly() -> None:
+def test_hidden_joints_are_inferred_and_their_guess_errs_smoothly():
     errors = replace(NONE, seen_share=0.35, inferred_error=0.08)
     skeletons, true = watch("arms", errors, 14.0)
     error = np.linalg.norm(errors_of(skeletons, true), axis=2)
@@ -151,7 +149,7 @@ def test_hidden_joints_are_inferred_and_their_guess_errs_smoothly() -> None:
     assert np.abs(np.diff(error[behind_the_back, hand])).max() < 0.06
 
 
-def test_a_hidden_joint_jitters_more_by_the_factor_the_knob_says() -> None:
+def test_a_hidden_joint_jitters_more_by_the_factor_the_knob_says():
     jitter = NONE.jitter | {"elbow": 0.01, "knee": 0.01}
     joints, visible = standing(), np.ones(32)
     elbow, knee = AZURE_KINECT.joint("ELBOW_LEFT"), AZURE_KINECT.joint("KNEE_LEFT")
@@ -169,7 +167,7 @@ def test_a_hidden_joint_jitters_more_by_the_factor_the_knob_says() -> None:
 @pytest.mark.parametrize(
     ("knob", "state"), [("not_tracked", TrackingState.NOT_TRACKED), ("mistracked", TrackingState.TRACKED)]
 )
-def test_hidden_spells_meet_their_fate_in_the_share_the_knob_says(knob: str, state: TrackingState) -> None:
+def test_hidden_spells_meet_their_fate_in_the_share_the_knob_says(knob, state):
     joints, share, spells = standing(), 0.3, 100
     watching = tracker(replace(NONE, seen_share=0.35, **{knob: share}))
     found = []
@@ -183,7 +181,7 @@ def test_hidden_spells_meet_their_fate_in_the_share_the_knob_says(knob: str, sta
     assert np.mean(found) == pytest.approx(share, abs=0.033)
 
 
-def test_a_mistracked_joint_is_reported_as_tracked_at_the_joint_in_front_of_it_if_there_is_one() -> None:
+def test_a_mistracked_joint_is_reported_as_tracked_at_the_joint_in_front_of_it_if_there_is_one():
     joints = standing()
     body = AZURE_KINECT
     hand, elbow = body.joint("HAND_LEFT"), body.joint("ELBOW_RIGHT")
@@ -200,7 +198,7 @@ def test_a_mistracked_joint_is_reported_as_tracked_at_the_joint_in_front_of_it_i
     np.testing.assert_allclose(reported.positions[others], joints[others], atol=4 * FLOAT32)
 
 
-def test_unsure_joints_are_inferred_for_the_share_of_time_the_knob_says() -> None:
+def test_unsure_joints_are_inferred_for_the_share_of_time_the_knob_says():
     errors = replace(NONE, unsure=NONE.jitter | {"thumb": 0.3})
     skeletons, _ = stand(errors, 3600)
     inferred = np.stack([s.states == TrackingState.INFERRED for s in skeletons if s is not None])
@@ -210,7 +208,7 @@ def test_unsure_joints_are_inferred_for_the_share_of_time_the_knob_says() -> Non
     assert inferred[:, [j for j in range(32) if j not in thumbs]].sum() == 0
 
 
-def test_the_stale_share_of_frames_repeats_the_one_before_with_a_new_time() -> None:
+def test_the_stale_share_of_frames_repeats_the_one_before_with_a_new_time():
     skeletons, _ = watch("walk", replace(NONE, stale=0.1), 20.0)
     repeats = [s.repeats(before) for before, s in pairwise(skeletons) if s]
     # 599 draws of 10 %: standard deviation 1.2 %; four times that.
@@ -219,7 +217,7 @@ def test_the_stale_share_of_frames_repeats_the_one_before_with_a_new_time() -> N
     assert len(set(times)) == len(times)
 
 
-def test_the_person_is_lost_for_the_share_of_frames_and_comes_back() -> None:
+def test_the_person_is_lost_for_the_share_of_frames_and_comes_back():
     skeletons, _ = stand(replace(NONE, lost=0.1, lost_seconds=0.4), 3600)
     lost = np.array([s is None for s in skeletons])
     assert lost.mean() == pytest.approx(0.1, rel=0.6)  # 30 spells: known to 18 %, three times that
@@ -227,7 +225,7 @@ def test_the_person_is_lost_for_the_share_of_frames_and_comes_back() -> None:
     assert not lost[-200:].all()
 
 
-def test_outliers_stand_elsewhere_for_a_moment_though_tracked() -> None:
+def test_outliers_stand_elsewhere_for_a_moment_though_tracked():
     skeletons, true = stand(replace(NONE, outliers=0.02, outlier_size=0.2), 1800)
     away = np.abs(errors_of(skeletons, true)).max(axis=2)
     out = away > 1e-5
@@ -236,11 +234,11 @@ def test_outliers_stand_elsewhere_for_a_moment_though_tracked() -> None:
     assert all(s is not None and s.tracked.all() for s in skeletons)
 
 
-def test_a_small_stretch_keeps_bones_near_their_length_where_joints_err() -> None:
+def test_a_small_stretch_keeps_bones_near_their_length_where_joints_err():
     loose = replace(NONE, view_bias=0.05)
     body = AZURE_KINECT
 
-    def bone_errors(errors: TrackerErrors) -> np.ndarray:
+    def bone_errors(errors):
         skeletons, true = watch("startup", errors, 0.2)
         joints = errors_of(skeletons, true) + true
         lengths = [

@@ -1,21 +1,20 @@
 """The formats of recorded skeletons: what is read, and what a broken file says."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError
 from devices.skeletons.file_sensor import SkeletonRecording
-from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import FRAME_NS, standing
 
 HEADER = "time_us,body,joint,x,y,z,state"
 
 
-def csv_rows(body: Body, frames: int = 3, people: tuple[str, ...] = ("0",)) -> list[str]:
+def csv_rows(body, frames=3, people=("0",)):
     joints = standing(body)
     return [
         f"{t * FRAME_NS // 1000},{person},{joint},{x:.5f},{y:.5f},{z + 0.01 * t:.5f},tracked"
@@ -25,18 +24,18 @@ def csv_rows(body: Body, frames: int = 3, people: tuple[str, ...] = ("0",)) -> l
     ]
 
 
-def write_csv(path: Path, rows: list[str], header: str = HEADER) -> Path:
+def write_csv(path, rows, header=HEADER):
     path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
     return path
 
 
-def read(path: Path) -> tuple[Body, list[SensorFrame]]:
+def read(path):
     with SkeletonRecording(path) as recording:
         return recording.body, list(recording.frames())
 
 
 @pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
-def test_csv_gives_the_joints_of_every_frame(tmp_path: Path, body: Body) -> None:
+def test_csv_gives_the_joints_of_every_frame(tmp_path, body):
     found, frames = read(write_csv(tmp_path / "a.csv", csv_rows(body)))
     assert found is body
     assert [frame.time_ns for frame in frames] == [t * FRAME_NS // 1000 * 1000 for t in range(3)]
@@ -47,7 +46,7 @@ def test_csv_gives_the_joints_of_every_frame(tmp_path: Path, body: Body) -> None
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "milliseconds"), (1e3, "nanoseconds")])
-def test_other_units_of_time_are_named(tmp_path: Path, factor: float, unit: str) -> None:
+def test_other_units_of_time_are_named(tmp_path, factor, unit):
     file = write_csv(tmp_path / "a.csv", csv_rows(KINECT_V2))
     header, *rows = file.read_text().splitlines()
     parts = [row.split(",", 1) for row in rows]
@@ -58,7 +57,7 @@ def test_other_units_of_time_are_named(tmp_path: Path, factor: float, unit: str)
 
 
 @pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
-def test_a_y_axis_that_points_up_is_noticed(tmp_path: Path, body: Body) -> None:
+def test_a_y_axis_that_points_up_is_noticed(tmp_path, body):
     people = np.stack([standing(body)] * 10)
     with SkeletonRecording(write_view(tmp_path / "a.csv", body, people)) as recording:
         assert not recording.warnings
@@ -70,7 +69,7 @@ def test_a_y_axis_that_points_up_is_noticed(tmp_path: Path, body: Body) -> None:
         assert "The y axis must point down" in recording.warnings[0]
 
 
-def test_csv_states_are_names_or_numbers_and_may_be_missing(tmp_path: Path) -> None:
+def test_csv_states_are_names_or_numbers_and_may_be_missing(tmp_path):
     rows = csv_rows(KINECT_V1, 1)
     for joint, state in enumerate(["inferred", "1", "not_tracked", "0", "2", "Tracked"]):
         rows[joint] = rows[joint].replace("tracked", state)
@@ -81,7 +80,7 @@ def test_csv_states_are_names_or_numbers_and_may_be_missing(tmp_path: Path) -> N
     assert frames[0].people["0"].tracked.all()
 
 
-def test_csv_rows_may_come_in_any_order_and_joints_may_be_missing(tmp_path: Path) -> None:
+def test_csv_rows_may_come_in_any_order_and_joints_may_be_missing(tmp_path):
     rows = csv_rows(KINECT_V2, 4)
     kept = [row for row in rows if "ThumbLeft" not in row]
     np.random.default_rng(0).shuffle(kept)
@@ -91,7 +90,7 @@ def test_csv_rows_may_come_in_any_order_and_joints_may_be_missing(tmp_path: Path
     assert all(frame.people["0"].has_position.sum() == 24 for frame in frames)
 
 
-def test_csv_coordinates_that_are_no_numbers_count_as_not_tracked(tmp_path: Path) -> None:
+def test_csv_coordinates_that_are_no_numbers_count_as_not_tracked(tmp_path):
     rows = csv_rows(KINECT_V1, 1)
     for joint, value in enumerate(["nan", "inf", ""]):
         parts = rows[joint].split(",")
@@ -115,13 +114,13 @@ def test_csv_coordinates_that_are_no_numbers_count_as_not_tracked(tmp_path: Path
         (lambda rows: ([HEADER], [*rows[:-1], rows[-1][:20]]), "line 61.*not have 7 columns; .*cut off"),
     ],
 )
-def test_a_broken_csv_says_what_is_wrong(tmp_path: Path, broken: object, message: str) -> None:
+def test_a_broken_csv_says_what_is_wrong(tmp_path, broken, message):
     header, rows = broken(csv_rows(KINECT_V1))
     with pytest.raises(DeviceError, match=message):
         read(write_csv(tmp_path / "a.csv", rows, header[0]))
 
 
-def test_a_csv_cut_off_anywhere_in_its_last_row_is_refused(tmp_path: Path) -> None:
+def test_a_csv_cut_off_anywhere_in_its_last_row_is_refused(tmp_path):
     path = write_csv(tmp_path / "a.csv", csv_rows(KINECT_V1)[:-5])
     whole = path.read_bytes()
     for end in range(whole[:-1].rindex(b"\n") + 3, len(whole)):
@@ -131,7 +130,7 @@ def test_a_csv_cut_off_anywhere_in_its_last_row_is_refused(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("cut", range(1, 25))
-def test_a_csv_without_states_cut_off_in_its_last_row_is_refused(tmp_path: Path, cut: int) -> None:
+def test_a_csv_without_states_cut_off_in_its_last_row_is_refused(tmp_path, cut):
     rows = [row.rsplit(",", 1)[0] for row in csv_rows(KINECT_V1)]
     rows[-1] = rows[-1].rsplit(",", 1)[0] + ",2.42715"
     rows[3] = rows[3].rsplit(",", 1)[0] + ",2.42715"
@@ -143,7 +142,7 @@ def test_a_csv_without_states_cut_off_in_its_last_row_is_refused(tmp_path: Path,
         read(path)
 
 
-def offline_processor(body: Body, frames: int = 3) -> dict[str, object]:
+def offline_processor(body, frames=3):
     person = {
         "body_id": 7,
         "joint_positions": (1000.0 * standing(body)).tolist(),
@@ -157,7 +156,7 @@ def offline_processor(body: Body, frames: int = 3) -> dict[str, object]:
     return {**about, "joint_names": list(body.joints), "frames": each}
 
 
-def test_offline_processor_json_is_read_in_metres(tmp_path: Path) -> None:
+def test_offline_processor_json_is_read_in_metres(tmp_path):
     path = tmp_path / "a.json"
     path.write_text(json.dumps(offline_processor(AZURE_KINECT)), encoding="utf-8")
     body, frames = read(path)
@@ -181,14 +180,14 @@ def test_offline_processor_json_is_read_in_metres(tmp_path: Path) -> None:
         (lambda text: text.replace('"SPINE_NAVEL"', '"PELVIS"'), "names a joint twice"),
     ],
 )
-def test_broken_json_says_what_is_wrong(tmp_path: Path, break_it: object, message: str) -> None:
+def test_broken_json_says_what_is_wrong(tmp_path, break_it, message):
     path = tmp_path / "a.json"
     path.write_text(break_it(json.dumps(offline_processor(AZURE_KINECT))), encoding="utf-8")
     with pytest.raises(DeviceError, match=message):
         read(path)
 
 
-def ntu(frames: int = 2) -> list[str]:
+def ntu(frames=2):
     lines = [str(frames)]
     for _ in range(frames):
         lines += ["1", "72057594037931101 0 1 1 1 1 0 0.02 0.01 2", "25"]
@@ -197,7 +196,7 @@ def ntu(frames: int = 2) -> list[str]:
     return lines
 
 
-def test_ntu_camera_space_becomes_the_sensor_frame(tmp_path: Path) -> None:
+def test_ntu_camera_space_becomes_the_sensor_frame(tmp_path):
     path = tmp_path / "a.skeleton"
     path.write_text("\n".join(ntu()), encoding="utf-8")
     body, frames = read(path)
@@ -219,14 +218,14 @@ def test_ntu_camera_space_becomes_the_sensor_frame(tmp_path: Path) -> None:
         (lambda lines: [*lines[:3], "20", *lines[4:]], "a body has 20 joints"),
     ],
 )
-def test_a_broken_ntu_file_says_what_is_wrong(tmp_path: Path, break_it: object, message: str) -> None:
+def test_a_broken_ntu_file_says_what_is_wrong(tmp_path, break_it, message):
     path = tmp_path / "a.skeleton"
     path.write_text("\n".join(break_it(ntu())), encoding="utf-8")
     with pytest.raises(DeviceError, match=message):
         read(path)
 
 
-def test_files_that_are_no_recordings_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_no_recordings_are_refused(tmp_path):
     with pytest.raises(DeviceError, match=r"\.txt is not a format.*\.csv"):
         read(tmp_path / "none.txt")
     (tmp_path / "noise.json").write_bytes(bytes(range(256)))

@@ -3,8 +3,6 @@
 import gzip
 import json
 import os
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,32 +11,30 @@ from devices.files import RecordingChoice, read_two
 from devices.sensor import DeviceError
 from devices.skeletons.conventions import METRES
 from devices.skeletons.file_sensor import SkeletonRecording
-from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
 from tests.helpers.two_views import moving, standing
 
-Cells = list[str]
-
 
 @pytest.fixture(scope="module")
-def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def good(tmp_path_factory):
     noise = np.random.default_rng(0).normal(0.0, 0.005, (20, len(KINECT_V2), 3))
     return write_view(tmp_path_factory.mktemp("good") / "a.csv", KINECT_V2, moving(KINECT_V2, 20) + noise)
 
 
-def rewritten(text: str, change: Callable[[int, Cells], Cells]) -> str:
+def rewritten(text, change):
     """The file with the cells of each row changed; the first row has number 0."""
     header, *rows = text.splitlines()
     cells = (change(k, row.split(",")) for k, row in enumerate(rows))
     return "\n".join([header, *(",".join(row) for row in cells)]) + "\n"
 
 
-def with_xyz(value: str) -> Callable[[str], str]:
+def with_xyz(value):
     return lambda text: rewritten(text, lambda _, c: [*c[:3], value, value, value, *c[6:]])
 
 
-def with_commas(text: str) -> str:
+def with_commas(text):
     return text.replace(".", ",")
 
 
@@ -62,7 +58,7 @@ SAME = {
 
 
 @pytest.mark.parametrize("kind", SAME)
-def test_files_of_other_programs_give_the_same_frames(tmp_path: Path, good: Path, kind: str) -> None:
+def test_files_of_other_programs_give_the_same_frames(tmp_path, good, kind):
     odd = tmp_path / "a.csv"
     odd.write_bytes(SAME[kind](good.read_text(encoding="utf-8")).encode())
     with SkeletonRecording(good) as one, SkeletonRecording(odd) as other:
@@ -73,7 +69,7 @@ def test_files_of_other_programs_give_the_same_frames(tmp_path: Path, good: Path
         np.testing.assert_array_equal(found.people["0"].positions, expected.people["0"].positions)
 
 
-REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
+REFUSED = {
     "empty": (lambda _: "", "is empty"),
     "blank": (lambda _: "\n \n", "is empty"),
     "header only": (lambda text: text.splitlines()[0] + "\n", "a header and no rows"),
@@ -127,9 +123,7 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_files_that_cannot_be_used_are_refused_in_one_line(
-    tmp_path: Path, good: Path, kind: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_files_that_cannot_be_used_are_refused_in_one_line(tmp_path, good, kind, capfd):
     make, message = REFUSED[kind]
     content = make(good.read_text(encoding="utf-8"))
     odd = tmp_path / "odd.csv"
@@ -140,7 +134,7 @@ def test_files_that_cannot_be_used_are_refused_in_one_line(
     assert capfd.readouterr().err == f"duplex: {refused.value}\n"
 
 
-def test_what_is_not_a_file_is_refused(tmp_path: Path) -> None:
+def test_what_is_not_a_file_is_refused(tmp_path):
     (tmp_path / "folder.csv").mkdir()
     os.mkfifo(tmp_path / "pipe.csv")  # opened, it would be waited for without end
     with (tmp_path / "hole.csv").open("wb") as hole:
@@ -156,7 +150,7 @@ def test_what_is_not_a_file_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() == 0, reason="root may read every file")
-def test_a_file_without_permission_is_refused(tmp_path: Path, good: Path) -> None:
+def test_a_file_without_permission_is_refused(tmp_path, good):
     secret = tmp_path / "a.csv"
     secret.write_bytes(good.read_bytes())
     secret.chmod(0)
@@ -164,7 +158,7 @@ def test_a_file_without_permission_is_refused(tmp_path: Path, good: Path) -> Non
         pass
 
 
-def test_other_formats_under_a_wrong_name_are_refused(tmp_path: Path, good: Path) -> None:
+def test_other_formats_under_a_wrong_name_are_refused(tmp_path, good):
     for suffix, message in (
         (".json", "is not JSON: it begins with 'time_us"),
         (".skeleton", "frame count must"),
@@ -175,13 +169,13 @@ def test_other_formats_under_a_wrong_name_are_refused(tmp_path: Path, good: Path
             pass
 
 
-def scaled(path: Path, body: Body, metres: float, stature: float = 1.0) -> Path:
+def scaled(path, body, metres, stature=1.0):
     return write_view(path, body, moving(body, 3) * stature / metres)
 
 
 @pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
 @pytest.mark.parametrize("unit", ["cm", "mm", "ft", "in"])
-def test_another_unit_is_found_by_the_size_of_the_person(tmp_path: Path, body: Body, unit: str) -> None:
+def test_another_unit_is_found_by_the_size_of_the_person(tmp_path, body, unit):
     metres, name = METRES[unit]
     with (
         SkeletonRecording(scaled(tmp_path / "a.csv", body, 1.0)) as expected,
@@ -196,7 +190,7 @@ def test_another_unit_is_found_by_the_size_of_the_person(tmp_path: Path, body: B
             )
 
 
-def test_a_stated_unit_is_taken_without_a_question(tmp_path: Path) -> None:
+def test_a_stated_unit_is_taken_without_a_question(tmp_path):
     kilometres = scaled(tmp_path / "a.csv", KINECT_V2, 1.0, stature=5.0)
     with pytest.raises(DeviceError, match="State the unit"), SkeletonRecording(kilometres):
         pass
@@ -207,15 +201,15 @@ def test_a_stated_unit_is_taken_without_a_question(tmp_path: Path) -> None:
         assert not read.warnings
 
 
-def test_the_units_of_people_do_not_overlap() -> None:
+def test_the_units_of_people_do_not_overlap():
     """A size in a file means one unit, or none."""
     tall = np.geomspace(1e-3, 1e4, 20_000)
     meant = [(tall * metres >= 1.1) & (tall * metres <= 2.2) for metres, _ in METRES.values()]
     assert np.sum(meant, axis=0).max() == 1
 
 
-def test_impossible_positions_are_counted(tmp_path: Path, good: Path) -> None:
-    def spoil(row: int, cells: Cells) -> Cells:
+def test_impossible_positions_are_counted(tmp_path, good):
+    def spoil(row, cells):
         return {7: [*cells[:3], "inf", *cells[4:]], 9: [*cells[:5], "1e300", *cells[6:]]}.get(row, cells)
 
     odd = tmp_path / "odd.csv"
@@ -228,7 +222,7 @@ def test_impossible_positions_are_counted(tmp_path: Path, good: Path) -> None:
         assert next(read.frames()).people["0"].has_position.sum() == len(KINECT_V2) - 2
 
 
-def test_frames_out_of_order_are_sorted_with_a_warning(tmp_path: Path, good: Path) -> None:
+def test_frames_out_of_order_are_sorted_with_a_warning(tmp_path, good):
     odd = tmp_path / "odd.csv"
     header, *rows = good.read_text(encoding="utf-8").splitlines()
     odd.write_text("\n".join([header, *rows[250:], *rows[:250]]) + "\n", encoding="utf-8")
@@ -238,13 +232,13 @@ def test_frames_out_of_order_are_sorted_with_a_warning(tmp_path: Path, good: Pat
     assert times == sorted(times)
 
 
-def test_a_tracker_that_stands_still_is_named(tmp_path: Path) -> None:
+def test_a_tracker_that_stands_still_is_named(tmp_path):
     frozen = write_view(tmp_path / "a.csv", KINECT_V2, np.stack([standing(KINECT_V2)] * 40))
     with SkeletonRecording(frozen) as read:
         assert ["almost every frame repeats the one before" in said for said in read.warnings] == [True]
 
 
-def _json(path: Path, times_us: list[int]) -> Path:
+def _json(path, times_us):
     positions = (1e3 * standing(KINECT_V2)).tolist()
     frames = [
         {"timestamp_usec": t, "bodies": [{"body_id": 1, "joint_positions": positions}]} for t in times_us
@@ -253,7 +247,7 @@ def _json(path: Path, times_us: list[int]) -> Path:
     return path
 
 
-def test_times_of_json_that_go_back_or_repeat(tmp_path: Path) -> None:
+def test_times_of_json_that_go_back_or_repeat(tmp_path):
     with SkeletonRecording(_json(tmp_path / "a.json", [0, 66_666, 33_333])) as read:
         assert "the time goes back at frame 2" in read.warnings[0]
         assert [frame.time_ns for frame in read.frames()] == [0, 33_333_000, 66_666_000]
@@ -264,7 +258,7 @@ def test_times_of_json_that_go_back_or_repeat(tmp_path: Path) -> None:
         pass
 
 
-def test_one_recording_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_recording_twice_is_refused(tmp_path, capsys):
     a, _ = write_recordings(tmp_path)
     copy = tmp_path / "copy.csv"
     copy.write_bytes(a.read_bytes())
@@ -275,9 +269,7 @@ def test_one_recording_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
     assert "Fusion needs one recording of each sensor" in one_line(capsys)
 
 
-def test_a_number_of_too_many_digits_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_number_of_too_many_digits_is_refused_in_one_line(tmp_path, capsys):
     a, _ = write_recordings(tmp_path)
     (tmp_path / "b.json").write_text('{"joint_names": ' + 5000 * "1" + "}", encoding="utf-8")
     assert duplex("fuse", a, tmp_path / "b.json", "--no-viewer") == 2
@@ -285,16 +277,14 @@ def test_a_number_of_too_many_digits_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_real_recordings_give_no_warning(shared: Path, name: str) -> None:
+def test_real_recordings_give_no_warning(shared, name):
     folder = shared / "real" / f"kinect_v2_90deg_{name}"
     with SkeletonRecording(folder / "a.csv") as a, SkeletonRecording(folder / "b.csv") as b:
         assert (*a.warnings, *b.warnings) == ()
 
 
 @pytest.mark.parametrize("frames", [1, 2])
-def test_few_frames_are_fused_and_nothing_is_claimed(
-    tmp_path: Path, frames: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_few_frames_are_fused_and_nothing_is_claimed(tmp_path, frames, capsys):
     for path in write_recordings(tmp_path):
         lines = path.read_text(encoding="utf-8").splitlines()
         path.write_text("\n".join(lines[: 1 + frames * len(KINECT_V2)]) + "\n", encoding="utf-8")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, Body
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V1
 from fusion.calibration.bone_lengths import measure_bone_lengths
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import (
@@ -16,12 +16,12 @@ from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
 
 
-def pairs_of(truth: np.ndarray, body: Body = KINECT_V1) -> list[SkeletonPair]:
+def pairs_of(truth, body=KINECT_V1):
     return [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(truth)]
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_the_start_up_pose_is_recognised_where_it_is_held(body: Body) -> None:
+def test_the_start_up_pose_is_recognised_where_it_is_held(body):
     pairs = pairs_of(moving(body, 120), body)
     held, how = find_start_up_pose(body, pairs)
     assert held[0].time_ns == pairs[0].time_ns
@@ -30,7 +30,7 @@ def test_the_start_up_pose_is_recognised_where_it_is_held(body: Body) -> None:
     assert how.startswith("start-up pose at 0.0 s")
 
 
-def test_a_pose_held_for_less_than_a_second_is_not_taken() -> None:
+def test_a_pose_held_for_less_than_a_second_is_not_taken():
     watcher = StartUpPose(KINECT_V1)
     rng = np.random.default_rng(0)
     for t in range(60):
@@ -41,7 +41,7 @@ def test_a_pose_held_for_less_than_a_second_is_not_taken() -> None:
     assert watcher.end() is None
 
 
-def test_arms_hanging_down_are_no_start_up_pose() -> None:
+def test_arms_hanging_down_are_no_start_up_pose():
     assert limbs_apart(Skeleton.of(KINECT_V1, standing(KINECT_V1)))
     assert not limbs_apart(Skeleton.of(KINECT_V1, standing(KINECT_V1, arms_out=5.0)))
     assert not limbs_apart(Skeleton.of(KINECT_V1, standing(KINECT_V1, legs_out=-4.0)))  # feet together
@@ -50,7 +50,7 @@ def test_arms_hanging_down_are_no_start_up_pose() -> None:
     assert how.startswith("no start-up pose found; calmest window")
 
 
-def test_an_inferred_main_joint_breaks_the_pose() -> None:
+def test_an_inferred_main_joint_breaks_the_pose():
     watcher = StartUpPose(KINECT_V1)
     states = np.full(20, 2)
     states[KINECT_V1.joint("KneeLeft")] = TrackingState.INFERRED
@@ -60,7 +60,7 @@ def test_an_inferred_main_joint_breaks_the_pose() -> None:
         assert watcher.watch(SkeletonPair(hidden, pair.b, pair.time_ns)) is None
 
 
-def test_without_a_start_up_pose_the_calmest_window_serves() -> None:
+def test_without_a_start_up_pose_the_calmest_window_serves():
     rng = np.random.default_rng(1)
     truth = np.array([standing(KINECT_V1, arms_out=5.0)] * 150)
     truth[:60] += rng.normal(0, 0.05, (60, 20, 3))
@@ -72,12 +72,12 @@ def test_without_a_start_up_pose_the_calmest_window_serves() -> None:
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_bone_lengths_of_flawless_views_are_the_persons(body: Body) -> None:
+def test_bone_lengths_of_flawless_views_are_the_persons(body):
     calibration = calibrate(body, pairs_of(moving(body, 40), body), "test")
     np.testing.assert_allclose(calibration.bone_lengths, body.nominal_lengths, atol=2e-6)  # float32 at 4 m
 
 
-def test_bone_lengths_average_both_views_before_measuring() -> None:
+def test_bone_lengths_average_both_views_before_measuring():
     # eq. (13): the length of the mean skeleton, not the mean of the lengths
     pair = pair_of(KINECT_V1, standing(KINECT_V1))
     elbow = KINECT_V1.joint("ElbowLeft")
@@ -91,7 +91,7 @@ def test_bone_lengths_average_both_views_before_measuring() -> None:
     assert lengths[elbow] == pytest.approx(np.linalg.norm(upper_arm + 0.5 * shift), abs=1e-6)
 
 
-def test_an_unseen_bone_takes_its_mirror_image_or_an_adults_proportions() -> None:
+def test_an_unseen_bone_takes_its_mirror_image_or_an_adults_proportions():
     body = AZURE_KINECT
     scale = 0.9
     states = np.full(len(body), 2)
@@ -110,13 +110,13 @@ def test_an_unseen_bone_takes_its_mirror_image_or_an_adults_proportions() -> Non
     )
 
 
-def test_no_person_in_both_views_is_reported() -> None:
+def test_no_person_in_both_views_is_reported():
     pair = pair_of(KINECT_V1, standing(KINECT_V1))
     with pytest.raises(CalibrationError, match="No frame shows a person to both sensors"):
         find_start_up_pose(KINECT_V1, [SkeletonPair(pair.a, None, 0)])
 
 
-def test_windows_searched_at_once_are_as_calm_as_each_looked_at_singly() -> None:
+def test_windows_searched_at_once_are_as_calm_as_each_looked_at_singly():
     rng = np.random.default_rng(4)
     at = (rng.normal(0, 0.02, (80, 13, 3)) + rng.normal(size=(1, 13, 3)) + [0.0, 0.0, 3.0]).astype(np.float32)
     at[rng.random((80, 13)) < 0.1] = np.nan

@@ -1,25 +1,18 @@
 """Calibration while pairs come in: on the whole pose, on a pose seen in part, and on movement."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from devices.pairing import pair_recordings
 from devices.simulated.kinect import PERSON, simulated_pair
-from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2
 from fusion.calibration import calibrator
-from fusion.calibration.calibration import Calibration
 from fusion.calibration.calibrator import Calibrator
-from fusion.registration.robust_fit import RobustFit
-from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 from tests.helpers.two_views import FRAME_NS, calibration_of, moving, pair_of
 
 
-def watched(
-    body: Body, motion: str, angle: float, seconds: float, from_second: float = 0.0, seed: int = 3
-) -> tuple[Calibrator, float, RigidTransform]:
+def watched(body, motion, angle, seconds, from_second=0.0, seed=3):
     """The calibrator after the recording or once it settled, the seconds until then, and the true R and t."""
     a, b, truth = simulated_pair(motion=motion, seed=seed, body=body, angle_deg=angle, seconds=seconds)
     pairs = [frame.skeletons for frame in pair_recordings([*a.frames()], [*b.frames()], PERSON, PERSON).pairs]
@@ -34,7 +27,7 @@ def watched(
     return calibrator, (pair.time_ns - first_ns) * 1e-9, truth.a_from_b
 
 
-def errors(found: RigidTransform, truth: RigidTransform) -> tuple[float, float]:
+def errors(found, truth):
     """Degrees, and metres at a person 2.6 m before both sensors."""
     centre = truth.inverse().apply(np.array([0.0, 0.0, 2.6]))
     apart = np.linalg.norm(found.apply(centre) - truth.apply(centre))
@@ -44,7 +37,7 @@ def errors(found: RigidTransform, truth: RigidTransform) -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("body", "angle"), [(BLAZEPOSE, 120.0), (AZURE_KINECT, 135.0), (KINECT_V2, 120.0)], ids=str
 )
-def test_sensors_that_each_see_one_side_are_calibrated(body: Body, angle: float) -> None:
+def test_sensors_that_each_see_one_side_are_calibrated(body, angle):
     calibrator, seconds, truth = watched(body, "badminton", angle, 12.0)
     assert calibrator.final
     assert seconds < 12.0  # on the pose after three seconds, or on the movement that follows
@@ -57,16 +50,14 @@ def test_sensors_that_each_see_one_side_are_calibrated(body: Body, angle: float)
     ("motion", "angle", "seed", "how"),
     [("squat", 120.0, 3400, "start-up pose seen in part, "), ("walk", 90.0, 3, "start-up pose, ")],
 )
-def test_a_pose_seen_in_part_is_enough_and_the_whole_pose_is_preferred(
-    motion: str, angle: float, seed: int, how: str
-) -> None:
+def test_a_pose_seen_in_part_is_enough_and_the_whole_pose_is_preferred(motion, angle, seed, how):
     calibrator, seconds, _ = watched(AZURE_KINECT, motion, angle, 5.0, seed=seed)
     assert seconds < 4.0
     assert calibrator.calibration.how.startswith(how)
 
 
 @pytest.mark.parametrize(("body", "angle"), [(KINECT_V2, 90.0), (AZURE_KINECT, 180.0)], ids=str)
-def test_a_person_who_walks_needs_no_pose(body: Body, angle: float) -> None:
+def test_a_person_who_walks_needs_no_pose(body, angle):
     """The recording begins after the pose. 16 keyframes 0.2 s apart and a second fit take 4 s."""
     calibrator, seconds, truth = watched(body, "walk", angle, 17.0, from_second=5.0)
     assert calibrator.final
@@ -77,22 +68,22 @@ def test_a_person_who_walks_needs_no_pose(body: Body, angle: float) -> None:
     assert shift < 0.1
 
 
-def test_a_person_who_shows_too_little_leaves_the_calibration_provisional() -> None:
+def test_a_person_who_shows_too_little_leaves_the_calibration_provisional():
     """At 180° a squat seen from two sides leaves a solution turned by half a circle nearly as good."""
     calibrator, _, _ = watched(KINECT_V2, "squat", 180.0, 12.0)
     assert not calibrator.final
 
 
-def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch):
     """All starts together take longer than a frame; each is a rough fit and a better one."""
     fits, of_pairs = [0], []
     fit, watch = calibrator.fit_robust, Calibrator.watch
 
-    def counted(*given: Any, **more: Any) -> RobustFit:
+    def counted(*given, **more):
         fits[0] += 1
         return fit(*given, **more)
 
-    def watched_closely(calibrator: Calibrator, pair: SkeletonPair) -> Calibration | None:
+    def watched_closely(calibrator, pair):
         fits[0] = 0
         found = watch(calibrator, pair)
         of_pairs.append(fits[0])
@@ -105,7 +96,7 @@ def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch: pytest.Mo
     assert max(of_pairs) <= 2
 
 
-def test_calibration_is_provisional_at_first_and_settles_on_the_start_up_pose() -> None:
+def test_calibration_is_provisional_at_first_and_settles_on_the_start_up_pose():
     calibrator = Calibrator(KINECT_V2)
     found = []
     for t, joints in enumerate(moving(KINECT_V2, 120)):
@@ -118,7 +109,7 @@ def test_calibration_is_provisional_at_first_and_settles_on_the_start_up_pose() 
     np.testing.assert_allclose(calibrator.calibration.bone_lengths, KINECT_V2.nominal_lengths, atol=1e-5)
 
 
-def test_an_earlier_calibration_is_kept() -> None:
+def test_an_earlier_calibration_is_kept():
     before = calibration_of(KINECT_V2)
     calibrator = Calibrator(KINECT_V2, before)
     for t, joints in enumerate(moving(KINECT_V2, 60)):

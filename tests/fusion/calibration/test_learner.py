@@ -1,9 +1,6 @@
 """The calibration learner: refinements, bones, and that the calibration does not get worse."""
 
-from typing import Any
-
 import numpy as np
-import pytest
 from numba.core import event
 from scipy.spatial.transform import Rotation
 
@@ -12,7 +9,6 @@ from fusion.calibration.bone_lengths import bone_lengths_of, robust_bone_lengths
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import learn_from_recording
 from fusion.calibration.online import (
-    CalibrationChange,
     CalibrationLearner,
     LearnerSettings,
 )
@@ -33,7 +29,7 @@ OFF = (
 )
 
 
-def walk(count: int = 450, noise: float = 0.01, mirrored: bool = False) -> list[SkeletonPair]:
+def walk(count=450, noise=0.01, mirrored=False):
     rng = np.random.default_rng(6)
     pairs = []
     for k, truth in enumerate(moving(KINECT_V2, count)):
@@ -52,16 +48,14 @@ def walk(count: int = 450, noise: float = 0.01, mirrored: bool = False) -> list[
     return pairs
 
 
-def learned(
-    pairs: list[SkeletonPair], start: RigidTransform, settings: LearnerSettings | None = None
-) -> tuple[CalibrationLearner, list[CalibrationChange]]:
+def learned(pairs, start, settings=None):
     learner = CalibrationLearner(
         KINECT_V2, Calibration(KINECT_V2, start, KINECT_V2.nominal_lengths * 1.1, "start"), settings
     )
     return learner, [change for pair in pairs for change in learner.observe(pair)]
 
 
-def test_a_start_5_degrees_off_is_refined_and_says_how_certain_it_is() -> None:
+def test_a_start_5_degrees_off_is_refined_and_says_how_certain_it_is():
     learner, changes = learned(walk(), OFF)
     error = learner.calibration.a_from_b.angle_to(A_FROM_B)
     assert np.degrees(error) < 0.5
@@ -73,17 +67,17 @@ def test_a_start_5_degrees_off_is_refined_and_says_how_certain_it_is() -> None:
     assert "Registration refined" in refined[0].event
 
 
-def test_refinement_keeps_a_true_registration() -> None:
+def test_refinement_keeps_a_true_registration():
     learner, _ = learned(walk(), A_FROM_B)
     assert np.degrees(learner.calibration.a_from_b.angle_to(A_FROM_B)) < 0.2
 
 
-def test_mirrored_spells_of_one_view_do_not_mislead() -> None:
+def test_mirrored_spells_of_one_view_do_not_mislead():
     learner, _ = learned(walk(mirrored=True), OFF)
     assert np.degrees(learner.calibration.a_from_b.angle_to(A_FROM_B)) < 0.7
 
 
-def test_stale_and_one_sided_pairs_teach_nothing() -> None:
+def test_stale_and_one_sided_pairs_teach_nothing():
     learner = CalibrationLearner(KINECT_V2, Calibration(KINECT_V2, OFF, KINECT_V2.nominal_lengths, "start"))
     for pair in walk():
         assert learner.observe(pair, stale=(False, True)) == []
@@ -91,7 +85,7 @@ def test_stale_and_one_sided_pairs_teach_nothing() -> None:
     assert learner.calibration.a_from_b is OFF
 
 
-def test_bones_are_learned_and_the_change_is_reported() -> None:
+def test_bones_are_learned_and_the_change_is_reported():
     learner, changes = learned(walk(), A_FROM_B)
     bones = [change for change in changes if change.kind == "bones"]
     assert bones
@@ -102,7 +96,7 @@ def test_bones_are_learned_and_the_change_is_reported() -> None:
     assert error.mean() < 0.2 * (0.1 * true[joints]).mean()
 
 
-def test_the_bones_of_a_person_who_stands_still_are_learned_from_a_recording() -> None:
+def test_the_bones_of_a_person_who_stands_still_are_learned_from_a_recording():
     """Ten seconds of one pose hold too few keyframes for a registration, but many moments."""
     rng = np.random.default_rng(3)
     still = moving(KINECT_V2, 1)[0]
@@ -121,7 +115,7 @@ def test_the_bones_of_a_person_who_stands_still_are_learned_from_a_recording() -
     assert error.max() < 0.0015
 
 
-def test_one_sides_outliers_do_not_lengthen_a_bone_and_sides_agree() -> None:
+def test_one_sides_outliers_do_not_lengthen_a_bone_and_sides_agree():
     pairs = walk(200, noise=0.003)
     evidence = evidence_of(KINECT_V2, pairs)
     evidence.a[::4, KINECT_V2.joint("WristLeft")] += [0.0, 0.5, 0.0]
@@ -132,21 +126,21 @@ def test_one_sides_outliers_do_not_lengthen_a_bone_and_sides_agree() -> None:
     assert abs(lengths[forearm] - true) < 0.003
 
 
-def test_a_recording_whose_start_is_half_a_turn_off_is_registered_from_the_walk() -> None:
+def test_a_recording_whose_start_is_half_a_turn_off_is_registered_from_the_walk():
     wrong = RigidTransform.of(Rotation.from_euler("y", 150.0, degrees=True).as_matrix(), [0.0, 0.0, 4.0])
     start = Calibration(KINECT_V2, wrong, KINECT_V2.nominal_lengths, "wrong")
     found = learn_from_recording(KINECT_V2, walk(mirrored=True), start=start)
     assert np.degrees(found.spans[0].calibration.a_from_b.angle_to(A_FROM_B)) < 0.7
 
 
-def test_learning_twice_gives_the_same_to_the_last_bit() -> None:
+def test_learning_twice_gives_the_same_to_the_last_bit():
     first, _ = learned(walk(200), OFF)
     second, _ = learned(walk(200), OFF)
     np.testing.assert_array_equal(first.calibration.a_from_b.rotation, second.calibration.a_from_b.rotation)
 
 
-def test_a_learner_compiles_nothing_after_the_fuser_is_warm(monkeypatch: pytest.MonkeyPatch) -> None:
-    fresh: Any = kernel(error_model._accumulate.py_func)  # as in a new process
+def test_a_learner_compiles_nothing_after_the_fuser_is_warm(monkeypatch):
+    fresh = kernel(error_model._accumulate.py_func)  # as in a new process
     monkeypatch.setattr(error_model, "_accumulate", fresh)
     pairs = walk(200)
     start = Calibration(KINECT_V2, OFF, KINECT_V2.nominal_lengths, "start")
@@ -163,8 +157,8 @@ def test_a_learner_compiles_nothing_after_the_fuser_is_warm(monkeypatch: pytest.
     assert len(fresh.signatures) == 1  # a kernel found on disk here would have to be compiled elsewhere
 
 
-def test_a_refinement_in_steps_is_the_same_two_pairs_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    fits: list[int] = []
+def test_a_refinement_in_steps_is_the_same_two_pairs_later(monkeypatch):
+    fits = []
     fit = refinement.fit_robust
     monkeypatch.setattr(refinement, "fit_robust", lambda *of, **more: (fits.append(1), fit(*of, **more))[1])
     pairs = walk(120)

@@ -32,14 +32,14 @@ drop_stale_kernels(Path(__file__).parent)
 """
 
 
-def ask(folder: Path) -> str:
+def ask(folder):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(Path.cwd())])}
     return subprocess.run(
         [sys.executable, "-m", "edited.caller"], capture_output=True, text=True, env=environment, check=True
     ).stdout.strip()
 
 
-def test_a_kernel_follows_an_edit_of_what_it_calls(tmp_path: Path) -> None:
+def test_a_kernel_follows_an_edit_of_what_it_calls(tmp_path):
     """The edit changes the size too: Python compares a source's size and its time in whole seconds."""
     package = tmp_path / "edited"
     package.mkdir()
@@ -51,7 +51,7 @@ def test_a_kernel_follows_an_edit_of_what_it_calls(tmp_path: Path) -> None:
     assert ask(tmp_path) == "22"
 
 
-def test_only_kernels_older_than_a_source_go(tmp_path: Path) -> None:
+def test_only_kernels_older_than_a_source_go(tmp_path):
     cache = tmp_path / "__pycache__"
     cache.mkdir()
     for name, age in (("old.nbi", 1), ("new.nbi", 3), ("module.pyc", 1)):
@@ -63,7 +63,7 @@ def test_only_kernels_older_than_a_source_go(tmp_path: Path) -> None:
     assert sorted(path.name for path in cache.iterdir()) == ["module.pyc", "new.nbi"]
 
 
-def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path: Path) -> None:
+def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path):
     """Files take the place of the folders, because permissions do not stop root."""
     for package in ("fusion", "devices", "recordings"):
         shutil.copytree(package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))

@@ -26,7 +26,7 @@ print(len(prepare.signatures))
 """
 
 
-def test_another_process_compiles_the_solver_on_a_first_run(tmp_path: Path) -> None:
+def test_another_process_compiles_the_solver_on_a_first_run(tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(Path.cwd()), "NUMBA_CACHE_DIR": str(tmp_path)}
     cold = subprocess.run(
         [sys.executable, "-c", COLD], capture_output=True, text=True, env=environment, check=True
@@ -35,14 +35,14 @@ def test_another_process_compiles_the_solver_on_a_first_run(tmp_path: Path) -> N
     assert cold.stdout.split() == ["1", "0", "1"]
 
 
-def test_the_program_continues_if_no_process_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_program_continues_if_no_process_starts(monkeypatch):
     monkeypatch.setattr(first_run, "_is_on_disk", lambda _: False)
     monkeypatch.setattr(sys, "executable", "/nonexistent")
     with compiled_meanwhile(solve_tree, "pass"):
         pass
 
 
-def test_only_what_this_interpreter_compiled_counts(tmp_path: Path) -> None:
+def test_only_what_this_interpreter_compiled_counts(tmp_path):
     solver = Mock(__name__="solve_tree", stats=Mock(cache_path=tmp_path))
     (tmp_path / "tree_solver.solve_tree-163.py27.nbi").touch()
     (tmp_path / f"tree_solver.solve_tree-163.{PYTHON}x.nbi").touch()
@@ -51,7 +51,7 @@ def test_only_what_this_interpreter_compiled_counts(tmp_path: Path) -> None:
     assert first_run._is_on_disk(solver)
 
 
-def test_a_later_run_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_later_run_starts_no_process(monkeypatch):
     compile_tree_solver()
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process"))
     with compiled_meanwhile(solve_tree, "pass"):

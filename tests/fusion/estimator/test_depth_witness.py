@@ -4,20 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fusion.array_fields import new_arrays
 from fusion.body import KINECT_V2
 from fusion.estimator import outliers
-from fusion.estimator.arrays import Model, Solve, State, Views, new_model
+from fusion.estimator.arrays import Solve, State, Views, new_model
 from fusion.estimator.evidence import depth_evidence, measure_surface
 from fusion.facing.labels import Labels
 from fusion.facing.model import ARMS, WHOLE, new_facing_model
-from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
 from fusion.pair_arrays import PairStacker
 from fusion.setup import FuserSettings, FusionSetup
-from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from fusion.skeleton import Skeleton, TrackingState
 from fusion.witness import new_witness_model
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
@@ -31,7 +29,7 @@ FLOAT32 = (
 LEFT, RIGHT = BODY.joint("WristLeft"), BODY.joint("WristRight")
 
 
-def confirming() -> NDArray[np.float32]:
+def confirming():
     """The witness of a skeleton whose joints all agree with the image."""
     found = np.zeros((J, 4), dtype=np.float32)
     found[:, 0] = -new_witness_model(BODY).flesh
@@ -39,31 +37,29 @@ def confirming() -> NDArray[np.float32]:
     return found
 
 
-def witnessed(
-    pair: SkeletonPair, a: NDArray[np.float32] | None, b: NDArray[np.float32] | None
-) -> SkeletonPair:
+def witnessed(pair, a, b):
     return replace(pair, a=pair.a.with_witness(a), b=pair.b.with_witness(b))
 
 
-def fused(pairs: list[SkeletonPair], method: str = "duplex") -> list[FusedFrame]:
-    setup = FusionSetup(calibration_of(BODY), FuserSettings(method=method))  # type: ignore[arg-type]
+def fused(pairs, method="duplex"):
+    setup = FusionSetup(calibration_of(BODY), FuserSettings(method=method))
     return Fuser(setup).fuse_sequence(pairs, Labels.with_sides(np.zeros((len(pairs), 2))))
 
 
-def recording(frames: int = 60) -> list[SkeletonPair]:
+def recording(frames=60):
     random = np.random.default_rng(1)
     return [
         noisy(pair_of(BODY, at, k * FRAME_NS), random, 0.005) for k, at in enumerate(moving(BODY, frames))
     ]
 
 
-def same_bits(one: list[FusedFrame], other: list[FusedFrame]) -> bool:
+def same_bits(one, other):
     names = ("positions", "sigma", "covariance", "weights_a", "weights_b", "predicted")
     arrays = [(getattr(p, n), getattr(q, n)) for p, q in zip(one, other, strict=True) for n in names]
     return all(p is q if p is None else np.array_equal(p, q, equal_nan=True) for p, q in arrays)
 
 
-def asked(code: int, witness: NDArray[np.float32]) -> tuple[Model, Views, Skeleton]:
+def asked(code, witness):
     """Both views of one standing person with A's witness, after :func:`depth_evidence`."""
     model = new_model(BODY, BODY.nominal_lengths, A_FROM_B)
     pair = pair_of(BODY, standing(BODY), 0)
@@ -77,14 +73,14 @@ def asked(code: int, witness: NDArray[np.float32]) -> tuple[Model, Views, Skelet
     return model, views, pair.a
 
 
-def test_an_image_without_readings_changes_no_bit() -> None:
+def test_an_image_without_readings_changes_no_bit():
     pairs = recording()
     nothing = np.full((J, 4), np.nan, dtype=np.float32)
     assert same_bits(fused(pairs), fused([witnessed(pair, nothing, nothing) for pair in pairs]))
     assert not same_bits(fused(pairs), fused([witnessed(pair, confirming(), nothing) for pair in pairs]))
 
 
-def test_one_by_one_and_all_at_once_are_the_same_bits_with_images() -> None:
+def test_one_by_one_and_all_at_once_are_the_same_bits_with_images():
     pairs = [
         witnessed(pair, confirming(), None if k % 3 else confirming()) for k, pair in enumerate(recording())
     ]
@@ -94,14 +90,14 @@ def test_one_by_one_and_all_at_once_are_the_same_bits_with_images() -> None:
     assert same_bits(one_by_one, fused(pairs))
 
 
-def test_the_papers_methods_ignore_images() -> None:
+def test_the_papers_methods_ignore_images():
     pairs = recording(5)
     seen = [witnessed(pair, confirming(), confirming()) for pair in pairs]
     assert same_bits(fused(pairs, "paper"), fused(seen, "paper"))
 
 
 @pytest.mark.parametrize("code", [0, ARMS, WHOLE])
-def test_the_evidence_of_an_image_follows_its_joint(code: int) -> None:
+def test_the_evidence_of_an_image_follows_its_joint(code):
     witness = confirming()
     witness[LEFT] = 0.5, -0.1, 0.0, 0.0  # seen past
     _, views, skeleton = asked(code, witness)
@@ -120,7 +116,7 @@ def test_the_evidence_of_an_image_follows_its_joint(code: int) -> None:
     assert np.isnan(views.places[1]).all()
 
 
-def test_evidence_multiplies_the_odds_of_an_outlier() -> None:
+def test_evidence_multiplies_the_odds_of_an_outlier():
     model, views, _ = asked(0, confirming())
     state = new_arrays(State, J=J)
     views.log_odds[:] = 0.0
@@ -133,7 +129,7 @@ def test_evidence_multiplies_the_odds_of_an_outlier() -> None:
         assert prior(model, state, views, 1, LEFT) == before
 
 
-def test_the_surface_is_joined_with_the_tracker_by_information() -> None:
+def test_the_surface_is_joined_with_the_tracker_by_information():
     model, views, _ = asked(0, confirming())
     random = np.random.default_rng(2)
     for i in range(J):
@@ -158,7 +154,7 @@ def test_the_surface_is_joined_with_the_tracker_by_information() -> None:
     assert measured > 10
 
 
-def test_a_hand_that_the_image_sees_past_counts_for_less() -> None:
+def test_a_hand_that_the_image_sees_past_counts_for_less():
     """A reports the right arm at a wrong position, and A's image sees past that position."""
     arm = [BODY.joint(f"{joint}Right") for joint in ("Wrist", "Hand", "HandTip", "Thumb")]
     past = np.full((J, 4), np.nan, dtype=np.float32)

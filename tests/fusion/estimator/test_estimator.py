@@ -1,6 +1,5 @@
 """Properties of S* with the method duplex, on a person with known truth."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,13 +7,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fusion.body import BODIES, KINECT_V2, Body
+from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.estimator.constants import Constants
 from fusion.facing.labels import Labels
-from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
@@ -22,62 +20,60 @@ from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
 
 BODY = KINECT_V2
-FLOAT32 = 3e-6  # m: of a coordinate of up to 4 m, through R and t and along the longest chain of bones
 Array = NDArray[np.float64]
 
 
-def fuser(smoothing: float = 0.5, body: Body = BODY, calibration: Calibration | None = None) -> Fuser:
+def fuser(smoothing=0.5, body=BODY, calibration=None):
     """Without headings: these artificial people have no front."""
     setup = FusionSetup(calibration or calibration_of(body), FuserSettings(smoothing=smoothing))
     return Fuser(setup, Constants.of(body)._replace(heading=False))
 
 
-def recording(truth: Array, sd: float = 0.0, seed: int = 0, body: Body = BODY) -> list[SkeletonPair]:
+def recording(truth, sd=0.0, seed=0, body=BODY):
     rng = np.random.default_rng(seed)
     pairs = [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(truth)]
     return [noisy(pair, rng, sd) for pair in pairs] if sd else pairs
 
 
-def changed(skeleton: Skeleton | None, change: Callable[[Array], Array]) -> Skeleton:
+def changed(skeleton, change):
     return Skeleton.of(
         skeleton.body, change(skeleton.positions.astype(float)), skeleton.states, skeleton.time_ns
     )
 
 
-def fused(pairs: list[SkeletonPair], smoothing: float = 0.5, body: Body = BODY) -> list[FusedFrame]:
+def fused(pairs, smoothing=0.5, body=BODY):
     """S* without correction of sides: these artificial people have no front."""
     return fuser(smoothing, body).fuse_sequence(pairs, Labels.with_sides(np.zeros((len(pairs), 2))))
 
 
-def positions(frames: list[FusedFrame]) -> Array:
+def positions(frames):
     return np.array([frame.positions for frame in frames])
 
 
-def apart(a: Array, b: Array) -> Array:
-    distance: Array = np.linalg.norm(a - b, axis=-1)
-    return distance
+def apart(a, b):
+    return np.linalg.norm(a - b, axis=-1)
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_two_flawless_views_of_a_still_person_give_the_truth(body: Body) -> None:
+def test_two_flawless_views_of_a_still_person_give_the_truth(body):
     truth = np.tile(standing(body), (20, 1, 1))
     shaken = recording(truth, 1e-6, body=body)  # a skeleton that repeats would be stale
     np.testing.assert_allclose(positions(fused(shaken, body=body)), truth, atol=1e-5)
 
 
-def test_a_moving_person_is_followed_without_noise_to_centimetres() -> None:
+def test_a_moving_person_is_followed_without_noise_to_centimetres():
     truth = moving(BODY, 120)
     assert np.percentile(apart(positions(fused(recording(truth))), truth), 99) < 0.02
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_bones_are_exact_whatever_the_noise(body: Body) -> None:
+def test_bones_are_exact_whatever_the_noise(body):
     for frame in fused(recording(moving(body, 40), 0.06, body=body), body=body):
         lengths = bone_lengths_of(body, frame.positions)[body.bone_joints]
         np.testing.assert_allclose(lengths, body.nominal_lengths[body.bone_joints], atol=1e-9)
 
 
-def test_one_by_one_and_all_at_once_are_the_same_bits() -> None:
+def test_one_by_one_and_all_at_once_are_the_same_bits():
     pairs = recording(moving(BODY, 40), 0.02)
     pairs[20] = replace(pairs[20], b=None)
     pairs[21] = SkeletonPair(None, None, pairs[21].time_ns)
@@ -99,14 +95,14 @@ def test_one_by_one_and_all_at_once_are_the_same_bits() -> None:
     assert together[22].has_person
 
 
-def test_averaging_two_views_over_time_beats_either() -> None:
+def test_averaging_two_views_over_time_beats_either():
     truth = np.tile(standing(BODY), (150, 1, 1))
     found = positions(fused(recording(truth, 0.01)))[30:]
     one_view = 0.01 * np.sqrt(8.0 / np.pi)  # mean length of a Gaussian vector in three dimensions
     assert apart(found, truth[30:]).mean() < 0.5 * one_view
 
 
-def test_a_stale_view_is_no_measurement() -> None:
+def test_a_stale_view_is_no_measurement():
     pairs = recording(moving(BODY, 70)[40:], 0.005)
     pairs[20] = replace(pairs[20], b=pairs[19].b)
     frame = fused(pairs)[20]
@@ -115,14 +111,11 @@ def test_a_stale_view_is_no_measurement() -> None:
     assert (frame.weights_a[~frame.predicted] == 1.0).all()
 
 
-Fault = Callable[[Array], Array]
-
-
-def shifted(at: Array) -> Array:
+def shifted(at):
     return at + np.array((0.25, 0.0, 0.0))
 
 
-def snapped(at: Array) -> Array:
+def snapped(at):
     arm = [BODY.joint(f"{joint}Right") for joint in ("Elbow", "Wrist", "Hand", "HandTip", "Thumb")]
     at = at.copy()
     at[arm] = at[BODY.joint("SpineMid")] + np.array((0.12, 0.0, 0.0)) + 0.02 * np.arange(5)[:, None]
@@ -131,7 +124,7 @@ def snapped(at: Array) -> Array:
 
 @pytest.mark.parametrize(("fault", "share"), [(shifted, 0.25), (snapped, 0.05)])
 @pytest.mark.parametrize("view", ["a", "b"])
-def test_a_fault_in_one_view_does_not_pass_into_the_skeleton(fault: Fault, share: float, view: str) -> None:
+def test_a_fault_in_one_view_does_not_pass_into_the_skeleton(fault, share, view):
     pairs = recording(moving(BODY, 120), 0.004)
     bad = list(pairs)
     for k in range(70, 90):
@@ -145,7 +138,7 @@ def test_a_fault_in_one_view_does_not_pass_into_the_skeleton(fault: Fault, share
     assert apart(found, clean)[hit].sum() < share * np.array(sizes)[hit].sum()
 
 
-def test_a_view_that_is_lost_and_found_makes_no_jump() -> None:
+def test_a_view_that_is_lost_and_found_makes_no_jump():
     """The views differ by 6 cm, as those of real trackers do."""
     truth = np.tile(standing(BODY), (150, 1, 1))
     pairs = [replace(p, b=changed(p.b, lambda at: at + 0.035)) for p in recording(truth, 0.002)]
@@ -155,7 +148,7 @@ def test_a_view_that_is_lost_and_found_makes_no_jump() -> None:
     assert steps[40:100].max() < 0.006
 
 
-def test_the_skeleton_stays_between_the_views_while_one_of_them_is_lost() -> None:
+def test_the_skeleton_stays_between_the_views_while_one_of_them_is_lost():
     """After 12 s of agreement, B is lost for three: S* moves by less than half of the way to A.
 
     The views are 6 cm apart, so S* lies 3 cm from A. n / (n + 3 s) of an offset is known after n = 12 s,
@@ -173,11 +166,11 @@ def test_the_skeleton_stays_between_the_views_while_one_of_them_is_lost() -> Non
     assert after > 0.5 * before > 0.01
 
 
-def test_uncertainty_grows_while_no_one_sees_a_joint_and_shrinks_again() -> None:
+def test_uncertainty_grows_while_no_one_sees_a_joint_and_shrinks_again():
     wrist = BODY.joint("WristLeft")
     pairs = recording(moving(BODY, 140), 0.004)
 
-    def hidden(skeleton: Skeleton | None) -> Skeleton:
+    def hidden(skeleton):
         states = skeleton.states.copy()
         states[[BODY.joint(f"{j}Left") for j in ("Wrist", "Hand", "HandTip", "Thumb")]] = (
             TrackingState.NOT_TRACKED
@@ -195,7 +188,7 @@ def test_uncertainty_grows_while_no_one_sees_a_joint_and_shrinks_again() -> None
     assert not frames[75].predicted[wrist]
 
 
-def test_another_calibration_makes_no_jump_and_is_followed() -> None:
+def test_another_calibration_makes_no_jump_and_is_followed():
     truth = np.tile(standing(BODY), (200, 1, 1))
     pairs = recording(truth, 0.002)
     off = RigidTransform.of(
@@ -218,7 +211,7 @@ def test_another_calibration_makes_no_jump_and_is_followed() -> None:
 
 @pytest.mark.parametrize("metres", [0.1, 1.0])
 @pytest.mark.parametrize("before", [0, 150])
-def test_a_corrected_calibration_leaves_no_error_behind(before: int, metres: float) -> None:
+def test_a_corrected_calibration_leaves_no_error_behind(before, metres):
     """For two seconds B is not where it is assumed, from the start or after a knock; then this is known."""
     truth = np.tile(standing(BODY), (before + 240, 1, 1))
     moved = RigidTransform.of(np.eye(3), np.array((metres, 0.0, 0.0)))
@@ -235,7 +228,7 @@ def test_a_corrected_calibration_leaves_no_error_behind(before: int, metres: flo
     assert np.median(apart(np.array(last), truth[-30:])) < 0.005
 
 
-def test_more_smoothing_is_calmer_and_less_follows_each_frame() -> None:
+def test_more_smoothing_is_calmer_and_less_follows_each_frame():
     truth = np.tile(standing(BODY), (120, 1, 1))
     pairs = recording(truth, 0.01)
     rough = [
@@ -246,7 +239,7 @@ def test_more_smoothing_is_calmer_and_less_follows_each_frame() -> None:
     assert rough[0] > 5.0 * rough[-1]
 
 
-def test_a_smoothed_recording_is_nearer_to_the_truth_and_has_exact_bones() -> None:
+def test_a_smoothed_recording_is_nearer_to_the_truth_and_has_exact_bones():
     truth = moving(BODY, 200)
     pairs = recording(truth, 0.015)
     filtered, smoothed = fused(pairs), fuser().smooth_sequence(pairs, Labels.with_sides(np.zeros((200, 2))))
@@ -262,12 +255,12 @@ def test_a_smoothed_recording_is_nearer_to_the_truth_and_has_exact_bones() -> No
         Fuser(FusionSetup(calibration_of(BODY), FuserSettings(method="paper"))).smooth_sequence(pairs)
 
 
-def test_the_reported_deviation_holds_the_truth() -> None:
+def test_the_reported_deviation_holds_the_truth():
     """Errors as the filter assumes them: a lasting one of the joint's own size in each view, a fast one."""
     body, inside = BODY, []
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        model = fuser()._fusion._filter.model  # type: ignore[union-attr]
+        model = fuser()._fusion._filter.model
         k = model.constants
         truth = moving(body, 100, seed)
         bias = rng.normal(size=(2, len(body), 3)) * k.slow_scale * model.slow[:, None]

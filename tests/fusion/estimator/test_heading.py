@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fusion.array_fields import new_arrays
-from fusion.body import AZURE_KINECT, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.calibration.calibration import Calibration
 from fusion.compiling.kernels import kernel
 from fusion.estimator.arrays import Views
@@ -15,16 +15,16 @@ from fusion.fuser import Fuser
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
-from tests.helpers.labelled_views import Floats, heading, simulated_views
+from tests.helpers.labelled_views import heading, simulated_views
 from tests.helpers.two_views import standing
 
 
 @kernel
-def turn(model, up, sensors, views):  # type: ignore[no-untyped-def]
+def turn(model, up, sensors, views):
     turn_girdles(model, up, sensors, views)
 
 
-def turned(body: Body, to: Floats, confidence: float) -> tuple[Floats, Floats]:
+def turned(body, to, confidence):
     """(J, 3) a person before and after, whose back is turned to both sensors, with the heading ``to``."""
     views = new_arrays(Views, J=len(body))
     before = standing(body)
@@ -36,7 +36,7 @@ def turned(body: Body, to: Floats, confidence: float) -> tuple[Floats, Floats]:
     return before, views.positions[0]
 
 
-def test_a_certain_heading_turns_a_kinect_v2s_shoulders_and_hips() -> None:
+def test_a_certain_heading_turns_a_kinect_v2s_shoulders_and_hips():
     to = np.array((0.6, 0.0, 0.8))
     before, after = turned(KINECT_V2, to, 1.0)
     np.testing.assert_allclose(heading(KINECT_V2, after[None])[0], to, atol=1e-4)
@@ -49,14 +49,14 @@ def test_a_certain_heading_turns_a_kinect_v2s_shoulders_and_hips() -> None:
     np.testing.assert_array_equal(after[rest], before[rest])
 
 
-def test_an_uncertain_heading_turns_them_little_and_other_trackers_not_at_all() -> None:
+def test_an_uncertain_heading_turns_them_little_and_other_trackers_not_at_all():
     to = np.array((0.6, 0.0, 0.8))
     for body, confidence, limit in ((KINECT_V2, 0.0, 0.25), (AZURE_KINECT, 1.0, 1e-5)):
         before, after = (heading(body, x[None])[0] for x in turned(body, to, confidence))
         assert np.arccos(min(before @ after, 1.0)) <= limit * np.arccos(before @ to)
 
 
-def test_the_trunk_follows_a_walk_that_kinects_v2_report_askew() -> None:
+def test_the_trunk_follows_a_walk_that_kinects_v2_report_askew():
     views = simulated_views("walk", seconds=20.0, seed=4002)
     calibration = Calibration(
         KINECT_V2, RigidTransform.of(np.eye(3), views.sensor_b), KINECT_V2.nominal_lengths, "known"

@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fusion.array_fields import new_arrays
 from fusion.body import KINECT_V2
 from fusion.estimator import outliers
-from fusion.estimator.arrays import Model, State, Views, new_model
+from fusion.estimator.arrays import State, Views, new_model
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.estimator.estimator import elapsed
@@ -25,10 +24,9 @@ from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, 
 BODY = KINECT_V2
 J = len(BODY)
 ROUNDING = 1e-9  # of a length in metres over length_error, after some operations in double precision
-Array = NDArray[np.float64]
 
 
-def two_views(random: np.random.Generator) -> tuple[Model, Views]:
+def two_views(random):
     """A standing person in both views, with errors of centimetres and of decimetres."""
     lengths = np.linalg.norm(standing(BODY) - standing(BODY)[BODY.parent_indices], axis=1)
     model = new_model(BODY, lengths, A_FROM_B)
@@ -42,7 +40,7 @@ def two_views(random: np.random.Generator) -> tuple[Model, Views]:
     return model, seen
 
 
-def test_the_worst_tracked_bone_at_a_joint_counts_against_it() -> None:
+def test_the_worst_tracked_bone_at_a_joint_counts_against_it():
     random = np.random.default_rng(3)
     model, seen = two_views(random)
     state = new_arrays(State, J=J)
@@ -67,14 +65,14 @@ def test_the_worst_tracked_bone_at_a_joint_counts_against_it() -> None:
     assert 0.0 in costs, "some joints have no tracked bone"
 
 
-def test_bones_of_the_right_lengths_are_no_evidence() -> None:
+def test_bones_of_the_right_lengths_are_no_evidence():
     model, seen = two_views(np.random.default_rng(3))
     seen.positions[:], seen.states[:] = standing(BODY), 2
     interpreted(length_evidence)(model, new_arrays(State, J=J), seen)
     np.testing.assert_allclose(seen.log_odds, 0.0, atol=ROUNDING)
 
 
-def test_a_wrong_length_says_less_of_a_limb_that_swings() -> None:
+def test_a_wrong_length_says_less_of_a_limb_that_swings():
     model, seen = two_views(np.random.default_rng(3))
     state, wrist, elbow = new_arrays(State, J=J), BODY.joint("WristLeft"), BODY.joint("ElbowLeft")
     seen.positions[:], seen.states[:] = standing(BODY), 2
@@ -90,7 +88,7 @@ def test_a_wrong_length_says_less_of_a_limb_that_swings() -> None:
     assert costs[2] == pytest.approx(costs[0]), "the whole person moves: the bone does not swing"
 
 
-def with_arm_near_trunk(skeleton: Skeleton | None, share: float) -> Skeleton:
+def with_arm_near_trunk(skeleton, share):
     """The arm on its way, by this share, to a place beside the trunk where its joints are 2 cm apart."""
     at = skeleton.positions.astype(np.float64)
     for n, part in enumerate(("Elbow", "Wrist", "Hand", "HandTip", "Thumb")):
@@ -99,7 +97,7 @@ def with_arm_near_trunk(skeleton: Skeleton | None, share: float) -> Skeleton:
     return Skeleton.of(BODY, at, skeleton.states, skeleton.time_ns)
 
 
-def test_the_bones_tell_which_view_of_a_wrist_is_wrong() -> None:
+def test_the_bones_tell_which_view_of_a_wrist_is_wrong():
     """No jump tells it: the arm slides away in B, a few centimetres per frame, while A is right.
 
     The bones bring at least a fifth; 29 % when this was written.
@@ -113,7 +111,7 @@ def test_the_bones_tell_which_view_of_a_wrist_is_wrong() -> None:
     setup = FusionSetup(calibration_of(BODY))
     wrist = BODY.joint("WristRight")
 
-    def moved(constants: Constants) -> float:
+    def moved(constants):
         found = []
         for some in (pairs, bad):
             fuser = Fuser(setup)
@@ -130,7 +128,7 @@ def test_the_bones_tell_which_view_of_a_wrist_is_wrong() -> None:
     assert moved(default) < 0.8 * moved(default._replace(length_limit=0.0))
 
 
-def test_doubt_about_most_joints_of_a_view_is_doubt_about_the_others() -> None:
+def test_doubt_about_most_joints_of_a_view_is_doubt_about_the_others():
     model, state, seen = (
         two_views(np.random.default_rng(3))[0],
         new_arrays(State, J=J),
@@ -154,7 +152,7 @@ def test_doubt_about_most_joints_of_a_view_is_doubt_about_the_others() -> None:
     )
 
 
-def test_a_new_person_starts_without_doubt_about_the_view() -> None:
+def test_a_new_person_starts_without_doubt_about_the_view():
     state = new_arrays(State, J=J)
     state.last_time[:] = 0, 1
     state.view_outlier_probability[:] = 0.5

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +38,7 @@ class Scene:
 
 
 @pytest.fixture
-def scene() -> Scene:
+def scene():
     """A standing person whom both views report with errors, and a filter that knows all joints."""
     random = np.random.default_rng(7)
     model = new_model(BODY, BODY.nominal_lengths, A_FROM_B)
@@ -70,16 +69,16 @@ def scene() -> Scene:
     return Scene(model, state, seen, new_arrays(Solve, J=J), random)
 
 
-def innovations(scene: Scene) -> np.ndarray[Any, np.dtype[np.float64]]:
+def innovations(scene):
     s, w = scene.state, scene.views
     return w.positions - s.offsets - s.positions - s.velocities * w.delays[:, None, None]
 
 
-def covariance_of(variances: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+def covariance_of(variances):
     return np.array(((variances[0], variances[1]), (variances[1], variances[2])))
 
 
-def test_every_joint_of_every_body_has_a_kind_of_its_own_name() -> None:
+def test_every_joint_of_every_body_has_a_kind_of_its_own_name():
     kinds = {joint: kind_of(joint) for joint in (*AZURE_KINECT.joints, *KINECT_V2.joints)}
     assert set(kinds.values()) == set(KINDS)
     assert kinds["HANDTIP_LEFT"] == kinds["HandTipRight"] == "tip"
@@ -89,9 +88,7 @@ def test_every_joint_of_every_body_has_a_kind_of_its_own_name() -> None:
         kind_of("TOE_LEFT")
 
 
-def test_a_joint_of_a_new_kind_is_in_the_groups_of_the_kind_it_resembles(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_joint_of_a_new_kind_is_in_the_groups_of_the_kind_it_resembles(monkeypatch):
     monkeypatch.setitem(joint_kinds.KINDS, "toe", "foot")
     monkeypatch.setitem(joint_kinds._KIND_OF_NAME, "toe", "toe")
     renamed = replace(AZURE_KINECT, joints=tuple(j.replace("FOOT", "TOE") for j in AZURE_KINECT.joints))
@@ -112,9 +109,7 @@ def test_a_joint_of_a_new_kind_is_in_the_groups_of_the_kind_it_resembles(
         by_joint(renamed, errors.jitter)
 
 
-def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the_parents(
-    scene: Scene,
-) -> None:
+def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the_parents(scene):
     model, before = scene.model, scene.state
     k = model.constants
     x, v, P = before.positions.copy(), before.velocities.copy(), before.variances.copy()
@@ -133,7 +128,7 @@ def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the
         np.testing.assert_allclose(before.positions[i], x[i] + DT * v[i], rtol=ROUNDING)
 
 
-def test_slow_errors_stretch_along_the_ray_and_grow_under_a_cover(scene: Scene) -> None:
+def test_slow_errors_stretch_along_the_ray_and_grow_under_a_cover(scene):
     model, seen = scene.model, scene.views
     trunk, wrist = BODY.joint("SpineMid"), BODY.joint("WristLeft")
     seen.states[:, (trunk, wrist)] = 2
@@ -163,7 +158,7 @@ def test_slow_errors_stretch_along_the_ray_and_grow_under_a_cover(scene: Scene) 
     assert covered > 0
 
 
-def test_trust_is_the_posterior_over_all_hypotheses(scene: Scene) -> None:
+def test_trust_is_the_posterior_over_all_hypotheses(scene):
     model, state, seen = scene.model, scene.state, scene.views
     seen.states[:] = np.where(seen.states == 0, 2, seen.states)
     seen.states[0, 3] = seen.states[1, 5] = 0
@@ -207,7 +202,7 @@ def test_trust_is_the_posterior_over_all_hypotheses(scene: Scene) -> None:
         np.testing.assert_allclose(seen.trust[:, i], good / total, rtol=1e-7, atol=1e-12)
 
 
-def test_a_surprise_lets_both_views_through(scene: Scene) -> None:
+def test_a_surprise_lets_both_views_through(scene):
     state, seen, i = scene.state, scene.views, 7
     seen.states[:, i] = 2
     state.offsets[:] = 0.0
@@ -226,7 +221,7 @@ def test_a_surprise_lets_both_views_through(scene: Scene) -> None:
     np.testing.assert_allclose(covariance_of(state.variances[i]), expected, rtol=ROUNDING)
 
 
-def test_measurements_are_taken_in_as_information(scene: Scene) -> None:
+def test_measurements_are_taken_in_as_information(scene):
     state, seen = scene.state, scene.views
     x, v, P = state.positions.copy(), state.velocities.copy(), state.variances.copy()
     seen.delays[:] = 0.0
@@ -245,7 +240,7 @@ def test_measurements_are_taken_in_as_information(scene: Scene) -> None:
         np.testing.assert_allclose(covariance_of(state.variances[i]), np.linalg.inv(information), rtol=1e-6)
 
 
-def test_the_difference_of_the_views_is_shared_by_covariance(scene: Scene) -> None:
+def test_the_difference_of_the_views_is_shared_by_covariance(scene):
     state, seen = scene.state, scene.views
     before, variances, d = state.offsets.copy(), state.offset_variances.copy(), innovations(scene)
     interpreted(offsets.update_offsets)(scene.model, state, seen, scene.solve)
@@ -263,7 +258,7 @@ def test_the_difference_of_the_views_is_shared_by_covariance(scene: Scene) -> No
     assert 3 < changed < J
 
 
-def test_offsets_return_to_the_usual_ones(scene: Scene) -> None:
+def test_offsets_return_to_the_usual_ones(scene):
     state, seen, k = scene.state, scene.views, scene.model.constants
     usual = scene.random.normal(0.0, 0.05, (2, J, 3))
     state.usual_offsets[:], before = usual, state.offsets.copy()
@@ -274,7 +269,7 @@ def test_offsets_return_to_the_usual_ones(scene: Scene) -> None:
     assert 3 < agreed.sum() < J - 3
 
 
-def test_the_usual_offsets_are_means_over_the_time_of_agreement(scene: Scene) -> None:
+def test_the_usual_offsets_are_means_over_the_time_of_agreement(scene):
     state, seen, k = scene.state, scene.views, scene.model.constants
     seen.states[:], seen.trust[:], seen.delays[:] = 2, 1.0, 0.0
     seen.states[0, 3], seen.trust[0, 4] = 1, 0.0
@@ -296,7 +291,7 @@ def test_the_usual_offsets_are_means_over_the_time_of_agreement(scene: Scene) ->
     assert state.agreed[5] == k.usual_seconds
 
 
-def test_a_joint_begins_at_the_mean_by_information(scene: Scene) -> None:
+def test_a_joint_begins_at_the_mean_by_information(scene):
     state, seen = scene.state, scene.views
     state.known[:] = False
     interpreted(kalman.start_joints)(scene.model, state, seen, scene.solve)
@@ -312,7 +307,7 @@ def test_a_joint_begins_at_the_mean_by_information(scene: Scene) -> None:
         np.testing.assert_allclose(state.shared_error[i], M, rtol=1e-7)
 
 
-def test_the_slow_error_approaches_that_of_the_trusted_views(scene: Scene) -> None:
+def test_the_slow_error_approaches_that_of_the_trusted_views(scene):
     state, seen = scene.state, scene.views
     seen.trust[:, 3] = 0.02, 0.0
     before, k, dt = state.shared_error.copy(), scene.model.constants, 0.3
@@ -332,7 +327,7 @@ def test_the_slow_error_approaches_that_of_the_trusted_views(scene: Scene) -> No
     assert paces == {0.0, together, alone}
 
 
-def test_a_skeleton_that_is_too_large_is_brought_to_its_size(scene: Scene) -> None:
+def test_a_skeleton_that_is_too_large_is_brought_to_its_size(scene):
     state, seen = scene.state, scene.views
     model = scene.model._replace(constants=Constants.of(AZURE_KINECT))
     truth, root = standing(BODY), BODY.root
@@ -346,7 +341,7 @@ def test_a_skeleton_that_is_too_large_is_brought_to_its_size(scene: Scene) -> No
     np.testing.assert_allclose(seen.positions, [truth, truth], atol=0.003)
 
 
-def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene: Scene) -> None:
+def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene):
     solve = scene.solve
     solve.positions[:] = standing(BODY)
     for i in range(J):
@@ -371,7 +366,7 @@ def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene: Scene)
         assert sigma[i] == pytest.approx(math.sqrt(np.trace(found[i])))
 
 
-def test_a_step_back_is_that_of_rauch_tung_and_striebel(scene: Scene) -> None:
+def test_a_step_back_is_that_of_rauch_tung_and_striebel(scene):
     random, model, i = scene.random, scene.model, BODY.joint("WristLeft")
     trace = new_arrays(smoother.Trace, T=2, J=J)
     trace.seconds[1] = DT
@@ -400,9 +395,7 @@ def test_a_step_back_is_that_of_rauch_tung_and_striebel(scene: Scene) -> None:
 
 @pytest.mark.parametrize(("joint", "sign"), [("Knee", -1.0), ("Elbow", 1.0)])
 @pytest.mark.parametrize("tracked", [True, False])
-def test_an_unseen_hinge_does_not_bend_backwards(
-    scene: Scene, joint: str, sign: float, tracked: bool
-) -> None:
+def test_an_unseen_hinge_does_not_bend_backwards(scene, joint, sign, tracked):
     state, seen = scene.state, scene.views
     state.positions[:] = straight = standing(BODY)
     i = BODY.joint(f"{joint}Left")

@@ -19,7 +19,7 @@ SETUP = FusionSetup(
 )
 
 
-def walk(count: int) -> list[SkeletonPair]:
+def walk(count):
     pairs = []
     for k, truth in enumerate(moving(KINECT_V2, count)):
         a, b = (
@@ -29,7 +29,7 @@ def walk(count: int) -> list[SkeletonPair]:
     return pairs
 
 
-def test_labels_are_stored_to_the_nearest_step() -> None:
+def test_labels_are_stored_to_the_nearest_step():
     labels = Labels.with_sides([[WHOLE, 0], [5, 7]], [[0.0, 1.0], [0.2, 0.5019]])
     labels.heading[:] = (0.2, 0.0, -0.9)
     stored = labels.as_stored()
@@ -38,7 +38,7 @@ def test_labels_are_stored_to_the_nearest_step() -> None:
     np.testing.assert_array_equal(stored.heading, np.array([(205, 0, -922)] * 2, np.float32) / 1024)
 
 
-def test_recorded_sides_without_doubt_give_a_live_run_again() -> None:
+def test_recorded_sides_without_doubt_give_a_live_run_again():
     """A replay of a live session knows the sides only; the filter finds the doubt again, to the bit."""
     pairs = walk(40)
     fuser, again = Fuser(SETUP), Fuser(SETUP)
@@ -52,7 +52,7 @@ def test_recorded_sides_without_doubt_give_a_live_run_again() -> None:
     assert legs.exchanged_a == LEGS, "version 1.0 exchanged limbs alone"
 
 
-def test_the_fused_frame_tells_code_and_doubt() -> None:
+def test_the_fused_frame_tells_code_and_doubt():
     fuser = Fuser(SETUP)
     labels = Labels.with_sides([(WHOLE, 0)], (0.0, 0.4))
     labels.heading[:] = (0.5, 0.0, 0.5)
@@ -62,7 +62,7 @@ def test_the_fused_frame_tells_code_and_doubt() -> None:
     assert (frame.doubt_a, frame.doubt_b) == (0.0, pytest.approx(0.4))
 
 
-def test_a_view_with_doubtful_sides_pulls_the_limbs_less() -> None:
+def test_a_view_with_doubtful_sides_pulls_the_limbs_less():
     """B's labels become wrong after a second: with certain labels its joints count, with doubt hardly."""
     pairs = walk(40)
     wrong = [

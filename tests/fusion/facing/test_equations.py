@@ -15,20 +15,20 @@ from fusion.facing.model import (
     FacingState,
     new_facing_model,
 )
-from tests.helpers.labelled_views import UP, Floats, Views, simulated_views, step
+from tests.helpers.labelled_views import UP, simulated_views, step
 
 
-def table(values: tuple, cosine: Floats) -> Floats:
+def table(values, cosine):
     return np.interp(-cosine, (-1.0, -0.5, 0.0, 0.5, 1.0), values)
 
 
-def off_line(at: Floats, i: int, j: int, k: int) -> Floats:
+def off_line(at, i, j, k):
     line = at[k] - at[i]
     offset = at[j] - at[i]
     return offset - line * (offset @ line) / (line @ line)
 
 
-def reference_likelihood(c: FacingConstants, views: Views, k: int, state: FacingState) -> Floats:
+def reference_likelihood(c, views, k, state):
     """(N, 2, 2) the equations of ``whole_body.py``: −y is up, all is tracked; speeds are the state's."""
     body = views.body
     angles = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
@@ -88,7 +88,7 @@ def reference_likelihood(c: FacingConstants, views: Views, k: int, state: Facing
     ).transpose(2, 0, 1)  # fmt: skip
 
 
-def reference_prediction(before: Floats, state: FacingState) -> Floats:
+def reference_prediction(before, state):
     """(N, 2, 2) by dense matrices: turning, then each view's probability of an exchange."""
     n = np.arange(HEADINGS)
     difference = (n[:, None] - n[None] + HEADINGS // 2) % HEADINGS - HEADINGS // 2
@@ -106,7 +106,7 @@ def reference_prediction(before: Floats, state: FacingState) -> Floats:
     return np.einsum("xpn,yqn,npq->nxy", *matrices, turned)
 
 
-def test_a_frame_is_what_the_equations_say() -> None:
+def test_a_frame_is_what_the_equations_say():
     views = simulated_views("walk", tracker="perfect", seconds=8.0)
     constants = FacingConstants.of(KINECT_V2)
     model, state = new_facing_model(KINECT_V2, constants), new_arrays(FacingState, J=len(KINECT_V2))
@@ -125,7 +125,7 @@ def test_a_frame_is_what_the_equations_say() -> None:
         assert state.predicted.sum() == pytest.approx(1.0, abs=1e-6)  # leaks: 144 · 1e-9
 
 
-def test_smoothing_is_the_forward_backward_algorithm() -> None:
+def test_smoothing_is_the_forward_backward_algorithm():
     views = simulated_views("turn", seconds=6.0)
     model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     kept = []
@@ -157,7 +157,7 @@ def test_smoothing_is_the_forward_backward_algorithm() -> None:
             beta /= beta.max()
 
 
-def test_live_and_sequence_agree_bit_for_bit_and_repeat() -> None:
+def test_live_and_sequence_agree_bit_for_bit_and_repeat():
     views = simulated_views("walk", seconds=8.0)
     one, other = views.relabel(up=UP, smooth=False), views.relabel(up=UP, smooth=False)
     model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))

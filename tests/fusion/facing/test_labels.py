@@ -14,7 +14,6 @@ from tests.helpers.labelled_views import (
     FRAME,
     UNKNOWN,
     UP,
-    Views,
     flips,
     heading,
     simulated_views,
@@ -23,7 +22,7 @@ from tests.helpers.labelled_views import (
 )
 
 
-def mirrored(views: Views) -> Views:
+def mirrored(views):
     """The scene reflected about the plane x = 0: a person's left hand becomes a right hand."""
     flip = np.array((-1.0, 1.0, 1.0))
     m = views.body.mirror
@@ -33,7 +32,7 @@ def mirrored(views: Views) -> Views:
     )  # fmt: skip
 
 
-def test_a_reflected_scene_gives_the_reflected_answer() -> None:
+def test_a_reflected_scene_gives_the_reflected_answer():
     views = simulated_views("walk", seconds=16.0)
     plain, reflected = views.relabel(up=UP), mirrored(views).relabel(up=UP)
     assert (plain.codes > 0).any()
@@ -43,7 +42,7 @@ def test_a_reflected_scene_gives_the_reflected_answer() -> None:
     np.testing.assert_allclose(plain.mirrored, reflected.mirrored, atol=1e-4)
 
 
-def test_exchanging_the_sensors_exchanges_the_answers() -> None:
+def test_exchanging_the_sensors_exchanges_the_answers():
     views = simulated_views("walk", seconds=16.0)
     # A stands where B stood: all in a frame shifted by t, without a rotation.
     other = replace(
@@ -57,7 +56,7 @@ def test_exchanging_the_sensors_exchanges_the_answers() -> None:
     np.testing.assert_allclose(one.mirrored, two.mirrored[:, ::-1], atol=1e-4)
 
 
-def exchanged(views: Views, which: tuple[bool, bool], first: int, last: int) -> Views:
+def exchanged(views, which, first, last):
     """The views with labels exchanged in some frames."""
     source = views.body.mirror
     a, b = views.a.copy(), views.b_in_a.copy()
@@ -69,7 +68,7 @@ def exchanged(views: Views, which: tuple[bool, bool], first: int, last: int) -> 
 
 @pytest.mark.parametrize("motion", ["arms", "squat"])
 @pytest.mark.parametrize("which", [(True, False), (False, True)])
-def test_a_view_exchanged_at_once_is_known_in_the_same_frame(motion: str, which: tuple[bool, bool]) -> None:
+def test_a_view_exchanged_at_once_is_known_in_the_same_frame(motion, which):
     views = exchanged(simulated_views(motion, tracker="right"), which, 300, 320)
     labels = views.relabel(smooth=False)
     hit = int(which[1])
@@ -81,7 +80,7 @@ def test_a_view_exchanged_at_once_is_known_in_the_same_frame(motion: str, which:
 
 
 @pytest.mark.parametrize(("first", "last", "found_at"), [(300, 400, 0), (0, 150, 120)])
-def test_both_views_exchanged_at_once_are_found_and_let_go(first: int, last: int, found_at: int) -> None:
+def test_both_views_exchanged_at_once_are_found_and_let_go(first, last, found_at):
     """From the start there is no jump, and both views agree: knees, elbows, head and motion show it."""
     views = exchanged(simulated_views("walk", tracker="right"), (True, True), first, last)
     for smooth in (False, True):
@@ -89,7 +88,7 @@ def test_both_views_exchanged_at_once_are_found_and_let_go(first: int, last: int
         assert not swapped(views.body, views.fused(labels), views.truth)[found_at:].any()
 
 
-def test_a_person_who_faces_the_sensors_is_not_relabelled() -> None:
+def test_a_person_who_faces_the_sensors_is_not_relabelled():
     for motion, body in zip(("arms", "boxing", "squat", "bow", "sit"), cycle(("kinect_v2", "azure_kinect"))):
         labels = simulated_views(motion, body, tracker="right").relabel(smooth=False)
         assert (labels.codes[5:] > 0).mean() <= 0.02, (motion, body)
@@ -102,7 +101,7 @@ TURNED_BACKS = [
 
 
 @pytest.mark.parametrize("body", ["kinect_v2", "azure_kinect"])
-def test_a_fused_skeleton_keeps_its_sides(body: str) -> None:
+def test_a_fused_skeleton_keeps_its_sides(body):
     found = []
     for motion, angle in TURNED_BACKS:
         views = simulated_views(motion, body, angle_deg=angle, seconds=16.0)
@@ -118,7 +117,7 @@ def test_a_fused_skeleton_keeps_its_sides(body: str) -> None:
 
 
 @pytest.mark.parametrize("motion", ["walk", "turn", "arms@120"])
-def test_sides_swapped_at_random_never_reach_the_fused_skeleton(motion: str) -> None:
+def test_sides_swapped_at_random_never_reach_the_fused_skeleton(motion):
     views = simulated_views(motion, tracker="random", seed=4001)
     before = swapped(views.body, views.a, views.truth) | swapped(views.body, views.b_in_a, views.truth)
     assert before.mean() > 0.05  # the claim is not empty
@@ -127,7 +126,7 @@ def test_sides_swapped_at_random_never_reach_the_fused_skeleton(motion: str) -> 
     assert flips(heading(views.body, fused)[30:]) == 0
 
 
-def test_stale_skeletons_are_no_evidence() -> None:
+def test_stale_skeletons_are_no_evidence():
     views = simulated_views("walk", tracker="right")
     model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     for k in range(200):
@@ -142,7 +141,7 @@ def test_stale_skeletons_are_no_evidence() -> None:
     assert state.confidence[0] < 0.95  # less certain after a second without evidence
 
 
-def test_a_held_posture_does_not_change_the_labels() -> None:
+def test_a_held_posture_does_not_change_the_labels():
     views = simulated_views("walk", tracker="right")
     model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     for k in range(60):
@@ -166,7 +165,7 @@ def test_a_held_posture_does_not_change_the_labels() -> None:
 
 
 @pytest.mark.parametrize("motion", ["badminton", "boxing", "arms", "still"])
-def test_heads_that_both_trackers_place_too_far_back_do_not_turn_the_person(motion: str) -> None:
+def test_heads_that_both_trackers_place_too_far_back_do_not_turn_the_person(motion):
     # Seed 1 has the heads 50 to 90 mm behind the mean of other seeds: two or three deviations, in both views.
     views = simulated_views(motion, seconds=12.0, seed=1)
     for smooth in (False, True):
@@ -174,7 +173,7 @@ def test_heads_that_both_trackers_place_too_far_back_do_not_turn_the_person(moti
         assert (np.sum(labels.heading * heading(views.body, views.truth), axis=1)[60:] > 0.0).all()
 
 
-def test_a_missing_view_and_a_missing_person() -> None:
+def test_a_missing_view_and_a_missing_person():
     views = simulated_views("walk", tracker="right")
     model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     gone = replace(views, b_in_a=np.full_like(views.b_in_a, np.nan), states_b=np.zeros_like(views.states_b))
@@ -192,7 +191,7 @@ def test_a_missing_view_and_a_missing_person() -> None:
 
 
 @pytest.mark.parametrize("tilt_deg", [-30.0, 30.0])
-def test_the_way_up_is_learnt_where_the_sensor_is_tilted(tilt_deg: float) -> None:
+def test_the_way_up_is_learnt_where_the_sensor_is_tilted(tilt_deg):
     tilt = np.radians(tilt_deg)
     R = np.array(((1.0, 0.0, 0.0), (0.0, np.cos(tilt), -np.sin(tilt)), (0.0, np.sin(tilt), np.cos(tilt))))
     views = simulated_views("walk")
@@ -206,7 +205,7 @@ def test_the_way_up_is_learnt_where_the_sensor_is_tilted(tilt_deg: float) -> Non
     assert swapped(views.body, tilted.fused(labels), tilted.truth)[60:].mean() <= 0.005
 
 
-def test_a_rough_registration_is_good_enough() -> None:
+def test_a_rough_registration_is_good_enough():
     yaw = np.radians(12.0)
     R = np.array(((np.cos(yaw), 0.0, np.sin(yaw)), (0.0, 1.0, 0.0), (-np.sin(yaw), 0.0, np.cos(yaw))))
     views = simulated_views("walk")
@@ -220,7 +219,7 @@ def test_a_rough_registration_is_good_enough() -> None:
     assert swapped(views.body, b, views.truth)[60:].mean() <= 0.08
 
 
-def test_two_seconds_apart_is_someone_else() -> None:
+def test_two_seconds_apart_is_someone_else():
     views = simulated_views("walk", tracker="right")
     model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     for k in range(100):
@@ -232,7 +231,7 @@ def test_two_seconds_apart_is_someone_else() -> None:
     np.testing.assert_allclose(state.predicted, fresh.predicted, atol=1e-9)
 
 
-def test_every_body_has_a_model() -> None:
+def test_every_body_has_a_model():
     azure = new_facing_model(AZURE_KINECT)
     assert azure.heading_placed[AZURE_KINECT.joint("Nose")]
     assert azure.face[AZURE_KINECT.joint("EarLeft")]

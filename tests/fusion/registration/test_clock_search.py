@@ -1,7 +1,5 @@
 """The search for the offset of two clocks by the speeds of the joints, with known offsets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from fusion.registration.clock_search import View, find_clock_offset
 from tests.helpers.two_views import FRAME_NS
 
 
-def views_of(motion: str, seed: int, seconds: float = 20.0) -> tuple[View, View]:
+def views_of(motion, seed, seconds=20.0):
     a, b, _ = simulated_pair(motion=motion, seed=seed, body=AZURE_KINECT, angle_deg=90.0, seconds=seconds)
     seen = [[(f.time_ns, f.people[PERSON]) for f in side.frames() if PERSON in f.people] for side in (a, b)]
     one, two = (
@@ -27,7 +25,7 @@ def views_of(motion: str, seed: int, seconds: float = 20.0) -> tuple[View, View]
 
 
 @pytest.mark.parametrize("motion", ["walk", "arms"])
-def test_an_offset_of_seconds_is_found_to_a_fraction_of_a_frame(motion: str) -> None:
+def test_an_offset_of_seconds_is_found_to_a_fraction_of_a_frame(motion):
     a, b = views_of(motion, 61)
     for offset_ns in (100_000_000, -2_000_000_000, 7_000_000_000):
         found = find_clock_offset(AZURE_KINECT, a, b._replace(time_ns=b.time_ns - offset_ns))
@@ -36,7 +34,7 @@ def test_an_offset_of_seconds_is_found_to_a_fraction_of_a_frame(motion: str) -> 
         assert found.sd_ns < FRAME_NS / 3
 
 
-def test_recordings_that_begin_at_their_own_zero_on_another_day_are_aligned() -> None:
+def test_recordings_that_begin_at_their_own_zero_on_another_day_are_aligned():
     a, b = views_of("walk", 62)
     a, b = a._replace(time_ns=a.time_ns[30:], positions=a.positions[30:], states=a.states[30:]), b
     found = find_clock_offset(AZURE_KINECT, a, b._replace(time_ns=b.time_ns + 86_400_000_000_000))
@@ -44,7 +42,7 @@ def test_recordings_that_begin_at_their_own_zero_on_another_day_are_aligned() ->
     assert found.offset_ns == pytest.approx(-86_400_000_000_000, abs=FRAME_NS / 3)
 
 
-def test_long_recordings_are_compared_where_they_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_recordings_are_compared_where_they_overlap(monkeypatch):
     monkeypatch.setattr(clock_search, "_LONGEST_SPAN_NS", 20_000_000_000)
     a, b = views_of("walk", 67, seconds=80.0)
     early = b.chosen(np.flatnonzero(b.time_ns < 25_000_000_000))
@@ -53,19 +51,19 @@ def test_long_recordings_are_compared_where_they_overlap(monkeypatch: pytest.Mon
     assert found.offset_ns == pytest.approx(400_000_000, abs=FRAME_NS / 3)
 
 
-def test_people_who_hardly_move_tell_no_offset() -> None:
+def test_people_who_hardly_move_tell_no_offset():
     a, b = views_of("idle", 63)
     assert find_clock_offset(AZURE_KINECT, a, b._replace(time_ns=b.time_ns + 2_000_000_000)) is None
 
 
-def test_two_people_with_different_movements_have_no_certain_offset() -> None:
+def test_two_people_with_different_movements_have_no_certain_offset():
     """An offset is applied if it is certain to two frames (:mod:`devices.files`)."""
     a, b = views_of("arms", 64)[0], views_of("walk", 65)[1]
     found = find_clock_offset(AZURE_KINECT, a, b)
     assert found is None or found.sd_ns > 4 * FRAME_NS
 
 
-def test_one_stray_time_does_not_make_the_search_long() -> None:
+def test_one_stray_time_does_not_make_the_search_long():
     a, b = views_of("walk", 66)
     time_ns = a.time_ns + 1_700_000_000_000_000_000
     time_ns[0] = 0

@@ -1,7 +1,5 @@
 """Knocked sensors in simulated recordings, and situations that must not be taken for a knock."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 
@@ -11,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from devices.simulated.kinect import simulated_pair
 from devices.simulated.rig import Rig
-from fusion.body import AZURE_KINECT, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import learn_from_recording
-from fusion.calibration.online import CalibrationChange, CalibrationLearner
+from fusion.calibration.online import CalibrationLearner
 from fusion.joint_kinds import limbs
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -24,7 +22,7 @@ KNOCK_NS = 8_000_000_000
 
 
 @cache
-def recorded(body: Body, motion: str = "walk", seed: int = 3004, seconds: float = 16.0) -> list[SkeletonPair]:
+def recorded(body, motion="walk", seed=3004, seconds=16.0):
     a, b, _ = simulated_pair(motion=motion, seed=seed, body=body, angle_deg=90.0, seconds=seconds)
     return [
         SkeletonPair(next(iter(x.people.values()), None), next(iter(y.people.values()), None), x.time_ns)
@@ -32,7 +30,7 @@ def recorded(body: Body, motion: str = "walk", seed: int = 3004, seconds: float 
     ]
 
 
-def moved(pairs: list[SkeletonPair], old_from_new: RigidTransform) -> list[SkeletonPair]:
+def moved(pairs, old_from_new):
     """B's frames from ``KNOCK_NS`` on as the moved sensor sees them; it moves within 0.2 s."""
     turn, out = Rotation.from_matrix(old_from_new.rotation).as_rotvec(), []
     for pair in pairs:
@@ -48,9 +46,9 @@ def moved(pairs: list[SkeletonPair], old_from_new: RigidTransform) -> list[Skele
     return out
 
 
-def changes(body: Body, pairs: list[SkeletonPair]) -> tuple[CalibrationLearner, list[CalibrationChange]]:
+def changes(body, pairs):
     learner = CalibrationLearner(body, Calibration(body, TRUTH, body.nominal_lengths, "truth"))
-    found: list[CalibrationChange] = []
+    found = []
     before = SkeletonPair(None, None, -1)
     for pair in pairs:
         stale = (
@@ -75,7 +73,7 @@ KNOCKS = {
 
 @pytest.mark.parametrize("body", [KINECT_V2, AZURE_KINECT], ids=str)
 @pytest.mark.parametrize("knock", KNOCKS)
-def test_a_knocked_sensor_is_followed_within_two_seconds(body: Body, knock: str) -> None:
+def test_a_knocked_sensor_is_followed_within_two_seconds(body, knock):
     learner, found = changes(body, moved(recorded(body), KNOCKS[knock]))
     knocks = [change for change in found if change.kind == "knocked"]
     assert len(knocks) == 1
@@ -92,12 +90,12 @@ def test_a_knocked_sensor_is_followed_within_two_seconds(body: Body, knock: str)
 
 @pytest.mark.parametrize("body", [KINECT_V2, AZURE_KINECT], ids=str)
 @pytest.mark.parametrize("motion", ["walk", "turn", "squat"])
-def test_an_untouched_sensor_is_not_taken_for_a_knocked_one(body: Body, motion: str) -> None:
+def test_an_untouched_sensor_is_not_taken_for_a_knocked_one(body, motion):
     _, found = changes(body, recorded(body, motion))
     assert not [change for change in found if change.kind == "knocked"]
 
 
-def test_a_mirrored_view_is_not_taken_for_a_knock() -> None:
+def test_a_mirrored_view_is_not_taken_for_a_knock():
     source = np.where(limbs(KINECT_V2) > 0, KINECT_V2.mirror, np.arange(25))
     pairs = []
     for pair in recorded(KINECT_V2):
@@ -110,7 +108,7 @@ def test_a_mirrored_view_is_not_taken_for_a_knock() -> None:
 
 
 @pytest.mark.parametrize("fault", ["shift", "freeze", "snap"])
-def test_a_trackers_fault_of_20_frames_is_not_taken_for_a_knock(fault: str) -> None:
+def test_a_trackers_fault_of_20_frames_is_not_taken_for_a_knock(fault):
     arm = [AZURE_KINECT.joint(n) for n in ("ELBOW_LEFT", "WRIST_LEFT", "HAND_LEFT", "HANDTIP_LEFT")]
     pairs = recorded(AZURE_KINECT)
     first = next(k for k, pair in enumerate(pairs) if pair.time_ns > KNOCK_NS and pair.b is not None)
@@ -130,7 +128,7 @@ def test_a_trackers_fault_of_20_frames_is_not_taken_for_a_knock(fault: str) -> N
     assert not [change for change in found if change.kind == "knocked"]
 
 
-def test_a_recording_with_a_knock_has_two_calibrations() -> None:
+def test_a_recording_with_a_knock_has_two_calibrations():
     knock = KNOCKS["10 cm and 5°"]
     start = Calibration(KINECT_V2, TRUTH, KINECT_V2.nominal_lengths, "truth")
     learned = learn_from_recording(KINECT_V2, moved(recorded(KINECT_V2), knock), start=start)
@@ -144,6 +142,6 @@ def test_a_recording_with_a_knock_has_two_calibrations() -> None:
     np.testing.assert_array_equal(first, second)
 
 
-def test_times_of_changes_never_go_back() -> None:
+def test_times_of_changes_never_go_back():
     _, found = changes(KINECT_V2, moved(recorded(KINECT_V2), KNOCKS["5 cm and 3°"]))
     assert all(late.time_ns >= early.time_ns for early, late in pairwise(found))

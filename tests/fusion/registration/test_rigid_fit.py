@@ -15,7 +15,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 @given(SEEDS)
-def test_the_fit_finds_the_optimum_of_horns_quaternion(seed: int) -> None:
+def test_the_fit_finds_the_optimum_of_horns_quaternion(seed):
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(20, 3))
     p = Rotation.random(rng=rng).apply(q) + rng.normal(size=3) + rng.normal(0, 0.05, (20, 3))
@@ -32,14 +32,14 @@ def test_the_fit_finds_the_optimum_of_horns_quaternion(seed: int) -> None:
 
 
 @given(SEEDS)
-def test_a_mirrored_person_is_not_fitted_by_a_reflection(seed: int) -> None:
+def test_a_mirrored_person_is_not_fitted_by_a_reflection(seed):
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(20, 3))
     assert np.linalg.det(fit_rigid(q * [-1.0, 1.0, 1.0], q).rotation) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
-def test_the_sensors_place_is_recovered_to_the_precision_of_their_floats(body: object) -> None:
+def test_the_sensors_place_is_recovered_to_the_precision_of_their_floats(body):
     pairs = [pair_of(body, truth) for truth in moving(body, 60)]
     found = register(pairs)
     # float32 at 4 m is exact to 2.4e-7 m; a body of 1 m turns that into at most as many radians
@@ -49,7 +49,7 @@ def test_the_sensors_place_is_recovered_to_the_precision_of_their_floats(body: o
     assert found.frames == 60
 
 
-def test_joints_only_inferred_do_not_count() -> None:
+def test_joints_only_inferred_do_not_count():
     truth = standing(KINECT_V1)
     pair = pair_of(KINECT_V1, truth)
     assert pair.a is not None
@@ -62,7 +62,7 @@ def test_joints_only_inferred_do_not_count() -> None:
     assert np.isnan(found.joint_residuals[5])
 
 
-def test_the_joints_that_disagree_most_are_named() -> None:
+def test_the_joints_that_disagree_most_are_named():
     pairs = []
     for truth in moving(KINECT_V1, 40):
         pair = pair_of(KINECT_V1, truth)
@@ -75,7 +75,7 @@ def test_the_joints_that_disagree_most_are_named() -> None:
     assert 0.1 < distance < 0.2
 
 
-def test_the_stated_certainty_is_the_error_seen_over_many_trials() -> None:
+def test_the_stated_certainty_is_the_error_seen_over_many_trials():
     # joints with independent errors, one frame each: the standard error must describe the real errors
     rng = np.random.default_rng(3)
     truth, errors, stated = standing(KINECT_V1), [], []
@@ -97,7 +97,7 @@ def test_the_stated_certainty_is_the_error_seen_over_many_trials() -> None:
     assert np.mean(stated) == pytest.approx(worst_axis, rel=0.15)
 
 
-def test_an_implausible_fit_is_reported() -> None:
+def test_an_implausible_fit_is_reported():
     rng = np.random.default_rng(0)
     one = pair_of(KINECT_V1, standing(KINECT_V1))
     other = Skeleton.of(KINECT_V1, rng.normal(0, 1, (20, 3)))
@@ -115,7 +115,7 @@ def test_an_implausible_fit_is_reported() -> None:
         fit_rigid(line, line)
 
 
-def test_transforms_form_a_group() -> None:
+def test_transforms_form_a_group():
     rng = np.random.default_rng(1)
     x, y = (RigidTransform.of(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)) for _ in range(2))
     points = rng.normal(size=(7, 3))
@@ -126,14 +126,14 @@ def test_transforms_form_a_group() -> None:
         RigidTransform.of(np.diag([1.0, 1.0, -1.0]), np.zeros(3))
 
 
-def test_clean_recordings_give_the_transform_to_rounding() -> None:
+def test_clean_recordings_give_the_transform_to_rounding():
     p = moving(KINECT_V2, 60)
     fit = fit_recording(p, A_FROM_B.inverse().apply(p))
     assert fit.angle_to(A_FROM_B) < 1e-7  # arccos of 1 - 1e-16 is 1.5e-8
     np.testing.assert_allclose(fit.translation, A_FROM_B.translation, atol=1e-9)
 
 
-def test_outliers_and_missing_joints_hardly_move_it() -> None:
+def test_outliers_and_missing_joints_hardly_move_it():
     p = moving(KINECT_V2, 120)
     rng = np.random.default_rng(0)
     q = A_FROM_B.inverse().apply(p) + rng.normal(0.0, 0.01, p.shape)
@@ -146,6 +146,6 @@ def test_outliers_and_missing_joints_hardly_move_it() -> None:
     assert np.linalg.norm(fit.apply(A_FROM_B.inverse().apply(p)) - p, axis=2).max() < 0.004
 
 
-def test_too_few_points_of_a_recording_are_an_error() -> None:
+def test_too_few_points_of_a_recording_are_an_error():
     with pytest.raises(CalibrationError, match="at least 3 points; there are 2"):
         fit_recording(np.ones((2, 3)), np.ones((2, 3)))

@@ -1,12 +1,10 @@
 """Robust registration on evidence with known truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion.body import AZURE_KINECT, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.errors import CalibrationError
 from fusion.joint_kinds import limbs
 from fusion.registration.error_model import RobustFitSettings, disagreement
@@ -21,13 +19,13 @@ from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of
 SETTINGS = RobustFitSettings()
 
 
-def turned(degrees: float, shift: float = 0.0) -> RigidTransform:
+def turned(degrees, shift=0.0):
     """A_FROM_B, turned about the vertical and shifted."""
     off = RigidTransform.of(Rotation.from_euler("y", degrees, degrees=True).as_matrix(), [shift, 0.0, 0.0])
     return off @ A_FROM_B
 
 
-def evidence(body: Body, frames: int = 120, noise: float = 0.0, seed: int = 1) -> Evidence:
+def evidence(body, frames=120, noise=0.0, seed=1):
     rng = np.random.default_rng(seed)
     pairs = []
     for k, truth in enumerate(moving(body, frames)):
@@ -39,7 +37,7 @@ def evidence(body: Body, frames: int = 120, noise: float = 0.0, seed: int = 1) -
     return evidence_of(body, pairs)
 
 
-def joints_of(a: np.ndarray, b: np.ndarray) -> Evidence:
+def joints_of(a, b):
     """(K, J, 3) joints that both views track, of a person who does not turn."""
     count = len(a)
     heading = np.tile([1.0, 0.0, 0.0], (count, 1))
@@ -47,14 +45,14 @@ def joints_of(a: np.ndarray, b: np.ndarray) -> Evidence:
 
 
 @pytest.mark.parametrize("body", [KINECT_V2, AZURE_KINECT], ids=str)
-def test_flawless_views_give_the_transform_from_a_start_20_degrees_off(body: Body) -> None:
+def test_flawless_views_give_the_transform_from_a_start_20_degrees_off(body):
     fit = fit_robust(body, evidence(body), turned(20.0, 0.2), SETTINGS, iterations=20)
     # float32 at 4 m is exact to 2.4e-7 m
     assert fit.a_from_b.angle_to(A_FROM_B) < 1e-5
     np.testing.assert_allclose(fit.a_from_b.translation, A_FROM_B.translation, atol=3e-5)
 
 
-def test_a_third_of_the_frames_with_a_limb_elsewhere_moves_plain_least_squares_only() -> None:
+def test_a_third_of_the_frames_with_a_limb_elsewhere_moves_plain_least_squares_only():
     seen = evidence(KINECT_V2, noise=0.005)
     arm = [KINECT_V2.joint(name) for name in ("ElbowLeft", "WristLeft", "HandLeft", "HandTipLeft")]
     seen.b[::3, arm] += [0.0, 0.4, 0.2]
@@ -64,7 +62,7 @@ def test_a_third_of_the_frames_with_a_limb_elsewhere_moves_plain_least_squares_o
     assert np.degrees(robust.a_from_b.angle_to(A_FROM_B)) < 0.3
 
 
-def test_many_frames_of_one_pose_do_not_drown_a_few_of_a_better_one() -> None:
+def test_many_frames_of_one_pose_do_not_drown_a_few_of_a_better_one():
     """A constant bias of each joint: 300 frames with the arms down, 20 in the start-up pose."""
     errors = []
     for seed in range(12):
@@ -83,7 +81,7 @@ def test_many_frames_of_one_pose_do_not_drown_a_few_of_a_better_one() -> None:
     assert robust_error < 0.6 * plain_error
 
 
-def test_a_bias_of_the_trunk_counts_no_more_than_that_of_the_limbs() -> None:
+def test_a_bias_of_the_trunk_counts_no_more_than_that_of_the_limbs():
     """Lasting biases: the fit is that of the joints' mean positions with equal weights."""
     still = moving(KINECT_V2, 1)[0]
     trunk = [KINECT_V2.joint(name) for name in ("SpineBase", "SpineMid", "SpineShoulder", "Neck", "Head")]
@@ -100,7 +98,7 @@ def test_a_bias_of_the_trunk_counts_no_more_than_that_of_the_limbs() -> None:
     assert np.linalg.norm(fit.a_from_b.apply(middle) - equal.apply(middle)) < 0.1 * moved
 
 
-def test_the_stated_uncertainty_does_not_shrink_with_frames_of_one_pose() -> None:
+def test_the_stated_uncertainty_does_not_shrink_with_frames_of_one_pose():
     still = moving(KINECT_V2, 1)[0]
     sds = []
     for count in (200, 2000):
@@ -114,7 +112,7 @@ def test_the_stated_uncertainty_does_not_shrink_with_frames_of_one_pose() -> Non
     assert sds[1] > 0.6 * sds[0]
 
 
-def test_exchanged_limbs_are_matched_to_the_other_views() -> None:
+def test_exchanged_limbs_are_matched_to_the_other_views():
     seen = evidence(KINECT_V2, noise=0.01)
     part, mirror = limbs(KINECT_V2), KINECT_V2.mirror
     clean = seen.b.copy()
@@ -129,27 +127,27 @@ def test_exchanged_limbs_are_matched_to_the_other_views() -> None:
     np.testing.assert_array_equal(seen.b, clean)
 
 
-def test_a_transform_does_not_gain_by_absorbing_noise_on_held_out_pairs() -> None:
+def test_a_transform_does_not_gain_by_absorbing_noise_on_held_out_pairs():
     seen = evidence(KINECT_V2, frames=600, noise=0.01).chosen(slice(0, None, 6))
     fit = fit_robust(KINECT_V2, seen, A_FROM_B, SETTINGS)
     assert held_out_gain(KINECT_V2, seen, A_FROM_B, fit, SETTINGS) < 3.0
     assert held_out_gain(KINECT_V2, seen, turned(3.0, 0.05), fit, SETTINGS) > 3.0
 
 
-def test_the_right_transform_disagrees_least() -> None:
+def test_the_right_transform_disagrees_least():
     seen = evidence(KINECT_V2, noise=0.01)
     costs = [disagreement(KINECT_V2, seen, turned(off), SETTINGS, 0.01) for off in (-2.0, 0.0, 2.0)]
     assert costs[1] == min(costs)
 
 
-def test_no_joint_in_common_is_an_error() -> None:
+def test_no_joint_in_common_is_an_error():
     seen = evidence(KINECT_V2)
     nothing = seen._replace(weights=np.zeros_like(seen.weights))
     with pytest.raises(CalibrationError, match="No joint"):
         fit_robust(KINECT_V2, nothing, A_FROM_B, SETTINGS)
 
 
-def test_the_keyframe_set_stays_small_and_keeps_the_whole_volume() -> None:
+def test_the_keyframe_set_stays_small_and_keeps_the_whole_volume():
     frames = KeyframeSet(KINECT_V2, capacity=32)
     walk = moving(KINECT_V2, 40)
     for k in range(4000):
@@ -160,7 +158,7 @@ def test_the_keyframe_set_stays_small_and_keeps_the_whole_volume() -> None:
     assert 4 <= away.sum() <= 28  # a two-minute stay elsewhere did not push out the first place
 
 
-def test_inferred_joints_count_less_and_untracked_ones_nothing() -> None:
+def test_inferred_joints_count_less_and_untracked_ones_nothing():
     pair = pair_of(KINECT_V2, moving(KINECT_V2, 1)[0])
     assert pair.a is not None
     states = np.full(25, 2)

@@ -14,7 +14,6 @@ from fusion.solvers.tree_solver import MAX_SYSTEMS
 from fusion.solvers.tree_start import bend
 from tests.helpers.solver_problems import (
     SAME,
-    Problem,
     bone_error,
     failures,
     ordinary_problem,
@@ -30,11 +29,11 @@ from tests.helpers.solvers import TreeSolver
 ROUNDING = 1e-12  # m: coordinates of a few metres, sums of some tens of them, in float64
 
 
-def solve(problem: Problem):
+def solve(problem):
     return solver_of(problem.body).solve(problem.targets, problem.weights, problem.lengths, problem.start)
 
 
-def rotation(seed: int) -> np.ndarray:
+def rotation(seed):
     q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q * np.linalg.det(q)
@@ -110,7 +109,7 @@ def test_hard_problems_are_solved_wherever_the_world_is(seed, shift):
     assert failures(moved, solve(moved)) == []
 
 
-def shuffled(problem: Problem, seed: int):
+def shuffled(problem, seed):
     """The solution with the joints in another order that keeps the tree; in the order of the problem."""
     body = problem.body
     new = np.random.default_rng(seed).permutation(len(body))  # new[k]: the joint at position k now
@@ -186,7 +185,7 @@ def test_information_matrices_are_minimised_as_they_are(seed):
         assert misfit(moved) > solution.objective
 
 
-def moderate_information(seed: int, joints: int) -> np.ndarray:
+def moderate_information(seed, joints):
     """(J, 3, 3) of condition up to a hundred, as measured joints have; see :data:`SAME`."""
     rng = np.random.default_rng(seed)
     directions, _ = np.linalg.qr(rng.normal(size=(joints, 3, 3)))
@@ -292,7 +291,7 @@ def test_weight_that_is_not_finite_is_refused(weight, shape):
     assert solver_of(problem.body).solve(problem.targets, weights, problem.lengths).iterations == -1
 
 
-def beyond_numbers() -> Problem:
+def beyond_numbers():
     """A problem without holes whose objective overflows at every start, so the solver never converges."""
     problem = ordinary_problem(8)
     targets = problem.targets.copy()
@@ -327,7 +326,7 @@ def test_a_bone_before_a_hole_leaves_the_room_that_the_next_one_needs(side):
 
 
 @pytest.mark.parametrize("seed", [41000015, 41000048, 41000330, 41000405])
-def test_around_holes_the_end_is_no_worse_than_slsqps(seed: int) -> None:
+def test_around_holes_the_end_is_no_worse_than_slsqps(seed):
     """Problems on which a single start from the targets ended in the worse of two minima around a hole."""
     problem = random_problem(seed)
     solution = solve(problem)

@@ -389,7 +389,7 @@ def _beside() -> values.OBExtrinsic:
 
 
 @pytest.fixture
-def orbbecs(monkeypatch: pytest.MonkeyPatch) -> OrbbecBus:
+def orbbecs(monkeypatch):
     """Returns an empty bus behind a stand-in pyorbbecsdk."""
     result = OrbbecBus()
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", make_module(result))

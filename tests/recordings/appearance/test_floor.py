@@ -14,7 +14,7 @@ from tests.helpers.two_views import standing
 ANKLES = [KINECT_V2.joint("ankle left"), KINECT_V2.joint("ankle right")]
 
 
-def seen_by(tilt_deg: float, count: int = 60) -> tuple[np.ndarray, RigidTransform]:
+def seen_by(tilt_deg, count=60):
     """(T, J, 3) a standing person as a sensor sees them that is turned about its x axis, and that turn."""
     turn = Rotation.from_euler("x", tilt_deg, degrees=True).as_matrix()
     tilted = RigidTransform.of(turn, np.zeros(3))
@@ -22,7 +22,7 @@ def seen_by(tilt_deg: float, count: int = 60) -> tuple[np.ndarray, RigidTransfor
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 12.0, -20.0])
-def test_the_ankles_are_above_the_floor_and_down_is_down(tilt_deg: float) -> None:
+def test_the_ankles_are_above_the_floor_and_down_is_down(tilt_deg):
     fused, tilted = seen_by(tilt_deg)
     floor = find_floor(KINECT_V2, fused)
     down = tilted.rotation @ [0.0, 1.0, 0.0]
@@ -33,7 +33,7 @@ def test_the_ankles_are_above_the_floor_and_down_is_down(tilt_deg: float) -> Non
     np.testing.assert_allclose(heights.max(), -ANKLE, atol=0.005 + 0.045)
 
 
-def test_the_origin_is_below_the_sensor() -> None:
+def test_the_origin_is_below_the_sensor():
     fused, _ = seen_by(12.0)
     floor = find_floor(KINECT_V2, fused)
     below = floor.inverse().apply(np.zeros(3))
@@ -41,7 +41,7 @@ def test_the_origin_is_below_the_sensor() -> None:
     assert below[1] < 0.0
 
 
-def test_a_floor_is_assumed_found_once_and_reported_again_when_the_sensor_moves() -> None:
+def test_a_floor_is_assumed_found_once_and_reported_again_when_the_sensor_moves():
     finder = FloorFinder(KINECT_V2)
     assert finder.a_from_floor.translation[1] == CAMERA_HEIGHT
     fused, _ = seen_by(0.0, 300)
@@ -52,7 +52,7 @@ def test_a_floor_is_assumed_found_once_and_reported_again_when_the_sensor_moves(
     assert any(finder.add(tilted[k : k + 1]) for k in range(300))
 
 
-def test_frames_without_feet_tell_nothing() -> None:
+def test_frames_without_feet_tell_nothing():
     finder = FloorFinder(KINECT_V2)
     fused, _ = seen_by(0.0)
     fused[:, ANKLES[0]] = np.nan

@@ -1,7 +1,6 @@
 """Colour images in a session: read as given, and damage is always reported."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -27,7 +26,7 @@ _CAMERA = ColorCamera(Intrinsics(64, 48, 60.5, 61.5, 31.5, 24.5, (0.1, -0.2, 0.3
 
 
 @pytest.fixture
-def images() -> list[ColorImage]:
+def images():
     """Noise, which nothing can compress: the file holds these very bytes."""
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (4, 48, 64, 3), dtype=np.uint8)
@@ -35,7 +34,7 @@ def images() -> list[ColorImage]:
 
 
 @pytest.fixture
-def session(images: list[ColorImage], tmp_path: Path) -> Path:
+def session(images, tmp_path):
     """Four frames, of which A has colour in all and B in none."""
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V2)))
     made = []
@@ -52,7 +51,7 @@ def session(images: list[ColorImage], tmp_path: Path) -> Path:
     return path
 
 
-def test_images_come_back_with_lens_and_place(session: Path, images: list[ColorImage]) -> None:
+def test_images_come_back_with_lens_and_place(session, images):
     read = list(FileImages(session).color("a", ALL))
     assert [(frame, image.jpeg) for frame, image in read] == [(k, i.jpeg) for k, i in enumerate(images)]
     for _, image in read:

@@ -1,7 +1,6 @@
 """A session that is cut off keeps the events up to the cut."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -15,22 +14,20 @@ _BLOCK = 10
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> Session:
+def told(tmp_path_factory):
     """A session with an event at every second frame."""
     session = fuse(*write_recordings(tmp_path_factory.mktemp("told")))
     events = [Event(f"event {k}").placed(k, int(session.time_ns[k])) for k in range(0, len(session), 2)]
     return replace(session, events=tuple(events))
 
 
-def test_a_folder_in_which_no_file_can_be_created_is_an_error_of_the_system(
-    told: Session, tmp_path: Path
-) -> None:
+def test_a_folder_in_which_no_file_can_be_created_is_an_error_of_the_system(told, tmp_path):
     """Rerun raises a RuntimeError, which nobody would expect."""
     with pytest.raises(OSError, match="cannot be created"):
         write_session(told, tmp_path / "missing" / "s.rrd")
 
 
-def test_events_are_kept_up_to_the_cut(told: Session, tmp_path: Path) -> None:
+def test_events_are_kept_up_to_the_cut(told, tmp_path):
     whole, cut = tmp_path / "s.rrd", tmp_path / "cut.rrd"
     write_session(told, whole, block=_BLOCK)
     data = whole.read_bytes()

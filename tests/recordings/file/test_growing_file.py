@@ -5,9 +5,7 @@ import os
 import shutil
 import signal
 import threading
-from collections.abc import Callable, Iterator
 from contextlib import suppress
-from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
@@ -36,12 +34,11 @@ from viewer_app.cli import main
 from viewer_app.sinks import compact_copy, session_file
 from viewer_app.sinks.session_file import SessionFile
 
-ROOT = Path(__file__).resolve().parents[3]
-_MADE: list[SessionFile] = []
+_MADE = []
 
 
 @pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
+def closed():
     """Ends the threads that a failed test leaves behind: Python would wait for them."""
     yield
     while _MADE:
@@ -50,30 +47,30 @@ def closed() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+def impatient(monkeypatch):
     monkeypatch.setattr(session_file, "_BLOCK_SECONDS", 0.02)
     monkeypatch.setattr(session_file, "_LOOK_SECONDS", 0.01)
 
 
-def fused_frames(count: int, depth: bool = False) -> tuple[Fuser, list[SessionFrame]]:
+def fused_frames(count, depth=False):
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     pairs = frame_pairs(KINECT_V1, count, no_b=(5,), depth=depth)
     return fuser, [SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
 
 
-def file_of(path: Path, fuser: Fuser, **options: object) -> SessionFile:
+def file_of(path, fuser, **options):
     identity = uuid4()
     file = SessionFile(
         path,
         lambda: rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
         lambda stream: Recorder(stream, fuser.setup, ("a", "b"), depth_every=1),
-        **options,  # type: ignore[arg-type]
+        **options,
     )
     _MADE.append(file)
     return file
 
 
-def finished(file: SessionFile, frames: list[SessionFrame]) -> None:
+def finished(file, frames):
     """Writes frames and ends the file."""
     for frame in frames:
         file.write(frame)
@@ -81,7 +78,7 @@ def finished(file: SessionFile, frames: list[SessionFrame]) -> None:
     file.close()
 
 
-def frames_in(path: Path) -> int:
+def frames_in(path):
     """How many frames can be read; 0 while there is none."""
     try:
         return len(Session.open(path))
@@ -89,9 +86,7 @@ def frames_in(path: Path) -> int:
         return 0
 
 
-def test_it_is_the_same_session_as_one_written_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_is_the_same_session_as_one_written_at_once(tmp_path, monkeypatch):
     monkeypatch.setattr(compact_copy, "_BLOCK", 20)
     fuser, frames = fused_frames(50)
     file = file_of(tmp_path / "s.rrd", fuser)
@@ -115,7 +110,7 @@ def test_it_is_the_same_session_as_one_written_at_once(
     assert "/fused/skeleton" in rr.chunk.RrdReader(session.path).store().schema().entity_paths()
 
 
-def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
+def test_the_file_waits_for_who_goes_first(tmp_path):
     asked, over = threading.Event(), threading.Event()
     fuser, frames = fused_frames(3)
     file = file_of(tmp_path / "s.rrd", fuser, turn=lambda seconds: (asked.set(), over.wait(5.0)))
@@ -127,7 +122,7 @@ def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
     file.close()
 
 
-def test_it_can_be_read_while_it_grows(tmp_path: Path) -> None:
+def test_it_can_be_read_while_it_grows(tmp_path):
     path = tmp_path / "s.rrd"
     fuser, frames = fused_frames(40, depth=True)
     file = file_of(path, fuser)
@@ -146,7 +141,7 @@ def test_it_can_be_read_while_it_grows(tmp_path: Path) -> None:
     assert [frame for frame, _ in session.depth("b")] == [n for n in range(40) if n != 5]
 
 
-def grown(path: Path, whole: bool) -> Path:
+def grown(path, whole):
     """A file of 200 frames in blocks of ten."""
     fuser, frames = fused_frames(200)
     file = file_of(path, fuser)
@@ -161,13 +156,13 @@ def grown(path: Path, whole: bool) -> Path:
     return path
 
 
-def test_small_blocks_become_large_ones_at_the_end(tmp_path: Path) -> None:
+def test_small_blocks_become_large_ones_at_the_end(tmp_path):
     sizes = [grown(tmp_path / f"{whole}.rrd", whole).stat().st_size for whole in (True, False)]
     assert sizes[0] < 0.7 * sizes[1]
 
 
-def test_a_copy_that_fails_leaves_the_file_that_grew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
+def test_a_copy_that_fails_leaves_the_file_that_grew(tmp_path, monkeypatch):
+    def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(compact_copy.shutil, "copyfile", full)
@@ -180,7 +175,7 @@ def test_a_copy_that_fails_leaves_the_file_that_grew(tmp_path: Path, monkeypatch
     assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
 
 
-def test_an_existing_file_stays_until_its_replacement_is_ready(tmp_path: Path) -> None:
+def test_an_existing_file_stays_until_its_replacement_is_ready(tmp_path):
     path = tmp_path / "s.rrd"
     path.write_text("precious")
     fuser, frames = fused_frames(10)
@@ -194,7 +189,7 @@ def test_an_existing_file_stays_until_its_replacement_is_ready(tmp_path: Path) -
     assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
 
 
-def test_a_file_that_came_in_between_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_file_that_came_in_between_is_not_overwritten(tmp_path):
     path = tmp_path / "s.rrd"
     fuser, frames = fused_frames(10)
     file = file_of(path, fuser)
@@ -211,12 +206,12 @@ def test_a_file_that_came_in_between_is_not_overwritten(tmp_path: Path) -> None:
 class Disk:
     """The file of a test and the way in which saving fails."""
 
-    def __init__(self, folder: Path, fail: Callable[[], object], words: str) -> None:
+    def __init__(self, folder, fail, words):
         self.folder, self.fail, self.words = folder, fail, words
 
 
 @pytest.fixture(params=["full", "read-only", "limit", "gone"])
-def disk(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
+def disk(request, tmp_path, monkeypatch):
     folder = tmp_path / "disk"
     folder.mkdir()
     if request.param == "gone":
@@ -228,7 +223,7 @@ def disk(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
         number, most = {"read-only": (errno.EROFS, 0), "limit": (errno.EFBIG, 1_000_000)}[request.param]
         real, failing = growing_file.FileIO.write, threading.Event()
 
-        def write(file: growing_file.FileIO, block: memoryview) -> int:
+        def write(file, block):
             room = most - file.tell() if failing.is_set() else len(block)
             if room <= 0:
                 raise OSError(number, os.strerror(number))
@@ -238,10 +233,10 @@ def disk(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
         yield Disk(folder, failing.set, os.strerror(number))
 
 
-def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None:
+def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk):
     path = disk.folder / "s.rrd"
     fuser, frames = fused_frames(600)
-    said: list[str] = []
+    said = []
     file = file_of(path, fuser, on_failure=said.append)
     for number, frame in enumerate(frames):
         file.write(frame)
@@ -263,19 +258,15 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
     assert [path.name for path in found.parent.iterdir()] == ["s.rrd"]
 
 
-def test_a_nearly_full_disk_is_reported_and_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 3_000_000))  # type: ignore[attr-defined]
+def test_a_nearly_full_disk_is_reported_and_used(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 3_000_000))
     path = tmp_path / "s.rrd"
     main(["demo", "--seconds", "1", "--depth", "none", "--no-viewer", "--save", str(path)])
     assert "Only 3 MB are free" in capsys.readouterr().out
     assert frames_in(path) > 0
 
 
-def test_an_unwritable_file_name_is_refused_before_anything_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unwritable_file_name_is_refused_before_anything_runs(tmp_path, capsys):
     taken = tmp_path / "taken.rrd"
     taken.write_text("precious")
     for path in (taken, tmp_path, tmp_path / "none" / "s.rrd"):
@@ -291,7 +282,7 @@ def test_an_unwritable_file_name_is_refused_before_anything_runs(
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
 @pytest.mark.parametrize(("depth", "frames"), [("none", 97), ("half", 40)])
-def test_a_killed_demo_leaves_all_but_the_last_second(tmp_path: Path, depth: str, frames: int) -> None:
+def test_a_killed_demo_leaves_all_but_the_last_second(tmp_path, depth, frames):
     path = tmp_path / "s.rrd"
     child = telling_demo(path, "--depth", depth, "--quiet")
     wait_for_frames(child, frames - 10)
@@ -317,7 +308,7 @@ def test_a_killed_demo_leaves_all_but_the_last_second(tmp_path: Path, depth: str
     assert duplex("replay", path, "--verify", "--no-viewer") == 0
 
 
-def test_the_threads_end_with_the_file(tmp_path: Path) -> None:
+def test_the_threads_end_with_the_file(tmp_path):
     fuser, frames = fused_frames(3)
     before = threading.active_count()
     for k in range(3):

@@ -1,7 +1,5 @@
 """A process that writes many files keeps no threads of their streams, and the layout is whole."""
 
-from pathlib import Path
-
 import numpy as np
 import psutil
 import rerun as rr
@@ -16,13 +14,13 @@ LAYOUT = rrb.Blueprint(
 )
 
 
-def write(path: Path) -> None:
+def write(path):
     with whole_recording(path, LAYOUT) as stream:
         stream.set_time("frame", sequence=0)
         stream.log("points", rr.Points3D(np.zeros((5, 3))))
 
 
-def test_no_threads_of_earlier_files_remain(tmp_path: Path) -> None:
+def test_no_threads_of_earlier_files_remain(tmp_path):
     process = psutil.Process()
     write(tmp_path / "0.rrd")
     write(tmp_path / "1.rrd")

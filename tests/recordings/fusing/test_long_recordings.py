@@ -1,15 +1,10 @@
 """Long recordings: bounded memory, the same result in parts, and temporary files without a name."""
 
-from __future__ import annotations
-
 import errno
 import gc
 import os
 import tempfile
 import tracemalloc
-from collections.abc import Callable, Iterable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +25,7 @@ from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import A_FROM_B, moving
 
 
-def write_walk(folder: Path, frames: int) -> tuple[Path, Path]:
+def write_walk(folder, frames):
     """Two noisy views of a person who moves."""
     folder.mkdir()
     truth, rng = moving(KINECT_V2, frames), np.random.default_rng(frames)
@@ -38,9 +33,7 @@ def write_walk(folder: Path, frames: int) -> tuple[Path, Path]:
     return write_view(folder / "a.csv", KINECT_V2, a), write_view(folder / "b.csv", KINECT_V2, b)
 
 
-def test_a_fused_recording_keeps_a_few_hundred_bytes_of_each_pair_in_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fused_recording_keeps_a_few_hundred_bytes_of_each_pair_in_memory(tmp_path, monkeypatch):
     """Positions of both views and of S* alone are 1,200 bytes; as one object each, pairs were 10 kB."""
     monkeypatch.setattr(large_arrays, "_LARGE", 10_000)  # bytes: every array of a long recording is larger
     held = {}
@@ -57,7 +50,7 @@ def test_a_fused_recording_keeps_a_few_hundred_bytes_of_each_pair_in_memory(
     assert (held[450] - held[150]) / 300 < 300.0
 
 
-def test_a_csv_is_the_same_in_blocks_and_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_csv_is_the_same_in_blocks_and_at_once(tmp_path, monkeypatch):
     path, _ = write_walk(tmp_path / "walk", 40)
     header, *lines = path.read_text().splitlines()
     shuffled = tmp_path / "shuffled.csv"
@@ -73,7 +66,7 @@ def test_a_csv_is_the_same_in_blocks_and_at_once(tmp_path: Path, monkeypatch: py
     assert "time_us goes back" in read_csv(shuffled).warnings[0]
 
 
-def nobody_at_first(rows: list[str]) -> list[str]:
+def nobody_at_first(rows):
     half = len(rows) // 2
     feet = [row.split(",") for row in rows]
     scaled = [[*row[:3], *(f"{float(x) / 0.3048:.5f}" for x in row[3:6]), *row[6:]] for row in feet]
@@ -82,14 +75,14 @@ def nobody_at_first(rows: list[str]) -> list[str]:
     ]
 
 
-def nobody_as_minus_one_at_last(rows: list[str]) -> list[str]:
+def nobody_as_minus_one_at_last(rows):
     end = 30 * len(KINECT_V2)
     return rows[:end] + [
         ",".join([*row.split(",")[:3], "-1", "-1", "-1", "not_tracked"]) for row in rows[end:]
     ]
 
 
-def slow_at_last(rows: list[str]) -> list[str]:
+def slow_at_last(rows):
     end = 37 * len(KINECT_V2)
     late = [row.split(",", 1) for row in rows[end:]]
     return rows[:end] + [
@@ -100,8 +93,8 @@ def slow_at_last(rows: list[str]) -> list[str]:
 @pytest.mark.parametrize("change", [nobody_at_first, nobody_as_minus_one_at_last, slow_at_last, list])
 @pytest.mark.parametrize("line_end", ["\n", "\r"])
 def test_a_part_of_a_csv_that_looks_wrong_by_itself_is_judged_by_the_whole(
-    change: Callable[[list[str]], list[str]], line_end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    change, line_end, tmp_path, monkeypatch
+):
     path, _ = write_walk(tmp_path / "walk", 40)
     header, *rows = path.read_text().splitlines()
     path.write_text(line_end.join([header, *change(rows)]) + line_end, newline="")
@@ -113,7 +106,7 @@ def test_a_part_of_a_csv_that_looks_wrong_by_itself_is_judged_by_the_whole(
         np.testing.assert_array_equal(values, expected)
 
 
-def test_a_person_without_any_joint_is_said_in_one_line(tmp_path: Path) -> None:
+def test_a_person_without_any_joint_is_said_in_one_line(tmp_path):
     a, b = write_walk(tmp_path / "walk", 120)
     header, *rows = a.read_text().splitlines()
     times = dict.fromkeys(row.split(",")[0] for row in rows)
@@ -124,7 +117,7 @@ def test_a_person_without_any_joint_is_said_in_one_line(tmp_path: Path) -> None:
         fuse(a, b, person_a="9")
 
 
-def test_a_plan_in_parts_is_that_of_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plan_in_parts_is_that_of_the_whole(tmp_path, monkeypatch):
     files = write_walk(tmp_path / "walk", 600)
     pairs = read_two(*map(RecordingChoice, files)).pairing.skeletons(KINECT_V2)
     settings = FuserSettings(hindsight="labels")
@@ -141,9 +134,7 @@ def test_a_plan_in_parts_is_that_of_the_whole(tmp_path: Path, monkeypatch: pytes
     np.testing.assert_array_equal(in_parts.labels.codes, whole.labels.codes)
 
 
-def test_a_large_array_has_no_name_and_is_what_was_appended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_large_array_has_no_name_and_is_what_was_appended(tmp_path, monkeypatch):
     monkeypatch.setattr(large_arrays, "_LARGE", 100)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     rows = np.arange(120, dtype=np.float32).reshape(20, 2, 3)
@@ -154,9 +145,9 @@ def test_a_large_array_has_no_name_and_is_what_was_appended(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_room_for_a_large_array_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_room_for_a_large_array_is_said_in_one_line(monkeypatch):
     class FullDisk:
-        def write(self, _: Any) -> int:
+        def write(self, _):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(large_arrays, "_LARGE", 100)
@@ -165,10 +156,10 @@ def test_no_room_for_a_large_array_is_said_in_one_line(monkeypatch: pytest.Monke
         GrowingArray().append(np.zeros(100))
 
 
-def test_writing_shows_how_far_it_is(tmp_path: Path) -> None:
+def test_writing_shows_how_far_it_is(tmp_path):
     session, shown = fuse(*write_walk(tmp_path / "walk", 100)), []
 
-    def progress(blocks: Iterable[slice], what: str, total: int) -> Iterable[slice]:
+    def progress(blocks, what, total):
         seen = list(blocks)
         shown.append((what, total, len(seen)))
         return seen

@@ -1,7 +1,5 @@
 """Events where a view reports a limb at a wrong place and S* follows the other view."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -17,18 +15,11 @@ ARM = [BODY.joint(f"{name}_LEFT") for name in ("ELBOW", "WRIST", "HAND")]
 
 
 def told_of(
-    wrong_frames: int,
-    *,
-    sensor: str = "B",
-    off: float = 0.5,
-    share: float = 0.0,
-    joints: int = 3,
-    state: TrackingState = TrackingState.TRACKED,
-    exchanged: int = 0,
-) -> list[tuple[int, Event]]:
+    wrong_frames, *, sensor="B", off=0.5, share=0.0, joints=3, state=TrackingState.TRACKED, exchanged=0
+):
     """The events, with their frames, of a view whose left arm is wrong from frame 10 on."""
     views_of, truth = ViewEvents(BODY), standing(BODY)
-    told: list[tuple[int, Event]] = []
+    told = []
     for k in range(90):
         wrong = 10 <= k < 10 + wrong_frames
         shift, weights, states = np.zeros((len(BODY), 3)), np.full(len(BODY), 0.5), np.full(len(BODY), 2)
@@ -52,7 +43,7 @@ def told_of(
 
 
 @pytest.mark.parametrize(("sensor", "other"), [("A", "B"), ("B", "A")])
-def test_a_lost_arm_is_told_with_its_distance_and_its_end(sensor: str, other: str) -> None:
+def test_a_lost_arm_is_told_with_its_distance_and_its_end(sensor, other):
     (begun, start), (ended, end) = told_of(30, sensor=sensor)
     text = f"{sensor} loses the left arm, 0.5 m off; S* follows {other}."
     assert start == Event(text, "INFO", f"lost_{sensor.lower()}_left_arm", "start")
@@ -62,7 +53,7 @@ def test_a_lost_arm_is_told_with_its_distance_and_its_end(sensor: str, other: st
     assert ended == 39 + 7
 
 
-def test_what_is_short_near_counted_guessed_single_or_exchanged_is_no_lost_limb() -> None:
+def test_what_is_short_near_counted_guessed_single_or_exchanged_is_no_lost_limb():
     assert told_of(30) != []
     assert told_of(14) == []
     assert told_of(30, off=0.15) == []

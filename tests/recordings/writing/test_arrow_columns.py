@@ -1,7 +1,5 @@
 """Columns made without Rerun's conversions are what Rerun makes."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import rerun as rr
@@ -10,7 +8,7 @@ from recordings.writing.arrow_columns import Column, Times, depth_image, points
 
 FRAMES, POINTS = 3, 4
 RANDOM = np.random.default_rng(0)
-VALUES: dict[tuple[str, str], Any] = {
+VALUES = {
     ("Points3D", "positions"): RANDOM.normal(size=(FRAMES, POINTS, 3)).astype(np.float32),
     ("Points3D", "colors"): RANDOM.integers(0, 256, (FRAMES, POINTS, 3)).astype(np.uint8),
     ("Points3D", "class_ids"): RANDOM.integers(0, 9, (FRAMES, POINTS)).astype(np.uint16),
@@ -20,7 +18,7 @@ VALUES: dict[tuple[str, str], Any] = {
 
 
 @pytest.mark.parametrize(("archetype", "argument"), VALUES)
-def test_an_argument_of_an_archetype_becomes_what_rerun_makes_of_it(archetype: str, argument: str) -> None:
+def test_an_argument_of_an_archetype_becomes_what_rerun_makes_of_it(archetype, argument):
     values, each = VALUES[archetype, argument], POINTS if archetype == "Points3D" else 1
     flat = values.reshape(FRAMES * each, *values.shape[2 if each > 1 else 1 :])
     kind = getattr(rr, archetype)
@@ -32,7 +30,7 @@ def test_an_argument_of_an_archetype_becomes_what_rerun_makes_of_it(archetype: s
 
 
 @pytest.mark.parametrize("count", [0, 1, 7])
-def test_points_become_what_rerun_makes_of_them(count: int) -> None:
+def test_points_become_what_rerun_makes_of_them(count):
     values = RANDOM.normal(size=(count, 3)).astype(np.float32)
     (ours,) = points(values)
     (theirs,) = rr.Points3D.from_fields(positions=values).as_component_batches()
@@ -41,7 +39,7 @@ def test_points_become_what_rerun_makes_of_them(count: int) -> None:
     assert ours.as_arrow_array().type == theirs.as_arrow_array().type
 
 
-def test_an_image_becomes_what_rerun_makes_of_it() -> None:
+def test_an_image_becomes_what_rerun_makes_of_it():
     theirs = rr.EncodedDepthImage(b"a blob", media_type="application/rvl", meter=1000.0)
     ours = depth_image(b"a blob", "application/rvl", 1000.0)
     for mine, their in zip(ours, theirs.as_component_batches(), strict=True):
@@ -50,7 +48,7 @@ def test_an_image_becomes_what_rerun_makes_of_it() -> None:
         assert mine.as_arrow_array().type == their.as_arrow_array().type
 
 
-def test_times_become_what_rerun_makes_of_them() -> None:
+def test_times_become_what_rerun_makes_of_them():
     numbers = np.arange(5)
     spans = numbers.astype("timedelta64[ns]")
     for ours, theirs in (

@@ -1,12 +1,9 @@
 """What a frame costs a viewer's stream, counted in messages: a guard of the live latency without a clock."""
 
 from collections import Counter
-from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
 import numpy as np
-import pytest
 import rerun as rr
 
 from recordings import layout
@@ -18,7 +15,7 @@ from tests.helpers.live_frames import frames, known_fuser
 COUNT, PLOTS_EVERY = 40, 5
 
 
-def written(path: Path, plots_every: int) -> Path:
+def written(path, plots_every):
     """A session of which each frame is recorded as it comes, as a viewer's."""
     fuser = known_fuser()
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
@@ -31,7 +28,7 @@ def written(path: Path, plots_every: int) -> Path:
     return path
 
 
-def test_plots_in_blocks_lose_nothing(tmp_path: Path) -> None:
+def test_plots_in_blocks_lose_nothing(tmp_path):
     one, blocks = (Session.open(written(tmp_path / f"{n}.rrd", n)) for n in (1, PLOTS_EVERY + 2))
     assert blocks.damage is None
     assert len(one) == len(blocks) == COUNT
@@ -41,17 +38,17 @@ def test_plots_in_blocks_lose_nothing(tmp_path: Path) -> None:
     np.testing.assert_array_equal(blocks.fused_checksums, one.fused_checksums)
 
 
-def test_a_frame_costs_a_viewer_few_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_costs_a_viewer_few_messages(tmp_path, monkeypatch):
     """Each message takes 0.3 ms of the interpreter that sensors, fusion and file share, whatever it holds.
 
     A frame needs S_A, S_B, S* and the pelvis. Everything else comes once per block, or on change.
     """
-    sent: Counter[str] = Counter()
+    sent = Counter()
 
-    def counted(name: str) -> None:
+    def counted(name):
         original = getattr(rr.RecordingStream, name)
 
-        def call(stream: rr.RecordingStream, entity: str, *what: Any, **more: Any) -> None:
+        def call(stream, entity, *what, **more):
             sent[entity] += not more.get("static", False)
             original(stream, entity, *what, **more)
 

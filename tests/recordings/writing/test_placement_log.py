@@ -1,10 +1,8 @@
 """Sensors, floor and person are coordinate frames; a recalibration is one message."""
 
-from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
-import pytest
 import rerun as rr
 
 from fusion.calibration.calibration import Calibration
@@ -20,7 +18,7 @@ from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.two_views import A_FROM_B
 
 
-def poses(path: Path, entity: str) -> list[int]:
+def poses(path, entity):
     """The frames at which a pose was logged."""
     component = "Transform3D:translation"
     found = []
@@ -33,7 +31,7 @@ def poses(path: Path, entity: str) -> list[int]:
     return sorted(found)
 
 
-def written_live(path: Path, count: int) -> Path:
+def written_live(path, count):
     fuser = known_fuser()
     with session(fuser, path) as live:
         for frame in frames(fuser, count):
@@ -41,7 +39,7 @@ def written_live(path: Path, count: int) -> Path:
     return path
 
 
-def test_a_recalibration_is_one_message(tmp_path: Path) -> None:
+def test_a_recalibration_is_one_message(tmp_path):
     moved = RigidTransform.of(A_FROM_B.rotation, A_FROM_B.translation + [0.1, 0.0, 0.0])
     calibrations = [
         (0, Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "first")),
@@ -54,7 +52,7 @@ def test_a_recalibration_is_one_message(tmp_path: Path) -> None:
     assert len(changes) == 1
 
 
-def test_live_and_saved_sessions_log_the_same_poses(tmp_path: Path) -> None:
+def test_live_and_saved_sessions_log_the_same_poses(tmp_path):
     live = written_live(tmp_path / "live.rrd", 40)
     again = tmp_path / "again.rrd"
     Session.open(live).save(again)
@@ -64,9 +62,7 @@ def test_live_and_saved_sessions_log_the_same_poses(tmp_path: Path) -> None:
     assert len(poses(live, layout.FLOOR)) == 2  # assumed, then found
 
 
-def test_a_viewer_s_stream_gets_the_poses_again_and_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_viewer_s_stream_gets_the_poses_again_and_again(tmp_path, monkeypatch):
     """A hub drops its oldest messages: whoever connects later must find K_B and the floor all the same."""
     monkeypatch.setattr(changes, "_POSE_AGAIN", 30)
     fuser = known_fuser()

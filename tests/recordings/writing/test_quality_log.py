@@ -1,7 +1,5 @@
 """Jitter measures noise and not motion; the placement's figures start at zero."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,9 +15,9 @@ from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.two_views import A_FROM_B
 
 
-def logged(path: Path, entity: str) -> dict[int, list[float]]:
+def logged(path, entity):
     """The scalars of an entity, by frame."""
-    found: dict[int, list[float]] = {}
+    found = {}
     with RrdFile(path) as file:
         for of_entity, batch in file.chunks(images=False):
             names = batch.schema.names
@@ -29,7 +27,7 @@ def logged(path: Path, entity: str) -> dict[int, list[float]]:
     return found
 
 
-def test_a_moved_sensor_is_seen_in_millimetres_and_degrees(tmp_path: Path) -> None:
+def test_a_moved_sensor_is_seen_in_millimetres_and_degrees(tmp_path):
     turned = Rotation.from_euler("y", 3.0, degrees=True).as_matrix()
     # 120 mm in all, along each axis
     shift = np.array([0.04, -0.08, 0.08])
@@ -49,20 +47,20 @@ def test_a_moved_sensor_is_seen_in_millimetres_and_degrees(tmp_path: Path) -> No
     np.testing.assert_allclose(placement[max(placement)], [120.0, 3.0], rtol=1e-6)
 
 
-def test_even_motion_has_no_jitter() -> None:
+def test_even_motion_has_no_jitter():
     steps = np.arange(30.0)[:, None, None] * np.array([0.01, -0.02, 0.03])
     assert jitter((steps + np.ones((1, 20, 3))).astype(np.float32)) < 1e-6
 
 
 @pytest.mark.parametrize("sigma", [0.002, 0.02])
-def test_white_noise_has_a_jitter_of_3_8_sigma(sigma: float) -> None:
+def test_white_noise_has_a_jitter_of_3_8_sigma(sigma):
     """p(t−1) − 2p(t) + p(t+1) has variance 6 σ² per axis; the norm's median is 1.538 such deviations."""
     noise = np.random.default_rng(0).normal(0.0, sigma, (2000, 20, 3)).astype(np.float32)
     # 40 000 correlated samples: the median is certain to about 1 %
     assert jitter(noise) == pytest.approx(np.sqrt(6.0) * 1.538 * sigma, rel=0.03)
 
 
-def test_missing_joints_are_left_out() -> None:
+def test_missing_joints_are_left_out():
     still = np.zeros((10, 5, 3), dtype=np.float32)
     still[3, 2] = np.nan
     assert jitter(still) == 0.0

@@ -24,11 +24,11 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def in_this_process(monkeypatch):
     """Makes the command fuse in this process; returns the names of the fused pairs."""
-    fused: list[str] = []
+    fused = []
 
-    def run(jobs: list[Job], _: int) -> object:
+    def run(jobs, _):
         for job in jobs:
             fused.append(job.name)
             yield fuse_job(job)
@@ -37,19 +37,19 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return fused
 
 
-def table(out: Path) -> dict[str, list[object]]:
+def table(out):
     return pq.read_table(out / "summary.parquet").to_pydict()
 
 
-def files_in(out: Path) -> set[str]:
+def files_in(out):
     return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
 
 
-def files_of(name: str) -> set[str]:
+def files_of(name):
     return {f"{name}/{name}.rrd", f"{name}/{name}.json", f"{name}/record.json"}
 
 
-def started(*arguments: object) -> subprocess.Popen[str]:
+def started(*arguments):
     return subprocess.Popen(
         [sys.executable, "-m", "viewer_app.cli", "batch", *map(str, arguments)],
         cwd=ROOT,
@@ -60,7 +60,7 @@ def started(*arguments: object) -> subprocess.Popen[str]:
     )
 
 
-def test_two_processes_fuse_what_duplex_fuse_fuses(tmp_path: Path) -> None:
+def test_two_processes_fuse_what_duplex_fuse_fuses(tmp_path):
     pairs, out = tmp_path / "pairs", tmp_path / "out"
     for seed in range(3):
         write_pair(pairs / f"p{seed}", seed=seed)
@@ -81,9 +81,7 @@ def test_two_processes_fuse_what_duplex_fuse_fuses(tmp_path: Path) -> None:
     assert "p1/p1" not in page  # no link to a session that is not there
 
 
-def test_only_what_is_not_done_is_fused(
-    tmp_path: Path, in_this_process: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_only_what_is_not_done_is_fused(tmp_path, in_this_process, capsys):
     pairs, out = tmp_path / "pairs", tmp_path / "out"
     write_pair(pairs, "one_a.csv", "one_b.csv", seed=1)
     write_pair(pairs, "two_a.csv", "two_b.csv", seed=2)
@@ -115,7 +113,7 @@ def test_only_what_is_not_done_is_fused(
     assert "one holds files that duplex batch did not write (one.bvh)" in one_line(capsys)
 
 
-def test_a_replacement_that_fails_keeps_the_old_session(tmp_path: Path, in_this_process: list[str]) -> None:
+def test_a_replacement_that_fails_keeps_the_old_session(tmp_path, in_this_process):
     pairs, out = write_pair(tmp_path / "pairs" / "p"), tmp_path / "out"
     assert duplex("batch", pairs.parent, "--out", out) == 0
     before = (out / "p" / "p.rrd").read_bytes()
@@ -126,7 +124,7 @@ def test_a_replacement_that_fails_keeps_the_old_session(tmp_path: Path, in_this_
     assert in_this_process == ["p", "p"]
 
 
-def test_a_session_that_was_being_replaced_returns(tmp_path: Path, in_this_process: list[str]) -> None:
+def test_a_session_that_was_being_replaced_returns(tmp_path, in_this_process):
     pairs, out = write_pair(tmp_path / "pairs" / "p"), tmp_path / "out"
     assert duplex("batch", pairs.parent, "--out", out) == 0
     # the state after a kill between the two renames
@@ -142,9 +140,7 @@ def test_a_session_that_was_being_replaced_returns(tmp_path: Path, in_this_proce
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_killed_half_way_and_resumed(
-    number: signal.Signals, tmp_path: Path, in_this_process: list[str]
-) -> None:
+def test_killed_half_way_and_resumed(number, tmp_path, in_this_process):
     pairs, out = tmp_path / "pairs", tmp_path / "out"
     for seed in range(4):
         write_pair(pairs / f"p{seed}", seed=seed)
@@ -174,7 +170,7 @@ def test_killed_half_way_and_resumed(
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
-def test_a_worker_that_dies_costs_its_own_job_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_dies_costs_its_own_job_only(tmp_path, monkeypatch):
     monkeypatch.setattr(processes, "compile_kernels", lambda _: None)
     monkeypatch.setattr(processes, "fuse_job", dies_on_p)
     outcomes = list(run_in_processes([_job(tmp_path, name) for name in "pqr"], 1))
@@ -185,13 +181,13 @@ def test_a_worker_that_dies_costs_its_own_job_only(tmp_path: Path, monkeypatch: 
     ]
 
 
-def dies_on_p(job: Job) -> Outcome:
+def dies_on_p(job):
     if job.name == "p":
         os.kill(os.getpid(), signal.SIGKILL)
     return Outcome(job.name, {})
 
 
-def test_a_job_that_a_cluster_repeats_is_not_fused_again(tmp_path: Path) -> None:
+def test_a_job_that_a_cluster_repeats_is_not_fused_again(tmp_path):
     folder = write_pair(tmp_path / "pairs" / "p")
     options = BatchOptions(source=folder.parent, out=tmp_path / "out")
     job = Job(Pair("p", folder / "a.csv", folder / "b.csv"), options)
@@ -201,6 +197,6 @@ def test_a_job_that_a_cluster_repeats_is_not_fused_again(tmp_path: Path) -> None
     assert job.session.stat().st_mtime_ns == made
 
 
-def _job(folder: Path, name: str) -> Job:
+def _job(folder, name):
     options = BatchOptions(source=folder, out=folder)
     return Job(Pair(name, folder / "a.csv", folder / "b.csv"), options)

@@ -1,8 +1,6 @@
 """``duplex batch --scheduler``: on a Dask cluster in this process, and on one of programs."""
 
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
@@ -15,7 +13,7 @@ distributed = pytest.importorskip("distributed")
 
 
 @pytest.fixture
-def local_cluster() -> Iterator[str]:
+def local_cluster():
     """The address of a cluster with two workers in this process."""
     with distributed.LocalCluster(
         n_workers=2,
@@ -28,12 +26,11 @@ def local_cluster() -> Iterator[str]:
         yield made.scheduler_address
 
 
-def states(out: Path) -> list[str]:
-    found: list[str] = pq.read_table(out / "summary.parquet").to_pydict()["state"]
-    return found
+def states(out):
+    return pq.read_table(out / "summary.parquet").to_pydict()["state"]
 
 
-def test_the_real_pairs_on_a_local_cluster(shared: Path, tmp_path: Path, local_cluster: str) -> None:
+def test_the_real_pairs_on_a_local_cluster(shared, tmp_path, local_cluster):
     out = tmp_path / "out"
     assert duplex("batch", shared / "real", "--out", out, "--scheduler", local_cluster) == 0
     assert states(out) == ["fused"] * len(REAL)
@@ -43,9 +40,7 @@ def test_the_real_pairs_on_a_local_cluster(shared: Path, tmp_path: Path, local_c
     assert_same_session(out / name / f"{name}.rrd", tmp_path / "alone.rrd")
 
 
-def test_a_bad_pair_and_a_wrong_address(
-    tmp_path: Path, local_cluster: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bad_pair_and_a_wrong_address(tmp_path, local_cluster, capsys, monkeypatch):
     pairs, out = tmp_path / "pairs", tmp_path / "out"
     write_pair(pairs / "good")
     write_pair(pairs / "bad")
@@ -58,9 +53,7 @@ def test_a_bad_pair_and_a_wrong_address(
     assert "no Dask scheduler answers there" in one_line(capsys)
 
 
-def test_without_dask_one_line_names_the_extra(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_dask_one_line_names_the_extra(tmp_path, capsys, monkeypatch):
     write_pair(tmp_path / "pairs")
     monkeypatch.setitem(sys.modules, "distributed", None)
     arguments = tmp_path / "pairs", "--out", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9"

@@ -1,29 +1,26 @@
 """Which pairs ``duplex batch`` finds in a folder and in a manifest, and what it refuses."""
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from tests.helpers.command_line import duplex, one_line
 from viewer_app.batch import processes
 from viewer_app.batch.finding import Pair, find_pairs
-from viewer_app.batch.jobs import Job, Outcome, checksum
+from viewer_app.batch.jobs import Outcome, checksum
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.errors import UsageError
 
 
-def touch(root: Path, *names: str) -> None:
+def touch(root, *names):
     for name in names:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).touch()
 
 
-def names_of(root: Path) -> list[str]:
+def names_of(root):
     return [pair.name for pair in find_pairs(root, root / "out")[0]]
 
 
-def test_pairs_by_folder_and_by_name(tmp_path: Path) -> None:
+def test_pairs_by_folder_and_by_name(tmp_path):
     touch(tmp_path, "a.json", "b.json", "walk_a.csv", "walk_b.csv", "anna/a.csv", "anna/b.csv")
     touch(tmp_path, "anna/jump_A.skeleton", "anna/jump_B.skeleton", "notes.csv", "anna/x.txt", "data.csv")
     pairs, alone = find_pairs(tmp_path, tmp_path / "out")
@@ -36,7 +33,7 @@ def test_pairs_by_folder_and_by_name(tmp_path: Path) -> None:
     assert not alone
 
 
-def test_a_recording_without_partner_is_named(tmp_path: Path) -> None:
+def test_a_recording_without_partner_is_named(tmp_path):
     touch(tmp_path, "walk_a.csv", "walk_b.json", "run_a.csv", "run_b.csv")
     pairs, alone = find_pairs(tmp_path, tmp_path / "out")
     assert [pair.name for pair in pairs] == ["run"]
@@ -45,33 +42,33 @@ def test_a_recording_without_partner_is_named(tmp_path: Path) -> None:
     ]
 
 
-def test_an_mkv_takes_the_skeletons_beside_it(tmp_path: Path) -> None:
+def test_an_mkv_takes_the_skeletons_beside_it(tmp_path):
     touch(tmp_path, "walk_a.mkv", "walk_b.mkv", "walk_a.json", "walk_b.csv")
     (pair,), _ = find_pairs(tmp_path, tmp_path / "out")
     files = ("walk_a.mkv", "walk_b.mkv", "walk_a.json", "walk_b.csv")
     assert pair == Pair("walk", *(tmp_path / name for name in files))
 
 
-def test_output_hidden_and_linked_folders_are_searched_once_or_not(tmp_path: Path) -> None:
+def test_output_hidden_and_linked_folders_are_searched_once_or_not(tmp_path):
     touch(tmp_path, "walk/a.csv", "walk/b.csv", "out/x/a.csv", "out/x/b.csv", ".old/a.csv", ".old/b.csv")
     (tmp_path / "walk" / "loop").symlink_to(tmp_path)
     assert names_of(tmp_path) == ["walk"]
 
 
-def test_two_pairs_of_one_name_are_refused(tmp_path: Path) -> None:
+def test_two_pairs_of_one_name_are_refused(tmp_path):
     touch(tmp_path, "anna/walk_a.csv", "anna/walk_b.csv", "anna_walk/a.csv", "anna_walk/b.csv")
     with pytest.raises(UsageError, match="both be session anna_walk"):
         find_pairs(tmp_path, tmp_path / "out")
 
 
 @pytest.mark.parametrize("name", ["summary.parquet", "SUMMARY.html"])
-def test_no_session_takes_the_place_of_the_summary(name: str, tmp_path: Path) -> None:
+def test_no_session_takes_the_place_of_the_summary(name, tmp_path):
     touch(tmp_path, f"{name}_a.csv", f"{name}_b.csv")
     with pytest.raises(UsageError, match=f"would be session {name}"):
         find_pairs(tmp_path, tmp_path / "out")
 
 
-def test_a_manifest(tmp_path: Path) -> None:
+def test_a_manifest(tmp_path):
     touch(tmp_path, "one.csv", "two.csv", "deep/three.mkv", "s.json")
     manifest = tmp_path / "m.csv"
     manifest.write_text(
@@ -100,9 +97,7 @@ def test_a_manifest(tmp_path: Path) -> None:
         ('name,a,b\nwalk,"one.csv,two.csv\n', "is not a manifest: unexpected end of data"),
     ],
 )
-def test_a_wrong_manifest_gives_one_line_and_exit_code_2(
-    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_manifest_gives_one_line_and_exit_code_2(text, words, tmp_path, capsys):
     touch(tmp_path, "one.csv", "two.csv")
     (tmp_path / "m.csv").write_text(text, encoding="utf-8")
     assert duplex("batch", tmp_path / "m.csv", "--out", tmp_path / "out") == 2
@@ -123,13 +118,7 @@ def test_a_wrong_manifest_gives_one_line_and_exit_code_2(
         (("pairs", "--scheduler", "127.0.0.1:1"), "name an address such as tcp://"),
     ],
 )
-def test_usage_errors_give_one_line_and_exit_code_2(
-    arguments: tuple[str, ...],
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_usage_errors_give_one_line_and_exit_code_2(arguments, words, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     touch(tmp_path, "pairs/a.csv", "pairs/b.csv")
     (tmp_path / "empty").mkdir()
@@ -138,14 +127,12 @@ def test_usage_errors_give_one_line_and_exit_code_2(
     assert words in one_line(capsys)
 
 
-def test_workers_in_another_folder_find_the_files_of_the_options(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_in_another_folder_find_the_files_of_the_options(tmp_path, monkeypatch):
     names = "k.json", "libk4abt.so"
     touch(tmp_path, "pairs/a.csv", "pairs/b.csv", "networks/full", "elsewhere/x", *names)
-    seen: list[Job] = []
+    seen = []
 
-    def run(jobs: list[Job], _: int) -> Iterator[Outcome]:
+    def run(jobs, _):
         monkeypatch.chdir(tmp_path / "elsewhere")
         seen.extend(jobs)
         yield Outcome("pairs", None, "not fused")

@@ -6,13 +6,13 @@ import pyarrow.parquet as pq
 
 from viewer_app.batch.finding import Pair
 from viewer_app.batch.jobs import Job
-from viewer_app.batch.summary import RANKED, Row, State, worst_first, write_page, write_parquet
+from viewer_app.batch.summary import RANKED, Row, worst_first, write_page, write_parquet
 from viewer_app.options.sensing import BatchOptions
 
 COUNTS = {f"{what}_{side}": 0 for what in ("dropped", "alone", "stale") for side in "ab"}
 
 
-def row(name: str, state: State = "fused", error: str = "", **figures: float | None) -> Row:
+def row(name, state="fused", error="", **figures):
     job = Job(Pair(name, Path("a.csv"), Path("b.csv")), BatchOptions(source=Path(), out=Path()))
     known = (
         dict.fromkeys(name for name in RANKED if name != "lost") | COUNTS | {"frames_a": 50, "frames_b": 50}
@@ -21,11 +21,11 @@ def row(name: str, state: State = "fused", error: str = "", **figures: float | N
     return Row(job, state, record if state == "fused" else None, error)
 
 
-def order(*rows: Row) -> list[str]:
+def order(*rows):
     return [of.job.name for of in worst_first(rows)]
 
 
-def test_failed_rows_come_first_then_the_worst_then_pending_ones() -> None:
+def test_failed_rows_come_first_then_the_worst_then_pending_ones():
     assert order(
         row("calm", views_agree=0.03, jumps_fused=0.0),
         row("left", "pending"),
@@ -35,13 +35,13 @@ def test_failed_rows_come_first_then_the_worst_then_pending_ones() -> None:
     ) == ["lost", "wild", "fair", "calm", "left"]
 
 
-def test_frames_without_a_partner_count() -> None:
+def test_frames_without_a_partner_count():
     one, two = row("one", dropped_a=20, alone_b=5), row("two")
     assert one.figures["lost"] == 0.25
     assert order(two, one) == ["one", "two"]
 
 
-def test_the_table_is_in_si_units_and_the_page_escapes(tmp_path: Path) -> None:
+def test_the_table_is_in_si_units_and_the_page_escapes(tmp_path):
     rows = [row("bad", "failed", "a < b"), row("a b", views_agree=0.0625), row("rest", "pending")]
     write_parquet(rows, tmp_path / "s.parquet")
     table = pq.read_table(tmp_path / "s.parquet").to_pydict()

@@ -4,16 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration, nominal_calibration
-from fusion.fuser import FusedFrame, Fuser
+from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
-from recordings.appearance.coach_page import Mark
 from tests.helpers.two_views import A_FROM_B, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.scene import CoachScene
@@ -27,16 +25,16 @@ KNOWN = Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")
 PERSON = standing(BODY)
 
 
-def fused(at: NDArray[np.float64] = PERSON) -> FusedFrame:
+def fused(at=PERSON):
     return Fuser(FusionSetup(KNOWN)).update(pair_of(BODY, at))
 
 
-def marks(now: Situation | None = None, seen: FusedFrame | None = None, *advice: Advice) -> dict[str, Mark]:
+def marks(now=None, seen=None, *advice):
     now = now or Situation(KNOWN, final=False, held=0.0)
     return dict(CoachScene(BODY, CAMERAS).page(advice, now, seen).marks)
 
 
-def middle_of_ring(mark: Mark) -> NDArray[np.float64]:
+def middle_of_ring(mark):
     under, ring = (np.array(line) for line in mark.lines[:2])
     assert under[0, 1] > ring[0, 1]  # the words' place
     assert ring[0] == pytest.approx(ring[-1])
@@ -44,7 +42,7 @@ def middle_of_ring(mark: Mark) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("b", [None, A_FROM_B])
-def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b: RigidTransform | None) -> None:
+def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b):
     far = FARTHEST[BODY.name]
     spot = standing_spot(b, CAMERAS, far, 1.0)
     assert spot.room > 0.0
@@ -58,12 +56,12 @@ def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b: RigidTr
             assert 0.0 <= pixel[0] <= CAMERA.width
 
 
-def test_sensors_that_look_away_from_each_other_leave_no_place() -> None:
+def test_sensors_that_look_away_from_each_other_leave_no_place():
     back = RigidTransform.of(Rotation.from_euler("y", 180, degrees=True).as_matrix(), [0.0, 0.0, 0.0])
     assert standing_spot(back, CAMERAS, FARTHEST[BODY.name], 1.0).room < 0.0
 
 
-def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it() -> None:
+def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it():
     away = fused(PERSON + [1.5, 0.0, 0.3])
     mark = marks(seen=away)["spot"]
     floor = max(away.positions[BODY.joint(f"ANKLE_{side}"), 1] for side in ("LEFT", "RIGHT")) + 0.08
@@ -76,7 +74,7 @@ def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it() -> None:
     assert mark.words == f"stand here: {to_go:.1f} m to go"
 
 
-def test_the_pose_is_requested_on_the_circle_and_counted_down() -> None:
+def test_the_pose_is_requested_on_the_circle_and_counted_down():
     spot = standing_spot(A_FROM_B, CAMERAS, FARTHEST[BODY.name], 1.0)
     torso = PERSON[list(BODY.torso)].mean(axis=0)
     there = fused(PERSON + [spot.x - torso[0], 0.0, spot.z - torso[2]])
@@ -86,14 +84,14 @@ def test_the_pose_is_requested_on_the_circle_and_counted_down() -> None:
     assert "spot" not in marks(replace(now, final=True), there)
 
 
-def test_before_the_first_person_a_circle_is_shown_in_front_of_a() -> None:
+def test_before_the_first_person_a_circle_is_shown_in_front_of_a():
     mark = marks(Situation(nominal_calibration(BODY), final=False, held=0.0))["spot"]
     x, y, z = middle_of_ring(mark)
     assert (abs(x), y) == pytest.approx((0.0, 1.0), abs=0.1)
     assert nearest(CAMERA) < z < FARTHEST[BODY.name]
 
 
-def test_a_sensor_with_a_problem_is_marked_where_it_stands() -> None:
+def test_a_sensor_with_a_problem_is_marked_where_it_stands():
     problem = Advice("person B", "…", "WARN", "B", "sees no one")
     drawn = marks(None, None, problem, replace(problem, topic="x", level="INFO", sensors="A"))
     assert "sensor_a" not in drawn
@@ -106,7 +104,7 @@ def test_a_sensor_with_a_problem_is_marked_where_it_stands() -> None:
 
 
 @pytest.mark.parametrize("angle", [30.0, 150.0])
-def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle: float) -> None:
+def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle):
     a_from_b = turned_around(angle)
     now = Situation(calibrated_on(BODY, a_from_b), final=True, held=0.0)
     mark = marks(now, fused())["better_b"]
@@ -121,6 +119,6 @@ def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle: f
     assert "90°" in mark.words
 
 
-def test_a_good_angle_needs_no_better_place() -> None:
+def test_a_good_angle_needs_no_better_place():
     now = Situation(calibrated_on(BODY), final=True, held=0.0)
     assert "better_b" not in marks(now, fused())

@@ -1,11 +1,9 @@
 """The coach's advice over time. Time is that of the pairs."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from devices.pairing import FramePair
@@ -19,7 +17,7 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
 from recordings.fusing.pairs import fuse_one
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibrated_on, pair_of, standing, turned_around
-from viewer_app.coach.advice import Advice, to_markdown, verdict
+from viewer_app.coach.advice import to_markdown, verdict
 from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
 from viewer_app.coach.standing_spot import FARTHEST, nearest
 
@@ -29,32 +27,32 @@ KNOWN = Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")
 
 
 def watched(
-    truth: NDArray[np.float64] | None = None,
+    truth=None,
     *,
-    seconds: float = 3.0,
-    now: Situation | None = None,
-    really: RigidTransform = A_FROM_B,
-    a: bool = True,
-    b: bool = True,
-    skew_ns: int = 0,
-    every: int = 1,
-    lost_feet: Sequence[str] = (),
-    dropping: int = 0,
-    losing: int = 0,
-    b_gone: tuple[float, float] = (np.inf, np.inf),
-    frame_ns: int = FRAME_NS,
-    simulated: bool = False,
-) -> dict[str, Advice]:
+    seconds=3.0,
+    now=None,
+    really=A_FROM_B,
+    a=True,
+    b=True,
+    skew_ns=0,
+    every=1,
+    lost_feet=(),
+    dropping=0,
+    losing=0,
+    b_gone=(np.inf, np.inf),
+    frame_ns=FRAME_NS,
+    simulated=False,
+):
     """The coach's advice by topic after some seconds of unchanged frames."""
     now = now or Situation(KNOWN, final=True, held=0.0)
     coach = Coach(BODY, (CAMERA, CAMERA), simulated=simulated)
     fuser = Fuser(FusionSetup(now.calibration))
     joints = standing(BODY) if truth is None else truth
-    advice: list[Advice] = []
+    advice = []
     for k in range(0, round(seconds * 1e9 / frame_ns) + 1, every):
         time_ns = k * frame_ns
         seen = pair_of(BODY, joints, time_ns, really)
-        people: list[dict[str, Skeleton]] = []
+        people = []
         for shown, skeleton in ((a, seen.a), (b, seen.b)):
             if lost_feet:
                 states = np.array(skeleton.states)
@@ -68,20 +66,20 @@ def watched(
     return {each.topic: each for each in advice}
 
 
-def wrong(said: dict[str, Advice]) -> set[str]:
+def wrong(said):
     return {topic for topic, advice in said.items() if advice.level == "WARN"}
 
 
-def millimetres(advice: Advice) -> int:
+def millimetres(advice):
     """The first figure in millimetres."""
     return int(advice.text[: advice.text.index(" mm")].split()[-1])
 
 
-def test_nothing_is_wrong_with_a_person_in_both_views() -> None:
+def test_nothing_is_wrong_with_a_person_in_both_views():
     assert wrong(watched()) == set()
 
 
-def test_a_sensor_that_sees_no_one_is_named_after_a_second() -> None:
+def test_a_sensor_that_sees_no_one_is_named_after_a_second():
     assert wrong(watched(b=False, seconds=0.9)) == set()
     said = watched(b=False, seconds=3.0)
     assert wrong(said) == {"person B"}
@@ -89,18 +87,18 @@ def test_a_sensor_that_sees_no_one_is_named_after_a_second() -> None:
 
 
 @pytest.mark.parametrize("lost", ["states", "image"])
-def test_feet_that_are_hidden_or_outside_the_image_are_noticed(lost: str) -> None:
+def test_feet_that_are_hidden_or_outside_the_image_are_noticed(lost):
     lowered = standing(BODY) + [0.0, 1.2, 0.0]
     said = watched(lost_feet=("LEFT", "RIGHT")) if lost == "states" else watched(lowered)
     assert {"feet A", "feet B"} <= wrong(said)
     assert "in 100 % of frames" in said["feet A"].text
 
 
-def test_a_foot_behind_the_other_leg_is_no_fault_of_the_placement() -> None:
+def test_a_foot_behind_the_other_leg_is_no_fault_of_the_placement():
     assert wrong(watched(lost_feet=("LEFT",))) == set()
 
 
-def test_too_close_and_too_far_name_the_distance_and_the_limit() -> None:
+def test_too_close_and_too_far_name_the_distance_and_the_limit():
     torso = standing(BODY)[list(BODY.torso), 2].mean()
     for distance, words in ((1.0, "Too close to"), (5.5, "Too far from")):
         said = watched(standing(BODY) + [0.0, 0.0, distance - torso])["distance A"]
@@ -108,13 +106,13 @@ def test_too_close_and_too_far_name_the_distance_and_the_limit() -> None:
     assert nearest(CAMERA) < 2.6 < FARTHEST[BODY.name]
 
 
-def test_a_tall_person_fits_into_the_image_at_the_nearest_distance() -> None:
+def test_a_tall_person_fits_into_the_image_at_the_nearest_distance():
     top, bottom = CAMERA.project([[0.0, -1.0, nearest(CAMERA)], [0.0, 1.0, nearest(CAMERA)]])[:, 1]
     assert bottom - top == pytest.approx(CAMERA.height)
 
 
 @pytest.mark.parametrize(("angle", "advice"), [(30.0, "apart"), (150.0, "together"), (90.0, None)])
-def test_the_angle_between_the_sensors_is_judged(angle: float, advice: str | None) -> None:
+def test_the_angle_between_the_sensors_is_judged(angle, advice):
     a_from_b = turned_around(angle)
     now = Situation(calibrated_on(BODY, a_from_b), final=True, held=0.0)
     said = watched(now=now, really=a_from_b)
@@ -125,8 +123,8 @@ def test_the_angle_between_the_sensors_is_judged(angle: float, advice: str | Non
         assert f"look {angle:.0f}° apart" in said["angle"].text
 
 
-def test_the_start_up_pose_is_counted_down() -> None:
-    def text(held: float) -> str:
+def test_the_start_up_pose_is_counted_down():
+    def text(held):
         return watched(now=Situation(KNOWN, final=False, held=held))["pose"].text
 
     assert "arms out" in text(0.0)
@@ -135,7 +133,7 @@ def test_the_start_up_pose_is_counted_down() -> None:
     assert "pose" not in watched()
 
 
-def test_slow_late_and_dropping_sensors_are_named() -> None:
+def test_slow_late_and_dropping_sensors_are_named():
     assert wrong(watched(every=2)) == {"rate A", "rate B"}
     assert "USB" in watched(every=2)["rate A"].text
     assert wrong(watched(skew_ns=-20_000_000)) == {"skew"}
@@ -149,18 +147,18 @@ def test_slow_late_and_dropping_sensors_are_named() -> None:
 
 
 @pytest.mark.parametrize("seconds", [3.3, 4.0, 5.5, 7.1, 8.5, 9.5])
-def test_a_sensor_that_is_gone_from_3_to_7_s_gets_no_advice_on_its_place_or_usb(seconds: float) -> None:
+def test_a_sensor_that_is_gone_from_3_to_7_s_gets_no_advice_on_its_place_or_usb(seconds):
     assert wrong(watched(seconds=seconds, b_gone=(3.0, 7.0))) == set()
 
 
-def test_this_machine_is_blamed_for_a_low_rate_where_it_is_too_slow() -> None:
+def test_this_machine_is_blamed_for_a_low_rate_where_it_is_too_slow():
     assert "USB" not in watched(every=2, dropping=1)["rate A"].text
     assert "This machine is too slow" in watched(every=2, dropping=1)["rate A"].text
     assert "USB" in watched(every=2, dropping=1)["rate B"].text  # it drops none
     assert "This machine is too slow" in watched(every=2, simulated=True)["rate B"].text
 
 
-def test_a_turned_sensor_asks_for_a_new_calibration() -> None:
+def test_a_turned_sensor_asks_for_a_new_calibration():
     turned = Rotation.from_euler("y", 8.0, degrees=True).as_matrix()
     really = RigidTransform.of(A_FROM_B.rotation @ turned, A_FROM_B.translation)
     assert "moved" not in watched(really=really, seconds=5.0)  # not before eight seconds agree
@@ -170,7 +168,7 @@ def test_a_turned_sensor_asks_for_a_new_calibration() -> None:
     assert "moved" not in watched(seconds=9.0)
 
 
-def test_the_verdict_says_how_many_millimetres_and_what_limits_it() -> None:
+def test_the_verdict_says_how_many_millimetres_and_what_limits_it():
     rng = np.random.default_rng(0)
     noisy = []
     for k in range(60):
@@ -186,7 +184,7 @@ def test_the_verdict_says_how_many_millimetres_and_what_limits_it() -> None:
     assert "_" not in said.text  # joints are named as one says them
 
 
-def test_problems_come_first_on_the_page() -> None:
+def test_problems_come_first_on_the_page():
     page = to_markdown(list(watched(b=False, now=Situation(KNOWN, final=False, held=0.0)).values()))
     assert page.startswith("**Fix:** Sensor B has seen no one")
     assert "arms out" in page

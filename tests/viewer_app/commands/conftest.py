@@ -13,12 +13,11 @@ from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from tests.helpers.live_program import Live
-from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import Bus, Device, make_module
 
 
 @pytest.fixture
-def kinects(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Bus:
+def kinects(standin, monkeypatch):
     """Two sensors on a sync cable at a real sensor's pace, tracked by the stand-in; 000456 is the master."""
     bus = Bus(ctypes.CDLL(str(standin.path)))
     bus.devices = [
@@ -27,7 +26,7 @@ def kinects(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Bus:
     ]
     monkeypatch.setitem(sys.modules, "pyk4a", make_module(bus))
 
-    def on_usb() -> list[UsbKinect]:
+    def on_usb():
         return [UsbKinect(device.serial, Path("usb"), True, 5000) for device in bus.plugged()]
 
     monkeypatch.setattr(pyk4a_access, "usb_kinects", on_usb)
@@ -37,7 +36,7 @@ def kinects(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Bus:
 
 
 @pytest.fixture
-def live(kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Live:
+def live(kinects, standin, tmp_path, capsys):
     """``duplex live`` on both sensors."""
     assert len(kinects.devices) == 2
     return Live(standin, tmp_path / "s.rrd", capsys)

@@ -1,10 +1,7 @@
 """Files damaged at random: each is read, or refused with one line and exit code 2; never a traceback."""
 
 import json
-from collections.abc import Callable
-from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -42,7 +39,7 @@ _ODD = (
 )
 
 
-def _json(path: Path, at: np.ndarray) -> Path:
+def _json(path, at):
     frames = [
         {
             "timestamp_usec": t * FRAME_NS // 1000,
@@ -54,7 +51,7 @@ def _json(path: Path, at: np.ndarray) -> Path:
     return path
 
 
-def _ntu(path: Path, at: np.ndarray) -> Path:
+def _ntu(path, at):
     lines = [str(len(at))]
     for positions in at:
         lines += ["1", "7 0 0 0 0 0 0 0 0 2", "25"]
@@ -63,7 +60,7 @@ def _ntu(path: Path, at: np.ndarray) -> Path:
     return path
 
 
-WRITERS: dict[str, Callable[[Path, np.ndarray], Path]] = {
+WRITERS = {
     ".csv": lambda path, at: write_view(path, KINECT_V2, at),
     ".json": _json,
     ".skeleton": _ntu,
@@ -71,7 +68,7 @@ WRITERS: dict[str, Callable[[Path, np.ndarray], Path]] = {
 
 
 @st.composite
-def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
+def damage(draw):
     """Damages a file in one to three places: a cut, a flipped bit, lost, doubled or replaced bytes."""
     wounds = draw(
         st.lists(
@@ -86,7 +83,7 @@ def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
         )
     )
 
-    def apply(data: bytes) -> bytes:
+    def apply(data):
         for kind, place, length, odd in wounds:
             offset = int(place * len(data))
             before, there, after = data[:offset], data[offset : offset + length], data[offset + length :]
@@ -105,7 +102,7 @@ def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
     return apply
 
 
-def _must_be_fused_or_refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> int:
+def _must_be_fused_or_refused(capsys, *arguments):
     code = duplex("fuse", *arguments, "--no-viewer")  # a traceback is an exception here
     said = capsys.readouterr().err
     if code == 0:
@@ -120,7 +117,7 @@ def _must_be_fused_or_refused(capsys: pytest.CaptureFixture[str], *arguments: ob
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Path]]:
+def whole(tmp_path_factory):
     """A's and B's recording in every format."""
     folder = tmp_path_factory.mktemp("whole")
     offset = moving(KINECT_V2, FRAMES)
@@ -132,22 +129,14 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Pat
 
 
 @pytest.mark.parametrize("ending", WRITERS)
-def test_whole_files_are_fused(
-    whole: dict[str, tuple[Path, Path]], ending: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_whole_files_are_fused(whole, ending, capsys):
     assert _must_be_fused_or_refused(capsys, *whole[ending]) == 0
 
 
 @pytest.mark.parametrize("ending", WRITERS)
 @_EXAMPLES
 @given(wound=damage())
-def test_damaged_skeletons_are_fused_or_refused(
-    whole: dict[str, tuple[Path, Path]],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    ending: str,
-    wound: Callable[[bytes], bytes],
-) -> None:
+def test_damaged_skeletons_are_fused_or_refused(whole, tmp_path, capsys, ending, wound):
     a, b = whole[ending]
     damaged = tmp_path / f"damaged{ending}"
     damaged.write_bytes(wound(b.read_bytes()))
@@ -156,12 +145,7 @@ def test_damaged_skeletons_are_fused_or_refused(
 
 @_EXAMPLES
 @given(wound=damage())
-def test_damaged_calibrations_are_used_or_refused(
-    whole: dict[str, tuple[Path, Path]],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    wound: Callable[[bytes], bytes],
-) -> None:
+def test_damaged_calibrations_are_used_or_refused(whole, tmp_path, capsys, wound):
     calibration = tmp_path / "calibration.json"
     calibration.write_bytes(wound(calibration_to_json(nominal_calibration(KINECT_V2)).encode()))
     _must_be_fused_or_refused(capsys, *whole[".csv"], "--calibrate", calibration)

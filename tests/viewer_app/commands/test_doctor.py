@@ -1,22 +1,15 @@
 """``duplex doctor`` on a bare machine and where ``duplex live`` can start."""
 
 import sys
-from pathlib import Path
-
-import pytest
 
 from devices import live_checks as device_doctor
 from tests.helpers.command_line import duplex
-from tests.helpers.live_program import Live
-from tests.helpers.standin_library import Standin
-from tests.helpers.standin_pyk4a import Bus, Device
+from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish, plug_in
 from viewer_app.viewer import display
 
 
-def test_the_doctor_of_a_bare_machine_fails(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_doctor_of_a_bare_machine_fails(monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
     assert duplex("doctor", "--k4abt", tmp_path / "none.so") == 1
@@ -33,14 +26,7 @@ def test_the_doctor_of_a_bare_machine_fails(
     assert all(line[:2] in ("✓ ", "✗ ", "– ") for line in said[:-1]), "one line each"
 
 
-def test_the_doctor_says_0_where_live_starts(
-    kinects: Bus,
-    live: Live,
-    standin: Standin,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("DISPLAY", ":77")
     furnish(tmp_path)
     for number, device in enumerate(kinects.devices):

@@ -17,7 +17,7 @@ from tests.helpers.command_line import duplex
 
 DATA = Path(__file__).parents[2] / "data"
 
-THE_METHOD_OF_0_1: tuple[str, ...] = ("--method", "paper")
+THE_METHOD_OF_0_1 = ("--method", "paper")
 """The options of ``duplex fuse`` that choose what version 0.1 did."""
 
 
@@ -79,13 +79,13 @@ SESSIONS = {
 
 
 @pytest.fixture(params=SESSIONS)
-def saved(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Saved]:
+def saved(request, tmp_path):
     path = tmp_path / "session.rrd"
     path.write_bytes(lzma.decompress((DATA / f"{request.param}.rrd.xz").read_bytes()))
     return path, SESSIONS[request.param]
 
 
-def test_a_session_reads_as_its_version_read_it(saved: tuple[Path, Saved]) -> None:
+def test_a_session_reads_as_its_version_read_it(saved):
     path, expected = saved
     session = Session.open(path)
     assert session.damage is None
@@ -97,9 +97,7 @@ def test_a_session_reads_as_its_version_read_it(saved: tuple[Path, Saved]) -> No
     assert hashlib.sha256(b"".join(image.tobytes() for image in images)).hexdigest() == expected.depth
 
 
-def test_a_session_replays_bit_for_bit_unless_its_method_has_changed(
-    saved: tuple[Path, Saved], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_session_replays_bit_for_bit_unless_its_method_has_changed(saved, capsys):
     path, expected = saved
     changed = Session.open(path).settings.method == "duplex"
     assert duplex("replay", path, "--verify", "--no-viewer") == (1 if changed else 0)
@@ -129,9 +127,7 @@ REAL_PAIRS = {
     platform.machine().lower() not in ("x86_64", "amd64"), reason="the digests are of x86-64 processors"
 )
 @pytest.mark.parametrize("name", REAL_PAIRS)
-def test_a_real_pair_gives_the_fused_skeleton_of_0_1_to_the_bit(
-    name: str, shared: Path, tmp_path: Path
-) -> None:
+def test_a_real_pair_gives_the_fused_skeleton_of_0_1_to_the_bit(name, shared, tmp_path):
     folder, file = shared / "real" / f"kinect_v2_90deg_{name}", tmp_path / "s.rrd"
     recordings = [str(folder / "a.csv"), str(folder / "b.csv")]
     options = ["--no-viewer", "--save", str(file), *THE_METHOD_OF_0_1]
@@ -149,6 +145,6 @@ def test_a_real_pair_gives_the_fused_skeleton_of_0_1_to_the_bit(
     assert digest(session.fused_checksums) == checksums
 
 
-def digest(values: np.ndarray) -> str:
+def digest(values):
     """SHA-256 of an array's bytes."""
     return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()

@@ -20,19 +20,16 @@ from viewer_app.commands import fuse as fuse_command
 
 
 @pytest.fixture
-def recordings(tmp_path: Path) -> tuple[Path, Path]:
+def recordings(tmp_path):
     """Two views of a person, each with 10 mm of noise."""
     return write_recordings(tmp_path)
 
 
-def figures_of(path: Path) -> dict[str, object]:
-    figures: dict[str, object] = json.loads(path.read_text(encoding="utf-8"))
-    return figures
+def figures_of(path):
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
-def test_two_recordings_become_a_session_a_report_and_a_summary(
-    recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_recordings_become_a_session_a_report_and_a_summary(recordings, tmp_path, capsys):
     session, report = tmp_path / "s.rrd", tmp_path / "r.json"
     assert duplex("fuse", *recordings, "--no-viewer", "--save", session, "--report", report, "--verbose") == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -59,11 +56,8 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(
 
 
 def test_a_file_that_cannot_be_read_is_told_before_a_missing_display(
-    recordings: tuple[Path, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    recordings, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
     junk = tmp_path / "junk.csv"
     junk.write_text("no recording\n")
@@ -73,7 +67,7 @@ def test_a_file_that_cannot_be_read_is_told_before_a_missing_display(
     assert re.search("There is no display.*--save FILE.rrd", one_line(capsys))
 
 
-def with_x_reversed(recording: Path, folder: Path) -> Path:
+def with_x_reversed(recording, folder):
     header, *rows = recording.read_text(encoding="utf-8").splitlines()
     x = header.split(",").index("x")
     reversed_ = folder / f"reversed_{recording.name}"
@@ -83,18 +77,14 @@ def with_x_reversed(recording: Path, folder: Path) -> Path:
     return reversed_
 
 
-def test_a_mirrored_recording_is_named_and_refused(
-    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_mirrored_recording_is_named_and_refused(shared, tmp_path, capsys):
     folder = shared / "real" / "kinect_v2_90deg_steps"
     mirrored = with_x_reversed(folder / "b.csv", tmp_path)
     assert duplex("fuse", folder / "a.csv", mirrored, "--no-viewer") == 2
     assert "reversed_b.csv is the mirror image of a person" in one_line(capsys)
 
 
-def test_recordings_of_other_people_are_refused_and_can_be_forced(
-    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_recordings_of_other_people_are_refused_and_can_be_forced(shared, tmp_path, capsys):
     a = shared / "real_more" / "kinect_v2_90deg_walk_18" / "a.csv"
     b = shared / "real_more" / "kinect_v2_90deg_walk_2" / "b.csv"
     assert duplex("fuse", a, b, "--no-viewer") == 2
@@ -105,7 +95,7 @@ def test_recordings_of_other_people_are_refused_and_can_be_forced(
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_real_recordings_fuse_with_exact_bones_and_replay(name: str, shared: Path, tmp_path: Path) -> None:
+def test_real_recordings_fuse_with_exact_bones_and_replay(name, shared, tmp_path):
     folder = shared / "real" / f"kinect_v2_90deg_{name}"
     report, saved = tmp_path / "r.json", tmp_path / "s.rrd"
     pair = (folder / "a.csv", folder / "b.csv")
@@ -118,7 +108,7 @@ def test_real_recordings_fuse_with_exact_bones_and_replay(name: str, shared: Pat
     assert 0.03 <= figures["stale"]["b"] / figures["paired"] <= 0.10
 
 
-def test_a_calibration_can_be_kept_and_used_again(recordings: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_calibration_can_be_kept_and_used_again(recordings, tmp_path):
     kept, first, again = tmp_path / "c.json", tmp_path / "1.json", tmp_path / "2.json"
     assert duplex("fuse", *recordings, "--no-viewer", "--save-calibration", kept, "--report", first) == 0
     more = ("--calibrate", kept, "--person-b", "0")
@@ -128,9 +118,7 @@ def test_a_calibration_can_be_kept_and_used_again(recordings: tuple[Path, Path],
     assert two["calibration"]["how"].startswith("loaded from")
 
 
-def test_unusable_recordings_give_one_line_and_leave_no_file(
-    recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unusable_recordings_give_one_line_and_leave_no_file(recordings, tmp_path, capsys):
     a, b = recordings
     cut = tmp_path / "cut.csv"
     cut.write_text(b.read_text(encoding="utf-8")[:-30], encoding="utf-8")
@@ -161,16 +149,12 @@ def test_unusable_recordings_give_one_line_and_leave_no_file(
         (("--report", "x", "--save", "x"), "written twice"),
     ],
 )
-def test_impossible_settings_give_one_line(
-    recordings: tuple[Path, Path], capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], words: str
-) -> None:
+def test_impossible_settings_give_one_line(recordings, capsys, flags, words):
     assert duplex("fuse", *recordings, "--no-viewer", *flags) == 2
     assert words in one_line(capsys)
 
 
-def test_a_calibration_of_another_body_or_of_no_kind_is_refused(
-    recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_calibration_of_another_body_or_of_no_kind_is_refused(recordings, tmp_path, capsys):
     kept = tmp_path / "c.json"
     assert duplex("fuse", *recordings, "--no-viewer", "--save-calibration", kept) == 0
     capsys.readouterr()
@@ -186,9 +170,7 @@ def test_a_calibration_of_another_body_or_of_no_kind_is_refused(
         assert words in one_line(capsys)
 
 
-def test_nothing_that_exists_is_overwritten_without_force(
-    recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_that_exists_is_overwritten_without_force(recordings, tmp_path, capsys):
     session = tmp_path / "s.rrd"
     session.write_text("precious", encoding="utf-8")
     assert duplex("fuse", *recordings, "--no-viewer", "--save", session) == 2
@@ -198,10 +180,8 @@ def test_nothing_that_exists_is_overwritten_without_force(
     assert session.stat().st_size > 10_000
 
 
-def test_a_window_opens_on_the_whole_session_which_is_gone_afterwards(
-    recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown: list[tuple[Path, int]] = []
+def test_a_window_opens_on_the_whole_session_which_is_gone_afterwards(recordings, tmp_path, monkeypatch):
+    shown = []
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: None)
     monkeypatch.setattr(fuse_command, "show", lambda path: shown.append((path, len(Session.open(path)))))
     saved = tmp_path / "s.rrd"
@@ -213,10 +193,8 @@ def test_a_window_opens_on_the_whole_session_which_is_gone_afterwards(
     assert not without_name.exists()
 
 
-def test_a_browser_is_served_the_whole_session(
-    recordings: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    served: list[int] = []
+def test_a_browser_is_served_the_whole_session(recordings, monkeypatch, capsys):
+    served = []
     monkeypatch.setattr(
         fuse_command, "served", lambda path, _: nullcontext(served.append(len(Session.open(path))))
     )
@@ -227,7 +205,7 @@ def test_a_browser_is_served_the_whole_session(
     assert "Viewer: http://127.0.0.1:" in capsys.readouterr().out
 
 
-def test_the_installed_program_answers_with_exit_code_2_and_no_traceback(tmp_path: Path) -> None:
+def test_the_installed_program_answers_with_exit_code_2_and_no_traceback(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "viewer_app.cli", "fuse", "no.csv", "no.csv", "--no-viewer"],
         capture_output=True,
@@ -240,9 +218,7 @@ def test_the_installed_program_answers_with_exit_code_2_and_no_traceback(tmp_pat
     assert done.stderr == "duplex: No file no.csv.\n"
 
 
-def test_a_clock_that_is_seconds_off_is_corrected_and_every_frame_is_fused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_clock_that_is_seconds_off_is_corrected_and_every_frame_is_fused(tmp_path, capsys):
     truth = moving(KINECT_V2, 301)
     a = write_view(tmp_path / "a.csv", KINECT_V2, truth)
     b = write_view(tmp_path / "b.csv", KINECT_V2, A_FROM_B.inverse().apply(truth))

@@ -1,17 +1,13 @@
 """``duplex fuse`` on Azure Kinect recordings, written by the tests in the real layout."""
 
-from pathlib import Path
-
 import pytest
 
 from fusion.body import AZURE_KINECT
-from fusion.rigid import RigidTransform
 from recordings.session import Session
 from tests.helpers.command_line import duplex
 from tests.helpers.mkv_writer import depth_image, write_mkv
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.session_text import events_of, rows_of
-from tests.helpers.standin_library import Standin
 from tests.helpers.two_views import A_FROM_B, moving
 
 FRAMES = 60
@@ -19,14 +15,14 @@ START_US = 336_277
 DELAY_US = 160
 
 
-def write_skeletons(path: Path, start_us: int, place: RigidTransform | None = None) -> Path:
+def write_skeletons(path, start_us, place=None):
     """The person of a recording as .csv, exact, on the recording's clock."""
     truth = moving(AZURE_KINECT, FRAMES)
     return write_view(path, AZURE_KINECT, truth if place is None else place.apply(truth), start_us)
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def recorded(tmp_path_factory):
     """A master and a subordinate that captured 160 µs later, and their skeletons."""
     folder = tmp_path_factory.mktemp("mkv")
     b_us = START_US + DELAY_US
@@ -38,7 +34,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
 
 
-def fuse(recorded: dict[str, Path], *more: object) -> int:
+def fuse(recorded, *more):
     return duplex(
         *("fuse", recorded["a"], recorded["b"], "--no-viewer"),
         *("--skeletons-a", recorded["skeletons_a"], "--skeletons-b", recorded["skeletons_b"], *more),
@@ -49,12 +45,8 @@ def fuse(recorded: dict[str, Path], *more: object) -> int:
     ("options", "step"), [((), 1), (("--depth", "half"), 2), (("--depth", "none"), None)]
 )
 def test_recordings_with_saved_skeletons_become_a_session_with_depth(
-    recorded: dict[str, Path],
-    options: tuple[str, ...],
-    step: int | None,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    recorded, options, step, tmp_path, capsys
+):
     saved = tmp_path / "s.rrd"
     assert fuse(recorded, "--save", saved, "--verbose", *options) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -72,9 +64,7 @@ def test_recordings_with_saved_skeletons_become_a_session_with_depth(
     assert duplex("replay", saved, "--verify", "--no-viewer") == 0
 
 
-def test_a_cut_off_recording_gives_what_it_has_and_says_so(
-    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_cut_off_recording_gives_what_it_has_and_says_so(recorded, tmp_path, capsys):
     whole = recorded["b"].read_bytes()
     cut = tmp_path / "cut.mkv"
     cut.write_bytes(whole[: int(0.8 * len(whole))])
@@ -85,9 +75,7 @@ def test_a_cut_off_recording_gives_what_it_has_and_says_so(
     assert 40 <= rows_of(saved, "/fused/skeleton") < FRAMES
 
 
-def test_a_clock_that_the_master_did_not_set_is_reported(
-    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_clock_that_the_master_did_not_set_is_reported(recorded, tmp_path, capsys):
     late_us = START_US + DELAY_US + 9_000
     b = write_mkv(tmp_path / "b.mkv", FRAMES, start_offset_ns=late_us * 1000)
     skeletons = write_skeletons(tmp_path / "b.csv", late_us, A_FROM_B.inverse())
@@ -96,17 +84,13 @@ def test_a_clock_that_the_master_did_not_set_is_reported(
     assert "captured 0.16 ms apart by their cable, but their times lie 9.2 ms apart" in said
 
 
-def test_sensors_without_a_cable_have_no_common_clock(
-    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_sensors_without_a_cable_have_no_common_clock(recorded, tmp_path, capsys):
     b = write_mkv(tmp_path / "b.mkv", FRAMES, start_offset_ns=(START_US + DELAY_US) * 1000, sync="STANDALONE")
     assert fuse({**recorded, "b": b}) == 0
     assert "without a common clock (master, standalone)" in " ".join(capsys.readouterr().out.split())
 
 
-def test_the_body_tracker_runs_over_both_recordings(
-    standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_body_tracker_runs_over_both_recordings(standin, tmp_path, capsys):
     for name, sync in (("a", "MASTER"), ("b", "SUBORDINATE")):
         write_mkv(tmp_path / f"{name}.mkv", 40, mode="NFOV_UNBINNED", sync=sync)
     for library in ("libk4a.so", "libk4abt.so"):  # one library for both, as the loader sees it

@@ -1,7 +1,6 @@
 """``duplex review`` lists the events and opens the viewer where something happened."""
 
 from dataclasses import replace
-from pathlib import Path
 from unittest.mock import MagicMock
 
 import pytest
@@ -9,7 +8,6 @@ import pytest
 from devices.events import Event
 from fusion.body import KINECT_V2
 from recordings.file.session_writer import write_session
-from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
@@ -27,19 +25,19 @@ EVENTS = (
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+def session(tmp_path_factory):
     path = tmp_path_factory.mktemp("review") / "s.rrd"
     return record_fused(path, frame_pairs(KINECT_V2, 60), calibration_of(KINECT_V2))
 
 
 @pytest.fixture
-def path(session: Session, tmp_path: Path) -> Path:
+def path(session, tmp_path):
     write_session(replace(session, events=EVENTS), tmp_path / "s.rrd")
     return tmp_path / "s.rrd"
 
 
 @pytest.fixture
-def shown(monkeypatch: pytest.MonkeyPatch) -> MagicMock:
+def shown(monkeypatch):
     """Replaces the viewer."""
     viewer = MagicMock(return_value=True)
     monkeypatch.setattr(review, "show", viewer)
@@ -55,14 +53,7 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> MagicMock:
         (("--at", 0.25), 250_000_000, "at 0.25 s"),
     ],
 )
-def test_the_viewer_opens_at_the_first_warning_or_as_asked(
-    options: tuple[object, ...],
-    at_ns: int,
-    words: str,
-    path: Path,
-    shown: MagicMock,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_viewer_opens_at_the_first_warning_or_as_asked(options, at_ns, words, path, shown, capsys):
     assert duplex("review", path, *options) == 0
     shown.assert_called_once_with(path, at_ns)
     said = capsys.readouterr().out
@@ -71,18 +62,14 @@ def test_the_viewer_opens_at_the_first_warning_or_as_asked(
     assert "3  1.00 s  Warning: A sensor seems to have been moved." in said
 
 
-def test_without_a_display_it_says_where_a_viewer_would_open(
-    path: Path, shown: MagicMock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_display_it_says_where_a_viewer_would_open(path, shown, monkeypatch, capsys):
     monkeypatch.setattr(review, "has_display", lambda: False)
     assert duplex("review", path, "--event", 2) == 0
     assert "There is no display; a viewer would open at 0.50 s, event 2." in capsys.readouterr().out
     shown.assert_not_called()
 
 
-def test_without_an_event_it_opens_at_the_beginning_and_says_so(
-    session: Session, shown: MagicMock, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_an_event_it_opens_at_the_beginning_and_says_so(session, shown, capsys):
     assert duplex("review", session.path) == 0
     shown.assert_called_once_with(session.path, 0)
     assert "opens at the beginning: no event calls for a look" in capsys.readouterr().out
@@ -99,9 +86,7 @@ def test_without_an_event_it_opens_at_the_beginning_and_says_so(
         (("--at", 1, "--event", 1), "give one of them"),
     ],
 )
-def test_a_wrong_time_or_number_gives_one_line_and_opens_nothing(
-    options: tuple[object, ...], words: str, path: Path, shown: MagicMock, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_time_or_number_gives_one_line_and_opens_nothing(options, words, path, shown, capsys):
     assert duplex("review", path, *options) == 2
     assert words in one_line(capsys)
     shown.assert_not_called()

@@ -27,21 +27,19 @@ from viewer_app.commands.replay import verify
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(tmp_path_factory):
     pairs = frame_pairs(KINECT_V2, 90, gap=(30,), no_b=(20,), depth=True)
     path = tmp_path_factory.mktemp("recorded") / "s.rrd"
     return record_fused(path, pairs, calibration_of(KINECT_V2), depth_every=1).path
 
 
 @pytest.fixture
-def session(recorded: Path, tmp_path: Path) -> Path:
+def session(recorded, tmp_path):
     """A copy, which a test may change."""
     return shutil.copy(recorded, tmp_path / "recorded.rrd")
 
 
-def test_a_replay_is_verified_and_can_be_replayed_again(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_replay_is_verified_and_can_be_replayed_again(session, tmp_path, capsys):
     again = tmp_path / "again.rrd"
     report = tmp_path / "r.json"
     assert duplex("replay", session, "--verify", "--save", again, "--report", report) == 0
@@ -55,14 +53,12 @@ def test_a_replay_is_verified_and_can_be_replayed_again(
     assert figures["bone_error_mm"]["fused"]["max"] < 1e-3
 
 
-def test_a_difference_is_exit_code_1_with_frame_and_joint(
-    session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_difference_is_exit_code_1_with_frame_and_joint(session, capsys, monkeypatch):
     true_setups = Session.setups
 
-    def biased(self: Session, *arguments: object) -> object:
+    def biased(self, *arguments):
         self.calibration.bone_lengths[KINECT_V2.joint("WristLeft")] *= 1.001
-        return true_setups(self, *arguments)  # type: ignore[arg-type]
+        return true_setups(self, *arguments)
 
     monkeypatch.setattr(Session, "setups", biased)
     assert duplex("replay", session, "--verify") == 1
@@ -71,9 +67,7 @@ def test_a_difference_is_exit_code_1_with_frame_and_joint(
 
 
 @pytest.mark.parametrize("seen", [False, True])
-def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_it(
-    seen: bool, session: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_it(seen, session, capsys):
     recorded = Session.open(session)
     ((setup, _),) = recorded.setups()
     fuser = Fuser(setup)
@@ -89,9 +83,7 @@ def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_
     assert ("by less than the file's float32 shows" in said) is not seen
 
 
-def test_a_replay_with_other_settings_is_compared_with_the_first(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_replay_with_other_settings_is_compared_with_the_first(session, tmp_path, capsys):
     other, compared = tmp_path / "equal.rrd", tmp_path / "compared.rrd"
     assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
     capsys.readouterr()
@@ -120,23 +112,14 @@ def test_a_replay_with_other_settings_is_compared_with_the_first(
         ("export {} --to taken.bvh", "--force"),
     ],
 )
-def test_a_mistake_gives_one_line(
-    session: Path,
-    command: str,
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_mistake_gives_one_line(session, command, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("taken.bvh").touch()
     assert duplex(*command.format(session).split()) == 2
     assert words in one_line(capsys)
 
 
-def test_no_command_writes_two_things_into_one_file_or_over_what_it_reads(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_command_writes_two_things_into_one_file_or_over_what_it_reads(session, tmp_path, capsys):
     same, before = tmp_path / "same.rrd", session.read_bytes()
     assert duplex("replay", session, "--no-viewer", "--save", same, "--report", same) == 2
     assert "written twice" in one_line(capsys)
@@ -155,9 +138,7 @@ def test_no_command_writes_two_things_into_one_file_or_over_what_it_reads(
     assert table.read_bytes() == before
 
 
-def test_names_with_brackets_are_printed_as_they_are(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_names_with_brackets_are_printed_as_they_are(session, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "300")
     name = "[/bold]a[red].rrd"
@@ -179,7 +160,7 @@ def test_names_with_brackets_are_printed_as_they_are(
         assert all(str(part) in said for part in command[3:] if str(part).endswith(("_2.rrd", ".html")))
 
 
-def test_a_trimmed_session_is_a_session(session: Path, tmp_path: Path) -> None:
+def test_a_trimmed_session_is_a_session(session, tmp_path):
     part = tmp_path / "part.rrd"
     assert duplex("trim", session, "--from", "1.0", "--to", "2.0", "--save", part) == 0
     whole, cut = Session.open(session), Session.open(part)
@@ -191,7 +172,7 @@ def test_a_trimmed_session_is_a_session(session: Path, tmp_path: Path) -> None:
     assert (event.frame, event.time_ns, event.text) == (0, 0, "calibrated: known truth")
 
 
-def test_a_trim_keeps_each_calibration_s_event_once(tmp_path: Path) -> None:
+def test_a_trim_keeps_each_calibration_s_event_once(tmp_path):
     first = calibration_of(KINECT_V2)
     second, third = replace(first, how="two"), replace(first, how="three")
     pairs = frame_pairs(KINECT_V2, 30)
@@ -201,15 +182,13 @@ def test_a_trim_keeps_each_calibration_s_event_once(tmp_path: Path) -> None:
     assert texts == ["calibrated: two", "calibrated: three"]
 
 
-def verdict(said: str) -> list[str]:
+def verdict(said):
     """The lines of a calibration's verdict."""
     words = ("frames the views differ by", "axes are")
     return [" ".join(line.split()) for line in said.split("\n") if any(w in line for w in words)]
 
 
-def test_the_verdict_on_a_calibration_goes_with_the_session(
-    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_verdict_on_a_calibration_goes_with_the_session(shared, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     folder, saved = shared / "real" / f"kinect_v2_90deg_{REAL[0]}", tmp_path / "s.rrd"
     report, html = tmp_path / "r.json", tmp_path / "r.html"
@@ -233,9 +212,7 @@ def test_the_verdict_on_a_calibration_goes_with_the_session(
     assert all(line in page for line in said)
 
 
-def test_info_says_what_is_in_it_and_what_is_missing(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_says_what_is_in_it_and_what_is_missing(session, tmp_path, capsys):
     assert duplex("info", session) == 0
     said = capsys.readouterr().out
     for words in (
@@ -253,9 +230,7 @@ def test_info_says_what_is_in_it_and_what_is_missing(
     assert "cut off" in capsys.readouterr().out
 
 
-def test_export_writes_by_the_files_ending(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_export_writes_by_the_files_ending(session, tmp_path, capsys):
     names = ["T.C3D", "s.bvh", "s.c3d", "s.csv", "s.npz", "s.parquet", "s.trc"]
     for name in names:
         assert duplex("export", session, "--to", tmp_path / name) == 0
@@ -264,9 +239,7 @@ def test_export_writes_by_the_files_ending(
     assert sorted(p.name for p in tmp_path.iterdir() if p.suffix != ".rrd") == names
 
 
-def test_a_damaged_session_gives_one_line(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_session_gives_one_line(session, tmp_path, capsys):
     bad = tmp_path / "bad.rrd"
     bad.write_bytes(session.read_bytes()[:3000])
     for command in (
@@ -280,9 +253,7 @@ def test_a_damaged_session_gives_one_line(
         assert "bad.rrd" in one_line(capsys)
 
 
-def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(tmp_path, capsys):
     saved, part = tmp_path / "demo.rrd", tmp_path / "part.rrd"
     options = ("--no-viewer", "--seconds", "5", "--depth", "none", "--verbose")
     assert duplex("demo", *options, "--save", saved) == 0
@@ -300,9 +271,7 @@ def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(
 
 
 @pytest.mark.parametrize("ending", ["rrd", "c3d", "csv", "parquet"])
-def test_a_full_disk_ends_with_one_line_and_no_file(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str
-) -> None:
+def test_a_full_disk_ends_with_one_line_and_no_file(session, tmp_path, capsys, ending):
     name = f"s.{ending}"
     for kilobytes in (4, 20):  # the smallest file has 37 kB
         with small_disk(tmp_path / str(kilobytes), kilobytes) as disk:

@@ -4,12 +4,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from devices.simulated.demonstration import MIRRORED, MISPLACED
 from devices.simulated.tracking.scripted_faults import ScriptedFaults, Spells
-from fusion.body import AZURE_KINECT, KINECT_V2, Body
-from tests.helpers.demonstrations import Run, fused_demonstration
+from fusion.body import AZURE_KINECT, KINECT_V2
+from tests.helpers.demonstrations import fused_demonstration
 
 SECONDS = 17.0  # two rounds of both
 _SHARE = 0.2
@@ -18,11 +17,11 @@ BODIES_TRIED = [AZURE_KINECT, KINECT_V2]
 
 
 @cache
-def demo(body: Body) -> Run:
+def demo(body):
     return fused_demonstration(body, SECONDS)
 
 
-def errors_of(run: Run) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+def errors_of(run):
     """(T,) seconds, and (T, J) distances of S_A, S_B and S* to the truth, metres."""
     times = np.array([frame.pair.time_ns for frame in run.frames])
     truth = run.shown.truth.positions_at(times)
@@ -38,7 +37,7 @@ def errors_of(run: Run) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float
 
 @pytest.mark.parametrize("body", BODIES_TRIED, ids=lambda body: body.name)
 @pytest.mark.parametrize("fault", ["misplaced", "mirrored"])
-def test_s_star_survives_what_one_view_gets_wrong(body: Body, fault: str) -> None:
+def test_s_star_survives_what_one_view_gets_wrong(body, fault):
     time, errors = errors_of(demo(body))
     spells, wrong = (MISPLACED, "a") if fault == "misplaced" else (MIRRORED, "b")
     joints = np.ones(len(body), dtype=bool)
@@ -49,7 +48,7 @@ def test_s_star_survives_what_one_view_gets_wrong(body: Body, fault: str) -> Non
     near = np.array([s.include(t) or s.include(t - 0.5) for s in (MISPLACED, MIRRORED) for t in time])
     outside = (time > 4.0) & ~near.reshape(2, -1).any(axis=0)
 
-    def mean(name: str, when: NDArray[np.bool_]) -> float:
+    def mean(name, when):
         return float(np.nanmean(errors[name][when][:, joints]))
 
     assert mean(wrong, inside) > 5.0 * mean(wrong, outside)  # nobody can miss it
@@ -58,7 +57,7 @@ def test_s_star_survives_what_one_view_gets_wrong(body: Body, fault: str) -> Non
 
 
 @pytest.mark.parametrize("body", BODIES_TRIED, ids=lambda body: body.name)
-def test_the_events_name_what_happened_and_when(body: Body) -> None:
+def test_the_events_name_what_happened_and_when(body):
     run = demo(body)
     for start in MISPLACED.starts_before(SECONDS):
         lost = [t for t, text in run.events if text.startswith("A loses the left arm")]
@@ -69,7 +68,7 @@ def test_the_events_name_what_happened_and_when(body: Body) -> None:
         assert any(start <= t <= start + MIRRORED.seconds for t in told), (start, run.events)
 
 
-def test_the_demo_says_at_which_seconds_to_look() -> None:
+def test_the_demo_says_at_which_seconds_to_look():
     told = {moment.fault: list(moment.starts) for moment in demo(AZURE_KINECT).shown.moments}
     assert told == {
         "Kinect A loses the left arm": [7.0, 15.0],

@@ -6,8 +6,7 @@ import pytest
 from devices.simulated.demonstration import bad_rig, demonstrated, good_rig
 from devices.simulated.person.anatomy import landmarks_of
 from devices.simulated.person.movements import MOTIONS
-from devices.simulated.rig import Rig
-from fusion.body import AZURE_KINECT, BODIES, Body
+from fusion.body import AZURE_KINECT, BODIES
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from tests.helpers.demonstrations import advice_over
 from viewer_app.coach.advice import ANGLES
@@ -15,7 +14,7 @@ from viewer_app.coach.advice import ANGLES
 ANGLES_SHOWN = 45.0, 90.0, 135.0
 
 
-def share_inside(rig: Rig, body: Body, motion: str) -> float:
+def share_inside(rig, body, motion):
     """The share of frames in a minute in which both images show all joints."""
     joints = demonstrated(motion).landmarks(np.arange(0.0, 60.0, 0.1))[:, landmarks_of(body)]
     camera = NOMINAL_INTRINSICS[body.name]
@@ -27,7 +26,7 @@ def share_inside(rig: Rig, body: Body, motion: str) -> float:
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)
-def test_both_images_show_the_whole_person_in_every_movement(body: Body) -> None:
+def test_both_images_show_the_whole_person_in_every_movement(body):
     for motion in MOTIONS:
         for angle in ANGLES_SHOWN:
             assert share_inside(good_rig(body, angle), body, motion) >= 0.99, (motion, angle)
@@ -39,7 +38,7 @@ def test_both_images_show_the_whole_person_in_every_movement(body: Body) -> None
     [*((body, 90.0) for body in BODIES.values()), (AZURE_KINECT, 45.0), (AZURE_KINECT, 135.0)],
     ids=str,
 )
-def test_the_coach_finds_no_fault_with_the_placement_in_any_movement(body: Body, angle: float) -> None:
+def test_the_coach_finds_no_fault_with_the_placement_in_any_movement(body, angle):
     wrong = {
         motion: [topic for topic, said in advice_over(good_rig(body, angle), body, motion).items()
                  if said.level == "WARN"]
@@ -49,12 +48,12 @@ def test_the_coach_finds_no_fault_with_the_placement_in_any_movement(body: Body,
     assert wrong == dict.fromkeys(MOTIONS, expected)
 
 
-def test_the_walk_of_the_benchmarks_leaves_the_range_of_a_kinect_v1() -> None:
+def test_the_walk_of_the_benchmarks_leaves_the_range_of_a_kinect_v1():
     assert demonstrated("walk") is not MOTIONS["walk"]
     assert all(demonstrated(motion) is MOTIONS[motion] for motion in MOTIONS if motion != "walk")
 
 
-def test_a_bad_set_up_is_told_what_to_mend() -> None:
+def test_a_bad_set_up_is_told_what_to_mend():
     said = advice_over(bad_rig(), AZURE_KINECT, "badminton", seconds=10.0)
     wrong = {topic: advice.text for topic, advice in said.items() if advice.level == "WARN"}
     assert set(wrong) == {"distance A", "distance B", "feet A", "feet B", "angle"}

@@ -1,7 +1,5 @@
 """What ``duplex demo`` tells a newcomer."""
 
-from pathlib import Path
-
 import pytest
 
 from recordings import Session
@@ -12,7 +10,7 @@ from viewer_app.commands import demo
 QUICK = ("--depth", "none", "--no-viewer")
 
 
-def test_the_demo_says_where_to_look_and_what_to_do_next(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_demo_says_where_to_look_and_what_to_do_next(capsys):
     assert duplex("demo", *QUICK, "--seconds", 5.5) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "At 4.4 s Kinect B exchanges left and right for a second; S* stays right." in said
@@ -20,7 +18,7 @@ def test_the_demo_says_where_to_look_and_what_to_do_next(capsys: pytest.CaptureF
     assert said.endswith("Next: --motion walk, --bad-setup, or your own sensors (duplex doctor).")
 
 
-def test_a_badly_placed_demo_is_told_what_to_mend(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_badly_placed_demo_is_told_what_to_mend(tmp_path, capsys):
     saved = tmp_path / "bad.rrd"
     assert duplex("demo", *QUICK, "--seconds", 3, "--bad-setup", "--save", saved) == 0
     said = capsys.readouterr().out
@@ -50,16 +48,12 @@ def test_a_badly_placed_demo_is_told_what_to_mend(tmp_path: Path, capsys: pytest
         (("--tracker-model", "networks"), "--tracker-model is of the program's own tracker"),
     ],
 )
-def test_a_mistake_gives_one_line(
-    arguments: tuple[object, ...], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_mistake_gives_one_line(arguments, words, capsys):
     assert duplex("demo", "--no-viewer", *arguments) == 2
     assert words in one_line(capsys)
 
 
-def test_a_demo_replaces_no_existing_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_demo_replaces_no_existing_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(demo, "has_display", lambda: False)
     precious = tmp_path / "demo.rrd"

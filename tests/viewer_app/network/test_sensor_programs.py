@@ -1,7 +1,6 @@
 """Sensors on several PCs: two programs publish, one fuses. One is killed and started again."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,28 +17,28 @@ pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install
 SLOW_S = 180.0  # a machine that compiles all kernels first
 
 
-def frames_in(saved: Path) -> int:
+def frames_in(saved):
     """Frames in the session that grows."""
     return rows_of(saved, "/fused/skeleton") if saved.exists() else 0
 
 
-def goes_on(saved: Path, frames: int = 30) -> bool:
+def goes_on(saved, frames=30):
     """Returns whether so many more frames are saved in time."""
     wanted = frames_in(saved) + frames
     # reading the whole file costs the programs under test their time
     return eventually(lambda: frames_in(saved) >= wanted, SLOW_S, every=0.5)
 
 
-def test_one_of_two_sensor_programs_is_killed_and_started_anew(tmp_path: Path) -> None:
+def test_one_of_two_sensor_programs_is_killed_and_started_anew(tmp_path):
     """S* continues with the other sensor, then with both."""
     address, saved, report = free_address(), tmp_path / "s.rrd", tmp_path / "s.json"
 
-    def sensor(which: str) -> Program:
+    def sensor(which):
         return Program("sensor", "--publish", f"lab/{which}", "--simulate", which, "--zenoh-connect", address)
 
     live = ["live", "--kinect-a", "zenoh:lab/a", "--kinect-b", "zenoh:lab/b", "--zenoh-listen", address]
     a, b = sensor("a"), sensor("b")
-    again: Program | None = None
+    again = None
     try:
         with running(*live, "--no-viewer", "--quiet", "--save", saved, "--report", report) as fusing:
             assert fusing.says("Running.", SLOW_S), fusing.said
@@ -91,8 +90,6 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("arguments", "words"), MISTAKES)
-def test_a_mistake_gives_one_line(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
-) -> None:
+def test_a_mistake_gives_one_line(capsys, arguments, words):
     assert duplex(*arguments) == 2
     assert words in one_line(capsys)

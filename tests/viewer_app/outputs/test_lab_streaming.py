@@ -7,13 +7,12 @@ import pytest
 
 from devices.events import Event
 from fusion.body import KINECT_V2
-from fusion.fuser import Fuser
 from tests.helpers.live_frames import frames
 from viewer_app.outputs.lab_streaming import LabStreamingOutput
 from viewer_app.outputs.output import confidence
 
 
-def lsl() -> object:
+def lsl():
     try:
         import pylsl
     except (ImportError, RuntimeError, OSError):
@@ -21,7 +20,7 @@ def lsl() -> object:
     return pylsl
 
 
-def test_an_inlet_reads_joints_confidences_times_and_events(fuser: Fuser) -> None:
+def test_an_inlet_reads_joints_confidences_times_and_events(fuser):
     lsl()
     name = f"test-{uuid4().hex[:8]}"
     output = LabStreamingOutput(name, KINECT_V2, 30.0)
@@ -37,7 +36,7 @@ def test_an_inlet_reads_joints_confidences_times_and_events(fuser: Fuser) -> Non
         inlet.open_stream(timeout=30.0)
         events.open_stream(timeout=30.0)
         made = frames(fuser, 30)
-        read: list[tuple[list[float], float]] = []
+        read = []
         for frame in made:
             output.write(frame)
             sample, stamp = inlet.pull_sample(timeout=30.0)

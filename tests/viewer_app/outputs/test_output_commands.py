@@ -3,15 +3,12 @@
 import json
 import socket
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from devices.events import Event
 from fusion.body import KINECT_V2
-from fusion.fuser import Fuser
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
@@ -23,7 +20,7 @@ from viewer_app.sinks.sink import Sink
 
 
 @pytest.fixture
-def receiver() -> Iterator[socket.socket]:
+def receiver():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
         opened.bind(("127.0.0.1", 0))
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
@@ -31,7 +28,7 @@ def receiver() -> Iterator[socket.socket]:
         yield opened
 
 
-def datagrams(receiver: socket.socket) -> int:
+def datagrams(receiver):
     count = 0
     try:
         while receiver.recv(2000).startswith(b"#bundle"):
@@ -41,9 +38,7 @@ def datagrams(receiver: socket.socket) -> int:
     return count
 
 
-def test_demo_sends_to_several_at_once_and_says_how_it_went(
-    receiver: socket.socket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_demo_sends_to_several_at_once_and_says_how_it_went(receiver, tmp_path, capsys):
     to, port = f"127.0.0.1:{receiver.getsockname()[1]}", free_port()
     options = ("--seconds", 2, "--depth", "none", "--no-viewer", "--save", tmp_path / "s.rrd")
     assert duplex("demo", *options, "--vmc", to, "--vrchat", to, "--websocket", port) == 0
@@ -55,9 +50,7 @@ def test_demo_sends_to_several_at_once_and_says_how_it_went(
     assert 60 <= datagrams(receiver) <= 3 * 61
 
 
-def test_replay_sends_at_the_recorded_times(
-    receiver: socket.socket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_sends_at_the_recorded_times(receiver, tmp_path, capsys):
     session = record_fused(tmp_path / "s.rrd", frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
     to = f"127.0.0.1:{receiver.getsockname()[1]}"
     report = tmp_path / "r.json"
@@ -72,33 +65,33 @@ def test_replay_sends_at_the_recorded_times(
 
 
 class Notebook(Sink):
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 10.0
-        self.at: list[float] = []
-        self.said: list[tuple[int, str]] = []
+        self.at = []
+        self.said = []
 
-    def write(self, frame: object) -> None:
+    def write(self, frame):
         del frame
         self.at.append(self.now)
 
-    def event(self, event: Event) -> None:
+    def event(self, event):
         self.said.append((len(self.at) - 1, event.text))
 
-    def wait(self, seconds: float) -> None:
+    def wait(self, seconds):
         self.now += seconds
 
 
-def test_each_frame_is_played_when_it_is_due_and_events_with_theirs(fuser: Fuser) -> None:
+def test_each_frame_is_played_when_it_is_due_and_events_with_theirs(fuser):
     book = Notebook()
     made = frames(fuser, 20)
     events = [Event("first", "INFO"), Event("later", "WARN").placed(7, 7 * FRAME_NS)]
 
-    def slow() -> Iterator[object]:
+    def slow():
         for k, frame in enumerate(made):
             book.now += 0.5 if k == 10 else 0.001  # fusing takes a millisecond, once half a second
             yield frame
 
-    yielded = list(played(slow(), book, {}, events, clock=lambda: book.now, wait=book.wait))  # type: ignore[arg-type]
+    yielded = list(played(slow(), book, {}, events, clock=lambda: book.now, wait=book.wait))
     assert yielded == made
     due = book.at[0] + np.arange(20) * FRAME_NS * 1e-9
     np.testing.assert_allclose(book.at[:10], due[:10], atol=1e-9)
@@ -126,14 +119,12 @@ def test_each_frame_is_played_when_it_is_due_and_events_with_theirs(fuser: Fuser
         (("--listen", "127.0.0.1"), "--listen 127.0.0.1 is the address of --web"),
     ],
 )
-def test_a_wrong_address_gives_one_line(
-    options: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_address_gives_one_line(options, words, capsys):
     assert duplex("demo", "--no-viewer", "--seconds", 1, "--depth", "none", *options) == 2
     assert words in one_line(capsys)
 
 
-def test_a_port_in_use_gives_one_line_and_opens_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_gives_one_line_and_opens_nothing(capsys):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -143,15 +134,13 @@ def test_a_port_in_use_gives_one_line_and_opens_nothing(capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize(("option", "package"), [("lsl", "pylsl"), ("zenoh", "zenoh")])
-def test_a_missing_extra_is_named(
-    option: str, package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_extra_is_named(option, package, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, package, None)
     assert duplex("demo", "--no-viewer", f"--{option}", "name") == 2
     assert f"pip install 'duplex-kinects[{option}]'" in one_line(capsys)
 
 
-def test_replay_wants_pace_and_outputs_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_wants_pace_and_outputs_together(tmp_path, capsys):
     session = record_fused(tmp_path / "s.rrd", frame_pairs(KINECT_V2, 5), calibration_of(KINECT_V2))
     for options, words in (
         (("--vmc", "39539"), "add --pace live"),

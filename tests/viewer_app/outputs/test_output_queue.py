@@ -6,26 +6,24 @@ from dataclasses import replace
 import numpy as np
 
 from devices.events import Event
-from fusion.fuser import Fuser
 from tests.helpers.live_frames import frames
 from tests.helpers.waiting import eventually
 from viewer_app.outputs.output import LATE_NS, LiveOutput, confidence
-from viewer_app.sinks.queued_sink import QueuedFrame
 
 
 class Receiver(LiveOutput):
     """An output whose receiver takes a frame only when the test permits it."""
 
-    def __init__(self, keep: int = 1) -> None:
+    def __init__(self, keep=1):
         super().__init__("Receiver of a test", keep, clock=lambda: self.now_ns)
         self.now_ns = 0
         self.let, self.taking = threading.Semaphore(0), threading.Semaphore(0)
-        self.got: list[int] = []
-        self.said: list[str] = []
+        self.got = []
+        self.said = []
         self.refuses = self.breaks = False
         self.start()
 
-    def send_frame(self, frame: QueuedFrame) -> int:
+    def send_frame(self, frame):
         self.taking.release()
         self.let.acquire()
         if self.breaks:
@@ -35,11 +33,11 @@ class Receiver(LiveOutput):
         self.got.append(frame.number)
         return 1
 
-    def send_event(self, event: Event) -> None:
+    def send_event(self, event):
         self.said.append(event.text)
 
 
-def test_a_blocked_receiver_loses_the_oldest_frames(fuser: Fuser) -> None:
+def test_a_blocked_receiver_loses_the_oldest_frames(fuser):
     output = Receiver(keep=3)
     made = frames(fuser, 50)
     output.write(made[0])
@@ -54,7 +52,7 @@ def test_a_blocked_receiver_loses_the_oldest_frames(fuser: Fuser) -> None:
     assert output.counts.sent == 4
 
 
-def test_lateness_is_counted(fuser: Fuser) -> None:
+def test_lateness_is_counted(fuser):
     output = Receiver()
     for k, (frame, age) in enumerate(zip(frames(fuser, 2), (LATE_NS, LATE_NS + 1), strict=True)):
         output.write(frame)
@@ -66,7 +64,7 @@ def test_lateness_is_counted(fuser: Fuser) -> None:
     assert output.counts.late == 1
 
 
-def test_a_candidate_that_the_network_rejects_is_dropped_and_the_next_is_tried(fuser: Fuser) -> None:
+def test_a_candidate_that_the_network_rejects_is_dropped_and_the_next_is_tried(fuser):
     output = Receiver(keep=8)
     output.refuses = True
     for frame in frames(fuser, 3):
@@ -81,7 +79,7 @@ def test_a_candidate_that_the_network_rejects_is_dropped_and_the_next_is_tried(f
     assert output.failure is None
 
 
-def test_a_fault_ends_the_output_and_not_the_session(fuser: Fuser) -> None:
+def test_a_fault_ends_the_output_and_not_the_session(fuser):
     output = Receiver()
     output.breaks = True
     output.let.release()
@@ -94,7 +92,7 @@ def test_a_fault_ends_the_output_and_not_the_session(fuser: Fuser) -> None:
     output.close()  # again: no effect
 
 
-def test_events_are_not_dropped_with_the_frames(fuser: Fuser) -> None:
+def test_events_are_not_dropped_with_the_frames(fuser):
     output = Receiver()
     for k, frame in enumerate(frames(fuser, 20)):
         output.write(frame)
@@ -105,7 +103,7 @@ def test_events_are_not_dropped_with_the_frames(fuser: Fuser) -> None:
     output.close()
 
 
-def test_confidence_falls_with_the_standard_deviation(fuser: Fuser) -> None:
+def test_confidence_falls_with_the_standard_deviation(fuser):
     fused = frames(fuser, 3)[-1].fused
     trust = confidence(fused)
     assert ((trust > 0.0) & (trust < 1.0)).all()

@@ -3,15 +3,12 @@
 import json
 import math
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from pythonosc import osc_packet
-from scipy.spatial.transform import Rotation
 
-from fusion.body import BODIES, KINECT_V2, Body
+from fusion.body import BODIES, KINECT_V2
 from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, world_of_local
 from tests.helpers.two_views import FRAME_NS, moving
 from viewer_app.errors import UsageError
@@ -35,17 +32,16 @@ BEGINS = {
     "RightToes": "FootRight", "Head": "Head",
 }  # fmt: skip
 """Where a bone begins, in every body."""
-Bones = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 
-def messages(datagrams: list[bytes]) -> list[tuple[str, list[object]]]:
+def messages(datagrams):
     """Address and arguments, as python-osc reads them."""
     read = [m.message for d in datagrams for m in osc_packet.OscPacket(d).messages]
     return [(message.address, list(message.params)) for message in read]
 
 
-def bones(datagrams: list[bytes]) -> Bones:
-    found: Bones = {}
+def bones(datagrams):
+    found = {}
     for address, arguments in messages(datagrams):
         if address == "/VMC/Ext/Bone/Pos":
             name, *values = arguments
@@ -53,7 +49,7 @@ def bones(datagrams: list[bytes]) -> Bones:
     return found
 
 
-def world(sent: Bones) -> tuple[dict[str, NDArray[np.float64]], dict[str, Rotation]]:
+def world(sent):
     """What Unity makes of local positions and rotations; a bone that is not sent has neither."""
     order = list(sent)
     parents = []
@@ -68,7 +64,7 @@ def world(sent: Bones) -> tuple[dict[str, NDArray[np.float64]], dict[str, Rotati
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_a_receiver_s_forward_kinematics_gives_the_joints_of_s(body: Body) -> None:
+def test_a_receiver_s_forward_kinematics_gives_the_joints_of_s(body):
     encoder = VmcEncoder(body)
     for t, joints in enumerate(moving(body, 120)[::4]):
         at, _ = world(bones(encoder.encode(joints, t * 4 * FRAME_NS)))
@@ -78,7 +74,7 @@ def test_a_receiver_s_forward_kinematics_gives_the_joints_of_s(body: Body) -> No
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_the_t_pose_has_no_rotation_and_faces_plus_z_with_its_left_at_minus_x(body: Body) -> None:
+def test_the_t_pose_has_no_rotation_and_faces_plus_z_with_its_left_at_minus_x(body):
     sent = bones(VmcEncoder(body).encode(posed(body, T_POSE), 0))
     for name, (_, rotation) in sent.items():
         np.testing.assert_allclose(np.abs(rotation), [0, 0, 0, 1], atol=FLOAT32, err_msg=name)
@@ -109,16 +105,14 @@ HALF = math.sqrt(0.5)
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_bent_limbs_have_the_rotations_computed_by_hand(
-    body: Body, directions: dict[str, tuple[float, ...]], bone: str, expected: tuple[float, ...]
-) -> None:
+def test_bent_limbs_have_the_rotations_computed_by_hand(body, directions, bone, expected):
     sent = bones(VmcEncoder(body).encode(posed(body, T_POSE | directions), 0))
     rotation = sent[bone][1]
     np.testing.assert_allclose(rotation * np.sign(rotation @ expected), expected, atol=FLOAT32)
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_a_frame_fits_into_datagrams_and_has_what_the_protocol_wants(body: Body) -> None:
+def test_a_frame_fits_into_datagrams_and_has_what_the_protocol_wants(body):
     encoder = VmcEncoder(body)
     datagrams = encoder.encode(posed(body, {}), 1_500_000_000)
     assert max(map(len, datagrams)) <= 1472
@@ -131,12 +125,12 @@ def test_a_frame_fits_into_datagrams_and_has_what_the_protocol_wants(body: Body)
     assert nobody == [("/VMC/Ext/OK", [1, 3, 0, 0]), ("/VMC/Ext/T", [2.0])]
 
 
-def test_a_jump_does_not_move_the_floor_and_an_outlier_hardly() -> None:
+def test_a_jump_does_not_move_the_floor_and_an_outlier_hardly():
     body = KINECT_V2
     encoder = VmcEncoder(body)
     standing = posed(body, T_POSE)
 
-    def hips(joints: NDArray[np.float64], frame: int) -> float:
+    def hips(joints, frame):
         return float(bones(encoder.encode(joints, frame * FRAME_NS))["Hips"][0][1])
 
     height = hips(standing, 0)
@@ -147,7 +141,7 @@ def test_a_jump_does_not_move_the_floor_and_an_outlier_hardly() -> None:
     assert hips(outlier, 16) == pytest.approx(height, abs=0.3 / 30 + 0.006)
 
 
-def vrm(path: Path, version: int, hips: float = 1.0) -> Path:
+def vrm(path, version, hips=1.0):
     """A GLB with five bones: Hips under a raised node, UpperChest between Chest and Neck."""
     front = -1.0 if version == 0 else 1.0
     nodes = [
@@ -171,7 +165,7 @@ def vrm(path: Path, version: int, hips: float = 1.0) -> Path:
 
 
 @pytest.mark.parametrize("version", [0, 1])
-def test_an_avatar_keeps_its_proportions_and_moves_at_the_hips(tmp_path: Path, version: int) -> None:
+def test_an_avatar_keeps_its_proportions_and_moves_at_the_hips(tmp_path, version):
     body = KINECT_V2
     avatar = read_avatar(vrm(tmp_path / "a.vrm", version, hips=0.5))
     encoder, plain = VmcEncoder(body, avatar), VmcEncoder(body)
@@ -189,7 +183,7 @@ def test_an_avatar_keeps_its_proportions_and_moves_at_the_hips(tmp_path: Path, v
     np.testing.assert_allclose(there + [0.0, 0.1, 0.0], scale * walked, atol=1e-5)
 
 
-def test_a_file_that_is_no_avatar_gives_one_line(tmp_path: Path) -> None:
+def test_a_file_that_is_no_avatar_gives_one_line(tmp_path):
     whole = vrm(tmp_path / "a.vrm", 1).read_bytes()
     bad = tmp_path / "bad.vrm"
     rng = np.random.default_rng(3)

@@ -5,12 +5,10 @@ import socket
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from pythonosc import osc_packet
 from scipy.spatial.transform import Rotation
 
-from fusion.body import BODIES, KINECT_V2, Body
-from fusion.fuser import Fuser
+from fusion.body import BODIES, KINECT_V2
 from tests.helpers.live_frames import frames
 from tests.helpers.poses import FRONT, T_POSE, posed, turned_about
 from tests.helpers.two_views import FRAME_NS, moving
@@ -21,7 +19,7 @@ JOINTS = {"2": "AnkleLeft", "3": "AnkleRight", "4": "KneeLeft", "5": "KneeRight"
           "8": "ElbowRight", "head": "Head"}  # fmt: skip
 
 
-def trackers(datagrams: list[bytes]) -> dict[str, NDArray[np.float64]]:
+def trackers(datagrams):
     """Values by ``slot/what``."""
     read = [m.message for d in datagrams for m in osc_packet.OscPacket(d).messages]
     for message in read:
@@ -31,7 +29,7 @@ def trackers(datagrams: list[bytes]) -> dict[str, NDArray[np.float64]]:
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_trackers_are_at_the_joints_in_unity_s_axes(body: Body) -> None:
+def test_trackers_are_at_the_joints_in_unity_s_axes(body):
     encoder = VRChatEncoder(body)
     for t, joints in enumerate(moving(body, 60)[::10]):
         datagrams = encoder.encode(joints, t * 10 * FRAME_NS)
@@ -45,7 +43,7 @@ def test_trackers_are_at_the_joints_in_unity_s_axes(body: Body) -> None:
             )
 
 
-def test_angles_are_unity_s_euler_angles() -> None:
+def test_angles_are_unity_s_euler_angles():
     rng = np.random.default_rng(1)
     quaternions = Rotation.random(1000, rng).as_quat()
     # Unity applies z, then x, then y, about fixed axes: intrinsic y, x, z
@@ -53,7 +51,7 @@ def test_angles_are_unity_s_euler_angles() -> None:
     np.testing.assert_allclose(euler_degrees(quaternions), yxz[:, [1, 0, 2]], atol=1e-5)
 
 
-def test_hand_computed_angles() -> None:
+def test_hand_computed_angles():
     body = KINECT_V2
     sent = trackers(VRChatEncoder(body).encode(posed(body, T_POSE), 0))
     for slot in ("1", "2", "6", "7", "head"):
@@ -67,7 +65,7 @@ def test_hand_computed_angles() -> None:
     assert trackers(VRChatEncoder(body).encode(lifted, 0))["4/rotation"][0] == pytest.approx(-90.0, abs=0.1)
 
 
-def test_nobody_gives_no_trackers(fuser: Fuser) -> None:
+def test_nobody_gives_no_trackers(fuser):
     assert VRChatEncoder(KINECT_V2).encode(np.full((25, 3), np.nan), 0) == []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))

@@ -3,11 +3,8 @@
 import json
 import socket
 import time
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
@@ -16,12 +13,10 @@ import psutil
 import pytest
 from scipy.spatial.transform import Rotation
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 from devices.events import Event
 from fusion.body import KINECT_V2
-from fusion.fuser import Fuser
-from recordings.session_arrays import SessionFrame
 from tests.helpers.live_frames import frames
 from tests.helpers.machine import need_browser
 from tests.helpers.network import free_port
@@ -33,27 +28,27 @@ from viewer_app.outputs.websocket import WebSocketOutput
 
 
 @pytest.fixture
-def server(fuser: Fuser) -> Iterator[WebSocketOutput]:
+def server(fuser):
     output = WebSocketOutput(free_port(), fuser.setup)
     yield output
     output.close()
 
 
-def port_of(server: WebSocketOutput) -> int:
+def port_of(server):
     return int(server.page.rpartition(":")[2])
 
 
-def client_of(server: WebSocketOutput, **how: Any) -> ClientConnection:
+def client_of(server, **how):
     return connect(f"ws://127.0.0.1:{port_of(server)}", open_timeout=30, **how)
 
 
-def read(client: ClientConnection) -> dict[str, Any]:
+def read(client):
     said = json.loads(client.recv(timeout=30))
     assert isinstance(said, dict)
     return said
 
 
-def test_a_client_reads_the_description_then_frames_and_events(server: WebSocketOutput, fuser: Fuser) -> None:
+def test_a_client_reads_the_description_then_frames_and_events(server, fuser):
     with client_of(server) as client:
         hello = read(client)
         assert (hello["type"], hello["schema"], hello["version"]) == ("hello", "duplex-kinects/skeleton", 1)
@@ -84,7 +79,7 @@ def test_a_client_reads_the_description_then_frames_and_events(server: WebSocket
     assert server.counts.sent == 10
 
 
-def test_an_empty_view_is_reported(server: WebSocketOutput, fuser: Fuser) -> None:
+def test_an_empty_view_is_reported(server, fuser):
     frame = without_person(frames(fuser, 1)[0])
     with client_of(server) as client:
         read(client)
@@ -94,14 +89,12 @@ def test_an_empty_view_is_reported(server: WebSocketOutput, fuser: Fuser) -> Non
     assert said["positions"] is said["rotations"] is said["confidence"] is said["sigma"] is None
 
 
-def without_person(frame: SessionFrame) -> SessionFrame:
+def without_person(frame):
     nowhere = np.full_like(frame.fused.positions, np.nan)
     return replace(frame, fused=replace(frame.fused, positions=nowhere))
 
 
-def test_a_client_that_does_not_read_skips_frames_and_costs_others_nothing(
-    server: WebSocketOutput, fuser: Fuser
-) -> None:
+def test_a_client_that_does_not_read_skips_frames_and_costs_others_nothing(server, fuser):
     made = frames(fuser, 1)[0]
     with socket.socket() as lazy:
         lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # before connecting, or it has no effect
@@ -122,14 +115,14 @@ def test_a_client_that_does_not_read_skips_frames_and_costs_others_nothing(
             assert slowest < 3.0  # a loop that waited would never return
 
 
-def handshake(port: int) -> bytes:
+def handshake(port):
     return (
         f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
         "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
     ).encode()
 
 
-def test_it_listens_on_this_machine_only_unless_told_otherwise(server: WebSocketOutput) -> None:
+def test_it_listens_on_this_machine_only_unless_told_otherwise(server):
     listening = {
         tuple(each.laddr)
         for each in psutil.Process().net_connections("inet")
@@ -138,7 +131,7 @@ def test_it_listens_on_this_machine_only_unless_told_otherwise(server: WebSocket
     assert listening == {("127.0.0.1", port_of(server))}
 
 
-def test_pages_of_other_sites_may_not_read(server: WebSocketOutput, fuser: Fuser) -> None:
+def test_pages_of_other_sites_may_not_read(server, fuser):
     for origin in ("https://example.org", "null", f"http://example.org:{port_of(server)}", "http://[", "x"):
         with pytest.raises(InvalidStatus, match="403"), client_of(server, origin=origin):
             pass
@@ -167,19 +160,19 @@ def test_pages_of_other_sites_may_not_read(server: WebSocketOutput, fuser: Fuser
 
 
 @pytest.mark.parametrize("twice", ["Host: 127.0.0.1", "Origin: http://localhost\r\nOrigin: http://localhost"])
-def test_two_hosts_or_two_origins_are_a_bad_request(server: WebSocketOutput, twice: str) -> None:
+def test_two_hosts_or_two_origins_are_a_bad_request(server, twice):
     port = port_of(server)
     with socket.create_connection(("127.0.0.1", port)) as raw:
         raw.sendall(handshake(port).replace(b"\r\n\r\n", f"\r\n{twice}\r\n\r\n".encode()))
         assert raw.recv(12) == b"HTTP/1.1 400"
 
 
-def test_a_foreign_address_is_refused(fuser: Fuser) -> None:
+def test_a_foreign_address_is_refused(fuser):
     with pytest.raises(UsageError, match=r"cannot listen on 192\.0\.2\.1"):
         WebSocketOutput(free_port(), fuser.setup, "192.0.2.1")
 
 
-def test_text_that_clients_send_is_counted_and_ignored(server: WebSocketOutput) -> None:
+def test_text_that_clients_send_is_counted_and_ignored(server):
     with client_of(server) as client:
         read(client)
         for _ in range(50):
@@ -194,9 +187,7 @@ def test_text_that_clients_send_is_counted_and_ignored(server: WebSocketOutput) 
     assert server.figures()["ignored_messages"] == 51
 
 
-def test_a_page_in_a_browser_draws_the_skeleton(
-    server: WebSocketOutput, fuser: Fuser, tmp_path: Path
-) -> None:
+def test_a_page_in_a_browser_draws_the_skeleton(server, fuser, tmp_path):
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
     chromium = need_browser()
     with playwright.sync_playwright() as p:
@@ -206,10 +197,10 @@ def test_a_page_in_a_browser_draws_the_skeleton(
             tab = browser.new_page(
                 viewport={"width": 800, "height": 800}, color_scheme="light", bypass_csp=True
             )
-            wrong: list[str] = []
+            wrong = []
             tab.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
             tab.on("pageerror", lambda error: wrong.append(str(error)))
-            asked: list[str] = []
+            asked = []
             tab.on("request", lambda request: asked.append(request.url))
             tab.goto(server.page)
             tab.wait_for_function("skeleton.hello !== null")

@@ -1,7 +1,6 @@
 """Zenoh, read back by a second session."""
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ import pytest
 from devices.events import Event
 from devices.network.zenoh_session import LOOPBACK, ZenohAddresses, zenoh_session
 from devices.sensor import DeviceError
-from fusion.fuser import Fuser
 from tests.helpers.live_frames import frames
 from tests.helpers.network import free_address
 from tests.helpers.waiting import eventually
@@ -19,11 +17,11 @@ from viewer_app.outputs.zenoh_topic import ZenohOutput
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
 
 
-def test_a_second_session_reads_the_description_frames_and_events(fuser: Fuser) -> None:
+def test_a_second_session_reads_the_description_frames_and_events(fuser):
     address = free_address()
-    got: dict[str, list[dict[str, Any]]] = {"hello": [], "frame": [], "event": []}
+    got = {"hello": [], "frame": [], "event": []}
 
-    def take(sample: Any) -> None:
+    def take(sample):
         got[str(sample.key_expr).rpartition("/")[2]].append(json.loads(bytes(sample.payload)))
 
     output = ZenohOutput("lab/person", ZenohAddresses(listen=(address,)), fuser.setup)
@@ -32,7 +30,7 @@ def test_a_second_session_reads_the_description_frames_and_events(fuser: Fuser) 
             other.declare_subscriber("lab/person/*", take)
             made = frames(fuser, 40)
 
-            def reached() -> bool:
+            def reached():
                 output.write(made[0])
                 return bool(got["frame"])
 
@@ -65,14 +63,14 @@ def test_a_second_session_reads_the_description_frames_and_events(fuser: Fuser) 
         ("tcp/lab-pc:7447", "Whoever reaches tcp/lab-pc:7447"),
     ],
 )
-def test_addresses_that_others_reach_are_warned_of(listening: str, reached: str) -> None:
+def test_addresses_that_others_reach_are_warned_of(listening, reached):
     warning = zenoh_warning((LOOPBACK, listening))
     assert bool(warning) == bool(reached)
     assert warning.startswith(reached)
     assert LOOPBACK not in warning
 
 
-def test_this_machine_only_unless_an_address_is_given() -> None:
+def test_this_machine_only_unless_an_address_is_given():
     assert ZenohAddresses.of_meeting_point((), ()) == ZenohAddresses(listen=(LOOPBACK,))
     elsewhere = ("tcp/192.0.2.7:7447",)
     assert ZenohAddresses.of_meeting_point((), elsewhere) == ZenohAddresses(connect=elsewhere)

@@ -1,10 +1,8 @@
 """From images to S* by the own tracker, in ``duplex fuse`` without any SDK and in ``duplex demo``."""
 
 import json
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from devices.azure.mkv import MkvRecording
 from devices.simulated.kinect import simulated_pair
@@ -20,9 +18,7 @@ START_NS = 336_277_000
 SECONDS = 2.5
 
 
-def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_for_bit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_for_bit(tmp_path, capsys):
     need_networks("full")
     rig = Rig(frame_seconds=INTERVAL_US * 1e-6, skew_seconds=160e-6)
     a, b, truth = simulated_pair(
@@ -55,9 +51,7 @@ def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_fo
     assert duplex("replay", saved, "--verify", "--no-viewer") == 0
 
 
-def test_the_demo_runs_the_own_tracker_on_images_of_a_person(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_demo_runs_the_own_tracker_on_images_of_a_person(tmp_path, capsys):
     need_networks("full")
     saved = tmp_path / "s.rrd"
     arguments = ("--tracker", "blazepose", "--motion", "startup", "--seconds", "4", "--no-viewer")

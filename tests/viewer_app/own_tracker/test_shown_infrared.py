@@ -1,7 +1,6 @@
 """Infrared images in the viewer: shown with the skeleton over them, kept out of files."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import rerun as rr
@@ -10,7 +9,6 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.session import Session
-from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.session_text import rows_of
@@ -18,7 +16,7 @@ from tests.helpers.two_views import calibration_of
 from viewer_app.viewer.blueprint import session_blueprint
 
 
-def with_infrared(frame: SessionFrame) -> SessionFrame:
+def with_infrared(frame):
     """The frame with infrared images of the size of its depth images."""
     pair = frame.pair
     assert pair.b is not None
@@ -26,7 +24,7 @@ def with_infrared(frame: SessionFrame) -> SessionFrame:
     return replace(frame, pair=replace(pair, a=replace(pair.a, ir=light), b=replace(pair.b, ir=light)))
 
 
-def written(path: Path, *, for_viewer: bool) -> Path:
+def written(path, *, for_viewer):
     """Ten frames with depth and infrared, as a viewer gets them or as a file does."""
     setup = FusionSetup(calibration_of(BODY))
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=path.stem)
@@ -41,7 +39,7 @@ def written(path: Path, *, for_viewer: bool) -> Path:
     return path
 
 
-def test_a_viewer_gets_infrared_and_a_file_does_not(tmp_path: Path) -> None:
+def test_a_viewer_gets_infrared_and_a_file_does_not(tmp_path):
     shown = written(tmp_path / "shown.rrd", for_viewer=True)
     kept = written(tmp_path / "kept.rrd", for_viewer=False)
     for side in layout.SIDES:

@@ -7,7 +7,6 @@ import pytest
 from devices.events import Event, Spell
 from fusion.body import KINECT_V2
 from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.fused_runs import FusedRun
 from tests.helpers.two_views import calibration_of
 from viewer_app.report.events import (
     first_calibrated_frame,
@@ -32,7 +31,7 @@ MOVED = Event("A sensor seems to have been moved", "WARN").placed(600, 20_000_00
 ALL = [CALIBRATED, CUT_OFF, EARLY, A_FROM, B_FROM, A_TO, MOVED]
 
 
-def test_events_are_numbered_in_order_of_time_and_a_spell_is_one_of_them() -> None:
+def test_events_are_numbered_in_order_of_time_and_a_spell_is_one_of_them():
     listed = list_events([MOVED, A_FROM, B_FROM, A_TO, CALIBRATED])  # a fused session has them in two parts
     assert [(each.number, each.event.text) for each in listed] == [
         (1, CALIBRATED.text),
@@ -54,14 +53,12 @@ def test_events_are_numbered_in_order_of_time_and_a_spell_is_one_of_them() -> No
         ([], 0, None),
     ],
 )
-def test_a_review_opens_at_a_warning_then_at_a_spell(
-    events: list[Event], settled: int, expected: Event | None
-) -> None:
+def test_a_review_opens_at_a_warning_then_at_a_spell(events, settled, expected):
     opened = opening_event(list_events(events), settled)
     assert (None if opened is None else opened.event.text) == (None if expected is None else expected.text)
 
 
-def test_a_session_is_settled_with_its_first_calibration_that_is_not_provisional(fused_run: FusedRun) -> None:
+def test_a_session_is_settled_with_its_first_calibration_that_is_not_provisional(fused_run):
     session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
     one = session.calibration
     found = tuple((10 * k, replace(one, provisional=k < 2)) for k in range(3))
@@ -69,7 +66,7 @@ def test_a_session_is_settled_with_its_first_calibration_that_is_not_provisional
     assert first_calibrated_frame(replace(session, calibrations=found[:2])) == 0
 
 
-def test_a_short_list_keeps_warnings_then_spells_in_order_of_time() -> None:
+def test_a_short_list_keeps_warnings_then_spells_in_order_of_time():
     listed = list_events(ALL)
     assert [each.event.text for each in shortest_list(listed, 4)] == [
         CUT_OFF.text,

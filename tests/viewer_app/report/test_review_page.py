@@ -5,17 +5,15 @@ import re
 import zlib
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fusion.body import KINECT_V2
-from recordings import Session
 from recordings.fusing.files import without_folders
 from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.fused_runs import FusedRun, record_fused
+from tests.helpers.fused_runs import record_fused
 from tests.helpers.machine import need_browser
 from tests.helpers.two_views import calibration_of
 from viewer_app.report import motion as motion_module
@@ -26,7 +24,7 @@ from viewer_app.report.review_page import review_page
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
 
 
-def test_files_are_named_without_their_folders() -> None:
+def test_files_are_named_without_their_folders():
     assert without_folders(("ann/walk/a.csv", "ann/walk/b.csv")) == ("a.csv", "b.csv")
     assert without_folders(("C:\\ann\\left\\s.csv", "C:\\ann\\right\\s.csv")) == (
         "left/s.csv",
@@ -36,26 +34,26 @@ def test_files_are_named_without_their_folders() -> None:
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+def session(tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "s.rrd"
     return record_fused(path, frame_pairs(KINECT_V2, 60, gap=(20, 21)), calibration_of(KINECT_V2))
 
 
 @pytest.fixture(scope="module")
-def page(session: Session) -> Path:
+def page(session):
     path = session.path.with_name("report.html")
     assert duplex("review", session.path, "--no-viewer", "--html", path) == 0
     return path
 
 
 class _Ids(HTMLParser):
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
-        self.ids: list[str] = []
-        self.links: list[str] = []
+        self.ids = []
+        self.links = []
         self.scripts = 0
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.scripts += tag == "script"
         for name, value in attrs:
             if name == "id" and value:
@@ -64,7 +62,7 @@ class _Ids(HTMLParser):
                 self.links.append(f"{tag} {value}")
 
 
-def test_the_page_stands_alone(page: Path) -> None:
+def test_the_page_stands_alone(page):
     text = page.read_text(encoding="utf-8")
     found = _Ids()
     found.feed(text)
@@ -78,7 +76,7 @@ def test_the_page_stands_alone(page: Path) -> None:
     )
 
 
-def test_the_motion_is_that_of_the_session_to_the_millimetre(session: Session) -> None:
+def test_the_motion_is_that_of_the_session_to_the_millimetre(session):
     motion = encoded_motion(session, [])
     count, joints = motion["frames"], len(session.body.joints)
     data = zlib.decompress(base64.b64decode(motion["motion"]))
@@ -104,13 +102,13 @@ def test_the_motion_is_that_of_the_session_to_the_millimetre(session: Session) -
 
 
 @pytest.fixture
-def without_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_plots(monkeypatch):
     """Leaves out the plots, which take most of the time."""
     for name in ("line_plot", "bar_plot", "trust_map"):
         monkeypatch.setattr(f"viewer_app.report.review_page.{name}", lambda *_, **__: "")
 
 
-def test_a_long_session_keeps_more_frames_near_its_events() -> None:
+def test_a_long_session_keeps_more_frames_near_its_events():
     seconds = np.arange(0.0, 1200.0, 1 / 30)
     kept = seconds[_kept_frames(seconds, [300.0, 900.0], 2000)]
     assert len(kept) <= 2000
@@ -119,9 +117,7 @@ def test_a_long_session_keeps_more_frames_near_its_events() -> None:
     assert np.diff(kept).max() < 1.0  # and all of it can be seen
 
 
-def test_a_page_stays_small_however_much_there_is_to_play(
-    fused_run: FusedRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_stays_small_however_much_there_is_to_play(fused_run, monkeypatch):
     session = fused_run(frame_pairs(KINECT_V2, 200), calibration_of(KINECT_V2))
     monkeypatch.setattr(motion_module, "_MOST_BYTES", 6_000)
     motion = encoded_motion(session, [])
@@ -129,7 +125,7 @@ def test_a_page_stays_small_however_much_there_is_to_play(
 
 
 @pytest.mark.usefixtures("without_plots")
-def test_an_event_of_the_list_leads_to_its_moment(fused_run: FusedRun, tmp_path: Path) -> None:
+def test_an_event_of_the_list_leads_to_its_moment(fused_run, tmp_path):
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
     chromium = need_browser()
     session = fused_run(frame_pairs(KINECT_V2, 90), calibration_of(KINECT_V2))
@@ -143,7 +139,7 @@ def test_an_event_of_the_list_leads_to_its_moment(fused_run: FusedRun, tmp_path:
         browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         try:
             tab = browser.new_page(viewport={"width": 1280, "height": 900})
-            errors: list[str] = []
+            errors = []
             tab.on("pageerror", lambda error: errors.append(str(error)))
             tab.goto(path.as_uri())
             tab.locator("#play:enabled").wait_for()
@@ -179,7 +175,7 @@ def test_an_event_of_the_list_leads_to_its_moment(fused_run: FusedRun, tmp_path:
 
 
 @pytest.mark.usefixtures("without_plots")
-def test_what_a_session_says_is_text_and_never_markup(fused_run: FusedRun) -> None:
+def test_what_a_session_says_is_text_and_never_markup(fused_run):
     session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
     session.about["settings"]["note"] = ["<script>alert(1)</script>"]
     hostile = replace(session.events[0], text="<img src=x onerror=alert(1)> & more")

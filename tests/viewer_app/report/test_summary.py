@@ -10,19 +10,16 @@ from rich.console import Console
 
 from devices.events import Event
 from fusion.body import KINECT_V2
-from fusion.calibration.calibration import FEWEST_PAIRS, Calibration
+from fusion.calibration.calibration import FEWEST_PAIRS
 from fusion.registration.rigid_fit import Registration
-from recordings.session import Session
-from recordings.session_arrays import SessionArrays
 from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.fused_runs import FusedRun
 from tests.helpers.two_views import calibration_of
-from viewer_app.report.figures import Figures, report, truth_free_figures, with_verdict
+from viewer_app.report.figures import report, truth_free_figures, with_verdict
 from viewer_app.report.terminal import print_lines, print_summary
 from viewer_app.report.words import Line, detail_lines, in_mm, lead_lines
 
 
-def registered(median_mm: float, frames: int = 90) -> Calibration:
+def registered(median_mm, frames=90):
     """A calibration whose views are so far apart."""
     known = calibration_of(KINECT_V2)
     residuals = np.full(len(KINECT_V2), median_mm * 1e-3)
@@ -32,37 +29,37 @@ def registered(median_mm: float, frames: int = 90) -> Calibration:
 
 
 @pytest.fixture
-def session(fused_run: FusedRun) -> Session:
+def session(fused_run):
     fused = fused_run(frame_pairs(KINECT_V2, 60), calibration_of(KINECT_V2))
     return replace(fused, calibrations=((0, registered(31.0)),))
 
 
 @pytest.fixture
-def figures(session: Session) -> Figures:
+def figures(session):
     return report(session)
 
 
-def said(figures: Figures, width: int = 80, **more: object) -> str:
+def said(figures, width=80, **more):
     out = io.StringIO()
-    print_summary(Console(file=out, width=width), figures, **more)  # type: ignore[arg-type]
+    print_summary(Console(file=out, width=width), figures, **more)
     return out.getvalue()
 
 
-def judged(figures: Figures, **calibration: object) -> Line:
+def judged(figures, **calibration):
     changed = with_verdict(figures | {"calibration": figures["calibration"] | calibration})
     return next(lead_lines(changed))
 
 
-def with_views(figures: Figures, median_mm: float | None) -> Figures:
+def with_views(figures, median_mm):
     return figures | {"views_agree_mm": {"median": median_mm, "p95": median_mm}}
 
 
-def seen_at(metres: float) -> Figures:
+def seen_at(metres):
     limits = {"near": 1.8, "far": 3.9}
     return {"distance_m": {"a": {"median": 2.5, **limits}, "b": {"median": metres, **limits}}}
 
 
-def test_the_verdict_leads_in_at_most_six_short_lines(figures: Figures) -> None:
+def test_the_verdict_leads_in_at_most_six_short_lines(figures):
     lines = said(with_verdict(with_views(figures, 31.0))).splitlines()
     labels = ["Verdict", "Views agree", "Calibration", "Repaired", "S*", "Bones"]
     assert [line[:13].strip() for line in lines[:6]] == labels
@@ -83,9 +80,7 @@ def test_the_verdict_leads_in_at_most_six_short_lines(figures: Figures) -> None:
         (None, "unknown: no joint was seen by both sensors", True),
     ],
 )
-def test_a_verdict_is_a_word_and_says_what_to_do_where_it_is_poor(
-    figures: Figures, median_mm: float | None, words: str, warning: bool
-) -> None:
+def test_a_verdict_is_a_word_and_says_what_to_do_where_it_is_poor(figures, median_mm, words, warning):
     line = judged(with_views(figures, median_mm))
     assert line.text.startswith(words)
     assert line.warning is warning
@@ -113,7 +108,7 @@ def test_a_verdict_is_a_word_and_says_what_to_do_where_it_is_poor(
         ),
     ],
 )
-def test_the_verdict_names_what_is_worst(figures: Figures, changed: Figures, words: str) -> None:
+def test_the_verdict_names_what_is_worst(figures, changed, words):
     assert judged(with_views(figures, 50.0 if words[0] == "p" else 30.0) | changed).text.startswith(words)
 
 
@@ -126,13 +121,13 @@ def test_the_verdict_names_what_is_worst(figures: Figures, changed: Figures, wor
         ({"provisional": True}, "unknown: not calibrated yet"),
     ],
 )
-def test_the_verdict_judges_the_calibration(figures: Figures, changed: Figures, words: str) -> None:
+def test_the_verdict_judges_the_calibration(figures, changed, words):
     line = judged(with_views(figures, 30.0), **changed)
     assert line.text.startswith(words)
     assert line.warning is not words.startswith("usable")
 
 
-def with_repairs(rows: SessionArrays) -> SessionArrays:
+def with_repairs(rows):
     """60 frames: A with exchanged sides in 15, 2 joints unseen in all, nobody seen in the last 10."""
     exchanged = np.zeros((60, 2), dtype=np.int8)
     exchanged[:15, 0] = 3
@@ -142,7 +137,7 @@ def with_repairs(rows: SessionArrays) -> SessionArrays:
     return replace(rows, exchanged=exchanged, predicted=predicted)
 
 
-def test_repaired_shares_count_frames_with_a_person(session: Session) -> None:
+def test_repaired_shares_count_frames_with_a_person(session):
     rows = with_repairs(session.rows)
     figures = report(replace(session, rows=rows))
     assert figures["repaired"]["exchanged"] == {"a": pytest.approx(15 / 50), "b": 0.0}
@@ -152,7 +147,7 @@ def test_repaired_shares_count_frames_with_a_person(session: Session) -> None:
     assert "left and right" not in said(report(without))
 
 
-def test_what_someone_must_act_on_is_told_in_words(figures: Figures) -> None:
+def test_what_someone_must_act_on_is_told_in_words(figures):
     figures["dropped"] = {"a": 3, "b": 0}
     figures["without_person"] = {"a": 5, "b": 0, "both": 0}
     events = [
@@ -166,7 +161,7 @@ def test_what_someone_must_act_on_is_told_in_words(figures: Figures) -> None:
     assert "Warning 3.00 s: A sensor seems to have been moved. (1 more)" in text
 
 
-def test_figures_without_truth_follow_where_they_were_computed(session: Session, figures: Figures) -> None:
+def test_figures_without_truth_follow_where_they_were_computed(session, figures):
     figures["without_truth"] = found = truth_free_figures(session)
     lines = {line.label: line.text for line in detail_lines(figures)}
     rough = {key: 1e3 * (found[f"rough_{key}"] or 0.0) for key in ("a", "fused")}
@@ -184,7 +179,7 @@ def test_figures_without_truth_follow_where_they_were_computed(session: Session,
     assert "too short" in said(figures, verbose=True)
 
 
-def test_brackets_in_a_text_are_printed_as_they_are() -> None:
+def test_brackets_in_a_text_are_printed_as_they_are():
     out = io.StringIO()
     print_lines(Console(file=out, width=80), [Line("Warning", "[red]a.csv[/] is cut off", warning=True)])
     assert "[red]a.csv[/] is cut off" in out.getvalue()

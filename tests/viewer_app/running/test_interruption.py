@@ -2,9 +2,7 @@
 
 import os
 import signal
-import subprocess
 import time
-from pathlib import Path
 
 import pytest
 
@@ -18,13 +16,11 @@ HANGS_S = 120.0  # on an idle machine it ends within 2 s; a program that hangs n
 AFTER_ALL_WAS_SAVED = (0, 130, -signal.SIGINT)  # the last while Python itself shuts down
 
 
-def demo(save: Path, *more: str) -> subprocess.Popen[bytes]:
+def demo(save, *more):
     return telling_demo(save, "--depth", "none", *more)
 
 
-def ended(
-    process: subprocess.Popen[bytes], presses: int = 1, number: int = signal.SIGINT
-) -> tuple[int, int, str]:
+def ended(process, presses=1, number=signal.SIGINT):
     """Presses Ctrl-C; returns the exit code, the number of reported frames, and the other output."""
     for _ in range(presses):
         process.send_signal(number)
@@ -38,7 +34,7 @@ def ended(
     return process.returncode, len(said) - len(words), words.decode()
 
 
-def test_ctrl_c_before_the_first_frame(tmp_path: Path) -> None:
+def test_ctrl_c_before_the_first_frame(tmp_path):
     process = demo(tmp_path / "demo.rrd")
     while b"A simulated person" not in process.stdout.readline():
         assert process.poll() is None
@@ -58,9 +54,7 @@ def test_ctrl_c_before_the_first_frame(tmp_path: Path) -> None:
         (15, 1, signal.SIGINT, ("--seconds", "0.6"), AFTER_ALL_WAS_SAVED),  # while it saves
     ],
 )
-def test_captured_frames_are_saved(
-    tmp_path: Path, frames: int, presses: int, number: int, options: tuple[str, ...], codes: tuple[int, ...]
-) -> None:
+def test_captured_frames_are_saved(tmp_path, frames, presses, number, options, codes):
     saved = tmp_path / "demo.rrd"
     process = demo(saved, *options)
     wait_for_frames(process, frames)
@@ -70,9 +64,9 @@ def test_captured_frames_are_saved(
     assert rows_of(saved, "/fused/skeleton") == frames + more
 
 
-def test_handlers_are_given_back() -> None:
+def test_handlers_are_given_back():
     before = signal.getsignal(signal.SIGINT)
-    pressed: list[int] = []
+    pressed = []
     with CtrlC() as ctrl_c, pytest.raises(KeyboardInterrupt), ctrl_c.raising():
         signal.raise_signal(signal.SIGINT)
     with CtrlC() as ctrl_c:

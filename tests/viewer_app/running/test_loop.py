@@ -22,9 +22,9 @@ from viewer_app.sinks.sink import Sink
 NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))
 
 
-def test_the_truth_is_that_of_a_sensors_own_time() -> None:
+def test_the_truth_is_that_of_a_sensors_own_time():
     """The clock of A is set back by a second, then A misses a frame."""
-    asked: list[int] = []
+    asked = []
     start = 10**10
     truth = standing(KINECT_V1)
     pairs = []
@@ -36,7 +36,7 @@ def test_the_truth_is_that_of_a_sensors_own_time() -> None:
         b = SensorFrame(clock_ns, {"1": seen.b})
         pairs.append(FramePair(a, b, SkeletonPair(None, None, time_ns)))
 
-    def truth_at(time_ns: int) -> np.ndarray:
+    def truth_at(time_ns):
         asked.append(time_ns)
         return truth
 
@@ -45,7 +45,7 @@ def test_the_truth_is_that_of_a_sensors_own_time() -> None:
 
 
 @pytest.mark.parametrize(("known", "b_follows"), [(False, "8"), (True, "9")])
-def test_both_sensors_follow_one_person_once_they_know_each_others_place(known: bool, b_follows: str) -> None:
+def test_both_sensors_follow_one_person_once_they_know_each_others_place(known, b_follows):
     """Of two people, one is in the middle of A's view, the other in the middle of B's."""
     person = standing(KINECT_V1)
     middle = person[list(KINECT_V1.torso)].mean(axis=0)
@@ -64,7 +64,7 @@ def test_both_sensors_follow_one_person_once_they_know_each_others_place(known: 
         assert pair.skeletons.b is pair.b.people[b_follows]
 
 
-def test_latency_counts_from_the_images_that_arrived_first() -> None:
+def test_latency_counts_from_the_images_that_arrived_first():
     """Its figures are milliseconds of the frames that have it."""
     arrived = ((100, 140), (300, 290), (None, 500), (None, None))
     done = iter((1_100, 1_300, 1_600, 1_900))
@@ -85,7 +85,7 @@ def test_latency_counts_from_the_images_that_arrived_first() -> None:
     assert latency_figures(silent) == {"p50": None, "p99": None, "max": None}
 
 
-def test_latency_settings_apply_only_while_the_loop_runs() -> None:
+def test_latency_settings_apply_only_while_the_loop_runs():
     before = sys.getswitchinterval()
     with low_latency():
         assert sys.getswitchinterval() < 0.001  # what logging may hold up the loop by

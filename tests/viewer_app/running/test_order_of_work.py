@@ -1,7 +1,6 @@
 """What the loop and its threads do first: a frame is handed over before anything that can wait."""
 
 import sys
-import types
 from itertools import islice
 
 import pytest
@@ -16,13 +15,12 @@ from fusion.registration import refinement
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings.fusing.live_fusion import LiveFusion
-from recordings.session_arrays import SessionFrame
 from tests.helpers.frame_pairs import KnownSensors
 from viewer_app.running.loop import run_live
 from viewer_app.sinks.sink import FanOut, Sink
 
 
-def walking(count: int) -> tuple[FusionSetup, list[FramePair]]:
+def walking(count):
     """Pairs of a simulated walk, with images, and the setup at the start."""
     a, b, _ = simulated_pair(motion="walk", body=KINECT_V1, depth="half")
     setup = FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
@@ -31,31 +29,29 @@ def walking(count: int) -> tuple[FusionSetup, list[FramePair]]:
 
 
 @pytest.mark.parametrize("waiting", [False, True])
-def test_a_frame_is_handed_over_before_the_program_learns_from_it(
-    waiting: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_frame_is_handed_over_before_the_program_learns_from_it(waiting, monkeypatch):
     """And learning leaves the viewer's thread alone, unless the next frame waits already."""
-    done: list[str] = []
+    done = []
 
     class Handed(Sink):
-        def write(self, frame: SessionFrame) -> None:
+        def write(self, frame):
             assert frame.fused.has_person
             done.append("handed over")
 
-        def rest(self, seconds: float) -> None:
+        def rest(self, seconds):
             assert 0.0 < seconds < 0.5 / 30.0
             done.append("rested")
 
     learn = LiveFusion.learn
     monkeypatch.setattr(LiveFusion, "learn", lambda *of: (done.append("learned"), learn(*of))[1])
     setup, pairs = walking(2)
-    run_live(KnownSensors(pairs, waiting), setup, FanOut([Handed()]))  # type: ignore[arg-type]
+    run_live(KnownSensors(pairs, waiting), setup, FanOut([Handed()]))
     assert done == ["handed over", *([] if waiting else ["rested"]), "learned"] * 2
 
 
-def test_nothing_is_compiled_after_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_compiled_after_the_first_frame(monkeypatch):
     """What a live session calls is compiled before its sensors open: a kernel takes seconds."""
-    fits: list[int] = []
+    fits = []
     fit = refinement.fit_robust
     monkeypatch.setattr(refinement, "fit_robust", lambda *of, **more: (fits.append(1), fit(*of, **more))[1])
     setup, pairs = walking(240)
@@ -70,9 +66,9 @@ def test_nothing_is_compiled_after_the_first_frame(monkeypatch: pytest.MonkeyPat
     assert compiled() == before
 
 
-def compiled() -> dict[str, int]:
+def compiled():
     """How many versions each kernel of the method and of the devices has."""
-    modules: list[types.ModuleType] = list(sys.modules.values())
+    modules = list(sys.modules.values())
     return {
         f"{module.__name__}.{name}": len(kernel.overloads)
         for module in modules

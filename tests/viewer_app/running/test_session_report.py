@@ -2,18 +2,17 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
 from devices.sensor import LinkFigures
-from viewer_app.report.words import Line, lead_lines
+from viewer_app.report.words import lead_lines
 from viewer_app.running.runner import stream_figures
 
 WELL = LinkFigures(received=900, round_trip_ns=2_000_000, clock_bound_ns=1_000_000)
 
 
-def sensors(links: tuple[LinkFigures | None, ...] = (None, None), **counts: int) -> Any:
+def sensors(links=(None, None), **counts):
     """The counts of two sensors that run well but for what is given."""
     stream = {name: SimpleNamespace(dropped=0, lost=0, returns=0, received=900) for name in ("a", "b")}
     stream["b"].dropped = counts.pop("dropped_b", 0)
@@ -26,11 +25,11 @@ def sensors(links: tuple[LinkFigures | None, ...] = (None, None), **counts: int)
     return SimpleNamespace(**stream, figures=figures, links=links)
 
 
-def trouble(sensors: Any) -> list[Line]:
+def trouble(sensors):
     return list(lead_lines(stream_figures(sensors)))
 
 
-def test_streams_that_run_well_are_not_mentioned() -> None:
+def test_streams_that_run_well_are_not_mentioned():
     """Late, repeated and reordered frames are put right; they come with --verbose."""
     assert trouble(sensors()) == []
     assert trouble(sensors((WELL, WELL))) == []
@@ -44,7 +43,7 @@ def test_streams_that_run_well_are_not_mentioned() -> None:
         ({"returns_a": 2, "resets": 1}, "reconnects of A 2, clocks reset 1."),
     ],
 )
-def test_what_is_lost_is_a_warning(counts: dict[str, int], words: str) -> None:
+def test_what_is_lost_is_a_warning(counts, words):
     (line,) = trouble(sensors(**counts))
     assert (line.label, line.text, line.warning) == ("Streams", words, True)
 
@@ -58,7 +57,7 @@ def test_what_is_lost_is_a_warning(counts: dict[str, int], words: str) -> None:
         ({"clock_bound_ns": None}, "the clocks of the two PCs could not be related"),
     ],
 )
-def test_a_link_that_loses_something_is_a_warning(change: dict[str, Any], words: str) -> None:
+def test_a_link_that_loses_something_is_a_warning(change, words):
     (line,) = trouble(sensors((WELL, replace(WELL, **change))))
     assert line.label == "Network"
     assert words in line.text

@@ -1,7 +1,6 @@
 """A few seconds of the soak (``python -m tests.experiments.soak --minutes 10`` runs all of it)."""
 
 import os
-from pathlib import Path
 
 import psutil
 import pytest
@@ -9,7 +8,7 @@ import pytest
 from tests.experiments.soak import Soak, at_pace, soak
 
 
-def test_no_pair_is_lost_and_no_queue_grows(tmp_path: Path) -> None:
+def test_no_pair_is_lost_and_no_queue_grows(tmp_path):
     if psutil.getloadavg()[0] > 2.0 * (os.cpu_count() or 1):
         pytest.skip("this machine is too busy to tell frames that we lose from frames that it loses")
     seen = soak(3.0, "none", tmp_path / "soak.rrd")
@@ -22,7 +21,7 @@ def test_no_pair_is_lost_and_no_queue_grows(tmp_path: Path) -> None:
     assert figures.pairs == seen.frames
 
 
-def test_growth_is_measured_from_the_end_of_the_first_minute() -> None:
+def test_growth_is_measured_from_the_end_of_the_first_minute():
     flat = Soak(memory=[(float(s), 100.0 + min(s, 60)) for s in range(300)])
     assert flat.growth_mb == pytest.approx(0.0)
     leaking = Soak(memory=[(float(s), 100.0 + 0.1 * s) for s in range(300)])

@@ -3,7 +3,6 @@
 import io
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
@@ -22,7 +21,7 @@ WARNING = Advice("A's view", "Sensor A sees no one: 0 of 25 joints", "WARN", sen
 
 
 @pytest.fixture
-def statuses() -> list[Any]:
+def statuses():
     """Two seconds at 30 fps; A has dropped 3 frames, B 4."""
     fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     sensors = SimpleNamespace(
@@ -35,7 +34,7 @@ def statuses() -> list[Any]:
     ]
 
 
-def later(status: Any, frames: int) -> Any:
+def later(status, frames):
     """The same status so many frames later."""
     pair = status.frame.pair
     skeletons = replace(pair.skeletons, time_ns=pair.time_ns + frames * 10**9 // 30)
@@ -46,7 +45,7 @@ def later(status: Any, frames: int) -> Any:
 class Shown:
     """A display, a session that only listens, a coach whose advice the test gives, and what is printed."""
 
-    def __init__(self, width: int = 80, **options: bool) -> None:
+    def __init__(self, width=80, **options):
         self.printed = io.StringIO()
         self.session = MagicMock(
             file=MagicMock(failure=None, saves=True, saved_bytes=12_340_000, lost=0),
@@ -59,11 +58,11 @@ class Shown:
         self.display = LiveDisplay(console, self.session, self.coach, clock=lambda: self.now, **options)
         self.display._scene = MagicMock()
 
-    def events(self) -> list[Event]:
+    def events(self):
         return [call.args[0] for call in self.session.event.call_args_list]
 
 
-def test_the_status_line_has_every_figure(statuses: list[Any]) -> None:
+def test_the_status_line_has_every_figure(statuses):
     shown = Shown()
     for status in statuses:
         assert shown.display(status)
@@ -79,7 +78,7 @@ def test_the_status_line_has_every_figure(statuses: list[Any]) -> None:
     assert saving == "saving 12.3 MB"
 
 
-def test_the_status_line_says_what_goes_wrong(statuses: list[Any]) -> None:
+def test_the_status_line_says_what_goes_wrong(statuses):
     shown = Shown()
     shown.display(statuses[0])
     shown.session.file.configure_mock(failure="The disk is full.", lost=2)
@@ -90,7 +89,7 @@ def test_the_status_line_says_what_goes_wrong(statuses: list[Any]) -> None:
 
 
 @pytest.mark.parametrize("quiet", [False, True])
-def test_a_warning_is_one_event_and_one_when_it_is_over(statuses: list[Any], quiet: bool) -> None:
+def test_a_warning_is_one_event_and_one_when_it_is_over(statuses, quiet):
     shown = Shown(quiet=quiet)
     advised = [[], *[[WARNING]] * 5, *[[]] * 54]
     for status, advice in zip(statuses, advised, strict=True):
@@ -104,7 +103,7 @@ def test_a_warning_is_one_event_and_one_when_it_is_over(statuses: list[Any], qui
     assert shown.printed.getvalue() == f"{WARNING.text}\n"
 
 
-def test_a_warning_about_its_threshold_is_not_repeated(statuses: list[Any]) -> None:
+def test_a_warning_about_its_threshold_is_not_repeated(statuses):
     shown = Shown()
     for k, status in enumerate(statuses):
         text = f"Sensor A sees {k} of 25 joints"  # its figure changes, too
@@ -124,7 +123,7 @@ def test_a_warning_about_its_threshold_is_not_repeated(statuses: list[Any]) -> N
     assert shown.printed.getvalue().endswith(f"\n{WARNING.text}\n")  # a minute later
 
 
-def test_the_coach_knows_what_the_sensors_do(statuses: list[Any]) -> None:
+def test_the_coach_knows_what_the_sensors_do(statuses):
     shown = Shown()
     shown.display(statuses[0])
     situation = shown.coach.watch.call_args.args[1]

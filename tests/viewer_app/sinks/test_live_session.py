@@ -5,13 +5,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 import rerun as rr
 
-from fusion.fuser import Fuser
 from recordings import layout
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, numbers_in, session
@@ -27,27 +24,25 @@ STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
 """A process that never reads: a frozen viewer."""
 
 
-def feed_into(command: list[str], fuser: Fuser, **options: object) -> ViewerFeed:
+def feed_into(command, fuser, **options):
     return ViewerFeed(
         lambda: subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, bufsize=0, start_new_session=True
         ),
         rr.RecordingStream("test"),
         lambda stream: Recorder(stream, fuser.setup, ("a", "b")),
-        **options,  # type: ignore[arg-type]
+        **options,
     )
 
 
 @pytest.fixture
-def stuck(fuser: Fuser) -> Iterator[ViewerFeed]:
+def stuck(fuser):
     feed = feed_into(STUCK, fuser, keep=10, patience=60.0)
     yield feed
     feed.close()
 
 
-def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
-    stuck: ViewerFeed, fuser: Fuser
-) -> None:
+def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(stuck, fuser):
     made = frames(fuser, 100, depth=True)  # 87 MB: more than the capacity of a pipe
     slowest = 0.0
     for frame in made:
@@ -61,7 +56,7 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
     assert slowest < 3.0  # it would be 60 s, the patience, if it waited
 
 
-def test_closing_with_a_frozen_viewer_takes_no_time(fuser: Fuser) -> None:
+def test_closing_with_a_frozen_viewer_takes_no_time(fuser):
     feed = feed_into(STUCK, fuser, keep=10, patience=60.0)
     for frame in frames(fuser, 40, depth=True):
         feed.write(frame)
@@ -71,7 +66,7 @@ def test_closing_with_a_frozen_viewer_takes_no_time(fuser: Fuser) -> None:
     assert feed.process.poll() is not None
 
 
-def test_a_process_without_progress_is_replaced(fuser: Fuser) -> None:
+def test_a_process_without_progress_is_replaced(fuser):
     feed = feed_into(STUCK, fuser, keep=10, patience=0.2, retry=0.01)
     made = frames(fuser, 60, depth=True)
     try:
@@ -82,7 +77,7 @@ def test_a_process_without_progress_is_replaced(fuser: Fuser) -> None:
         feed.close()
 
 
-def test_the_file_gets_every_frame_and_closing_writes_them(fuser: Fuser, tmp_path: Path) -> None:
+def test_the_file_gets_every_frame_and_closing_writes_them(fuser, tmp_path):
     out = tmp_path / "s.rrd"
     with session(fuser, out) as live:
         for frame in frames(fuser, 200):
@@ -92,9 +87,7 @@ def test_the_file_gets_every_frame_and_closing_writes_them(fuser: Fuser, tmp_pat
     assert live.file.lost == 0
 
 
-def test_a_blocked_disk_costs_images_first(
-    fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_blocked_disk_costs_images_first(fuser, tmp_path, monkeypatch):
     monkeypatch.setattr(SessionFile, "_run", lambda self: None)
     file = SessionFile(
         tmp_path / "s.rrd",
@@ -112,7 +105,7 @@ def test_a_blocked_disk_costs_images_first(
     assert len(with_images) == 60
 
 
-def test_the_viewer_gets_images_at_a_capped_rate(fuser: Fuser) -> None:
+def test_the_viewer_gets_images_at_a_capped_rate(fuser):
     turns = ImageTurns(10.0)
     shown = [turns.capped(frame) for frame in frames(fuser, 60, depth=True)]
     with_images = [
@@ -121,7 +114,7 @@ def test_the_viewer_gets_images_at_a_capped_rate(fuser: Fuser) -> None:
     assert with_images == [list(range(1, 60, 3)), list(range(2, 60, 3))]  # 10 Hz, one at a time
 
 
-def test_a_viewer_killed_again_and_again_loses_no_frame_of_the_file(fuser: Fuser, tmp_path: Path) -> None:
+def test_a_viewer_killed_again_and_again_loses_no_frame_of_the_file(fuser, tmp_path):
     need_viewer()
     out = tmp_path / "s.rrd"
     made = frames(fuser, 600)
@@ -144,7 +137,7 @@ def test_a_viewer_killed_again_and_again_loses_no_frame_of_the_file(fuser: Fuser
     assert numbers_in(out) == list(range(600))
 
 
-def test_a_viewer_that_comes_later_sees_the_history(fuser: Fuser) -> None:
+def test_a_viewer_that_comes_later_sees_the_history(fuser):
     hub = Hub.on_free_ports(web=False)
     with session(fuser, None, hub) as live:
         for frame in frames(fuser, 60):
@@ -152,7 +145,7 @@ def test_a_viewer_that_comes_later_sees_the_history(fuser: Fuser) -> None:
         assert live.viewer.wait_until_free(10.0)
         with headless_viewer("--connect", hub.url) as viewer:
 
-            def sees_all() -> bool:
+            def sees_all():
                 timelines = [t for r in viewer.get_state().recordings for t in r.timelines]
                 return any(t.name == layout.FRAME and t.start == 0 and t.end == 59 for t in timelines)
 

@@ -25,7 +25,7 @@ script()
 
 
 @pytest.mark.parametrize("name", ["cyclopts", "rerun"])
-def test_ctrl_c_during_the_imports(name: str) -> None:
+def test_ctrl_c_during_the_imports(name):
     ended = subprocess.run(
         [sys.executable, "-c", PRESSED_DURING_IMPORT.format(name=name)],
         cwd=ROOT,
@@ -75,8 +75,8 @@ cli.script()
     [(0.5, 60.0, "", "closed", 130), (60.0, 0.2, "", "did not close", 0), (60.0, 60.0, "pressed", "", 130)],
 )
 def test_a_sensor_that_still_closes_is_waited_for_and_changes_no_exit_code(
-    closes_s: float, limit_s: float, pressed: str, said: str, code: int
-) -> None:
+    closes_s, limit_s, pressed, said, code
+):
     ended = subprocess.run(
         [sys.executable, "-c", LEAVES_A_SENSOR, *map(str, (closes_s, limit_s, pressed, code))],
         cwd=ROOT,

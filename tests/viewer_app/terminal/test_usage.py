@@ -4,7 +4,6 @@ import re
 import shlex
 import tomllib
 from dataclasses import fields
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -40,9 +39,7 @@ __all__ = ["parsed"]  # a fixture
         ("", "name a command: demo, live, …"),
     ],
 )
-def test_the_line_names_the_mistake(
-    command: str, line: str, parsed: list[Any], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_line_names_the_mistake(command, line, parsed, capsys):
     assert duplex(*shlex.split(command)) == 2
     said = one_line(capsys).removeprefix("duplex: ").rstrip("\n")
     assert not parsed
@@ -53,20 +50,18 @@ def test_the_line_names_the_mistake(
         assert said == line
 
 
-def test_a_long_value_is_shortened(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_long_value_is_shortened(capsys):
     assert duplex("demo", "--seconds", "7x" * 400) == 2
     assert len(one_line(capsys)) < 300
 
 
-def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_version_is_that_of_the_package(capsys):
     assert duplex("--version") == 0
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert capsys.readouterr().out == f"duplex {project['version']}\n"
 
 
-def test_the_overview_describes_each_command_in_its_first_paragraph(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_overview_describes_each_command_in_its_first_paragraph(capsys):
     assert duplex("--help") == 0
     overview = capsys.readouterr().out
     assert duplex("batch", "--help") == 0
@@ -77,7 +72,7 @@ def test_the_overview_describes_each_command_in_its_first_paragraph(
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_the_help_describes_every_option(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_help_describes_every_option(command, capsys):
     assert duplex(*command.split(), "--help") == 0
     page = capsys.readouterr().out
     kind, _ = COMMANDS[command]
@@ -89,13 +84,13 @@ def test_the_help_describes_every_option(command: str, capsys: pytest.CaptureFix
     assert "None" not in page
 
 
-def test_the_help_has_the_options_of_experts_last(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_help_has_the_options_of_experts_last(capsys):
     assert duplex("live", "--help") == 0
     titles = re.findall(r"╭─ (.+?) ─", capsys.readouterr().out)
     assert titles == ["Options", "Sensors", "Body tracker", "Method", "Viewer", "Outputs", "For experts"]
 
 
-def test_an_option_given_twice_has_its_last_value(parsed: list[Any]) -> None:
+def test_an_option_given_twice_has_its_last_value(parsed):
     assert duplex("demo", "--seconds", 3, "--seconds", 4, "--no-viewer", "--no-viewer") == 0
     assert (parsed[0].seconds, parsed[0].no_viewer) == (4.0, True)
 
@@ -123,9 +118,7 @@ WORDS = (
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(words=st.lists(st.sampled_from(WORDS), max_size=6))
-def test_any_command_line_is_accepted_or_refused_in_one_line(
-    words: list[str], parsed: list[Any], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_any_command_line_is_accepted_or_refused_in_one_line(words, parsed, capsys):
     before = len(parsed)
     code = duplex(*words)
     said = capsys.readouterr().err

@@ -1,27 +1,22 @@
 """Pictures of each layout: no view reports a problem, and none is empty."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
-from rerun.experimental import ViewerClient
 
 from devices.events import Event
-from fusion.body import BODIES, KINECT_V2, Body
+from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
-from recordings.session_arrays import SessionFrame
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.pictures import headless_viewer
 from tests.helpers.two_views import A_FROM_B
 from tests.helpers.waiting import eventually
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.viewer.blueprint import LAYOUTS, SCENE, Layout, bone_title, session_blueprint
+from viewer_app.viewer.blueprint import LAYOUTS, SCENE, bone_title, session_blueprint
 
 _NO_DEFECT = (
     "oftware rasterizer",  # there is no graphics card
@@ -33,13 +28,13 @@ _INK = 60
 
 
 @pytest.fixture
-def seen() -> tuple[Fuser, list[SessionFrame]]:
+def seen():
     """Two seconds with depth images."""
     fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     return fuser, frames(fuser, 60, depth=True)
 
 
-def saved(path: Path, fuser: Fuser, made: list[SessionFrame], active: Layout) -> Path:
+def saved(path, fuser, made, active):
     blueprint = session_blueprint(fuser.setup, np.array([0.1, 0.1, 2.6]), active)
     with LiveSession(fuser.setup, ("a", "b"), blueprint, file=path) as live:
         live.coach(CoachPage("- **Mend:** step into the view of sensor A, to 2.5 m from both sensors\n" * 6))
@@ -49,7 +44,7 @@ def saved(path: Path, fuser: Fuser, made: list[SessionFrame], active: Layout) ->
     return path
 
 
-def expected(active: Layout) -> set[str]:
+def expected(active):
     """Names of the views that a layout shows at first."""
     if active == "report":
         bones = [KINECT_V2.bones[joint] for joint in KINECT_V2.bone_joints]
@@ -61,21 +56,19 @@ def expected(active: Layout) -> set[str]:
     return limbs | {SCENE, "which sensor each limb follows", "views differ (mm)"}
 
 
-def ink(picture: NDArray[np.uint8]) -> float:
+def ink(picture):
     """Share of a view that is drawn on; its title's bar is left out."""
     return float((picture[40:].max(axis=2) > _INK).mean())
 
 
 @pytest.mark.parametrize("active", LAYOUTS)
-def test_no_view_of_a_layout_complains_or_is_empty(
-    active: Layout, seen: tuple[Fuser, list[SessionFrame]], tmp_path: Path
-) -> None:
+def test_no_view_of_a_layout_complains_or_is_empty(active, seen, tmp_path):
     file = saved(tmp_path / "s.rrd", *seen, active)
     with headless_viewer(str(file)) as viewer:
         assert eventually(lambda: len(viewer.get_state().views) > 20)
         drawn = {}
 
-        def all_drawn() -> bool:
+        def all_drawn():
             for view in viewer.get_state().views:
                 if view.name not in expected(active) - drawn.keys():
                     continue
@@ -97,7 +90,7 @@ def test_no_view_of_a_layout_complains_or_is_empty(
         assert problems == []
 
 
-def ink_of(viewer: ViewerClient, view_id: str, folder: Path) -> float:
+def ink_of(viewer, view_id, folder):
     """Of one view; 0 where it is not on the screen."""
     path = folder / "view.png"
     try:
@@ -108,14 +101,14 @@ def ink_of(viewer: ViewerClient, view_id: str, folder: Path) -> float:
     return 0.0 if picture is None else ink(np.asarray(picture))
 
 
-def layouts(body: Body) -> dict[str, rrb.Container]:
+def layouts(body):
     blueprint = session_blueprint(
         FusionSetup(nominal_calibration(body)), np.array([0.1, 0.1, 2.6]), "inspect"
     )
     return {tab.name: tab for tab in blueprint.root_container.contents}
 
 
-def panes(container: rrb.Container | rrb.View) -> list[rrb.View]:
+def panes(container):
     """The views that are seen at once: of a group of tabs only the first."""
     if isinstance(container, rrb.View):
         return [container]
@@ -123,9 +116,9 @@ def panes(container: rrb.Container | rrb.View) -> list[rrb.View]:
     return [view for content in contents for view in panes(content)]
 
 
-def test_a_session_without_depth_images_promises_none() -> None:
-    tabs: dict[bool, list[str]] = {}
-    images: dict[bool, list[str]] = {}
+def test_a_session_without_depth_images_promises_none():
+    tabs = {}
+    images = {}
     for depth in (False, True):
         blueprint = session_blueprint(
             FusionSetup(nominal_calibration(KINECT_V2)), np.array([0.1, 0.1, 2.6]), "inspect", depth=depth
@@ -143,7 +136,7 @@ def test_a_session_without_depth_images_promises_none() -> None:
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)
-def test_a_report_has_every_bone_in_full_rows_with_short_titles(body: Body) -> None:
+def test_a_report_has_every_bone_in_full_rows_with_short_titles(body):
     quality, *rows = layouts(body)["report"].contents
     counts = [len(row.contents) for row in rows]
     shown = {bone_title(body.bones[joint]) for joint in body.bone_joints}  # left and right share a title

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fusion.setup import FuserSettings
 from fusion.skeleton import TrackingState
@@ -15,13 +14,13 @@ from recordings.writing.shown_figures import SHOWN_FIGURES
 from tests.helpers.live_frames import BODY, frames, known_fuser
 
 
-def shown_values(rows: SessionArrays, entity: str, component: str) -> NDArray[np.float64] | None:
+def shown_values(rows, entity, component):
     """(T, …) values of one derived figure; None where there are none."""
     return next(f for f in SHOWN_FIGURES if (f.entity, f.component) == (entity, component)).values(rows)
 
 
 @pytest.mark.parametrize("side", layout.SIDES)
-def test_joints_of_a_view_are_dimmed_where_inferred_or_exchanged(side: str) -> None:
+def test_joints_of_a_view_are_dimmed_where_inferred_or_exchanged(side):
     made = frames(known_fuser(), 3)
     rows = SessionArrays.stack(BODY, BODY.nominal_lengths, made)
     states = {name: getattr(rows, f"states_{name}").copy() for name in layout.SIDES}
@@ -42,7 +41,7 @@ def test_joints_of_a_view_are_dimmed_where_inferred_or_exchanged(side: str) -> N
 STEP = 1.0 / 512.0  # metres, of the spheres' radii
 
 
-def test_spheres_have_the_radius_of_one_standard_deviation() -> None:
+def test_spheres_have_the_radius_of_one_standard_deviation():
     made = frames(known_fuser(), 3)
     rows = SessionArrays.stack(BODY, BODY.nominal_lengths, made)
     half_sizes = shown_values(rows, layout.FUSED_SKELETON, layout.SIGMA_SPHERES)
@@ -53,7 +52,7 @@ def test_spheres_have_the_radius_of_one_standard_deviation() -> None:
     np.testing.assert_allclose(half_sizes, np.repeat(sigma[..., None], 3, axis=2), rtol=0, atol=0.51 * STEP)
 
 
-def test_a_sphere_is_no_larger_than_a_bone_of_any_direction_allows() -> None:
+def test_a_sphere_is_no_larger_than_a_bone_of_any_direction_allows():
     """A point on a sphere of radius L is √2 L from a random one (RMS): L² (1 − cos) · 2 on average."""
     made = frames(known_fuser(), 1)
     thumb = BODY.joint("THUMB_LEFT")
@@ -69,7 +68,7 @@ def test_a_sphere_is_no_larger_than_a_bone_of_any_direction_allows() -> None:
     np.testing.assert_allclose(np.delete(drawn, thumb), 0.03, rtol=0, atol=0.51 * STEP)
 
 
-def test_the_papers_methods_have_no_spheres() -> None:
+def test_the_papers_methods_have_no_spheres():
     fuser = known_fuser()
     setup = replace(fuser.setup, settings=FuserSettings(method="paper"))
     rows = SessionArrays.stack(BODY, BODY.nominal_lengths, frames(type(fuser)(setup), 2))

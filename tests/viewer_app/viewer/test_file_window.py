@@ -1,11 +1,8 @@
 """Replays and comparisons are written first and then shown, so that no viewer can delay them."""
 
 import lzma
-import subprocess
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO
 
 import numpy as np
 import pytest
@@ -31,22 +28,22 @@ BLUEPRINT = rrb.Blueprint(rrb.TextDocumentView(origin="/words", name="the only v
 class Opened:
     """Replaces the viewer and records the files that it would show."""
 
-    def __init__(self) -> None:
-        self.read: list[bytes] = []
+    def __init__(self):
+        self.read = []
 
-    def __call__(self, arguments: Sequence[str], stdin: IO[bytes]) -> tuple[None, int]:
+    def __call__(self, arguments, stdin):
         assert "-" in arguments
         self.read.append(stdin.read())
         return None, 0
 
 
 @pytest.fixture
-def headless(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[subprocess.Popen[bytes], int]]]:
+def headless(monkeypatch):
     """Viewers without a screen instead of windows: their processes and ports."""
     need_viewer()
-    started: list[tuple[subprocess.Popen[bytes], int]] = []
+    started = []
 
-    def start(arguments: Sequence[str], stdin: IO[bytes]) -> tuple[subprocess.Popen[bytes], int]:
+    def start(arguments, stdin):
         started.append(rerun_process.start_viewer(["--headless", *arguments], stdin))
         return started[-1]
 
@@ -57,29 +54,27 @@ def headless(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[subprocess.
 
 
 @pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> Opened:
+def opened(monkeypatch):
     viewer = Opened()
     monkeypatch.setattr(file_window, "start_viewer", viewer)
     return viewer
 
 
-def write(save: Path | None, window: bool) -> None:
+def write(save, window):
     with file_window.written_and_shown(save, window) as path:
         if path is not None:
             with whole_recording(path, BLUEPRINT) as stream:
                 stream.log("/words", rr.TextDocument("S*"))
 
 
-def test_the_window_gets_the_whole_file_and_the_file_its_name(opened: Opened, tmp_path: Path) -> None:
+def test_the_window_gets_the_whole_file_and_the_file_its_name(opened, tmp_path):
     save = tmp_path / "s.rrd"
     write(save, window=True)
     assert damage_of(save) is None
     assert opened.read == [save.read_bytes()]
 
 
-def test_without_a_name_the_file_lives_for_the_window_only(
-    opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_name_the_file_lives_for_the_window_only(opened, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     write(None, window=True)
     (shown,) = opened.read
@@ -89,8 +84,8 @@ def test_without_a_name_the_file_lives_for_the_window_only(
     assert damage_of(again) is None
 
 
-def test_a_failed_file_is_neither_kept_nor_shown(opened: Opened, tmp_path: Path) -> None:
-    def fail() -> None:
+def test_a_failed_file_is_neither_kept_nor_shown(opened, tmp_path):
+    def fail():
         with file_window.written_and_shown(tmp_path / "s.rrd", True):
             raise UsageError("…")
 
@@ -100,15 +95,13 @@ def test_a_failed_file_is_neither_kept_nor_shown(opened: Opened, tmp_path: Path)
     assert opened.read == []
 
 
-def test_without_a_window_nothing_opens(opened: Opened, tmp_path: Path) -> None:
+def test_without_a_window_nothing_opens(opened, tmp_path):
     write(tmp_path / "s.rrd", window=False)
     write(None, window=False)
     assert opened.read == []
 
 
-def test_a_viewer_shows_the_file_with_its_own_layout_after_the_file_is_gone(
-    headless: list[tuple[subprocess.Popen[bytes], int]],
-) -> None:
+def test_a_viewer_shows_the_file_with_its_own_layout_after_the_file_is_gone(headless):
     from rerun.experimental import ViewerClient
 
     write(None, window=True)
@@ -117,9 +110,7 @@ def test_a_viewer_shows_the_file_with_its_own_layout_after_the_file_is_gone(
     assert eventually(lambda: [view.name for view in viewer.get_state().views] == ["the only view"], 30.0)
 
 
-def test_a_session_of_version_0_1_is_shown_in_the_layout_of_today(
-    headless: list[tuple[subprocess.Popen[bytes], int]], tmp_path: Path
-) -> None:
+def test_a_session_of_version_0_1_is_shown_in_the_layout_of_today(headless, tmp_path):
     """No view complains that it lacks what older sessions do not have."""
     from rerun.experimental import ViewerClient
 
@@ -141,9 +132,7 @@ def test_a_session_of_version_0_1_is_shown_in_the_layout_of_today(
     assert [(view.name, report.summary) for view in viewer.get_state().views for report in view.reports] == []
 
 
-def test_the_time_cursor_of_a_new_window_stands_where_asked(
-    headless: list[tuple[subprocess.Popen[bytes], int]], tmp_path: Path
-) -> None:
+def test_the_time_cursor_of_a_new_window_stands_where_asked(headless, tmp_path):
     """Left alone, the viewer opens at the end of a file."""
     from rerun.experimental import ViewerClient
 
@@ -156,7 +145,7 @@ def test_the_time_cursor_of_a_new_window_stands_where_asked(
     ((_, port),) = headless
     viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
 
-    def cursor() -> list[tuple[str | None, int | None]]:
+    def cursor():
         return [(one.current_timeline, one.current_time) for one in viewer.get_state().recordings]
 
     assert eventually(lambda: cursor() == [(layout.TIME, 4_000_000_000)], 10.0), cursor()
@@ -164,8 +153,8 @@ def test_the_time_cursor_of_a_new_window_stands_where_asked(
 
 @pytest.mark.parametrize(("exit_code", "within"), [(None, 0.2), (0, 3600.0)])
 def test_a_window_that_does_not_take_the_time_or_is_closed_is_given_up(
-    exit_code: int | None, within: float, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+    exit_code, within, monkeypatch, tmp_path
+):
     path = tmp_path / "s.rrd"
     path.write_bytes(b"")
     process = SimpleNamespace(poll=lambda: exit_code)

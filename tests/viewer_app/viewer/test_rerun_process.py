@@ -20,7 +20,7 @@ sys.stdin.read()
 """
 
 
-def gone(pid: int) -> bool:
+def gone(pid):
     """Returns whether a process has ended, even if its exit code has not been read yet."""
     try:
         return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
@@ -29,7 +29,7 @@ def gone(pid: int) -> bool:
 
 
 @pytest.mark.parametrize("how", ["killed", "ended"])
-def test_a_hub_does_not_outlive_the_program(how: str) -> None:
+def test_a_hub_does_not_outlive_the_program(how):
     with subprocess.Popen(
         [sys.executable, "-c", _STARTS_A_HUB], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT
     ) as program:
@@ -46,7 +46,7 @@ def test_a_hub_does_not_outlive_the_program(how: str) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="signals to a process group")
-def test_nothing_survives_two_ctrl_c_while_a_page_is_served() -> None:
+def test_nothing_survives_two_ctrl_c_while_a_page_is_served():
     arguments = ["-m", "viewer_app.cli", "demo", "--web", "--depth", "none", "--seconds", "60", "--quiet"]
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     with subprocess.Popen(
@@ -70,7 +70,7 @@ def test_nothing_survives_two_ctrl_c_while_a_page_is_served() -> None:
         assert eventually(lambda: all(gone(child.pid) for child in children))
 
 
-def _pressed(program: subprocess.Popen[bytes]) -> bool:
+def _pressed(program):
     if program.poll() is None:
         program.send_signal(signal.SIGINT)
     return program.poll() is not None

@@ -1,7 +1,6 @@
 """The point clouds of a saved session are computed when it is viewed."""
 
 import shutil
-from pathlib import Path
 
 import pytest
 
@@ -18,7 +17,7 @@ from viewer_app.viewer.stored_clouds import add_clouds, clouds, has_depth_images
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(tmp_path_factory):
     """Two seconds with depth images of both sensors."""
     file = tmp_path_factory.mktemp("clouds") / "s.rrd"
     fuser = known_fuser()
@@ -29,18 +28,18 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def saved(recorded: Path, tmp_path: Path) -> Path:
+def saved(recorded, tmp_path):
     """A copy, which a test may delete."""
     return shutil.copy(recorded, tmp_path / "saved.rrd")
 
 
-def test_clouds_come_by_turns_and_evenly_in_time(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clouds_come_by_turns_and_evenly_in_time(saved, monkeypatch):
     monkeypatch.setattr(stored_clouds, "_MOST", 20)
     made = [(side, frame) for side, frame, _ in clouds(Session.open(saved))]
     assert made == [(side, frame) for frame in range(0, 60, 6) for side in layout.SIDES]
 
 
-def test_a_cloud_is_a_part_of_the_points_of_its_image(saved: Path) -> None:
+def test_a_cloud_is_a_part_of_the_points_of_its_image(saved):
     opened = Session.open(saved)
     side, frame, points = next(clouds(opened))
     _, image = next(iter(opened.depth(side, frame)))
@@ -49,7 +48,7 @@ def test_a_cloud_is_a_part_of_the_points_of_its_image(saved: Path) -> None:
     assert {tuple(p) for p in points.tolist()} <= every
 
 
-def test_only_a_session_with_images_has_clouds(saved: Path, tmp_path: Path) -> None:
+def test_only_a_session_with_images_has_clouds(saved, tmp_path):
     assert has_depth_images(saved)
     file = tmp_path / "none.rrd"
     fuser = known_fuser()
@@ -61,11 +60,11 @@ def test_only_a_session_with_images_has_clouds(saved: Path, tmp_path: Path) -> N
     assert not has_depth_images(file)
 
 
-def url_of(port: int) -> str:
+def url_of(port):
     return f"rerun+http://{LOOPBACK}:{port}/proxy"
 
 
-def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_deleted(saved: Path) -> None:
+def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_deleted(saved):
     from rerun.experimental import ViewerClient
 
     need_viewer()
@@ -79,7 +78,7 @@ def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_delete
         assert program.wait(timeout=60.0) == 0
         client = ViewerClient.connect(url_of(port))
 
-        def arrived() -> bool:
+        def arrived():
             ids = [recording.store_id for recording in client.get_state().recordings]
             if ids != [f"Recording:{identity[0]}:{identity[1]}"]:
                 return False

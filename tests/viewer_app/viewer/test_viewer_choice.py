@@ -2,7 +2,6 @@
 
 import io
 import socket
-from collections.abc import Iterator
 from contextlib import contextmanager
 from urllib.request import Request, urlopen
 
@@ -10,10 +9,8 @@ import cv2
 import numpy as np
 import psutil
 import pytest
-from numpy.typing import NDArray
 from rich.console import Console
 
-from fusion.fuser import Fuser
 from recordings import layout
 from recordings.appearance.colors import SKELETON_COLORS
 from tests.helpers.live_frames import frames, session
@@ -23,7 +20,6 @@ from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import ViewerOptions
-from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer import rerun_process
 from viewer_app.viewer.rerun_process import DATA_PORT, PAGE_PORT, Hub, free_port, start_viewer, stop
 from viewer_app.viewer.viewer_choice import Viewing, announce, choose_viewing
@@ -31,32 +27,32 @@ from viewer_app.viewer.viewer_choice import Viewing, announce, choose_viewing
 _DRAWN_WITHIN = 60.0
 
 
-def web_hub(address: str = LOOPBACK) -> Hub:
+def web_hub(address=LOOPBACK):
     """A hub on any ports: other tests run beside."""
     return Hub(free_port(address), free_port(address), address)
 
 
 @pytest.fixture
-def served(fuser: Fuser) -> Iterator[LiveSession]:
+def served(fuser):
     """A session that is served to browsers."""
     with session(fuser, None, web_hub(), active="setup") as live:
         yield live
 
 
-def listening(pid: int) -> set[str]:
+def listening(pid):
     """The addresses that a process and its children listen on."""
     process = psutil.Process(pid)
     everyone = [process, *process.children(recursive=True)]
     return {c.laddr.ip for p in everyone for c in p.net_connections("inet") if c.status == psutil.CONN_LISTEN}
 
 
-def test_hub_page_and_window_listen_on_loopback_only(served: LiveSession) -> None:
+def test_hub_page_and_window_listen_on_loopback_only(served):
     assert listening(served.viewer.process.pid) == {"127.0.0.1"}
     own = {c.laddr.ip for c in psutil.Process().net_connections("inet") if c.status == psutil.CONN_LISTEN}
     assert own <= {"127.0.0.1"}
 
 
-def test_a_viewer_that_we_start_listens_on_loopback_only() -> None:
+def test_a_viewer_that_we_start_listens_on_loopback_only():
     need_viewer()
     viewer, _ = start_viewer(["--headless"])
     try:
@@ -65,30 +61,30 @@ def test_a_viewer_that_we_start_listens_on_loopback_only() -> None:
         stop(viewer)
 
 
-def test_an_address_that_is_asked_for_is_listened_on(fuser: Fuser) -> None:
+def test_an_address_that_is_asked_for_is_listened_on(fuser):
     with session(fuser, None, web_hub("0.0.0.0")) as live:
         assert listening(live.viewer.process.pid) == {"0.0.0.0"}
 
 
-def test_usage_statistics_are_off(served: LiveSession) -> None:
+def test_usage_statistics_are_off(served):
     assert psutil.Process(served.viewer.process.pid).environ()["RERUN_ANALYTICS"] == "0"
 
 
-def test_the_page_is_the_viewer_with_the_session(served: LiveSession) -> None:
+def test_the_page_is_the_viewer_with_the_session(served):
     hub = served.viewer.hub
     with urlopen(hub.page, timeout=5.0) as page:
         assert b"<canvas" in page.read()
     assert f":{hub.port}/proxy" in hub.page
 
 
-def said(viewing: Viewing | None, monkeypatch: pytest.MonkeyPatch, live: bool = False) -> str:
+def said(viewing, monkeypatch, live=False):
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
     out = io.StringIO()
     announce(viewing, Console(file=out, width=300), live)
     return out.getvalue()
 
 
-def test_listening_to_others_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_listening_to_others_is_warned_of(monkeypatch):
     alone, open_to_all = (
         said(Viewing(hub=web_hub(address)), monkeypatch) for address in (LOOPBACK, "0.0.0.0")
     )
@@ -100,7 +96,7 @@ def test_listening_to_others_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.fixture
-def own_address() -> str:
+def own_address():
     """This machine's address on its network, which is not the loopback one; skips where there is none."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as way:
         try:
@@ -110,9 +106,7 @@ def own_address() -> str:
         return str(way.getsockname()[0])
 
 
-def test_a_browser_elsewhere_gets_an_address_that_it_reaches_and_may_read(
-    own_address: str, fuser: Fuser, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_browser_elsewhere_gets_an_address_that_it_reaches_and_may_read(own_address, fuser, monkeypatch):
     hub = web_hub("0.0.0.0")
     text = said(Viewing(hub=hub), monkeypatch)
     assert "127.0.0.1" not in text
@@ -125,9 +119,7 @@ def test_a_browser_elsewhere_gets_an_address_that_it_reaches_and_may_read(
             assert answer.headers["Access-Control-Allow-Origin"] == origin
 
 
-def test_the_ports_for_browsers_are_fixed_and_the_next_ones_where_they_are_taken(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_ports_for_browsers_are_fixed_and_the_next_ones_where_they_are_taken(monkeypatch):
     monkeypatch.setattr(rerun_process, "PAGE_PORT", free_port())
     with socket.socket() as other:
         other.bind((LOOPBACK, 0))
@@ -153,16 +145,14 @@ def test_the_ports_for_browsers_are_fixed_and_the_next_ones_where_they_are_taken
         ({}, "There is no display"),
     ],
 )
-def test_contradicting_options_give_one_line(
-    options: dict[str, object], words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_contradicting_options_give_one_line(options, words, monkeypatch):
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
     with pytest.raises(UsageError, match=words):
-        choose_viewing(ViewerOptions(**options), None, live=True)  # type: ignore[arg-type]
+        choose_viewing(ViewerOptions(**options), None, live=True)
 
 
 @contextmanager
-def browser() -> Iterator[object]:
+def browser():
     """Debian's Chromium without a screen, drawing on the CPU."""
     playwright = pytest.importorskip("playwright.sync_api", reason="the dev extra has playwright")
     program = need_browser()
@@ -178,17 +168,17 @@ def browser() -> Iterator[object]:
             chromium.close()
 
 
-def test_a_browser_that_comes_later_sees_the_three_skeletons(served: LiveSession, fuser: Fuser) -> None:
+def test_a_browser_that_comes_later_sees_the_three_skeletons(served, fuser):
     hub = served.viewer.hub
     for frame in frames(fuser, 60):
         served.write(frame)
     with browser() as chromium:
-        page = chromium.new_page()  # type: ignore[attr-defined]
+        page = chromium.new_page()
         page.goto(hub.page)
 
-        def sees_skeletons() -> bool:
+        def sees_skeletons():
             shot = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-            picture: NDArray[np.uint8] = np.asarray(shot[..., ::-1])
+            picture = np.asarray(shot[..., ::-1])
             lines = all(pixels_near(picture, SKELETON_COLORS[side]) > 50 for side in layout.SIDES)
             return lines and pixels_near(picture, SKELETON_COLORS["fused"], 70) > 50  # a body with shades
 

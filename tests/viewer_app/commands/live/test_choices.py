@@ -2,7 +2,6 @@
 
 import io
 import sys
-from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -10,38 +9,32 @@ from rich.console import Console
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from tests.helpers.command_line import duplex
-from tests.helpers.standin_library import Standin
-from tests.helpers.standin_pyk4a import Bus
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.sensors.local import two_connected_sensors
 
 
-def _pairing_settings(monkeypatch: pytest.MonkeyPatch, **options: object) -> dict[str, object]:
+def _pairing_settings(monkeypatch, **options):
     """The arguments that ``two_connected_sensors`` passes to the pairing."""
-    given: dict[str, object] = {}
+    given = {}
 
-    def pairing(interval_ns: int, **more: object) -> LivePairing:
+    def pairing(interval_ns, **more):
         given.update(interval_ns=interval_ns, **more)
-        return LivePairing(interval_ns, **more)  # type: ignore[arg-type]
+        return LivePairing(interval_ns, **more)
 
     monkeypatch.setattr("viewer_app.sensors.local.LivePairing", pairing)
-    two_connected_sensors(LiveOptions(**options), Console())  # type: ignore[arg-type]
+    two_connected_sensors(LiveOptions(**options), Console())
     return given
 
 
 @pytest.mark.usefixtures("kinects")
 @pytest.mark.parametrize(("principal", "b_later_ns"), [("000456", 160_000), ("000123", -160_000)])
-def test_b_captures_later_where_a_leads_and_earlier_where_it_follows(
-    principal: str, b_later_ns: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_b_captures_later_where_a_leads_and_earlier_where_it_follows(principal, b_later_ns, monkeypatch):
     # the cable leads from 000456 to 000123
     assert _pairing_settings(monkeypatch, principal=principal)["sync_delay_ns"] == b_later_ns
 
 
 @pytest.mark.parametrize("fps", [5, 15, 30])
-def test_pairing_has_the_interval_of_the_cameras(
-    kinects: Bus, monkeypatch: pytest.MonkeyPatch, fps: int
-) -> None:
+def test_pairing_has_the_interval_of_the_cameras(kinects, monkeypatch, fps):
     for device in kinects.devices:
         device.jacks = (False, False)
     given = _pairing_settings(monkeypatch, principal="000123", fps=fps)
@@ -50,12 +43,10 @@ def test_pairing_has_the_interval_of_the_cameras(
 
 @pytest.mark.parametrize(("processing", "within_s"), [("gpu", 120.0), ("tensorrt", 900.0)])
 @pytest.mark.usefixtures("kinects")
-def test_tensorrt_has_time_to_build_its_engine(
-    processing: str, within_s: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    given: list[float] = []
+def test_tensorrt_has_time_to_build_its_engine(processing, within_s, monkeypatch, capsys):
+    given = []
 
-    def open_thread(thread: SensorThread) -> SensorThread:
+    def open_thread(thread):
         given.extend((thread._limits.open_s, thread.sensor.settings.start_s))
         return thread
 
@@ -68,15 +59,9 @@ def test_tensorrt_has_time_to_build_its_engine(
 
 @pytest.mark.parametrize(("answer", "principal"), [("1\n", "000123"), ("x\n\n000456\n", "000456")])
 @pytest.mark.usefixtures("kinects")
-def test_it_asks_which_is_which(
-    standin: Standin,
-    answer: str,
-    principal: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_it_asks_which_is_which(standin, answer, principal, monkeypatch, capsys):
     terminal = io.StringIO(answer)
-    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    terminal.isatty = lambda: True
     monkeypatch.setattr(sys, "stdin", terminal)
     assert duplex("live", "--k4abt", standin.path, "--no-viewer", "--seconds", 0.2) == 0
     said = capsys.readouterr().out
@@ -85,18 +70,14 @@ def test_it_asks_which_is_which(
 
 
 @pytest.mark.usefixtures("kinects")
-def test_without_a_terminal_it_says_what_to_choose_from(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_terminal_it_says_what_to_choose_from(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     assert duplex("live", "--no-viewer") == 2
     assert "--principal 000123 or --principal 000456" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("kinects")
-def test_mistakes_give_one_line_before_any_sensor_opens(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_mistakes_give_one_line_before_any_sensor_opens(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     taken = tmp_path / "taken.rrd"

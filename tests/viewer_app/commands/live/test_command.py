@@ -2,8 +2,6 @@
 
 import gc
 import sys
-from pathlib import Path
-from types import ModuleType
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -16,15 +14,13 @@ from recordings.calibration_file import calibration_to_json
 from recordings.file.rrd_file import read_columns
 from recordings.session import Session
 from tests.helpers.command_line import duplex
-from tests.helpers.live_program import Live
 from tests.helpers.session_text import rows_of
-from tests.helpers.standin_library import Standin
-from tests.helpers.standin_pyk4a import JPEG, Bus
+from tests.helpers.standin_pyk4a import JPEG
 from viewer_app.commands import demo as demo_command
 from viewer_app.commands import live as live_command
 
 
-def test_two_sensors_become_a_session_and_a_summary(kinects: Bus, live: Live, tmp_path: Path) -> None:
+def test_two_sensors_become_a_session_and_a_summary(kinects, live, tmp_path):
     said = live("--verbose")
     for words in ("Sync cable: B leads, A captures 160 µs later", "Paired", "Largest bone error", "Saved"):
         assert words in said
@@ -40,9 +36,7 @@ def test_two_sensors_become_a_session_and_a_summary(kinects: Bus, live: Live, tm
 
 @pytest.mark.usefixtures("kinects")
 @pytest.mark.parametrize("command", [live_command, demo_command])
-def test_kernels_are_compiled_before_the_first_frame(
-    command: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_kernels_are_compiled_before_the_first_frame(command, monkeypatch):
     class WarmedUpError(Exception):
         pass
 
@@ -53,7 +47,7 @@ def test_kernels_are_compiled_before_the_first_frame(
         duplex(command.__name__.rpartition(".")[2], *sensors, "--no-viewer", "--seconds", 1)
 
 
-def test_options_reach_the_sensors_and_the_tracker(kinects: Bus, live: Live, standin: Standin) -> None:
+def test_options_reach_the_sensors_and_the_tracker(kinects, live, standin):
     options = ("--fps", 15, "--depth-mode", "WFOV_2X2BINNED", "--color", "1080P", "--processing", "cuda")
     for device in kinects.devices:
         device.interval_usec = 66_667
@@ -67,13 +61,13 @@ def test_options_reach_the_sensors_and_the_tracker(kinects: Bus, live: Live, sta
 
 
 @pytest.mark.parametrize(("depth", "shape"), [("none", None), ("half", (288, 320)), ("full", (576, 640))])
-def test_as_much_depth_is_saved_as_asked_for(live: Live, depth: str, shape: tuple[int, int] | None) -> None:
+def test_as_much_depth_is_saved_as_asked_for(live, depth, shape):
     live("--depth", depth, seconds=0.4)
     session = Session.open(live.saved)
     assert {image.shape for side in "ab" for _, image in session.depth(side)} == ({shape} if shape else set())
 
 
-def test_colour_and_depth_of_one_moment_are_in_the_session(kinects: Bus, live: Live, tmp_path: Path) -> None:
+def test_colour_and_depth_of_one_moment_are_in_the_session(kinects, live, tmp_path):
     for device in kinects.devices:
         device.color = True
     part, again = tmp_path / "part.rrd", tmp_path / "again.rrd"
@@ -94,7 +88,7 @@ def test_colour_and_depth_of_one_moment_are_in_the_session(kinects: Bus, live: L
     assert [*dict(Session.open(again).color("b"))] == [*dict(session.color("b"))]
 
 
-def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, live: Live) -> None:
+def test_skew_drift_and_drops_are_on_the_timeline(kinects, live):
     _, b = kinects.devices
     b.interval_usec = 40_000
     live(seconds=1.5)
@@ -108,7 +102,7 @@ def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, live: Live) -> N
     assert (np.diff(unpaired, axis=0) >= 0).all()
 
 
-def test_a_calibration_is_loaded_and_kept(live: Live, tmp_path: Path) -> None:
+def test_a_calibration_is_loaded_and_kept(live, tmp_path):
     before, after = tmp_path / "before.json", tmp_path / "after.json"
     before.write_text(calibration_to_json(nominal_calibration(AZURE_KINECT)), encoding="utf-8")
     options = ("--calibrate", before, "--save-calibration", after)
@@ -117,15 +111,15 @@ def test_a_calibration_is_loaded_and_kept(live: Live, tmp_path: Path) -> None:
     assert f"loaded from {before}" in text
 
 
-def test_a_missing_calibration_is_reported_and_the_session_is_kept(live: Live, tmp_path: Path) -> None:
+def test_a_missing_calibration_is_reported_and_the_session_is_kept(live, tmp_path):
     wanted = tmp_path / "calibration.json"
     assert "no calibration was found" in live("--save-calibration", wanted, seconds=0.3, codes=(2,))
     assert rows_of(live.saved, "/fused/skeleton") > 0
     assert not wanted.exists()
 
 
-def test_driver_raises_what_no_one_expects(kinects: Bus, live: Live) -> None:
-    def oddity() -> None:
+def test_driver_raises_what_no_one_expects(kinects, live):
+    def oddity():
         raise RuntimeError("driver oddity")
 
     kinects.devices[0].at[20] = oddity

@@ -1,12 +1,8 @@
 """``duplex live`` on Orbbec sensors, and on Azure Kinects with the program's own tracker."""
 
 import sys
-from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-import rerun.blueprint as rrb
 
 from devices.blazepose.blazepose import BlazePose
 from fusion.body import BLAZEPOSE
@@ -17,9 +13,9 @@ from fusion.skeleton import Skeleton
 from recordings.session import Session
 from tests.helpers.command_line import duplex
 from tests.helpers.orbbec import standin_values as values
-from tests.helpers.orbbec.standin import Orbbec, OrbbecBus
+from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.session_text import rows_of
-from tests.helpers.standin_pyk4a import Bus, Device
+from tests.helpers.standin_pyk4a import Device
 from tests.helpers.two_views import moving
 from viewer_app.sinks.live_session import LiveSession
 
@@ -28,14 +24,12 @@ MODES = values.OBMultiDeviceSyncMode
 
 
 @pytest.fixture
-def own_tracker(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+def own_tracker(monkeypatch):
     """A stand-in for the program's tracker, without networks. It finds a standing person in each image."""
-    images: list[np.ndarray] = []
+    images = []
     standing = moving(BLAZEPOSE, 1)[0]
 
-    def track(
-        _self: BlazePose, image: np.ndarray, depth: np.ndarray, _camera: object, time_ns: int
-    ) -> dict[str, Skeleton]:
+    def track(_self, image, depth, _camera, time_ns):
         assert image.shape == depth.shape
         images.append(image)
         return {"1": Skeleton.of(BLAZEPOSE, standing, time_ns=time_ns)}
@@ -48,7 +42,7 @@ def own_tracker(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
 
 @pytest.fixture
-def bolts(orbbecs: OrbbecBus, own_tracker: list[np.ndarray], monkeypatch: pytest.MonkeyPatch) -> OrbbecBus:
+def bolts(orbbecs, own_tracker, monkeypatch):
     """Two Femto Bolts at a real sensor's pace, on a machine without pyk4a."""
     assert own_tracker == []
     monkeypatch.setitem(sys.modules, "pyk4a", None)
@@ -56,13 +50,11 @@ def bolts(orbbecs: OrbbecBus, own_tracker: list[np.ndarray], monkeypatch: pytest
     return orbbecs
 
 
-def _live(*arguments: object, seconds: float = 1.0) -> int:
+def _live(*arguments, seconds=1.0):
     return duplex("live", "--kinect-a", A, "--kinect-b", B, "--no-viewer", "--seconds", seconds, *arguments)
 
 
-def test_two_orbbec_sensors_become_a_session(
-    bolts: OrbbecBus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_orbbec_sensors_become_a_session(bolts, tmp_path, capsys):
     saved = tmp_path / "live.rrd"
     assert _live("--save", saved) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -81,7 +73,7 @@ def test_two_orbbec_sensors_become_a_session(
     assert "blazepose full" in capsys.readouterr().out
 
 
-def test_the_named_master_leads(bolts: OrbbecBus, tmp_path: Path) -> None:
+def test_the_named_master_leads(bolts, tmp_path):
     saved = tmp_path / "live.rrd"
     assert _live("--sync-master", A, "--save", saved) == 0
     assert bolts.started == [B, A], "the secondary first"
@@ -89,7 +81,7 @@ def test_the_named_master_leads(bolts: OrbbecBus, tmp_path: Path) -> None:
     assert len(Session.open(saved)) > 0
 
 
-def test_impossible_options_give_one_line(bolts: OrbbecBus, capsys: pytest.CaptureFixture[str]) -> None:
+def test_impossible_options_give_one_line(bolts, capsys):
     for arguments, message in (
         (("--tracker", "k4abt"), f"{A}: k4abt takes images of libk4a only"),
         (("--color", "3072P", "--fps", 15), "Orbbec's sensors have no colour 3072P"),
@@ -102,9 +94,7 @@ def test_impossible_options_give_one_line(bolts: OrbbecBus, capsys: pytest.Captu
     assert bolts.open_serials == []
 
 
-def test_azure_kinects_are_tracked_by_our_tracker(
-    bus: Bus, own_tracker: list[np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_azure_kinects_are_tracked_by_our_tracker(bus, own_tracker, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
     bus.devices = [Device("000123", paced=True), Device("000456", paced=True)]
     saved = tmp_path / "live.rrd"
@@ -119,8 +109,8 @@ def test_azure_kinects_are_tracked_by_our_tracker(
     assert {int(image[0, 0]) for image in own_tracker} == {900}, "the infrared images"
 
 
-def _view_names(blueprint: rrb.Blueprint) -> set[str]:
-    def names(part: Any) -> set[str]:
+def _view_names(blueprint):
+    def names(part):
         return {str(part.name)}.union(
             *(names(inner) for inner in getattr(part, "contents", ()) if hasattr(inner, "name"))
         )
@@ -129,14 +119,12 @@ def _view_names(blueprint: rrb.Blueprint) -> set[str]:
 
 
 @pytest.mark.parametrize(("depth", "shown"), [("half", True), ("none", False)])
-def test_the_viewer_shows_the_infrared_that_our_tracker_works_on(
-    bolts: OrbbecBus, depth: str, shown: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_viewer_shows_the_infrared_that_our_tracker_works_on(bolts, depth, shown, monkeypatch):
     assert len(bolts.devices) == 2
-    given: list[tuple[rrb.Blueprint, rrb.Blueprint]] = []
+    given = []
 
     class Watched(LiveSession):
-        def __init__(self, setup: Any, sources: Any, blueprint: Any, **more: Any) -> None:
+        def __init__(self, setup, sources, blueprint, **more):
             given.append((blueprint, more["file_blueprint"]))
             super().__init__(setup, sources, blueprint, **more)
 
