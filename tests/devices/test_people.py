@@ -91,12 +91,7 @@ def test_the_person_seen_longest_is_followed_unless_another_is_wanted():
 
 
 def test_the_next_person_is_followed_under_the_same_id():
-    frames = [
-        *_alone(range(7), "2"),
-        SensorFrame(7),
-        *_alone(range(8, 11), "4"),
-        *_alone(range(11, 12), "5"),
-    ]
+    frames = [*_alone(range(7), "2"), SensorFrame(7), *_alone(range(8, 11), "4"), *_alone(range(11, 12), "5")]
     beside = _alone(range(3, 4), "3")[0].people | frames[3].people
     frames[3] = SensorFrame(3, beside)  # someone else, at the same time
     people = RecordedPeople.of(AZURE_KINECT, frames)

@@ -64,10 +64,7 @@ def test_the_programs_tracker_takes_images_of_other_sensors():
     assert MICROSOFTS.for_images_of([]) is MICROSOFTS
     assert OURS.for_images_of([A]) is OURS
     changed = MICROSOFTS.for_images_of([A, B])
-    assert (changed.name, changed.reason) == (
-        "blazepose",
-        f"k4abt does not take the images of {A} and {B}",
-    )
+    assert (changed.name, changed.reason) == ("blazepose", f"k4abt does not take the images of {A} and {B}")
     with pytest.raises(DeviceError, match=f"{A}: k4abt takes images of libk4a only"):
         choose_tracker("k4abt").for_images_of([A])
 

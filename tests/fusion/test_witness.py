@@ -107,8 +107,7 @@ def test_the_surface_places_a_joint_below_the_middle_of_its_silhouette(skeleton)
 
 
 @pytest.mark.parametrize(
-    "wrist",
-    [{"gap": 0.1}, {"gap": -0.3}, {"edge": -0.03}, {"offset_x": np.nan}, {"offset_x": 0.09}],
+    "wrist", [{"gap": 0.1}, {"gap": -0.3}, {"edge": -0.03}, {"offset_x": np.nan}, {"offset_x": 0.09}]
 )
 def test_a_surface_that_is_not_the_joints_measures_nothing(skeleton, wrist):
     _, places, information = evidence_in(witness_of(**wrist), skeleton)

@@ -1,7 +1,6 @@
 """Runs the program's commands in this process."""
 
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -11,13 +10,13 @@ from viewer_app import cli
 @pytest.fixture
 def parsed(monkeypatch):
     """Options of the commands that were accepted; nothing is carried out."""
-    seen: list[Any] = []
+    seen = []
     stand_in = SimpleNamespace(import_module=lambda _: SimpleNamespace(run=seen.append))
     monkeypatch.setattr(cli, "importlib", stand_in)
     return seen
 
 
-def duplex(*arguments: object) -> int:
+def duplex(*arguments):
     """Runs a command in this process and returns its exit code."""
     try:
         cli.main([str(argument) for argument in arguments])
@@ -26,7 +25,7 @@ def duplex(*arguments: object) -> int:
     return 0
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+def one_line(capsys):
     """Returns the one line of error that a command printed."""
     said = capsys.readouterr().err
     assert said.startswith("duplex: ")

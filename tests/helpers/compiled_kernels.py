@@ -21,7 +21,7 @@ Fuser(FusionSetup(nominal_calibration(AZURE_KINECT), FuserSettings(method=sys.ar
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_setupnodes() -> None:
+def pytest_xdist_setupnodes():
     processes = [
         subprocess.Popen([sys.executable, "-c", _WARM_UP, method], cwd=_ROOT) for method in get_args(Method)
     ]

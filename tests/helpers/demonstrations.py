@@ -1,26 +1,21 @@
 """``duplex demo`` without its clock, its images and its viewer: its pairs, its S* and its coach's advice."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from devices.pairing import FramePair
 from devices.simulated.demonstration import Demonstration, demonstrated, demonstration
-from devices.simulated.kinect import PERSON, Scene, SimulatedKinect, simulated_pair
-from devices.simulated.rig import Rig
+from devices.simulated.kinect import PERSON, Scene, simulated_pair
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from fusion.body import Body
-from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
+from fusion.calibration.calibration import calibrate, nominal_calibration
 from fusion.fuser import Fuser
-from fusion.intrinsics import Intrinsics
 from fusion.setup import FusionSetup
 from recordings.fusing.live_fusion import LiveFusion
 from recordings.fusing.pairs import fuse_one
 from recordings.session_arrays import SessionFrame
-from viewer_app.coach.advice import Advice
 from viewer_app.coach.setup_coach import Coach, Situation
 
 
-def pairs_of(a: SimulatedKinect, b: SimulatedKinect) -> Iterator[FramePair]:
+def pairs_of(a, b):
     """The frames of two sensors that drop none."""
     for one, other in zip(a.frames(), b.frames(), strict=True):
         yield FramePair.of(one, other, PERSON, PERSON, one.time_ns, other.time_ns - one.time_ns)
@@ -35,7 +30,7 @@ class Run:
     events: list[tuple[float, str]]
 
 
-def fused_demonstration(body: Body, seconds: float, seed: int = 0, motion: str = "badminton") -> Run:
+def fused_demonstration(body, seconds, seed=0, motion="badminton"):
     """Fuses a demonstration as the live loop does."""
     shown = demonstration(Scene(demonstrated(motion), body, seconds=seconds, seed=seed))
     setup = FusionSetup(nominal_calibration(body), None, shown.a.intrinsics, shown.b.intrinsics)
@@ -46,9 +41,7 @@ def fused_demonstration(body: Body, seconds: float, seed: int = 0, motion: str =
     return run
 
 
-def advice_over(
-    rig: Rig, body: Body, motion: str, seconds: float = 30.0, fps: float = 3.0
-) -> dict[str, Advice]:
+def advice_over(rig, body, motion, seconds=30.0, fps=3.0):
     """The first advice on each topic that the coach gives while a person moves before two sensors.
 
     Few frames per second are enough: no advice depends on single frames. The calibration is that of a
@@ -59,7 +52,7 @@ def advice_over(
     calibration = _calibration(rig, body)
     first = None
     coach = Coach(body, (_lens(a), _lens(b)), rate=fps)
-    said: dict[str, Advice] = {}
+    said = {}
     for pair in pairs_of(a, b):
         first = first or fuse_one(Fuser(FusionSetup(calibration)), pair)
         frame = replace(first, pair=pair)
@@ -68,13 +61,13 @@ def advice_over(
     return said
 
 
-def _calibration(rig: Rig, body: Body) -> Calibration:
+def _calibration(rig, body):
     a, b, _ = simulated_pair(
         motion="startup", body=body, seconds=5 * rig.frame_seconds, rig=rig, errors=TrackerErrors()
     )
     return calibrate(body, [pair.skeletons for pair in pairs_of(a, b)], "start-up pose")
 
 
-def _lens(sensor: SimulatedKinect) -> Intrinsics:
+def _lens(sensor):
     assert sensor.intrinsics is not None
     return sensor.intrinsics

@@ -2,7 +2,6 @@
 
 import ast
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -13,12 +12,12 @@ _FIELD = re.compile(r"\{[^{}]*\}")  # of str.format
 _SPAN = re.compile(r"(?<!`)`(duplex [a-z][^`\n]*)`")
 
 
-def documents() -> list[Path]:
+def documents():
     """All documents of the project."""
     return [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 
 
-def commands_of(document: Path) -> Iterator[str]:
+def commands_of(document):
     """The command lines of ``duplex`` in a document's shell blocks, without comments."""
     for block in _FENCE.findall(document.read_text(encoding="utf-8")):
         for line in block.replace("\\\n", " ").splitlines():
@@ -27,17 +26,17 @@ def commands_of(document: Path) -> Iterator[str]:
                 yield command
 
 
-def python_of(document: Path) -> list[str]:
+def python_of(document):
     """The Python blocks of a document."""
     return _PYTHON.findall(document.read_text(encoding="utf-8"))
 
 
-def mentions_of(document: Path) -> Iterator[str]:
+def mentions_of(document):
     """The commands of ``duplex`` that a document mentions in its sentences."""
     yield from _SPAN.findall(document.read_text(encoding="utf-8"))
 
 
-def message_templates() -> set[str]:
+def message_templates():
     """Every text in the program, with an ellipsis for each value that is put into it."""
     found = set()
     for package in PACKAGES:

@@ -1,12 +1,9 @@
 """Frames of two sensors that see a moving person, as input of the loop."""
 
-from collections.abc import Iterable, Iterator, Sequence
-
 import numpy as np
 
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
-from fusion.body import Body
 from fusion.skeleton import Skeleton
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
@@ -16,26 +13,17 @@ class KnownSensors:
 
     figures = None
 
-    def __init__(self, pairs: Iterable[FramePair], waiting: bool = False) -> None:
+    def __init__(self, pairs, waiting=False):
         self._pairs, self.waiting = pairs, waiting
 
-    def pairs(self) -> Iterator[FramePair]:
+    def pairs(self):
         return iter(self._pairs)
 
-    def events(self) -> tuple[()]:
+    def events(self):
         return ()
 
 
-def frame_pairs(
-    body: Body,
-    frames: int,
-    gap: Sequence[int] = (),
-    only_a: Sequence[int] = (),
-    no_b: Sequence[int] = (),
-    jitter_ns: int = 0,
-    noise: float = 0.02,
-    depth: bool = False,
-) -> list[FramePair]:
+def frame_pairs(body, frames, gap=(), only_a=(), no_b=(), jitter_ns=0, noise=0.02, depth=False):
     """Both sensors' noisy views.
 
     Args:

@@ -1,32 +1,19 @@
 """Fuses pairs to a session on disk, without a viewer."""
 
-from collections.abc import Callable, Iterable
-from pathlib import Path
 from uuid import uuid4
 
 import pytest
 
 from devices.events import Event
-from devices.pairing import FramePair
-from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup
+from fusion.setup import FusionSetup
 from recordings.file.session_writer import write_session
 from recordings.images import PairImages
 from recordings.session import Session
 from recordings.session_arrays import SessionFrame
 
-FusedRun = Callable[..., Session]
 
-
-def record_fused(
-    path: Path,
-    pairs: Iterable[FramePair],
-    calibration: Calibration,
-    settings: FuserSettings | None = None,
-    depth_every: int = 0,
-    block: int = 256,
-) -> Session:
+def record_fused(path, pairs, calibration, settings=None, depth_every=0, block=256):
     """Fuses pairs, records them to a file, and reads the file back."""
     setup = FusionSetup(calibration, settings)
     fuser = Fuser(setup)

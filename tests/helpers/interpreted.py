@@ -1,18 +1,16 @@
 """Kernels as plain Python functions, so that a step can be tested by itself and without compiling it."""
 
-from collections.abc import Callable
 from types import FunctionType
-from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
 
-def interpreted(kernel: Any) -> Callable[..., Any]:
+def interpreted(kernel):
     """The kernel's own Python function, which calls the Python functions of the kernels it calls."""
     return _interpreted(kernel, {})
 
 
-def _interpreted(kernel: Any, known: dict[Any, FunctionType]) -> FunctionType:
+def _interpreted(kernel, known):
     if kernel in known:
         return known[kernel]
     source = kernel.py_func

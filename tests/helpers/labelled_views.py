@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from devices.pairing import pair_recordings
-from devices.simulated.kinect import PERSON, Movement, simulated_pair
+from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.person.motion import Motion, keyframes
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
@@ -18,8 +17,8 @@ from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import BODIES, Body
 from fusion.facing.exchange import exchange
 from fusion.facing.filter import update_facing
-from fusion.facing.model import FacingModel, FacingState, ReportedPair, new_facing_model
-from fusion.facing.sequence import Labels, relabel_sequence, reported_pairs
+from fusion.facing.model import ReportedPair, new_facing_model
+from fusion.facing.sequence import relabel_sequence, reported_pairs
 from fusion.registration.keyframes import Evidence
 from fusion.registration.rigid_fit import label_free_fit
 
@@ -43,23 +42,23 @@ class Views:
     sensor_b: Floats
     truth: Floats
 
-    def relabel(self, **options: object) -> Labels:
+    def relabel(self, **options):
         pairs = self.reported(options.pop("up", None))
-        return relabel_sequence(self.body, pairs, self.time_ns, **options)  # type: ignore[arg-type]
+        return relabel_sequence(self.body, pairs, self.time_ns, **options)
 
-    def reported(self, up: object = None) -> ReportedPair:
+    def reported(self, up=None):
         """What the facing filter takes."""
         views, states = (self.a, self.b_in_a), (self.states_a, self.states_b)
-        return reported_pairs(self.body, views, states, self.sensor_b, up)  # type: ignore[arg-type]
+        return reported_pairs(self.body, views, states, self.sensor_b, up)
 
-    def reported_at(self, k: int, up: Floats, stale: tuple[bool, bool] = (False, False)) -> ReportedPair:
+    def reported_at(self, k, up, stale=(False, False)):
         """Pair k."""
         return ReportedPair(
             np.stack((self.a[k], self.b_in_a[k])), np.stack((self.states_a[k], self.states_b[k])),
             np.array(stale), self.sensor_b.copy(), up,
         )  # fmt: skip
 
-    def relabelled(self, labels: Labels) -> tuple[Floats, Floats]:
+    def relabelled(self, labels):
         """Both views with their labels exchanged."""
         model = new_facing_model(self.body)
         found = []
@@ -70,7 +69,7 @@ class Views:
             found.append(out)
         return found[0], found[1]
 
-    def fused(self, labels: Labels) -> Floats:
+    def fused(self, labels):
         """A stand-in for S*: the mean of both relabelled views, each with the weight (1 − doubt)²."""
         weights = np.maximum(1.0 - labels.doubt, 0.02) ** 2
         a, b = self.relabelled(labels)
@@ -79,7 +78,7 @@ class Views:
             return np.asarray((w_a * np.nan_to_num(a) + w_b * np.nan_to_num(b)) / (w_a + w_b))
 
 
-def swapped(body: Body, at: Floats, truth: Floats, *joints: str) -> NDArray[np.bool_]:
+def swapped(body, at, truth, *joints):
     """(T,) frames whose limbs (those with such names, or all) fit the truth better with sides exchanged."""
     lateral = [
         j
@@ -93,7 +92,7 @@ def swapped(body: Body, at: Floats, truth: Floats, *joints: str) -> NDArray[np.b
     return np.asarray(apart[1] < apart[0])
 
 
-def heading(body: Body, at: Floats) -> Floats:
+def heading(body, at):
     """(T, 3) horizontal unit vector in which shoulders and hips say that the person faces (−y is up)."""
     l1, l2, r1, r2 = (
         at[:, body.joint(name)] for name in ("ShoulderLeft", "HipLeft", "ShoulderRight", "HipRight")
@@ -103,7 +102,7 @@ def heading(body: Body, at: Floats) -> Floats:
     return np.asarray(front / np.linalg.norm(front, axis=1, keepdims=True))
 
 
-def flips(front: Floats) -> int:
+def flips(front):
     """How often a heading turns by more than 90° within 0.1 s (3 frames)."""
     turned = np.flatnonzero(np.sum(front[3:] * front[:-3], axis=1) < 0.0)
     return int(np.sum(np.diff(turned, prepend=-99) > 10))
@@ -116,7 +115,7 @@ class Backwards:
     speed: float = 0.6
     name: str = "backwards"
 
-    def landmarks(self, times: ArrayLike, height: float = 1.75) -> Floats:
+    def landmarks(self, times, height=1.75):
         return MOTIONS["walk"].landmarks(60.0 - self.speed * np.atleast_1d(np.asarray(times)), height)
 
 
@@ -128,16 +127,16 @@ class Turned:
     degrees: float
 
     @property
-    def name(self) -> str:
+    def name(self):
         return f"{self.movement} turned by {self.degrees:g}°"
 
-    def landmarks(self, times: ArrayLike, height: float = 1.75) -> Floats:
+    def landmarks(self, times, height=1.75):
         cosine, sine = np.cos(np.radians(self.degrees)), np.sin(np.radians(self.degrees))
         turn = np.array(((cosine, 0.0, sine), (0.0, 1.0, 0.0), (-sine, 0.0, cosine)))
         return np.asarray(movement(self.movement).landmarks(times, height) @ turn.T)
 
 
-def _bowed(angle: float) -> dict[str, ArrayLike]:
+def _bowed(angle):
     return {"pelvis": (angle, 0.0), "place": (0.0, 0.12 * angle)}
 
 
@@ -149,7 +148,7 @@ BOW = Motion(
 """A bow until the trunk is nearly horizontal, every eight seconds."""
 
 
-def movement(name: str) -> Movement:
+def movement(name):
     """A movement by name: of the library, ``bow``, ``backwards``, or ``NAME@DEGREES`` for one turned."""
     if "@" in name:
         base, degrees = name.split("@")
@@ -158,14 +157,7 @@ def movement(name: str) -> Movement:
 
 
 @cache
-def simulated_views(
-    motion: str,
-    body: str = "kinect_v2",
-    tracker: str = "mirroring",
-    angle_deg: float = 90.0,
-    seconds: float = 20.0,
-    seed: int = 4000,
-) -> Views:
+def simulated_views(motion, body="kinect_v2", tracker="mirroring", angle_deg=90.0, seconds=20.0, seed=4000):
     """A simulated recording with the true registration.
 
     Args:
@@ -206,7 +198,7 @@ def simulated_views(
     return _with_random_swaps(views, np.random.default_rng(seed)) if tracker == "random" else views
 
 
-def _with_random_swaps(views: Views, random: np.random.Generator) -> Views:
+def _with_random_swaps(views, random):
     """Sides exchanged for 2 s on average, in a third of the frames with the back turned to a sensor."""
     front = heading(views.body, views.truth)
     for at, states, sensor in (
@@ -224,7 +216,7 @@ def _with_random_swaps(views: Views, random: np.random.Generator) -> Views:
     return views
 
 
-def real_views(folder: Path) -> Views:
+def real_views(folder):
     """A real pair; R and t fitted robustly over the recording to points that no exchange of labels moves."""
     with SkeletonRecording(folder / "a.csv") as a, SkeletonRecording(folder / "b.csv") as b:
         body = a.body
@@ -248,13 +240,6 @@ def real_views(folder: Path) -> Views:
     )
 
 
-def step(
-    model: FacingModel,
-    state: FacingState,
-    views: Views,
-    k: int,
-    up: Floats = UP,
-    stale: tuple[bool, bool] = (False, False),
-) -> None:
+def step(model, state, views, k, up=UP, stale=(False, False)):
     """Updates the facing filter with pair k."""
     update_facing(model, state, views.reported_at(k, up, stale), FRAME)

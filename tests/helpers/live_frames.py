@@ -1,7 +1,5 @@
 """Fused frames of a person, and a live session to write them to."""
 
-from pathlib import Path
-
 import numpy as np
 
 from devices.pairing import FramePair
@@ -11,22 +9,20 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.fusing.pairs import fuse_one
 from recordings.session import Session
-from recordings.session_arrays import SessionFrame
 from tests.helpers.two_views import FRAME_NS, calibration_of, pair_of, standing
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.viewer.blueprint import Layout, session_blueprint
-from viewer_app.viewer.rerun_process import Hub
+from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import Viewing
 
 BODY = KINECT_V2
 
 
-def known_fuser() -> Fuser:
+def known_fuser():
     """A fuser that knows where both sensors are."""
     return Fuser(FusionSetup(calibration_of(BODY)))
 
 
-def frames(fuser: Fuser, count: int, depth: bool = False) -> list[SessionFrame]:
+def frames(fuser, count, depth=False):
     """A standing person who sways; with `depth`, each sensor has an image in every frame."""
     image = np.random.default_rng(0).integers(0, 4000, (424, 512)).astype(np.uint16) if depth else None
     made = []
@@ -44,20 +40,14 @@ def frames(fuser: Fuser, count: int, depth: bool = False) -> list[SessionFrame]:
     return made
 
 
-def session(
-    fuser: Fuser,
-    file: Path | None = None,
-    hub: Hub | None = None,
-    window: bool = False,
-    active: Layout = "inspect",
-) -> LiveSession:
+def session(fuser, file=None, hub=None, window=False, active="inspect"):
     """A session into a file, a hub or both."""
     viewing = Viewing(window=window, hub=hub, headless=True)
     blueprint = session_blueprint(fuser.setup, np.array([0.0, 0.0, 2.6]), active)
     return LiveSession(fuser.setup, ("a", "b"), blueprint, file=file, viewing=viewing)
 
 
-def numbers_in(file: Path) -> list[int]:
+def numbers_in(file):
     """The numbers of the frames that a session's file holds."""
     read = Session.open(file)
     assert read.damage is None

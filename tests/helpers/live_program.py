@@ -1,21 +1,16 @@
 """``duplex live`` on stand-ins for two Kinects."""
 
-from pathlib import Path
-
-import pytest
-
 from tests.helpers.command_line import duplex
-from tests.helpers.standin_library import Standin
 
 
 class Live:
     """Records sessions without a viewer into the file `saved`."""
 
-    def __init__(self, standin: Standin, saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def __init__(self, standin, saved, capsys):
         self.saved = saved
         self._standin, self._capsys = standin, capsys
 
-    def __call__(self, *more: object, seconds: float = 1.0, codes: tuple[int, ...] = (0,)) -> str:
+    def __call__(self, *more, seconds=1.0, codes=(0,)):
         """Runs a session and checks its exit code; returns the words that it printed."""
         self._capsys.readouterr()
         ended = duplex(

@@ -10,16 +10,13 @@ import shutil
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
 
 import pytest
 from rerun.experimental import ViewerClient
 
 from devices.blazepose.networks.files import cache_folder, missing
-from devices.blazepose.settings import NetworkName
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
 from viewer_app.viewer.rerun_process import start_viewer, stop
@@ -30,7 +27,7 @@ _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _complete = False
 
 
-def lacks(what: str, remedy: str, *, required: bool = True) -> NoReturn:
+def lacks(what, remedy, *, required=True):
     """Skips the running test because the machine lacks something."""
     reason = f"{_LACKS} {what}; {remedy}"
     if _complete and required:
@@ -38,23 +35,23 @@ def lacks(what: str, remedy: str, *, required: bool = True) -> NoReturn:
     pytest.skip(reason)
 
 
-def need_viewer() -> None:
+def need_viewer():
     """Skips the running test where Rerun's viewer cannot draw without a screen."""
     if not _viewer_draws():
         lacks("a Vulkan driver for Rerun's viewer", "Debian: apt install mesa-vulkan-drivers libvulkan1")
 
 
-def need_browser() -> str:
+def need_browser():
     """The path of a Chromium; skips the running test where there is none."""
     return _first_of(_BROWSERS) or lacks("a browser", "Debian: apt install chromium")
 
 
-def need_compiler() -> str:
+def need_compiler():
     """The path of a C compiler; skips the running test where there is none."""
     return _first_of(_COMPILERS) or lacks("a C compiler", "Debian: apt install gcc libc6-dev")
 
 
-def need_networks(network: NetworkName = "full") -> Path:
+def need_networks(network="full"):
     """The folder of the body tracker's networks; skips the running test where they were not fetched."""
     folder = cache_folder()
     if missing(network, folder):
@@ -66,12 +63,12 @@ def need_networks(network: NetworkName = "full") -> Path:
     return folder
 
 
-def _first_of(programs: tuple[str, ...]) -> str | None:
+def _first_of(programs):
     return next(filter(None, map(shutil.which, programs)), None)
 
 
 @functools.cache
-def _viewer_draws() -> bool:
+def _viewer_draws():
     """Whether a headless viewer gives a picture; without a usable driver it starts, listens, and dies."""
     try:
         process, port = start_viewer(["--headless"])
@@ -88,7 +85,7 @@ def _viewer_draws() -> bool:
         stop(process)
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
+def pytest_addoption(parser):
     group = parser.getgroup("machine", "what the machine lacks")
     group.addoption(
         "--complete-machine",
@@ -100,7 +97,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     global _complete
     _complete = config.getoption("--complete-machine")
     file = config.getoption("--list-machine-skips")
@@ -108,7 +105,7 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(_SkipList(Path(file)))
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+def pytest_terminal_summary(terminalreporter):
     """Says why tests were skipped: a line for each reason."""
     reasons = Counter(
         report.longrepr[2].removeprefix("Skipped: ")
@@ -124,20 +121,20 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 class _SkipList:
     """Collects the tests that were skipped for the machine's sake; pytest reads them back as ``@FILE``."""
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file):
         self._file = file
-        self._tests: list[str] = []
+        self._tests = []
 
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+    def pytest_runtest_logreport(self, report):
         if report.skipped and isinstance(report.longrepr, tuple) and _LACKS in report.longrepr[2]:
             self._tests.append(report.nodeid)
 
-    def pytest_sessionfinish(self) -> None:
+    def pytest_sessionfinish(self):
         self._file.write_text("".join(f"{test}\n" for test in self._tests), encoding="utf-8")
 
 
 @contextmanager
-def small_disk(folder: Path, kilobytes: int) -> Iterator[Path]:
+def small_disk(folder, kilobytes):
     """Makes an empty disk of some kilobytes; skips the running test where this user may not mount one."""
     folder.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", str(folder)]

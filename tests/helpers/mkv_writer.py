@@ -2,9 +2,7 @@
 
 import json
 import struct
-from collections.abc import Sequence
 from fractions import Fraction
-from pathlib import Path
 
 import av
 import cv2
@@ -12,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.azure.calibration import DEPTH_MODES
-from devices.simulated.kinect import SimulatedKinect
 
 INTERVAL_US = 33_000  # whole milliseconds: the muxer's own time scale
 _MICROSECONDS = Fraction(1, 1_000_000)
 Images = tuple[NDArray[np.uint16], NDArray[np.uint16]]
 
 
-def calibration_json(middle: tuple[float, float] = (0.5, 0.5)) -> bytes:
+def calibration_json(middle=(0.5, 0.5)):
     """A calibration as a sensor stores it: an ideal lens of the nominal focal length, colour 32 mm aside.
 
     Args:
@@ -27,7 +24,7 @@ def calibration_json(middle: tuple[float, float] = (0.5, 0.5)) -> bytes:
     """
     ideal = [*middle, 0.4921875, 0.4921875, *[0.0] * 10]
 
-    def camera(purpose: str, size: tuple[int, int], translation: list[float]) -> dict[str, object]:
+    def camera(purpose, size, translation):
         return {
             "Purpose": f"CALIBRATION_CameraPurpose{purpose}",
             "Intrinsics": {"ModelParameters": ideal, "ModelParameterCount": 14},
@@ -40,24 +37,24 @@ def calibration_json(middle: tuple[float, float] = (0.5, 0.5)) -> bytes:
     return json.dumps({"CalibrationInformation": {"Cameras": cameras}}).encode()
 
 
-def depth_image(index: int, mode: str = "NFOV_2X2BINNED") -> np.ndarray:
+def depth_image(index, mode="NFOV_2X2BINNED"):
     """The depth image of a frame: a slope that names its frame."""
     shape = DEPTH_MODES[mode].height, DEPTH_MODES[mode].width
     return (np.arange(shape[0] * shape[1]) % 4000 + index + 1).astype(np.uint16).reshape(shape)
 
 
 def write_mkv(
-    path: Path,
-    frames: int,
-    mode: str = "NFOV_2X2BINNED",
-    start_offset_ns: int = 336_277_000,
-    serial: str = "000123",
-    color: bool = False,
-    calibration: bytes | None = None,
-    size: tuple[int, int] | None = None,
-    sync: str = "SUBORDINATE",
-    images: Sequence[Images] | None = None,
-) -> Path:
+    path,
+    frames,
+    mode="NFOV_2X2BINNED",
+    start_offset_ns=336_277_000,
+    serial="000123",
+    color=False,
+    calibration=None,
+    size=None,
+    sync="SUBORDINATE",
+    images=None,
+):
     """Writes a recording; colour is one grey, and every frame has one IMU sample.
 
     Args:
@@ -119,7 +116,7 @@ def write_mkv(
     return path
 
 
-def write_simulated(path: Path, sensor: SimulatedKinect, start_offset_ns: int, sync: str) -> Path:
+def write_simulated(path, sensor, start_offset_ns, sync):
     """Writes the depth and infrared images of a simulated Azure Kinect with binned images.
 
     The scene's frame interval must be :data:`INTERVAL_US`, and every frame must have both images.

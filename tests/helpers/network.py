@@ -8,14 +8,12 @@ from viewer_app.addresses import LOOPBACK
 from viewer_app.viewer.rerun_process import free_port
 
 
-def free_address() -> str:
+def free_address():
     """A Zenoh address on this machine that nobody listens on now."""
     return f"tcp/{LOOPBACK}:{free_port()}"
 
 
-def arrivals(
-    seconds: float, *, lost: float, jitter_ns: int, seed: int, host_ahead_ns: int
-) -> list[tuple[int, bytes]]:
+def arrivals(seconds, *, lost, jitter_ns, seed, host_ahead_ns):
     """Frame messages of a sensor at 30 fps and when each arrives, in the order of their capture.
 
     Delays are 1 ms and up to twice the jitter. As over TCP, a late frame holds up those after it.

@@ -4,8 +4,6 @@ import contextlib
 import io
 import json
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 
@@ -23,21 +21,20 @@ class CellOutput:
     pictures: tuple[bytes, ...]
 
 
-def read_notebook(path: Path) -> dict[str, Any]:
+def read_notebook(path):
     """The notebook as JSON."""
-    notebook: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return notebook
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
-def code_cells(notebook: dict[str, Any]) -> list[dict[str, Any]]:
+def code_cells(notebook):
     """The cells with code, in their order."""
     return [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
 
 
-def run_cells(notebook: dict[str, Any], dpi: int = 72) -> list[CellOutput]:
+def run_cells(notebook, dpi=72):
     """Runs all cells with code one after the other, in the current folder."""
     plt.switch_backend("Agg")
-    names: dict[str, Any] = {"__name__": "__main__"}
+    names = {"__name__": "__main__"}
     outputs = []
     for cell in code_cells(notebook):
         printed = io.StringIO()

@@ -4,18 +4,16 @@ They need no ground truth: they compare the views with each other, a joint with 
 bone with its mean length. The simulator can therefore be compared with real recordings.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.joint_kinds import kind_of
 from fusion.registration.rigid_fit import fit_rigid
-from fusion.skeleton import Skeleton, TrackingState
+from fusion.skeleton import TrackingState
 
 Array = NDArray[np.float64]
 
@@ -63,7 +61,7 @@ class PairStatistics:
     stale: float
 
 
-def statistics(a: Sequence[Skeleton | None], b: Sequence[Skeleton | None]) -> PairStatistics:
+def statistics(a, b):
     """Computes the statistics of one pair of recordings."""
     both = [(p, q) for p, q in zip(a, b, strict=True) if p is not None and q is not None]
     body = both[0][0].body
@@ -99,22 +97,22 @@ def statistics(a: Sequence[Skeleton | None], b: Sequence[Skeleton | None]) -> Pa
     )
 
 
-def _positions(skeletons: Sequence[Skeleton]) -> Array:
+def _positions(skeletons):
     return np.stack([s.positions for s in skeletons]).astype(np.float64)
 
 
-def _views_apart(a: Array, b: Array, body: Body) -> tuple[Array, Array]:
+def _views_apart(a, b, body):
     """Returns (T, J) distances between the fitted views, as reported and with B's sides exchanged."""
     known = np.isfinite(a).all(axis=2) & np.isfinite(b).all(axis=2)
     b_in_a = fit_rigid(a[known], b[known]).apply(b)
     return np.linalg.norm(b_in_a - a, axis=2), np.linalg.norm(b_in_a[:, body.mirror] - a, axis=2)
 
 
-def _kinds(body: Body, *groups: str) -> list[int]:
+def _kinds(body, *groups):
     return [j for j, name in enumerate(body.joints) if kind_of(name) in groups]
 
 
-def _jitter(views: list[Array], body: Body) -> dict[str, float]:
+def _jitter(views, body):
     kernel = np.ones(_SMOOTH) / _SMOOTH
     found = []
     for at in views:
@@ -128,24 +126,24 @@ def _jitter(views: list[Array], body: Body) -> dict[str, float]:
     return {group: _median(per_second[:, _kinds(body, group)]) for group in groups}
 
 
-def _median(values: Array) -> float:
+def _median(values):
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else float("nan")
 
 
-def _changes(at: Array, states: NDArray[np.uint8]) -> tuple[Array, NDArray[np.bool_]]:
+def _changes(at, states):
     """Returns (T-2, J) second differences, and whether the joint is tracked in all three frames."""
     sure = states == TrackingState.TRACKED
-    change: Array = np.linalg.norm(at[2:] - 2.0 * at[1:-1] + at[:-2], axis=2)
+    change = np.linalg.norm(at[2:] - 2.0 * at[1:-1] + at[:-2], axis=2)
     return change, sure[2:] & sure[1:-1] & sure[:-2]
 
 
-def _stale(view: Sequence[Skeleton | None]) -> float:
+def _stale(view):
     known = [s for s in view if s is not None]
     return float(np.mean([s.repeats(before) for before, s in pairwise(known)]))
 
 
-def run_lengths(flags: NDArray[np.bool_]) -> list[int]:
+def run_lengths(flags):
     """Returns the length of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return list(np.diff(edges)[::2])

@@ -1,12 +1,7 @@
 """Poses whose rotations can be computed by hand, and forward kinematics that is not the program's."""
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-
-from fusion.body import Body
 
 LEFT, RIGHT = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 UP, DOWN = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0)
@@ -14,7 +9,7 @@ FRONT, BACK = (0.0, 0.0, -1.0), (0.0, 0.0, 1.0)
 """Directions in K_A's frame of a person who faces the sensor."""
 
 _TOES = np.array([0.0, 0.055, -0.150]) / np.linalg.norm([0.055, 0.150])
-T_POSE: dict[str, Sequence[float]] = {
+T_POSE = {
     **{f"{joint}Left": LEFT for joint in ("Elbow", "Wrist", "Hand")},
     **{f"{joint}Right": RIGHT for joint in ("Elbow", "Wrist", "Hand")},
     **{f"Foot{side}": tuple(_TOES) for side in ("Left", "Right")},
@@ -22,7 +17,7 @@ T_POSE: dict[str, Sequence[float]] = {
 """Unity's T-pose: arms sideways, toes in front of the ankles and below."""
 
 
-def posed(body: Body, directions: Mapping[str, Sequence[float]]) -> NDArray[np.float64]:
+def posed(body, directions):
     """(J, 3) joints 2.5 m before the sensor: bones by the name of their end joint, the others at rest."""
     turned = {body.joint(name): np.array(direction) for name, direction in directions.items()}
     joints = np.zeros((len(body), 3))
@@ -33,17 +28,15 @@ def posed(body: Body, directions: Mapping[str, Sequence[float]]) -> NDArray[np.f
     return joints
 
 
-def turned_about(joints: NDArray[np.float64], rotation: Rotation, about: int) -> NDArray[np.float64]:
+def turned_about(joints, rotation, about):
     """The joints rotated about one of them."""
     return np.asarray(rotation.apply(joints - joints[about]) + joints[about])
 
 
-def world_of_local(
-    parents: Sequence[int], positions: NDArray[np.float64], rotations: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], list[Rotation]]:
+def world_of_local(parents, positions, rotations):
     """World positions (N, 3) and rotations of bones given relative to their parents, as in a scene graph."""
     world = np.empty((len(parents), 3))
-    turns: list[Rotation] = []
+    turns = []
     for n, above in enumerate(parents):
         own = Rotation.from_quat(rotations[n])
         world[n] = positions[n] if above < 0 else world[above] + turns[above].apply(positions[n])

@@ -9,9 +9,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +18,7 @@ COLOR = ("720P", "1080P", "1440P", "1536P", "2160P", "3072P")
 CRASHES = "crashes"
 
 
-def images(sdk: Any, recording: str) -> dict[str, object]:
+def images(sdk, recording):
     """Depth and infrared are (height, width) uint16, colour the JPEG's bytes, all over the SDK's memory."""
     playback = _open(sdk, recording)
     capture = playback.get_next_capture()
@@ -36,7 +34,7 @@ def images(sdk: Any, recording: str) -> dict[str, object]:
     }
 
 
-def times(sdk: Any, recording: str) -> dict[str, object]:
+def times(sdk, recording):
     """Device times are integer microseconds; a recording has no host times."""
     capture = _open(sdk, recording).get_next_capture()
     assert isinstance(capture.depth_timestamp_usec, int)
@@ -44,7 +42,7 @@ def times(sdk: Any, recording: str) -> dict[str, object]:
     return {"depth_usec": capture.depth_timestamp_usec}
 
 
-def the_end(sdk: Any, recording: str) -> None:
+def the_end(sdk, recording):
     """A recording ends with EOFError; one that is not there is a K4AException."""
     playback = _open(sdk, recording)
     playback.get_next_capture()
@@ -52,7 +50,7 @@ def the_end(sdk: Any, recording: str) -> None:
     fault_of(sdk.K4AException, sdk.PyK4APlayback(recording + ".none").open)
 
 
-def configuration(sdk: Any, recording: str) -> dict[str, object]:
+def configuration(sdk, recording):
     """The configuration's values are pyk4a's own enums; delays and offsets are microseconds."""
     said = _open(sdk, recording).configuration
     assert said["depth_mode"] is sdk.DepthMode.NFOV_UNBINNED
@@ -63,7 +61,7 @@ def configuration(sdk: Any, recording: str) -> dict[str, object]:
     return {name: int(said[name]) for name in names}
 
 
-def capsules(sdk: Any, recording: str) -> None:
+def capsules(sdk, recording):
     """Captures hold the address of their handle, calibrations 1032 bytes, in capsules of these names."""
     playback = _open(sdk, recording)
     capture, calibration = playback.get_next_capture(), playback.calibration
@@ -72,7 +70,7 @@ def capsules(sdk: Any, recording: str) -> None:
     fault_of(ValueError, lambda: _address(capture._capture_handle, b"pyk4a calibration handle"))
 
 
-def calibration(sdk: Any, recording: str) -> dict[str, object]:
+def calibration(sdk, recording):
     """Matrices are (3, 3), lenses 8 numbers; the translation is (1, 3) metres, in every mode."""
     raw = _open(sdk, recording).calibration_raw
     assert isinstance(raw, str)
@@ -93,7 +91,7 @@ def calibration(sdk: Any, recording: str) -> dict[str, object]:
     return found
 
 
-def cameras_that_are_off(sdk: Any, recording: str) -> None:
+def cameras_that_are_off(sdk, recording):
     """A camera that is off has no lens; both off have no calibration."""
     raw = _open(sdk, recording).calibration_raw
     off = sdk.Calibration.from_raw(raw, sdk.DepthMode.NFOV_UNBINNED, sdk.ColorResolution.OFF, False)
@@ -104,9 +102,9 @@ def cameras_that_are_off(sdk: Any, recording: str) -> None:
     )
 
 
-def enums(sdk: Any, recording: str) -> dict[str, object]:  # noqa: ARG001
+def enums(sdk, recording):  # noqa: ARG001
     """The members that this program names, and their numbers, which libk4a gets."""
-    names: dict[str, tuple[str, ...]] = {
+    names = {
         "DepthMode": ("OFF", *DEPTH, "PASSIVE_IR"),
         "ColorResolution": ("OFF", *(f"RES_{name}" for name in COLOR)),
         "FPS": ("FPS_5", "FPS_15", "FPS_30"),
@@ -117,7 +115,7 @@ def enums(sdk: Any, recording: str) -> dict[str, object]:  # noqa: ARG001
     return {f"{enum}.{name}": int(getattr(sdk, enum)[name]) for enum, all_ in names.items() for name in all_}
 
 
-def no_device(sdk: Any, recording: str) -> None:  # noqa: ARG001
+def no_device(sdk, recording):  # noqa: ARG001
     """Without a device there are none; opening, starting and every question to one that is closed fail."""
     assert sdk.connected_device_count() == 0
     device = sdk.PyK4A(device_id=0, thread_safe=False)
@@ -132,13 +130,13 @@ def no_device(sdk: Any, recording: str) -> None:  # noqa: ARG001
     assert "not opened" in str(fault_of(sdk.K4AException, device.close))
 
 
-def errors(sdk: Any, recording: str) -> None:  # noqa: ARG001
+def errors(sdk, recording):  # noqa: ARG001
     """A time-out is a K4AException too, so that it must be caught first."""
     assert issubclass(sdk.K4ATimeoutException, sdk.K4AException)
     assert not issubclass(sdk.K4AException, OSError)
 
 
-def configurations(sdk: Any, recording: str) -> None:  # noqa: ARG001
+def configurations(sdk, recording):  # noqa: ARG001
     """A configuration is not looked at before the cameras start, but for a negative delay."""
     plain = sdk.Config(
         color_resolution=sdk.ColorResolution.OFF,
@@ -149,12 +147,12 @@ def configurations(sdk: Any, recording: str) -> None:  # noqa: ARG001
     fault_of(AssertionError, lambda: sdk.Config(subordinate_delay_off_master_usec=-1))
 
 
-def stop_before_open(sdk: Any, recording: str) -> None:  # noqa: ARG001
+def stop_before_open(sdk, recording):  # noqa: ARG001
     """Stopping a device that is not open crashes the process: this program must never do it."""
     sdk.PyK4A(thread_safe=False).stop()
 
 
-def none_references(sdk: Any, recording: str) -> None:  # noqa: ARG001
+def none_references(sdk, recording):  # noqa: ARG001
     """An opening that fails loses at most one reference to None, which can be put back."""
     increase = ctypes.pythonapi.Py_IncRef
     increase.restype, increase.argtypes = None, [ctypes.py_object]
@@ -166,39 +164,23 @@ def none_references(sdk: Any, recording: str) -> None:  # noqa: ARG001
     assert sys.getrefcount(None) >= before - 100
 
 
-def host_clock(sdk: Any, recording: str) -> None:  # noqa: ARG001
+def host_clock(sdk, recording):  # noqa: ARG001
     """perf_counter is the monotonic clock on Linux, which is what libk4a's host times are of."""
     assert abs(time.perf_counter_ns() - time.clock_gettime_ns(time.CLOCK_MONOTONIC)) < 1_000_000_000
 
 
-RECORDING_CLAUSES: tuple[Callable[[Any, str], object], ...] = (
-    images,
-    times,
-    the_end,
-    configuration,
-    capsules,
-    calibration,
-    cameras_that_are_off,
-)
+RECORDING_CLAUSES = (images, times, the_end, configuration, capsules, calibration, cameras_that_are_off)
 """Of recordings, which the stand-in has none of: this program reads them itself."""
-CLAUSES: tuple[Callable[[Any, str], object], ...] = (
-    enums,
-    no_device,
-    errors,
-    configurations,
-    stop_before_open,
-    none_references,
-    host_clock,
-)
+CLAUSES = (enums, no_device, errors, configurations, stop_before_open, none_references, host_clock)
 
 
-def _open(sdk: Any, recording: str) -> Any:
+def _open(sdk, recording):
     playback = sdk.PyK4APlayback(recording, thread_safe=False)
     playback.open()
     return playback
 
 
-def fault_of(kind: type[BaseException], action: Callable[[], object]) -> BaseException:
+def fault_of(kind, action):
     """The exception of this kind that an action raises; an AssertionError if it raises none."""
     try:
         given = action()
@@ -207,13 +189,13 @@ def fault_of(kind: type[BaseException], action: Callable[[], object]) -> BaseExc
     raise AssertionError(f"no {kind.__name__}, but {given!r}")
 
 
-def _address(capsule: object, name: bytes) -> int:
+def _address(capsule, name):
     get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
     get_pointer.restype, get_pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
     return int(get_pointer(capsule, name))
 
 
-def main() -> None:
+def main():
     """The program."""
     if len(sys.argv) == 3:
         import pyk4a

@@ -20,7 +20,6 @@ from tests.helpers.machine import lacks
 
 _ROOT = Path(__file__).resolve().parents[2]
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "duplex-kinects"
-Results = dict[str, dict[str, object]]
 
 
 @dataclass(frozen=True)
@@ -42,12 +41,12 @@ class Library:
     inherits: bool = False
 
     @property
-    def folder(self) -> Path:
+    def folder(self):
         """Where its environment is, made or not."""
         return CACHE / f"real-{self.package.replace('==', '-')}-{sys.implementation.cache_tag}"
 
     @property
-    def interpreter(self) -> str | None:
+    def interpreter(self):
         """A Python that it has wheels for; None where there is none."""
         own = f"{sys.version_info.major}.{sys.version_info.minor}"
         if own in self.pythons:
@@ -56,7 +55,7 @@ class Library:
             return None
         return next(filter(None, (shutil.which(f"python{version}") for version in self.pythons)), None)
 
-    def install(self) -> None:
+    def install(self):
         """Makes the environment, unless it is there already."""
         ready, python = self.folder / "ready", self.interpreter
         if ready.is_file() or python is None:
@@ -73,7 +72,7 @@ class Library:
             subprocess.run(command, check=True, capture_output=True, timeout=600.0, env=self._environment())
         ready.touch()
 
-    def run(self, *arguments: str) -> Results:
+    def run(self, *arguments):
         """Runs a program in the environment, and reads the JSON that it prints last.
 
         Skips the running test if the library is not installed, or cannot be.
@@ -93,10 +92,9 @@ class Library:
             timeout=300.0,
         )
         assert done.returncode == 0, done.stderr
-        results: Results = json.loads(done.stdout.strip().splitlines()[-1])
-        return results
+        return json.loads(done.stdout.strip().splitlines()[-1])
 
-    def _environment(self) -> dict[str, str]:
+    def _environment(self):
         environment = {**os.environ, "K4A_ENABLE_LOG_TO_STDOUT": "0"}
         environment.pop("PYTHONPATH", None)
         if self.inherits:

@@ -1,14 +1,10 @@
 """A session that was calibrated several times, as live ones are."""
 
-from collections.abc import Sequence
-from pathlib import Path
 from uuid import uuid4
 
 import rerun as rr
 
 from devices.events import Event
-from devices.pairing import FramePair
-from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings import layout
@@ -17,9 +13,7 @@ from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 
 
-def record_recalibrated(
-    path: Path, pairs: Sequence[FramePair], calibrations: Sequence[tuple[int, Calibration]]
-) -> Session:
+def record_recalibrated(path, pairs, calibrations):
     """Fuses pairs with a new calibration from each of the given frames on, and reads the session back."""
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
     stream.save(path)

@@ -1,11 +1,8 @@
 """Recordings of one person that tests write, names of the real ones, and sessions compared bit for bit."""
 
-from pathlib import Path
-
 import numpy as np
-from numpy.typing import NDArray
 
-from fusion.body import KINECT_V2, Body
+from fusion.body import KINECT_V2
 from recordings.session import Session
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
@@ -16,7 +13,7 @@ FRAMES = 75
 """Long enough for a start-up pose of 1.5 s."""
 
 
-def write_view(path: Path, body: Body, positions: NDArray[np.float64], start_us: int = 0) -> Path:
+def write_view(path, body, positions, start_us=0):
     """Writes (T, J, 3) positions of one person as .csv, to the micrometre."""
     rows = ["time_us,body,joint,x,y,z,state"]
     for t, at in enumerate(positions):
@@ -28,7 +25,7 @@ def write_view(path: Path, body: Body, positions: NDArray[np.float64], start_us:
     return path
 
 
-def write_recordings(folder: Path, noise_m: float = 0.01) -> tuple[Path, Path]:
+def write_recordings(folder, noise_m=0.01):
     """Two noisy views of a person, ``a.csv`` and ``b.csv``."""
     rng = np.random.default_rng(0)
     truth = moving(KINECT_V2, 70)
@@ -37,7 +34,7 @@ def write_recordings(folder: Path, noise_m: float = 0.01) -> tuple[Path, Path]:
     return write_view(folder / "a.csv", KINECT_V2, a), write_view(folder / "b.csv", KINECT_V2, b)
 
 
-def write_pair(folder: Path, a: str = "a.csv", b: str = "b.csv", seed: int = 0) -> Path:
+def write_pair(folder, a="a.csv", b="b.csv", seed=0):
     """Writes two views of a moving person, each with 10 mm of noise, into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
@@ -47,7 +44,7 @@ def write_pair(folder: Path, a: str = "a.csv", b: str = "b.csv", seed: int = 0) 
     return folder
 
 
-def assert_same_session(one: Path, other: Path) -> None:
+def assert_same_session(one, other):
     """Compares two sessions: every figure of every frame but the time that fusion took, in bits."""
     first, second = Session.open(one), Session.open(other)
     for (name, _, values), (_, _, others) in zip(first.rows.figures(), second.rows.figures(), strict=True):

@@ -1,7 +1,5 @@
 """Infrared and depth images of simulated people, for tests of the body tracker."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +11,6 @@ from devices.simulated.person import anatomy
 from devices.simulated.rig import Rig
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
-from fusion.rigid import RigidTransform
 
 CAMERA = Intrinsics(640, 576, 504.0, 504.0, 319.5, 287.5)
 """The depth camera of an Azure Kinect in the mode NFOV_UNBINNED."""
@@ -22,19 +19,14 @@ FRAME_NS = 33_333_333
 Images = tuple[NDArray[np.uint16], NDArray[np.uint16]]
 
 
-def landmarks_at(motion: str, seconds: float, angle_deg: float = 90.0) -> NDArray[np.float64]:
+def landmarks_at(motion, seconds, angle_deg=90.0):
     """(N, 3) the simulated person's landmarks in sensor A's frame, metres."""
     _, _, truth = simulated_pair(motion=motion, angle_deg=angle_deg)
     in_world = truth.scene.motion.landmarks([seconds])[0]
     return truth.rig.world_from_sensor(0).inverse().apply(in_world)
 
 
-def images_of(
-    people: Sequence[NDArray[np.float64]],
-    seed: int = 0,
-    sizes: Sequence[float] = (),
-    angle_deg: float = 90.0,
-) -> Images:
+def images_of(people, seed=0, sizes=(), angle_deg=90.0):
     """Infrared and depth of people with these landmarks, before the simulator's wall and floor.
 
     Args:
@@ -46,7 +38,7 @@ def images_of(
     statures = sizes or [anatomy.REFERENCE_HEIGHT] * len(people)
     shapes = [clothed_capsules(marks, size) for marks, size in zip(people, statures, strict=True)]
     capsules = np.concatenate(shapes) if shapes else np.empty((0, 7))
-    sensor_from_world: RigidTransform = Rig(angle_deg=angle_deg).world_from_sensor(0).inverse()
+    sensor_from_world = Rig(angle_deg=angle_deg).world_from_sensor(0).inverse()
     z, label, cosine = surface(capsules, sensor_from_world, CAMERA)
     model, random = InfraredModel(), np.random.default_rng(seed)
     kinds = np.tile(materials(), max(1, len(people)))
@@ -54,11 +46,11 @@ def images_of(
     return infrared, depth_image(z, cosine, DepthErrors(), random)
 
 
-def true_joints(landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
+def true_joints(landmarks):
     """(J, 3) the joints of the body ``blazepose`` of a person with these landmarks."""
     return landmarks[anatomy.landmarks_of(BLAZEPOSE)]
 
 
-def share_seen(landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
+def share_seen(landmarks):
     """(J,) share of each joint's surface that nothing hides from the sensor."""
     return visibility(true_joints(landmarks), clothed_capsules(landmarks), flesh_over(BLAZEPOSE), CAMERA)

@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +13,7 @@ from tests.helpers.real_libraries import CACHE
 _DEBIAN = "build-essential python3-dev libcjson1 libfmt9 libspdlog1.10"
 
 
-def built_rig(shared: Path) -> Path:
+def built_rig(shared):
     """The folder with the rig's libraries (``lib``), files (``bus``) and pyk4a (``site``).
 
     Skips the running test where the rig or what it needs is missing.
@@ -43,7 +42,7 @@ def built_rig(shared: Path) -> Path:
     return target
 
 
-def _link_libraries(folder: Path) -> None:
+def _link_libraries(folder):
     """Replaces files that hold the name of another library, as a copy without links has them, by links."""
     folder.chmod(0o755)
     for file in folder.iterdir():
@@ -53,7 +52,7 @@ def _link_libraries(folder: Path) -> None:
             file.symlink_to(name)
 
 
-def _build_pyk4a(folder: Path) -> None:
+def _build_pyk4a(folder):
     environment = os.environ | {"CPATH": str(folder / "include"), "LIBRARY_PATH": str(folder / "lib")}
     command = [sys.executable, "-m", "pip", "install", "--no-binary=pyk4a", "--no-deps"]
     command += ["--target", str(folder / "site"), "pyk4a==1.5.0"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from fusion.skeleton import Skeleton
 PATIENCE_S = 10.0  # time limit for waiting on a thread; never reached when the test passes
 
 
-def frame_at(time_ns: int, host_ns: int | None = None, people: bool = False) -> SensorFrame:
+def frame_at(time_ns, host_ns=None, people=False):
     person = {"1": Skeleton.of(AZURE_KINECT, np.ones((32, 3)), time_ns=time_ns)} if people else {}
     return SensorFrame(time_ns, person, host_ns=host_ns)
 
@@ -25,31 +24,31 @@ class ScriptedSensor(Sensor):
 
     body: Body = AZURE_KINECT
 
-    def __init__(self, name: str = "000123", open_faults: list[Exception] | None = None) -> None:
+    def __init__(self, name="000123", open_faults=None):
         self.name = name
         self.open_faults = open_faults or []
-        self.script: queue.Queue[SensorFrame | BaseException | Callable[[], object] | None] = queue.Queue()
+        self.script = queue.Queue()
         self.opened = self.closed = 0
-        self.close_hook: Callable[[], object] = lambda: None
+        self.close_hook = lambda: None
 
-    def put(self, *steps: SensorFrame | BaseException | Callable[[], object] | None) -> None:
+    def put(self, *steps):
         for step in steps:
             self.script.put(step)
 
-    def __enter__(self) -> ScriptedSensor:
+    def __enter__(self):
         if self.open_faults:
             raise self.open_faults.pop(0)
         self.opened += 1
         return self
 
-    def __exit__(self, *exc_info: object) -> None:
+    def __exit__(self, *exc_info):
         self.closed += 1
         self.close_hook()
 
-    def interrupt(self) -> None:
+    def interrupt(self):
         self.script.put(None)
 
-    def frames(self) -> Iterator[SensorFrame]:
+    def frames(self):
         while True:
             step = self.script.get(timeout=PATIENCE_S)
             if step is None:
@@ -62,7 +61,7 @@ class ScriptedSensor(Sensor):
                 step()
 
 
-def all_threads_end() -> bool:
+def all_threads_end():
     """Returns whether all threads but the caller's end within a time limit."""
     others = set(threading.enumerate()) - {threading.current_thread()}
     for thread in others:
@@ -70,5 +69,5 @@ def all_threads_end() -> bool:
     return not any(thread.is_alive() for thread in others)
 
 
-def unplugged(name: str = "000123") -> DeviceError:
+def unplugged(name="000123"):
     return DeviceError(f"Kinect {name} was unplugged.")

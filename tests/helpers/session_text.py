@@ -1,13 +1,11 @@
 """Contents of a saved session, for tests of the command line."""
 
-from pathlib import Path
-
 from recordings.file.rrd_file import RrdFile
 
 
-def rows_of(path: Path, entity: str) -> int:
+def rows_of(path, entity):
     """Number of frames in which an entity was logged. It may consist of several parts in each frame."""
-    frames: set[int] = set()
+    frames = set()
     with RrdFile(path) as file:
         for of, batch in file.chunks(images=True):
             if of == entity and "frame" in batch.schema.names:
@@ -15,9 +13,9 @@ def rows_of(path: Path, entity: str) -> int:
     return len(frames)
 
 
-def events_of(path: Path) -> list[str]:
+def events_of(path):
     """The texts of all events, in order."""
-    texts: list[str] = []
+    texts = []
     with RrdFile(path) as file:
         for of, batch in file.chunks(images=False):
             if of == "/events":

@@ -5,7 +5,6 @@ the pairing) sees the frames in the order of time. Nothing sleeps.
 """
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +14,8 @@ from devices.azure.settings import KinectSettings
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import LASER_GAP_US
 from devices.capture.stream_pairing import LivePairing
-from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from tests.helpers.standin_camera import DEPTH_LATENCY_NS, Device, VirtualTime
-from tests.helpers.standin_pyk4a import Bus
 
 PERIOD_NS = 33_333_000
 SETTLED_NS = 3_000_000_000  # the trackers' times are known after this time
@@ -29,23 +26,23 @@ class SlowTracker:
 
     patience_s = 5.0
 
-    def __init__(self, time: VirtualTime, takes_ns: Callable[[], int]) -> None:
+    def __init__(self, time, takes_ns):
         self._time, self._takes_ns = time, takes_ns
-        self._inside: deque[tuple[int, int]] = deque()
+        self._inside = deque()
         self._busy_until_ns = 0
 
-    def open(self, calibration: int) -> None:
+    def open(self, calibration):
         assert calibration
 
-    def close(self) -> None:
+    def close(self):
         self._inside.clear()
 
-    def enqueue(self, capture: int) -> None:
+    def enqueue(self, capture):
         begun_ns = max(self._time.now_ns(), self._busy_until_ns)
         self._busy_until_ns = begun_ns + self._takes_ns()
         self._inside.append((capture, self._busy_until_ns))
 
-    def pop(self, wait_s: float | None = None) -> SensorFrame | None:
+    def pop(self, wait_s=None):
         until_ns = self._time.now_ns() + round(1e9 * (self.patience_s if wait_s is None else wait_s))
         if not self._inside or self._inside[0][1] > until_ns:
             self._time.wait_until(until_ns)
@@ -72,13 +69,8 @@ class Outcome:
 
 
 def run_slow_trackers(
-    bus: Bus,
-    *,
-    color_latency_ns: int = 0,
-    tracking_ns: tuple[int, int] = (20_000_000, 20_000_000),
-    seconds: float = 20.0,
-    cable: bool = True,
-) -> Outcome:
+    bus, *, color_latency_ns=0, tracking_ns=(20_000_000, 20_000_000), seconds=20.0, cable=True
+):
     """Runs two sensors in virtual time, A the master."""
     rng = np.random.default_rng(1)
     serials = ("000001", "000002")
@@ -92,16 +84,16 @@ def run_slow_trackers(
     decimation = FrameDecimation(30)
     roles = ("master", "subordinate") if cable else ("standalone", "standalone")
     sensors = [
-        KinectSensor(serial, KinectSettings(sync=role), decimation=decimation, clock=time.now_ns)  # type: ignore[arg-type]
+        KinectSensor(serial, KinectSettings(sync=role), decimation=decimation, clock=time.now_ns)
         for serial, role, time in zip(serials, roles, times, strict=True)
     ]
     for sensor, time, takes in zip(sensors, times, tracking_ns, strict=True):
-        sensor._tracker = SlowTracker(time, lambda takes=takes: takes + int(rng.integers(0, 1_000_001)))  # type: ignore[assignment]
+        sensor._tracker = SlowTracker(time, lambda takes=takes: takes + int(rng.integers(0, 1_000_001)))
     pairing = LivePairing(round(1e9 / 30), sync_delay_ns=1000 * LASER_GAP_US if cable else None)
-    pairs: list[tuple[int, FramePair]] = []
+    pairs = []
     with sensors[1], sensors[0]:
         streams = [sensor.frames() for sensor in sensors]
-        arrivals: list[tuple[int, int, object]] = []
+        arrivals = []
         end_ns = times[0].now_ns() + round(1e9 * seconds)
         while min(time.now_ns() for time in times) < end_ns:
             index = min((0, 1), key=lambda index: times[index].now_ns())
@@ -112,10 +104,10 @@ def run_slow_trackers(
             while arrivals and arrivals[0][0] <= min(time.now_ns() for time in times):
                 at_ns, side, ready = arrivals.pop(0)
                 pairing.set_interval(decimation.interval_ns)
-                came = pairing.add("ab"[side], ready, at_ns)  # type: ignore[arg-type]
+                came = pairing.add("ab"[side], ready, at_ns)
                 pairs += [(at_ns, pair) for pair in came if pair.a is not None and pair.b is not None]
         for stream in streams:
-            stream.close()  # type: ignore[attr-defined]
+            stream.close()
     begun_ns = 100_000_000_000 + SETTLED_NS
     settled = [(at_ns, pair) for at_ns, pair in pairs if begun_ns <= at_ns < end_ns - SETTLED_NS // 10]
     span_ns = end_ns - SETTLED_NS // 10 - begun_ns

@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from fusion.body import Body
-
 
 class Optimum(NamedTuple):
     """(J, 3) joints in metres, and the objective of eq. (1) there."""
@@ -16,13 +14,7 @@ class Optimum(NamedTuple):
     objective: float
 
 
-def slsqp_optimum(
-    body: Body,
-    targets: NDArray[np.float64],
-    information: NDArray[np.float64],
-    lengths: NDArray[np.float64],
-    start: NDArray[np.float64],
-) -> Optimum:
+def slsqp_optimum(body, targets, information, lengths, start):
     """Minimises Σ (x − m)ᵀ W (x − m) over the joints x, subject to (‖e‖² − l²)/2 = 0 for each bone e.
 
     Args:
@@ -40,21 +32,21 @@ def slsqp_optimum(
     seen = W.reshape(len(body), -1).any(axis=1)
     m = np.where(seen[:, None], targets, 0.0)
 
-    def pull(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pull(x):
         apart = x.reshape(-1, 3) - m
         return np.asarray(W[:, None] * apart if W.ndim == 1 else (W @ apart[:, :, None])[:, :, 0])
 
-    def objective(x: NDArray[np.float64]) -> float:
+    def objective(x):
         return float(((x.reshape(-1, 3) - m) * pull(x)).sum())
 
-    def gradient(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(x):
         return 2.0 * pull(x).ravel()
 
-    def constraint(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def constraint(x):
         bone = x.reshape(-1, 3)[child] - x.reshape(-1, 3)[parent]
         return np.asarray(0.5 * ((bone**2).sum(axis=1) - lengths[child] ** 2))
 
-    def jacobian(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def jacobian(x):
         bone = x.reshape(-1, 3)[child] - x.reshape(-1, 3)[parent]
         J = np.zeros((len(child), len(body), 3))
         J[rows, child], J[rows, parent] = bone, -bone

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.solvers import MAX_ITERATIONS
 from tests.helpers.slsqp import slsqp_optimum
-from tests.helpers.solvers import Solution, TreeSolver
+from tests.helpers.solvers import TreeSolver
 
 BONE_TOLERANCE = 1e-6  # m, the claim
 # m: force over the information it acts on, as if it were a joint's distance from its target. The solver's
@@ -29,7 +29,7 @@ class Problem:
     noise: float
 
 
-def random_pose(rng: np.random.Generator, body: Body, lengths: NDArray[np.float64]) -> NDArray[np.float64]:
+def random_pose(rng, body, lengths):
     """(J, 3) joints with these bone lengths, each bone in any direction."""
     directions = rng.normal(size=(len(body), 3))
     directions *= (lengths / np.linalg.norm(directions, axis=1))[:, None]
@@ -39,7 +39,7 @@ def random_pose(rng: np.random.Generator, body: Body, lengths: NDArray[np.float6
     return pose
 
 
-def random_problem(seed: int, matrices: bool = False) -> Problem:
+def random_problem(seed, matrices=False):
     """Bones of 20–500 mm, noise of 1–300 mm, weights of 1e-6–1, up to half the joints without data; every
     second one starts from an unrelated pose.
 
@@ -60,7 +60,7 @@ def random_problem(seed: int, matrices: bool = False) -> Problem:
     return Problem(body, targets, weights, lengths, start, noise)
 
 
-def random_information(rng: np.random.Generator, joints: int) -> NDArray[np.float64]:
+def random_information(rng, joints):
     """(J, 3, 3) symmetric positive definite, with eigenvalues of 1e-6–1: of condition up to a million."""
     values = 10.0 ** rng.uniform(-6.0, 0.0, (joints, 3))
     directions, _ = np.linalg.qr(rng.normal(size=(joints, 3, 3)))
@@ -68,14 +68,14 @@ def random_information(rng: np.random.Generator, joints: int) -> NDArray[np.floa
     return np.asarray(0.5 * (W + W.transpose(0, 2, 1)))  # symmetric to the bit
 
 
-def bone_error(problem: Problem, positions: NDArray[np.float64]) -> float:
+def bone_error(problem, positions):
     """The largest |length - l|, metres."""
     child = problem.body.bone_joints
     bones = positions[child] - positions[problem.body.parent_indices[child]]
     return float(np.abs(np.linalg.norm(bones, axis=1) - problem.lengths[child]).max())
 
 
-def projected_gradient(problem: Problem, positions: NDArray[np.float64]) -> float:
+def projected_gradient(problem, positions):
     """The largest gradient along what may move, over the information it acts on, metres: 0 if stationary.
 
     What may move: the end of each bone, normal to it, with all joints below; and the whole.
@@ -98,7 +98,7 @@ def projected_gradient(problem: Problem, positions: NDArray[np.float64]) -> floa
     return max(largest, float(np.linalg.norm(force[root])) / information[root])
 
 
-def failures(problem: Problem, solution: Solution) -> list[str]:
+def failures(problem, solution):
     """What is wrong with a solution; empty where nothing is."""
     if not np.isfinite(solution.positions).all():
         return ["NaN"]
@@ -112,16 +112,16 @@ def failures(problem: Problem, solution: Solution) -> list[str]:
     return wrong
 
 
-def slsqp(problem: Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.float64], float, bool]:
+def slsqp(problem, start):
     """Eq. (1) by scipy, with all derivatives: (positions, objective, whether bones came right)."""
     found = slsqp_optimum(problem.body, problem.targets, problem.weights, problem.lengths, start)
     return found.positions, found.objective, bone_error(problem, found.positions) < BONE_TOLERANCE
 
 
-def run(count: int, first: int, matrices: bool = False) -> tuple[Counter[str], NDArray[np.int64], list[int]]:
+def run(count, first, matrices=False):
     """Solves ``count`` random problems: failures by kind, (2, count) iterations and systems, seeds failed."""
     solvers = {name: TreeSolver(b.parent_indices, b.order, b.rest) for name, b in BODIES.items()}
-    kinds: Counter[str] = Counter()
+    kinds = Counter()
     work = np.zeros((2, count), dtype=np.int64)
     failed = []
     for k in range(count):
@@ -142,12 +142,12 @@ def run(count: int, first: int, matrices: bool = False) -> tuple[Counter[str], N
 SAME = 1e-8
 
 
-def solver_of(body: Body) -> TreeSolver:
+def solver_of(body):
     """The exact solver for a body."""
     return TreeSolver(body.parent_indices, body.order, body.rest)
 
 
-def ordinary_problem(seed: int, body: Body = KINECT_V2, noise: float = 0.02) -> Problem:
+def ordinary_problem(seed, body=KINECT_V2, noise=0.02):
     """A person facing the sensor, bones of 80–450 mm, all joints with data of like weight."""
     rng = np.random.default_rng(seed)
     lengths = rng.uniform(0.08, 0.45, len(body))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fusion.array_fields import new_arrays
 from fusion.solvers.published import solve_published
@@ -22,24 +22,18 @@ class Solution:
     systems: int
 
 
-def _floats(values: ArrayLike) -> NDArray[np.float64]:
+def _floats(values):
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
 class TreeSolver:
     """:func:`solve_tree` for one tree; keeps the workspace between frames."""
 
-    def __init__(self, parents: ArrayLike, order: ArrayLike, rest: ArrayLike) -> None:
+    def __init__(self, parents, order, rest):
         self.parents, self.order = (np.array(each, dtype=np.int64) for each in (parents, order))
         self.rest, self._work = _floats(rest), new_arrays(TreeWorkspace, J=len(self.parents))
 
-    def solve(
-        self,
-        targets: ArrayLike,
-        weights: ArrayLike,
-        bone_lengths: ArrayLike,
-        start: ArrayLike | None = None,
-    ) -> Solution:
+    def solve(self, targets, weights, bone_lengths, start=None):
         """Solves one frame."""
         m, W, lengths = _floats(targets), _floats(weights), _floats(bone_lengths)
         near = np.full(m.shape, np.nan) if start is None else _floats(start)
@@ -53,10 +47,10 @@ class TreeSolver:
 class PaperSolver:
     """:func:`solve_published` for one tree of joints, from the targets where no start is given."""
 
-    def __init__(self, parents: ArrayLike, line_search: bool = True) -> None:
+    def __init__(self, parents, line_search=True):
         self.parents, self.line_search = np.array(parents, dtype=np.int64), line_search
 
-    def solve(self, targets, weights, bone_lengths, start=None) -> Solution:  # type: ignore[no-untyped-def]
+    def solve(self, targets, weights, bone_lengths, start=None):
         """Solves one frame."""
         m = _floats(targets)
         w = np.where(np.isfinite(m).all(axis=1), _floats(weights), 0.0)

@@ -10,7 +10,6 @@ the colour camera resets the clock; capture sync drops all depth if it is beyond
 import heapq
 import random
 import time
-import types
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -25,23 +24,23 @@ _MASTER, _SUBORDINATE, _WFOV_UNBINNED, _3072P = 1, 2, 4, 6
 class RealTime:
     """The machine's own clock."""
 
-    def now_ns(self) -> int:
+    def now_ns(self):
         return time.perf_counter_ns()
 
-    def wait_until(self, ns: int) -> None:
+    def wait_until(self, ns):
         time.sleep(max(0.0, (ns - self.now_ns()) * 1e-9))
 
 
 class VirtualTime:
     """A clock that jumps to whatever is waited for."""
 
-    def __init__(self, now_ns: int = 100_000_000_000) -> None:
+    def __init__(self, now_ns=100_000_000_000):
         self._now_ns = now_ns
 
-    def now_ns(self) -> int:
+    def now_ns(self):
         return self._now_ns
 
-    def wait_until(self, ns: int) -> None:
+    def wait_until(self, ns):
         self._now_ns = max(self._now_ns, ns)
 
 
@@ -98,7 +97,7 @@ class Device:
     _queue: deque[Shot] = field(default_factory=deque)
     _due: list[tuple[int, int, bool, Shot]] = field(default_factory=list)
 
-    def start(self, color: bool, synchronized_only: bool, begun_ns: Callable[[], int | None]) -> None:
+    def start(self, color, synchronized_only, begun_ns):
         """Starts the cameras; ``begun_ns`` is the time of the first exposure once the master runs."""
         self.color_runs, self.synchronized_only, self.begun_ns = color, synchronized_only, begun_ns
         if color and self.first_usec is not None:
@@ -108,11 +107,11 @@ class Device:
         self._due.clear()
         self._queue.clear()
 
-    def _sync_drops_depth(self) -> bool:
+    def _sync_drops_depth(self):
         late = self.first_usec is not None and self.first_usec > FIRST * self.interval_usec
         return late and self.color_runs and self.joins_color
 
-    def next_shot(self, timeout_ms: int) -> Shot | None:
+    def next_shot(self, timeout_ms):
         """Returns the oldest capture in the queue after a bounded wait; None if none arrives."""
         if not self.paced:
             return self._make(self.time.now_ns()) if timeout_ms else None
@@ -128,7 +127,7 @@ class Device:
             self._fill()
         return self._queue.popleft()
 
-    def _fill(self) -> None:
+    def _fill(self):
         while (next_ns := self._next_exposure_ns()) is not None and next_ns <= self.time.now_ns():
             self._expose(next_ns)
         while self._due and self._due[0][0] <= self.time.now_ns():
@@ -138,14 +137,14 @@ class Device:
             if len(self._queue) > QUEUE:
                 self._queue.popleft()
 
-    def _next_exposure_ns(self) -> int | None:
+    def _next_exposure_ns(self):
         begun_ns = self.begun_ns()
         return None if begun_ns is None else begun_ns + (self._made + 1) * self.interval_usec * 1000
 
-    def _expose(self, exposed_ns: int) -> None:
+    def _expose(self, exposed_ns):
         """Takes the images of one moment; each capture is due when libk4a releases it."""
         shot = self._make(exposed_ns + self.depth_latency_ns)
-        captures: list[Shot | None] = [None if random.random() < self.lost_on_usb else shot]
+        captures = [None if random.random() < self.lost_on_usb else shot]
         if self.color_runs and self.joins_color:
             captures = [self._synchronized(shot, exposed_ns)] if captures[0] else []
         elif self.color_runs and self.color:  # colour comes in captures of its own
@@ -154,13 +153,13 @@ class Device:
         for capture in filter(None, captures):
             heapq.heappush(self._due, (capture.ready_ns, capture.number, capture.has_depth, capture))
 
-    def _make(self, host_ns: int) -> Shot:
+    def _make(self, host_ns):
         self._made += 1
         self.clock_usec += self.interval_usec * (1 + self.skips)
         color = self.color_runs and self.joins_color and self.color and not self.color_lost(self._made)
         return Shot(self._made, self.clock_usec, host_ns, host_ns, not (self.blind or self._blinded), color)
 
-    def _synchronized(self, shot: Shot, exposed_ns: int) -> Shot | None:
+    def _synchronized(self, shot, exposed_ns):
         """The capture when capture sync releases it; None if it never does."""
         if shot.has_color:
             ready_ns = max(shot.ready_ns, exposed_ns + self.color_latency_ns)
@@ -173,7 +172,7 @@ class Device:
         return replace(shot, ready_ns=ready_ns)
 
 
-def refused(config: types.SimpleNamespace, device: Device) -> str:
+def refused(config, device):
     """Why libk4a 1.4 does not start cameras with this configuration; empty if it does."""
     depth, color = int(config.depth_mode) != 0, int(config.color_resolution) != 0
     sync, delay = int(config.wired_sync_mode), config.subordinate_delay_off_master_usec

@@ -30,17 +30,17 @@ _AT_START = {"bodies": 1, "first_id": 7, "smoothing": -1.0}
 class Standin:
     """The compiled library; its settings are attributes."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         self.__dict__["path"] = path
         self.__dict__["library"] = ctypes.CDLL(str(path))
 
-    def __getattr__(self, name: str) -> object:
+    def __getattr__(self, name):
         return _SETTINGS[name].in_dll(self.library, f"standin_{name}").value
 
-    def __setattr__(self, name: str, value: float) -> None:
+    def __setattr__(self, name, value):
         _SETTINGS[name].in_dll(self.library, f"standin_{name}").value = value
 
-    def reset(self) -> None:
+    def reset(self):
         for name in _SETTINGS:
             setattr(self, name, _AT_START.get(name, 0))
 

@@ -9,14 +9,13 @@ import os
 import sys
 import time
 import types
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from devices.azure import pyk4a_internals
 from devices.azure.calibration import DEPTH_MODES
-from tests.helpers.standin_camera import Device, Shot, refused
+from tests.helpers.standin_camera import Device, refused
 from tests.helpers.standin_values import (
     DEVICE_NAME,
     JPEG,
@@ -36,54 +35,54 @@ _SHAPES = {number: (mode.height, mode.width) for number, mode in enumerate(DEPTH
 _MASTER, _SUBORDINATE = 1, 2
 
 
-def _names(title: str, names: str) -> type[enum.IntEnum]:
+def _names(title, names):
     return enum.IntEnum(title, [(name, number) for number, name in enumerate(names.split())])
 
 
 class Bus:
     """What is plugged in; ``native`` is the compiled libk4a whose captures the tracker takes."""
 
-    def __init__(self, native: ctypes.CDLL | None) -> None:
-        self.devices: list[Device] = []
+    def __init__(self, native):
+        self.devices = []
         self.native = native
-        self.configs: list[types.SimpleNamespace] = []
-        self.thread_safe: list[bool] = []
-        self.timeouts: list[int] = []
-        self.started: list[str] = []
+        self.configs = []
+        self.thread_safe = []
+        self.timeouts = []
+        self.started = []
         self.counts = self.failed_opens = 0  # searches of the bus, and references to None that pyk4a lost
-        self.master_begun_ns: int | None = None
+        self.master_begun_ns = None
         self.gives_none_away = False  # as pyk4a 1.5.0 does
-        self.log_handler: Callable[..., None] | None = None
+        self.log_handler = None
 
-    def plugged(self) -> list[Device]:
+    def plugged(self):
         return [device for device in self.devices if device.plugged]
 
-    def log(self, device: Device | None, when: str) -> None:
+    def log(self, device, when):
         """Calls the handler of libk4a's log, as where a device does not open or start."""
         if self.log_handler is not None and device is not None and when in device.log:
             self.log_handler(None, 1, b"", 0, device.log[when].encode())
 
     @property
-    def open_serials(self) -> list[str]:
+    def open_serials(self):
         return [device.serial for device in self.devices if device.opened_by is not None]
 
 
-def make_module(bus: Bus) -> types.ModuleType:
+def make_module(bus):
     module = types.ModuleType("pyk4a")
 
     class PyK4A:
-        def __init__(self, config: object = None, device_id: int = 0, thread_safe: bool = True) -> None:
+        def __init__(self, config=None, device_id=0, thread_safe=True):
             self._config = config or module.Config()
             self._device_id = device_id
-            self._device: Device | None = None
+            self._device = None
             self.is_running = False
             bus.thread_safe.append(thread_safe)
 
         @property
-        def opened(self) -> bool:
+        def opened(self):
             return self._device is not None
 
-        def open(self) -> None:
+        def open(self):
             if self.opened:
                 raise K4AException("Device already opened")
             plugged = bus.plugged()
@@ -104,17 +103,17 @@ def make_module(bus: Bus) -> types.ModuleType:
             self._device_handle = new_capsule(self._number, DEVICE_NAME)
 
         @property
-        def serial(self) -> str:
+        def serial(self):
             return self._present().serial
 
         @property
-        def sync_jack_status(self) -> tuple[bool, bool]:
+        def sync_jack_status(self):
             device = self._present()
             if device.orbbec and device.busy:  # the device opens lazily, here
                 raise K4AException
             return (False, False) if device.orbbec else device.jacks
 
-        def start(self) -> None:
+        def start(self):
             if not self.opened:
                 self.open()
             device, config = self._present(), self._config
@@ -130,7 +129,7 @@ def make_module(bus: Bus) -> types.ModuleType:
                 bus.master_begun_ns = begun_ns
             delay_ns = 1000 * config.subordinate_delay_off_master_usec
 
-            def first_exposure_ns() -> int | None:
+            def first_exposure_ns():
                 if int(config.wired_sync_mode) != _SUBORDINATE:
                     return begun_ns
                 return None if bus.master_begun_ns is None else bus.master_begun_ns + delay_ns
@@ -139,7 +138,7 @@ def make_module(bus: Bus) -> types.ModuleType:
                 int(config.color_resolution) != 0, config.synchronized_images_only, first_exposure_ns
             )
 
-        def stop(self) -> None:
+        def stop(self):
             if not self.opened:
                 raise WouldCrashError("stop() of a device that is not open")
             device = self._device
@@ -147,7 +146,7 @@ def make_module(bus: Bus) -> types.ModuleType:
             self.close()  # like the real one, even if the device is disconnected
             self.is_running = False
 
-        def close(self) -> None:
+        def close(self):
             if self._device is None:
                 raise K4AException("Device is not opened")
             if self._device.opened_by is self:
@@ -156,18 +155,18 @@ def make_module(bus: Bus) -> types.ModuleType:
                     bus.master_begun_ns = None
             self._device = None
 
-        def __del__(self) -> None:
+        def __del__(self):
             if self.is_running:
                 self.stop()
             elif self.opened:
                 self.close()
 
         @property
-        def calibration(self) -> Calibration:
+        def calibration(self):
             self._present()
             return Calibration(self._config.depth_mode, self._config.color_resolution, self._number.value - 1)
 
-        def get_capture(self, timeout: int = -1) -> PyK4ACapture:
+        def get_capture(self, timeout=-1):
             if self._device is None:
                 raise K4AException("Device is not opened")
             bus.timeouts.append(timeout)
@@ -182,7 +181,7 @@ def make_module(bus: Bus) -> types.ModuleType:
             device.captures += shot.has_depth or not shot.has_color  # colour alone is not counted
             return self._capture(device, shot)
 
-        def _capture(self, device: Device, shot: Shot) -> PyK4ACapture:
+        def _capture(self, device, shot):
             kind = LeakyCapture if bus.gives_none_away else PyK4ACapture
             shape = _SHAPES.get(int(self._config.depth_mode), (576, 640))
             host_ns = time.time_ns() if device.orbbec else shot.depth_host_ns
@@ -195,14 +194,14 @@ def make_module(bus: Bus) -> types.ModuleType:
                 host_ns,
             )
 
-        def _present(self) -> Device:
+        def _present(self):
             if self._device is None:
                 raise K4AException("Device is not opened")
             if not self._device.plugged:
                 raise K4AException
             return self._device
 
-    def connected_device_count() -> int:
+    def connected_device_count():
         bus.counts += 1
         return len(bus.plugged())
 
@@ -222,16 +221,16 @@ def make_module(bus: Bus) -> types.ModuleType:
     module.CalibrationType = enum.IntEnum("CalibrationType", [("UNKNOWN", -1), ("DEPTH", 0), ("COLOR", 1)])
 
     def config(
-        color_resolution: int = 1,
-        color_format: int = 3,
-        depth_mode: int = 2,
-        camera_fps: int = 2,
-        synchronized_images_only: bool = True,
-        depth_delay_off_color_usec: int = 0,
-        wired_sync_mode: int = 0,
-        subordinate_delay_off_master_usec: int = 0,
-        disable_streaming_indicator: bool = False,
-    ) -> types.SimpleNamespace:
+        color_resolution=1,
+        color_format=3,
+        depth_mode=2,
+        camera_fps=2,
+        synchronized_images_only=True,
+        depth_delay_off_color_usec=0,
+        wired_sync_mode=0,
+        subordinate_delay_off_master_usec=0,
+        disable_streaming_indicator=False,
+    ):
         assert subordinate_delay_off_master_usec >= 0
         return types.SimpleNamespace(**locals())
 

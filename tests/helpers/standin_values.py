@@ -26,7 +26,7 @@ class K4ATimeoutException(K4AException):
     pass
 
 
-def new_capsule(handle: ctypes.c_void_p, name: ctypes.c_char_p) -> object:
+def new_capsule(handle, name):
     """As in pyk4a: the capsule holds the address of the handle, not the handle."""
     return _new_capsule(ctypes.addressof(handle), name, None)
 
@@ -34,15 +34,7 @@ def new_capsule(handle: ctypes.c_void_p, name: ctypes.c_char_p) -> object:
 class PyK4ACapture:
     """A capture: depth and infrared, colour where it was in time, or only one of them."""
 
-    def __init__(
-        self,
-        native: ctypes.CDLL | None,
-        depth: np.ndarray | None,
-        ir: np.ndarray | None,
-        color: np.ndarray | None,
-        time_usec: int,
-        host_ns: int,
-    ) -> None:
+    def __init__(self, native, depth, ir, color, time_usec, host_ns):
         self.depth, self.ir, self.color = depth, ir, color
         self.depth_timestamp_usec, self.depth_system_timestamp_nsec = (
             (0, 0) if depth is None else (time_usec, host_ns)
@@ -54,7 +46,7 @@ class PyK4ACapture:
             self._fill(native, depth, ir)
         self._capture_handle = new_capsule(self._handle, _CAPTURE_NAME)
 
-    def _fill(self, native: ctypes.CDLL, depth: np.ndarray, ir: np.ndarray) -> None:
+    def _fill(self, native, depth, ir):
         native.k4a_image_get_buffer.restype = ctypes.c_void_p
         native.k4a_capture_create(ctypes.byref(self._handle))
         for image, kind, attach in (
@@ -70,12 +62,12 @@ class PyK4ACapture:
             attach(self._handle, handle)
             native.k4a_image_release(handle)
 
-    def __del__(self) -> None:
+    def __del__(self):
         if self._native is not None and self._handle:
             self._native.k4a_capture_release(self._handle)
 
 
-def give_none_away() -> None:
+def give_none_away():
     decrease = ctypes.pythonapi.Py_DecRef
     decrease.restype, decrease.argtypes = None, [ctypes.py_object]
     decrease(None)
@@ -84,7 +76,7 @@ def give_none_away() -> None:
 class LeakyCapture(PyK4ACapture):
     """A capture that loses a reference to None for each image that it lacks, like pyk4a 1.5.0."""
 
-    def __getattribute__(self, name: str) -> object:
+    def __getattribute__(self, name):
         value = object.__getattribute__(self, name)
         if name in ("depth", "ir", "color") and value is None:
             give_none_away()
@@ -94,14 +86,14 @@ class LeakyCapture(PyK4ACapture):
 class Calibration:
     """Two made-up cameras."""
 
-    def __init__(self, depth_mode: int, color_resolution: int, device: int = 0) -> None:
+    def __init__(self, depth_mode, color_resolution, device=0):
         self._depth_mode, self._color_resolution = int(depth_mode), int(color_resolution)
         self._struct = ctypes.create_string_buffer(1032)
         ctypes.c_int.from_buffer(self._struct, 0).value = device
         ctypes.c_int.from_buffer(self._struct, 1024).value = int(depth_mode)
         self._calibration_handle = _new_capsule(ctypes.addressof(self._struct), _CALIBRATION_NAME, None)
 
-    def _lens(self, camera: int) -> tuple[float, float, float, float, tuple[float, ...]]:
+    def _lens(self, camera):
         if camera not in (0, 1):
             raise ValueError("Camera matrix only available for color and depth cameras.")
         if (self._color_resolution if camera == 1 else self._depth_mode) == 0:
@@ -109,13 +101,13 @@ class Calibration:
         lens = (0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01)
         return (610.0, 611.0, 640.0, 365.0, lens) if camera == 1 else (504.0, 505.0, 332.0, 348.0, lens)
 
-    def get_camera_matrix(self, camera: int) -> np.ndarray:
+    def get_camera_matrix(self, camera):
         fx, fy, cx, cy, _ = self._lens(camera)
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
-    def get_distortion_coefficients(self, camera: int) -> np.ndarray:
+    def get_distortion_coefficients(self, camera):
         return np.array(self._lens(camera)[4])
 
-    def get_extrinsic_parameters(self, source: int, target: int) -> tuple[np.ndarray, np.ndarray]:
+    def get_extrinsic_parameters(self, source, target):
         assert (source, target) == (0, 1), "depth to colour"
         return np.eye(3), np.array([[-0.032, 0.0, 0.004]])  # (1, 3) metres, from the SDK's millimetres

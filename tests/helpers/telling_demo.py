@@ -22,7 +22,7 @@ cli.script()
 """
 
 
-def telling_demo(save: Path, *more: str) -> subprocess.Popen[bytes]:
+def telling_demo(save, *more):
     """Starts it."""
     return subprocess.Popen(
         [sys.executable, "-u", "-c", _PROGRAM, str(save), *more],
@@ -33,7 +33,7 @@ def telling_demo(save: Path, *more: str) -> subprocess.Popen[bytes]:
     )
 
 
-def wait_for_frames(process: subprocess.Popen[bytes], frames: int) -> None:
+def wait_for_frames(process, frames):
     """Waits until so many more frames have been recorded."""
     told = process.stderr.read(frames)
     assert told == b"." * frames, told + process.stderr.read()

@@ -1,12 +1,10 @@
 """Two sensors' frames with known truth: when each was captured, what its clock said, when it arrived."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from devices.capture.stream_pairing import LivePairing, Side
-from devices.pairing import FramePair
+from devices.capture.stream_pairing import Side
 from devices.sensor import SensorFrame
 
 INTERVAL_NS = 33_333_333
@@ -23,17 +21,7 @@ class Shot:
     frame: SensorFrame
 
 
-def shots(
-    side: Side,
-    seconds: float,
-    *,
-    fps: float = 30.0,
-    phase_ns: int = 0,
-    clock_ns: int = 0,
-    ppm: float = 0.0,
-    latency_ns: int = 20_000_000,
-    seed: int = 1,
-) -> list[Shot]:
+def shots(side, seconds, *, fps=30.0, phase_ns=0, clock_ns=0, ppm=0.0, latency_ns=20_000_000, seed=1):
     """A sensor's frames: clock = (true time)(1 + ppm) + clock_ns; delays are latency + 3 ms of jitter."""
     rng = np.random.default_rng(seed + (side == "b"))
     result = []
@@ -46,7 +34,7 @@ def shots(
     return result
 
 
-def run(pairing: LivePairing, *streams: Iterable[Shot]) -> list[FramePair]:
+def run(pairing, *streams):
     """Feeds frames in the order of their arrival, with a poll every 10 ms as the loop does."""
     todo = sorted((shot for stream in streams for shot in stream), key=lambda shot: shot.arrives_ns)
     pairs, now_ns = [], todo[0].arrives_ns
@@ -59,7 +47,7 @@ def run(pairing: LivePairing, *streams: Iterable[Shot]) -> list[FramePair]:
     return pairs + pairing.poll(now_ns + SECOND_NS)
 
 
-def true_skews(pairs: Iterable[FramePair], *streams: Iterable[Shot]) -> np.ndarray:
+def true_skews(pairs, *streams):
     """True time between the captures of each pair's frames, ns."""
     truth = {id(shot.frame): shot.true_ns for stream in streams for shot in stream}
     return np.array([truth[id(p.b)] - truth[id(p.a)] for p in pairs if p.a is not None and p.b is not None])

@@ -1,10 +1,8 @@
 """A person of known truth and two sensors of known place."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -17,27 +15,25 @@ A_FROM_B = RigidTransform.of(
 """K_B about 90° to K_A's right, slightly tilted."""
 
 
-def calibration_of(body: Body) -> Calibration:
+def calibration_of(body):
     """The true placement and the true bone lengths."""
     return Calibration(body, A_FROM_B, body.nominal_lengths, "known truth")
 
 
-def turned_around(angle: float) -> RigidTransform:
+def turned_around(angle):
     """K_B turned by so many degrees round a person 2.6 m before both sensors."""
     rotation = Rotation.from_euler("y", -angle, degrees=True).as_matrix()
     person = np.array([0.0, 0.0, 2.6])
     return RigidTransform.of(rotation, person - rotation @ person)
 
 
-def calibrated_on(body: Body, a_from_b: RigidTransform = A_FROM_B) -> Calibration:
+def calibrated_on(body, a_from_b=A_FROM_B):
     """The calibration on a second of the start-up pose."""
     pairs = [pair_of(body, standing(body), k * FRAME_NS, a_from_b) for k in range(30)]
     return calibrate(body, pairs, "start-up pose")
 
 
-def standing(
-    body: Body, lengths: NDArray[np.float64] | None = None, arms_out: float = 50.0, legs_out: float = 14.0
-) -> NDArray[np.float64]:
+def standing(body, lengths=None, arms_out=50.0, legs_out=14.0):
     """(J, 3) a person 2.6 m before K_A, turned 45° to both sensors, arms and legs apart."""
     lengths = body.nominal_lengths if lengths is None else lengths
     joints = np.zeros((len(body), 3))
@@ -55,9 +51,7 @@ def standing(
     return Rotation.from_euler("y", 45.0, degrees=True).apply(joints) + np.array([0.1, 0.05, 2.6])
 
 
-def pair_of(
-    body: Body, truth: NDArray[np.float64], time_ns: int = 0, a_from_b: RigidTransform = A_FROM_B
-) -> SkeletonPair:
+def pair_of(body, truth, time_ns=0, a_from_b=A_FROM_B):
     """Both sensors' flawless view of (J, 3) joints given in K_A's frame."""
     return SkeletonPair(
         Skeleton.of(body, truth, None, time_ns),
@@ -66,10 +60,10 @@ def pair_of(
     )
 
 
-def noisy(pair: SkeletonPair, rng: np.random.Generator, sd: float) -> SkeletonPair:
+def noisy(pair, rng, sd):
     """The pair with Gaussian noise of `sd` metres on each axis."""
 
-    def shaken(skeleton: Skeleton | None) -> Skeleton | None:
+    def shaken(skeleton):
         if skeleton is None:
             return None
         moved = skeleton.positions + rng.normal(0.0, sd, skeleton.positions.shape)
@@ -78,7 +72,7 @@ def noisy(pair: SkeletonPair, rng: np.random.Generator, sd: float) -> SkeletonPa
     return SkeletonPair(shaken(pair.a), shaken(pair.b), pair.time_ns)
 
 
-def moving(body: Body, frames: int, seed: int = 0) -> NDArray[np.float64]:
+def moving(body, frames, seed=0):
     """(T, J, 3) a person who stands still for 1.5 s, then turns, shifts and waves; bones exact."""
     rng = np.random.default_rng(seed)
     still = standing(body)

@@ -1,16 +1,7 @@
 """A made-up machine's file system, as far as the checks of ``duplex doctor`` read it."""
 
-from pathlib import Path
 
-
-def plug_in(
-    root: Path,
-    serial: str = "000123",
-    product: str = "097c",
-    speed: int = 5000,
-    number: int = 7,
-    vendor: str = "045e",
-) -> Path:
+def plug_in(root, serial="000123", product="097c", speed=5000, number=7, vendor="045e"):
     """Puts a depth camera on a made-up machine's bus, as Linux shows it."""
     entry = root / "sys/bus/usb/devices" / f"2-{number}"
     entry.mkdir(parents=True)
@@ -30,7 +21,7 @@ def plug_in(
     return node
 
 
-def furnish(root: Path) -> None:
+def furnish(root):
     """Adds the files to a made-up machine that sensors and tracker need besides their libraries."""
     for file in (
         "usr/bin/dnn_model_2_0_op11.onnx",

@@ -3,11 +3,10 @@
 import numpy as np
 
 from fusion.array_fields import new_arrays
-from fusion.skeleton import Skeleton
 from fusion.witness import JointEvidence, new_witness_model, weigh_witness
 
 
-def evidence_in(witness: np.ndarray, skeleton: Skeleton) -> JointEvidence:
+def evidence_in(witness, skeleton):
     """Evidence and surface measurement of each joint, in the sensor's frame."""
     result = new_arrays(JointEvidence, J=len(skeleton.states))
     model = new_witness_model(skeleton.body)

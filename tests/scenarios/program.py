@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
-from typing import Any
 
 from tests.scenarios import standin_rig
 from viewer_app.cli import script
@@ -39,7 +38,7 @@ class Run:
     folder: Path = field(default=Path())
 
 
-def main(arguments: list[str], folder: Path, rig: Path | None) -> None:
+def main(arguments, folder, rig):
     """The process: ends as the interpreter does, with its exit functions and destructors."""
     with (folder / "out.txt").open("wb", 0) as out:
         os.dup2(out.fileno(), 1)
@@ -54,7 +53,7 @@ def main(arguments: list[str], folder: Path, rig: Path | None) -> None:
         standin = standin_rig.install(folder)
     else:
         sys.path.insert(0, str(rig / "site"))
-    code: Any = 0
+    code = 0
     try:
         script()
     except SystemExit as end:
@@ -65,13 +64,7 @@ def main(arguments: list[str], folder: Path, rig: Path | None) -> None:
     ctypes.pythonapi.Py_Exit(ctypes.c_int(code if isinstance(code, int) else bool(code)))
 
 
-def run(
-    arguments: list[str],
-    folder: Path,
-    conf: dict[str, object],
-    events: tuple[tuple[float | str, Action], ...],
-    rig: Path | None,
-) -> Run:
+def run(arguments, folder, conf, events, rig):
     """Runs the program to its end.
 
     Args:
@@ -118,11 +111,11 @@ def run(
     return Run(process.exitcode or 0, _said(folder), ended_s, folder)
 
 
-def _said(folder: Path) -> str:
+def _said(folder):
     return (folder / "out.txt").read_text(encoding="utf-8", errors="replace")
 
 
-def _write(folder: Path, conf: dict[str, object]) -> None:
+def _write(folder, conf):
     unfinished = folder / "rig.conf.new"
     unfinished.write_text("".join(f"{key}={value}\n" for key, value in conf.items()))
     unfinished.rename(folder / "rig.conf")

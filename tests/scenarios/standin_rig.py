@@ -11,9 +11,7 @@ import sys
 import threading
 import time
 from collections import deque
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
@@ -34,18 +32,18 @@ _JOINT = body_tracker._JOINT
 class Rig:
     """The bus and the body tracker of a running program."""
 
-    def __init__(self, conf: Path) -> None:
+    def __init__(self, conf):
         self._conf, self._read_at, self._values = conf, 0, dict[str, str]()
         self.bus = Bus(None)
         self.bus.devices = [Device(serial, paced=True) for serial in SERIALS]
         self.gpu = threading.Lock()
         self.follow()
 
-    def get(self, key: str, default: float = 0.0) -> float:
+    def get(self, key, default=0.0):
         """The number of a key."""
         return float(self._values.get(key, default))
 
-    def follow(self) -> None:
+    def follow(self):
         """Reads the file again if it changed, and sets the devices."""
         changed = self._conf.stat().st_mtime_ns
         if changed == self._read_at:
@@ -55,7 +53,7 @@ class Rig:
         for side, device in zip("ab", self.bus.devices, strict=True):
             self._set(device, f"{side}.")
 
-    def _set(self, device: Device, of: str) -> None:
+    def _set(self, device, of):
         jack, get = int(self.get(of + "jack")), self.get
         device.jacks = bool(jack & 1), bool(jack & 2)
         device.plugged, device.silent = bool(get(of + "present", 1)), bool(get(of + "stall"))
@@ -66,7 +64,7 @@ class Rig:
         device.first_usec = round(1000 * get(of + "first_pts_ms"))
         device.open_s, device.stop_s = get("open_ms", 200) / 1000, get("stop_ms", 100) / 1000
         device.start_s = (get("start_ms", 250) + get("color_start_ms", 300)) / 1000
-        device.firmware = tuple(map(int, self._values.get(of + "fw", "1.6.110").split(".")))  # type: ignore[assignment]
+        device.firmware = tuple(map(int, self._values.get(of + "fw", "1.6.110").split(".")))
         device.log.clear()
         device.starts = not (get(of + "color_fails") or get("engine_fails"))
         if device.firmware < (1, 5, 92):
@@ -78,23 +76,23 @@ class Rig:
         if get("engine_fails"):
             device.log["start"] = "dewrapper_start(). Depth Engine thread failed to start"
 
-    def keep_following(self) -> None:
+    def keep_following(self):
         """Follows the file on a thread."""
 
-        def run() -> None:
+        def run():
             while True:
                 time.sleep(0.01)
                 self.follow()
 
         threading.Thread(target=run, daemon=True).start()
 
-    def libk4a(self) -> Any:
+    def libk4a(self):
         """What the program calls of libk4a itself."""
 
-        def listen(handler: Any, _context: object, _level: int) -> None:
+        def listen(handler, _context, _level):
             self.bus.log_handler = handler
 
-        def version_of(handle: int, version: Any) -> int:
+        def version_of(handle, version):
             version._obj.rgb[:] = self.bus.devices[handle - 1].firmware
             return _OK
 
@@ -106,16 +104,16 @@ class Rig:
 class _Tracker:
     """A body tracker on a thread of its own, with bounded queues."""
 
-    def __init__(self, rig: Rig, serial: str) -> None:
+    def __init__(self, rig, serial):
         self.rig, self.serial, self.side = rig, serial, "ab"[SERIALS.index(serial)]
         self.room = threading.Condition()
-        self.waiting: deque[int] = deque()
-        self.results: deque[int] = deque()
+        self.waiting = deque()
+        self.results = deque()
         self.stopped = False
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
 
-    def _run(self) -> None:
+    def _run(self):
         while True:
             with self.room:
                 self.room.wait_for(lambda: self.stopped or self.waiting)
@@ -134,13 +132,13 @@ class _Tracker:
                 self.room.notify_all()
 
 
-def libk4abt(rig: Rig) -> Any:
+def libk4abt(rig):
     """The functions of libk4abt, which take what ``ctypes`` passes."""
-    trackers: dict[int, _Tracker] = {}
-    frames: dict[int, tuple[int, str]] = {}
+    trackers = {}
+    frames = {}
     handles = itertools.count(1)
 
-    def create(calibration: int, _configuration: object, out: Any) -> int:
+    def create(calibration, _configuration, out):
         time.sleep(rig.get("bt.load_ms", 800) / 1000)
         if rig.get("bt.create_fails"):
             return _FAILED
@@ -149,18 +147,18 @@ def libk4abt(rig: Rig) -> Any:
         trackers[out._obj.value] = _Tracker(rig, serial)
         return _OK
 
-    def shut_down(tracker: ctypes.c_void_p) -> None:
+    def shut_down(tracker):
         mine = trackers[tracker.value or 0]
         with mine.room:
             mine.stopped = True
             mine.room.notify_all()
 
-    def destroy(tracker: ctypes.c_void_p) -> None:
+    def destroy(tracker):
         mine = trackers.pop(tracker.value or 0)
         mine.thread.join()
         time.sleep(rig.get("bt.destroy_ms", 200) / 1000)
 
-    def enqueue(tracker: ctypes.c_void_p, capture: int, timeout_ms: int) -> int:
+    def enqueue(tracker, capture, timeout_ms):
         mine = trackers[tracker.value or 0]
         if rig.get(f"bt.fail_{mine.side}"):
             return _FAILED
@@ -171,7 +169,7 @@ def libk4abt(rig: Rig) -> Any:
             mine.room.notify_all()
         return _OK
 
-    def pop(tracker: ctypes.c_void_p, out: Any, timeout_ms: int) -> int:
+    def pop(tracker, out, timeout_ms):
         mine = trackers[tracker.value or 0]
         with mine.room:
             if not mine.room.wait_for(lambda: mine.results, timeout_ms / 1000):
@@ -180,7 +178,7 @@ def libk4abt(rig: Rig) -> Any:
             frames[out._obj.value] = mine.results.popleft(), mine.serial
         return _OK
 
-    def skeleton(frame: ctypes.c_void_p, _index: int, address: int) -> int:
+    def skeleton(frame, _index, address):
         joints = np.zeros(len(AZURE_KINECT), _JOINT)
         joints["position"], joints["confidence"] = 1000.0 * _SEEN[frames[frame.value or 0][1]], 2
         ctypes.memmove(address, joints.ctypes.data, joints.nbytes)
@@ -203,10 +201,10 @@ def libk4abt(rig: Rig) -> Any:
     return SimpleNamespace(_name="libk4abt of the stand-in", **named)
 
 
-def install(folder: Path) -> Rig:
+def install(folder):
     """Puts the stand-ins in the place of pyk4a and libk4abt, as ``folder/rig.conf`` says."""
     rig = Rig(folder / "rig.conf")
-    sdk: Any = make_module(rig.bus)
+    sdk = make_module(rig.bus)
     sdk.__spec__ = SimpleNamespace(name="pyk4a")
     sys.modules["pyk4a"] = sdk
     libk4a, tracker = rig.libk4a(), libk4abt(rig)

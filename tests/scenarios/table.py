@@ -52,46 +52,44 @@ class Scenario:
     xfail: str = ""
 
 
-def _fine(name: str, conf: str = CABLE, options: str = "--seconds 3", **more: object) -> Scenario:
+def _fine(name, conf=CABLE, options="--seconds 3", **more):
     """A session in which nothing is wrong: pairs, latency, and no cause is told."""
-    return Scenario(name, conf, options, **{"paired": 0.99, "age_ms": 30.0, **more})  # type: ignore[arg-type]
+    return Scenario(name, conf, options, **{"paired": 0.99, "age_ms": 30.0, **more})
 
 
-def _refused(name: str, conf: str, *causes: Cause, words: str = "", **more: object) -> Scenario:
+def _refused(name, conf, *causes, words="", **more):
     """The program ends before the first frame, with one line."""
     told = frozenset(causes)
-    return Scenario(name, conf, code=2, causes=told, words=(words,) if words else (), **more)  # type: ignore[arg-type]
+    return Scenario(name, conf, code=2, causes=told, words=(words,) if words else (), **more)
 
 
-def _during(
-    name: str, events: Events, *causes: Cause, conf: str = "", seconds: float = 6, **more: object
-) -> Scenario:
+def _during(name, events, *causes, conf="", seconds=6, **more):
     """Something happens while the session runs; it goes on to its end."""
     told, options = frozenset(causes), f"--seconds {seconds:g}"
-    return Scenario(name, conf, options, ((_RUNS, {}), (1.0, {}), *events), causes=told, **more)  # type: ignore[arg-type]
+    return Scenario(name, conf, options, ((_RUNS, {}), (1.0, {}), *events), causes=told, **more)
 
 
-def _unplugged(name: str, sides: str, *causes: Cause, conf: str = "", **more: object) -> Scenario:
-    out: Action = {f"{side}.present": 0 for side in sides}
-    back: Action = {f"{side}.present": 1 for side in sides}
+def _unplugged(name, sides, *causes, conf="", **more):
+    out = {f"{side}.present": 0 for side in sides}
+    back = {f"{side}.present": 1 for side in sides}
     words = tuple(f"{serial} is back" for side, serial in zip("ab", _SERIALS, strict=True) if side in sides)
-    never = _NO_ADVICE + more.pop("never", ())  # type: ignore[operator]
+    never = _NO_ADVICE + more.pop("never", ())
     events = ((0.0, out), (2.0, back))
     return _during(name, events, *causes, conf=conf, seconds=10, words=words, never=never, **more)
 
 
-def _ended(name: str, events: Events, conf: str = "", code: int = 0, **more: object) -> Scenario:
+def _ended(name, events, conf="", code=0, **more):
     """Ctrl-C or a signal: never a crash, and what was saved is whole."""
-    return Scenario(name, conf, "", events, code, within_s=5.0, **more)  # type: ignore[arg-type]
+    return Scenario(name, conf, "", events, code, within_s=5.0, **more)
 
 
 _SERIALS = ("000001111111", "000002222222")
-_CTRL_C: Action = int(signal.SIGINT)
+_CTRL_C = int(signal.SIGINT)
 _MASTER = frozenset((Cause.IT_OR_MASTER_UNPLUGGED, Cause.WAITING, Cause.NO_PULSES))
 _LATER = frozenset((Cause.CLOSES_LATER,))
 _NO_ADVICE = ("Step into its view", "controller of its own, and light")
 
-SCENARIOS: tuple[Scenario, ...] = (
+SCENARIOS = (
     # Without a fault
     _fine("no cable", "", age_ms=_APART, words=("No sync cable",)),
     _fine("cable", words=("A leads, B captures 160 µs later",)),

@@ -10,14 +10,7 @@ from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import TrackingState
 from tests.helpers.machine import need_networks
-from tests.helpers.rendered_people import (
-    CAMERA,
-    FRAME_NS,
-    images_of,
-    landmarks_at,
-    share_seen,
-    true_joints,
-)
+from tests.helpers.rendered_people import CAMERA, FRAME_NS, images_of, landmarks_at, share_seen, true_joints
 
 BESIDE = np.array((1.1, 0.0, 0.4))  # metres: a second person
 

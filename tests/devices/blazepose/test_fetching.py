@@ -7,11 +7,7 @@ import pytest
 
 from devices.blazepose.blazepose import BlazePose
 from devices.blazepose.networks import fetching
-from devices.blazepose.networks.files import (
-    WHEEL,
-    NetworkFile,
-    cache_folder,
-)
+from devices.blazepose.networks.files import WHEEL, NetworkFile, cache_folder
 from devices.blazepose.settings import BlazePoseSettings
 from devices.sensor import DeviceError
 from tests.helpers.machine import need_networks

@@ -5,13 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devices.depth.image_thinning import (
-    has_images,
-    thinned,
-    thinned_camera,
-    with_depth,
-    without_images,
-)
+from devices.depth.image_thinning import has_images, thinned, thinned_camera, with_depth, without_images
 from devices.depth.point_cloud import depth_to_points, ray_table
 from fusion.body import AZURE_KINECT
 from fusion.intrinsics import Intrinsics

@@ -120,11 +120,7 @@ def test_depth_images_change_no_skeleton():
 @pytest.mark.parametrize(("depth", "size"), [("half", (288, 320)), ("full", (576, 640))])
 def test_depth_images_show_the_person_where_the_joints_are(depth, size):
     a, _, truth = simulated_pair(
-        motion="startup",
-        seconds=0.1,
-        depth=depth,
-        errors=TrackerErrors(),
-        depth_errors=DepthErrors.none(),
+        motion="startup", seconds=0.1, depth=depth, errors=TrackerErrors(), depth_errors=DepthErrors.none()
     )
     frame = next(a.frames())
     assert frame.depth.shape == size == (a.intrinsics.height, a.intrinsics.width)

@@ -24,10 +24,7 @@ def watch(motion, errors, seconds=20.0, seed=0, body=AZURE_KINECT):
     """Sensor A's skeletons, and (T, J, 3) the truth in its frame."""
     a, _, truth = simulated_pair(motion=motion, seconds=seconds, seed=seed, body=body, errors=errors)
     frames = list(a.frames())
-    return (
-        [f.people.get(PERSON) for f in frames],
-        truth.positions_at([f.time_ns for f in frames]),
-    )
+    return ([f.people.get(PERSON) for f in frames], truth.positions_at([f.time_ns for f in frames]))
 
 
 def errors_of(skeletons, true):

@@ -8,10 +8,7 @@ from fusion.body import KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of, robust_bone_lengths
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import learn_from_recording
-from fusion.calibration.online import (
-    CalibrationLearner,
-    LearnerSettings,
-)
+from fusion.calibration.online import CalibrationLearner, LearnerSettings
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
 from fusion.registration import error_model, refinement

@@ -8,13 +8,7 @@ import pytest
 from fusion.array_fields import new_arrays
 from fusion.body import KINECT_V2
 from fusion.facing.filter import update_facing
-from fusion.facing.model import (
-    HEADINGS,
-    TAPS,
-    FacingConstants,
-    FacingState,
-    new_facing_model,
-)
+from fusion.facing.model import HEADINGS, TAPS, FacingConstants, FacingState, new_facing_model
 from tests.helpers.labelled_views import UP, simulated_views, step
 
 

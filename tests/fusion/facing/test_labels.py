@@ -10,16 +10,7 @@ from fusion.array_fields import new_arrays
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2
 from fusion.facing.filter import update_facing
 from fusion.facing.model import WHOLE, FacingConstants, FacingState, new_facing_model
-from tests.helpers.labelled_views import (
-    FRAME,
-    UNKNOWN,
-    UP,
-    flips,
-    heading,
-    simulated_views,
-    step,
-    swapped,
-)
+from tests.helpers.labelled_views import FRAME, UNKNOWN, UP, flips, heading, simulated_views, step, swapped
 
 
 def mirrored(views):

@@ -9,10 +9,8 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -40,17 +38,17 @@ CLASSES = (
 
 
 @cache
-def _context(sdk: Any) -> Any:
+def _context(sdk):
     """The one context of all clauses: to make another one took a minute."""
     return sdk.Context()
 
 
-def names(sdk: Any) -> dict[str, object]:
+def names(sdk):
     """The public names of each class."""
     return {kind: [name for name in dir(getattr(sdk, kind)) if name[0] != "_"] for kind in CLASSES}
 
 
-def enums(sdk: Any) -> dict[str, object]:
+def enums(sdk):
     """The members that this program names, and their numbers."""
     return {
         f"{enum}.{name}": int(getattr(getattr(sdk, enum), name))
@@ -59,7 +57,7 @@ def enums(sdk: Any) -> dict[str, object]:
     }
 
 
-def no_device(sdk: Any) -> dict[str, object]:
+def no_device(sdk):
     """Without a sensor the list is empty; asking it for one is an OBError, a pipeline a RuntimeError."""
     devices = _context(sdk).query_devices()
     assert (devices.get_count(), len(devices)) == (0, 0)
@@ -72,13 +70,13 @@ def no_device(sdk: Any) -> dict[str, object]:
     return {"said": [*said, str(fault_of(RuntimeError, sdk.Pipeline))]}
 
 
-def errors(sdk: Any) -> None:
+def errors(sdk):
     """An OBError carries a message only, and is no RuntimeError: both must be caught."""
     assert issubclass(sdk.OBError, Exception)
     assert not issubclass(sdk.OBError, RuntimeError | OSError)
 
 
-def clock(sdk: Any) -> None:
+def clock(sdk):
     """Host times are of the epoch, unless a context is told otherwise."""
     context = _context(sdk)
     assert context.get_timestamp_clock_type() in (sdk.OBClockType.REALTIME, sdk.OBClockType.MONOTONIC)
@@ -86,14 +84,14 @@ def clock(sdk: Any) -> None:
     assert context.get_timestamp_clock_type() == sdk.OBClockType.MONOTONIC
 
 
-def quiet(sdk: Any) -> None:
+def quiet(sdk):
     """Told before the first context, the library keeps no log in the current folder."""
     assert sdk.Context.set_logger_level(sdk.OBLogLevel.NONE) is None
     _context(sdk)
     assert not Path("Log").exists()
 
 
-def playback(sdk: Any) -> dict[str, object]:
+def playback(sdk):
     """A file that is missing, or is no recording, is a RuntimeError, not an OBError."""
     with tempfile.TemporaryDirectory() as folder:
         missing, other = Path(folder, "none.bag"), Path(folder, "other.bag")
@@ -105,7 +103,7 @@ def playback(sdk: Any) -> dict[str, object]:
     return {"said": [str(fault).replace(folder, "FOLDER") for fault in faults]}
 
 
-def frames(sdk: Any) -> dict[str, object]:
+def frames(sdk):
     """A frame's data are its bytes, copied; other sizes are refused; times are whole microseconds."""
     frame = _made(sdk, "DEPTH_FRAME", "Y16", np.arange(12, dtype=np.uint16).reshape(3, 4), 123_456, 99)
     data = frame.get_data()
@@ -116,7 +114,7 @@ def frames(sdk: Any) -> dict[str, object]:
     return {"size": [frame.get_width(), frame.get_height(), frame.get_data_size()], "times": times}
 
 
-def frame_sets(sdk: Any) -> None:
+def frame_sets(sdk):
     """A set gives None for an image that it lacks, and a depth frame with a scale."""
     found = sdk.Frame.create_frame_set()
     for missing in ("depth", "ir", "left_ir", "color"):
@@ -127,7 +125,7 @@ def frame_sets(sdk: Any) -> None:
     assert found.get_left_ir_frame() is None
 
 
-def our_images(sdk: Any) -> dict[str, object]:
+def our_images(sdk):
     """This program's own reading of the library's frames."""
     found = sdk.Frame.create_frame_set()
     _push(sdk, found, 5_000_000)
@@ -144,7 +142,7 @@ def our_images(sdk: Any) -> dict[str, object]:
     }
 
 
-def profiles(sdk: Any) -> dict[str, object]:
+def profiles(sdk):
     """A profile without calibration is an OBError; with one, it is as set."""
     depth, color = _profiles(sdk)
     for question in (depth.get_intrinsic, depth.get_distortion, lambda: depth.get_extrinsic_to(color)):
@@ -160,13 +158,13 @@ def profiles(sdk: Any) -> dict[str, object]:
     }
 
 
-def sync_configuration(sdk: Any) -> dict[str, object]:
+def sync_configuration(sdk):
     """A sync configuration has exactly the fields that are set here."""
     wanted = sdk.OBMultiDeviceSyncConfig()
     wanted.mode, wanted.trigger_out_enable = sdk.OBMultiDeviceSyncMode.PRIMARY, True
     wanted.depth_delay_us = wanted.color_delay_us = 160
 
-    def misspell() -> None:
+    def misspell():
         wanted.depthDelayUs = 160
 
     fault_of(AttributeError, misspell)
@@ -175,13 +173,13 @@ def sync_configuration(sdk: Any) -> dict[str, object]:
     }
 
 
-def configurations(sdk: Any) -> None:
+def configurations(sdk):
     """The way of aggregating frames is an enum, not a number."""
     fault_of(TypeError, lambda: sdk.Config().set_frame_aggregate_output_mode(0))
     sdk.Config().set_frame_aggregate_output_mode(sdk.OBFrameAggregateOutputMode.ANY_SITUATION)
 
 
-CLAUSES: tuple[Callable[[Any], object], ...] = (
+CLAUSES = (
     quiet,  # first: before any context
     names,
     enums,
@@ -198,9 +196,7 @@ CLAUSES: tuple[Callable[[Any], object], ...] = (
 )
 
 
-def _made(
-    sdk: Any, kind: str, image_format: str, image: np.ndarray, device_us: int = 0, system_us: int = 0
-) -> Any:
+def _made(sdk, kind, image_format, image, device_us=0, system_us=0):
     kind, image_format = getattr(sdk.OBFrameType, kind), getattr(sdk.OBFormat, image_format)
     if image.ndim == 2:
         height, width = image.shape
@@ -213,7 +209,7 @@ def _made(
     return frame
 
 
-def _push(sdk: Any, found: Any, time_us: int) -> None:
+def _push(sdk, found, time_us):
     """Depth, 8-bit infrared and colour of one moment."""
     depth = np.arange(12, dtype=np.uint16).reshape(3, 4) + 2000
     jpeg = np.frombuffer(b"\xff\xd8abc\xff\xd9", np.uint8)
@@ -222,7 +218,7 @@ def _push(sdk: Any, found: Any, time_us: int) -> None:
     found.push_frame(_made(sdk, "COLOR_FRAME", "MJPG", jpeg, time_us))
 
 
-def _profiles(sdk: Any) -> tuple[Any, Any]:
+def _profiles(sdk):
     configuration = sdk.Config()
     configuration.enable_video_stream(sdk.OBStreamType.DEPTH_STREAM, 640, 576, 30, sdk.OBFormat.Y16)
     configuration.enable_video_stream(sdk.OBStreamType.COLOR_STREAM, 1280, 720, 30, sdk.OBFormat.MJPG)
@@ -232,7 +228,7 @@ def _profiles(sdk: Any) -> tuple[Any, Any]:
     return both.get_stream_profile_by_index(0), both.get_stream_profile_by_index(1)
 
 
-def _calibrate(sdk: Any, depth: Any, color: Any) -> None:
+def _calibrate(sdk, depth, color):
     for profile in (depth, color):
         lens, distortion = sdk.OBCameraIntrinsic(), sdk.OBCameraDistortion()
         lens.fx, lens.fy, lens.cx, lens.cy, lens.width, lens.height = 504.0, 505.0, 332.0, 348.0, 640, 576
@@ -246,13 +242,13 @@ def _calibrate(sdk: Any, depth: Any, color: Any) -> None:
     depth.bind_extrinsic_to(color, pose)
 
 
-def main() -> None:
+def main():
     """The program."""
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         import pyorbbecsdk
 
-        results: dict[str, dict[str, object]] = {}
+        results = {}
         for clause in CLAUSES:
             try:
                 results[clause.__name__] = {"said": clause(pyorbbecsdk)}

@@ -67,10 +67,10 @@ class Orbbec:
     opened: weakref.WeakSet[object] = field(default_factory=weakref.WeakSet)
 
     @classmethod
-    def gemini(cls, serial: str, **more: object) -> Orbbec:
+    def gemini(cls, serial, **more):
         """A Gemini 2: active stereo, other sizes, 8-bit infrared, SECONDARY_SYNCED."""
         of_it = {"model": "Orbbec Gemini 2", "sizes": GEMINI_SIZES, "infrared": "Y8", "modes": _GEMINI_MODES}
-        return cls(serial, **{**of_it, "firmware": "1.4.98", "distortion": "NONE", **more})  # type: ignore[arg-type]
+        return cls(serial, **{**of_it, "firmware": "1.4.98", "distortion": "NONE", **more})
 
 
 @dataclass(eq=False)
@@ -85,61 +85,61 @@ class Bag:
 class OrbbecBus:
     """What is plugged in, what is recorded, and what the module was asked."""
 
-    def __init__(self) -> None:
-        self.devices: list[Orbbec] = []
-        self.bags: dict[str, Bag] = {}
+    def __init__(self):
+        self.devices = []
+        self.bags = {}
         self.contexts = 0
-        self.log_level: object = None
-        self.timeouts: list[int] = []
-        self.started: list[str] = []
-        self.configurations: list[values.Config] = []
-        self.running: list[str] = []
-        self.fault: Exception | None = None  # of the search for sensors
+        self.log_level = None
+        self.timeouts = []
+        self.started = []
+        self.configurations = []
+        self.running = []
+        self.fault = None  # of the search for sensors
 
-    def plugged(self) -> list[Orbbec]:
+    def plugged(self):
         return [device for device in self.devices if device.plugged]
 
     @property
-    def open_serials(self) -> list[str]:
+    def open_serials(self):
         gc.collect()  # references in the tracebacks of faults
         return [device.serial for device in self.devices if len(device.opened)]
 
 
-def make_module(bus: OrbbecBus) -> types.ModuleType:
+def make_module(bus):
     module = types.ModuleType("pyorbbecsdk")
 
     class DeviceInfo:
-        def __init__(self, sensor: Orbbec) -> None:
+        def __init__(self, sensor):
             self._sensor = sensor
 
-        def get_serial_number(self) -> str:
+        def get_serial_number(self):
             return self._sensor.serial
 
-        def get_name(self) -> str:
+        def get_name(self):
             return self._sensor.model
 
-        def get_firmware_version(self) -> str:
+        def get_firmware_version(self):
             return self._sensor.firmware
 
     class Device:
-        def __init__(self, sensor: Orbbec) -> None:
+        def __init__(self, sensor):
             self._sensor = sensor
             sensor.opened.add(self)
 
-        def get_device_info(self) -> DeviceInfo:
+        def get_device_info(self):
             return DeviceInfo(self._sensor)
 
-        def get_supported_multi_device_sync_mode_bitmap(self) -> int:
-            return sum(int(mode) for mode in self._sensor.modes)  # type: ignore[call-overload]
+        def get_supported_multi_device_sync_mode_bitmap(self):
+            return sum(int(mode) for mode in self._sensor.modes)
 
-        def get_multi_device_sync_config(self) -> values.OBMultiDeviceSyncConfig:
+        def get_multi_device_sync_config(self):
             if not self._sensor.modes:
                 raise OBError("not supported")
             found = values.OBMultiDeviceSyncConfig()
             found.mode, found.depth_delay_us = self._sensor.sync["mode"], self._sensor.sync["delay_us"]
             return found
 
-        def set_multi_device_sync_config(self, wanted: values.OBMultiDeviceSyncConfig) -> None:
+        def set_multi_device_sync_config(self, wanted):
             if wanted.mode not in self._sensor.modes:
                 raise OBError("Invalid sync mode")
             delay_us = wanted.depth_delay_us if self._sensor.keeps_delay else 0
@@ -150,70 +150,70 @@ def make_module(bus: OrbbecBus) -> types.ModuleType:
                 "out": wanted.trigger_out_enable,
             }
 
-        def timer_sync_with_host(self) -> None:
+        def timer_sync_with_host(self):
             self._sensor.synced_with_host += 1
 
     class DeviceList:
-        def __init__(self) -> None:
+        def __init__(self):
             self._devices = bus.plugged()
 
-        def _at(self, index: int) -> Orbbec:
+        def _at(self, index):
             if not 0 <= index < len(self._devices):
                 raise OBError('Invalid index value for argument "index"')
             return self._devices[index]
 
-        def get_count(self) -> int:
+        def get_count(self):
             return len(self._devices)
 
-        def __len__(self) -> int:
+        def __len__(self):
             return len(self._devices)
 
-        def get_device_serial_number_by_index(self, index: int) -> str:
+        def get_device_serial_number_by_index(self, index):
             return self._at(index).serial
 
-        def get_device_name_by_index(self, index: int) -> str:
+        def get_device_name_by_index(self, index):
             return self._at(index).model
 
-        def get_device_connection_type_by_index(self, index: int) -> str:
+        def get_device_connection_type_by_index(self, index):
             return self._at(index).connection
 
-        def get_device_by_index(self, index: int) -> Device:
+        def get_device_by_index(self, index):
             return self._opened(self._at(index))
 
-        def get_device_by_serial_number(self, serial_number: str) -> Device:
+        def get_device_by_serial_number(self, serial_number):
             for sensor in self._devices:
                 if sensor.serial == serial_number:
                     return self._opened(sensor)
             raise OBError(f"Device not found by serial number: {serial_number}")
 
-        def _opened(self, sensor: Orbbec) -> Device:
+        def _opened(self, sensor):
             if sensor.busy:
                 raise OBError("Failed to open the device: libusb error -6")
             return Device(sensor)
 
     class Context:
         @staticmethod
-        def set_logger_level(level: object) -> None:
+        def set_logger_level(level):
             assert isinstance(level, values.OBLogLevel)
             bus.log_level = level
 
-        def __init__(self) -> None:
+        def __init__(self):
             bus.contexts += 1
-            self._clock: object = values.OBClockType.REALTIME
+            self._clock = values.OBClockType.REALTIME
 
-        def query_devices(self) -> DeviceList:
+        def query_devices(self):
             if bus.fault is not None:
                 raise bus.fault
             return DeviceList()
 
-        def get_timestamp_clock_type(self) -> object:
+        def get_timestamp_clock_type(self):
             return self._clock
 
-        def set_timestamp_clock_type(self, clock_type: object) -> None:
+        def set_timestamp_clock_type(self, clock_type):
             self._clock = clock_type
 
     class PlaybackDevice(Device):
-        def __init__(self, file: str) -> None:
+        def __init__(self, file):
             if file not in bus.bags:
                 raise RuntimeError(
                     "Error reading from file: wanted 2021161080 bytes, read 96 bytes"
@@ -223,22 +223,22 @@ def make_module(bus: OrbbecBus) -> types.ModuleType:
             super().__init__(bus.bags[file].sensor)
             self._bag = bus.bags[file]
 
-        def get_duration(self) -> int:
+        def get_duration(self):
             return self._bag.frames * self._bag.sensor.interval_us // 1000
 
-        def get_playback_status(self) -> object:
+        def get_playback_status(self):
             over = self._bag.sensor.given >= self._bag.frames and self._bag.ends
             return values.OBPlaybackStatus.STOPPED if over else values.OBPlaybackStatus.PLAYING
 
     class Pipeline:
-        def __init__(self, device: Device | None = None) -> None:
+        def __init__(self, device=None):
             if device is None:
                 raise RuntimeError("No device found")
             self._device, self._running = device, False
             self._queue = 0
             self._next_ns = 0
 
-        def get_stream_profile_list(self, sensor_type: object) -> values.StreamProfileList:
+        def get_stream_profile_list(self, sensor_type):
             sensor, sensors = self._device._sensor, values.OBSensorType
             infrared = sensors.LEFT_IR_SENSOR if sensor.stereo else sensors.IR_SENSOR
             sizes, names = {
@@ -257,28 +257,26 @@ def make_module(bus: OrbbecBus) -> types.ModuleType:
                 ]
             )
 
-        def _profile(
-            self, sensor_type: object, width: int, height: int, fps: int, image_format: object
-        ) -> values.VideoStreamProfile:
+        def _profile(self, sensor_type, width, height, fps, image_format):
             sensor = self._device._sensor
             profile = values.VideoStreamProfile(sensor_type, width, height, fps, image_format)
             if sensor.calibrated:
                 lens, distortion = values.OBCameraIntrinsic(), values.OBCameraDistortion()
                 lens.fx, lens.fy, lens.cx, lens.cy = 504.0, 505.0, 332.0, 348.0
                 lens.width, lens.height = width, height
-                distortion.model = values.OBCameraDistortionModel[sensor.distortion]  # type: ignore[index]
+                distortion.model = values.OBCameraDistortionModel[sensor.distortion]
                 if sensor.distortion != "NONE":
                     distortion.k1, distortion.k2, distortion.p1, distortion.p2 = 0.5, -0.02, 1e-5, -7e-5
                     distortion.k3, distortion.k4, distortion.k5, distortion.k6 = -0.003, 0.9, 0.09, -0.01
                 profile.set_intrinsic(lens)
                 profile.set_distortion(distortion)
-                profile.get_extrinsic_to = lambda _other: _beside()  # type: ignore[method-assign]
+                profile.get_extrinsic_to = lambda _other: _beside()
             return profile
 
-        def enable_frame_sync(self) -> None:
+        def enable_frame_sync(self):
             pass
 
-        def start(self, configuration: values.Config) -> None:
+        def start(self, configuration):
             sensor = self._device._sensor
             if not sensor.starts:
                 raise OBError("Failed to start stream!")
@@ -290,7 +288,7 @@ def make_module(bus: OrbbecBus) -> types.ModuleType:
             bus.running.append(sensor.serial)
             bus.configurations.append(configuration)
 
-        def stop(self) -> None:
+        def stop(self):
             sensor = self._device._sensor
             if self._running:
                 bus.running.remove(sensor.serial)
@@ -298,7 +296,7 @@ def make_module(bus: OrbbecBus) -> types.ModuleType:
             if not sensor.plugged:
                 raise OBError("Device is deactivated/disconnected!")
 
-        def wait_for_frames(self, timeout_ms: int) -> values.FrameSet | None:
+        def wait_for_frames(self, timeout_ms):
             sensor = self._device._sensor
             bus.timeouts.append(timeout_ms)
             assert self._running
@@ -324,7 +322,7 @@ def make_module(bus: OrbbecBus) -> types.ModuleType:
                 return None
             return self._set()
 
-        def _set(self) -> values.FrameSet:
+        def _set(self):
             sensor, kinds = self._device._sensor, values.OBFrameType
             half = sensor.apart and sensor.given % 2 == 1  # the second of two sets of one moment
             sensor.given += 1
@@ -341,7 +339,7 @@ def make_module(bus: OrbbecBus) -> types.ModuleType:
                 kind = kinds.LEFT_IR_FRAME if sensor.stereo else kinds.IR_FRAME
                 of_kind = np.uint8 if sensor.infrared == "Y8" else np.uint16
                 image = np.full((height, width), 90, of_kind)
-                found.push_frame(_frame(sensor, kind, values.OBFormat[sensor.infrared], image))  # type: ignore[index]
+                found.push_frame(_frame(sensor, kind, values.OBFormat[sensor.infrared], image))
             if sensors.COLOR_SENSOR in profiles and sensor.color and not half:
                 jpeg = np.frombuffer(JPEG, np.uint8)
                 found.push_frame(_frame(sensor, kinds.COLOR_FRAME, values.OBFormat.MJPG, jpeg))
@@ -360,10 +358,10 @@ def make_module(bus: OrbbecBus) -> types.ModuleType:
     return module
 
 
-def _frame(sensor: Orbbec, kind: object, image_format: object, image: np.ndarray) -> values.Frame:
+def _frame(sensor, kind, image_format, image):
     if image.ndim == 2:
         height, width = image.shape
-        frame: values.Frame = values.Frame.create_video_frame(kind, image_format, width, height)
+        frame = values.Frame.create_video_frame(kind, image_format, width, height)
     else:
         frame = values.Frame.create_frame(kind, image_format, image.size)
     frame.update_data(image.tobytes())
@@ -373,7 +371,7 @@ def _frame(sensor: Orbbec, kind: object, image_format: object, image: np.ndarray
     return frame
 
 
-def _triggered(bus: OrbbecBus, sensor: Orbbec) -> bool:
+def _triggered(bus, sensor):
     """Whether a sensor exposes: a secondary does only while a primary runs."""
     if sensor.sync["mode"] not in (_MODES.SECONDARY, _MODES.SECONDARY_SYNCED):
         return True
@@ -382,7 +380,7 @@ def _triggered(bus: OrbbecBus, sensor: Orbbec) -> bool:
     )
 
 
-def _beside() -> values.OBExtrinsic:
+def _beside():
     pose = values.OBExtrinsic()
     pose.rot, pose.transform = np.eye(3), (-32.0, 0.0, 4.0)  # millimetres
     return pose

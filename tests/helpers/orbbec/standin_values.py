@@ -1,10 +1,6 @@
 """Values of the stand-in for pyorbbecsdk: enums, frames, profiles and errors, as in pyorbbecsdk2 2.1.2."""
 
-from __future__ import annotations
-
 import enum
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -13,20 +9,20 @@ class OBError(Exception):
     """Has a message only, like the real one."""
 
 
-def pybind_enum(title: str, **members: int) -> type[enum.Enum]:
+def pybind_enum(title, **members):
     """An enum that behaves as pybind11's: it has ``int()`` and is no integer."""
 
     class _Base(enum.Enum):
-        def __int__(self) -> int:
+        def __int__(self):
             return int(self.value)
 
-        def __index__(self) -> int:
+        def __index__(self):
             return int(self.value)
 
-    return _Base(title, members)  # type: ignore[return-value, call-overload]
+    return _Base(title, members)
 
 
-def _getter(attribute: str) -> Callable[[object], Any]:
+def _getter(attribute):
     return lambda self: getattr(self, attribute)
 
 
@@ -57,7 +53,7 @@ OBPlaybackStatus = pybind_enum("OBPlaybackStatus", UNKNOWN=0, PLAYING=1, PAUSED=
 class OBCameraIntrinsic:
     __slots__ = ("cx", "cy", "fx", "fy", "height", "width")
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.fx = self.fy = self.cx = self.cy = 0.0
         self.width = self.height = 0
 
@@ -65,15 +61,15 @@ class OBCameraIntrinsic:
 class OBCameraDistortion:
     __slots__ = ("k1", "k2", "k3", "k4", "k5", "k6", "model", "p1", "p2")
 
-    def __init__(self) -> None:
-        self.model = OBCameraDistortionModel.NONE  # type: ignore[attr-defined]
+    def __init__(self):
+        self.model = OBCameraDistortionModel.NONE
         self.k1 = self.k2 = self.k3 = self.k4 = self.k5 = self.k6 = self.p1 = self.p2 = 0.0
 
 
 class OBExtrinsic:
     __slots__ = ("rot", "transform")
 
-    def __setattr__(self, name: str, value: object) -> None:
+    def __setattr__(self, name, value):
         shape = {"rot": (3, 3), "transform": (3,)}[name]
         object.__setattr__(self, name, np.array(value, np.float32).reshape(shape))
 
@@ -81,8 +77,8 @@ class OBExtrinsic:
 class OBMultiDeviceSyncConfig:
     __slots__ = ("color_delay_us", "depth_delay_us", "mode", "trigger_out_enable")
 
-    def __init__(self) -> None:
-        self.mode: object = None
+    def __init__(self):
+        self.mode = None
         self.depth_delay_us = self.color_delay_us = 0
         self.trigger_out_enable = False
 
@@ -94,74 +90,72 @@ class VideoStreamProfile:
     get_width = _getter("_width")
     get_height = _getter("_height")
 
-    def __init__(self, kind: object, width: int, height: int, fps: int, image_format: object) -> None:
+    def __init__(self, kind, width, height, fps, image_format):
         self._kind, self._width, self._height = kind, width, height
         self._fps, self._format = fps, image_format
-        self._lens: OBCameraIntrinsic | None = None
-        self._distortion: OBCameraDistortion | None = None
-        self._poses: dict[int, OBExtrinsic] = {}
+        self._lens = None
+        self._distortion = None
+        self._poses = {}
 
-    def as_video_stream_profile(self) -> VideoStreamProfile:
+    def as_video_stream_profile(self):
         return self
 
-    def get_intrinsic(self) -> OBCameraIntrinsic:
+    def get_intrinsic(self):
         if self._lens is None:
             raise OBError("Intrinsics for the input stream profile is not found.")
         return self._lens
 
-    def set_intrinsic(self, lens: OBCameraIntrinsic) -> None:
+    def set_intrinsic(self, lens):
         self._lens = lens
 
-    def get_distortion(self) -> OBCameraDistortion:
+    def get_distortion(self):
         if self._distortion is None:
             raise OBError("Distortion for the input stream profile is not found.")
         return self._distortion
 
-    def set_distortion(self, distortion: OBCameraDistortion) -> None:
+    def set_distortion(self, distortion):
         self._distortion = distortion
 
-    def bind_extrinsic_to(self, other: VideoStreamProfile, pose: OBExtrinsic) -> None:
+    def bind_extrinsic_to(self, other, pose):
         self._poses[id(other)] = pose
 
-    def get_extrinsic_to(self, other: VideoStreamProfile) -> OBExtrinsic:
+    def get_extrinsic_to(self, other):
         if id(other) not in self._poses:
             raise OBError("From Stream profile not registered!")
         return self._poses[id(other)]
 
 
 class StreamProfileList:
-    def __init__(self, profiles: list[VideoStreamProfile]) -> None:
+    def __init__(self, profiles):
         self._profiles = profiles
 
-    def get_count(self) -> int:
+    def get_count(self):
         return len(self._profiles)
 
-    def __len__(self) -> int:
+    def __len__(self):
         return len(self._profiles)
 
-    def get_stream_profile_by_index(self, index: int) -> VideoStreamProfile:
+    def get_stream_profile_by_index(self, index):
         if not 0 <= index < len(self._profiles):
             raise OBError("ob_stream_profile_list_get_profile: index out of range!")
         return self._profiles[index]
 
 
 class Config:
-    def __init__(self) -> None:
-        self._profiles: list[VideoStreamProfile] = []
-        self._mode: object = None
+    def __init__(self):
+        self._profiles = []
+        self._mode = None
 
-    def enable_stream(self, profile: VideoStreamProfile) -> None:
+    def enable_stream(self, profile):
         self._profiles.append(profile)
 
-    def enable_video_stream(
-        self, stream_type: object, width: int, height: int, fps: int, image_format: object
-    ) -> None:
+    def enable_video_stream(self, stream_type, width, height, fps, image_format):
         self._profiles.append(VideoStreamProfile(stream_type, width, height, fps, image_format))
 
-    def get_enabled_stream_profile_list(self) -> StreamProfileList:
+    def get_enabled_stream_profile_list(self):
         return StreamProfileList(list(self._profiles))
 
-    def set_frame_aggregate_output_mode(self, mode: object) -> None:
+    def set_frame_aggregate_output_mode(self, mode):
         if not isinstance(mode, OBFrameAggregateOutputMode):
             raise TypeError("incompatible function arguments")
         self._mode = mode
@@ -175,43 +169,41 @@ class Frame:
     get_timestamp_us = _getter("_device_us")
     get_system_timestamp_us = _getter("_system_us")
 
-    def __init__(self, kind: object, image_format: object, size: int, shape: tuple[int, int]) -> None:
+    def __init__(self, kind, image_format, size, shape):
         self._kind, self._format, (self._height, self._width) = kind, image_format, shape
         self._data = np.zeros(size, np.uint8)
         self._device_us = self._system_us = 0
         self._scale = 1.0
 
     @staticmethod
-    def create_frame(kind: object, image_format: object, size: int) -> Frame:
+    def create_frame(kind, image_format, size):
         return Frame(kind, image_format, size, (0, 0))
 
     @staticmethod
-    def create_video_frame(
-        kind: object, image_format: object, width: int, height: int, stride: int = 0
-    ) -> VideoFrame:
+    def create_video_frame(kind, image_format, width, height, stride=0):
         assert stride == 0, "the stand-in knows rows without a gap only"
         return VideoFrame(kind, image_format, width * height * _bytes_of(image_format), (height, width))
 
     @staticmethod
-    def create_frame_set() -> FrameSet:
+    def create_frame_set():
         return FrameSet()
 
     @staticmethod
-    def set_frame_device_timestamp_us(frame: Frame, device_us: int) -> None:
+    def set_frame_device_timestamp_us(frame, device_us):
         frame._device_us = device_us
 
-    def set_system_timestamp_us(self, system_us: int) -> None:
+    def set_system_timestamp_us(self, system_us):
         self._system_us = system_us
 
-    def update_data(self, data: bytes) -> None:
+    def update_data(self, data):
         if len(data) != len(self._data):
             raise RuntimeError("update_data: buffer size mismatch")
         self._data = np.frombuffer(data, np.uint8).copy()
 
-    def get_data(self) -> np.ndarray:
+    def get_data(self):
         return self._data.copy()
 
-    def get_data_size(self) -> int:
+    def get_data_size(self):
         return len(self._data)
 
 
@@ -232,7 +224,7 @@ class ColorFrame(VideoFrame):
     pass
 
 
-def _viewed(frame: Frame | None, kind: type[Frame]) -> Frame | None:
+def _viewed(frame, kind):
     """Returns the frame as a set gives it: another object whose class depends on the image."""
     if frame is None:
         return None
@@ -242,30 +234,30 @@ def _viewed(frame: Frame | None, kind: type[Frame]) -> Frame | None:
 
 
 class FrameSet:
-    def __init__(self) -> None:
-        self._frames: dict[object, Frame] = {}
+    def __init__(self):
+        self._frames = {}
 
-    def push_frame(self, frame: Frame) -> None:
+    def push_frame(self, frame):
         self._frames[frame.get_type()] = frame
 
-    def get_count(self) -> int:
+    def get_count(self):
         return len(self._frames)
 
-    def get_depth_frame(self) -> Frame | None:
+    def get_depth_frame(self):
         return self._get("DEPTH_FRAME", DepthFrame)
 
-    def get_ir_frame(self) -> Frame | None:
+    def get_ir_frame(self):
         return self._get("IR_FRAME", IRFrame)
 
-    def get_left_ir_frame(self) -> Frame | None:
+    def get_left_ir_frame(self):
         return self._get("LEFT_IR_FRAME", IRFrame)
 
-    def get_color_frame(self) -> Frame | None:
+    def get_color_frame(self):
         return self._get("COLOR_FRAME", ColorFrame)
 
-    def _get(self, name: str, kind: type[Frame]) -> Frame | None:
+    def _get(self, name, kind):
         return _viewed(self._frames.get(getattr(OBFrameType, name)), kind)
 
 
-def _bytes_of(image_format: object) -> int:
-    return 2 if image_format is OBFormat.Y16 else 1  # type: ignore[attr-defined]
+def _bytes_of(image_format):
+    return 2 if image_format is OBFormat.Y16 else 1

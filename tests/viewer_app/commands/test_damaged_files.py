@@ -60,11 +60,7 @@ def _ntu(path, at):
     return path
 
 
-WRITERS = {
-    ".csv": lambda path, at: write_view(path, KINECT_V2, at),
-    ".json": _json,
-    ".skeleton": _ntu,
-}
+WRITERS = {".csv": lambda path, at: write_view(path, KINECT_V2, at), ".json": _json, ".skeleton": _ntu}
 
 
 @st.composite

@@ -8,12 +8,7 @@ from devices.events import Event, Spell
 from fusion.body import KINECT_V2
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
-from viewer_app.report.events import (
-    first_calibrated_frame,
-    list_events,
-    opening_event,
-    shortest_list,
-)
+from viewer_app.report.events import first_calibrated_frame, list_events, opening_event, shortest_list
 
 CALIBRATED = Event("calibrated: start-up pose, 91 frames", "INFO")
 CUT_OFF = Event("a.csv is cut off", "WARN")

@@ -26,10 +26,7 @@ pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
 
 def test_files_are_named_without_their_folders():
     assert without_folders(("ann/walk/a.csv", "ann/walk/b.csv")) == ("a.csv", "b.csv")
-    assert without_folders(("C:\\ann\\left\\s.csv", "C:\\ann\\right\\s.csv")) == (
-        "left/s.csv",
-        "right/s.csv",
-    )
+    assert without_folders(("C:\\ann\\left\\s.csv", "C:\\ann\\right\\s.csv")) == ("left/s.csv", "right/s.csv")
     assert without_folders(("Kinect 12", "Kinect 12")) == ("Kinect 12", "Kinect 12")
 
 
