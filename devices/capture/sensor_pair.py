@@ -16,7 +16,7 @@ from devices.events import Event
 from devices.pairing import FramePair
 from devices.sensor import LinkFigures, Sensor
 
-_POLL_S = 0.01  # latest delay of a pair that no longer waits for a partner
+_POLL_S = 0.005  # latest delay of a pair that no longer waits for a partner
 _CLOSE_S = 3.0  # for both together
 _LATE_NS = 100_000_000
 _KEEP = 8  # frames per sensor: a pause of a quarter of a second
@@ -109,12 +109,16 @@ class TwoSensors:
         for _, thread in self._sides():
             self._take_events(thread)
 
-    def pairs(self) -> Iterator[FramePair]:
+    def pairs(self, every_frame: bool = True) -> Iterator[FramePair]:
         """Pairs as they arrive, until both sources end or :meth:`stop` is called; waits while both are gone.
+
+        Args:
+            every_frame: As for :class:`~devices.capture.stream_pairing.LivePairing`.
 
         Raises:
             DeviceError: A fault of the program or of a driver inside a sensor.
         """
+        self._pairing.every_frame = every_frame
         while not self._stopped:
             ended = all(thread.state is SensorState.ENDED for thread in (self.a, self.b))
             yield from self.poll(0.0 if ended else _POLL_S)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import islice, pairwise
 from statistics import median_low
 from typing import Literal
 
@@ -29,6 +29,8 @@ _PENDING = 8
 _LAGS, _LATEST = 300, 31  # frames: ten seconds, and one
 _SYNCED_PAIRS = 61
 _SYNCED_ENOUGH = 15
+PATIENCE_NS = 5_000_000
+"""A frame waits this much longer than the partner's slowest frame of the last ten seconds took."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class PairingFigures:
     pairs: int = 0  # frames of both sensors
     alone_a: int = 0  # frames given without a partner
     alone_b: int = 0
-    unmatched_b: int = 0  # frames of B that no frame of A wanted: B is faster, or A missed one
+    unmatched_b: int = 0  # frames of B without a partner that were left out
     late: int = 0  # frames left out because their time had passed
     repeated: int = 0  # frames left out because they had come before
     reordered: int = 0  # frames that came after a later one, and were put in their place
@@ -69,12 +71,23 @@ class _Stream:
     came_ns: int | None = None
     gone: bool = False
 
+    def next_after(self, host_ns: int) -> int:
+        """When the first frame from this time on is expected to be captured, by its rate so far."""
+        times = sorted(self.recent)
+        interval_ns = max(median_low(later - earlier for earlier, later in pairwise(times)), 1)
+        last_ns = times[-1] + (self.clock.offset_ns or 0)
+        return last_ns + max(-((last_ns - host_ns) // interval_ns), 1) * interval_ns
+
 
 class LivePairing:
     """Pairs two sensors' frames by capture time; goes on with one while the other is gone.
 
-    Every frame of A comes out, with its partner of B or without. Frames of B alone come out only while A is
-    gone, so that a sensor that is 5 fps slower does not make the output flicker between one and two views.
+    Every frame comes out, with its partner or alone.
+
+    Attributes:
+        every_frame: Whether frames of B that merely find no partner come out, too. Else they are left out,
+            because the paper's methods fuse pairs: a slower A would make their S* change between one and two
+            views.
     """
 
     def __init__(
@@ -90,8 +103,9 @@ class LivePairing:
         Args:
             interval_ns: Time between two frames of the faster sensor. Half of it is the tolerance.
             max_lag_ns: The longest time from capture to arrival that is waited for; an interval at least. A
-                frame waits as long as the other sensor's slowest of the last ten seconds took, and an
-                interval more.
+                frame waits for the frame of the other sensor that is expected next to it, as long as its
+                slowest of the last ten seconds took and :data:`PATIENCE_NS` more; an interval more in the
+                first second.
             gone_after_ns: After how long without a frame a sensor is gone, and not waited for; four
                 intervals at least.
             sync_delay_ns: With a sync cable, how much later B captures than A (negative: earlier); None
@@ -99,7 +113,7 @@ class LivePairing:
         """
         self._least_lag_ns, self._least_gone_ns = max_lag_ns, gone_after_ns
         self.set_interval(interval_ns)
-        self.sync_delay_ns = sync_delay_ns
+        self.sync_delay_ns, self.every_frame = sync_delay_ns, True
         self._a, self._b = _Stream(), _Stream()
         self._synced: deque[int] = deque(maxlen=_SYNCED_PAIRS)
         self._figures = PairingFigures()
@@ -179,24 +193,26 @@ class LivePairing:
         if a and b:
             skews = [self._skew_ns(a[0].frame, other.frame) for other in b]
             nearest = min(range(len(b)), key=lambda index: abs(skews[index]))
-            if abs(skews[nearest]) <= self._tolerance_ns:
-                self._count(unmatched_b=nearest)
-                return [self._pair(b[nearest].frame, skews[nearest], nearest)]
-            if skews[-1] > -self._tolerance_ns:
-                return [self._alone_a()]
-            # All of B's are too early for this frame of A, and so for every later one.
-            self._count(unmatched_b=len(b))
-            self._use(self._b, len(b))
-            return []
+            paired = abs(skews[nearest]) <= self._tolerance_ns
+            earlier = nearest if paired else sum(skew < 0 for skew in skews)
+            if earlier:  # too early for this frame of A, and so for every later one
+                return self._unmatched_b(earlier)
+            return [self._pair(b[0].frame, skews[0]) if paired else self._alone_a()]
         if a and (self._is_gone(self._b, now_ns) or self._waited(self._a, self._b, now_ns)):
             return [self._alone_a()]
         if b and self._is_gone(self._a, now_ns):
             return [self._alone_b()]
         if b and self._waited(self._b, self._a, now_ns):
-            self._count(unmatched_b=1)
-            self._use(self._b, 1)
-            return []
+            return self._unmatched_b(1)
         return None
+
+    def _unmatched_b(self, count: int) -> list[FramePair]:
+        """B's first frames, without a partner."""
+        if self.every_frame:
+            return [self._alone_b() for _ in range(count)]
+        self._count(unmatched_b=count)
+        self._use(self._b, count)
+        return []
 
     def _skew_ns(self, a: SensorFrame, b: SensorFrame) -> int:
         """How far B's frame is from where A's partner should be, by A's clock."""
@@ -215,13 +231,13 @@ class LivePairing:
             self._synced.clear()
         return by_arrival
 
-    def _pair(self, b: SensorFrame, skew_ns: int, index: int) -> FramePair:
+    def _pair(self, b: SensorFrame, skew_ns: int) -> FramePair:
         a = self._a.waiting[0].frame
         if self.sync_delay_ns is not None:
             self._synced.append(b.time_ns - a.time_ns - self.sync_delay_ns)
         skew_ns += self.sync_delay_ns or 0
         self._use(self._a, 1)
-        self._use(self._b, index + 1)
+        self._use(self._b, 1)
         self._count(pairs=1)
         self._figures = replace(self._figures, skew_ns=skew_ns)
         return self._given(a, b, a.time_ns + (self._time_from_a or 0), skew_ns)
@@ -246,6 +262,8 @@ class LivePairing:
     ) -> FramePair:
         """The pair without a person; its time never goes back."""
         self._last_ns = time_ns if self._last_ns is None else max(time_ns, self._last_ns + 1)
+        if a is None:  # captured earlier than the last pair, if it came late
+            skew_ns = time_ns - self._last_ns
         return FramePair(a, b, SkeletonPair(None, None, self._last_ns, skew_ns))
 
     def _anchor(self) -> None:
@@ -261,8 +279,8 @@ class LivePairing:
         pairs = []
         while self._a.waiting:
             pairs.append(self._alone_a())
-        self._count(unmatched_b=len(self._b.waiting))
-        self._b.waiting.clear()
+        while self._b.waiting:
+            pairs += self._unmatched_b(1)
         self._synced.clear()
         stream = self._a if side == "a" else self._b
         stream.recent.clear()
@@ -280,9 +298,17 @@ class LivePairing:
         """Whether the partner of a stream's oldest frame would have come by now."""
         at_ns, frame = stream.waiting[0]
         lag_ns = self.max_lag_ns if other.most_lag_ns is None else min(other.most_lag_ns, self.max_lag_ns)
-        due_ns = frame.time_ns + (stream.clock.offset_ns or 0) + lag_ns
+        captured_ns, patience_ns = frame.time_ns + (stream.clock.offset_ns or 0), self._interval_ns
+        if len(other.lags) >= _LATEST:
+            delay_ns = self.sync_delay_ns or 0
+            expected_ns = captured_ns + (delay_ns if stream is self._a else -delay_ns)
+            next_ns = other.next_after(expected_ns - self._tolerance_ns)
+            if next_ns > expected_ns + self._tolerance_ns + PATIENCE_NS:
+                return True
+            captured_ns, patience_ns = max(captured_ns, next_ns), PATIENCE_NS
         # What delays both, as a pause of this machine does, delays the partner too.
-        return now_ns - max(due_ns, at_ns) >= self._interval_ns or len(stream.waiting) > _PENDING
+        overdue_ns = now_ns - max(captured_ns + lag_ns, at_ns)
+        return overdue_ns >= patience_ns or len(stream.waiting) > _PENDING
 
     def _is_gone(self, stream: _Stream, now_ns: int) -> bool:
         since = stream.came_ns if stream.came_ns is not None else self._first_ns

@@ -64,7 +64,7 @@ class LiveFusion:
             depth: Which depth images the frames keep.
             clock: Nanoseconds, of the frames' ``host_ns``.
         """
-        for pair in sensors.pairs():
+        for pair in sensors.pairs(every_frame=self.setup.settings.method == "duplex"):
             frame = self.fuse(self.chosen(with_depth(pair, depth)))
             yield replace(frame, streams=sensors.figures, latency_ns=_latency_ns(pair, clock()))
 

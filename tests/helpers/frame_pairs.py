@@ -16,7 +16,8 @@ class KnownSensors:
     def __init__(self, pairs, waiting=False):
         self._pairs, self.waiting = pairs, waiting
 
-    def pairs(self):
+    def pairs(self, every_frame=True):
+        assert every_frame
         return iter(self._pairs)
 
     def events(self):
