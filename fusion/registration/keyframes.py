@@ -6,6 +6,7 @@ Keyframes are stored by the person's place and heading, so that the set covers t
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
@@ -124,11 +125,11 @@ class KeyframeSet:
         if pair.a is None or pair.b is None or (self._selective and not self.due(pair.time_ns)):
             return False
         a, weight_a = relabelled(pair.a, codes[0])
+        if self._selective and not self._new(a, weight_a, pair.time_ns):
+            return False
         b, weight_b = relabelled(pair.b, codes[1])
         weight = weight_a * weight_b
         if np.count_nonzero(weight == 1.0) < len(self._body) // 3:
-            return False
-        if self._selective and not self._new(a, weight_a, pair.time_ns):
             return False
         across = a[self._left].mean(axis=0) - a[self._right].mean(axis=0)
         heading = float(np.arctan2(across[2], across[0]))
@@ -160,19 +161,17 @@ class KeyframeSet:
         both = (weight > 0.0) & (self._store.weights[self._newest] > 0.0)
         if not both.any():
             return True
-        moved = np.linalg.norm((a - self._store.a[self._newest])[both], axis=1)
-        return bool(moved.mean() > _MOVED)
+        moved = (a - self._store.a[self._newest])[both]
+        return bool(np.sqrt((moved * moved).sum(axis=1)).mean() > _MOVED)
 
     def _slot(self, cell: tuple[int, int, int]) -> int:
         if len(self._cells) < self._capacity:
             self._cells.append(cell)
             return len(self._cells) - 1
-        counts: dict[tuple[int, int, int], int] = {}
-        for other in self._cells:
-            counts[other] = counts.get(other, 0) + 1
+        counts, times = Counter(self._cells), self._store.time_ns.tolist()
         most = max(counts.values())
         crowded = [k for k, other in enumerate(self._cells) if counts[other] == most]
-        slot = min(crowded, key=lambda k: int(self._store.time_ns[k]))
+        slot = min(crowded, key=times.__getitem__)
         self._cells[slot] = cell
         return slot
 

@@ -15,6 +15,8 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
+from recordings import layout
+
 
 class Column:
     """One component at T times; what ``send_columns`` takes for a ``ComponentColumn``.
@@ -66,6 +68,11 @@ class Times:
 
     def __init__(self, timeline: str, times: NDArray[Any]) -> None:
         self._timeline, self._times = timeline, pa.array(times)
+
+    @staticmethod
+    def of_frames(frame: NDArray[np.int64], time_ns: NDArray[np.int64]) -> list[Times]:
+        """Both timelines of a session."""
+        return [Times(layout.FRAME, frame), Times(layout.TIME, time_ns.astype("timedelta64[ns]"))]
 
     def timeline_name(self) -> str:
         """The timeline."""

@@ -7,17 +7,20 @@ Sensors, floor and person are coordinate frames. A recalibration is one message:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
 from devices.capture.stream_pairing import PairingFigures
+from fusion.medians import median_of_known
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.floor import FloorFinder
 from recordings.session_arrays import SessionArrays
+from recordings.writing.arrow_columns import Column, Times
 
 _POSE_AGAIN = 300
 """Frames between two logs of an unchanged pose, 10 s."""
@@ -110,24 +113,36 @@ class QualityLog:
         each = np.stack((rows.positions_a, rows.positions_b, rows.fused.astype(np.float32)))
         if self._kept is not None:
             each = np.concatenate((self._kept, each), axis=1)
-        before = each.shape[1] - len(rows)
-        while each.shape[1] >= (window := 3 if self._first is None else _QUALITY_EVERY + 2):
-            t = window - 1 - before
-            set_time(self._stream, rows.frame[t], rows.time_ns[t])
-            jitters = [1e3 * jitter(of) for of in each[:, :window]]
-            self._stream.log(layout.stream_figure("jitter_mm"), rr.Scalars(jitters))
-            moved = self._moved(rows.rotation[t], rows.translation[t])
-            self._stream.log(layout.stream_figure("placement"), rr.Scalars(moved))
-            each, before = each[:, window - 2 :], before - (window - 2)
-        self._kept = each
+        if self._first is None and each.shape[1] > 2:
+            each = self._log(rows, each, 1, 1)
+        if self._first is not None and each.shape[1] > _QUALITY_EVERY + 1:
+            each = self._log(rows, each, _QUALITY_EVERY, (each.shape[1] - 2) // _QUALITY_EVERY)
+        self._kept = each.copy()  # a view would keep the whole block in memory
 
-    def _moved(self, rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> tuple[float, float]:
-        """Millimetres and degrees between the first pose of K_B and this one."""
+    def _log(self, rows: SessionArrays, each: NDArray[np.float32], size: int, count: int) -> NDArray[Any]:
+        """Logs the values of `count` windows of `size` accelerations each, and returns the frames after them.
+
+        Args:
+            rows: The newest frames.
+            each: (3, n, J, 3) they and those before them that are not yet logged.
+        """
+        end = size * count
+        at = np.arange(size + 1, end + 2, size) - each.shape[1] + len(rows)  # the last frame of each window
+        jitters = 1e3 * np.stack([jitter(of[: end + 2], count) for of in each], axis=1)
+        for name, values in (("jitter_mm", jitters), ("placement", self._moved(rows, at))):
+            columns: list[Any] = [Column.of_archetype(rr.Scalars, "scalars", values, values.size, count)]
+            times = Times.of_frames(rows.frame[at], rows.time_ns[at])
+            self._stream.send_columns(layout.stream_figure(name), times, columns)
+        return each[:, end:]
+
+    def _moved(self, rows: SessionArrays, at: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(n, 2) millimetres and degrees between the first pose of K_B and those of some frames."""
+        rotation, translation = rows.rotation[at], rows.translation[at]
         if self._first is None:
-            self._first = rotation.copy(), translation.copy()
-        cosine = (np.trace(self._first[0].T @ rotation) - 1.0) / 2.0
+            self._first = rotation[0], translation[0]
+        cosine = (np.einsum("ij,tij->t", self._first[0], rotation) - 1.0) / 2.0
         turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        return 1e3 * float(np.linalg.norm(translation - self._first[1])), float(turned)
+        return np.stack([1e3 * np.linalg.norm(translation - self._first[1], axis=1), turned], axis=1)
 
 
 class StreamFiguresLog:
@@ -155,17 +170,17 @@ class StreamFiguresLog:
             self._stream.log(layout.stream_figure(name), rr.Scalars(values))
 
 
-def jitter(positions: NDArray[np.float32]) -> float:
-    """Metres: the median over joints and frames of |p(t−1) − 2 p(t) + p(t+1)|; NaN without data.
+def jitter(positions: NDArray[np.float32], windows: int = 1) -> NDArray[np.float64]:
+    """(windows,) metres: the median over joints and frames of |p(t−1) − 2 p(t) + p(t+1)|; NaN without data.
 
     Motion at a constant speed has none; of white noise of σ in each coordinate it is 3.8 σ.
 
     Args:
         positions: (T, J, 3) metres, NaN where not tracked; T ≥ 3.
+        windows: Into how many equal parts the T − 2 values of t are divided.
     """
     accelerations = np.linalg.norm(positions[:-2] - 2.0 * positions[1:-1] + positions[2:], axis=2)
-    accelerations = accelerations[np.isfinite(accelerations)]
-    return float(np.median(accelerations)) if accelerations.size else float("nan")
+    return median_of_known(accelerations.reshape(windows, -1).astype(np.float64))
 
 
 class Lanes:

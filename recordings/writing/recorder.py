@@ -161,7 +161,7 @@ class Recorder:
         times: list[Times] = []
         for entity, rows, columns in entities:
             if rows is not timed:
-                timed, times = rows, _times(rows)
+                timed, times = rows, Times.of_frames(rows.frame, rows.time_ns)
             self._stream.send_columns(entity, times, columns)
             self._pause()
 
@@ -297,7 +297,3 @@ class Recorder:
             once(layout.points(side), entity_styles.cloud_look(side))
         once(layout.FUSED_SKELETON, entity_styles.joint_look(body, "fused"))
         once(layout.TRUTH_SKELETON, entity_styles.joint_look(body, "truth"))
-
-
-def _times(rows: SessionArrays) -> list[Times]:
-    return [Times(layout.FRAME, rows.frame), Times(layout.TIME, rows.time_ns.astype("timedelta64[ns]"))]
