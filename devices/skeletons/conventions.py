@@ -82,16 +82,18 @@ def check_metres_forward(name: object, xyz: NDArray[np.float64]) -> None:
     Raises:
         DeviceError: Most joints are farther away than any sensor sees, or behind the sensor.
     """
-    known = xyz[np.isfinite(xyz).all(axis=-1)]
-    if len(known) == 0:
+    x, y, z = np.abs(xyz).reshape(-1, 3).T
+    largest = np.maximum(np.maximum(x, y), z)
+    known = np.isfinite(largest)
+    if not known.any():
         return
-    distance = float(np.median(np.abs(known).max(axis=1)))
+    distance = float(np.median(largest[known]))
     if distance > FARTHEST:
         raise DeviceError(
             f"{name}: the joints are {distance:.3g} m away (median); no sensor sees beyond {FARTHEST:.0f} m. "
             "Positions must be in the frame of the sensor; state another unit than metres with --unit."
         )
-    if np.median(known[:, 2]) < 0.0:
+    if np.median(xyz[..., 2].ravel()[known]) < 0.0:
         raise DeviceError(
             f"{name}: most joints have a negative z. The z axis must point forward, towards the person."
         )
@@ -103,8 +105,10 @@ def impossible(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
     They are infinite, farther away than any sensor sees, or not before the sensor. A position of zeros and
     one with a NaN is a joint that was not seen.
     """
-    stated = ~np.isnan(xyz).any(axis=-1) & (xyz != 0.0).any(axis=-1)
-    return np.asarray(stated & ~((np.abs(xyz) < FARTHEST).all(axis=-1) & (xyz[..., 2] > 0.0)))
+    x, y, z = np.moveaxis(xyz, -1, 0)
+    stated = ~(np.isnan(x) | np.isnan(y) | np.isnan(z)) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
+    near = (np.abs(x) < FARTHEST) & (np.abs(y) < FARTHEST) & (z < FARTHEST) & (z > 0.0)
+    return np.asarray(stated & ~near)
 
 
 def impossible_in_words(name: object, count: int, where: str, value: NDArray[np.float64]) -> str:

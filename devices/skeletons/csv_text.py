@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -45,6 +45,8 @@ class TextRows:
 
     def numbers(self, column: str, kind: pa.DataType) -> NDArray[Any]:
         """A column as numbers; an empty coordinate is NaN."""
+        with suppress(pa.ArrowInvalid):
+            return np.asarray(pc.cast(self.table[column], kind).to_numpy())
         text = pc.utf8_trim_whitespace(self.table[column])
         if kind == pa.float64():
             text = pc.if_else(pc.equal(text, ""), "nan", text)
@@ -113,7 +115,7 @@ def _table(path: Path, raw: bytes, columns: list[str], separator: str, header: b
 
     try:
         table = pyarrow.csv.read_csv(
-            io.BytesIO(raw),
+            pa.BufferReader(raw),
             read_options=pyarrow.csv.ReadOptions(
                 column_names=columns, skip_rows=int(header), use_threads=False
             ),
@@ -174,7 +176,9 @@ def states_of(text: TextRows) -> NDArray[np.uint8]:
 
 def codes(table: pa.Table, column: str) -> tuple[list[str], NDArray[np.int64]]:
     """Returns the distinct values of a column, and the index of each row's value."""
-    encoded = pc.utf8_trim_whitespace(table[column]).combine_chunks().dictionary_encode()
+    encoded = table[column].combine_chunks().dictionary_encode()
+    if pc.utf8_trim_whitespace(encoded.dictionary) != encoded.dictionary:
+        encoded = pc.utf8_trim_whitespace(table[column]).combine_chunks().dictionary_encode()
     return encoded.dictionary.to_pylist(), np.asarray(encoded.indices.to_numpy(), dtype=np.int64)
 
 

@@ -53,7 +53,7 @@ def text_blocks(path: Path, size: int = -1) -> Iterator[bytes]:
                 raise DeviceError(f"{path} is not a file of skeletons but {words}.")
         if b"\0" * _FEWEST_NULS in start:
             raise DeviceError(f"{path} is not text: it contains zero bytes.")
-        read = lines = 0
+        read = 0
         while more := file.read(size):
             raw, start = start + more, b""
             if size > 0 and len(more) == size:
@@ -61,31 +61,43 @@ def text_blocks(path: Path, size: int = -1) -> Iterator[bytes]:
                 raw, start = raw[:end], raw[end:]
                 if end == 0:  # no line ends here, or they are those of an old Mac
                     continue
-            _check_text(path, raw, read, lines)
+            _check_text(path, raw, read)
             if read == 0 and not raw.strip():
                 break
-            read, lines = read + len(raw), lines + raw.count(b"\n")
+            read += len(raw)
             yield raw
         if start.strip():
-            _check_text(path, start, read, lines)
+            _check_text(path, start, read)
             yield start
         elif read == 0:
             raise DeviceError(f"{path} is empty.")
 
 
-def _check_text(path: Path, raw: bytes, before: int, lines: int) -> None:
-    """Refuses what is not text; so many bytes and lines of the file come before."""
+def _check_text(path: Path, raw: bytes, before: int) -> None:
+    """Refuses what is not text; so many bytes of the file come before."""
+    if raw.isascii() and b"\0" not in raw:
+        return
     nuls = raw.find(b"\0" * _FEWEST_NULS)
     if nuls >= 0:
-        line = lines + raw.count(b"\n", 0, nuls) + 1
+        line = _line(path, before + nuls)
         raise DeviceError(f"{path} is damaged: zero bytes in line {line}. Copy it again, or delete the rest.")
     try:
         raw.decode("utf-8")
     except UnicodeDecodeError as error:
-        line = lines + raw.count(b"\n", 0, error.start) + 1
+        byte = before + error.start
         raise DeviceError(
-            f"{path} is not text in UTF-8: byte {before + error.start + 1}, in line {line}. Save it as UTF-8."
+            f"{path} is not text in UTF-8: byte {byte + 1}, in line {_line(path, byte)}. Save it as UTF-8."
         ) from None
+
+
+def _line(path: Path, byte: int) -> int:
+    """The number of a byte's line, from 1."""
+    with path.open("rb") as file:
+        for number, line in enumerate(file, start=1):
+            byte -= len(line)
+            if byte < 0:
+                return number
+    raise AssertionError(f"{path} became shorter")
 
 
 def in_time_order(
