@@ -7,15 +7,13 @@ sensors, once per seed. The figures are written to ``results/accuracy_SET.json``
 import argparse
 import os
 import sys
-from collections.abc import Sequence
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 from tests.benchmarks import results
 from tests.benchmarks.methods import ABLATIONS, METHODS, OURS, WITHOUT_DEPTH
-from tests.benchmarks.trials import Outcome, Simulation, Trial, run_trials
+from tests.benchmarks.trials import Simulation, Trial, run_trials
 
 SETS = {
     "azure": Simulation("azure_kinect"),
@@ -35,7 +33,7 @@ SEEDS = (7300, 7301)
 _KINDS = {method.name: method.kind for method in (*METHODS, *ABLATIONS)}
 
 
-def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def summary(outcomes):
     """The figures of each method over all trials, and where another method is nearer to the truth.
 
     Returns:
@@ -43,7 +41,7 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         ``nearer``, the share of trials in which ours has the smaller mean error, and ``by_angle``.
         ``lost``: the movements and angles at which a baseline is nearer on average, and by how many metres.
     """
-    methods: dict[str, Any] = {}
+    methods = {}
     for name in dict.fromkeys(o.method for o in outcomes):
         own = [o for o in outcomes if o.method == name]
         methods[name] = {
@@ -57,14 +55,14 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     return {"recordings": len({o.trial for o in outcomes}), "methods": methods, "lost": lost(outcomes)}
 
 
-def common_trials(outcomes: Sequence[Outcome], figure: str) -> set[Trial]:
+def common_trials(outcomes, figure):
     """The trials in which every method has a figure. A method that never has the figure is ignored."""
     having = {o.method for o in outcomes if np.isfinite(o.figures[figure])}
     missing = {o.trial for o in outcomes if o.method in having and not np.isfinite(o.figures[figure])}
     return {o.trial for o in outcomes} - missing
 
 
-def nearer(outcomes: Sequence[Outcome], method: str) -> float:
+def nearer(outcomes, method):
     """The share of trials in which ours is nearer to the truth than another method; NaN without ours."""
     ours = {o.trial: o.figures["mpjpe"] for o in outcomes if o.method == OURS}
     if not ours or method == OURS:
@@ -72,7 +70,7 @@ def nearer(outcomes: Sequence[Outcome], method: str) -> float:
     return float(np.mean([ours[o.trial] < o.figures["mpjpe"] for o in outcomes if o.method == method]))
 
 
-def lost(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+def lost(outcomes):
     """Each movement and angle at which a view or a baseline is nearer to the truth than ours on average."""
     found = []
     rivals = [
@@ -88,13 +86,13 @@ def lost(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     return found
 
 
-def _mean(outcomes: Sequence[Outcome], figure: str, trials: set[Trial] | None = None) -> float:
+def _mean(outcomes, figure, trials=None):
     values = [o.figures[figure] for o in outcomes if trials is None or o.trial in trials]
     known = [value for value in values if np.isfinite(value)]
     return float(np.mean(known)) if known else float("nan")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(arguments=None):
     """Measures one set of recordings."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("set", choices=SETS, help="which trackers and errors are simulated")
@@ -113,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         method.name for method in rows if method.name != WITHOUT_DEPTH or simulation.depth != "none"
     ]
     trials = [Trial(*one) for one in product(options.motions, options.angles, options.seeds)]
-    outcomes: list[Outcome] = []
+    outcomes = []
     for of_trial in run_trials(trials, simulation, options.seconds, names, options.processes):
         outcomes += of_trial
         print(f"\r{len({o.trial for o in outcomes})} of {len(trials)}", end="", file=sys.stderr, flush=True)

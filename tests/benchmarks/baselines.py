@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from fusion.skeleton import TrackingState
 
 Array = NDArray[np.float64]
-States = NDArray[np.uint8]
 
 
-def alone(positions: Array) -> Array:
+def alone(positions):
     """One sensor alone: its joints as reported; a missing joint keeps its last position.
 
     Args:
@@ -27,7 +26,7 @@ def alone(positions: Array) -> Array:
     return held
 
 
-def mean(a: Array, b: Array) -> Array:
+def mean(a, b):
     """½(p + q'), or the one view that has the joint."""
     seen_a, seen_b = np.isfinite(a), np.isfinite(b)
     count = seen_a.astype(np.float64) + seen_b
@@ -35,7 +34,7 @@ def mean(a: Array, b: Array) -> Array:
     return alone(np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan))
 
 
-def tracked_wins(a: Array, b: Array, states_a: States, states_b: States) -> Array:
+def tracked_wins(a, b, states_a, states_b):
     """The view that tracks a joint that the other only infers; the mean if both states are equal."""
     better_a = (states_a > states_b)[..., None]
     better_b = (states_b > states_a)[..., None]
@@ -43,16 +42,8 @@ def tracked_wins(a: Array, b: Array, states_a: States, states_b: States) -> Arra
 
 
 def kalman(
-    a: Array,
-    b: Array,
-    states_a: States,
-    states_b: States,
-    frame_seconds: float,
-    *,
-    tracked_sd: float = 0.02,
-    inferred_sd: float = 0.08,
-    acceleration_sd: float = 8.0,
-) -> Array:
+    a, b, states_a, states_b, frame_seconds, *, tracked_sd=0.02, inferred_sd=0.08, acceleration_sd=8.0
+):
     """One constant-velocity Kalman filter per joint; the tracking state sets the measurement noise.
 
     The usual choice for several Kinects (OpenPTrack and others). The axes are independent and share their
@@ -85,7 +76,7 @@ def kalman(
     return out
 
 
-def oracle(a: Array, b: Array, truth: Array) -> Array:
+def oracle(a, b, truth):
     """The better view of every joint in every frame, chosen with the truth: a bound, not a method.
 
     No choice between the two views can be better; a fusion of them can.

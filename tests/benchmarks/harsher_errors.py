@@ -3,16 +3,13 @@
 They test whether a method that was developed on the simulator generalizes.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from devices.simulated.tracking.mirroring import Mirroring
-from devices.simulated.tracking.tracker_errors import ByKind, TrackerErrors
-from fusion.body import Body
+from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.joint_kinds import by_joint, kind_of
 
 SIZES = frozenset(
@@ -39,14 +36,14 @@ SHAPES = frozenset({
 LARGEST_SHARE = 0.95
 
 
-def scaled(errors: TrackerErrors, factor: float) -> TrackerErrors:
+def scaled(errors, factor):
     """Multiplies the size and frequency of all errors; durations and thresholds stay unchanged.
 
     Args:
         errors: Errors of a tracker.
         factor: The factor; 1 changes nothing.
     """
-    larger: dict[str, Any] = {
+    larger = {
         knob.name: _times(getattr(errors, knob.name), factor, share=knob.name in SHARES)
         for knob in fields(TrackerErrors)
         if knob.name in SIZES | SHARES
@@ -73,9 +70,7 @@ _ARM = {"elbow", "wrist", "hand", "tip", "thumb"}
 _LEG = {"knee", "ankle", "foot"}
 
 
-def heavy_tails(
-    body: Body, frame_seconds: float, random: np.random.Generator
-) -> Iterator[NDArray[np.float64]]:
+def heavy_tails(body, frame_seconds, random):
     """Yields (J, 3) errors per frame, metres: a log-normal size times a direction, one of each per limb.
 
     The error of a joint is ``_TAIL · exp(_SPREAD · h) · g``. Here h is a standard normal value and g a vector
@@ -94,7 +89,7 @@ def heavy_tails(
         yield np.clip(length[:, None] * g[limb], -_LARGEST, _LARGEST)
 
 
-def limbs(body: Body) -> NDArray[np.int64]:
+def limbs(body):
     """Returns (J,) the limb of each joint: 0 trunk, 1 head, 2 and 3 arms, 4 and 5 legs, left before right."""
     found = []
     for name in body.joints:
@@ -104,7 +99,7 @@ def limbs(body: Body) -> NDArray[np.int64]:
     return np.array(found, dtype=np.int64)
 
 
-def heavy_tailed(errors: TrackerErrors) -> TrackerErrors:
+def heavy_tailed(errors):
     """Returns heavy-tailed errors: 1–2 cm at trunk and legs, at times half a metre at the hands.
 
     The sizes are those of one Kinect v2 against optical motion capture: 59 recordings of a seated person,
@@ -131,7 +126,7 @@ def heavy_tailed(errors: TrackerErrors) -> TrackerErrors:
     )  # fmt: skip
 
 
-def _times(value: float | ByKind | Mirroring, factor: float, *, share: bool) -> float | ByKind | Mirroring:
+def _times(value, factor, *, share):
     if isinstance(value, Mirroring):
         return replace(value, back=_product(value.back, factor, share))
     if isinstance(value, Mapping):
@@ -139,5 +134,5 @@ def _times(value: float | ByKind | Mirroring, factor: float, *, share: bool) -> 
     return _product(value, factor, share)
 
 
-def _product(value: float, factor: float, share: bool) -> float:
+def _product(value, factor, share):
     return float(np.minimum(value * factor, max(LARGEST_SHARE, value))) if share else value * factor

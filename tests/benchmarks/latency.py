@@ -10,21 +10,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from devices.capture.sensor_pair import TwoSensors
 from devices.real_time import paced_together
 from devices.simulated.kinect import simulated_pair
-from fusion.body import AZURE_KINECT, Body
+from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.session_arrays import SessionFrame
 from tests.benchmarks import results
 from tests.experiments.soak import soak
 from viewer_app.addresses import LOOPBACK
@@ -57,14 +54,14 @@ while True:
 class _Departures(Sink):
     """Notes when each frame left the fuser: the first sink that the loop calls after it."""
 
-    def __init__(self) -> None:
-        self.times: list[tuple[int, int]] = []  # perf_counter, time of the pair
+    def __init__(self):
+        self.times = []  # perf_counter, time of the pair
 
-    def write(self, frame: SessionFrame) -> None:
+    def write(self, frame):
         self.times.append((time.perf_counter_ns(), frame.pair.time_ns))
 
 
-def vmc_delay(body: Body, seconds: float) -> dict[str, float]:
+def vmc_delay(body, seconds):
     """The time from the end of ``Fuser.update`` to the ``recv`` of a VMC receiver, milliseconds."""
     with subprocess.Popen(
         [sys.executable, "-c", _RECEIVER, LOOPBACK], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -87,7 +84,7 @@ def vmc_delay(body: Body, seconds: float) -> dict[str, float]:
     return {"frames": len(departures.times), "arrived": len(rows), **_percentiles(delays)}
 
 
-def live_latency(seconds: float, viewer: bool, busy: int = 0) -> dict[str, Any]:
+def live_latency(seconds, viewer, busy=0):
     """The soak's figures, beside a number of busy processes."""
     with _busy_processes(busy), tempfile.TemporaryDirectory() as folder:
         seen = soak(seconds, "half", Path(folder) / "soak.rrd", viewer=viewer)
@@ -103,7 +100,7 @@ def live_latency(seconds: float, viewer: bool, busy: int = 0) -> dict[str, Any]:
 
 
 @contextmanager
-def _busy_processes(count: int) -> Iterator[None]:
+def _busy_processes(count):
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield
@@ -113,19 +110,19 @@ def _busy_processes(count: int) -> Iterator[None]:
             process.wait()
 
 
-def _percentiles(milliseconds: Sequence[float]) -> dict[str, float]:
+def _percentiles(milliseconds):
     median, p99 = np.percentile(milliseconds, [50, 99])
     return {"median_ms": float(median), "p99_ms": float(p99), "max_ms": float(max(milliseconds))}
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(arguments=None):
     """Measures the three conditions and the output."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--seconds", type=float, default=90.0, help="of each condition, 75 or more for memory"
     )
     options = parser.parse_args(arguments)
-    figures: dict[str, Any] = {
+    figures = {
         "file": live_latency(options.seconds, viewer=False),
         "viewer": live_latency(options.seconds, viewer=True),
         "busy": live_latency(options.seconds, viewer=True, busy=2),

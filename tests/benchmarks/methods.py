@@ -4,11 +4,11 @@ To add a method, add a row to :data:`METHODS`. A switch of our method is a row o
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,10 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.estimator.constants import Constants
 from fusion.facing.labels import Labels
-from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
 from fusion.registration.rigid_fit import fit_recording
-from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
-from fusion.skeleton import Skeleton
 from recordings.fusing.live_fusion import LiveFusion
 from recordings.fusing.pairs import fuse_segments, setups_of
 from tests.benchmarks import baselines
@@ -52,12 +49,12 @@ class RecordedPair:
     truth: Array
 
     @cached_property
-    def _views(self) -> tuple[tuple[Array, NDArray[np.uint8]], tuple[Array, NDArray[np.uint8]]]:
+    def _views(self):
         skeletons = [pair.skeletons for pair in self.pairs]
         nowhere = np.full((len(self.body), 3), np.nan)
         unseen = np.zeros(len(self.body), dtype=np.uint8)
 
-        def stacked(side: str) -> tuple[Array, NDArray[np.uint8]]:
+        def stacked(side):
             view = [getattr(pair, side) for pair in skeletons]
             positions = np.array([nowhere if s is None else s.positions for s in view], dtype=np.float64)
             return positions, np.array([unseen if s is None else s.states for s in view])
@@ -65,27 +62,27 @@ class RecordedPair:
         return stacked("a"), stacked("b")
 
     @property
-    def a(self) -> Array:
+    def a(self):
         """(T, J, 3) S_A, metres, in K_A's frame; NaN where not tracked."""
         return self._views[0][0]
 
     @property
-    def b(self) -> Array:
+    def b(self):
         """(T, J, 3) S_B, in K_B's frame."""
         return self._views[1][0]
 
     @property
-    def states(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def states(self):
         """(T, J) tracking states of A and of B."""
         return self._views[0][1], self._views[1][1]
 
     @property
-    def start_up(self) -> RigidTransform:
+    def start_up(self):
         """``a_from_b`` of the start-up pose."""
         return self.calibration.a_from_b
 
     @cached_property
-    def refined(self) -> RigidTransform:
+    def refined(self):
         """``a_from_b`` fitted robustly over the whole recording's movement, tracked joints only."""
         sure = (self.states[0] == 2) & (self.states[1] == 2)
         return fit_recording(np.where(sure[..., None], self.a, np.nan), self.b)
@@ -121,9 +118,7 @@ class Method:
     find: Callable[[RecordedPair], Found] = field(repr=False)
 
 
-def fused(
-    settings: FuserSettings, labels: Labels | None = None, **constants: Any
-) -> Callable[[RecordedPair], Found]:
+def fused(settings, labels=None, **constants):
     """Our program with these settings, pair by pair.
 
     Args:
@@ -132,7 +127,7 @@ def fused(
         constants: Of :class:`fusion.estimator.constants.Constants`, in place of the body's own.
     """
 
-    def find(recording: RecordedPair) -> Found:
+    def find(recording):
         fuser = Fuser(
             FusionSetup(recording.calibration, settings), Constants.of(recording.body)._replace(**constants)
         )
@@ -148,10 +143,10 @@ def fused(
     return find
 
 
-def as_recorded(settings: FuserSettings, refine: bool = True) -> Callable[[RecordedPair], Found]:
+def as_recorded(settings, refine=True):
     """What ``duplex fuse`` makes of the recording: calibration and labels from the whole of it."""
 
-    def find(recording: RecordedPair) -> Found:
+    def find(recording):
         skeletons = [pair.skeletons for pair in recording.pairs]
         plan = plan_recording(recording.body, skeletons, settings, refine=refine)
         segments = setups_of(plan, settings, (None, None))
@@ -161,13 +156,13 @@ def as_recorded(settings: FuserSettings, refine: bool = True) -> Callable[[Recor
     return find
 
 
-def without_depth(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
+def without_depth(settings):
     """As :func:`as_recorded`, without the evidence of depth images."""
 
-    def blind(skeleton: Skeleton | None) -> Skeleton | None:
+    def blind(skeleton):
         return None if skeleton is None else replace(skeleton, witness=None)
 
-    def find(recording: RecordedPair) -> Found:
+    def find(recording):
         pairs = [
             replace(
                 pair, skeletons=replace(pair.skeletons, a=blind(pair.skeletons.a), b=blind(pair.skeletons.b))
@@ -179,10 +174,10 @@ def without_depth(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
     return find
 
 
-def as_live(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
+def as_live(settings):
     """What ``duplex live`` makes of the recording, refinement included: nothing looks ahead."""
 
-    def find(recording: RecordedPair) -> Found:
+    def find(recording):
         live = LiveFusion(FusionSetup(recording.calibration, settings), refine=True)
         frames = []
         for pair in recording.pairs:
@@ -193,7 +188,7 @@ def as_live(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
     return find
 
 
-def _found(frames: Sequence[FusedFrame], each_us: float) -> Found:
+def _found(frames, each_us):
     sigma = [frame.sigma for frame in frames]
     known = [one for one in sigma if one is not None]
     return Found(
@@ -203,8 +198,8 @@ def _found(frames: Sequence[FusedFrame], each_us: float) -> Found:
     )
 
 
-def _baseline(find: Callable[[RecordedPair], Array]) -> Callable[[RecordedPair], Found]:
-    def timed(recording: RecordedPair) -> Found:
+def _baseline(find):
+    def timed(recording):
         before = time.perf_counter()
         joints = find(recording)
         return Found(joints, (time.perf_counter() - before) / len(recording.pairs) * 1e6)
@@ -212,27 +207,27 @@ def _baseline(find: Callable[[RecordedPair], Array]) -> Callable[[RecordedPair],
     return timed
 
 
-def _mean(recording: RecordedPair, a_from_b: RigidTransform) -> Array:
+def _mean(recording, a_from_b):
     return baselines.mean(recording.a, a_from_b.apply(recording.b))
 
 
-def _kalman(recording: RecordedPair, a_from_b: RigidTransform) -> Array:
+def _kalman(recording, a_from_b):
     views = recording.a, a_from_b.apply(recording.b)
     return baselines.kalman(*views, *recording.states, recording.frame_seconds)
 
 
-def _tracked_wins(recording: RecordedPair) -> Array:
+def _tracked_wins(recording):
     return baselines.tracked_wins(recording.a, recording.refined.apply(recording.b), *recording.states)
 
 
-def _oracle(recording: RecordedPair) -> Array:
+def _oracle(recording):
     return baselines.oracle(recording.a, recording.refined.apply(recording.b), recording.truth)
 
 
 DEFAULT = FuserSettings()
 """The default settings."""
 
-METHODS: tuple[Method, ...] = (
+METHODS = (
     Method("A alone", "view", _baseline(lambda r: baselines.alone(r.a))),
     Method("B alone", "view", _baseline(lambda r: baselines.alone(r.refined.apply(r.b)))),
     Method("mean, start-up", "baseline", _baseline(lambda r: _mean(r, r.start_up))),
@@ -262,7 +257,7 @@ WITHOUT_DEPTH = "without depth"
 
 _NEVER = 1e-12  # a probability: what the filter takes the logarithm of
 
-ABLATIONS: tuple[Method, ...] = (
+ABLATIONS = (
     Method("start-up, causal", "ablation", fused(DEFAULT)),
     Method("without refinement", "ablation", as_recorded(replace(DEFAULT, hindsight="labels"), refine=False)),
     Method("without time", "ablation", fused(replace(DEFAULT, smoothing=0.0))),

@@ -1,10 +1,8 @@
 """Writes ``docs/benchmarks.md`` from the figures that the benchmarks left: ``make benchmarks``."""
 
 import re
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from string import Template
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +20,7 @@ _SETS = {
 _BASELINES = ("mean, start-up", "mean, refined", "tracked wins", "Kalman, start-up", "Kalman, refined")
 
 
-def page() -> str:
+def page():
     """The whole page."""
     template = Template(Path(__file__).with_name("page.md").read_text(encoding="utf-8"))
     names = {f"accuracy_{name}": f"accuracy_{name}" for name in _SETS}
@@ -38,14 +36,14 @@ def page() -> str:
     )
 
 
-def _origin(name: str) -> str:
+def _origin(name):
     command = results.read(name)["command"].removeprefix("python -m tests.benchmarks.")
     if name == "real":  # one folder after the other
         command = command.partition(" kinect")[0] + " FOLDER…"
     return re.sub(r" --processes \d+", "", command)  # changes no figure
 
 
-def _methods(figures: dict[str, Any]) -> str:
+def _methods(figures):
     rows = []
     for name, row in figures["methods"].items():
         if name.endswith("start-up"):  # the same with a poorer registration
@@ -71,7 +69,7 @@ def _methods(figures: dict[str, Any]) -> str:
     return _table(columns, rows)
 
 
-def _sets() -> str:
+def _sets():
     rows = []
     for name, title in _SETS.items():
         if not (results.FOLDER / f"accuracy_{name}.json").exists():
@@ -96,7 +94,7 @@ def _sets() -> str:
     return _table(columns, rows)
 
 
-def _real(figures: dict[str, Any]) -> str:
+def _real(figures):
     walks = {name: row for name, row in figures["pairs"].items() if "walk" in name}
     others = {name: row for name, row in figures["pairs"].items() if "walk" not in name}
     rows = [
@@ -111,10 +109,8 @@ def _real(figures: dict[str, Any]) -> str:
     return _table(columns, rows)
 
 
-def _real_row(
-    name: str, rows: Sequence[dict[str, Any]], over: Callable[[list[float]], Any]
-) -> tuple[str, ...]:
-    def figure(name: str) -> float | None:
+def _real_row(name, rows, over):
+    def figure(name):
         known = [row[name] for row in rows if row.get(name) is not None]
         return float(over(known)) if known else None
 
@@ -129,7 +125,7 @@ def _real_row(
     )
 
 
-def _speed(document: dict[str, Any]) -> str:
+def _speed(document):
     figures = document["figures"]
     rows = [
         (f"`Fuser.update`, {body}, *{method}*", f"{row['median_us']:.0f} µs", f"{row['p99_us']:.0f} µs")
@@ -160,7 +156,7 @@ def _speed(document: dict[str, Any]) -> str:
     return _table(("", "median", "99 %"), rows)
 
 
-def _latency(document: dict[str, Any]) -> str:
+def _latency(document):
     if not results.quiet(document):
         return "Not measured on a quiet machine yet."
     figures = document["figures"]
@@ -191,16 +187,16 @@ def _latency(document: dict[str, Any]) -> str:
     return _table(columns, rows)
 
 
-def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _table(columns, rows):
     lines = ["| " + " | ".join(columns) + " |", "|---|" + "--:|" * (len(columns) - 1)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
-def _mm(metres: float | None, digits: int = 0) -> str:
+def _mm(metres, digits=0):
     return _number(metres, 1e3, digits)
 
 
-def _number(value: float | None, factor: float, digits: int) -> str:
+def _number(value, factor, digits):
     return "–" if value is None else f"{factor * value:.{digits}f}"
 
 

@@ -5,25 +5,21 @@ Each folder has the recordings ``a.csv`` and ``b.csv``. The figures are written 
 
 import argparse
 import sys
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from devices.files import RecordingChoice, read_two
 from devices.pairing import FramePair
-from fusion.body import Body
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
-from fusion.skeleton import SkeletonPair
 from fusion.without_truth import FusedPair, figures_without_truth, judge_registration
 from recordings.fusing.pairs import fuse_segments, setups_of
 from tests.benchmarks import results
 
 
-def measure(body: Body, skeletons: Sequence[SkeletonPair]) -> dict[str, float]:
+def measure(body, skeletons):
     """Computes all figures of one recording, by name, in SI.
 
     Raises:
@@ -40,7 +36,7 @@ def measure(body: Body, skeletons: Sequence[SkeletonPair]) -> dict[str, float]:
     return row
 
 
-def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
+def fuse_pair(body, skeletons):
     """Fuses a recording as the program does with its default settings."""
     settings = FuserSettings(hindsight="labels")
     plan = plan_recording(body, skeletons, settings)
@@ -49,7 +45,7 @@ def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
     frames = [fused for block in fuse_segments(segments, pairs, plan.labels) for fused in block.fused]
     nowhere = np.full((len(body), 3), np.nan)
 
-    def positions(side: str) -> NDArray[np.float64]:
+    def positions(side):
         view = [getattr(pair, side) for pair in skeletons]
         return np.array([nowhere if s is None else s.positions for s in view], dtype=np.float64)
 
@@ -63,14 +59,14 @@ def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
     )
 
 
-def mean_of(rows: dict[str, dict[str, float]]) -> dict[str, float]:
+def mean_of(rows):
     """Computes the mean of each figure over the recordings that have it."""
     names = dict.fromkeys(name for row in rows.values() for name in row)
     known = {name: [row[name] for row in rows.values() if np.isfinite(row[name])] for name in names}
     return {name: float(np.mean(values)) if values else np.nan for name, values in known.items()}
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(arguments=None):
     """Judges each recording."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", nargs="+", type=Path)

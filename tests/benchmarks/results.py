@@ -12,13 +12,12 @@ import sys
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 FOLDER = Path(__file__).parent / "results"
 _LOAD = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None  # before the benchmark adds to it
 
 
-def write(name: str, figures: dict[str, Any]) -> None:
+def write(name, figures):
     """Writes the figures of a benchmark, with the command and the machine they come from.
 
     Args:
@@ -45,19 +44,18 @@ def write(name: str, figures: dict[str, Any]) -> None:
     (FOLDER / f"{name}.json").write_text(text + "\n", encoding="utf-8")
 
 
-def read(name: str) -> dict[str, Any]:
+def read(name):
     """Returns the document that :func:`write` wrote."""
-    document: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
-    return document
+    return json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
 
 
-def quiet(document: dict[str, Any]) -> bool:
+def quiet(document):
     """Whether a benchmark began on a machine with an idle processor, so that its wall-clock times count."""
     load = document["machine"]["load"]
     return load is None or load < 0.5 * document["machine"]["processors"]
 
 
-def _plain(value: Any) -> Any:
+def _plain(value):
     """Dictionaries and lists with floats of six digits."""
     if isinstance(value, dict):
         return {str(key): _plain(one) for key, one in value.items()}

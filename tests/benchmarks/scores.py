@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.skeleton import TrackingState
 
@@ -51,15 +50,7 @@ class Accuracy:
     within_2sd: float = np.nan
 
 
-def accuracy(
-    body: Body,
-    found: Array,
-    truth: Array,
-    states_a: NDArray[np.uint8],
-    states_b: NDArray[np.uint8],
-    frame_seconds: float,
-    sd: Array | None = None,
-) -> Accuracy:
+def accuracy(body, found, truth, states_a, states_b, frame_seconds, sd=None):
     """Measures a method's joints against the true ones.
 
     Args:
@@ -90,23 +81,23 @@ def accuracy(
     )
 
 
-def _coverage(errors: Array, bound: Array) -> float:
+def _coverage(errors, bound):
     """Share of (T, J) distances within a (T, J) bound, where both are known."""
     known = np.isfinite(errors) & np.isfinite(bound)
     return float((errors <= bound)[known].mean()) if known.any() else np.nan
 
 
-def _mean(values: Array) -> float:
+def _mean(values):
     values = values[np.isfinite(values)]
     return float(values.mean()) if values.size else np.nan
 
 
-def _deviation(values: Array) -> float:
+def _deviation(values):
     values = values[np.isfinite(values)]
     return float(values.std()) if values.size else np.nan
 
 
-def _jitter(found: Array, truth: Array, frame_seconds: float) -> float:
+def _jitter(found, truth, frame_seconds):
     speed = np.linalg.norm(np.diff(truth, axis=0), axis=2) / frame_seconds
     still = (speed < _STILL_SPEED).all(axis=1)  # (T-1,)
     if len(found) < _SMOOTH:
@@ -119,14 +110,14 @@ def _jitter(found: Array, truth: Array, frame_seconds: float) -> float:
     return float(np.sqrt(square.mean())) if square.size else np.nan
 
 
-def _swapped(body: Body, found: Array, truth: Array) -> float:
+def _swapped(body, found, truth):
     limbs = np.flatnonzero(body.mirror != np.arange(len(body)))
     as_is = np.nansum(np.linalg.norm(found[:, limbs] - truth[:, limbs], axis=2), axis=1)
     exchanged = np.nansum(np.linalg.norm(found[:, limbs] - truth[:, body.mirror[limbs]], axis=2), axis=1)
     return float(np.mean(exchanged < as_is))
 
 
-def _lag(found: Array, truth: Array) -> float:
+def _lag(found, truth):
     steps, true_steps = (np.linalg.norm(np.diff(at, axis=0), axis=2) for at in (found, truth))  # (T-1, J)
     frames = np.arange(_LONGEST_LAG, len(steps) - _LONGEST_LAG)
     if len(steps) < 4 * _LONGEST_LAG or true_steps.mean(axis=1).std() < _EVEN_STEPS:
@@ -142,7 +133,7 @@ def _lag(found: Array, truth: Array) -> float:
     return float(lags[best] + 0.5 * (left - right) / (left - 2.0 * top + right))
 
 
-def _correlation(steps: Array, true_steps: Array) -> float:
+def _correlation(steps, true_steps):
     """Of the joints' mean speeds, each frame over the joints that ``steps`` knows in it."""
     known = np.isfinite(steps)
     count = known.sum(axis=1)

@@ -9,21 +9,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from devices.pairing import pair_recordings
 from devices.simulated.kinect import PERSON, simulated_pair
-from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
+from fusion.body import BODIES, KINECT_V1, KINECT_V2
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup, Method
-from fusion.skeleton import SkeletonPair
+from fusion.setup import FuserSettings, FusionSetup
 from recordings.session import Session
 from tests.benchmarks import results
 from tests.helpers.recorded_pairs import write_view
@@ -36,14 +33,14 @@ SHORT, LONG = 600, 6600
 """Pairs of two recordings whose difference separates the cost of a pair from the start-up."""
 
 
-def simulated_walk(body: Body, seconds: float = 20.0) -> list[SkeletonPair]:
+def simulated_walk(body, seconds=20.0):
     """Returns the pairs of a walk in front of two simulated sensors."""
     a, b, _ = simulated_pair(motion="walk", seed=0, body=body, angle_deg=90.0, seconds=seconds, depth="none")
     pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
     return [pair.skeletons for pair in pairs]
 
 
-def repeated(pairs: Sequence[SkeletonPair], count: int) -> list[SkeletonPair]:
+def repeated(pairs, count):
     """Repeats a recording forwards and backwards in turn, so that it has no jumps."""
     there_and_back = [*pairs, *pairs[::-1]]
     return [
@@ -51,7 +48,7 @@ def repeated(pairs: Sequence[SkeletonPair], count: int) -> list[SkeletonPair]:
     ]  # fmt: skip
 
 
-def time_update(pairs: Sequence[SkeletonPair], body: Body, method: Method) -> dict[str, float]:
+def time_update(pairs, body, method):
     """Times ``Fuser.update`` pair by pair, and ``fuse_sequence`` over many pairs."""
     setup = FusionSetup(calibrate(body, *find_start_up_pose(body, pairs)), FuserSettings(method=method))
     fuser = Fuser(setup)
@@ -69,7 +66,7 @@ def time_update(pairs: Sequence[SkeletonPair], body: Body, method: Method) -> di
     return {"median_us": float(median), "p99_us": float(p99), "batch_per_s": per_second}
 
 
-def time_solver(solver: Any, frames: int = 1000) -> dict[str, float]:
+def time_solver(solver, frames=1000):
     """Times eq. (1) from cold starts: 20 joints in random poses, with 10 mm of noise."""
     took, bones = [], []
     for seed in range(frames):
@@ -84,7 +81,7 @@ def time_solver(solver: Any, frames: int = 1000) -> dict[str, float]:
     return {"median_us": float(median), "p99_us": float(p99), "bone_error_mm": 1e3 * float(max(bones))}
 
 
-def time_commands(body: Body, pairs: Sequence[SkeletonPair]) -> dict[str, float]:
+def time_commands(body, pairs):
     """Times ``duplex fuse --save`` and ``duplex replay --verify`` on a short and on a long recording."""
     # noise, so that repeated frames do not compress better than a real recording
     rng = np.random.default_rng(0)
@@ -120,18 +117,18 @@ def time_commands(body: Body, pairs: Sequence[SkeletonPair]) -> dict[str, float]
     }
 
 
-def _seconds_of(arguments: Sequence[str]) -> float:
+def _seconds_of(arguments):
     before = time.perf_counter()
     subprocess.run([sys.executable, "-m", "viewer_app.cli", *arguments], check=True, capture_output=True)
     return time.perf_counter() - before
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(arguments=None):
     """Times the method and the commands."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.parse_args(arguments)
-    figures: dict[str, Any] = {"update": {}, "solver": {}}
-    methods: tuple[Method, ...] = ("duplex", "paper")
+    figures = {"update": {}, "solver": {}}
+    methods = ("duplex", "paper")
     for body in BODIES.values():
         walk = simulated_walk(body)
         figures["update"][body.name] = {method: time_update(walk, body, method) for method in methods}

@@ -1,6 +1,5 @@
 """Simulated recordings with known truth, and every method on each of them."""
 
-from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -18,7 +17,7 @@ from fusion.body import BODIES
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from tests.benchmarks.harsher_errors import heavy_tailed, scaled
-from tests.benchmarks.methods import ABLATIONS, METHODS, Method, RecordedPair
+from tests.benchmarks.methods import ABLATIONS, METHODS, RecordedPair
 from tests.benchmarks.scores import accuracy
 
 TrackerShape = Literal["fitted", "heavy-tailed"]
@@ -55,7 +54,7 @@ class Simulation:
     tracker_errors: TrackerShape = "fitted"
     depth: Depth = "none"
 
-    def errors_of_tracker(self) -> TrackerErrors:
+    def errors_of_tracker(self):
         """The errors of both trackers."""
         errors = TrackerErrors.of(BODIES[self.body])
         if self.tracker_errors == "heavy-tailed":
@@ -72,9 +71,7 @@ class Outcome:
     figures: dict[str, float]
 
 
-def run_trials(
-    trials: Sequence[Trial], simulation: Simulation, seconds: float, names: Sequence[str], processes: int = 1
-) -> Iterator[list[Outcome]]:
+def run_trials(trials, simulation, seconds, names, processes=1):
     """The named methods on each trial, in the trials' order."""
     if processes < 2:
         yield from (run_trial(trial, simulation, seconds, names) for trial in trials)
@@ -85,12 +82,12 @@ def run_trials(
         yield from pool.map(run, trials)
 
 
-def chosen_methods(names: Sequence[str]) -> list[Method]:
+def chosen_methods(names):
     """The rows of these names, in the tables' order."""
     return [method for method in (*METHODS, *ABLATIONS) if method.name in names]
 
 
-def run_trial(trial: Trial, simulation: Simulation, seconds: float, names: Sequence[str]) -> list[Outcome]:
+def run_trial(trial, simulation, seconds, names):
     """The named methods on one trial; see :func:`run_trials`."""
     recording, first = record(trial, simulation, seconds)
     states_a, states_b = recording.states
@@ -110,7 +107,7 @@ def run_trial(trial: Trial, simulation: Simulation, seconds: float, names: Seque
     return outcomes
 
 
-def record(trial: Trial, simulation: Simulation, seconds: float) -> tuple[RecordedPair, int]:
+def record(trial, simulation, seconds):
     """A simulated recording, and its first frame after the start-up pose, where the measurement starts.
 
     The start-up pose is excluded, because all methods perform best in it.

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from fusion.facing.model import TRUNK, WHOLE, FacingConstants, new_facing_model
-from tests.helpers.labelled_views import Floats, Views, heading, real_views
+from tests.helpers.labelled_views import heading, real_views
 
 NODES = (1.0, 0.5, 0.0, -0.5, -1.0)
 
 
-def tables(pairs: list[Views], constants: FacingConstants) -> None:
+def tables(pairs, constants):
     """Prints cues of moving people and the share of mirrored frames, by the cosine to the sensor."""
     cosines, cues, mirrored = [], [], []
     for views in pairs:
@@ -44,7 +44,7 @@ def tables(pairs: list[Views], constants: FacingConstants) -> None:
         print()
 
 
-def reported_angles(pairs: list[Views]) -> None:
+def reported_angles(pairs):
     """Prints percentiles of the angle to the sensor that the trunk shows, by that of a straight path."""
     true, shown = [], []
     for views in pairs:
@@ -73,7 +73,7 @@ def reported_angles(pairs: list[Views]) -> None:
         )
 
 
-def _cues(views: Views, at: Floats) -> Floats:
+def _cues(views, at):
     """(T, 5, 3) knees before hip–ankle, elbows behind shoulder–wrist, head before the neck."""
     body, found = views.body, []
     for names, sign in ((("Hip", "Knee", "Ankle"), 1.0), (("Shoulder", "Elbow", "Wrist"), -1.0)):
@@ -85,7 +85,7 @@ def _cues(views: Views, at: Floats) -> Floats:
     return np.stack([*found, at[:, body.joint("Head")] - at[:, body.joint("Neck")]], axis=1)
 
 
-def main() -> None:
+def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

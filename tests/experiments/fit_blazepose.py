@@ -32,12 +32,12 @@ HIDDEN_SEEN = 0.04
 Array = NDArray[np.float64]
 
 
-def observe(seconds: float, every: float, seed: int) -> Array:
+def observe(seconds, every, seed):
     """(N, 7): landmark, share seen, visibility, outward, surface minus body, truth minus reading, size."""
-    rows: list[tuple[float, ...]] = []
-    inputs: list[tuple] = []
+    rows = []
+    inputs = []
     lift = blazepose.lift
-    blazepose.lift = lambda *given: (inputs.append(given), lift(*given))[1]  # type: ignore[assignment]
+    blazepose.lift = lambda *given: (inputs.append(given), lift(*given))[1]
     try:
         with BlazePose() as tracker:
             for motion, angle in itertools.product(MOTIONS, ANGLES):
@@ -56,7 +56,7 @@ def observe(seconds: float, every: float, seed: int) -> Array:
     return np.array(rows)
 
 
-def _region_of(landmarks: Array) -> Region:
+def _region_of(landmarks):
     """Where a person is followed, from the truth, so that images need not follow each other."""
     pixels = CAMERA.project(landmarks)
     centre = 0.5 * (pixels[anatomy.INDEX["HIP_LEFT"]] + pixels[anatomy.INDEX["HIP_RIGHT"]])
@@ -64,14 +64,14 @@ def _region_of(landmarks: Array) -> Region:
     return Region.around(centre, centre - (0.0, radius))
 
 
-def _rows(given: tuple, landmarks: Array) -> list[tuple[float, ...]]:
+def _rows(given, landmarks):
     laid = lay_body(*given)
     if laid is None:
         return []
     body, size, reading = laid
     surface, outward = reading + size * column("beneath"), _outward(body)
     share = dict(zip(BLAZEPOSE.joints, share_seen(landmarks), strict=True))
-    rows: list[tuple[float, ...]] = []
+    rows = []
     for name, j in INDEX.items():
         if name in share and np.isfinite(reading[j]):
             z = landmarks[anatomy.INDEX[name], 2]
@@ -80,7 +80,7 @@ def _rows(given: tuple, landmarks: Array) -> list[tuple[float, ...]]:
     return rows
 
 
-def fit(rows: Array) -> None:
+def fit(rows):
     """Prints the constants of each kind."""
     for kind in CONSTANTS:
         landmarks = [j for name, j in INDEX.items() if name.split("_")[0] == kind]
@@ -90,7 +90,7 @@ def fit(rows: Array) -> None:
         plain, hidden = of[:, 1] > PLAIN, of[:, 1] < HIDDEN
         beneath = float(np.median((of[:, 5] / of[:, 6])[plain & (np.abs(of[:, 5]) < 0.2)]))
         wrong = np.abs(of[:, 5] - beneath * of[:, 6]) > LARGEST_ERROR
-        best: tuple[float, ...] = (-np.inf,)
+        best = (-np.inf,)
         for visible, turned, front, back in itertools.product(
             (0.3, 0.5, 0.7, 0.8, 0.9),
             (-0.1, 0.0, 0.1, 0.3, 0.5, 1.0),

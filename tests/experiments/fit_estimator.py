@@ -5,7 +5,6 @@ the folders (each with a.csv and b.csv): medians over recordings, by kind of joi
 """
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.pairing import pair_recordings
-from devices.sensor import SensorFrame
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.calibration.calibration import calibrate
 from fusion.joint_kinds import KINDS, kind_of
-from fusion.skeleton import Skeleton, TrackingState
+from fusion.skeleton import TrackingState
 
 Array = NDArray[np.float64]
 MOTIONS = ("walk", "arms", "badminton", "basketball", "squat", "sit")
@@ -36,28 +34,26 @@ class Recording:
     b: Array
 
 
-def simulated(body: Body, motion: str, seed: int) -> Recording:
+def simulated(body, motion, seed):
     """A simulated recording of 20 s."""
     a, b, _ = simulated_pair(motion=motion, seed=seed, body=body, angle_deg=90.0, seconds=20.0)
     return recording_of(list(a.frames()), list(b.frames()), PERSON, PERSON)
 
 
-def real(folder: Path) -> Recording:
+def real(folder):
     """A pair of CSV files."""
     with SkeletonRecording(folder / "a.csv") as a, SkeletonRecording(folder / "b.csv") as b:
         people = a.people.choose_person(None, "A", ""), b.people.choose_person(None, "B", "")
         return recording_of(list(a.frames()), list(b.frames()), *people)
 
 
-def recording_of(
-    frames_a: list[SensorFrame], frames_b: list[SensorFrame], person_a: str, person_b: str
-) -> Recording:
+def recording_of(frames_a, frames_b, person_a, person_b):
     """Both views of one person, registered over the whole recording."""
     pairs = [pair.skeletons for pair in pair_recordings(frames_a, frames_b, person_a, person_b).pairs]
     body = next(pair.a.body for pair in pairs if pair.a is not None)
     calibration = calibrate(body, [pair for pair in pairs if pair.a and pair.b], "all pairs")
 
-    def tracked(skeleton: Skeleton | None) -> Array:
+    def tracked(skeleton):
         if skeleton is None:
             return np.full((len(body), 3), np.nan)
         seen = (skeleton.states == TrackingState.TRACKED)[:, None]
@@ -67,11 +63,9 @@ def recording_of(
     return Recording(body, np.array([tracked(pair.a) for pair in pairs]), b)
 
 
-def error_tables(recordings: Sequence[Recording]) -> dict[str, dict[str, float]]:
+def error_tables(recordings):
     """The slow and fast errors and the accelerations by kind, metres and m/s²; means over recordings."""
-    found: dict[str, dict[str, list[float]]] = {
-        name: {kind: [] for kind in KINDS} for name in ("slow", "fast", "acceleration")
-    }
+    found = {name: {kind: [] for kind in KINDS} for name in ("slow", "fast", "acceleration")}
     for recording in recordings:
         apart = np.linalg.norm(recording.a - recording.b, axis=2)
         for j, joint in enumerate(recording.body.joints):
@@ -89,7 +83,7 @@ def error_tables(recordings: Sequence[Recording]) -> dict[str, dict[str, float]]
     return {name: {kind: float(np.mean(v)) for kind, v in of.items() if v} for name, of in found.items()}
 
 
-def main() -> None:
+def main():
     """Runs the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("folders", nargs="*", type=Path)

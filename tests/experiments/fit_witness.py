@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.depth.witness import with_witness
-from devices.simulated.kinect import PERSON, SimulatedKinect, simulated_pair
+from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.array_fields import new_arrays
 from fusion.body import BODIES, Body
 from fusion.joint_kinds import kind_of
@@ -55,7 +55,7 @@ class Sums:
     counts: dict[str, Array] = field(default_factory=lambda: defaultdict(lambda: np.ones((2, len(KNOTS)))))
 
 
-def watch(sensor: SimulatedKinect, a_to_sensor: RigidTransform, truth_at, first_ns: int) -> View:  # type: ignore[no-untyped-def]
+def watch(sensor, a_to_sensor, truth_at, first_ns):
     """A sensor's frames with their witness, after the start-up pose."""
     skeletons = []
     for frame in sensor.frames():
@@ -71,7 +71,7 @@ def watch(sensor: SimulatedKinect, a_to_sensor: RigidTransform, truth_at, first_
     )
 
 
-def flesh_of(views: list[View]) -> dict[str, float]:
+def flesh_of(views):
     """Metres by kind of joint: how much deeper the true joint is than the surface before the reported one."""
     found = defaultdict(list)
     for view in views:
@@ -84,12 +84,12 @@ def flesh_of(views: list[View]) -> dict[str, float]:
     return {kind: round(float(np.median(np.concatenate(found[kind]))), 3) for kind in FLESH if found[kind]}
 
 
-def errors(view: View) -> Array:
+def errors(view):
     """(T, J) distance of each joint from its true place."""
     return np.asarray(np.linalg.norm(view.positions - view.truth, axis=2))
 
 
-def collect(view: View, flesh: dict[str, float], sums: Sums) -> None:
+def collect(view, flesh, sums):
     """Adds a recording."""
     tracked = (view.states == TrackingState.TRACKED) & np.isfinite(view.witness[..., 0])
     error = errors(view)
@@ -117,7 +117,7 @@ def collect(view: View, flesh: dict[str, float], sums: Sums) -> None:
             sums.surface[kinds[j]].append(components[j])
 
 
-def hats(values: Array) -> Array:
+def hats(values):
     """(len(KNOTS),) how many values lie at each knot, each shared between its two neighbours."""
     values = np.clip(values[np.isfinite(values)], KNOTS[0], KNOTS[-1])
     upper = np.clip(np.searchsorted(KNOTS, values), 1, len(KNOTS) - 1)
@@ -128,7 +128,7 @@ def hats(values: Array) -> Array:
     return found
 
 
-def log_ratios(counts: Array) -> Array:
+def log_ratios(counts):
     """(len(KNOTS),) log P(knot | good) / P(knot | outlier): falls away from its highest, within ±LARGEST."""
     shares = counts / counts.sum(axis=1, keepdims=True)
     ratios = np.log(shares[0] / shares[1])
@@ -139,7 +139,7 @@ def log_ratios(counts: Array) -> Array:
     return np.clip(ratios, -LARGEST, LARGEST)
 
 
-def main() -> None:
+def main():
     """Simulates, fits and prints."""
     p = argparse.ArgumentParser(description=__doc__)
     p.add_argument("--body", default="azure_kinect", choices=list(BODIES))

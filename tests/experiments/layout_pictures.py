@@ -11,10 +11,8 @@ import argparse
 import contextlib
 import io
 import os
-import subprocess
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from unittest import mock
 
@@ -30,7 +28,7 @@ from recordings.file.rrd_file import RrdFile
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main
-from viewer_app.viewer.blueprint import LAYOUTS, Layout, session_blueprint
+from viewer_app.viewer.blueprint import LAYOUTS, session_blueprint
 from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
 from viewer_app.viewer.stored_clouds import has_depth, send_clouds
 from viewer_app.viewer.viewer_choice import Viewing
@@ -52,7 +50,7 @@ _TRACKING_S = 6.0
 """When a slow machine shows infrared images, too."""
 
 
-def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout, Image.Image]:
+def drawn(file, moments, clouds):
     """The layouts of a saved session."""
     session = Session.open(file)
     with RrdFile(file) as opened:
@@ -69,13 +67,13 @@ def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout
             blueprint = session_blueprint(setup, session.whereabouts, name, depth=has_depth(session))
             stream.send_blueprint(without_menu(blueprint))
             stream.flush(timeout_sec=20.0)
-            eventually(lambda before=before: blueprint_of(client) != before, 60.0)  # type: ignore[misc]
+            eventually(lambda before=before: blueprint_of(client) != before, 60.0)
             found[name] = settled_picture(client, moment)
         stream.disconnect()
     return found
 
 
-def blueprint_of(client: ViewerClient) -> str:
+def blueprint_of(client):
     """The id of the layout that is shown; empty before there is one."""
     try:
         return str(client.get_blueprint().blueprint_id)
@@ -83,14 +81,14 @@ def blueprint_of(client: ViewerClient) -> str:
         return ""
 
 
-def without_menu(blueprint: rrb.Blueprint) -> rrb.Blueprint:
+def without_menu(blueprint):
     """The layout without the viewer's menu, in which it warns of a machine without a graphics card."""
     panels = (blueprint.blueprint_panel, blueprint.selection_panel, blueprint.time_panel)
     return rrb.Blueprint(blueprint.root_container, *panels, rrb.TopPanel(state="hidden"), auto_views=False)
 
 
 @contextlib.contextmanager
-def viewer(file: Path) -> Iterator[tuple[ViewerClient, int]]:
+def viewer(file):
     """A viewer without a screen that shows a file, and its port."""
     # read from a pipe, a recording keeps its identity: what is sent afterwards joins it
     with file.open("rb") as opened:
@@ -101,11 +99,11 @@ def viewer(file: Path) -> Iterator[tuple[ViewerClient, int]]:
         stop(process)
 
 
-def settled_picture(client: ViewerClient, moment: float) -> Image.Image:
+def settled_picture(client, moment):
     """The window at a moment, as soon as it is drawn three times alike."""
-    pictures: list[bytes] = []
+    pictures = []
 
-    def settled() -> bool:
+    def settled():
         try:
             client.set_time(layout.TIME, duration=moment, play_state="paused")
             window = Image.open(io.BytesIO(client.take_screenshot())).convert("RGB")
@@ -119,7 +117,7 @@ def settled_picture(client: ViewerClient, moment: float) -> Image.Image:
     return Image.frombytes("RGB", SIZE, pictures[-1])
 
 
-def write_png(path: Path, picture: Image.Image, limit: int = _LIMIT) -> None:
+def write_png(path, picture, limit=_LIMIT):
     """Writes a PNG file with as many colours as fit into a size."""
     for colors in _COLORS:
         made = io.BytesIO()
@@ -132,14 +130,14 @@ def write_png(path: Path, picture: Image.Image, limit: int = _LIMIT) -> None:
     raise ValueError(f"{path.name} does not fit into {limit} bytes.")
 
 
-def hard_moment(session: Session) -> float:
+def hard_moment(session):
     """Seconds: the middle of the second in which the views differ most, after the start-up pose."""
     later = session.time_ns > 4_000_000_000
     apart = np.convolve(np.nan_to_num(session.quality.disagreement[later]), np.ones(30) / 30, "valid")
     return float(session.time_ns[later][np.argmax(apart) + 15] * 1e-9)
 
 
-def both_see(session: Session, moment: float) -> float:
+def both_see(session, moment):
     """Seconds: the first frame from a moment on in which both sensors saw three quarters of the joints.
 
     A slow machine loses frames of one sensor, which would leave its picture without a skeleton.
@@ -152,19 +150,19 @@ def both_see(session: Session, moment: float) -> float:
     return float(session.time_ns[found[0]] * 1e-9) if found.size else moment
 
 
-def of_demo(out: Path, folder: Path) -> None:
+def of_demo(out, folder):
     """The three layouts of ``duplex demo``."""
     file = folder / "demo.rrd"
     main(["demo", "--seconds", "16", "--no-viewer", "--quiet", "--save", str(file)])
     opened = Session.open(file)
     moment = hard_moment(opened)
     posing = both_see(opened, _CALIBRATING_S)
-    moments: dict[Layout, float] = {"setup": posing, "inspect": moment, "report": moment}
+    moments = {"setup": posing, "inspect": moment, "report": moment}
     for name, picture in drawn(file, moments, clouds=True).items():
         write_png(out / f"{name}.png", picture)
 
 
-def of_walk(out: Path, folder: Path) -> None:
+def of_walk(out, folder):
     """The three layouts of two real recordings."""
     if not WALK.is_dir():
         print(f"No recordings {WALK}: the pictures of a real walk stay as they are.")
@@ -176,16 +174,16 @@ def of_walk(out: Path, folder: Path) -> None:
         write_png(out / f"{name}_real.png", picture)
 
 
-def of_own_tracker(out: Path, folder: Path) -> None:
+def of_own_tracker(out, folder):
     """*setup* of ``duplex demo --tracker blazepose``, with the infrared images that a live viewer shows."""
     if missing("full", cache_folder()):
         print("No networks (duplex tracker fetch): setup_infrared.png stays as it is.")
         return
     hub = Hub.on_free_ports(web=False)
-    shown: list[subprocess.Popen[bytes]] = []
-    ports: list[int] = []
+    shown = []
+    ports = []
 
-    def show() -> None:
+    def show():
         if not eventually(lambda: _listens(hub.port), 300.0):
             return
         process, port = start_viewer(["--headless", "--window-size", WINDOW, "--connect", hub.url])
@@ -206,7 +204,7 @@ def of_own_tracker(out: Path, folder: Path) -> None:
         stop(shown[0])
 
 
-def _listens(port: int) -> bool:
+def _listens(port):
     import socket
 
     try:
@@ -219,7 +217,7 @@ def _listens(port: int) -> bool:
 RUNS = {"demo": of_demo, "walk": of_walk, "own-tracker": of_own_tracker}
 
 
-def run(arguments: Sequence[str] | None = None) -> None:
+def run(arguments=None):
     """Makes the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--only", choices=RUNS, help="make the pictures of one run")

@@ -9,7 +9,6 @@ graphics driver or Debian's mesa-vulkan-drivers is needed.
 import argparse
 import io
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,10 +20,9 @@ from PIL import Image, ImageDraw, ImageFont
 from rerun.experimental import ViewerClient
 
 from devices.simulated.demonstration import MIRRORED, MISPLACED
-from fusion.rigid import RigidTransform
 from recordings import Session, layout
 from recordings.appearance.body_shape import capsule_lengths, capsule_radii, capsule_rotations, parents
-from recordings.appearance.colors import SKELETON_COLORS, Color
+from recordings.appearance.colors import SKELETON_COLORS
 from recordings.appearance.floor import find_floor
 from tests.helpers.waiting import eventually
 from viewer_app.cli import main
@@ -74,7 +72,7 @@ class Skeletons:
     exchanged: dict[str, NDArray[np.bool_]]
 
 
-def skeletons_of(session: Session) -> Skeletons:
+def skeletons_of(session):
     """The three skeletons of a session, and their wrong joints."""
     rows = session.rows
     positions = {"a": rows.positions_a.astype(np.float64), "b": rows.b_in_a, "fused": rows.fused}
@@ -94,9 +92,7 @@ def skeletons_of(session: Session) -> Skeletons:
     return Skeletons(drawn, unseen, hidden, wrong, exchanged)
 
 
-def pictures(
-    session: Session, skeletons: Skeletons, rows: Sequence[int], size: tuple[int, int]
-) -> list[Image.Image]:
+def pictures(session, skeletons, rows, size):
     """Draws the three skeletons of some frames side by side."""
     process, port = start_viewer(
         ["--headless", "--window-size", f"{3 * (size[0] + _EDGE)}x{size[1] + 5 * _EDGE}"]
@@ -112,7 +108,7 @@ def pictures(
         stop(process)
 
 
-def _write_scene(file: Path, session: Session, skeletons: Skeletons, rows: Sequence[int]) -> None:
+def _write_scene(file, session, skeletons, rows):
     body, fused = session.body, skeletons.positions["fused"]
     floor = find_floor(body, fused[np.isfinite(fused).all(axis=(1, 2))])
     person = np.nanmedian(fused[list(rows)][:, body.root], axis=0)
@@ -149,7 +145,7 @@ def _write_scene(file: Path, session: Session, skeletons: Skeletons, rows: Seque
     del stream
 
 
-def _views(session: Session, floor: RigidTransform, fused: NDArray[np.float64]) -> rrb.Horizontal:
+def _views(session, floor, fused):
     """Three views with one eye, which the whole movement is in the middle of."""
     up, person = -floor.rotation[:, 1], np.nanmedian(fused[:, session.body.root], axis=0)
     between = 0.5 * session.calibration.a_from_b.translation - person
@@ -176,15 +172,15 @@ def _views(session: Session, floor: RigidTransform, fused: NDArray[np.float64]) 
     )  # fmt: skip
 
 
-def _no_panels() -> list[rrb.BlueprintPanel | rrb.SelectionPanel | rrb.TimePanel]:
+def _no_panels():
     return [panel(state="hidden") for panel in (rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel)]
 
 
-def _drawn(viewer: ViewerClient, k: int, size: tuple[int, int]) -> Image.Image:
+def _drawn(viewer, k, size):
     """The three views of a picture as soon as they are drawn twice alike."""
-    found: list[Image.Image] = []
+    found = []
 
-    def settled() -> bool:
+    def settled():
         try:
             viewer.set_time("picture", sequence=k, play_state="paused")
             names = {view.name: view.view_id for view in viewer.get_state().views}
@@ -205,12 +201,12 @@ def _drawn(viewer: ViewerClient, k: int, size: tuple[int, int]) -> Image.Image:
     return found[-1]
 
 
-def _shows_someone(picture: Image.Image) -> bool:
+def _shows_someone(picture):
     colors = np.asarray(picture, dtype=int)
     return int((colors.max(axis=2) - colors.min(axis=2) > 60).sum()) > 500
 
 
-def with_captions(picture: Image.Image, skeletons: Skeletons, row: int) -> Image.Image:
+def with_captions(picture, skeletons, row):
     """The picture with the names of the three skeletons, and what is wrong with each."""
     picture = picture.copy()
     pen, width = ImageDraw.Draw(picture), picture.width // len(SHOWN)
@@ -231,12 +227,12 @@ def with_captions(picture: Image.Image, skeletons: Skeletons, row: int) -> Image
     return picture
 
 
-def color_of_fault(skeletons: Skeletons, key: str, row: int) -> Color:
+def color_of_fault(skeletons, key, row):
     """That of an exchanged view, as in the viewer; red for a single wrong joint."""
     return SKELETON_COLORS[f"exchanged_{key}"] if skeletons.exchanged[key][row] else WRONG
 
 
-def fault_of(skeletons: Skeletons, key: str, row: int) -> str:
+def fault_of(skeletons, key, row):
     """What is wrong with a skeleton, in a few words."""
     wrong = int(skeletons.wrong[key][row].sum())
     if wrong < 2:
@@ -244,7 +240,7 @@ def fault_of(skeletons: Skeletons, key: str, row: int) -> str:
     return "left and right exchanged" if skeletons.exchanged[key][row] else "an arm is misplaced"
 
 
-def write_animation(path: Path, frames: Sequence[Image.Image], seconds: float, limit: int = LIMIT) -> int:
+def write_animation(path, frames, seconds, limit=LIMIT):
     """Writes an animated WebP of the best quality that stays below a size."""
     each = round(1000 * seconds / len(frames))
     for quality in _QUALITIES:
@@ -258,7 +254,7 @@ def write_animation(path: Path, frames: Sequence[Image.Image], seconds: float, l
     raise ValueError(f"{len(frames)} frames of {frames[0].size} do not fit into {limit} bytes.")
 
 
-def run() -> None:
+def run():
     """Makes the picture: one round of both faults."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=PICTURE)

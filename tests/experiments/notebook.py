@@ -10,17 +10,16 @@ import io
 import json
 import tempfile
 from pathlib import Path
-from typing import Any
 
 from PIL import Image
 
-from tests.helpers.notebooks import CellOutput, code_cells, read_notebook, run_cells
+from tests.helpers.notebooks import code_cells, read_notebook, run_cells
 from viewer_app.cli import main
 
 NOTEBOOK = Path(__file__).resolve().parents[2] / "examples" / "session_in_a_notebook.ipynb"
 
 
-def with_outputs(notebook: dict[str, Any], outputs: list[CellOutput]) -> dict[str, Any]:
+def with_outputs(notebook, outputs):
     """The notebook with these outputs in place of its own; the cells stay as they are."""
     for number, (cell, output) in enumerate(zip(code_cells(notebook), outputs, strict=True), 1):
         cell["execution_count"] = number
@@ -34,7 +33,7 @@ def with_outputs(notebook: dict[str, Any], outputs: list[CellOutput]) -> dict[st
     return notebook
 
 
-def _small(picture: bytes) -> bytes:
+def _small(picture):
     """The picture with a palette, a third of the size."""
     file = io.BytesIO()
     palette = Image.open(io.BytesIO(picture)).convert("RGB").quantize(64)
@@ -42,7 +41,7 @@ def _small(picture: bytes) -> bytes:
     return file.getvalue()
 
 
-def run() -> None:
+def run():
     """Renews the outputs."""
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         options = ["--no-viewer", "--save"]

@@ -7,10 +7,8 @@ tracker, and the CPU time of an image. Its figures describe the tracker and the 
 
 import argparse
 import time
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +19,9 @@ from devices.depth.witness import with_witness
 from devices.pairing import pair_recordings
 from devices.sensor import SensorFrame
 from devices.simulated.imaging.body_surface import capsules, flesh_over, visibility
-from devices.simulated.kinect import PERSON, SimulatedKinect, Truth, simulated_pair
+from devices.simulated.kinect import PERSON, Truth, simulated_pair
 from devices.simulated.person import anatomy
-from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
+from fusion.body import AZURE_KINECT, BLAZEPOSE
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import FusionError
@@ -75,9 +73,7 @@ class SceneFigures:
     fused_azure: float
 
 
-def measure(
-    motion: str, angle: float, seed: int, seconds: float, depth: Any, settings: BlazePoseSettings
-) -> SceneFigures:
+def measure(motion, angle, seed, seconds, depth, settings):
     """Runs both trackers on one scene."""
     sensors = simulated_pair(
         motion=motion, angle_deg=angle, seed=seed, seconds=seconds, depth=depth, infrared=True
@@ -100,18 +96,12 @@ def measure(
     )
 
 
-def track(
-    sensor: SimulatedKinect,
-    which: int,
-    frames: Iterable[SensorFrame],
-    truth: Truth,
-    settings: BlazePoseSettings,
-) -> tuple[list[SensorFrame], View]:
+def track(sensor, which, frames, truth, settings):
     """The frames with the people of our own tracker, and their figures."""
     rig, scene, lens = truth.rig, truth.scene, sensor.intrinsics
     sensor_from_world = rig.world_from_sensor(which).inverse()
     flesh = flesh_over(BLAZEPOSE) * (scene.height / anatomy.REFERENCE_HEIGHT)
-    tracked: list[SensorFrame] = []
+    tracked = []
     rows = []
     with BlazePose(settings) as tracker:
         for k, frame in enumerate(frames):
@@ -149,7 +139,7 @@ def track(
     return tracked, View(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def fused_error(body: Body, a: list[SensorFrame], b: list[SensorFrame], truth: Truth) -> float:
+def fused_error(body, a, b, truth):
     """MPJPE of S*, as ``duplex fuse`` makes it, over the common joints after the start-up pose; metres."""
     pairs = pair_recordings(a, b, PERSON, PERSON).pairs
     times = np.array([pair.time_ns for pair in pairs])
@@ -166,7 +156,7 @@ def fused_error(body: Body, a: list[SensorFrame], b: list[SensorFrame], truth: T
     return float(np.nanmean(np.linalg.norm(found - joints, axis=2)[first:, common]))
 
 
-def summary(scenes: Sequence[SceneFigures]) -> dict[str, float]:
+def summary(scenes):
     """The figures of some scenes; metres, shares and milliseconds."""
     views = [view for scene in scenes for view in scene.views]
     found = np.concatenate([view.found[view.half_visible] for view in views])
@@ -195,7 +185,7 @@ def summary(scenes: Sequence[SceneFigures]) -> dict[str, float]:
     }
 
 
-def by_joint(scenes: Sequence[SceneFigures]) -> dict[str, dict[str, float]]:
+def by_joint(scenes):
     """Figures by joint, to see what limits the accuracy."""
     views = [view for scene in scenes for view in scene.views]
     errors, states, visible, along = (
@@ -222,12 +212,12 @@ def by_joint(scenes: Sequence[SceneFigures]) -> dict[str, dict[str, float]]:
     return table
 
 
-def printed(figures: dict[str, float]) -> str:
+def printed(figures):
     """Figures in a line."""
     return ", ".join(f"{name} {value:.4g}" for name, value in figures.items())
 
 
-def main() -> None:
+def main():
     """Runs the experiment."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--motions", nargs="+", default=MOTIONS)

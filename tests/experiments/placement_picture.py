@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.intrinsics import NOMINAL_INTRINSICS
@@ -24,27 +23,24 @@ COLORS = ("#d9822b", "#2b7bba")
 PERSON_AT = np.array([0.0, 0.0, 2.6])
 
 
-def a_from_b(angle_deg: float) -> RigidTransform:
+def a_from_b(angle_deg):
     """Sensor B, turned round the person by an angle; both look at the person."""
     turn = Rotation.from_euler("y", -angle_deg, degrees=True).as_matrix()
     return RigidTransform(turn, PERSON_AT - turn @ PERSON_AT)
 
 
-def seen_by_both(b: RigidTransform, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+def seen_by_both(b, points):
     """Whether points (…, 3) in A's frame are places for a person whom both sensors see whole."""
     return _seen(points) & _seen(b.inverse().apply(points))
 
 
-def _seen(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _seen(points):
     across, away = points[..., 0], points[..., 2]
     half = away * CAMERA.width / 2.0 / CAMERA.fx - ARM
-    inside: NDArray[np.bool_] = (
-        (away >= nearest(CAMERA)) & (away <= FARTHEST[BODY]) & (np.abs(across) <= half)
-    )
-    return inside
+    return (away >= nearest(CAMERA)) & (away <= FARTHEST[BODY]) & (np.abs(across) <= half)
 
 
-def draw(path: Path, angle_deg: float = 90.0) -> None:
+def draw(path, angle_deg=90.0):
     """Writes the picture; x of K_A's frame to the right, its z upwards."""
     b = a_from_b(angle_deg)
     figure = Figure(figsize=(6.4, 5.0), layout="constrained")

@@ -10,11 +10,10 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar
 from unittest import mock
 
 import numpy as np
@@ -29,11 +28,10 @@ from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.session_arrays import SessionArrays, SessionFrame
 from recordings.writing.recorder import Recorder
-from viewer_app.running.loop import Status, run_live
+from viewer_app.running.loop import run_live
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.sinks.sink import FanOut, Sink
+from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.rerun_process import Hub
 from viewer_app.viewer.viewer_choice import Viewing
@@ -72,14 +70,14 @@ class Soak:
     stolen: float = 0.0
 
     @property
-    def growth_mb(self) -> float:
+    def growth_mb(self):
         """How much the memory grew after the first minute, at most."""
         first = [mb for at, mb in self.memory if SETTLED_S <= at < SETTLED_S + 15.0]
         later = [mb for at, mb in self.memory if at >= SETTLED_S]
         return max(later) - float(np.median(first)) if first else float("nan")
 
     @property
-    def rate(self) -> float:
+    def rate(self):
         """Fused frames per second."""
         return self.frames / self.seconds
 
@@ -87,11 +85,11 @@ class Soak:
 class _Timed(FanOut):
     """A session that takes the time it takes."""
 
-    def __init__(self, sinks: Sequence[Sink], seen: Soak) -> None:
+    def __init__(self, sinks, seen):
         super().__init__(sinks)
         self._seen = seen
 
-    def write(self, frame: SessionFrame) -> None:
+    def write(self, frame):
         """Takes a frame."""
         before = time.perf_counter_ns()
         super().write(frame)
@@ -105,9 +103,7 @@ class _TimedRecorder(Recorder):
 
     shown: ClassVar[list[float]] = []
 
-    def record_all(
-        self, frames: Sequence[SessionFrame], numbers: Sequence[int] | None = None
-    ) -> SessionArrays:
+    def record_all(self, frames, numbers=None):
         rows = super().record_all(frames, numbers)
         now = time.perf_counter_ns()
         if self._points:  # otherwise the call is the file's
@@ -115,18 +111,12 @@ class _TimedRecorder(Recorder):
         return rows
 
 
-def _arrived(frame: SessionFrame) -> int:
+def _arrived(frame):
     """When the later of a pair's frames reached this machine."""
     return max(seen.host_ns or 0 for seen in (frame.pair.a, frame.pair.b) if seen is not None)
 
 
-def soak(
-    seconds: float,
-    depth: Literal["none", "half", "full"],
-    path: Path,
-    report_every_s: float = 30.0,
-    viewer: bool = False,
-) -> Soak:
+def soak(seconds, depth, path, report_every_s=30.0, viewer=False):
     """Runs the loop and inspects it a few times per second."""
     seen = Soak(shown=_TimedRecorder.shown)
     seen.shown.clear()
@@ -140,7 +130,7 @@ def soak(
     begun, said = time.perf_counter(), [0.0]
     looked = [0.0]
 
-    def look(status: Status) -> bool:
+    def look(status):
         seen.frames += 1
         now = time.perf_counter() - begun
         queues = (status.sensors.a._frames, status.sensors.b._frames)
@@ -185,19 +175,19 @@ def soak(
     return seen
 
 
-def resident_mb() -> float:
+def resident_mb():
     """This process's memory, without what it shares with files."""
     pages = Path("/proc/self/statm").read_text().split()
     return (int(pages[1]) - int(pages[2])) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def stolen_seconds() -> float:
+def stolen_seconds():
     """What the host of a virtual machine gave of our processors' time to others, since the start."""
     of_all = Path("/proc/stat").read_text().splitlines()[0].split()
     return int(of_all[8]) / os.sysconf("SC_CLK_TCK")
 
 
-def main() -> int:
+def main():
     """The program."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--minutes", type=float, default=10.0)
@@ -232,12 +222,12 @@ def main() -> int:
     return 0 if fine else 1
 
 
-def at_pace(seen: Soak) -> bool:
+def at_pace(seen):
     """Whether the rate was 30 frames per second, except at the start and the end."""
     return seen.frames >= FPS * seen.seconds - 3
 
 
-def in_time(seen: Soak) -> bool:
+def in_time(seen):
     """Whether frames were with the viewer soon enough, where there was one."""
     return not seen.shown or float(np.percentile(seen.shown, 99.0)) < SHOWN_MS
 
