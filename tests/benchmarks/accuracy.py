@@ -73,9 +73,7 @@ def nearer(outcomes, method):
 def lost(outcomes):
     """Each movement and angle at which a view or a baseline is nearer to the truth than ours on average."""
     found = []
-    rivals = [
-        name for name in dict.fromkeys(o.method for o in outcomes) if _KINDS[name] in ("view", "baseline")
-    ]
+    rivals = [n for n in dict.fromkeys(o.method for o in outcomes) if _KINDS[n] in ("view", "baseline")]
     for motion, angle in dict.fromkeys((o.trial.motion, o.trial.angle) for o in outcomes):
         here = [o for o in outcomes if (o.trial.motion, o.trial.angle) == (motion, angle)]
         ours = _mean([o for o in here if o.method == OURS], "mpjpe")

@@ -86,7 +86,5 @@ def oracle(a, b, truth):
         truth: (T, J, 3) where the joints are.
     """
     a, b = alone(a), alone(b)
-    off_a, off_b = (
-        np.nan_to_num(np.linalg.norm(view - truth, axis=2), nan=np.inf) for view in (a, b)
-    )  # (T, J)
+    off_a, off_b = (np.nan_to_num(np.linalg.norm(at - truth, axis=2), nan=np.inf) for at in (a, b))  # (T, J)
     return np.where((off_a <= off_b)[..., None], a, b)

@@ -119,7 +119,7 @@ def main(arguments=None):
     """Measures the three conditions and the output."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "--seconds", type=float, default=90.0, help="of each condition, 75 or more for memory"
+        "--seconds", type=float, default=90.0, help="of each condition; for memory 75 or more"
     )
     options = parser.parse_args(arguments)
     figures = {

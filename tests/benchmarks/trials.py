@@ -129,8 +129,6 @@ def record(trial, simulation, seconds):
     calibration = calibrate(body, *find_start_up_pose(body, [pair.skeletons for pair in pairs]))
     first = int(np.searchsorted(times * 1e-9, getattr(truth.scene.motion, "begins", 0.0)))
     if len(pairs) - first < 30:
-        raise DeviceError(
-            f"{seconds:g} s of {trial.motion} leave less than a second after the start-up pose."
-        )
+        raise DeviceError(f"{seconds:g} s of {trial.motion} leave no second after the start-up pose.")
     joints = truth.positions_at(times)
     return RecordedPair(body, pairs, calibration, truth.rig.frame_seconds, joints), first

@@ -92,9 +92,7 @@ def test_no_frame_pairs_twice_or_beyond_the_tolerance(times_a, times_b, toleranc
 
 
 def test_recordings_that_never_overlap_are_refused_with_their_times():
-    with pytest.raises(
-        DeviceError, match=r"never overlap.*A runs from 0\.000 s to 0\.033 s, B from 10\.000 s"
-    ):
+    with pytest.raises(DeviceError, match=r"overlap.*A runs from 0\.000 s to 0\.033 s, B from 10\.000 s"):
         pair_recordings(frames_at([0, FRAME_NS]), frames_at([10_000_000_000]), "0", "0")
 
 

@@ -143,9 +143,7 @@ def both_see(session, moment):
     A slow machine loses frames of one sensor, which would leave its picture without a skeleton.
     """
     rows = session.rows
-    seen = [
-        np.isfinite(each).all(axis=2).mean(axis=1) > 0.75 for each in (rows.positions_a, rows.positions_b)
-    ]
+    seen = [np.isfinite(at).all(axis=2).mean(axis=1) > 0.75 for at in (rows.positions_a, rows.positions_b)]
     found = np.flatnonzero(seen[0] & seen[1] & (session.time_ns >= moment * 1e9))
     return float(session.time_ns[found[0]] * 1e-9) if found.size else moment
 

@@ -78,13 +78,9 @@ def skeletons_of(session):
     positions = {"a": rows.positions_a.astype(np.float64), "b": rows.b_in_a, "fused": rows.fused}
     truth = rows.fused if rows.truth is None else rows.truth
     off = {key: np.linalg.norm(at - truth, axis=2) for key, at in positions.items()}
-    swapped = {
-        key: np.linalg.norm(at[:, session.body.mirror] - truth, axis=2) for key, at in positions.items()
-    }
+    swapped = {k: np.linalg.norm(at[:, session.body.mirror] - truth, axis=2) for k, at in positions.items()}
     wrong = {key: each > FAR for key, each in off.items()}
-    exchanged = {
-        key: ((swapped[key] < off[key]) & wrong[key]).sum(1) > 0.5 * wrong[key].sum(1) for key in off
-    }
+    exchanged = {k: ((swapped[k] < off[k]) & wrong[k]).sum(1) > 0.5 * wrong[k].sum(1) for k in off}
     unseen = {key: ~np.isfinite(at).all(axis=2) for key, at in positions.items()}
     drawn = {key: np.where(unseen[key][..., None], truth, at) for key, at in positions.items()}
     bones = capsule_lengths(session.body, np.ones(len(session.body))) > 0.0  # the face has none

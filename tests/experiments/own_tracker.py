@@ -165,9 +165,7 @@ def summary(scenes):
     )
     tracked = states == TrackingState.TRACKED
     hidden = (visible < HIDDEN) & np.isfinite(errors)
-    own, azure = (
-        np.mean([getattr(scene, name) for scene in scenes]) for name in ("fused_own", "fused_azure")
-    )
+    own, azure = (np.mean([getattr(one, name) for one in scenes]) for name in ("fused_own", "fused_azure"))
     return {
         "images": float(len(found)),
         "found": float(found.mean()),

@@ -9,9 +9,7 @@ from fusion.skeleton import Skeleton, SkeletonPair
 
 FRAME_NS = 33_333_333
 
-A_FROM_B = RigidTransform.of(
-    Rotation.from_euler("yx", [-85.0, 4.0], degrees=True).as_matrix(), [2.4, 0.1, 2.6]
-)
+A_FROM_B = RigidTransform.of(Rotation.from_euler("yx", [-85, 4], degrees=True).as_matrix(), [2.4, 0.1, 2.6])
 """K_B about 90° to K_A's right, slightly tilted."""
 
 

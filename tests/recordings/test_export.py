@@ -109,9 +109,7 @@ def test_c3d_is_read_by_another_library(session):
             assert (points[:, 3] == -1).all()
             continue
         x, y, z = 1e3 * at.T
-        np.testing.assert_allclose(
-            points[:, :3], np.stack([x, z, -y], axis=1), atol=1e-3
-        )  # float32 of metres
+        np.testing.assert_allclose(points[:, :3], np.stack([x, z, -y], axis=1), atol=1e-3)  # float32, metres
 
 
 def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(session):

@@ -104,9 +104,7 @@ def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows):
 def test_a_limb_follows_the_view_that_most_of_its_weight_comes_from(rows):
     for in_a, source in ((1.0, 0), (0.0, 1), (0.5, 2)):
         assert (LimbSources(BODY).add(trusting(rows, in_a)) == source).all()
-    arm = [
-        BODY.joint(f"{name}_RIGHT") for name in ("SHOULDER", "ELBOW", "WRIST", "HAND", "HAND_TIP", "THUMB")
-    ]
+    arm = [BODY.joint(f"{n}_RIGHT") for n in ("SHOULDER", "ELBOW", "WRIST", "HAND", "HAND_TIP", "THUMB")]
     predicted = np.zeros_like(rows.predicted)
     predicted[60:, arm] = True
     sources = LimbSources(BODY).add(replace(trusting(rows, 1.0), predicted=predicted))

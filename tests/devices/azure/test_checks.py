@@ -79,9 +79,7 @@ def test_a_machine_with_all_of_it_can_start(bus, standin, monkeypatch, tmp_path)
     ],
 )
 @pytest.mark.usefixtures("bus")
-def test_one_thing_that_is_missing_is_the_one_that_fails(
-    standin, monkeypatch, tmp_path, lacks, check, needed
-):
+def test_the_one_thing_that_is_missing_fails(standin, monkeypatch, tmp_path, lacks, check, needed):
     monkeypatch.setenv("DISPLAY", "" if lacks == "DISPLAY" else ":0")
     monkeypatch.setattr(shutil, "which", lambda _: None)
     furnish(tmp_path)
@@ -189,9 +187,7 @@ def test_orbbecs_software_and_our_tracker_are_enough(orbbecs, monkeypatch, tmp_p
         plug_in(tmp_path, device.serial, "066b", number=number, vendor="2bc5")
     checks = device_checks(choose_tracker("blazepose"), tmp_path)
     named = _by_name(checks)
-    assert [
-        check.name for check in checks if check.needed and not check.ok and check.name != "blazepose"
-    ] == []
+    assert [c.name for c in checks if c.needed and not c.ok and c.name != "blazepose"] == []
     assert named["body tracker in use"].detail == "blazepose full (asked for with --tracker)"
     bolt, gemini = named["Orbbec CL8H741005K"], named["Orbbec AY8T43E0031"]
     assert bolt.ok

@@ -23,9 +23,7 @@ from tests.helpers.witnesses import evidence_in
 
 BODY = KINECT_V2
 J = len(BODY)
-FLOAT32 = (
-    1e-6  # relative, or metres: an interpreted kernel computes with float32 what a compiled one does not
-)
+FLOAT32 = 1e-6  # relative, or metres: an interpreted kernel computes some values in float32
 LEFT, RIGHT = BODY.joint("WristLeft"), BODY.joint("WristRight")
 
 

@@ -375,9 +375,7 @@ def _triggered(bus, sensor):
     """Whether a sensor exposes: a secondary does only while a primary runs."""
     if sensor.sync["mode"] not in (_MODES.SECONDARY, _MODES.SECONDARY_SYNCED):
         return True
-    return any(
-        device.sync["mode"] is _MODES.PRIMARY and device.serial in bus.running for device in bus.devices
-    )
+    return any(one.sync["mode"] is _MODES.PRIMARY and one.serial in bus.running for one in bus.devices)
 
 
 def _beside():

@@ -92,9 +92,7 @@ def slow_at_last(rows):
 
 @pytest.mark.parametrize("change", [nobody_at_first, nobody_as_minus_one_at_last, slow_at_last, list])
 @pytest.mark.parametrize("line_end", ["\n", "\r"])
-def test_a_part_of_a_csv_that_looks_wrong_by_itself_is_judged_by_the_whole(
-    change, line_end, tmp_path, monkeypatch
-):
+def test_a_part_that_looks_wrong_by_itself_is_judged_by_the_whole(change, line_end, tmp_path, monkeypatch):
     path, _ = write_walk(tmp_path / "walk", 40)
     header, *rows = path.read_text().splitlines()
     path.write_text(line_end.join([header, *change(rows)]) + line_end, newline="")

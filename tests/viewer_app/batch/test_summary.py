@@ -14,9 +14,7 @@ COUNTS = {f"{what}_{side}": 0 for what in ("dropped", "alone", "stale") for side
 
 def row(name, state="fused", error="", **figures):
     job = Job(Pair(name, Path("a.csv"), Path("b.csv")), BatchOptions(source=Path(), out=Path()))
-    known = (
-        dict.fromkeys(name for name in RANKED if name != "lost") | COUNTS | {"frames_a": 50, "frames_b": 50}
-    )
+    known = dict.fromkeys(n for n in RANKED if n != "lost") | COUNTS | {"frames_a": 50, "frames_b": 50}
     record = {"figures": known | {"calibration": "pose <1>"} | figures, "warnings": ["<b>"], "identity": {}}
     return Row(job, state, record if state == "fused" else None, error)
 

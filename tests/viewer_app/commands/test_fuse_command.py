@@ -55,9 +55,7 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(recordings, tmp_
     assert {p.name for p in tmp_path.iterdir()} == {"a.csv", "b.csv", "s.rrd", "r.json"}
 
 
-def test_a_file_that_cannot_be_read_is_told_before_a_missing_display(
-    recordings, tmp_path, monkeypatch, capsys
-):
+def test_an_unreadable_file_is_told_before_a_missing_display(recordings, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
     junk = tmp_path / "junk.csv"
     junk.write_text("no recording\n")

@@ -41,14 +41,10 @@ def fuse(recorded, *more):
     )
 
 
-@pytest.mark.parametrize(
-    ("options", "step"), [((), 1), (("--depth", "half"), 2), (("--depth", "none"), None)]
-)
-def test_recordings_with_saved_skeletons_become_a_session_with_depth(
-    recorded, options, step, tmp_path, capsys
-):
+@pytest.mark.parametrize(("given", "step"), [((), 1), (("--depth", "half"), 2), (("--depth", "none"), None)])
+def test_recordings_with_skeletons_become_a_session_with_depth(recorded, given, step, tmp_path, capsys):
     saved = tmp_path / "s.rrd"
-    assert fuse(recorded, "--save", saved, "--verbose", *options) == 0
+    assert fuse(recorded, "--save", saved, "--verbose", *given) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"Paired {FRAMES} frames of {FRAMES} (A) and {FRAMES} (B)" in said
     assert "axes are 85° apart" in said

@@ -74,9 +74,7 @@ cli.script()
     ("closes_s", "limit_s", "pressed", "said", "code"),
     [(0.5, 60.0, "", "closed", 130), (60.0, 0.2, "", "did not close", 0), (60.0, 60.0, "pressed", "", 130)],
 )
-def test_a_sensor_that_still_closes_is_waited_for_and_changes_no_exit_code(
-    closes_s, limit_s, pressed, said, code
-):
+def test_a_sensor_that_closes_is_waited_for_and_changes_no_code(closes_s, limit_s, pressed, said, code):
     ended = subprocess.run(
         [sys.executable, "-c", LEAVES_A_SENSOR, *map(str, (closes_s, limit_s, pressed, code))],
         cwd=ROOT,

@@ -77,9 +77,7 @@ def test_no_view_of_a_layout_complains_or_is_empty(active, seen, tmp_path):
             return drawn.keys() >= expected(active)
 
         assert eventually(all_drawn, 30.0), f"empty: {sorted(expected(active) - drawn.keys())}"
-        complaints = [
-            (view.name, report.summary) for view in viewer.get_state().views for report in view.reports
-        ]
+        complaints = [(view.name, each.summary) for view in viewer.get_state().views for each in view.reports]
         assert complaints == []
         problems = [
             log.message

@@ -152,9 +152,7 @@ def test_the_time_cursor_of_a_new_window_stands_where_asked(headless, tmp_path):
 
 
 @pytest.mark.parametrize(("exit_code", "within"), [(None, 0.2), (0, 3600.0)])
-def test_a_window_that_does_not_take_the_time_or_is_closed_is_given_up(
-    exit_code, within, monkeypatch, tmp_path
-):
+def test_a_window_that_takes_no_time_or_is_closed_is_given_up(exit_code, within, monkeypatch, tmp_path):
     path = tmp_path / "s.rrd"
     path.write_bytes(b"")
     process = SimpleNamespace(poll=lambda: exit_code)
