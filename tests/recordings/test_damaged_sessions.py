@@ -1,17 +1,20 @@
-"""A session damaged at random gives one line of error, or exactly the first frames of what was written."""
+"""A damaged session gives one line of error, or exactly the first frames; cut off, its events, too."""
 
 from collections import Counter
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
+import pytest
 
+from devices.events import Event
 from fusion.body import KINECT_V1
-from recordings import layout
+from recordings import Session, fuse, layout
 from recordings.errors import RecordingError
-from recordings.session import Session
+from recordings.file.session_writer import write_session
 from recordings.session_arrays import SessionArrays
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
+from tests.helpers.recorded_pairs import write_recordings
 from tests.helpers.two_views import calibration_of
 
 
@@ -73,3 +76,39 @@ def test_random_damage_gives_the_beginning_or_one_line(tmp_path):
         outcomes[read_back(path, whole)] += 1
     assert outcomes["beginning"] > 0
     assert outcomes["refused"] < 30
+
+
+_BLOCK = 10
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """A session with an event at every second frame."""
+    session = fuse(*write_recordings(tmp_path_factory.mktemp("told")))
+    events = [Event(f"event {k}").placed(k, int(session.time_ns[k])) for k in range(0, len(session), 2)]
+    return replace(session, events=tuple(events))
+
+
+def test_a_folder_in_which_no_file_can_be_created_is_an_error_of_the_system(told, tmp_path):
+    """Rerun raises a RuntimeError, which nobody would expect."""
+    with pytest.raises(OSError, match="cannot be created"):
+        write_session(told, tmp_path / "missing" / "s.rrd")
+
+
+def test_events_are_kept_up_to_the_cut(told, tmp_path):
+    whole, cut = tmp_path / "s.rrd", tmp_path / "cut.rrd"
+    write_session(told, whole, block=_BLOCK)
+    data = whole.read_bytes()
+    assert len(Session.open(whole).events) == len(told.events)
+    lengths = set()
+    for share in range(30, 100, 5):
+        cut.write_bytes(data[: len(data) * share // 100])
+        try:
+            found = Session.open(cut)
+        except RecordingError:
+            continue  # not one whole frame
+        lengths.add(len(found))
+        kept = {event.frame for event in found.events}
+        # what was written in one go, frames and events, may be torn apart: at most two blocks
+        assert kept >= set(range(0, len(found) - 2 * _BLOCK, 2)), share
+    assert len(lengths) >= 3, "the cuts fall between frames"

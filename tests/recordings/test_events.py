@@ -1,13 +1,19 @@
-"""Events at a moment, and spells with a start and an end."""
+"""Events at a moment, spells with a start and an end, and limbs that a view reports at a wrong place."""
 
 from dataclasses import replace
 
+import numpy as np
+import pytest
+
 from devices.events import Event, spells_of
-from fusion.body import KINECT_V1
+from fusion.body import KINECT_V1, KINECT_V2
+from fusion.fused_frame import FusedFrame
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 from recordings.file.session_writer import write_session
+from recordings.fusing.view_events import ViewEvents
 from recordings.session import Session
 from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.two_views import calibration_of
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, standing
 
 LOST = Event("A is lost", "WARN", "A", "start", frame=2, time_ns=66_000_000)
 TURNED = Event("B is mirrored", "INFO", "B", "start", frame=3, time_ns=99_000_000)
@@ -30,3 +36,57 @@ def test_a_spell_that_starts_again_before_its_end_stays_one_spell():
     again = replace(LOST, frame=4)
     assert [(spell.start, spell.end) for spell in spells_of([LOST, again, BACK, BACK])] == [(LOST, BACK)]
     assert spells_of([BACK, Event("moment", "INFO")]) == []
+
+
+BODY = KINECT_V2
+ARM = [BODY.joint(f"{name}_LEFT") for name in ("ELBOW", "WRIST", "HAND")]
+
+
+def told_of(
+    wrong_frames, *, sensor="B", off=0.5, share=0.0, joints=3, state=TrackingState.TRACKED, exchanged=0
+):
+    """The events, with their frames, of a view whose left arm is wrong from frame 10 on."""
+    views_of, truth = ViewEvents(BODY), standing(BODY)
+    told = []
+    for k in range(90):
+        wrong = 10 <= k < 10 + wrong_frames
+        shift, weights, states = np.zeros((len(BODY), 3)), np.full(len(BODY), 0.5), np.full(len(BODY), 2)
+        if wrong:
+            shift[ARM[:joints], 1], weights[ARM], states[ARM] = off, share, state
+        views = {"A": truth.copy(), "B": truth.copy()}
+        views[sensor] += shift
+        whole = np.full(len(BODY), TrackingState.TRACKED)
+        pair = SkeletonPair(
+            Skeleton.of(BODY, views["A"], states if sensor == "A" else whole, k * FRAME_NS),
+            Skeleton.of(BODY, A_FROM_B.inverse().apply(views["B"]), states if sensor == "B" else whole, 0),
+            k * FRAME_NS,
+        )
+        fused = FusedFrame(
+            truth, np.zeros(len(BODY), bool), weights if sensor == "A" else 1.0 - weights,
+            weights if sensor == "B" else 1.0 - weights, np.full(len(BODY), -1), A_FROM_B, 1, False, False,
+            k * FRAME_NS, exchanged_a=exchanged, exchanged_b=exchanged,
+        )  # fmt: skip
+        told += [(k, each) for each in views_of.observe(pair, fused)]
+    return told
+
+
+@pytest.mark.parametrize(("sensor", "other"), [("A", "B"), ("B", "A")])
+def test_a_lost_arm_is_told_with_its_distance_and_its_end(sensor, other):
+    (begun, start), (ended, end) = told_of(30, sensor=sensor)
+    text = f"{sensor} loses the left arm, 0.5 m off; S* follows {other}."
+    assert start == Event(text, "INFO", f"lost_{sensor.lower()}_left_arm", "start")
+    assert begun == 10 + 16  # 15 intervals of 33.3 ms are just short of half a second
+    # 30 frames are 29 intervals; 0.2 s later it is certain
+    assert end == Event(f"{sensor} finds the left arm again, after 1.0 s.", "INFO", start.topic, "end")
+    assert ended == 39 + 7
+
+
+def test_what_is_short_near_counted_guessed_single_or_exchanged_is_no_lost_limb():
+    assert told_of(30) != []
+    assert told_of(14) == []
+    assert told_of(30, off=0.15) == []
+    assert told_of(30, share=0.2) == []
+    assert told_of(30, state=TrackingState.INFERRED) == []
+    assert told_of(30, joints=1) == []
+    exchanged = told_of(30, exchanged=3)
+    assert [event.topic for _, event in exchanged] == ["exchanged_a", "exchanged_b"]

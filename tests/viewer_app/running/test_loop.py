@@ -1,23 +1,29 @@
-"""The live loop on known pairs: the person it follows, the truth, latency, and its latency settings."""
+"""The live loop on known pairs: person, truth, latency, settings, and what comes first."""
 
 import gc
 import sys
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
 
+from devices.depth import witness as depth_witness
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
+from devices.simulated.kinect import simulated_pair
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import calibrate, nominal_calibration
+from fusion.fuser import Fuser
+from fusion.registration import refinement
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
+from recordings.fusing.live_fusion import LiveFusion
 from tests.helpers.frame_pairs import KnownSensors
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
 from viewer_app.running.loop import low_latency, run_live
 from viewer_app.running.runner import latency_figures
-from viewer_app.sinks.sink import Sink
+from viewer_app.sinks.sink import FanOut, Sink
 
 NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))
 
@@ -92,3 +98,61 @@ def test_latency_settings_apply_only_while_the_loop_runs():
         assert len(gc.get_objects()) < 1000  # what a search for garbage goes through
     assert sys.getswitchinterval() == before
     assert gc.get_freeze_count() == 0
+
+
+def walking(count):
+    """Pairs of a simulated walk, with images, and the setup at the start."""
+    a, b, _ = simulated_pair(motion="walk", body=KINECT_V1, depth="half")
+    setup = FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
+    both = islice(zip(a.frames(), b.frames(), strict=False), count)
+    return setup, [FramePair(of_a, of_b, SkeletonPair(None, None, of_a.time_ns)) for of_a, of_b in both]
+
+
+@pytest.mark.parametrize("waiting", [False, True])
+def test_a_frame_is_handed_over_before_the_program_learns_from_it(waiting, monkeypatch):
+    """And learning leaves the viewer's thread alone, unless the next frame waits already."""
+    done = []
+
+    class Handed(Sink):
+        def write(self, frame):
+            assert frame.fused.has_person
+            done.append("handed over")
+
+        def rest(self, seconds):
+            assert 0.0 < seconds < 0.5 / 30.0
+            done.append("rested")
+
+    learn = LiveFusion.learn
+    monkeypatch.setattr(LiveFusion, "learn", lambda *of: (done.append("learned"), learn(*of))[1])
+    setup, pairs = walking(2)
+    run_live(KnownSensors(pairs, waiting), setup, FanOut([Handed()]))
+    assert done == ["handed over", *([] if waiting else ["rested"]), "learned"] * 2
+
+
+def test_nothing_is_compiled_after_the_first_frame(monkeypatch):
+    """What a live session calls is compiled before its sensors open: a kernel takes seconds."""
+    fits = []
+    fit = refinement.fit_robust
+    monkeypatch.setattr(refinement, "fit_robust", lambda *of, **more: (fits.append(1), fit(*of, **more))[1])
+    setup, pairs = walking(240)
+    Fuser(setup).warm_up()
+    depth_witness.warm_up()
+    fusion = LiveFusion(setup)
+    before = compiled()
+    for pair in pairs:
+        fusion.learn(fusion.fuse(fusion.chosen(pair)))
+    assert fusion.calibrator.final
+    assert len(fits) >= 3, "a whole proposal"
+    assert compiled() == before
+
+
+def compiled():
+    """How many versions each kernel of the method and of the devices has."""
+    modules = list(sys.modules.values())
+    return {
+        f"{module.__name__}.{name}": len(kernel.overloads)
+        for module in modules
+        if module.__name__.startswith(("fusion", "devices.depth.witness", "devices.depth.rvl"))
+        for name, kernel in vars(module).items()
+        if hasattr(kernel, "overloads")
+    }
