@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from fusion.array_fields import new_arrays
 from fusion.body import KINECT_V2
+from fusion.facing import whole_body
 from fusion.facing.filter import update_facing
 from fusion.facing.model import HEADINGS, TAPS, FacingConstants, FacingState, new_facing_model
+from tests.helpers.interpreted import interpreted
 from tests.helpers.labelled_views import UP, simulated_views, step
 
 
@@ -117,6 +120,17 @@ def test_a_frame_is_what_the_equations_say():
         belief /= belief.sum()
         np.testing.assert_allclose(state.belief, np.maximum(belief, constants.leak), atol=1e-11)
         assert state.predicted.sum() == pytest.approx(1.0, abs=1e-6)  # leaks: 144 · 1e-9
+
+
+def test_people_turn_as_the_page_of_the_method_says():
+    """Straight on by 3° in 1/30 s, while turning by 13°; in 0.1 s √3 times as far. Taps are 10° apart."""
+    constants, state = FacingConstants(), new_arrays(FacingState, J=len(KINECT_V2))
+    interpreted(whole_body.set_turning)(constants, state, 0.1)
+    angles = 10.0 * np.arange(-TAPS, TAPS + 1)
+    straight, turns = (norm.pdf(angles, scale=np.sqrt(3.0) * degrees) for degrees in (3.0, 13.0))
+    share = constants.turning_share
+    expected = (1.0 - share) * straight / straight.sum() + share * turns / turns.sum()
+    np.testing.assert_allclose(state.turning, expected, atol=0.01)  # the page rounds to whole degrees
 
 
 def test_smoothing_is_the_forward_backward_algorithm():
