@@ -1,13 +1,19 @@
-"""Every command in the documents is one that the program takes; those that need no sensor are run."""
+"""Every command in the documents is one that the program takes; tables of one's own become recordings."""
 
+import re
 import shlex
 
+import numpy as np
+import pandas
 import pytest
 
-from recordings import Session
+from fusion import KINECT_V2
+from fusion.body import BODIES
+from recordings import Session, fuse
 from tests.helpers.command_line import duplex, parsed
-from tests.helpers.documents import ROOT, commands_of, documents, mentions_of
-from tests.helpers.recorded_pairs import write_recordings
+from tests.helpers.documents import ROOT, commands_of, documents, mentions_of, python_of
+from tests.helpers.recorded_pairs import write_recordings, write_view
+from tests.helpers.two_views import A_FROM_B, moving
 from viewer_app.options.command_line import COMMANDS
 
 __all__ = ["parsed"]  # a fixture
@@ -52,3 +58,77 @@ def test_the_start_page_works_from_top_to_bottom(tmp_path, monkeypatch):
     assert len(Session.open(tmp_path / "walk.rrd")) == 70
     assert (tmp_path / "demo.html").stat().st_size > 10_000
     assert (tmp_path / "walk.bvh").exists()
+
+
+START = ROOT / "docs" / "start.md"
+FROM_TABLE, FROM_ARRAYS = python_of(START)
+AXES = re.findall(
+    r"^\| (?P<convention>[^|]*): [^|]* \| (?P<x>−?[XYZ]), (?P<y>−?[XYZ]), (?P<z>−?[XYZ]) \|$",
+    START.read_text(encoding="utf-8"),
+    re.MULTILINE,
+)
+
+
+@pytest.fixture
+def own_tables(tmp_path, monkeypatch):
+    """Writes ``mine_a.csv`` and ``mine_b.csv`` in the current folder; the session expected of them."""
+    expected = fuse(*write_recordings(tmp_path))
+    for sensor in "ab":
+        file = tmp_path / f"{sensor}.csv"
+        table = pandas.read_csv(file)
+        mine = pandas.DataFrame(
+            {
+                "seconds": table["time_us"] * 1e-6,
+                "person": table["body"],
+                "part": table["joint"].str.lower(),
+                "X": -1000 * table["x"],
+                "Y": -1000 * table["y"],
+                "Z": 1000 * table["z"],
+                "confidence": 0.5,
+            }
+        )
+        mine.to_csv(tmp_path / f"mine_{sensor}.csv", index=False)
+        file.unlink()
+    monkeypatch.chdir(tmp_path)
+    return expected
+
+
+def test_tables_in_other_units_and_axes_give_the_same_session(own_tables, tmp_path):
+    exec(FROM_TABLE, {})
+    assert duplex("fuse", "a.csv", "b.csv", "--no-viewer", "--save", "walk.rrd") == 0
+    session = Session.open(tmp_path / "walk.rrd")
+    np.testing.assert_array_equal(session.time_ns, own_tables.time_ns)
+    # positions went through millimetres in text; float32 has 2e-7 m at 3 m, and fusion adds some
+    np.testing.assert_allclose(session.fused, own_tables.fused, atol=1e-5)
+
+
+def test_arrays_become_a_recording(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    positions, joints = moving(KINECT_V2, 70), KINECT_V2.joints
+    exec(FROM_ARRAYS, {"positions": positions, "joints": joints, "seconds": np.arange(70) / 30})
+    session = fuse("a.csv", write_view(tmp_path / "b.csv", KINECT_V2, A_FROM_B.inverse().apply(positions)))
+    assert session.body is KINECT_V2
+    np.testing.assert_allclose(session.skeleton_a.positions, positions, atol=1e-6)
+    np.testing.assert_allclose(session.time_ns * 1e-9, np.arange(70) / 30, atol=1e-6)
+
+
+def test_axes_are_turned_and_never_mirrored():
+    handed = {"Unity": -1}  # left-handed
+    assert [convention.split()[0] for convention, *_ in AXES] == ["Kinect", "Azure", "Unity", "OpenGL", "ROS"]
+    for convention, *target in AXES:
+        rows = [(-1 if name[0] == "−" else 1) * np.eye(3)["XYZ".index(name[-1])] for name in target]
+        assert np.linalg.det(np.array(rows)) == handed.get(convention.split()[0], 1), convention
+
+
+def test_the_names_of_the_joints_are_those_of_the_bodies():
+    rows = re.findall(
+        r"^\| `(\w+)` \((\d+)\) \| (.*) \+ _?L\w+ or _?R\w+ \|$", START.read_text("utf-8"), re.M | re.I
+    )
+    assert [name for name, *_ in rows] == list(BODIES)
+    for name, count, text in rows:
+        middle, _, sided = text.partition(", and ")
+        mark = "_" if middle.isupper() else ""
+        sides = ("LEFT", "RIGHT") if mark else ("Left", "Right")
+        names = middle.split(", ") + [f"{n}{mark}{side}" for n in sided.split(", ") for side in sides]
+        assert set(names) == set(BODIES[name].joints)
+        assert len(names) == int(count)

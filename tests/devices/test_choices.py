@@ -1,4 +1,4 @@
-"""Which body tracker runs, and why: one rule for fuse, live and doctor."""
+"""Which tracker runs, which connected sensor is A, which is B, and which leads on the sync cable."""
 
 import sys
 
@@ -9,6 +9,7 @@ from devices.azure.kinect import KinectSensor
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
+from devices.capture.sensor_choice import ConnectedSensor, NeedsChoiceError, choose_two, sync_master
 from devices.live_sensors import connected_sensors
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice, choose_tracker, tracker_name
@@ -16,7 +17,7 @@ from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish
 
-A, B = "CL8H741005K", "CL8H7410123"
+BOLT, SECOND = "CL8H741005K", "CL8H7410123"
 OURS, MICROSOFTS = TrackerChoice("blazepose", "a test"), TrackerChoice("k4abt", "a test")
 
 
@@ -62,11 +63,14 @@ def test_the_requested_tracker_runs(tmp_path):
 
 def test_the_programs_tracker_takes_images_of_other_sensors():
     assert MICROSOFTS.for_images_of([]) is MICROSOFTS
-    assert OURS.for_images_of([A]) is OURS
-    changed = MICROSOFTS.for_images_of([A, B])
-    assert (changed.name, changed.reason) == ("blazepose", f"k4abt does not take the images of {A} and {B}")
-    with pytest.raises(DeviceError, match=f"{A}: k4abt takes images of libk4a only"):
-        choose_tracker("k4abt").for_images_of([A])
+    assert OURS.for_images_of([BOLT]) is OURS
+    changed = MICROSOFTS.for_images_of([BOLT, SECOND])
+    assert (changed.name, changed.reason) == (
+        "blazepose",
+        f"k4abt does not take the images of {BOLT} and {SECOND}",
+    )
+    with pytest.raises(DeviceError, match=f"{BOLT}: k4abt takes images of libk4a only"):
+        choose_tracker("k4abt").for_images_of([BOLT])
 
 
 def test_the_name_is_that_of_the_sensors_tracker():
@@ -76,24 +80,86 @@ def test_the_name_is_that_of_the_sensors_tracker():
 
 
 def test_sensors_of_both_vendors_are_listed(bus, orbbecs):
-    bus.devices, orbbecs.devices = [Device("000123")], [Orbbec(A)]
+    bus.devices, orbbecs.devices = [Device("000123")], [Orbbec(BOLT)]
     listed = connected_sensors(OURS)
-    assert [(one.index, one.serial, one.sdk) for one in listed] == [(0, "000123", "k4a"), (1, A, "orbbec")]
+    assert [(one.index, one.serial, one.sdk) for one in listed] == [(0, "000123", "k4a"), (1, BOLT, "orbbec")]
     assert listed[1].description == "Orbbec Femto Bolt, USB3.2"
     assert listed[1].is_orbbec
 
 
 def test_a_femto_in_both_lists_is_taken_once(bus, orbbecs):
-    bus.devices, orbbecs.devices = [Device(A, orbbec=True)], [Orbbec(A)]
+    bus.devices, orbbecs.devices = [Device(BOLT, orbbec=True)], [Orbbec(BOLT)]
     assert [one.sdk for one in connected_sensors(OURS)] == ["orbbec"]
     assert [one.sdk for one in connected_sensors(MICROSOFTS)] == ["k4a"], "k4abt needs libk4a's captures"
 
 
 def test_one_vendors_software_is_enough(bus, orbbecs, monkeypatch):
-    bus.devices, orbbecs.devices = [Device("000123")], [Orbbec(A)]
+    bus.devices, orbbecs.devices = [Device("000123")], [Orbbec(BOLT)]
     monkeypatch.setitem(sys.modules, "pyk4a", None)
-    assert [one.serial for one in connected_sensors(OURS)] == [A]
+    assert [one.serial for one in connected_sensors(OURS)] == [BOLT]
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
     with pytest.raises(DeviceError, match=r"need pyk4a.*Or, for Orbbec's sensors: .*pyorbbecsdk2") as fault:
         connected_sensors(OURS)
     assert "\n" not in str(fault.value)
+
+
+A, B = ConnectedSensor(0, "000123", False, False), ConnectedSensor(1, "000456", False, False)
+C = ConnectedSensor(2, "000789", False, False)
+
+
+def test_two_sensors_and_no_name_asks_which_is_which():
+    with pytest.raises(NeedsChoiceError, match="--principal 000123 or --principal 000456") as asked:
+        choose_two([B, A])
+    assert asked.value.serials == ("000123", "000456")
+
+
+@pytest.mark.parametrize(
+    ("names", "chosen"),
+    [
+        ({"principal": "000456"}, ("000456", "000123")),
+        ({"a": "000456"}, ("000456", "000123")),
+        ({"b": "000456"}, ("000123", "000456")),
+        ({"a": "000123", "b": "000456"}, ("000123", "000456")),
+    ],
+)
+def test_one_name_leaves_the_other_to_what_is_connected(names, chosen):
+    assert choose_two([A, B], **names) == chosen
+
+
+@pytest.mark.parametrize(
+    ("connected", "names", "message"),
+    [
+        ([A, B], {"a": "000999"}, r"No Kinect with serial 000999\. Connected: 000123, 000456"),
+        ([A, B], {"a": "000123", "b": "000123"}, "both 000123"),
+        ([A, B, C], {}, "3 Kinects are connected"),
+        ([A, B], {"a": "000123", "principal": "000456"}, "--kinect-a 000123 and --principal 000456 both"),
+    ],
+)
+def test_a_choice_that_cannot_be_made_is_explained(connected, names, message):
+    with pytest.raises(DeviceError, match=message):
+        choose_two(connected, **names)
+
+
+def _jacks(serial, sync_in, sync_out):
+    return ConnectedSensor(0, serial, sync_in, sync_out)
+
+
+def test_the_master_is_where_the_cable_leads_out():
+    leads, follows = _jacks("000456", False, True), _jacks("000123", True, False)
+    assert sync_master(follows, leads) == sync_master(leads, follows) == "000456"
+    assert sync_master(A, B) is None, "without a cable nobody leads"
+
+
+def test_a_cable_that_joins_no_out_to_an_in_is_explained():
+    wrong = _jacks("000123", True, False), _jacks("000456", True, False)
+    with pytest.raises(DeviceError, match="000123: in connected, out empty; 000456: in connected"):
+        sync_master(*wrong)
+
+
+def test_a_master_that_is_named_against_the_jacks_is_explained():
+    leads, follows = _jacks("000456", False, True), _jacks("000123", True, False)
+    assert sync_master(follows, leads, "000456") == "000456"
+    for pair in ((follows, leads), (A, B)):
+        with pytest.raises(DeviceError, match="--sync-master 000123: no cable leads from its sync out"):
+            sync_master(*pair, "000123")
+    assert sync_master(_jacks("CL1", False, False), _jacks("CL2", False, False), "CL2") == "CL2"
