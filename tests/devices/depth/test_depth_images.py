@@ -44,8 +44,10 @@ def test_a_depth_image_shrinks_to_less_than_half():
 def test_bytes_that_are_no_image_are_refused(junk, at, value):
     blob = bytearray(encode_depth(wall(24, 32)))
     blob[at % len(blob)] = value
-    with pytest.raises(DeviceError, match="damaged"):
-        decode_depth(encode_depth(wall(24, 32))[:-8])
+    nothing = encode_depth(np.ones((1, 1), np.uint16))[:-4] + b"\0\0\0\1"  # no zeros, one reading, which is 0
+    for damaged in (encode_depth(wall(24, 32))[:-8], nothing):
+        with pytest.raises(DeviceError, match="damaged"):
+            decode_depth(damaged)
     for bad in (junk, bytes(blob), bytes(blob[: at // 4 * 4])):
         try:
             assert decode_depth(bad).dtype == np.uint16
