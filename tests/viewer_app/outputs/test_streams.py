@@ -1,6 +1,7 @@
-"""Zenoh, read back by a second session."""
+"""Lab Streaming Layer and Zenoh, read back by an inlet and by a second session."""
 
 import json
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -8,16 +9,69 @@ import pytest
 from devices.events import Event
 from devices.network.zenoh_session import LOOPBACK, ZenohAddresses, zenoh_session
 from devices.sensor import DeviceError
+from fusion.body import KINECT_V2
 from tests.helpers.live_frames import frames
 from tests.helpers.network import free_address
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import zenoh_warning
+from viewer_app.outputs.lab_streaming import LabStreamingOutput
+from viewer_app.outputs.output import confidence
 from viewer_app.outputs.zenoh_topic import ZenohOutput
 
-pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
+
+def lsl():
+    try:
+        import pylsl
+    except (ImportError, RuntimeError, OSError):
+        pytest.skip("no pylsl: pip install -e '.[lsl]'")
+    return pylsl
+
+
+def test_an_inlet_reads_joints_confidences_times_and_events(fuser):
+    lsl()
+    name = f"test-{uuid4().hex[:8]}"
+    output = LabStreamingOutput(name, KINECT_V2, 30.0)
+    import pylsl
+
+    try:
+        found = pylsl.resolve_byprop("name", name, timeout=30.0)
+        assert len(found) == 1
+        inlet = pylsl.StreamInlet(found[0])
+        events = pylsl.StreamInlet(pylsl.resolve_byprop("name", f"{name}-events", timeout=30.0)[0])
+        info = inlet.info(timeout=30.0)
+        assert (info.type(), info.channel_count(), info.nominal_srate()) == ("MoCap", 100, 30.0)
+        inlet.open_stream(timeout=30.0)
+        events.open_stream(timeout=30.0)
+        made = frames(fuser, 30)
+        read = []
+        for frame in made:
+            output.write(frame)
+            sample, stamp = inlet.pull_sample(timeout=30.0)
+            read.append((sample, stamp))
+        output.event(Event("sensor B lost", "WARN"))
+        assert events.pull_sample(timeout=30.0)[0] == ["WARN: sensor B lost"]
+        assert abs(pylsl.local_clock() - read[-1][1]) < 30.0
+    finally:
+        output.close()
+    values = np.array([sample for sample, _ in read]).reshape(30, 25, 4)
+    positions = np.array([frame.fused.positions for frame in made])
+    np.testing.assert_allclose(values[..., :3], positions, atol=1e-6)
+    np.testing.assert_allclose(values[..., 3], [confidence(f.fused) for f in made], atol=1e-6)
+    assert (np.diff([stamp for _, stamp in read]) > 0.0).all()
+    channel = info.desc().child("channels").child("channel")
+    labels = []
+    while not channel.empty():
+        kinds = ("label", "marker", "type", "unit")
+        labels.append(tuple(channel.child_value(kind) for kind in kinds))
+        channel = channel.next_sibling()
+    assert len(labels) == 100
+    assert labels[0] == ("SpineBase_PositionX", "SpineBase", "PositionX", "meters")
+    assert labels[3] == ("SpineBase_Confidence", "SpineBase", "Confidence", "normalized")
+    assert info.desc().child("acquisition").child_value("manufacturer") == "duplex-kinects"
 
 
 def test_a_second_session_reads_the_description_frames_and_events(fuser):
+    pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
     address = free_address()
     got = {"hello": [], "frame": [], "event": []}
 
