@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from devices.files import read_two as read_two
     from devices.pairing import FramePair as FramePair
     from devices.pairing import Pairing as Pairing
-    from devices.pairing import pair_recordings as pair_recordings
+    from devices.pairing import pair_views as pair_views
     from devices.sensor import ColorCamera as ColorCamera
     from devices.sensor import ColorImage as ColorImage
     from devices.sensor import DeviceError as DeviceError

@@ -217,7 +217,7 @@ def read_two(
         tracker: The body tracker, where one is needed. None: chosen for this machine.
         progress: Shows how far reading is.
         offset_ns: Added to the times of B; found from the motion where None.
-        every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_recordings`.
+        every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_views`.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, both are the same recording, the bodies differ,

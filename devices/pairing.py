@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from devices.sensor import DeviceError, SensorFrame
 from fusion.body import Body
 from fusion.large_arrays import Rows
 from fusion.pair_arrays import Pairs, View
-from fusion.skeleton import Skeleton, SkeletonPair, nobody
+from fusion.skeleton import SkeletonPair
 
 PERSON = "0"
 """The id of the only person in recorded pairs."""
@@ -35,18 +34,6 @@ class FramePair:
     b: SensorFrame | None
     skeletons: SkeletonPair
 
-    @staticmethod
-    def of(
-        a: SensorFrame | None,
-        b: SensorFrame | None,
-        person_a: str,
-        person_b: str,
-        time_ns: int,
-        skew_ns: int = 0,
-    ) -> FramePair:
-        """The pair of two frames, with the person who has these ids in each sensor's own numbering."""
-        return FramePair(a, b, SkeletonPair(_person(a, person_a), _person(b, person_b), time_ns, skew_ns))
-
     @property
     def time_ns(self) -> int:
         """The pair's time, on the principal sensor's clock."""
@@ -63,13 +50,6 @@ class RecordedPairs(Rows[FramePair]):
     """Pairs without images whose skeletons are arrays; each pair is made when it is asked for."""
 
     skeletons: Pairs  # of views with one row for each frame of the sensor
-
-    @staticmethod
-    def of(body: Body, pairs: Sequence[FramePair]) -> RecordedPairs:
-        """Any pairs of a body; the same object if they are of this class."""
-        if isinstance(pairs, RecordedPairs):
-            return pairs
-        return RecordedPairs(Pairs.of(body, [_in_frames(body, pair) for pair in pairs]))
 
     def __len__(self) -> int:
         """The number of pairs."""
@@ -97,55 +77,13 @@ class Pairing:
         dropped_a, dropped_b: Frames left out.
     """
 
-    pairs: Sequence[FramePair] = field(repr=False)
+    pairs: RecordedPairs
     frames_a: int
     frames_b: int
     dropped_a: int
     dropped_b: int
     alone_a: int = 0
     alone_b: int = 0
-
-    def skeletons(self, body: Body) -> Pairs:
-        """The skeletons of the pairs."""
-        return RecordedPairs.of(body, self.pairs).skeletons
-
-
-def pair_recordings(
-    frames_a: Sequence[SensorFrame],
-    frames_b: Sequence[SensorFrame],
-    person_a: str,
-    person_b: str,
-    tolerance_ns: int | None = None,
-    *,
-    offset_ns: int = 0,
-    every_frame: bool = False,
-) -> Pairing:
-    """Pairs each frame of A with the nearest of B in time, each frame once; see :func:`pair_views`.
-
-    Args:
-        frames_a, frames_b: Frames of each recording in time order.
-        person_a, person_b: The person meant in each.
-        tolerance_ns, offset_ns, every_frame: As for :func:`pair_views`.
-
-    Raises:
-        DeviceError: A recording is empty, or the two never overlap in time.
-    """
-    time_a, time_b = (
-        np.array([frame.time_ns for frame in frames], dtype=np.int64) for frames in (frames_a, frames_b)
-    )
-    moments = _moments(time_a, time_b + offset_ns, tolerance_ns, every_frame)
-    pairs = [
-        FramePair.of(
-            None if i < 0 else frames_a[i],
-            None if j < 0 else frames_b[j],
-            person_a,
-            person_b,
-            time_ns,
-            skew_ns,
-        )
-        for time_ns, skew_ns, i, j in moments.tolist()
-    ]
-    return _pairing(pairs, moments, len(time_a), len(time_b))
 
 
 def pair_views(
@@ -175,7 +113,11 @@ def pair_views(
     """
     moments = _moments(a.time_ns, b.time_ns + offset_ns, tolerance_ns, every_frame)
     pairs = RecordedPairs(Pairs(body, (a, b), moments[:, 0], moments[:, 1], moments[:, 2:]))
-    return _pairing(pairs, moments, len(a.time_ns), len(b.time_ns))
+    frames_a, frames_b = len(a.time_ns), len(b.time_ns)
+    with_a, with_b = (moments[:, 2:] >= 0).T
+    alone_a, alone_b = int((~with_b).sum()), int((~with_a).sum())
+    dropped_a, dropped_b = frames_a - int(with_a.sum()), frames_b - int(with_b.sum())
+    return Pairing(pairs, frames_a, frames_b, dropped_a, dropped_b, alone_a, alone_b)
 
 
 def _moments(
@@ -208,20 +150,6 @@ def _moments(
     return moments[np.argsort(moments[:, 0], kind="stable")]
 
 
-def _pairing(pairs: Sequence[FramePair], moments: NDArray[np.int64], count_a: int, count_b: int) -> Pairing:
-    with_a, with_b = (moments[:, 2:] >= 0).T
-    alone_a, alone_b = int((~with_b).sum()), int((~with_a).sum())
-    dropped_a, dropped_b = count_a - int(with_a.sum()), count_b - int(with_b.sum())
-    return Pairing(pairs, count_a, count_b, dropped_a, dropped_b, alone_a, alone_b)
-
-
-def _in_frames(body: Body, pair: FramePair) -> SkeletonPair:
-    """The skeletons at the times of their frames; without joints where only the frame is there."""
-    each = (pair.a, pair.skeletons.a), (pair.b, pair.skeletons.b)
-    a, b = (one if f is None else replace(one or nobody(body), time_ns=f.time_ns) for f, one in each)
-    return replace(pair.skeletons, a=a, b=b)
-
-
 def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64], gap: float) -> NDArray[np.int64]:
     """The frames, by index, that lie in a gap of the other recording, and not before or after all of it.
 
@@ -231,10 +159,6 @@ def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64], gap: float) ->
     apart = np.abs(others[_nearest(times, others)] - times)
     within = (times > others[0]) & (times < others[-1])
     return np.flatnonzero(within & (apart > gap * median_interval(others)))
-
-
-def _person(frame: SensorFrame | None, person: str) -> Skeleton | None:
-    return None if frame is None else frame.people.get(person)
 
 
 def _nearest(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:

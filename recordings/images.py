@@ -1,20 +1,19 @@
-"""Sources of a session's images: frames in memory, two recordings, or none.
+"""Sources of a session's images: two recordings, or none.
 
 Those of a file are in :mod:`recordings.file.stored_images`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol, TypeVar
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth
 from devices.files import Progress, TwoRecordings, quietly
-from devices.pairing import FramePair
-from devices.sensor import ColorImage, SensorFrame
+from devices.sensor import ColorImage
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -49,36 +48,6 @@ class SessionImages(Protocol):
         ...
 
 
-class PairImages:
-    """The images of pairs in memory.
-
-    Args:
-        every: Use the images of every n-th pair; 0 for none.
-    """
-
-    def __init__(self, pairs: Sequence[FramePair], every: int = 1) -> None:
-        self._pairs, self._every = pairs, every
-
-    def depth(self, side: str, frames: range) -> Images[NDArray[np.uint16]]:
-        """Of the sensor's frames."""
-        return MadeImages(lambda: self._of(side, frames, lambda frame: frame.depth))
-
-    def color(self, side: str, frames: range) -> Images[ColorImage]:
-        """Of the sensor's frames."""
-        return MadeImages(lambda: self._of(side, frames, lambda frame: frame.color))
-
-    def _of(
-        self, side: str, frames: range, image_of: Callable[[SensorFrame], T | None]
-    ) -> Iterator[tuple[int, T]]:
-        if self._every == 0:
-            return
-        for k in range(frames.start, min(frames.stop, len(self._pairs))):
-            frame: SensorFrame | None = getattr(self._pairs[k], side)
-            image = None if frame is None or k % self._every else image_of(frame)
-            if image is not None:
-                yield k, image
-
-
 class RecordingImages:
     """The depth images of two recordings, thinned."""
 
@@ -95,9 +64,8 @@ class RecordingImages:
         return MadeImages(made)
 
     def color(self, side: str, frames: range) -> Images[ColorImage]:
-        """No images."""
-        del side, frames
-        return MadeImages(lambda: iter(()))
+        """None is kept."""
+        return NO_IMAGES.color(side, frames)
 
 
 class MadeImages(Images[T]):
@@ -120,5 +88,15 @@ class MadeImages(Images[T]):
         return sum(1 for _ in self._made())
 
 
-NO_IMAGES: SessionImages = PairImages((), 0)
-"""The images of a session without images."""
+class NoImages:
+    """The images of a session without images."""
+
+    def depth(self, side: str, frames: range) -> Images[Any]:
+        """None."""
+        del side, frames
+        return MadeImages(lambda: iter(()))
+
+    color = depth
+
+
+NO_IMAGES: SessionImages = NoImages()

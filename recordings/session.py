@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from devices.events import Event, Spell, spells_of
-from devices.pairing import FramePair, Pairing, RecordedPairs
+from devices.pairing import FramePair, RecordedPairs
 from fusion.calibration.calibration import Calibration
 from fusion.pair_arrays import Pairs, View
 from fusion.setup import FusionSetup
@@ -273,11 +273,6 @@ class Session(SessionData):
         points = np.concatenate(some).reshape(-1, 3)
         seen = points[np.isfinite(points).all(axis=1)]
         return np.asarray(np.median(seen, axis=0)) if len(seen) else np.array([0.0, 0.0, 2.5])
-
-    @property
-    def pairing(self) -> Pairing:
-        """The pairs, and :attr:`frame_counts`."""
-        return Pairing(self.recorded_pairs, **self.frame_counts)
 
     @property
     def frame_counts(self) -> dict[str, int]:

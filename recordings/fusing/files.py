@@ -87,7 +87,7 @@ def fuse(
     )
     settings = replace(settings or FuserSettings(), hindsight=hindsight)
     read = read_for(settings, choices, choose_tracker(tracker), offset_ms)
-    skeletons = read.pairing.skeletons(read.body)
+    skeletons = read.pairing.pairs.skeletons
     plan = plan_recording(read.body, skeletons, settings, calibration, refine and calibration is None)
     if not force:
         check_related(read, plan, str(a), str(b))
@@ -137,7 +137,7 @@ def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> N
     """
     if not plan.views_differ > _UNRELATED:
         return
-    for name, view in zip((a, b), read.pairing.skeletons(read.body).views, strict=True):
+    for name, view in zip((a, b), read.pairing.pairs.skeletons.views, strict=True):
         if (mirrored_share(read.body, view.positions) or 0.0) > 0.5:
             raise CalibrationError(
                 f"{name} is the mirror image of a person: change the sign of x in it. --force fuses it as "
@@ -179,7 +179,7 @@ def fused_session(
         depth: How many depth images the session contains; they are read from the recordings on demand.
         progress: Shows the progress of reading the depth images.
     """
-    times = read.pairing.skeletons(read.body).time_ns
+    times = read.pairing.pairs.skeletons.time_ns
     events = _events_of(read, plan, segments, times)
     watched = watch(read.body, blocks, int(times[0]), events)
     return Session.of(

@@ -45,7 +45,7 @@ def _smooths(setup: FusionSetup) -> bool:
 
 
 def fuse_segments(
-    segments: Segments, pairs: Sequence[FramePair], labels: Labels | None = None
+    segments: Segments, pairs: RecordedPairs, labels: Labels | None = None
 ) -> Iterator[SessionFrames]:
     """Fuses a recording with the calibration of each segment, and yields block after block.
 
@@ -57,7 +57,6 @@ def fuse_segments(
         labels: Of all pairs; None: found pair by pair.
     """
     fuser: Fuser | None = None
-    recorded = RecordedPairs.of(segments[0][0].body, pairs).skeletons
     for setup, own in segments:
         if fuser is None or setup.settings.method != "duplex":
             fuser = Fuser(setup)
@@ -66,7 +65,7 @@ def fuse_segments(
         fuse = fuser.smooth_sequence if _smooths(setup) else fuser.fuse_sequence
         for part in parts(own.stop - own.start, _block_size(setup, own)):
             own_part = slice(own.start + part.start, own.start + part.stop)
-            before, block = time.perf_counter_ns(), recorded[own_part]
+            before, block = time.perf_counter_ns(), pairs.skeletons[own_part]
             fused = fuse(block, None if labels is None else labels.rows(own_part))
             each = (time.perf_counter_ns() - before) // len(fused)
             a, b = (view.chosen(block.frames[:, k]) for k, view in enumerate(block.views))

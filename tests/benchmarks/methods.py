@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.pairing import FramePair
+from devices.pairing import RecordedPairs
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.estimator.constants import Constants
@@ -43,7 +43,7 @@ class RecordedPair:
     """
 
     body: Body
-    pairs: list[FramePair]
+    pairs: RecordedPairs
     calibration: Calibration
     frame_seconds: float
     truth: Array
@@ -147,8 +147,7 @@ def as_recorded(settings, refine=True):
     """What ``duplex fuse`` makes of the recording: calibration and labels from the whole of it."""
 
     def find(recording):
-        skeletons = [pair.skeletons for pair in recording.pairs]
-        plan = plan_recording(recording.body, skeletons, settings, refine=refine)
+        plan = plan_recording(recording.body, recording.pairs.skeletons, settings, refine=refine)
         segments = setups_of(plan, settings, (None, None))
         frames = list(chain.from_iterable(fuse_segments(segments, recording.pairs, plan.labels)))
         return _found([f.fused for f in frames], float(np.median([f.fuse_ns for f in frames])) * 1e-3)
@@ -159,17 +158,11 @@ def as_recorded(settings, refine=True):
 def without_depth(settings):
     """As :func:`as_recorded`, without the evidence of depth images."""
 
-    def blind(skeleton):
-        return None if skeleton is None else replace(skeleton, witness=None)
-
     def find(recording):
-        pairs = [
-            replace(
-                pair, skeletons=replace(pair.skeletons, a=blind(pair.skeletons.a), b=blind(pair.skeletons.b))
-            )
-            for pair in recording.pairs
-        ]
-        return as_recorded(settings)(replace(recording, pairs=pairs))
+        pairs = recording.pairs.skeletons
+        a, b = (view._replace(witness=None) for view in pairs.views)
+        blind = RecordedPairs(replace(pairs, views=(a, b)))
+        return as_recorded(settings)(replace(recording, pairs=blind))
 
     return find
 

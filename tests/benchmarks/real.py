@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from devices.files import RecordingChoice, read_two
-from devices.pairing import FramePair
+from devices.pairing import RecordedPairs
+from fusion.pair_arrays import Pairs
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
 from fusion.without_truth import FusedPair, figures_without_truth, judge_registration
@@ -40,7 +41,7 @@ def fuse_pair(body, skeletons):
     """Fuses a recording as the program does with its default settings."""
     settings = FuserSettings(hindsight="labels")
     plan = plan_recording(body, skeletons, settings)
-    pairs = [FramePair(None, None, pair) for pair in skeletons]
+    pairs = RecordedPairs(Pairs.of(body, skeletons))
     segments = setups_of(plan, settings, (None, None))
     frames = [fused for block in fuse_segments(segments, pairs, plan.labels) for fused in block.fused]
     nowhere = np.full((len(body), 3), np.nan)

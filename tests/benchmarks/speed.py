@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.pairing import pair_recordings
-from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.kinect import simulated_pair
 from fusion.body import BODIES, KINECT_V1, KINECT_V2
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
@@ -23,6 +22,7 @@ from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from recordings.session import Session
 from tests.benchmarks import results
+from tests.helpers.frame_pairs import paired
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.solver_problems import ordinary_problem, solver_of
 from tests.helpers.solvers import PaperSolver
@@ -36,7 +36,7 @@ SHORT, LONG = 600, 6600
 def simulated_walk(body, seconds=20.0):
     """Returns the pairs of a walk in front of two simulated sensors."""
     a, b, _ = simulated_pair(motion="walk", seed=0, body=body, angle_deg=90.0, seconds=seconds, depth="none")
-    pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
+    pairs = paired(a.frames(), b.frames()).pairs
     return [pair.skeletons for pair in pairs]
 
 

@@ -9,9 +9,8 @@ from typing import Literal
 import numpy as np
 
 from devices.depth.image_thinning import Depth
-from devices.pairing import pair_recordings
 from devices.sensor import DeviceError
-from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.kinect import simulated_pair
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import BODIES
 from fusion.calibration.calibration import calibrate
@@ -19,6 +18,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from tests.benchmarks.harsher_errors import heavy_tailed, scaled
 from tests.benchmarks.methods import ABLATIONS, METHODS, RecordedPair
 from tests.benchmarks.scores import accuracy
+from tests.helpers.frame_pairs import paired
 
 TrackerShape = Literal["fitted", "heavy-tailed"]
 
@@ -124,7 +124,7 @@ def record(trial, simulation, seconds):
     )
     # only the few figures per joint that each image gave are kept
     frames_a, frames_b = ([replace(f, depth=None) for f in sensor.frames()] for sensor in (a, b))
-    pairs = pair_recordings(frames_a, frames_b, PERSON, PERSON).pairs
+    pairs = paired(frames_a, frames_b).pairs
     times = np.array([pair.time_ns for pair in pairs])
     calibration = calibrate(body, *find_start_up_pose(body, [pair.skeletons for pair in pairs]))
     first = int(np.searchsorted(times * 1e-9, getattr(truth.scene.motion, "begins", 0.0)))

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.pairing import pair_recordings
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import KINECT_V1
 from fusion.skeleton import Skeleton
+from tests.helpers.frame_pairs import paired
 from tests.helpers.two_views import FRAME_NS, standing
 
 
@@ -20,7 +20,7 @@ def frames_at(times_ns, person="0"):
 def test_frames_pair_with_the_nearest_within_half_a_frame():
     a = frames_at([t * FRAME_NS for t in range(100)])
     b = frames_at([t * FRAME_NS + 5_000_000 for t in range(100) if t not in (10, 11, 50)])
-    pairing = pair_recordings(a, b, "0", "0")
+    pairing = paired(a, b)
     assert len(pairing.pairs) == 97
     assert (pairing.dropped_a, pairing.dropped_b) == (3, 0)
     assert {pair.skew_ns for pair in pairing.pairs} == {5_000_000}
@@ -29,7 +29,7 @@ def test_frames_pair_with_the_nearest_within_half_a_frame():
 def test_frames_in_a_gap_of_the_other_recording_are_given_alone():
     a = frames_at([t * FRAME_NS for t in range(100)])
     b = frames_at([t * FRAME_NS for t in range(10, 90) if not 40 <= t < 60])
-    pairing = pair_recordings(a, b, "0", "0")
+    pairing = paired(a, b)
     alone = [pair.time_ns // FRAME_NS for pair in pairing.pairs if pair.b is None]
     assert alone == list(range(41, 59))  # the gap's edges are within 1.5 frames of a frame of B
     assert (pairing.alone_a, pairing.dropped_a) == (18, 22)
@@ -39,7 +39,7 @@ def test_frames_in_a_gap_of_the_other_recording_are_given_alone():
 def test_a_slower_sensor_has_no_gaps():
     a = frames_at([t * FRAME_NS for t in range(300)])
     b = frames_at([t * FRAME_NS * 6 // 5 for t in range(250)])  # 25 fps
-    pairing = pair_recordings(a, b, "0", "0")
+    pairing = paired(a, b)
     assert (pairing.alone_a, pairing.alone_b) == (0, 0)
     assert pairing.dropped_a >= 49
 
@@ -47,7 +47,7 @@ def test_a_slower_sensor_has_no_gaps():
 def test_every_frame_within_both_recordings_is_kept_for_a_method_that_takes_single_views():
     a = frames_at([t * FRAME_NS for t in range(300)])
     b = frames_at([t * FRAME_NS * 2 for t in range(150)])  # half the rate
-    pairing = pair_recordings(a, b, "0", "0", every_frame=True)
+    pairing = paired(a, b, every_frame=True)
     assert (pairing.alone_a, pairing.alone_b) == (149, 0)
     assert (pairing.dropped_a, pairing.dropped_b) == (1, 0)  # the last of A is after all of B
     assert len(pairing.pairs) == 299
@@ -56,7 +56,7 @@ def test_every_frame_within_both_recordings_is_kept_for_a_method_that_takes_sing
 def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a():
     a = frames_at([t * FRAME_NS for t in range(100)])
     b = frames_at([t * FRAME_NS + 7_000_000_000 for t in range(100)])
-    pairing = pair_recordings(a, b, "0", "0", offset_ns=-6_990_000_000)
+    pairing = paired(a, b, offset_ns=-6_990_000_000)
     assert len(pairing.pairs) == 100
     assert {pair.skew_ns for pair in pairing.pairs} == {10_000_000}
     assert pairing.pairs[5].b.time_ns == 5 * FRAME_NS + 7_000_000_000  # on its own clock
@@ -71,7 +71,7 @@ def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a():
 def test_no_frame_pairs_twice_or_beyond_the_tolerance(times_a, times_b, tolerance, every_frame):
     a, b = frames_at(sorted(times_a)), frames_at(sorted(times_b))
     try:
-        pairing = pair_recordings(a, b, "0", "0", tolerance, every_frame=every_frame)
+        pairing = paired(a, b, tolerance_ns=tolerance, every_frame=every_frame)
     except DeviceError:
         assert min(abs(x - y) for x in times_a for y in times_b) > tolerance
         return
@@ -79,26 +79,26 @@ def test_no_frame_pairs_twice_or_beyond_the_tolerance(times_a, times_b, toleranc
     assert len(set(used_b)) == len(used_b)
     assert [pair.time_ns for pair in pairing.pairs] == sorted(pair.time_ns for pair in pairing.pairs)
     assert all(abs(pair.skew_ns) <= tolerance for pair in pairing.pairs)
-    paired = [pair for pair in pairing.pairs if pair.a is not None and pair.b is not None]
-    assert len(paired) + pairing.alone_a + pairing.dropped_a == len(times_a)
-    assert len(paired) + pairing.alone_b + pairing.dropped_b == len(times_b)
+    both = [pair for pair in pairing.pairs if pair.a is not None and pair.b is not None]
+    assert len(both) + pairing.alone_a + pairing.dropped_a == len(times_a)
+    assert len(both) + pairing.alone_b + pairing.dropped_b == len(times_b)
     if every_frame:  # only frames before or after all of the other recording are left out
         assert pairing.dropped_a <= sum(not min(times_b) < t < max(times_b) for t in times_a)
         assert pairing.dropped_b <= sum(not min(times_a) < t < max(times_a) for t in times_b)
-    assert len(pairing.pairs) == len(paired) + pairing.alone_a + pairing.alone_b
+    assert len(pairing.pairs) == len(both) + pairing.alone_a + pairing.alone_b
     # the closest two frames of all always find each other
     closest = min(abs(x - y) for x in times_a for y in times_b)
-    assert min(abs(pair.skew_ns) for pair in paired) == closest
+    assert min(abs(pair.skew_ns) for pair in both) == closest
 
 
 def test_recordings_that_never_overlap_are_refused_with_their_times():
     with pytest.raises(DeviceError, match=r"overlap.*A runs from 0\.000 s to 0\.033 s, B from 10\.000 s"):
-        pair_recordings(frames_at([0, FRAME_NS]), frames_at([10_000_000_000]), "0", "0")
+        paired(frames_at([0, FRAME_NS]), frames_at([10_000_000_000]))
 
 
 def test_a_person_absent_from_a_frame_is_none_there():
     a = [*frames_at([0]), SensorFrame(FRAME_NS)]
-    pairing = pair_recordings(a, frames_at([0, FRAME_NS], "5"), "0", "5")
+    pairing = paired(a, frames_at([0, FRAME_NS], "5"))
     assert pairing.pairs[0].skeletons.a is not None
     assert pairing.pairs[1].skeletons.a is None
     assert pairing.pairs[1].skeletons.b is not None
@@ -107,5 +107,5 @@ def test_a_person_absent_from_a_frame_is_none_there():
 def test_times_far_from_zero_pair_exactly():
     start = 1_700_000_000_000_000_000  # a wall clock in ns is beyond a float's whole numbers
     times = [start + t * FRAME_NS for t in range(10)]
-    pairing = pair_recordings(frames_at(times), frames_at([t + 1 for t in times]), "0", "0")
+    pairing = paired(frames_at(times), frames_at([t + 1 for t in times]))
     assert np.all([pair.skew_ns == 1 for pair in pairing.pairs])

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.pairing import pair_recordings
-from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.kinect import simulated_pair
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.calibration.calibration import calibrate
 from fusion.joint_kinds import KINDS, kind_of
 from fusion.skeleton import TrackingState
+from tests.helpers.frame_pairs import paired
 
 Array = NDArray[np.float64]
 MOTIONS = ("walk", "arms", "badminton", "basketball", "squat", "sit")
@@ -37,19 +37,18 @@ class Recording:
 def simulated(body, motion, seed):
     """A simulated recording of 20 s."""
     a, b, _ = simulated_pair(motion=motion, seed=seed, body=body, angle_deg=90.0, seconds=20.0)
-    return recording_of(list(a.frames()), list(b.frames()), PERSON, PERSON)
+    return recording_of(a.frames(), b.frames())
 
 
 def real(folder):
     """A pair of CSV files."""
     with SkeletonRecording(folder / "a.csv") as a, SkeletonRecording(folder / "b.csv") as b:
-        people = a.people.choose_person(None, "A", ""), b.people.choose_person(None, "B", "")
-        return recording_of(list(a.frames()), list(b.frames()), *people)
+        return recording_of(a.frames(), b.frames())
 
 
-def recording_of(frames_a, frames_b, person_a, person_b):
+def recording_of(frames_a, frames_b):
     """Both views of one person, registered over the whole recording."""
-    pairs = [pair.skeletons for pair in pair_recordings(frames_a, frames_b, person_a, person_b).pairs]
+    pairs = [pair.skeletons for pair in paired(frames_a, frames_b).pairs]
     body = next(pair.a.body for pair in pairs if pair.a is not None)
     calibration = calibrate(body, [pair for pair in pairs if pair.a and pair.b], "all pairs")
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from devices.blazepose.blazepose import BlazePose
 from devices.blazepose.settings import BlazePoseSettings
 from devices.depth.witness import with_witness
-from devices.pairing import pair_recordings
 from devices.sensor import SensorFrame
 from devices.simulated.imaging.body_surface import capsules, flesh_over, visibility
 from devices.simulated.kinect import PERSON, Truth, simulated_pair
@@ -29,6 +28,7 @@ from fusion.setup import FuserSettings
 from fusion.skeleton import TrackingState
 from tests.benchmarks.accuracy import ANGLES, MOTIONS
 from tests.benchmarks.methods import RecordedPair, as_recorded
+from tests.helpers.frame_pairs import paired
 
 Array = NDArray[np.float64]
 HIDDEN = 0.35
@@ -141,7 +141,7 @@ def track(sensor, which, frames, truth, settings):
 
 def fused_error(body, a, b, truth):
     """MPJPE of S*, as ``duplex fuse`` makes it, over the common joints after the start-up pose; metres."""
-    pairs = pair_recordings(a, b, PERSON, PERSON).pairs
+    pairs = paired(a, b).pairs
     times = np.array([pair.time_ns for pair in pairs])
     skeletons = [pair.skeletons for pair in pairs]
     try:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 
-from devices.pairing import FramePair
 from devices.simulated.demonstration import Demonstration, demonstrated, demonstration
 from devices.simulated.kinect import PERSON, Scene, simulated_pair
 from devices.simulated.tracking.tracker_errors import TrackerErrors
@@ -12,13 +11,14 @@ from fusion.setup import FusionSetup
 from recordings.fusing.live_fusion import LiveFusion
 from recordings.fusing.pairs import fuse_one
 from recordings.session_arrays import SessionFrame
+from tests.helpers.frame_pairs import frame_pair
 from viewer_app.coach.setup_coach import Coach, Situation
 
 
 def pairs_of(a, b):
     """The frames of two sensors that drop none."""
     for one, other in zip(a.frames(), b.frames(), strict=True):
-        yield FramePair.of(one, other, PERSON, PERSON, one.time_ns, other.time_ns - one.time_ns)
+        yield frame_pair(one, other, PERSON, one.time_ns, other.time_ns - one.time_ns)
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,26 @@
-"""Frames of two sensors that see a moving person, as input of the loop."""
+"""Frames of two sensors that see a moving person, as input of the loop; and how frames become pairs."""
 
 import numpy as np
 
-from devices.pairing import FramePair
+from devices.pairing import FramePair, pair_views
+from devices.people import RecordedPeople
 from devices.sensor import SensorFrame
-from fusion.skeleton import Skeleton
+from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
+
+
+def frame_pair(a, b, person, time_ns, skew_ns=0):
+    """The pair of two frames, with the person who has this id in both."""
+    seen = (None if frame is None else frame.people.get(person) for frame in (a, b))
+    return FramePair(a, b, SkeletonPair(*seen, time_ns, skew_ns))
+
+
+def paired(a, b, **more):
+    """The frames of two recordings of one person in pairs."""
+    frames_a, frames_b = list(a), list(b)
+    body = next(person.body for frame in frames_a for person in frame.people.values())
+    people = (RecordedPeople.of(body, frames) for frames in (frames_a, frames_b))
+    return pair_views(body, *(each.view(each.ids) for each in people), **more)
 
 
 class KnownSensors:
@@ -50,7 +65,5 @@ def frame_pairs(body, frames, gap=(), only_a=(), no_b=(), jitter_ns=0, noise=0.0
             image = rng.integers(0, 4000, (24, 32)).astype(np.uint16) if depth else None
             seen.append(SensorFrame(own_ns, {} if absent else {"7": skeleton}, image))
         b = None if t in no_b else seen[1]
-        pairs.append(
-            FramePair.of(seen[0], b, "7", "7", time_ns, 0 if b is None else int(rng.integers(-9e6, 9e6)))
-        )
+        pairs.append(frame_pair(seen[0], b, "7", time_ns, 0 if b is None else int(rng.integers(-9e6, 9e6))))
     return pairs

@@ -8,9 +8,28 @@ from devices.events import Event
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.file.session_writer import write_session
-from recordings.images import PairImages
+from recordings.images import MadeImages
 from recordings.session import Session
 from recordings.session_arrays import SessionFrame
+
+
+class FrameImages:
+    """The images of every n-th frame in memory; 0 for none."""
+
+    def __init__(self, frames, every):
+        self._frames, self._every = frames, every
+
+    def depth(self, side, frames):
+        return MadeImages(lambda: self._of(side, frames, "depth"))
+
+    def color(self, side, frames):
+        return MadeImages(lambda: self._of(side, frames, "color"))
+
+    def _of(self, side, frames, kind):
+        for k in frames:
+            seen = getattr(self._frames[k].pair, side)
+            if self._every and k % self._every == 0 and seen is not None and getattr(seen, kind) is not None:
+                yield k, getattr(seen, kind)
 
 
 def record_fused(path, pairs, calibration, settings=None, depth_every=0, block=256):
@@ -21,7 +40,7 @@ def record_fused(path, pairs, calibration, settings=None, depth_every=0, block=2
     session = Session.of(
         [(setup, frames)],
         events=(Event(f"calibrated: {calibration.how}"),),
-        images=PairImages([frame.pair for frame in frames], depth_every),
+        images=FrameImages(frames, depth_every),
     )
     write_session(session, path, block=block)
     return Session.open(path)

@@ -6,8 +6,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.pairing import pair_recordings
-from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.kinect import simulated_pair
 from devices.simulated.person.motion import Motion, keyframes
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
@@ -21,6 +20,7 @@ from fusion.facing.model import ReportedPair, new_facing_model
 from fusion.facing.sequence import relabel_sequence, reported_pairs
 from fusion.registration.keyframes import Evidence
 from fusion.registration.rigid_fit import label_free_fit
+from tests.helpers.frame_pairs import paired
 
 Floats = NDArray[np.float64]
 UP = np.array((0.0, -1.0, 0.0))
@@ -176,7 +176,7 @@ def simulated_views(motion, body="kinect_v2", tracker="mirroring", angle_deg=90.
     a, b, truth = simulated_pair(
         motion=movement(motion), seed=seed, body=which, seconds=seconds, errors=errors, rig=rig
     )
-    pairs = [p.skeletons for p in pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs]
+    pairs = [p.skeletons for p in paired(a.frames(), b.frames()).pairs]
     transform = truth.a_from_b
     times = np.array([pair.time_ns for pair in pairs])
     joints = len(which)
@@ -220,7 +220,7 @@ def real_views(folder):
     """A real pair; R and t fitted robustly over the recording to points that no exchange of labels moves."""
     with SkeletonRecording(folder / "a.csv") as a, SkeletonRecording(folder / "b.csv") as b:
         body = a.body
-        pairs = [p.skeletons for p in pair_recordings(list(a.frames()), list(b.frames()), "0", "0").pairs]
+        pairs = [p.skeletons for p in paired(a.frames(), b.frames()).pairs]
     both = [(p.a, p.b, p.time_ns) for p in pairs if p.a is not None and p.b is not None]
     at_a, at_b = (np.array([pair[v].positions for pair in both], dtype=np.float64) for v in (0, 1))
     known = np.isfinite(at_a).all(axis=2) & np.isfinite(at_b).all(axis=2)

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.fusing.pairs import fuse_one
 from recordings.session import Session
+from tests.helpers.frame_pairs import frame_pair
 from tests.helpers.two_views import FRAME_NS, calibration_of, pair_of, standing
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint
@@ -29,10 +29,9 @@ def frames(fuser, count, depth=False):
     for k in range(count):
         joints = standing(BODY) + [0.1 * np.sin(k / 10), 0.0, 0.0]
         seen = pair_of(BODY, joints, k * FRAME_NS)
-        pair = FramePair.of(
+        pair = frame_pair(
             SensorFrame(k * FRAME_NS, {"1": seen.a}, image),
             SensorFrame(k * FRAME_NS, {"1": seen.b}, image),
-            "1",
             "1",
             k * FRAME_NS,
         )

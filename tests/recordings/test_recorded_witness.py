@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from devices.pairing import pair_recordings
-from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.kinect import simulated_pair
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
@@ -14,11 +13,13 @@ from fusion.setup import FusionSetup
 from recordings import Session
 from recordings.fusing.pairs import fuse_one
 from recordings.session_arrays import SessionArrays
+from tests.helpers.demonstrations import pairs_of
+from tests.helpers.frame_pairs import paired
 
 
 def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_path):
     a, b, _ = simulated_pair(motion="arms", seconds=3.0, seed=1, depth="half")
-    pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
+    pairs = paired(a.frames(), b.frames()).pairs
     calibration = calibrate(a.body, *find_start_up_pose(a.body, [pair.skeletons for pair in pairs]))
     fuser = Fuser(FusionSetup(calibration))
     frames = [fuse_one(fuser, pair) for pair in pairs]
@@ -38,7 +39,7 @@ def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_pat
 
 def test_a_session_that_begins_with_one_sensor_keeps_the_witness_of_the_other():
     a, b, _ = simulated_pair(motion="still", seconds=0.5, depth="half")
-    pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
+    pairs = list(pairs_of(a, b))
     lengths = a.body.nominal_lengths
     fuser = Fuser(
         FusionSetup(Calibration(a.body, RigidTransform.of(np.eye(3), np.ones(3)), lengths, "known"))

@@ -283,8 +283,8 @@ def test_everything_over_time_has_a_name(session):
 
 
 def test_a_session_counts_the_frames_of_each_sensor(session):
-    pairing = session.pairing
-    assert (len(pairing.pairs), pairing.frames_a, pairing.frames_b) == (T, T, T - 1)
+    counts = session.frame_counts
+    assert (len(session.recorded_pairs), counts["frames_a"], counts["frames_b"]) == (T, T, T - 1)
 
 
 def test_a_session_introduces_itself_in_a_line(session):

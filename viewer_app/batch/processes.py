@@ -13,7 +13,8 @@ from multiprocessing import get_context, parent_process
 from pebble import ProcessExpired, ProcessPool
 from rich.console import Console
 
-from devices.pairing import pair_recordings
+from devices.pairing import pair_views
+from devices.people import RecordedPeople
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
@@ -49,9 +50,10 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Outcome, 
 def compile_kernels(options: BatchOptions) -> None:
     """Fuses a simulated recording, so that all kernels are on disk before any worker needs them."""
     settings = recording_settings(options)
-    a, b, _ = simulated_pair(motion="still", body=KINECT_V1, seconds=_SECONDS)
-    pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
-    plan = plan_recording(KINECT_V1, [pair.skeletons for pair in pairs], settings)
+    sensors = simulated_pair(motion="still", body=KINECT_V1, seconds=_SECONDS)[:2]
+    a, b = (RecordedPeople.of(KINECT_V1, sensor.frames()).view([PERSON]) for sensor in sensors)
+    pairs = pair_views(KINECT_V1, a, b).pairs
+    plan = plan_recording(KINECT_V1, pairs.skeletons, settings)
     segments = setups_of(plan, settings, (None, None))
     warm_up(Fuser(segments[0][0]), Console(highlight=False))
     for _ in fuse_segments(segments, pairs, plan.labels):

@@ -101,7 +101,7 @@ def _plan(
     options: FuseOptions, settings: FuserSettings, read: TwoRecordings, console: Console
 ) -> RecordingPlan:
     """Learns the registration, or keeps the one that is given."""
-    skeletons = read.pairing.skeletons(read.body)
+    skeletons = read.pairing.pairs.skeletons
     source = calibration_source(options.calibrate)
     calibration = _calibrate(source, read.body, skeletons)
     refine = not (options.no_refine or isinstance(source, Path))

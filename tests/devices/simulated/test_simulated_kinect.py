@@ -6,7 +6,6 @@ from itertools import cycle
 import numpy as np
 import pytest
 
-from devices.pairing import pair_recordings
 from devices.sensor import DeviceError
 from devices.simulated.imaging.body_surface import capsules
 from devices.simulated.imaging.rendering import DepthErrors
@@ -19,6 +18,7 @@ from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
+from tests.helpers.frame_pairs import paired
 
 # A coordinate below 4 m is rounded to float32 by at most 2⁻²³ m.
 ROUNDED = 2.0**-23 * 1.01
@@ -179,7 +179,7 @@ fitted to those, and the longest chain of bones is 8."""
 def test_without_errors_fusion_is_the_truth(body, motion):
     rig = Rig(skew_seconds=0.0)
     a, b, truth = simulated_pair(motion=motion, body=body, seconds=8.0, errors=TrackerErrors(), rig=rig)
-    pairs = [pair.skeletons for pair in pair_recordings([*a.frames()], [*b.frames()], PERSON, PERSON).pairs]
+    pairs = [pair.skeletons for pair in paired(a.frames(), b.frames()).pairs]
     chosen, how = find_start_up_pose(body, pairs)
     assert how.startswith("start-up pose")
     setup = FusionSetup(calibrate(body, chosen, how), FuserSettings(method="paper"))

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from devices.pairing import pair_recordings
-from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.kinect import simulated_pair
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2
 from fusion.calibration import calibrator
 from fusion.calibration.calibrator import Calibrator
 from fusion.skeleton import SkeletonPair
+from tests.helpers.frame_pairs import paired
 from tests.helpers.two_views import FRAME_NS, calibration_of, moving, pair_of
 
 
 def watched(body, motion, angle, seconds, from_second=0.0, seed=3):
     """The calibrator after the recording or once it settled, the seconds until then, and the true R and t."""
     a, b, truth = simulated_pair(motion=motion, seed=seed, body=body, angle_deg=angle, seconds=seconds)
-    pairs = [frame.skeletons for frame in pair_recordings([*a.frames()], [*b.frames()], PERSON, PERSON).pairs]
+    pairs = [frame.skeletons for frame in paired(a.frames(), b.frames()).pairs]
     first_ns = pairs[0].time_ns + round(from_second * 1e9)
     calibrator = Calibrator(body)
     pair: SkeletonPair

@@ -117,7 +117,7 @@ def test_a_person_without_any_joint_is_said_in_one_line(tmp_path):
 
 def test_a_plan_in_parts_is_that_of_the_whole(tmp_path, monkeypatch):
     files = write_walk(tmp_path / "walk", 600)
-    pairs = read_two(*map(RecordingChoice, files)).pairing.skeletons(KINECT_V2)
+    pairs = read_two(*map(RecordingChoice, files)).pairing.pairs.skeletons
     settings = FuserSettings(hindsight="labels")
     whole = plan_recording(KINECT_V2, pairs, settings)
     monkeypatch.setattr(plan, "_LONG", 250)

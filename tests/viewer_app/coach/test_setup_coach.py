@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration, calibrate
@@ -16,6 +15,7 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
 from recordings.fusing.pairs import fuse_one
+from tests.helpers.frame_pairs import frame_pair
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import to_markdown, verdict
 from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
@@ -60,7 +60,7 @@ def watched(
                 skeleton = Skeleton.of(BODY, skeleton.positions, states, time_ns)
             people.append({"1": skeleton} if shown else {})
         from_b = None if b_gone[0] <= time_ns * 1e-9 < b_gone[1] else SensorFrame(time_ns, people[1])
-        pair = FramePair.of(SensorFrame(time_ns, people[0]), from_b, "1", "1", time_ns, skew_ns)
+        pair = frame_pair(SensorFrame(time_ns, people[0]), from_b, "1", time_ns, skew_ns)
         drops = replace(now, dropped=(k * dropping, 0), lost=(0, k * losing))
         advice = coach.watch(fuse_one(fuser, pair), drops)
     return {each.topic: each for each in advice}
