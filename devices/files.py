@@ -155,11 +155,6 @@ class TwoRecordings:
         """A sensor's depth images and the numbers of their pairs, in a pass of its own over the file.
 
         One image is in memory at a time, however long the recordings are.
-
-        Args:
-            side: ``a`` or ``b``.
-            depth: How much of each image.
-            progress: Shows how far reading is.
         """
         pairs = self.pairing.pairs
         path = self.images["ab".index(side)]
@@ -213,9 +208,7 @@ def read_two(
     Where B's clock is off by more than a frame and the motion tells by how much, its times are corrected.
 
     Args:
-        choice_a, choice_b: Of K_A and K_B.
         tracker: The body tracker, where one is needed. None: chosen for this machine.
-        progress: Shows how far reading is.
         offset_ns: Added to the times of B; found from the motion where None.
         every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_views`.
 

@@ -52,11 +52,9 @@ class RecordedPairs(Rows[FramePair]):
     skeletons: Pairs  # of views with one row for each frame of the sensor
 
     def __len__(self) -> int:
-        """The number of pairs."""
         return len(self.skeletons)
 
     def row(self, k: int) -> FramePair:
-        """Pair k."""
         pair = self.skeletons[k]
         frames = zip(self.skeletons.views, self.skeletons.frames[k], (pair.a, pair.b), strict=True)
         a, b = (

@@ -146,11 +146,9 @@ class RecordedPeople(Rows[SensorFrame]):
         return RecordedPeople(body, np.array(times, dtype=np.int64), list(numbers), frame, person, seen)
 
     def __len__(self) -> int:
-        """The number of frames T."""
         return len(self.time_ns)
 
     def row(self, k: int) -> SensorFrame:
-        """Frame k."""
         first, end = np.searchsorted(self.frame, (k, k + 1)).tolist()
         people = {self.ids[self.person[i]]: self.skeletons.row(self.body, i) for i in range(first, end)}
         return SensorFrame(int(self.time_ns[k]), people)

@@ -88,17 +88,14 @@ class PacedSensor(SensorWrapper):
         """How long making the last frame took."""
 
     def __enter__(self) -> PacedSensor:
-        """Opens the sensor."""
         self._stopping.clear()
         return super().__enter__()
 
     def interrupt(self) -> None:
-        """Ends ``frames`` immediately."""
         self._stopping.set()
         self._beat.wake()
 
     def frames(self) -> Iterator[SensorFrame]:
-        """Yields the frames of the sensor, each when it is due."""
         begun, longest, simulated = None, 0.0, self._simulated
         start_ns = 0 if simulated is None else simulated.clock_at_start_ns
         frames = self.source.frames()

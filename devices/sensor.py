@@ -162,16 +162,13 @@ class SensorWrapper(Sensor):
     waits_for = _of_source("waits_for")
 
     def __enter__(self) -> Self:
-        """Opens the source."""
         self.source.__enter__()
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes the source."""
         self.source.__exit__(*exc_info)
 
     def frames(self) -> Iterator[SensorFrame]:
-        """The source's frames."""
         return self.source.frames()
 
     def interrupt(self) -> None:

@@ -51,7 +51,6 @@ class Body:
     nominal_lengths: NDArray[np.float64]
 
     def __len__(self) -> int:
-        """The number of joints J."""
         return len(self.joints)
 
     def __repr__(self) -> str:

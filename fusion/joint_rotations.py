@@ -139,7 +139,6 @@ class JointRotations:
 
         Args:
             positions: (J, 3) metres, S* in K_A's frame; NaN where there is no person.
-            time_ns: The frame's time.
 
         Returns:
             (J, 4) unit quaternions x, y, z, w in K_A's frame: the rotation from rest of the bone that ends in

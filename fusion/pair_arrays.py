@@ -133,7 +133,6 @@ class Pairs(Sequence[SkeletonPair]):
         return Pairs(body, (views[0], views[1]), times[:, 0], times[:, 1], frames)
 
     def __len__(self) -> int:
-        """The number of pairs T."""
         return len(self.time_ns)
 
     @overload

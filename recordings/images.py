@@ -76,15 +76,12 @@ class MadeImages(Images[T]):
 
     @property
     def damaged(self) -> int:
-        """None is."""
         return 0
 
     def __iter__(self) -> Iterator[tuple[int, T]]:
-        """Calls the function."""
         return self._made()
 
     def count(self) -> int:
-        """Counts by iterating over all images."""
         return sum(1 for _ in self._made())
 
 

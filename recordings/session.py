@@ -104,8 +104,6 @@ class Session(SessionData):
             fused: (setup, frames) pairs in time order, one by one or in blocks; at least one frame in total.
                 The frames are not kept.
             sources: Names of the sensors, K_A first.
-            events: Events of the session.
-            images: The images of the frames.
             about: Additional properties about the session's origin.
 
         Raises:
@@ -155,10 +153,9 @@ class Session(SessionData):
         )
 
     def save(self, path: str | Path, blueprint: Any = None) -> None:
-        """Writes the session with its images to an ``.rrd`` file.
+        """Writes the session with its images to an ``.rrd`` file, which is overwritten.
 
         Args:
-            path: The file; overwritten.
             blueprint: The layout of the viewer; None: the viewer's default.
 
         Raises:
@@ -183,7 +180,6 @@ class Session(SessionData):
         return Session(**vars(read_session(Path(path))))
 
     def __repr__(self) -> str:
-        """A one-line summary without the arrays."""
         seconds = (self.time_ns[-1] - self.time_ns[0]) * 1e-9
         return f"<Session {self.name}: {len(self)} frames, {seconds:.1f} s, {self.body.name}>"
 

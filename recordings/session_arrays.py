@@ -75,11 +75,9 @@ class SessionFrames(Rows[SessionFrame]):
     truth = None
 
     def __len__(self) -> int:
-        """The number of frames T."""
         return len(self.fused)
 
     def row(self, k: int) -> SessionFrame:
-        """Frame k."""
         return SessionFrame(self.pairs[self.first + k], self.fused[k], self.fuse_ns)
 
 
@@ -306,7 +304,6 @@ class SessionArrays:
         return (self[part] for part in parts(len(self)))
 
     def __len__(self) -> int:
-        """The number of frames T."""
         return len(self.frame)
 
     def __getitem__(self, frames: slice | NDArray[np.int64]) -> SessionArrays:

@@ -59,7 +59,6 @@ class Comparison:
         return Comparison(first.body, one, two)
 
     def __len__(self) -> int:
-        """The number of frames T."""
         return len(self.first)
 
     @property

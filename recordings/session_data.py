@@ -57,7 +57,6 @@ class SessionData:
     images: SessionImages = NO_IMAGES
 
     def __len__(self) -> int:
-        """The number of frames T."""
         return len(self.rows)
 
     def __str__(self) -> str:

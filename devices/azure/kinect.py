@@ -56,7 +56,6 @@ class _KinectStream(CaptureStream[_Captured]):
         self._device, self._sdk = device, sdk
 
     def poll(self, timeout_ms: int) -> _Captured | None:
-        """The next capture of the SDK's queue."""
         try:
             capture = self._device.get_capture(timeout=timeout_ms)
         except self._sdk.K4ATimeoutException:
@@ -70,7 +69,6 @@ class _KinectStream(CaptureStream[_Captured]):
         return _Captured(1000 * int(capture.depth_timestamp_usec), host_ns, capture)
 
     def is_connected(self) -> bool:
-        """Whether the sensor is still connected."""
         return is_connected(self._sdk, self.sensor.name)
 
     def unplugged(self) -> DeviceError:
@@ -175,11 +173,7 @@ class KinectSensor(LiveSensor):
         self.waits_for = ""
 
     def frames(self) -> Iterator[SensorFrame]:
-        """Frames as they arrive, until interrupted.
-
-        Raises:
-            DeviceError: Unplugged, stalled, or the tracker failed.
-        """
+        """Frames as they arrive, until interrupted."""
         if self._device is None:
             raise DeviceError(f"Kinect {self.name} is not open: use it in a with statement.")
         self.decimation.restart(self.name)

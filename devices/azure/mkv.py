@@ -72,7 +72,6 @@ class MkvRecording(Sensor):
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes the file."""
         if self._container is not None:
             self._container.close()
             self._container = None

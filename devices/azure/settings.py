@@ -22,14 +22,12 @@ class KinectSettings(CaptureSettings):
 
     Depth modes other than NFOV_UNBINNED and WFOV_2X2BINNED need a sensor without a body tracker. On a sync
     cable the colour camera runs without ``color``, too, and its images are dropped.
-
-    Attributes:
-        infrared: Whether frames carry the infrared image. The body tracker gets it anyway.
-        trust_jacks: Whether to ask the sync jacks if a cable is there. Orbbec's wrapper always says no.
     """
 
     infrared: bool = False
+    """Whether frames carry the infrared image. The body tracker gets it anyway."""
     trust_jacks: bool = True
+    """Whether to ask the sync jacks if a cable is there. Orbbec's wrapper always says no."""
 
     @property
     def camera_color(self) -> str | None:

@@ -96,7 +96,6 @@ class BlazePose:
         self.settings = replace(self.settings, network=network)
 
     def __exit__(self, *exc_info: object) -> None:
-        """Releases the networks."""
         self._networks = None
 
     def forget(self) -> None:

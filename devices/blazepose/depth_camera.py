@@ -49,7 +49,6 @@ class DepthCamera(TrackedImages):
 
         Args:
             images: The camera. OSError and RuntimeError from it mean a lost camera, which is opened again.
-            intrinsics: Intrinsics of the depth camera.
             took: Called with the time that the tracker worked on each frame, ns.
         """
         source = _Images(name, images, intrinsics)
@@ -80,11 +79,7 @@ class _Images(Sensor):
         self._interrupted = True
 
     def frames(self) -> Iterator[SensorFrame]:
-        """The images as frames.
-
-        Raises:
-            DeviceError: The camera failed, or its images are not as :data:`DepthImages` states.
-        """
+        """The images as frames."""
         try:
             for depth, image, time_ns in self._images():
                 if self._interrupted:

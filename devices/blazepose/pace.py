@@ -23,7 +23,6 @@ class TrackingPace(FrameDecimation):
     ``TwoSensors``.
 
     Attributes:
-        settings: Settings with which the trackers open.
         simulated: Whether the sensors are simulated, so that there is nothing to record.
     """
 
@@ -48,14 +47,12 @@ class TrackingPace(FrameDecimation):
 
     @property
     def advice(self) -> str:
-        """Advice for a tracker that is too slow."""
         lighter = f"Or get its faster network: {self._fetch_lighter}. " if self._fetch_lighter else ""
         later = "" if self._simulated else "Or record now and track later (duplex fuse a.mkv b.mkv)."
         text = f"It is the tracker, which needs a faster processor, not USB or light. {lighter}{later}"
         return text.rstrip()
 
     def tracked(self, sensor: str, time_ns: int) -> None:
-        """Records how long a sensor's tracker worked on one frame."""
         super().tracked(sensor, time_ns)
         self._slow_results = self._slow_results + 1 if self.step > 1 and not self._easy_ns else 0
         if self._has_lighter and (self.taken_back or self._slow_results >= _PATIENCE):

@@ -70,16 +70,11 @@ class TrackedImages(SensorWrapper):
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes both."""
         self.source.__exit__(*exc_info)
         self.tracker.__exit__(*exc_info)
 
     def frames(self) -> Iterator[SensorFrame]:
-        """The source's frames with the person in them.
-
-        Raises:
-            DeviceError: The source failed, or it does not know its depth camera.
-        """
+        """The source's frames with the person in them."""
         for frame in self.source.frames():
             if frame.depth is None:
                 yield replace(frame, people={})

@@ -190,7 +190,6 @@ class LiveSensor(Sensor):
         self._interrupted = threading.Event()
 
     def interrupt(self) -> None:
-        """Makes ``frames`` end after its current wait; for closing from another thread."""
         self._interrupted.set()
 
     def _warn(self, warning: str) -> None:

@@ -88,7 +88,6 @@ class FrameDecimation:
         second sensor's still fits the first's, is told by this machine's clock.
 
         Args:
-            sensor: Its name.
             time_ns: Capture time on the sensor's clock.
             host_ns: When the images reached this machine.
         """

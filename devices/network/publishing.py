@@ -85,7 +85,6 @@ class FramePublisher:
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes the session."""
         self._stack.close()
 
     def publish(self, frame: SensorFrame) -> None:

@@ -85,7 +85,6 @@ class RemoteSensor(Sensor):
         return self._stream.figures
 
     def take_link_news(self) -> list[str]:
-        """Reports about its messages since the last call."""
         return [self._told.popleft() for _ in range(len(self._told))]
 
     def __enter__(self) -> RemoteSensor:
@@ -112,13 +111,11 @@ class RemoteSensor(Sensor):
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Leaves the session. Closing twice has no effect."""
         self.waits_for = ""
         self._session = None
         self._stack.close()
 
     def interrupt(self) -> None:
-        """Makes opening and ``frames`` end soon."""
         self._interrupted.set()
         self._arrival.set()
 

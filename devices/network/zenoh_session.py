@@ -26,16 +26,14 @@ _KEY = re.compile(r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*")
 class ZenohAddresses:
     """Where a Zenoh session meets others.
 
-    Attributes:
-        listen: Addresses of this machine on which it waits for others, such as ``tcp/127.0.0.1:7447``.
-        connect: Addresses to connect to. A peer that is absent is tried again until it is there.
-
     Raises:
         DeviceError: An address is not ``tcp/HOST:PORT`` or ``udp/HOST:PORT``.
     """
 
     listen: tuple[str, ...] = ()
+    """Addresses of this machine on which it waits for others, such as ``tcp/127.0.0.1:7447``."""
     connect: tuple[str, ...] = ()
+    """Addresses to connect to. A peer that is absent is tried again until it is there."""
 
     @staticmethod
     def of_meeting_point(listen: tuple[str, ...], connect: tuple[str, ...]) -> ZenohAddresses:

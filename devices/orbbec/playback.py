@@ -82,16 +82,11 @@ class OrbbecRecording(Sensor):
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes the file."""
         self._pipeline = self._device = None
         self._streams = ()
 
     def frames(self) -> Iterator[SensorFrame]:
-        """The frames in capture order.
-
-        Raises:
-            DeviceError: The recording is damaged, after the frames before the damage.
-        """
+        """The frames in capture order."""
         if self._pipeline is None:
             raise DeviceError(f"{self.name} is not open: use it in a with statement.")
         sdk, device, pipeline = self._sdk, self._device, self._pipeline

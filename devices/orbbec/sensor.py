@@ -68,7 +68,6 @@ class OrbbecSensor(LiveSensor):
         decimation: FrameDecimation | None = None,
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
-        """Names the sensor; opens nothing."""
         self.settings = settings or CaptureSettings()
         super().__init__(serial, self.settings, decimation, clock)
         self.body = BLAZEPOSE
@@ -121,11 +120,7 @@ class OrbbecSensor(LiveSensor):
                 self._warn(f"Orbbec {self.name} did not close cleanly ({fault}).")
 
     def frames(self) -> Iterator[SensorFrame]:
-        """Frames as they arrive, until interrupted.
-
-        Raises:
-            DeviceError: Unplugged, or stalled.
-        """
+        """Frames as they arrive, until interrupted."""
         if self._pipeline is None:
             raise DeviceError(f"Orbbec {self.name} is not open: use it in a with statement.")
         self.decimation.restart(self.name)

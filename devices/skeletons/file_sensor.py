@@ -51,7 +51,6 @@ class SkeletonRecording(Sensor):
         return self._body
 
     def __enter__(self) -> SkeletonRecording:
-        """Reads the file."""
         reader = READERS.get(self._path.suffix.lower())
         if reader is None:
             raise DeviceError(
@@ -79,9 +78,7 @@ class SkeletonRecording(Sensor):
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Releases the frames."""
         self._people = None
 
     def frames(self) -> Iterator[SensorFrame]:
-        """Returns an iterator over the frames in time order."""
         return iter(self._people or ())

@@ -43,7 +43,6 @@ class StartUpPose:
     """Detects when the start-up pose has been held long enough.
 
     Args:
-        body: Of both views.
         partly: Whether a pose counts that each sensor sees in part: at least four main joints are tracked by
             both, and it is held for two seconds. Sensors far apart see no more, because one arm and one leg
             are hidden from each.

@@ -39,21 +39,14 @@ _MOST = 18_000  # pairs of a recording
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """The delay of B's captures relative to the time stamps.
-
-    Attributes:
-        offset_ns: Positive where B is later. Add it to the skew of each pair.
-        sd_ns: Its standard deviation, from the scatter between seconds.
-        skew_ppm: Growth of the offset, in millionths of the time; 0 where unknown.
-        skew_sd_ppm: Standard deviation of the skew; infinite where unknown.
-        windows: Seconds of motion that it is based on.
-    """
+    """The delay of B's captures relative to the time stamps."""
 
     offset_ns: float
-    sd_ns: float
-    skew_ppm: float = 0.0
-    skew_sd_ppm: float = float("inf")
-    windows: int = 0
+    """Positive where B is later. Add it to the skew of each pair."""
+    sd_ns: float  # its standard deviation, from the scatter between seconds
+    skew_ppm: float = 0.0  # growth of the offset, in millionths of the time; 0 where unknown
+    skew_sd_ppm: float = float("inf")  # standard deviation of the skew; infinite where unknown
+    windows: int = 0  # seconds of motion that it is based on
 
     @property
     def significant(self) -> bool:
@@ -79,11 +72,7 @@ class _Window:
 
 
 class ClockOffsetEstimator:
-    """Estimates the offset while pairs come in; bounded memory, work once a second.
-
-    Args:
-        body: Of both views.
-    """
+    """Estimates the offset while pairs come in; bounded memory, work once a second."""
 
     def __init__(self, body: Body) -> None:
         self._points = _Points(body)
@@ -131,9 +120,7 @@ def clock_offset_of(
     evenly spaced count.
 
     Args:
-        body: Of both views.
         pairs: In order, without stale ones and with both views.
-        a_from_b: R and t.
 
     Returns:
         None where there is too little motion.

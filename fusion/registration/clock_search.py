@@ -46,7 +46,6 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     """The time to add to B's clock so that both views show one motion.
 
     Args:
-        body: Of both views.
         a, b: The frames in which the person is seen. Where their times do not overlap, the search begins with
             equal first times.
 

@@ -40,25 +40,22 @@ it."""
 
 @dataclass(frozen=True)
 class RobustFitSettings:
-    """Assumptions of the fit.
-
-    Attributes:
-        bias_sd: Metres, standard deviation σ_β of the difference of two views' biases of a joint, per axis.
-            It is the same for all joints: on 15 real pairs of Kinect v2, head and spine are as far off along
-            the ray (35 and 10 mm) as elbows, knees and hands (5 to 10 mm). A smaller one for the trunk lets
-            the depth error of the trunk determine t.
-        tempering: Divisor of the information of keyframes: their errors beyond the bias are correlated over
-            seconds and whole limbs. 10 gives the least error of R on the simulator.
-        inflation: Factor on the covariance, for effects outside the model. On the simulator the error
-            of R then lies within 1 and 2 stated standard deviations in 59 and 93 % of the recordings of the
-            Azure Kinect, but in 27 and 64 % of those of the Kinect v2.
-        common_sd: Metres, error common to all joints: each sensor sees the skin and not the joint.
-    """
+    """Assumptions of the fit."""
 
     bias_sd: float = 0.03
+    """Metres, standard deviation σ_β of the difference of two views' biases of a joint, per axis. It is the
+    same for all joints: on 15 real pairs of Kinect v2, head and spine are as far off along the ray (35 and 10
+    mm) as elbows, knees and hands (5 to 10 mm). A smaller one for the trunk lets the depth error of the trunk
+    determine t."""
     tempering: float = 10.0
+    """Divisor of the information of keyframes: their errors beyond the bias are correlated over seconds and
+    whole limbs. 10 gives the least error of R on the simulator."""
     inflation: float = 2.5
+    """Factor on the covariance, for effects outside the model. On the simulator the error of R then lies
+    within 1 and 2 stated standard deviations in 59 and 93 % of the recordings of the Azure Kinect, but in 27
+    and 64 % of those of the Kinect v2."""
     common_sd: float = 0.025
+    """Metres, error common to all joints: each sensor sees the skin and not the joint."""
 
 
 @cache

@@ -33,20 +33,14 @@ _FAR = 0.08  # metres: a joint's disagreement beyond this counts less and less
 
 
 class Evidence(NamedTuple):
-    """Joints of K pairs, ready for a fit.
+    """Joints of K pairs, ready for a fit."""
 
-    Attributes:
-        a, b: Metres, each in its sensor's frame; 0 where unknown.
-        weights: 0 where one of the views has no position, 1 where both track the joint.
-        basis: 1, cos h, sin h of the person's heading h in K_A's frame.
-        time_ns: When.
-    """
-
-    a: Annotated[Array, ("K", "J", 3)]
+    a: Annotated[Array, ("K", "J", 3)]  # metres, each in its sensor's frame; 0 where unknown
     b: Annotated[Array, ("K", "J", 3)]
     weights: Annotated[Array, ("K", "J")]
-    basis: Annotated[Array, ("K", 3)]
-    time_ns: Annotated[NDArray[np.int64], ("K",)]
+    """0 where one of the views has no position, 1 where both track the joint."""
+    basis: Annotated[Array, ("K", 3)]  # 1, cos h, sin h of the person's heading h in K_A's frame
+    time_ns: Annotated[NDArray[np.int64], ("K",)]  # when
 
     def chosen(self, index: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Evidence:
         """Some of the pairs."""
@@ -66,7 +60,6 @@ def relabelled(skeleton: Skeleton, code: int) -> tuple[Array, Array]:
     """Positions and weights of a view with left and right of its limbs exchanged back.
 
     Args:
-        skeleton: As the sensor reported it.
         code: Bit 0 exchanges the arms, bit 1 the legs.
 
     Returns:
@@ -87,7 +80,6 @@ class KeyframeSet:
     """Keeps at most ``capacity`` pairs, spread over places, headings and time.
 
     Args:
-        body: Of both views.
         capacity: A full set drops the oldest keyframe of its fullest cell.
         selective: Whether a pair must show something new: a pose that has moved, or two seconds later.
     """
@@ -100,7 +92,6 @@ class KeyframeSet:
         self._newest: int | None = None
 
     def __len__(self) -> int:
-        """The number of keyframes."""
         return len(self._cells)
 
     @property

@@ -46,37 +46,25 @@ _NORM_OF_SD = 1.538  # median norm of a normal 3-vector, in standard deviations 
 
 @dataclass(frozen=True)
 class KnockSettings:
-    """When a knock is suspected, and when it counts.
+    """When a knock is suspected, and when it counts."""
 
-    Attributes:
-        block_ns: The offset is the median over blocks of this length.
-        blocks: Number of successive blocks that must be off in the same direction.
-        smallest: Metres; a smaller offset is left to the refinement.
-        deviations: Threshold in robust standard deviations of the offset's own history.
-        history: Number of blocks in the history.
-        fewest: Number of blocks that a suspicion needs in it.
-        moving_ns: How long a sensor moves; pairs within this time count neither as before nor as after.
-        tested_ns: Time after which a suspicion is tested.
-        retested_ns: Time between two tests.
-        dropped_ns: Time after which it is dropped if it has less than half the gain that it needs, and
-            after twice this time in any case. The next one waits as long.
-        gain: By how much a knock must raise the log-likelihood of the pairs.
-        few: Number of keyframes before the knock at which twice that gain is needed: they do not yet show
-            how biases change from pose to pose.
-    """
-
-    block_ns: int = 250_000_000
-    blocks: int = 4
-    smallest: float = 0.035
-    deviations: float = 4.0
-    history: int = 200
-    fewest: int = 10
+    block_ns: int = 250_000_000  # the offset is the median over blocks of this length
+    blocks: int = 4  # number of successive blocks that must be off in the same direction
+    smallest: float = 0.035  # metres; a smaller offset is left to the refinement
+    deviations: float = 4.0  # threshold in robust standard deviations of the offset's own history
+    history: int = 200  # number of blocks in the history
+    fewest: int = 10  # number of blocks that a suspicion needs in it
     moving_ns: int = 250_000_000
-    tested_ns: int = 1_750_000_000
-    retested_ns: int = 500_000_000
+    """How long a sensor moves; pairs within this time count neither as before nor as after."""
+    tested_ns: int = 1_750_000_000  # time after which a suspicion is tested
+    retested_ns: int = 500_000_000  # time between two tests
     dropped_ns: int = 2_500_000_000
-    gain: float = 30.0
+    """Time after which it is dropped if it has less than half the gain that it needs, and after twice this
+    time in any case. The next one waits as long."""
+    gain: float = 30.0  # by how much a knock must raise the log-likelihood of the pairs
     few: float = 3.0
+    """Number of keyframes before the knock at which twice that gain is needed: they do not yet show how
+    biases change from pose to pose."""
 
     def needed(self, keyframes: int) -> float:
         """The gain that a knock needs after so many keyframes."""
@@ -93,11 +81,6 @@ class _Block(NamedTuple):
 
 class KnockDetector:
     """Watches the offset between the views under the transform in force.
-
-    Args:
-        body: Of both views.
-        a_from_b: In force.
-        settings: Thresholds.
 
     Attributes:
         a_from_b: In force; may be replaced by a refined one.
@@ -184,21 +167,13 @@ class KnockDetector:
 
 @dataclass(frozen=True, eq=False)
 class KnockFit:
-    """What a suspected knock would be.
+    """What a suspected knock would be."""
 
-    Attributes:
-        gain: Log-likelihood of the knock relative to none.
-        fit: R and t after the knock.
-        turn: Radians, by which the sensor would have turned.
-        shift: Metres, by which it would have moved the person.
-        keyframes: Number of pairs before it.
-    """
-
-    gain: float
-    fit: RobustFit
-    turn: float
-    shift: float
-    keyframes: int
+    gain: float  # log-likelihood of the knock relative to none
+    fit: RobustFit  # R and t after the knock
+    turn: float  # radians, by which the sensor would have turned
+    shift: float  # metres, by which it would have moved the person
+    keyframes: int  # number of pairs before it
 
 
 def fit_knock(
@@ -212,10 +187,7 @@ def fit_knock(
     """Compares the two explanations of the pairs.
 
     Args:
-        body: Of both views.
         before, after: Pairs before and after the suspected moment; sides of ``after`` may still differ.
-        in_force: R and t in force.
-        settings: Assumptions of the fits.
         prior: Knowledge of T besides the pairs.
 
     Raises:

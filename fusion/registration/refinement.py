@@ -21,27 +21,19 @@ _STALE_NS = 500_000_000  # a proposal that was interrupted for so long is droppe
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """When a refinement is proposed, and when it is accepted.
+    """When a refinement is proposed, and when it is accepted."""
 
-    Attributes:
-        interval_ns: Between two proposals.
-        fewest: Keyframes that a proposal needs.
-        gain: By how much the log-likelihood of held-out pairs must rise; 3 is a likelihood ratio of 20.
-        smallest_turn, smallest_shift: Radians and metres; a smaller change is not proposed.
-        half_life_ns: Age at which the weight of a keyframe is one half.
-        fit: What the fit assumes.
-        in_steps: Whether a proposal is computed in three steps, one with each pair, as a live loop needs it:
-            the whole takes a third of a frame's time. It then takes effect two pairs later.
-    """
-
-    interval_ns: int = 1_000_000_000
-    fewest: int = 16
+    interval_ns: int = 1_000_000_000  # between two proposals
+    fewest: int = 16  # keyframes that a proposal needs
     gain: float = 3.0
-    smallest_turn: float = 0.0015
+    """By how much the log-likelihood of held-out pairs must rise; 3 is a likelihood ratio of 20."""
+    smallest_turn: float = 0.0015  # radians and metres; a smaller change is not proposed
     smallest_shift: float = 0.003
-    half_life_ns: int = 600_000_000_000
-    fit: RobustFitSettings = field(default_factory=RobustFitSettings)
+    half_life_ns: int = 600_000_000_000  # age at which the weight of a keyframe is one half
+    fit: RobustFitSettings = field(default_factory=RobustFitSettings)  # what the fit assumes
     in_steps: bool = False
+    """Whether a proposal is computed in three steps, one with each pair, as a live loop needs it: the whole
+    takes a third of a frame's time. It then takes effect two pairs later."""
 
 
 class Refinement:
@@ -52,14 +44,7 @@ class Refinement:
     two held-out fits together explain the pairs better than the transform in force.
 
     Args:
-        body: Of both views.
-        a_from_b: In force at the start.
-        settings: When a refinement is proposed and accepted.
         prior: Knowledge of the transform besides the keyframes.
-
-    Attributes:
-        keyframes: The evidence.
-        prior: As given.
     """
 
     def __init__(

@@ -81,28 +81,21 @@ def fit_recording(p: Array, q: Array) -> RigidTransform:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A transform between the sensors and its uncertainty.
+    """A transform between the sensors and its uncertainty."""
 
-    Attributes:
-        a_from_b: R and t.
-        residual_median, residual_rms: Metres between p_i and R q_i + t over all joints and frames.
-        joint_residuals: (J,) metres, the median of each joint; NaN for a joint never tracked in both views.
-        rotation_sd: Radians, standard error of R about its least certain axis. It counts every joint as one
-            observation, because a joint's bias is the same in all frames.
-        frames: How many pairs were used.
-        body: The body the joints belong to.
-        translation_sd: Metres, standard error of R q + t at the person's centre, along the least
-            certain axis; NaN where it was not estimated.
-    """
-
-    a_from_b: RigidTransform
-    residual_median: float
+    a_from_b: RigidTransform  # R and t
+    residual_median: float  # metres between p_i and R q_i + t over all joints and frames
     residual_rms: float
     joint_residuals: NDArray[np.float64]
+    """(J,) metres, the median of each joint; NaN for a joint never tracked in both views."""
     rotation_sd: float
-    frames: int
-    body: Body
+    """Radians, standard error of R about its least certain axis. It counts every joint as one observation,
+    because a joint's bias is the same in all frames."""
+    frames: int  # how many pairs were used
+    body: Body  # the body the joints belong to
     translation_sd: float = float("nan")
+    """Metres, standard error of R q + t at the person's centre, along the least certain axis; NaN where it
+    was not estimated."""
 
     @staticmethod
     def between(

@@ -26,21 +26,13 @@ _SMALLEST_NOISE, _LARGEST_NOISE = 0.004, 0.08  # metres, the spine's
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """A fitted transform and its uncertainty.
+    """A fitted transform and its uncertainty."""
 
-    Attributes:
-        a_from_b: R and t.
-        covariance: (6, 6) of (dt, θ): shift of the centre and rotation vector about it, in K_A's frame.
-        centre: (3,) metres, the weighted mean of the joints, where dt and θ are least correlated.
-        biases: (3, J, 3) the expected β_f of each joint.
-        noise_sd: Metres, standard deviation of a spine joint's ε along one axis.
-    """
-
-    a_from_b: RigidTransform
-    covariance: Array
-    centre: Array
-    biases: Array
-    noise_sd: float
+    a_from_b: RigidTransform  # R and t
+    covariance: Array  # (6, 6) of (dt, θ): shift of the centre and rotation vector about it, in K_A's frame
+    centre: Array  # (3,) metres, the weighted mean of the joints, where dt and θ are least correlated
+    biases: Array  # (3, J, 3) the expected β_f of each joint
+    noise_sd: float  # metres, standard deviation of a spine joint's ε along one axis
 
     @property
     def rotation_sd(self) -> float:
@@ -75,10 +67,8 @@ def fit_robust(
     """The transform that explains the evidence best.
 
     Args:
-        body: Of both views.
         evidence: With sides matched.
         start: Within about 40° and half a metre of the solution.
-        settings: Assumptions.
         iterations: Gauss-Newton steps, each with new robust weights.
         noise_sd: Metres, initial value of the noise.
         biases: (3, J, 3) initial values of the biases.

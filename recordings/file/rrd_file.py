@@ -109,11 +109,9 @@ class RrdFile:
             raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from None
 
     def __enter__(self) -> RrdFile:
-        """Itself."""
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes the file."""
         self._data.close()
 
     def messages(self) -> Iterator[tuple[int, int, int]]:

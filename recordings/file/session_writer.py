@@ -59,7 +59,6 @@ def write_session(
 
     Args:
         path: The file; overwritten.
-        page: The setup coach's page about the session.
         first, end: The range of frames; if `end` is None, to the last.
 
     Returns:

@@ -28,11 +28,8 @@ class ImageReader(Generic[T]):
     """The images of one sensor with their frame numbers, in order; iteration reads the file.
 
     Args:
-        path: The session.
-        entity: The entity of the images.
         checked: Returns the bytes of row k of a chunk, and whether they match their checksum. The checksum
             also covers the frame number.
-        decoded: Decodes these bytes.
         frames: The wanted frames; with a step, images of frames that are at least so far apart.
     """
 

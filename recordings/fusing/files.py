@@ -106,7 +106,6 @@ def read_for(
     """Reads two recordings as a method takes them: ``duplex`` every frame, the paper's methods pairs.
 
     Args:
-        settings: The method.
         choices, tracker, progress: As for :func:`devices.files.read_two`.
         offset_ms: Added to the times of B. None: the method ``duplex`` finds it from the motion.
 
@@ -125,11 +124,6 @@ def read_for(
 
 def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> None:
     """Refuses recordings that cannot be of one person at one time.
-
-    Args:
-        read: The recordings.
-        plan: Their plan.
-        a, b: What they are called, for the message.
 
     Raises:
         CalibrationError: The views differ by more than 200 mm in the median. On 15 real pairs they differ by
@@ -171,13 +165,7 @@ def fused_session(
     """Returns the session of two fused recordings.
 
     Args:
-        read: The recordings.
-        plan: Plan of the recordings.
-        segments: Setups with which they were fused.
-        blocks: Fused frames; they are not kept.
-        sources: Names of the recordings.
         depth: How many depth images the session contains; they are read from the recordings on demand.
-        progress: Shows the progress of reading the depth images.
     """
     times = read.pairing.pairs.skeletons.time_ns
     events = _events_of(read, plan, segments, times)

@@ -35,7 +35,6 @@ class LiveFusion:
     """Fuses one pair after another to S*.
 
     Args:
-        setup: Initial setup.
         calibrated: Whether to keep its calibration; otherwise one is found while pairs arrive, and refined.
         refine: Whether to refine a calibration that is kept.
     """
@@ -60,8 +59,6 @@ class LiveFusion:
         Call :meth:`learn` with each frame before the next one.
 
         Args:
-            sensors: The open sensors.
-            depth: Which depth images the frames keep.
             clock: Nanoseconds, of the frames' ``host_ns``.
         """
         for pair in sensors.pairs(every_frame=self.setup.settings.method == "duplex"):
@@ -120,9 +117,7 @@ class LiveFrames(Iterator[SessionFrame]):
     """The fused frames of two running sensors, one after another.
 
     Args:
-        sensors: The two sensors, not yet open.
         setup: A setup whose calibration is kept. None: calibrate while frames arrive.
-        keep: Whether to keep all frames for :attr:`session`.
     """
 
     def __init__(self, sensors: TwoSensors, setup: FusionSetup | None, keep: bool) -> None:

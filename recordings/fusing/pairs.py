@@ -53,7 +53,6 @@ def fuse_segments(
 
     Args:
         segments: Segments in order, without gaps.
-        pairs: Pairs of all segments.
         labels: Of all pairs; None: found pair by pair.
     """
     fuser: Fuser | None = None
@@ -85,8 +84,6 @@ def calibration_event(setup: FusionSetup, own: slice, time_ns: NDArray[np.int64]
     """Returns the event that a calibration takes effect, at the frame before its first.
 
     Args:
-        setup: The setup with this calibration.
-        own: The frames that it applies to.
         time_ns: (T,) time of the session's frames since the first pair.
     """
     frame = max(own.start - 1, 0)

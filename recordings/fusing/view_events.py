@@ -43,9 +43,6 @@ class ViewEvents:
     A limb is lost while at least two of its joints are tracked by the view, lie more than 0.2 m from S* and
     have a share below 0.1 in it: S* then follows the other view. A view whose sides are exchanged loses no
     limb.
-
-    Args:
-        body: The body of both views.
     """
 
     def __init__(self, body: Body) -> None:

@@ -41,10 +41,8 @@ class Column:
 
         Args:
             archetype: ``rr.Points3D`` or another archetype whose arguments are numbers.
-            argument: Its name.
             values: (T, …) or (T, n, …) numbers.
             count: T, or T times n.
-            frames: T.
         """
         descriptor, array = _converted(archetype, argument, values, count)
         return Column(descriptor, array, frames)
@@ -62,7 +60,6 @@ class Times:
     """A column of times; what ``send_columns`` takes for a ``TimeColumn``.
 
     Args:
-        timeline: Its name.
         times: (T,) int64 numbers, or durations in nanoseconds.
     """
 
@@ -84,12 +81,7 @@ class Times:
 
 
 class Batch:
-    """One component at one time; what ``log`` takes for a ``DescribedComponentBatch``.
-
-    Args:
-        descriptor: The component.
-        values: Its values.
-    """
+    """One component at one time; what ``log`` takes for a ``DescribedComponentBatch``."""
 
     def __init__(self, descriptor: rr.ComponentDescriptor, values: pa.Array) -> None:
         self._descriptor, self._values = descriptor, values
@@ -112,8 +104,6 @@ def depth_image(blob: bytes, media_type: str, meter: float) -> list[Any]:
     """What ``rr.EncodedDepthImage`` with these arguments consists of.
 
     Args:
-        blob: The encoded image.
-        media_type: Of the encoding.
         meter: Units of the image in a metre.
     """
     descriptor, kind, same = _depth_image(media_type, meter)

@@ -40,8 +40,6 @@ class PlacementLog:
     """Logs the pose of K_B and of the floor in K_A's frame.
 
     Args:
-        stream: The recording stream.
-        setup: The body and the first calibration.
         again: Whether to log the poses again from time to time, although they did not change. A hub forgets
             its oldest messages, and a viewer that connects later would not know where K_B is.
     """
@@ -96,9 +94,6 @@ class QualityLog:
     """Logs jitter and the drift of the calibration, about twice a second.
 
     The first values are those of the first three frames, so that no plot of a new session is empty.
-
-    Args:
-        stream: The recording stream.
     """
 
     def __init__(self, stream: rr.RecordingStream) -> None:

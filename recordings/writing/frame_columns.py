@@ -46,7 +46,6 @@ def frame_columns(
     """Each entity with its frames and their columns: the recorded figures, then those for the viewer.
 
     Args:
-        rows: The frames, one or more.
         checks: Checks of S* in float64, if `rows` come from a file in float32.
         colors: (T, J, 3) of S*. None: entities that are drawn into the scene are left out.
         plotted: Whether the other entities are, see :data:`PLOTTED`.

@@ -20,9 +20,7 @@ def session_properties(
     """The properties by group and name.
 
     Args:
-        setup: The setup of the session's first frame.
         sources: Names of the sensors, K_A first.
-        about: Additional properties about the session's origin.
     """
     return {
         "session": {

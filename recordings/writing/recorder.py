@@ -35,7 +35,6 @@ class Recorder:
         setup: Settings, calibration and cameras, stored with the session.
         sources: Names of the sensors, K_A first.
         depth_every: Keep the depth images of every n-th pair; 0 for none.
-        about: Additional properties about the session's origin.
         start_ns: Start time of the session; None: the time of the first recorded frame.
         points: Whether to log depth images as point clouds too.
         plots_every: Of how many frames the figures that are plotted are logged together; those that are drawn
@@ -111,7 +110,6 @@ class Recorder:
         """Logs many frames by columns; may be called again for the following frames.
 
         Args:
-            frames: At least one frame, in time order.
             numbers: Frame numbers, if frames were left out. None: consecutive numbers.
 
         Returns:
@@ -132,7 +130,6 @@ class Recorder:
         """Logs frames given as arrays, with their own numbers and times.
 
         Args:
-            rows: The frames.
             checks: Checks of S* in float64, if `rows` come from a file in float32.
         """
         self._placement.record(rows)
@@ -200,7 +197,6 @@ class Recorder:
         """Logs an event.
 
         Args:
-            event: The event.
             placed: Whether to log it at its own frame and time; otherwise at those of the last frame.
         """
         if not placed:

@@ -28,18 +28,13 @@ from recordings.session_arrays import SessionArrays
 
 @dataclass(frozen=True, eq=False)
 class ShownFigure:
-    """A derived figure.
+    """A derived figure."""
 
-    Attributes:
-        entity, component: Place in the file, named as in :class:`recordings.frame_fields.FrameField`.
-        stored: Type in the file.
-        compute: Computes (T, …) values from the frames; None where the session lacks what they come from.
-    """
-
-    entity: str
+    entity: str  # place in the file, named as in :class:`recordings.frame_fields.FrameField`
     component: str
-    stored: type[np.generic]
+    stored: type[np.generic]  # type in the file
     compute: Callable[[SessionArrays], NDArray[Any] | None]
+    """Computes (T, …) values from the frames; None where the session lacks what they come from."""
 
     def values(self, rows: SessionArrays) -> NDArray[Any] | None:
         """(T, …) in the type of the file; None where there are none."""

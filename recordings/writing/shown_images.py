@@ -63,7 +63,6 @@ def show_infrared(stream: rr.RecordingStream, side: str, image: NDArray[np.uint1
 
     Args:
         stream: The stream of a viewer. Files hold no infrared: no step after the body tracker reads it.
-        side: ``a`` or ``b``.
         image: (height, width) uint16, on the pixels of the depth image.
     """
     grey = np.rint(255.0 * compressed(image)).astype(np.uint8)
@@ -77,7 +76,6 @@ def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.flo
 
     Args:
         depth: (height, width) millimetres, 0 where there is no reading.
-        camera: Intrinsics of this image.
 
     Returns:
         (N, 3) metres in the sensor's frame.

@@ -48,7 +48,6 @@ def standing_spot(
 
     Args:
         a_from_b: Transform K_A ← K_B; None if it is unknown, then only K_A counts.
-        cameras: Intrinsics of A and B.
         far: Measuring range of the sensors, metres.
         floor: y of the floor in K_A's frame.
     """

@@ -87,7 +87,6 @@ class LabStreamingOutput(LiveOutput):
         self._events.push_sample([f"{event.level}: {event.text}"], stamp)
 
     def shut(self) -> None:
-        """Removes the streams."""
         del self._samples, self._events
 
 

@@ -108,5 +108,4 @@ class OscOutput(LiveOutput):
         return 1 if datagrams else None
 
     def shut(self) -> None:
-        """Closes the socket."""
         self._socket.close()

@@ -88,7 +88,6 @@ class WebSocketOutput(LiveOutput):
         self.start()
 
     def figures(self) -> dict[str, object]:
-        """The counts, and the messages of clients."""
         return {**super().figures(), "ignored_messages": self.ignored}
 
     def write(self, frame: SessionFrame) -> None:
@@ -105,7 +104,6 @@ class WebSocketOutput(LiveOutput):
         return None  # the server's thread counts
 
     def send_event(self, event: Event) -> None:
-        """Sends an event."""
         self._publish(self._json.event(event))
 
     def send_setup(self, setup: FusionSetup) -> None:
@@ -114,7 +112,6 @@ class WebSocketOutput(LiveOutput):
         self._publish(self._hello)
 
     def shut(self) -> None:
-        """Disconnects all clients and frees the port."""
         with suppress(TimeoutError):
             asyncio.run_coroutine_threadsafe(self._stop(), self._loop).result(2.0)
         self._end_loop()

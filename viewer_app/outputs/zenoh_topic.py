@@ -43,7 +43,6 @@ class ZenohOutput(LiveOutput):
         return 1
 
     def send_event(self, event: Event) -> None:
-        """Publishes an event."""
         self._put("event", self._json.event(event))
 
     def send_setup(self, setup: FusionSetup) -> None:

@@ -13,12 +13,7 @@ _SHOWN = ("Verdict", "Views agree", "Calibration", "Repaired")
 
 
 def session_page(setup: FusionSetup, figures: Figures, about: str = "") -> CoachPage:
-    """The page, which holds from the first frame on.
-
-    Args:
-        setup: The last setup of the session.
-        about: A sentence that follows them.
-    """
+    """The page, which holds from the first frame on."""
     lines = [line for line in lead_lines(figures) if line.label in _SHOWN]
     text = "\n\n".join([*(f"**{line.label}:** {line.text}" for line in lines), about])
     situation = Situation(setup.calibration, final=True, held=0.0)

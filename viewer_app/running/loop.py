@@ -94,7 +94,6 @@ def run_live(
     Args:
         setup: The setup at the start. Its intrinsics belong to the depth images that `depth` selects.
         calibrated: Whether to keep the calibration of `setup`. If not, one is computed while the loop runs.
-        depth: Which depth images are recorded.
         truth_at: Returns the true joints (J, 3) at a time of A's clock; None if they are unknown.
         go_on: Called with the status after each frame; returns whether to continue.
 

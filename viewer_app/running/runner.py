@@ -36,12 +36,7 @@ _REVIEWED = 18_000
 class Runner:
     """Opens the sinks of a session whose sensors run, and prints its summary.
 
-    Args:
-        save: The file of the session; None for none.
-        remote_sensors: Whether a sensor is on another PC.
-
     Attributes:
-        viewing: How the session is shown.
         session: The sinks; set by :meth:`open_session`.
 
     Raises:

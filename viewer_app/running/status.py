@@ -58,18 +58,15 @@ class LiveDisplay:
         self._next = -np.inf
 
     def __enter__(self) -> LiveDisplay:
-        """Starts the status line if the output is a terminal."""
         if self._shows:
             self._live.start()
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Stops the status line."""
         if self._shows:
             self._live.stop()
 
     def __call__(self, status: Status) -> bool:
-        """Updates the output after a frame."""
         self._frames.append(status)
         newest = status.frame.pair.time_ns
         while newest - self._frames[0].frame.pair.time_ns > _RATE_OVER * 1e9:

@@ -29,9 +29,7 @@ class LiveSession(FanOut):
     manager.
 
     Args:
-        sources: Names of the sensors, K_A first.
         file: The file to write; None for none. It is readable while it grows.
-        overwrite: Whether an existing file may be replaced.
         file_blueprint: The layout in the file; None: the viewer's. A file lacks what only a viewer is shown.
 
     Raises:

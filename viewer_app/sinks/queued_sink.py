@@ -72,7 +72,6 @@ class QueuedSink(Sink):
         self._thread = threading.Thread(target=self._run, name=name, daemon=daemon)
 
     def write(self, frame: SessionFrame) -> None:
-        """Queues a frame."""
         if self._start_ns is None:
             self._start_ns = frame.pair.time_ns
         self._time_ns = frame.pair.time_ns - self._start_ns
@@ -84,11 +83,9 @@ class QueuedSink(Sink):
         self.offer(event.placed(max(self._number - 1, 0), self._time_ns))
 
     def recalibrated(self, setup: FusionSetup) -> None:
-        """Queues the setup of the following frames."""
         self.offer(setup)
 
     def coach(self, page: CoachPage) -> None:
-        """Queues the coach's page."""
         self.offer(page)
 
     def offer(self, item: Item) -> None:

@@ -68,7 +68,6 @@ class SessionFile(QueuedSink):
         self._thread.start()
 
     def finish(self) -> None:
-        """Marks the session as complete."""
         self._whole = True
 
     @property
@@ -80,11 +79,6 @@ class SessionFile(QueuedSink):
             return 0
 
     def close(self) -> None:
-        """Writes the queued items and closes the file.
-
-        Raises:
-            Exception: A fault of the program.
-        """
         self._end()
         self._thread.join()
         fault, self._fault = self._fault, None

@@ -49,10 +49,6 @@ class ViewerFeed(QueuedSink):
         keep: Maximum number of queued frames; the oldest are dropped.
         patience: Seconds without progress after which the process is replaced.
         retry: Seconds between two starts.
-
-    Attributes:
-        process: The current process, or the last one.
-        starts: Number of processes started.
     """
 
     def __init__(
@@ -227,16 +223,13 @@ class ViewerSink(ViewerFeed):
         return self.window is not None and self.window.closed
 
     def write(self, frame: SessionFrame) -> None:
-        """Queues a frame, with the images whose turn it is."""
         super().write(self._turns.capped(frame))
 
     def recalibrated(self, setup: FusionSetup) -> None:
-        """Queues the setup of the following frames, and keeps it for viewers that connect later."""
         self._setup = setup
         super().recalibrated(setup)
 
     def rest(self, seconds: float) -> None:
-        """Waits until the feed has written."""
         self.wait_until_free(seconds)
 
     def close(self) -> None:

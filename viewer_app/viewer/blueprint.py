@@ -68,7 +68,6 @@ def session_blueprint(
 
     Args:
         person_at: (3,) metres in K_A's frame: where to look.
-        active: The layout that is open at first.
         live: Whether two running sensors are shown, with figures of how their streams go.
         depth: Whether there are depth images, from which point clouds are computed.
         infrared: Whether there are infrared images, which are then shown instead of the depth images.

@@ -41,9 +41,7 @@ def write_for_viewer(
     """Writes frames of a session with its page and the layouts.
 
     Args:
-        active: The layout that is open at first.
         setup: The last setup of the frames; None: of the session.
-        first, end: The range of frames; if `end` is None, to the last.
 
     Returns:
         The number of damaged images that were skipped.

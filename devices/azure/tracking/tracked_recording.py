@@ -62,17 +62,12 @@ class TrackedRecording(SensorWrapper):
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes the tracker and the recording."""
         self._tracker.close()
         self._maker = self._calibration = None
         self.recording.__exit__(*exc_info)
 
     def frames(self) -> Iterator[SensorFrame]:
-        """Yields the frames of the recording with the people in them, in capture order.
-
-        Raises:
-            DeviceError: The tracker or the recording failed, after the frames before the failure.
-        """
+        """Yields the frames of the recording with the people in them, in capture order."""
         if self._maker is None:
             raise DeviceError(f"{self.name} is not open: use it in a with statement.")
         queue = TrackerQueue(self._tracker, wait_s=0.0)
@@ -113,7 +108,6 @@ class RecordingWithSkeletons(SensorWrapper):
         return [*self.recording.warnings, *self.skeletons.warnings, *self._unmatched]
 
     def __enter__(self) -> RecordingWithSkeletons:
-        """Opens both sources."""
         self.recording.__enter__()
         try:
             self.skeletons.__enter__()
@@ -124,7 +118,6 @@ class RecordingWithSkeletons(SensorWrapper):
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes both sources."""
         self.skeletons.__exit__(*exc_info)
         self.recording.__exit__(*exc_info)
 
