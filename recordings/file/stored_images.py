@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -16,7 +16,7 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from recordings import layout
 from recordings.file.rrd_file import RrdFile
-from recordings.images import Images
+from recordings.images import Images, SessionImages
 from recordings.writing.checksums import image_checksum
 
 T = TypeVar("T")
@@ -24,7 +24,7 @@ _WRONG = (LookupError, TypeError, ValueError, AttributeError, pa.ArrowException)
 """Exceptions that a damaged chunk can cause."""
 
 
-class ImageReader(Generic[T]):
+class ImageReader(Images[T]):
     """The images of one sensor with their frame numbers, in order; iteration reads the file.
 
     Args:
@@ -41,14 +41,8 @@ class ImageReader(Generic[T]):
         decoded: Callable[[Any], T],
         frames: range,
     ) -> None:
-        self._path, self._entity, self._checked, self._decoded = path, entity, checked, decoded
-        self._frames = frames
-        self.damaged = 0
-        """Number of images that the last iteration skipped because their checksums do not match."""
-
-    def __iter__(self) -> Iterator[tuple[int, T]]:
-        """Reads the images one by one, up to the last wanted frame."""
-        return ((frame, self._decoded(raw)) for frame, raw in self._whole())
+        super().__init__(lambda: ((frame, decoded(raw)) for frame, raw in self._whole()))
+        self._path, self._entity, self._checked, self._frames = path, entity, checked, frames
 
     def count(self) -> int:
         """Counts the whole images without decoding them."""
@@ -76,18 +70,16 @@ class ImageReader(Generic[T]):
             self.damaged += file.unread(self._entity)
 
 
-class FileImages:
+class FileImages(SessionImages):
     """The images in a session's file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def depth(self, side: str, frames: range) -> Images[NDArray[np.uint16]]:
-        """Read from the file."""
         return ImageReader(self._path, layout.depth(side), _checked_depth, decode_depth, frames)
 
     def color(self, side: str, frames: range) -> Images[ColorImage]:
-        """Read from the file."""
         return ImageReader(self._path, layout.color(side), _checked_color, _decoded_color, frames)
 
 

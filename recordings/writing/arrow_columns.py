@@ -18,38 +18,37 @@ from numpy.typing import NDArray
 from recordings import layout
 
 
-class Column:
+class Batch:
+    """One component at one time; what ``log`` takes for a ``DescribedComponentBatch``."""
+
+    def __init__(self, descriptor: rr.ComponentDescriptor, values: pa.Array) -> None:
+        self._descriptor, self._values = descriptor, values
+
+    def component_descriptor(self) -> rr.ComponentDescriptor:
+        """The component."""
+        return self._descriptor
+
+    def as_arrow_array(self) -> pa.Array:
+        """The values."""
+        return self._values
+
+
+class Column(Batch):
     """One component at T times; what ``send_columns`` takes for a ``ComponentColumn``.
 
     Args:
-        descriptor: The component.
         values: n values for each time, one after another.
         frames: T.
     """
 
     def __init__(self, descriptor: rr.ComponentDescriptor, values: pa.Array, frames: int) -> None:
-        self._descriptor, self._values, self._frames = descriptor, values, frames
+        super().__init__(descriptor, values)
+        self._frames = frames
 
     @staticmethod
     def of_data(name: str, values: pa.Array, frames: int) -> Column:
         """A component of our own."""
         return Column(_descriptor(name), values, frames)
-
-    @staticmethod
-    def of_archetype(archetype: Any, argument: str, values: NDArray[Any], count: int, frames: int) -> Column:
-        """An argument of one of Rerun's archetypes, as the archetype converts it.
-
-        Args:
-            archetype: ``rr.Points3D`` or another archetype whose arguments are numbers.
-            values: (T, …) or (T, n, …) numbers.
-            count: T, or T times n.
-        """
-        descriptor, array = _converted(archetype, argument, values, count)
-        return Column(descriptor, array, frames)
-
-    def component_descriptor(self) -> rr.ComponentDescriptor:
-        """The component."""
-        return self._descriptor
 
     def as_arrow_array(self) -> pa.Array:
         """(T,) lists of n values."""
@@ -80,24 +79,9 @@ class Times:
         return self._times
 
 
-class Batch:
-    """One component at one time; what ``log`` takes for a ``DescribedComponentBatch``."""
-
-    def __init__(self, descriptor: rr.ComponentDescriptor, values: pa.Array) -> None:
-        self._descriptor, self._values = descriptor, values
-
-    def component_descriptor(self) -> rr.ComponentDescriptor:
-        """The component."""
-        return self._descriptor
-
-    def as_arrow_array(self) -> pa.Array:
-        """The values."""
-        return self._values
-
-
 def points(positions: NDArray[np.float32]) -> list[Any]:
     """What ``rr.Points3D.from_fields(positions=…)`` consists of; (n, 3) metres."""
-    return [Batch(*_converted(rr.Points3D, "positions", positions, len(positions)))]
+    return [Batch(*converted(rr.Points3D, "positions", positions, len(positions)))]
 
 
 def depth_image(blob: bytes, media_type: str, meter: float) -> list[Any]:
@@ -112,10 +96,15 @@ def depth_image(blob: bytes, media_type: str, meter: float) -> list[Any]:
     return [Batch(descriptor, values), *same]
 
 
-def _converted(
+def converted(
     archetype: Any, argument: str, values: NDArray[Any], count: int
 ) -> tuple[rr.ComponentDescriptor, pa.Array]:
-    """Component and `count` values of an argument, as the archetype converts it."""
+    """Component and `count` values of an argument of one of Rerun's archetypes, as the archetype converts it.
+
+    Args:
+        archetype: ``rr.Points3D`` or another archetype whose arguments are numbers.
+        values: (count, …) numbers; or (T, n, …), where `count` is T times n.
+    """
     descriptor, kind = _like(archetype, argument)
     flat = np.ascontiguousarray(values).reshape(count, values.size // max(count, 1))
     if argument == "colors":  # 0xRRGGBBAA

@@ -20,7 +20,7 @@ from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.floor import FloorFinder
 from recordings.session_arrays import SessionArrays
-from recordings.writing.arrow_columns import Column, Times
+from recordings.writing.arrow_columns import Column, Times, converted
 
 _POSE_AGAIN = 300
 """Frames between two logs of an unchanged pose, 10 s."""
@@ -125,7 +125,8 @@ class QualityLog:
         at = np.arange(size + 1, end + 2, size) - each.shape[1] + len(rows)  # the last frame of each window
         jitters = 1e3 * np.stack([jitter(of[: end + 2], count) for of in each], axis=1)
         for name, values in (("jitter_mm", jitters), ("placement", self._moved(rows, at))):
-            columns: list[Any] = [Column.of_archetype(rr.Scalars, "scalars", values, values.size, count)]
+            scalars = converted(rr.Scalars, "scalars", values, values.size)
+            columns: list[Any] = [Column(*scalars, count)]
             times = Times.of_frames(rows.frame[at], rows.time_ns[at])
             self._stream.send_columns(layout.stream_figure(name), times, columns)
         return each[:, end:]

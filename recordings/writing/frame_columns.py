@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from recordings import layout
 from recordings.frame_fields import FrameField
 from recordings.session_arrays import SessionArrays
-from recordings.writing.arrow_columns import Column
+from recordings.writing.arrow_columns import Column, converted
 from recordings.writing.checksums import (
     FRAME_CRC,
     FUSED_CRC,
@@ -101,8 +101,8 @@ class _EntityColumns:
         """Adds ``archetype:argument``, (T, …) values, or (T, J, …) of the archetype ``Points3D``."""
         archetype, _, argument = component.partition(":")
         each, frames = len(self._rows.body) if archetype == "Points3D" else 1, len(self._rows)
-        column = Column.of_archetype(getattr(rr, archetype), argument, values, frames * each, frames)
-        self._columns.append(column)
+        component_of = converted(getattr(rr, archetype), argument, values, frames * each)
+        self._columns.append(Column(*component_of, frames))
 
     def add_data(self, component: str, values: pa.Array) -> None:
         """Adds a component of our own, n values for each of the T frames as a flat array."""

@@ -26,6 +26,8 @@ from recordings.writing.frame_columns import frame_columns
 from recordings.writing.properties import session_properties
 from recordings.writing.shown_images import ColorLog, prepare_points, show_infrared, thin_points
 
+_RESIDUALS = ("residual_median", "residual_rms", "rotation_sd", "translation_sd")
+
 
 class Recorder:
     """Writes one session to a Rerun recording stream, which the caller owns and closes.
@@ -92,13 +94,8 @@ class Recorder:
             "translation": calibration.a_from_b.translation,
             "bone_lengths": calibration.bone_lengths,
             "pairs": 0 if registration is None else registration.frames,
-            "residual_median": np.nan if registration is None else registration.residual_median,
-            "residual_rms": np.nan if registration is None else registration.residual_rms,
-            "rotation_sd": np.nan if registration is None else registration.rotation_sd,
-            "translation_sd": np.nan if registration is None else registration.translation_sd,
-            "joint_residuals": np.full(len(calibration.body), np.nan)
-            if registration is None
-            else registration.joint_residuals,
+            **{name: getattr(registration, name, np.nan) for name in _RESIDUALS},
+            "joint_residuals": getattr(registration, "joint_residuals", np.full(len(setup.body), np.nan)),
         }
         set_time(self._stream, self._frames, self._last[1] if self._last else 0)
         check = properties_checksum({"calibration": {"frame": self._frames, **values}})

@@ -5,7 +5,7 @@ To add a figure, add a row to :data:`SHOWN_FIGURES`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,9 +32,9 @@ class ShownFigure:
 
     entity: str  # place in the file, named as in :class:`recordings.frame_fields.FrameField`
     component: str
-    stored: type[np.generic]  # type in the file
     compute: Callable[[SessionArrays], NDArray[Any] | None]
     """Computes (T, …) values from the frames; None where the session lacks what they come from."""
+    stored: type[np.generic] = np.float32  # type in the file
 
     def values(self, rows: SessionArrays) -> NDArray[Any] | None:
         """(T, …) in the type of the file; None where there are none."""
@@ -51,31 +51,26 @@ def _tracked_joints(rows: SessionArrays) -> NDArray[Any]:
     )
 
 
-def _view_class(side: str) -> Callable[[SessionArrays], NDArray[Any]]:
-    """(T, J) class of S_A or S_B: a second one in frames whose sides are exchanged."""
+def _view_figures(side: str) -> Iterator[ShownFigure]:
+    """Of S_A or S_B: colours, bones, and a class that is another one in frames whose sides are exchanged."""
+    entity, ids = layout.skeleton(side), [layout.CLASS_IDS[key] for key in (side, layout.exchanged(side))]
 
-    def classes(rows: SessionArrays) -> NDArray[Any]:
-        exchanged = rows.filled("exchanged")[:, layout.SIDES.index(side)] != 0
-        ids = np.where(exchanged, layout.CLASS_IDS[layout.exchanged(side)], layout.CLASS_IDS[side])
-        return np.repeat(ids[:, None], len(rows.body), axis=1)
-
-    return classes
-
-
-def _view_colors(side: str) -> Callable[[SessionArrays], NDArray[Any]]:
-    """(T, J, 3) RGB of S_A or S_B, see :data:`recordings.appearance.colors.VIEW_COLORS`."""
+    def exchanged(rows: SessionArrays) -> NDArray[np.bool_]:
+        return np.asarray(rows.filled("exchanged")[:, layout.SIDES.index(side), None] != 0)
 
     def colors(rows: SessionArrays) -> NDArray[Any]:
-        states = rows.states_a if side == "a" else rows.states_b
-        exchanged = rows.filled("exchanged")[:, layout.SIDES.index(side)] != 0
-        chosen = np.where(exchanged[:, None], 2, np.where(states == TrackingState.TRACKED, 0, 1))
-        return np.array(VIEW_COLORS[side], dtype=np.uint8)[chosen]
+        untracked = getattr(rows, f"states_{side}") != TrackingState.TRACKED
+        return np.array(VIEW_COLORS[side], dtype=np.uint8)[np.where(exchanged(rows), 2, untracked)]
 
-    return colors
+    def classes(rows: SessionArrays) -> NDArray[Any]:
+        return np.repeat(np.where(exchanged(rows), ids[1], ids[0]), len(rows.body), axis=1)
 
+    def bones(rows: SessionArrays) -> NDArray[Any]:
+        return bone_vectors(rows.body, getattr(rows, f"positions_{side}"))
 
-def _pelvis(rows: SessionArrays) -> NDArray[Any]:
-    return pelvis_rotations(rows.body, rows.fused)
+    yield ShownFigure(entity, "Points3D:colors", colors, np.uint8)
+    yield ShownFigure(entity, layout.BONE_VECTORS, bones)
+    yield ShownFigure(entity, "Points3D:class_ids", classes, np.uint16)
 
 
 def _sigma_spheres(rows: SessionArrays) -> NDArray[Any] | None:
@@ -94,65 +89,24 @@ def _sigma_spheres(rows: SessionArrays) -> NDArray[Any] | None:
     return np.repeat(radii[..., None], 3, axis=2)
 
 
+_S, _PELVIS = layout.FUSED_SKELETON, layout.PELVIS
 SHOWN_FIGURES = (
-    ShownFigure(layout.skeleton("a"), "Points3D:colors", np.uint8, _view_colors("a")),
-    ShownFigure(layout.skeleton("b"), "Points3D:colors", np.uint8, _view_colors("b")),
+    *_view_figures("a"),
+    *_view_figures("b"),
+    ShownFigure(_S, layout.CAPSULE_ROTATIONS, lambda rows: capsule_rotations(rows.body, rows.fused)),
+    ShownFigure(_S, layout.CAPSULE_LENGTHS, lambda rows: capsule_lengths(rows.body, rows.bone_lengths)),
+    ShownFigure(_S, layout.NOSE_ORIGIN, lambda rows: rows.fused[:, [rows.body.joint("head")]]),
+    ShownFigure(_S, layout.NOSE_VECTOR, lambda rows: nose_vectors(rows.body, rows.fused)),
+    ShownFigure(_S, layout.SIGMA_SPHERES, _sigma_spheres),
+    ShownFigure(_S, "view_difference_mm", lambda rows: np.round(rows.view_difference * 1e3), np.float16),
+    ShownFigure(_PELVIS, "Transform3D:mat3x3", lambda rows: pelvis_rotations(rows.body, rows.fused)),
     ShownFigure(
-        layout.skeleton("a"),
-        layout.BONE_VECTORS,
-        np.float32,
-        lambda rows: bone_vectors(rows.body, rows.positions_a),
+        _PELVIS, "Transform3D:translation", lambda rows: np.nan_to_num(rows.fused[:, rows.body.root])
     ),
+    ShownFigure(layout.QUALITY, "figures.bone_error_mm", lambda rows: rows.bone_error * 1e3),
+    ShownFigure(layout.QUALITY, "figures.disagreement_mm", lambda rows: rows.disagreement * 1e3),
     ShownFigure(
-        layout.skeleton("b"),
-        layout.BONE_VECTORS,
-        np.float32,
-        lambda rows: bone_vectors(rows.body, rows.positions_b),
+        layout.QUALITY, "figures.predicted_joints", lambda rows: rows.predicted.sum(axis=1), np.uint8
     ),
-    ShownFigure(
-        layout.FUSED_SKELETON,
-        layout.CAPSULE_ROTATIONS,
-        np.float32,
-        lambda rows: capsule_rotations(rows.body, rows.fused),
-    ),
-    ShownFigure(
-        layout.FUSED_SKELETON,
-        layout.CAPSULE_LENGTHS,
-        np.float32,
-        lambda rows: capsule_lengths(rows.body, rows.bone_lengths),
-    ),
-    ShownFigure(
-        layout.FUSED_SKELETON,
-        layout.NOSE_ORIGIN,
-        np.float32,
-        lambda rows: rows.fused[:, [rows.body.joint("head")]],
-    ),
-    ShownFigure(
-        layout.FUSED_SKELETON,
-        layout.NOSE_VECTOR,
-        np.float32,
-        lambda rows: nose_vectors(rows.body, rows.fused),
-    ),
-    ShownFigure(layout.skeleton("a"), "Points3D:class_ids", np.uint16, _view_class("a")),
-    ShownFigure(layout.skeleton("b"), "Points3D:class_ids", np.uint16, _view_class("b")),
-    ShownFigure(layout.FUSED_SKELETON, layout.SIGMA_SPHERES, np.float32, _sigma_spheres),
-    ShownFigure(
-        layout.FUSED_SKELETON,
-        "view_difference_mm",
-        np.float16,
-        lambda rows: np.round(rows.view_difference * 1e3),
-    ),
-    ShownFigure(layout.PELVIS, "Transform3D:mat3x3", np.float32, _pelvis),
-    ShownFigure(
-        layout.PELVIS,
-        "Transform3D:translation",
-        np.float32,
-        lambda rows: np.nan_to_num(rows.fused[:, rows.body.root]),
-    ),
-    ShownFigure(layout.QUALITY, "figures.bone_error_mm", np.float32, lambda rows: rows.bone_error * 1e3),
-    ShownFigure(layout.QUALITY, "figures.disagreement_mm", np.float32, lambda rows: rows.disagreement * 1e3),
-    ShownFigure(
-        layout.QUALITY, "figures.predicted_joints", np.uint8, lambda rows: rows.predicted.sum(axis=1)
-    ),
-    ShownFigure(layout.QUALITY, "sensors.tracked_joints", np.uint8, _tracked_joints),
+    ShownFigure(layout.QUALITY, "sensors.tracked_joints", _tracked_joints, np.uint8),
 )

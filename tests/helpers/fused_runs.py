@@ -8,22 +8,22 @@ from devices.events import Event
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.file.session_writer import write_session
-from recordings.images import MadeImages
+from recordings.images import Images, SessionImages
 from recordings.session import Session
 from recordings.session_arrays import SessionFrame
 
 
-class FrameImages:
+class FrameImages(SessionImages):
     """The images of every n-th frame in memory; 0 for none."""
 
     def __init__(self, frames, every):
         self._frames, self._every = frames, every
 
     def depth(self, side, frames):
-        return MadeImages(lambda: self._of(side, frames, "depth"))
+        return Images(lambda: self._of(side, frames, "depth"))
 
     def color(self, side, frames):
-        return MadeImages(lambda: self._of(side, frames, "color"))
+        return Images(lambda: self._of(side, frames, "color"))
 
     def _of(self, side, frames, kind):
         for k in frames:

@@ -16,13 +16,13 @@ from fusion.fuser import FusedFrame
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from recordings.appearance.coach_page import CoachPage, Mark, Point
+from recordings.appearance.floor import ANKLE, CAMERA_HEIGHT
 from viewer_app.coach.advice import ANGLES, Advice, to_markdown
 from viewer_app.coach.setup_coach import HOLD, Situation
-from viewer_app.coach.standing_spot import CAMERA_HEIGHT, FARTHEST, StandingSpot, standing_spot
+from viewer_app.coach.standing_spot import FARTHEST, StandingSpot, standing_spot
 
 _RING = 0.3  # metres, radius
 _UNDER = 0.5  # metres
-_ANKLE = 0.08  # metres above the floor
 _THERE = 0.4  # metres from the spot that count as standing on it
 _FLOOR_OVER = 60  # frames
 _COARSE = 0.1  # metres: rounding of the drawings, so that invisible changes are not logged
@@ -61,7 +61,7 @@ class CoachScene:
         """(2,) rounded x and z of the person's position."""
         feet = fused.positions[self._feet]
         if np.isfinite(feet).all():
-            self._lowest.append(float(feet[:, 1].max()) + _ANKLE)
+            self._lowest.append(float(feet[:, 1].max()) + ANKLE)
         torso = fused.positions[list(self._body.torso)]
         if not np.isfinite(torso).all():
             return None

@@ -16,8 +16,6 @@ TALL = 2.0
 """Metres that must fit into the image: a tall adult, and some room."""
 ARM = 0.9
 """Metres from the trunk to a fingertip, arms out."""
-CAMERA_HEIGHT = 1.0
-"""Assumed height of a sensor above the floor, metres, until feet have been seen."""
 _STEP = 0.1  # metres between the tested places
 _TORSO_HEIGHT = 1.0  # metres above the floor
 

@@ -6,10 +6,9 @@ the order z, x, y. ``head`` relates this space to that of VRChat. Without a pers
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from viewer_app.outputs.osc import bundled
@@ -61,13 +60,5 @@ class VRChatEncoder:
 
 def euler_degrees(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """(N, 3) angles about x, y, z in degrees, of R = R_y R_x R_z, from quaternions (N, 4) x, y, z, w."""
-    return np.array([_euler_degrees(*each) for each in q.tolist()])
-
-
-def _euler_degrees(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    sine = 2.0 * (w * x - y * z)
-    return (
-        math.degrees(math.asin(min(max(sine, -1.0), 1.0))),
-        math.degrees(math.atan2(2.0 * (x * z + w * y), 1.0 - 2.0 * (x * x + y * y))),
-        math.degrees(math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z))),
-    )
+    angles = Rotation.from_quat(q).as_euler("YXZ", degrees=True, suppress_warnings=True)
+    return np.asarray(angles[:, [1, 0, 2]])

@@ -71,22 +71,23 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays) -> Figures:
 def calibration_figures(calibration: Calibration) -> Figures:
     """What a calibration was measured on, and how well the two views agree under it."""
     fit = calibration.registration
-    return {
+    figures: Figures = {
         "how": calibration.how,
         "provisional": calibration.provisional,
-        "residual_mm": None
-        if fit is None
-        else {"median": fit.residual_median * 1e3, "rms": fit.residual_rms * 1e3},
+        "residual_mm": None,
         "axes_angle_deg": math.degrees(calibration.axes_angle),
-        "rotation_sd_deg": None if fit is None else math.degrees(fit.rotation_sd),
-        "translation_sd_mm": None
-        if fit is None or math.isnan(fit.translation_sd)
-        else fit.translation_sd * 1e3,
-        "frames": None if fit is None else fit.frames,
-        "worst_joints_mm": {}
-        if fit is None
-        else {name: distance * 1e3 for name, distance in fit.worst_joints()},
+        **dict.fromkeys(("rotation_sd_deg", "translation_sd_mm", "frames")),
+        "worst_joints_mm": {},
     }
+    if fit is not None:
+        figures |= {
+            "residual_mm": {"median": fit.residual_median * 1e3, "rms": fit.residual_rms * 1e3},
+            "rotation_sd_deg": math.degrees(fit.rotation_sd),
+            "translation_sd_mm": _known(fit.translation_sd * 1e3),
+            "frames": fit.frames,
+            "worst_joints_mm": {name: distance * 1e3 for name, distance in fit.worst_joints()},
+        }
+    return figures
 
 
 def truth_free_figures(session: Session) -> dict[str, float | None]:
@@ -137,14 +138,10 @@ def method_figures(rows: SessionArrays) -> Figures:
             key: {"rms": _known(1e3 * rms[k]), "max": _known(1e3 * np.fmax.reduce(worst[k]))}
             for k, key in enumerate(("a", "b", "fused"))
         },
-        "views_agree_mm": {
-            "median": _in_mm(apart.median),
-            "p95": _in_mm(apart.percentile_95),
-        },
+        "views_agree_mm": {"median": _known(apart.median * 1e3), "p95": _known(apart.percentile_95 * 1e3)},
         "fuse_ms": {
-            "p50": _percentile(rows.fuse_ms, 50),
-            "p99": _percentile(rows.fuse_ms, 99),
-            "max": _of_finite(np.max, rows.fuse_ms),
+            name: _of_finite(lambda ms, percent=percent: np.percentile(ms, percent), rows.fuse_ms)
+            for name, percent in (("p50", 50), ("p99", 99), ("max", 100))
         },
     }
 
@@ -175,10 +172,6 @@ def _bones(rows: SessionArrays) -> tuple[NDArray[np.float64], ...]:
 
 def _known(figure: float) -> float | None:
     return float(figure) if math.isfinite(figure) else None
-
-
-def _in_mm(metres: float) -> float | None:
-    return None if math.isnan(metres) else metres * 1e3
 
 
 def _distances(setup: FusionSetup, rows: SessionArrays) -> Figures:
@@ -225,7 +218,3 @@ def _of_finite(figure: Any, values: NDArray[Any]) -> float | None:
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
     return float(figure(finite)) if finite.size else None
-
-
-def _percentile(values: NDArray[Any], percent: float) -> float | None:
-    return _of_finite(lambda finite: np.percentile(finite, percent), values)

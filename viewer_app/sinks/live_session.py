@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from uuid import uuid4
 
@@ -22,7 +23,7 @@ _PAUSE = 0.02
 """Longest time in seconds that the file's thread waits between two messages while the viewer's is writing."""
 
 
-class LiveSession(FanOut):
+class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
     """A viewer and a file of one recording, and further sinks.
 
     File and viewer each have a thread and a recording stream of the same recording id. Use it as a context
@@ -79,10 +80,5 @@ class LiveSession(FanOut):
         if self.file is not None:
             self.file.close()
 
-    def __enter__(self) -> LiveSession:
-        """Returns itself; it is already open."""
-        return self
-
     def __exit__(self, *exc_info: object) -> None:
-        """Saves everything, then closes the viewer."""
         self.close()

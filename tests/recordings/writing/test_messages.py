@@ -9,7 +9,7 @@ import rerun as rr
 
 from recordings import layout
 from recordings.session import Session
-from recordings.writing.arrow_columns import Column, Times, depth_image, points
+from recordings.writing.arrow_columns import Column, Times, converted, depth_image, points
 from recordings.writing.frame_columns import PLOTTED
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, known_fuser
@@ -82,7 +82,7 @@ def test_an_argument_of_an_archetype_becomes_what_rerun_makes_of_it(archetype, a
     flat = values.reshape(FRAMES * each, *values.shape[2 if each > 1 else 1 :])
     kind = getattr(rr, archetype)
     (theirs,) = kind.columns(**{argument: flat}).partition([each] * FRAMES)
-    ours = Column.of_archetype(kind, argument, values, FRAMES * each, FRAMES)
+    ours = Column(*converted(kind, argument, values, FRAMES * each), FRAMES)
     assert ours.component_descriptor() == theirs.component_descriptor()
     assert ours.as_arrow_array().equals(theirs.as_arrow_array())
     assert ours.as_arrow_array().type.value_type == theirs.as_arrow_array().type.value_type
