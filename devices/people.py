@@ -66,7 +66,9 @@ class PersonChoice:
         elapsed_s = (time_ns - self._time_ns) / 1e9
         if self.position is None or elapsed_s < 0 or elapsed_s > _HOLD_S:
             # The bearing from the optical axis: what is central in the image, near or far.
-            return min(centres, key=lambda name: _bearing(centres[name]), default=None)
+            return min(
+                centres, key=lambda name: abs(np.arctan2(centres[name][0], centres[name][2])), default=None
+            )
         last, reach = self.position, _REACH_M + _SPEED_M_S * elapsed_s
         distance = {name: float(np.linalg.norm(at - last)) for name, at in centres.items()}
         near = [name for name in distance if distance[name] <= reach]
@@ -110,10 +112,6 @@ def centre(person: Skeleton) -> NDArray[np.float64] | None:
     if len(seen) == 0:
         seen = person.positions[person.has_position].astype(np.float64)
     return None if len(seen) == 0 else seen.mean(axis=0)
-
-
-def _bearing(at: NDArray[np.float64]) -> float:
-    return abs(float(np.arctan2(at[0], at[2])))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,7 +16,7 @@ from devices.simulated.demonstration import good_rig
 from devices.simulated.kinect import Movement, Scene, SimulatedKinect
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import Array
-from fusion.body import AZURE_KINECT, Body
+from fusion.body import Body
 
 _FRAME, _TOGETHER = 1.0 / 30.0, 1.0  # seconds
 _MARGIN, _FORGETTING = 1.5, 0.95
@@ -159,10 +159,8 @@ class _ToAndFro:
         return self._movement.landmarks(_PERIOD_S - np.abs(seconds - _PERIOD_S), height)
 
 
-def sensor_by_wall_clock(
-    which: int, movement: Movement, body: Body = AZURE_KINECT, *, angle_deg: float = 90.0
-) -> PacedSensor:
+def sensor_by_wall_clock(which: int, movement: Movement, body: Body) -> PacedSensor:
     """A simulated sensor whose person moves by the wall clock: two programs see the same person."""
     scene = Scene(_ToAndFro(movement, time.time() + _LEAD_S), body)
     beat = Beat(begins_s=time.perf_counter() + _LEAD_S)
-    return PacedSensor(SimulatedKinect(scene, good_rig(body, angle_deg), which), beat)
+    return PacedSensor(SimulatedKinect(scene, good_rig(body), which), beat)

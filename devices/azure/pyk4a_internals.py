@@ -25,9 +25,8 @@ RESTARTS_WITHOUT_COLOR: Version = (1, 6, 110)
 
 
 def capture_pointer(capture: Any) -> int:
-    """The ``k4a_capture_t`` in a capture: its capsule holds the address of the handle."""
-    address = capsule_pointer(capture._capture_handle, b"pyk4a capture handle")
-    return ctypes.c_void_p.from_address(address).value or 0
+    """The ``k4a_capture_t`` in a capture."""
+    return _handle(capture._capture_handle, b"pyk4a capture handle")
 
 
 def capsule_pointer(capsule: object, name: bytes) -> int:
@@ -43,10 +42,9 @@ def capsule_pointer(capsule: object, name: bytes) -> int:
     return pointer
 
 
-def device_handle(device: Any) -> int:
-    """The ``k4a_device_t`` in an opened ``pyk4a.PyK4A``: its capsule holds the address of the handle."""
-    address = capsule_pointer(device._device_handle, b"pyk4a device handle")
-    return ctypes.c_void_p.from_address(address).value or 0
+def _handle(capsule: object, name: bytes) -> int:
+    """A handle of libk4a, whose address is in a capsule."""
+    return ctypes.c_void_p.from_address(capsule_pointer(capsule, name)).value or 0
 
 
 def put_back_none() -> None:
@@ -89,7 +87,8 @@ def firmware_version(device: Any) -> Version | None:
     library.k4a_device_get_version.argtypes = [ctypes.c_void_p, ctypes.POINTER(_HardwareVersion)]
     version = _HardwareVersion()
     try:
-        status = library.k4a_device_get_version(device_handle(device), ctypes.byref(version))
+        handle = _handle(device._device_handle, b"pyk4a device handle")
+        status = library.k4a_device_get_version(handle, ctypes.byref(version))
     except (AttributeError, DeviceError):  # another pyk4a, which keeps its handle elsewhere
         return None
     major, minor, iteration = version.rgb

@@ -198,14 +198,12 @@ class RemoteSensor(Sensor):
                 self.waits_for = ""
                 return
             if self._interrupted.is_set() or time.monotonic() >= until_s:
+                where = ", ".join((*self._addresses.listen, *self._addresses.connect))
                 raise AbsentError(
-                    f"Nobody publishes {self._key!r} at {self._where()}. Start duplex sensor --publish "
+                    f"Nobody publishes {self._key!r} at {where}. Start duplex sensor --publish "
                     f"{self._key} on the PC of the sensor, and check the address and the firewall.{fault}"
                 )
             self._interrupted.wait(0.1)
-
-    def _where(self) -> str:
-        return ", ".join((*self._addresses.listen, *self._addresses.connect))
 
     def _relate_clocks(self) -> None:
         """Asks for the clock until a few replies have come; leaves out frames that arrive meanwhile."""

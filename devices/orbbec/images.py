@@ -42,7 +42,8 @@ class MomentJoiner:
     def add(self, frames: Any, now_ns: int) -> OrbbecMoment | None:
         """Takes a ``FrameSet``; returns the moment that is now complete, if one is."""
         self._depth = frames.get_depth_frame() or self._depth
-        self._infrared = infrared_frame(frames) or self._infrared
+        # of a single camera, or of a stereo sensor's left one
+        self._infrared = frames.get_ir_frame() or frames.get_left_ir_frame() or self._infrared
         self._color = frames.get_color_frame() or self._color
         depth, infrared = self._depth, self._infrared
         if depth is None or infrared is None:
@@ -64,11 +65,6 @@ class MomentJoiner:
             return 1000 * device_us
         self.timeless = True
         return 1000 * int(frame.get_system_timestamp_us())
-
-
-def infrared_frame(frames: Any) -> Any:
-    """The infrared frame of a set: of a single camera, or of a stereo sensor's left one; None if missing."""
-    return frames.get_ir_frame() or frames.get_left_ir_frame()
 
 
 def depth_image(frame: Any) -> NDArray[np.uint16]:

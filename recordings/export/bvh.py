@@ -62,7 +62,8 @@ def write_bvh(session: Session, path: Path, rate: float | None = None) -> str:
     body = session.body
     nodes = list(_nodes(body, _rest(body, session.calibration.bone_lengths)))
     rotations = _rotations(nodes, y_up_rotations(rotations_of(body, y_up(positions), even.time_ns)))
-    motion = np.concatenate([positions[:, body.root] * _CM, *(_degrees(r) for r in rotations)], axis=1)
+    angles = [r.as_euler("ZXY", degrees=True, suppress_warnings=True) for r in rotations]
+    motion = np.concatenate([positions[:, body.root] * _CM, *angles], axis=1)
     lines = [*_hierarchy(nodes), "MOTION", f"Frames: {len(positions)}", f"Frame Time: {1.0 / even.rate:.9f}"]
     lines += [" ".join(f"{v:.6f}" for v in row) for row in motion]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -126,11 +127,6 @@ def _rotations(nodes: list[_Node], bones: NDArray[np.float64]) -> list[Rotation]
         local.append(above.inv() * own)
         world.append(own)
     return local
-
-
-def _degrees(rotation: Rotation) -> NDArray[np.float64]:
-    """(N, 3) intrinsic rotation angles about z, then x, then y, degrees."""
-    return np.asarray(rotation.as_euler("ZXY", degrees=True, suppress_warnings=True))
 
 
 def _hierarchy(nodes: list[_Node]) -> Iterator[str]:

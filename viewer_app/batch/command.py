@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from viewer_app.batch.finding import PAGE, TABLE, Pair, find_pairs
 from viewer_app.batch.jobs import Job, Outcome, tidy
 from viewer_app.batch.manifest import read_manifest
-from viewer_app.batch.summary import Row, worst_first, write_page, write_parquet
+from viewer_app.batch.summary import Row, State, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import BatchOptions, calibration_source, recording_settings
 
@@ -39,7 +39,8 @@ def run(options: BatchOptions) -> None:
         if jobs:
             with closing(_outcomes(to_do, options)) as outcomes:
                 for outcome in _shown(outcomes, len(jobs), console):
-                    rows[outcome.name] = _row(jobs[outcome.name], outcome)
+                    state: State = "failed" if outcome.record is None else "fused"
+                    rows[outcome.name] = Row(jobs[outcome.name], state, outcome.record, outcome.error)
                     if outcome.error:
                         console.print(f"{outcome.name}: {outcome.error}", style="red", markup=False)
     finally:
@@ -48,7 +49,9 @@ def run(options: BatchOptions) -> None:
         # After an interruption a session may be in place whose worker did not report it any more.
         left = [_left(job) for job in to_do if job.name not in rows]
         if rows or any(row.state == "fused" for row in left):
-            _write_summary([*rows.values(), *left], options.out)
+            ordered = worst_first([*rows.values(), *left])
+            write_parquet(ordered, options.out / TABLE)
+            write_page(ordered, options.out / PAGE)
     failed = sum(row.state == "failed" for row in rows.values())
     console.print(
         f"Sessions fused: {len(rows) - failed}, failed: {failed}. Summary: {options.out / PAGE}",
@@ -175,15 +178,3 @@ def _shown(outcomes: Iterator[Outcome], total: int, console: Console) -> Iterato
                 )
             yield outcome
             progress.advance(task)
-
-
-def _row(job: Job, outcome: Outcome) -> Row:
-    if outcome.record is None:
-        return Row(job, "failed", error=outcome.error)
-    return Row(job, "fused", outcome.record)
-
-
-def _write_summary(rows: Sequence[Row], out: Path) -> None:
-    ordered = worst_first(rows)
-    write_parquet(ordered, out / TABLE)
-    write_page(ordered, out / PAGE)

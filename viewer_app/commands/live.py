@@ -87,7 +87,8 @@ def _show(
             coach = Coach(a.body, nominal.intrinsics, options.fps, warm_up=WARM_UP, remote=remote)
             images = {"depth": options.depth != "none", "color": options.color != "off"}
             layout = partial(session_blueprint, nominal, _PERSON_AT, options.layout, live=True, **images)
-            infrared = _has_infrared(options, sensors)
+            # of both sensors, on which the program's own tracker works; without depth there are no others
+            infrared = images["depth"] and isinstance(a, TrackedImages) and isinstance(b, TrackedImages)
             display = runner.open_session(stack, sensors, nominal, coach, layout, infrared)
             console.print("Running. Press Ctrl-C to end.")
             with call_after(options.seconds, sensors.stop):  # even while no frame arrives
@@ -107,13 +108,6 @@ def _show(
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.final)
         runner.check_saved()
-
-
-def _has_infrared(options: LiveOptions, sensors: TwoSensors) -> bool:
-    """Whether the viewer gets infrared of both sensors, on which the program's own tracker works."""
-    if options.depth == "none":  # without depth images there are no others
-        return False
-    return all(isinstance(stream.sensor, TrackedImages) for stream in (sensors.a, sensors.b))
 
 
 class _Watch:

@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
-from fusion.compiling.kernels import njit
 from fusion.joint_rotations import JointRotations, joint_bones
 
 Array = NDArray[np.float64]
@@ -89,9 +87,9 @@ class UnitySkeleton:
         self.parents = np.array([self._parent(row[1]) for row in rows])
         self.begins = np.array([row[2] for row in rows])
         self.bones = np.array([row[3] for row in rows])
-        self._unturned = np.array([_from_t_pose(name) for name in self.names])  # T-pose → K_A's rest
-        back = Rotation.from_quat(self._unturned).inv()
-        self.rest = np.where(self.parents[:, None] < 0, 0.0, back.apply(-body.rest[self.bones]))
+        self._unturned = Rotation.from_quat([_from_t_pose(name) for name in self.names])  # T-pose → rest
+        rest = self._unturned.inv().apply(-body.rest[self.bones])
+        self.rest = np.where(self.parents[:, None] < 0, 0.0, rest)
         feet = [body.find(j + s) for j in ("Foot", "Ankle", "Heel") for s in ("Left", "Right")]
         self._feet = [j for j in feet if j is not None]
         self._leg = [
@@ -116,17 +114,14 @@ class UnitySkeleton:
             step = lowest - self._origin[1]
             self._origin[1] += min(max(step, -_RISES * elapsed), _SINKS * elapsed)
         self._time_ns = time_ns
-        count = len(self.names)
-        pose = UnityPose(
-            np.empty((count, 3)), np.empty((count, 4)), np.empty((count, 7)), self._leg_length(positions)
-        )
-        bones = _Bones(self.begins, self.bones, self.parents, self._unturned)
-        _pose(bones, self._origin, positions, rotations, pose.positions, pose.rotations, pose.local)
-        return pose
-
-    def _leg_length(self, positions: Array) -> float:
-        thigh_and_shin = sum(math.dist(positions[i], positions[j]) for i, j in self._leg)
-        return 0.5 * thigh_and_shin + _ANKLE_HEIGHT
+        turned = Rotation.from_quat(rotations[self.bones]) * self._unturned
+        begins, turns = self._origin - positions[self.begins], turned.as_quat()
+        topmost = self.parents[:, None] < 0
+        back = Rotation.from_quat(np.where(topmost, (0.0, 0.0, 0.0, 1.0), turns[self.parents])).inv()
+        offsets = back.apply(begins - np.where(topmost, 0.0, begins[self.parents]))
+        local = np.concatenate((offsets, (back * turned).as_quat()), axis=1)
+        legs = sum(math.dist(positions[i], positions[j]) for i, j in self._leg)
+        return UnityPose(begins, turns, local, 0.5 * legs + _ANKLE_HEIGHT)
 
     def _parent(self, name: str | None) -> int:
         """The index of the nearest bone above that the body has; v1 has no neck."""
@@ -135,7 +130,6 @@ class UnitySkeleton:
         return -1 if name is None else self.names.index(name)
 
 
-_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 _ANKLE_HEIGHT = 0.08  # metres
 
 
@@ -148,50 +142,4 @@ def _from_t_pose(name: str) -> Array:
         return np.array([0.0, 0.0, -half, half])
     if name.endswith(("Foot", "Toes")):
         return np.array([-math.sin(0.5 * _TOES_DOWN), 0.0, 0.0, math.cos(0.5 * _TOES_DOWN)])
-    return _IDENTITY
-
-
-class _Bones(NamedTuple):
-    """The bones of a humanoid: joint where each begins, bone of S*, parent, rotation from T-pose to rest."""
-
-    begins: NDArray[np.int64]
-    bones: NDArray[np.int64]
-    parents: NDArray[np.int64]
-    unturned: Array
-
-
-@njit()
-def _pose(body, origin, joints, turns, positions, rotations, local):  # type: ignore[no-untyped-def]
-    """Fills positions, rotations and local; a bone's parent comes before it."""
-    back, offset, product = np.empty(4), np.zeros(4), np.empty(4)
-    for n in range(body.begins.shape[0]):
-        above = body.parents[n]
-        for c in range(4):
-            back[c] = 0.0
-            if above >= 0:
-                back[c] = rotations[above, c] if c == 3 else -rotations[above, c]
-        if above < 0:
-            back[3] = 1.0
-        _times(turns[body.bones[n]], body.unturned[n], rotations[n])
-        for c in range(3):
-            positions[n, c] = origin[c] - joints[body.begins[n], c]
-            offset[c] = positions[n, c] - (positions[above, c] if above >= 0 else 0.0)
-        _times(back, rotations[n], product)
-        for c in range(4):
-            local[n, 3 + c] = product[c]
-        _times(back, offset, product)
-        for c in range(3):
-            back[c] = -back[c]
-        _times(product, back, offset)
-        for c in range(3):
-            local[n, c] = offset[c]
-        offset[3] = 0.0
-
-
-@njit()
-def _times(p, q, out):  # type: ignore[no-untyped-def]
-    """out ← p · q of quaternions x, y, z, w; `out` is neither of them."""
-    out[0] = p[3] * q[0] + p[0] * q[3] + p[1] * q[2] - p[2] * q[1]
-    out[1] = p[3] * q[1] - p[0] * q[2] + p[1] * q[3] + p[2] * q[0]
-    out[2] = p[3] * q[2] + p[0] * q[1] - p[1] * q[0] + p[2] * q[3]
-    out[3] = p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2]
+    return np.array([0.0, 0.0, 0.0, 1.0])

@@ -105,7 +105,7 @@ def _avatar(gltf: dict[str, Any]) -> Avatar:
         raise _VrmError("a place that is not finite")
     origin = np.zeros(3)
     translations = {
-        _unity_name(name): places[int(n)] - (places[above[int(n)]] if int(n) in above else origin)
+        name[:1].upper() + name[1:]: places[int(n)] - (places[above[int(n)]] if int(n) in above else origin)
         for name, n in bones.items()
     }
     hips = int(bones["hips"])
@@ -123,7 +123,3 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
     matrix[:3, :3] = rotation * np.array(node.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64)
     matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
     return matrix
-
-
-def _unity_name(bone: str) -> str:
-    return bone[:1].upper() + bone[1:]

@@ -142,8 +142,8 @@ class LandmarkNetwork(_Network):
 
 
 @contextmanager
-def without_notes(prefix: bytes = b"INFO:") -> Iterator[None]:
-    """Drops lines that begin with a prefix from what native code writes to standard error meanwhile.
+def without_notes() -> Iterator[None]:
+    """Drops lines that begin with ``INFO:`` from what native code writes to standard error meanwhile.
 
     The runtime of the networks has no setting for its notes. Other lines appear when the context ends.
     """
@@ -159,7 +159,7 @@ def without_notes(prefix: bytes = b"INFO:") -> Iterator[None]:
         finally:
             os.dup2(terminal, 2)
             caught.seek(0)
-            kept = b"".join(line for line in caught if not line.startswith(prefix))
+            kept = b"".join(line for line in caught if not line.startswith(b"INFO:"))
             if kept:
                 os.write(terminal, kept)
             os.close(terminal)

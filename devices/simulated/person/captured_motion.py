@@ -25,6 +25,8 @@ from devices.simulated.person.motion import STARTUP_SECONDS
 from devices.simulated.person.movements import MOTIONS
 
 _BLEND_SECONDS = 1.5
+BEGINS = STARTUP_SECONDS + _BLEND_SECONDS
+"""Start of the captured movement, after the start-up pose, seconds."""
 
 # Required joints, by their names in common rigs (CMU, Mixamo, Rokoko, Xsens), in order of preference.
 _NAMES = {"root": ("hips", "hip", "pelvis", "root"), "neck": ("neck", "neck1"), "head": ("head",)}
@@ -48,23 +50,21 @@ class CapturedMotion:
 
     name: str
     seconds: float  # duration, including the start-up pose
-    _begins: float
     _pelvis: CubicSpline
     _axes: CubicSpline
 
     def landmarks(self, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
         """Returns (T, N, 3) all landmarks in the world, metres, of a person of this stature."""
         t = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        captured = np.clip(t - self._begins, 0.0, self._pelvis.x[-1])
+        captured = np.clip(t - BEGINS, 0.0, self._pelvis.x[-1])
         axes = self._axes(captured).reshape(len(t), len(_AXES), 2, 3)
         pelvis = self._pelvis(captured)
-        if self._begins > 0.0:
-            start = MOTIONS["startup"].pose(t)
-            weight = smooth((t - STARTUP_SECONDS) / _BLEND_SECONDS)
-            start_at = start.pelvis + self._pelvis(0.0) * (1.0, 0.0, 1.0)
-            pelvis = start_at * (1.0 - weight[:, None]) + pelvis * weight[:, None]
-            at_start = np.stack([start.rotations[s][:, :, 1:].transpose(0, 2, 1) for s in _AXES], axis=1)
-            axes = at_start * (1.0 - weight[:, None, None, None]) + axes * weight[:, None, None, None]
+        start = MOTIONS["startup"].pose(t)
+        weight = smooth((t - STARTUP_SECONDS) / _BLEND_SECONDS)
+        start_at = start.pelvis + self._pelvis(0.0) * (1.0, 0.0, 1.0)
+        pelvis = start_at * (1.0 - weight[:, None]) + pelvis * weight[:, None]
+        at_start = np.stack([start.rotations[s][:, :, 1:].transpose(0, 2, 1) for s in _AXES], axis=1)
+        axes = at_start * (1.0 - weight[:, None, None, None]) + axes * weight[:, None, None, None]
         rotations = {s: along(axes[:, k, 0], axes[:, k, 1]) for k, s in enumerate(_AXES)}
         marks = Pose(pelvis, rotations).landmarks()
         return marks * (height / anatomy.REFERENCE_HEIGHT)
@@ -73,8 +73,8 @@ class CapturedMotion:
 _AXES = anatomy.SEGMENTS
 
 
-def read_bvh(path: Path, *, startup: bool = True) -> CapturedMotion:
-    """Reads a movement from a BVH file (y up, facing z).
+def read_bvh(path: Path) -> CapturedMotion:
+    """Reads a movement from a BVH file (y up, facing z); the start-up pose precedes it.
 
     The file may use any unit: it is scaled so that its legs match those of the simulated person.
 
@@ -98,14 +98,8 @@ def read_bvh(path: Path, *, startup: bool = True) -> CapturedMotion:
     lowest = Pose(pelvis, rotations).landmarks()[:, _TOES, 1].max(axis=1)
     pelvis[:, 1] -= np.percentile(lowest, 95) + anatomy.FOOT_HEIGHT
     t = np.arange(len(pelvis)) * skeleton.frame_seconds
-    begins = STARTUP_SECONDS + _BLEND_SECONDS if startup else 0.0
-    return CapturedMotion(
-        Path(path).stem,
-        float(t[-1]) + begins,
-        begins,
-        CubicSpline(t, pelvis),
-        CubicSpline(t, axes.reshape(len(t), -1)),
-    )
+    splines = CubicSpline(t, pelvis), CubicSpline(t, axes.reshape(len(t), -1))
+    return CapturedMotion(path.stem, float(t[-1]) + BEGINS, *splines)
 
 
 _TOES = [anatomy.INDEX["FOOT_LEFT"], anatomy.INDEX["FOOT_RIGHT"]]

@@ -85,6 +85,11 @@ class Footsteps:
         return walk_feet(self.stances, self.steps, t)
 
 
+def arrive(to: tuple[Stance, Stance]) -> Footsteps:
+    """Short steps from the start-up stance; seconds since the end of the start-up pose."""
+    return Footsteps(FEET_APART, (Step(0, 0.1, 0.45, to[0], 0.03, 0.1), Step(1, 0.6, 0.95, to[1], 0.03, 0.1)))
+
+
 ARRIVE_AT_EASE = Footsteps(
     FEET_APART,
     (Step(1, 0.05, 0.55, FEET_AT_EASE[1], heel=0.2), Step(0, 0.6, 1.05, FEET_AT_EASE[0], heel=0.2)),

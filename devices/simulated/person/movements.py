@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from devices.simulated.person.footsteps import FEET_APART, FEET_AT_EASE, Footsteps, Stance, Step
+from devices.simulated.person.footsteps import FEET_APART, FEET_AT_EASE, Footsteps, Stance, Step, arrive
 from devices.simulated.person.gait import walking
 from devices.simulated.person.motion import STARTUP, Frame, Motion, both_arms, keyframes
 from devices.simulated.person.sports import badminton, basketball, boxing
@@ -65,16 +65,8 @@ def _turn() -> Motion:
 
 def _steps() -> Motion:
     """Steps to the sides, to the front and to the back, at a constant heading."""
-    offsets = [
-        (0.0, 0.0),
-        (0.45, 0.0),
-        (0.0, 0.0),
-        (-0.45, 0.0),
-        (0.0, 0.0),
-        (0.0, -0.5),
-        (0.0, 0.0),
-        (0.0, 0.4),
-    ]
+    aside = ((0.45, 0.0), (-0.45, 0.0), (0.0, -0.5), (0.0, 0.4))
+    offsets = [place for to in aside for place in ((0.0, 0.0), to)]
     seconds = 1.5
     frames: list[tuple[float, Frame]] = []
     steps: list[Step] = []
@@ -143,14 +135,11 @@ def _squat() -> Motion:
         )  # fmt: skip
 
     wide = (Stance(0.19, -0.15, 0.3), Stance(-0.19, -0.15, -0.3))
-    arrive = Footsteps(
-        FEET_APART, (Step(0, 0.1, 0.45, wide[0], 0.03, 0.1), Step(1, 0.6, 0.95, wide[1], 0.03, 0.1))
-    )
     loop = keyframes(
         8.0, (0.0, {}), (0.5, {}), (1.7, down(0.60, 0.45)), (2.2, down(0.60, 0.45)), (3.4, {}),
         (4.2, {}), (5.5, down(0.42, 0.55)), (6.0, down(0.42, 0.55)), (7.4, {}),
     )  # fmt: skip
-    return Motion("squat", 8.0, loop, Footsteps(wide), arrive=arrive)
+    return Motion("squat", 8.0, loop, Footsteps(wide), arrive=arrive(wide))
 
 
 def _sit() -> Motion:

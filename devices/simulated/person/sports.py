@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from devices.simulated.person.footsteps import FEET_APART, Footsteps, Stance, Step
+from devices.simulated.person.footsteps import Footsteps, Stance, Step, arrive
 from devices.simulated.person.motion import Frame, Motion, both_arms, keyframes
 
 
@@ -49,9 +49,6 @@ def badminton() -> Motion:
     }  # fmt: skip
     wide = (Stance(0.24, -0.16, 0.2), Stance(-0.24, -0.16, -0.2))
     back, front = Stance(-0.30, 0.22, -1.1), Stance(-0.20, -0.78, -0.25)
-    arrive = Footsteps(
-        FEET_APART, (Step(0, 0.1, 0.45, wide[0], 0.03, 0.1), Step(1, 0.6, 0.95, wide[1], 0.03, 0.1))
-    )
     steps = (
         Step(1, 0.55, 0.95, back, 0.05, 0.25), Step(1, 1.55, 1.95, wide[1], 0.06, 0.3),
         Step(1, 3.35, 3.85, front, 0.08, 0.3), Step(1, 4.45, 4.95, wide[1], 0.06, 0.3),
@@ -64,7 +61,7 @@ def badminton() -> Motion:
         (6.7, backhand_hit),
         (7.3, ready),
     )  # fmt: skip
-    return Motion("badminton", 8.0, loop, Footsteps(wide, steps), arrive=arrive)
+    return Motion("badminton", 8.0, loop, Footsteps(wide, steps), arrive=arrive(wide))
 
 
 def basketball() -> Motion:
@@ -101,16 +98,13 @@ def basketball() -> Motion:
                (6.95, low | {"height": 0.80}), (7.6, low)]  # fmt: skip
     wide = (Stance(0.20, -0.20, 0.2), Stance(-0.20, -0.12, -0.2))
     ahead = (Stance(0.22, -0.45, 0.15), Stance(-0.18, -0.38, -0.2))
-    arrive = Footsteps(
-        FEET_APART, (Step(0, 0.1, 0.45, wide[0], 0.03, 0.1), Step(1, 0.6, 0.95, wide[1], 0.03, 0.1))
-    )
     steps = (
         Step(0, 1.0, 1.35, ahead[0], 0.05, 0.2), Step(1, 1.45, 1.8, ahead[1], 0.05, 0.2),
         Step(1, 3.6, 3.95, wide[1], 0.05, 0.2), Step(0, 4.1, 4.45, wide[0], 0.05, 0.2),
     )  # fmt: skip
     place = {0.0: 0.0, 2.0: -0.24, 3.4: -0.24, 4.6: 0.0}
     placed = [(t, f | {"place": (0.0, float(np.interp(t, [*place], [*place.values()])))}) for t, f in frames]
-    return Motion("basketball", 8.2, keyframes(8.2, *placed), Footsteps(wide, steps), arrive=arrive)
+    return Motion("basketball", 8.2, keyframes(8.2, *placed), Footsteps(wide, steps), arrive=arrive(wide))
 
 
 def boxing() -> Motion:
@@ -139,13 +133,10 @@ def boxing() -> Motion:
         "head": (-0.3, 0.0, 0.5),
     }
     stand = (Stance(0.12, -0.34, -0.15), Stance(-0.20, 0.10, -0.85))
-    arrive = Footsteps(
-        FEET_APART, (Step(0, 0.1, 0.45, stand[0], 0.03, 0.1), Step(1, 0.6, 0.95, stand[1], 0.03, 0.1))
-    )
     loop = keyframes(
         7.0, (0.0, guard), (0.6, guard), (0.85, jab), (1.15, guard), (1.5, jab), (1.75, guard),
         (2.05, cross), (2.4, guard),
         (3.0, guard), (3.3, hook_back), (3.6, hook), (4.0, guard), (4.5, guard), (5.0, duck), (5.5, guard),
         (6.2, guard),
     )  # fmt: skip
-    return Motion("boxing", 7.0, loop, Footsteps(stand), arrive=arrive)
+    return Motion("boxing", 7.0, loop, Footsteps(stand), arrive=arrive(stand))

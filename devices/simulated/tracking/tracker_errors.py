@@ -14,6 +14,7 @@ from fusion.joint_kinds import KINDS
 
 ByKind = Mapping[str, float]
 """One value for each kind of joint (:mod:`fusion.joint_kinds`)."""
+_SURE: dict[str, float] = dict.fromkeys(KINDS, 0.0)
 AddedErrors = Callable[[Body, float, np.random.Generator], Iterator[Array]]
 """From the body, the frame interval in seconds and a generator: (J, 3) errors per frame, metres."""
 
@@ -32,7 +33,7 @@ class TrackerErrors:
     skin: float = 0.0
     """Shift of a joint along the ray towards the sensor, as a share of its depth under the skin."""
     seen_share: float = 0.0  # visible share of a joint's surface below which it is hidden
-    unsure: ByKind = field(default_factory=lambda: dict.fromkeys(KINDS, 0.0))
+    unsure: ByKind = field(default_factory=lambda: _SURE)
     """Share of time in which a visible joint counts as hidden, by kind."""
     inferred_error: float = 0.0  # standard deviation per axis of the guess for a hidden joint
     inferred_jitter: float = 1.0  # factor of the jitter of a hidden joint
@@ -48,7 +49,7 @@ class TrackerErrors:
     outlier_size: float = 0.0  # largest size of an outlier per axis
     rescale: float = 0.0  # standard deviation of the skeleton's scale
     rescale_seconds: float = 1.0  # duration of a scale
-    jitter: ByKind = field(default_factory=lambda: dict.fromkeys(KINDS, 0.0))
+    jitter: ByKind = field(default_factory=lambda: _SURE)
     """Standard deviation of a joint's jitter per axis, by kind."""
     moving_jitter: float = 0.0  # increase of ``jitter`` per axis for each m/s of the joint's speed
     jitter_memory: float = 0.5  # correlation of the jitter of successive frames
@@ -67,11 +68,7 @@ class TrackerErrors:
 
 _KINECT_V2 = TrackerErrors(
     view_bias=0.023, skin=0.25, seen_share=0.35,
-    unsure={
-        "spine": 0.0, "head": 0.0, "girdle": 0.0, "elbow": 0.0, "wrist": 0.0, "hand": 0.03, "tip": 0.05,
-        "thumb": 0.05,
-        "knee": 0.0, "ankle": 0.0, "foot": 0.05, "face": 0.0,
-    },
+    unsure=_SURE | {"hand": 0.03, "tip": 0.05, "thumb": 0.05, "foot": 0.05},
     inferred_error=0.14, inferred_jitter=2.0, not_tracked=0.02, mistracked=0.4, snap=0.6,
     stretch=0.12, outliers=0.0065, outlier_size=0.17, rescale=0.018, rescale_seconds=2.0,
     jitter={
@@ -84,18 +81,10 @@ _KINECT_V2 = TrackerErrors(
 )  # fmt: skip
 _AZURE = TrackerErrors(
     view_bias=0.009, skin=0.15, seen_share=0.35,
-    unsure={
-        "spine": 0.0, "head": 0.0, "girdle": 0.0, "elbow": 0.0, "wrist": 0.0, "hand": 0.10, "tip": 0.2,
-        "thumb": 0.3,
-        "knee": 0.0, "ankle": 0.0, "foot": 0.16, "face": 0.0,
-    },
+    unsure=_SURE | {"hand": 0.10, "tip": 0.2, "thumb": 0.3, "foot": 0.16},
     inferred_error=0.06, inferred_jitter=2.5, not_tracked=0.65, mistracked=0.25, snap=0.6,
     stretch=0.16, outliers=0.005, outlier_size=0.20, rescale=0.028, rescale_seconds=0.6,
-    jitter={
-        "spine": 0.0012, "head": 0.001, "girdle": 0.0020, "elbow": 0.0024, "wrist": 0.0036, "hand": 0.005,
-        "tip": 0.005,
-        "thumb": 0.014, "knee": 0.0018, "ankle": 0.001, "foot": 0.002, "face": 0.003,
-    },
+    jitter={**_KINECT_V2.jitter, "spine": 0.0012, "girdle": 0.0020},
     moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.05),
     stale=0.04, lost=0.001,
 )  # fmt: skip

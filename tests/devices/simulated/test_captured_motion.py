@@ -9,7 +9,7 @@ import pytest
 from devices.sensor import DeviceError
 from devices.simulated.kinect import simulated_pair
 from devices.simulated.person.anatomy import INDEX, landmarks_of
-from devices.simulated.person.captured_motion import read_bvh
+from devices.simulated.person.captured_motion import BEGINS, read_bvh
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import BODIES
 
@@ -64,8 +64,8 @@ def write_bvh(path, frames=40):
 
 
 def test_a_captured_forearm_is_raised_as_in_the_file(tmp_path):
-    motion = read_bvh(write_bvh(tmp_path / "arm.bvh"), startup=False)
-    first, last = motion.landmarks([0.0, 1.2])
+    motion = read_bvh(write_bvh(tmp_path / "arm.bvh"))
+    first, last = motion.landmarks([BEGINS, BEGINS + 1.2])
     elbow, wrist, shoulder = (INDEX[f"{n}_LEFT"] for n in ("ELBOW", "WRIST", "SHOULDER"))
     np.testing.assert_allclose(first[wrist] - first[elbow], (0.255, 0.0, 0.0), atol=1e-9)  # T pose: left
     np.testing.assert_allclose(last[wrist] - last[elbow], (0.0, -0.255, 0.0), atol=1e-9)  # up is −y
@@ -85,13 +85,9 @@ def test_captured_bones_are_constant_and_scaled_by_height(tmp_path):
     np.testing.assert_allclose(motion.landmarks(1.0, 0.875), 0.5 * motion.landmarks(1.0), atol=1e-12)
 
 
-def test_a_captured_movement_begins_with_the_startup_pose_unless_told_otherwise(tmp_path):
-    path = write_bvh(tmp_path / "arm.bvh")
-    with_startup, without = read_bvh(path), read_bvh(path, startup=False)
-    joints = with_startup.landmarks(np.linspace(0.0, 2.0, 30))
+def test_a_captured_movement_begins_with_the_startup_pose(tmp_path):
+    joints = read_bvh(write_bvh(tmp_path / "arm.bvh")).landmarks(np.linspace(0.0, 2.0, 30))
     assert np.ptp(joints, axis=0).max() < 0.04
-    begins = with_startup.seconds - without.seconds
-    np.testing.assert_allclose(with_startup.landmarks(begins + 0.7), without.landmarks(0.7), atol=1e-12)
 
 
 @pytest.mark.parametrize(
