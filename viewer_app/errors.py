@@ -2,7 +2,10 @@
 
 
 class UsageError(Exception):
-    """A command cannot run. The message states what happened, the value and the way out."""
+    """A command cannot run. The message states what happened, the value and the way out.
+
+    Whatever a command calls may raise it; :func:`viewer_app.cli.main` prints the line.
+    """
 
 
 def mistakes() -> tuple[type[Exception], ...]:

@@ -103,11 +103,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a text file that is either complete or absent; names of files keep their bytes.
-
-    Raises:
-        UsageError: As :func:`whole_file`.
-    """
+    """Writes a text file that is either complete or absent; names of files keep their bytes."""
     with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8", errors="surrogateescape")
 

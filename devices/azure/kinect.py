@@ -123,11 +123,7 @@ class KinectSensor(LiveSensor):
         self._device: Any = None
 
     def __enter__(self) -> KinectSensor:
-        """Opens the sensor, starts its cameras, then its body tracker.
-
-        Raises:
-            DeviceError: Not connected, busy, not permitted, no sync cable, or a mode it does not have.
-        """
+        """Opens the sensor, starts its cameras, then its body tracker."""
         self.__exit__()
         self._interrupted.clear()
         self._sdk = load_sdk()

@@ -55,11 +55,7 @@ class MkvRecording(Sensor):
         self._begun, self._described = False, 0
 
     def __enter__(self) -> MkvRecording:
-        """Opens the recording and reads its metadata.
-
-        Raises:
-            DeviceError: No such file, no Azure Kinect recording, or an unsupported depth mode.
-        """
+        """Opens the recording and reads its metadata."""
         self.__exit__()
         self._container, self._begun = self._open(), False
         self.warnings = []

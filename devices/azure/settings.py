@@ -51,11 +51,7 @@ def check_modes(settings: KinectSettings) -> None:
 
 
 def sdk_configuration(sdk: Any, settings: KinectSettings) -> Any:
-    """The ``pyk4a.Config`` for these settings.
-
-    Raises:
-        DeviceError: A mode that the sensor does not have, or not at this rate.
-    """
+    """The ``pyk4a.Config`` for these settings."""
     check_modes(settings)
     color = settings.camera_color
     return sdk.Config(

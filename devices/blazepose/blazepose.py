@@ -71,11 +71,7 @@ class BlazePose:
         self._searched = 0  # images without the person in a row: every other one is searched closer
 
     def __enter__(self) -> BlazePose:
-        """Loads the networks.
-
-        Raises:
-            DeviceError: A file is missing or damaged, or the runtime is missing.
-        """
+        """Loads the networks."""
         folder = self.settings.models or cache_folder()
         detector, landmarks = (checked_content(file, folder) for file in files_of(self.settings.network))
         threads = self.settings.threads

@@ -56,11 +56,7 @@ class TrackedImages(SensorWrapper):
         self._took, self._pace, self._clock = took, pace, clock
 
     def __enter__(self) -> TrackedImages:
-        """Loads the networks, then opens the source.
-
-        Raises:
-            DeviceError: The networks or the source cannot be opened.
-        """
+        """Loads the networks, then opens the source."""
         self.tracker.__enter__()
         try:
             self.source.__enter__()

@@ -97,11 +97,7 @@ def choose_two(
 
 
 def _serials(connected: Sequence[ConnectedSensor], *named: str | None) -> list[str]:
-    """The serial numbers that are there, sorted, with those asked for; None asks for any.
-
-    Raises:
-        DeviceError: One asked for is not there; or any is asked for, and one cannot be opened.
-    """
+    """The serial numbers that are there, sorted, with those asked for; None asks for any."""
     there = sorted(kinect.serial for kinect in connected if kinect.serial is not None)
     faults = [kinect.fault for kinect in connected if kinect.fault]
     listed = ", ".join(there) or "none"

@@ -107,11 +107,7 @@ def _open(addresses: ZenohAddresses) -> Any:
 
 
 def load_zenoh() -> Any:
-    """The module ``zenoh``.
-
-    Raises:
-        DeviceError: It is not installed.
-    """
+    """The module ``zenoh``."""
     try:
         import zenoh
     except ImportError as fault:

@@ -45,11 +45,7 @@ class OrbbecRecording(Sensor):
         self._streams: tuple[Any, ...] = ()
 
     def __enter__(self) -> OrbbecRecording:
-        """Opens the file.
-
-        Raises:
-            DeviceError: It cannot be read, or has no depth, no infrared or no calibration.
-        """
+        """Opens the file."""
         self.__exit__()
         if not self.path.is_file():
             raise DeviceError(f"No file {self.path}.")

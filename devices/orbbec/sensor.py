@@ -74,11 +74,7 @@ class OrbbecSensor(LiveSensor):
         self._pipeline: Any = None
 
     def __enter__(self) -> OrbbecSensor:
-        """Opens the sensor, gives it its place on the sync cable, starts its cameras.
-
-        Raises:
-            DeviceError: Not connected, busy, not permitted, no place on a cable, or a mode it does not have.
-        """
+        """Opens the sensor, gives it its place on the sync cable, starts its cameras."""
         self.__exit__()
         self._interrupted.clear()
         check_modes(self.settings)

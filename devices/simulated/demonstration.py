@@ -64,9 +64,6 @@ def demonstrated(name: str | Path) -> Movement:
 
     The walk is as fast as that of the library, on shorter loops: those leave the range of a Kinect v1, which
     is 1.6 m deep.
-
-    Raises:
-        DeviceError: There is no such movement or file.
     """
     return walking("walk", length=6.0, strides=7) if str(name) == "walk" else movement(name)
 
@@ -79,11 +76,7 @@ def demonstration(
     infrared: bool = False,
     bad_setup: bool = False,
 ) -> Demonstration:
-    """The sensors of ``duplex demo``.
-
-    Raises:
-        DeviceError: A value makes no sense.
-    """
+    """The sensors of ``duplex demo``."""
     body, seconds = scene.body, scene.seconds or 0.0
     rig = bad_rig() if bad_setup else good_rig(body, angle_deg)
     scripts: tuple[ScriptedFaults | None, ScriptedFaults | None] = (None, None)

@@ -246,9 +246,6 @@ def simulated_pair(
         angle_deg: Between the sensors; ignored where a rig is given.
         depth: Whether frames carry a depth image: ``none``, ``half`` or ``full``.
         errors: Of the body trackers; the real ones of the body where None.
-
-    Raises:
-        DeviceError: There is no such movement, or a value makes no sense.
     """
     moving = movement(motion) if isinstance(motion, str | Path) else motion
     scene = Scene(moving, body, height, seconds, seed)

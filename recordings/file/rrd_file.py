@@ -196,11 +196,7 @@ def without_footer(rrd: bytes, with_header: bool) -> memoryview:
 
 
 def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
-    """Entity and content of a chunk; None if the chunk belongs to a blueprint.
-
-    Raises:
-        Exception: One of _DAMAGED, if the chunk is damaged.
-    """
+    """Entity and content of a chunk; None if the chunk belongs to a blueprint."""
     fields = _fields(message)
     if _fields(fields[_STORE]).get(1) != _RECORDING:
         return None

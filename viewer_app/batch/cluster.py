@@ -44,11 +44,7 @@ def run_on_cluster(jobs: Sequence[Job], scheduler: str) -> Generator[Outcome, No
 
 
 def connect(scheduler: str) -> Any:
-    """Connects to a scheduler and checks its workers; returns Dask's ``Client``.
-
-    Raises:
-        UsageError: As :func:`run_on_cluster`.
-    """
+    """Connects to a scheduler and checks its workers; returns Dask's ``Client``."""
     try:
         distributed: Any = import_module("distributed")
     except ImportError:

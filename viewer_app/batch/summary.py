@@ -107,11 +107,7 @@ def _ranks(column: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def write_parquet(rows: Sequence[Row], path: Path) -> None:
-    """Writes the table in SI units, one row per pair, in the given order.
-
-    Raises:
-        UsageError: The file cannot be written.
-    """
+    """Writes the table in SI units, one row per pair, in the given order."""
     names = list(dict.fromkeys(name for row in rows for name in row.figures))
     columns: dict[str, Any] = {
         "name": pa.array([row.job.name for row in rows], pa.string()),
@@ -131,11 +127,7 @@ def write_parquet(rows: Sequence[Row], path: Path) -> None:
 
 
 def write_page(rows: Sequence[Row], path: Path) -> None:
-    """Writes the HTML page: one file, no script, no network.
-
-    Raises:
-        UsageError: The file cannot be written.
-    """
+    """Writes the HTML page: one file, no script, no network."""
     environment = Environment(
         loader=PackageLoader("viewer_app.batch"), autoescape=True, undefined=StrictUndefined
     )

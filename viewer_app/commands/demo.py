@@ -167,11 +167,7 @@ def _listed(words: Sequence[str]) -> str:
 
 
 def _own_tracker(options: DemoOptions, console: Console) -> TrackingPace:
-    """The pace of the program's own tracker, whose networks are there afterwards.
-
-    Raises:
-        DeviceError: The networks cannot be fetched.
-    """
+    """The pace of the program's own tracker, whose networks are there afterwards."""
     from devices.blazepose.pace import TrackingPace
     from devices.blazepose.settings import BlazePoseSettings
     from viewer_app.sensors.tracker import ensure_networks

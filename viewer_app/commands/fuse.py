@@ -41,11 +41,7 @@ def run(options: FuseOptions) -> None:
 
 
 def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures]:
-    """Carries out the command and returns the session and its report.
-
-    Raises:
-        DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
-    """
+    """Carries out the command and returns the session and its report."""
     try:
         viewing = choose_viewing(options, options.save, live=False)
     except UsageError:

@@ -70,11 +70,7 @@ def run(options: ReviewOptions) -> None:
 
 
 def opening_time(options: ReviewOptions, session: Session, events: Sequence[ListedEvent]) -> tuple[int, str]:
-    """Where the viewer opens: ns since the first pair, and the same in words.
-
-    Raises:
-        UsageError: There is no such event or time.
-    """
+    """Where the viewer opens: ns since the first pair, and the same in words."""
     if options.event is not None and options.at is not None:
         raise UsageError("--event and --at each say where to open; give one of them.")
     if options.at is not None:

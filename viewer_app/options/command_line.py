@@ -61,11 +61,7 @@ _NUMBERS = {int: "a whole number", float: "a number"}
 
 
 def parsed(arguments: list[str]) -> Any:
-    """The options of the command that a command line states; ``--help`` ends the program.
-
-    Raises:
-        UsageError: The command line is not accepted.
-    """
+    """The options of the command that a command line states; ``--help`` ends the program."""
     given = " ".join(arguments)
     if given in ("", *_GROUPS):
         commands = [name.removeprefix(f"{given} ") for name in COMMANDS if name.startswith(given)]

@@ -190,11 +190,7 @@ class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
 
 
 def recording_settings(options: FuseOptions | BatchOptions) -> FuserSettings:
-    """The settings of the method for recordings.
-
-    Raises:
-        UsageError: ``--smooth whole``, ``--h`` or ``--weights`` is given with a method that ignores it.
-    """
+    """The settings of the method for recordings."""
     hindsight: Hindsight = "whole" if options.smooth == "whole" else "labels"
     if options.method != "duplex":
         if options.smooth == "whole":
@@ -206,11 +202,7 @@ def recording_settings(options: FuseOptions | BatchOptions) -> FuserSettings:
 
 
 def calibration_source(wanted: str) -> Path | float | None:
-    """What ``--calibrate`` names for recordings: a file, seconds, or None for ``auto``.
-
-    Raises:
-        UsageError: It is none of them.
-    """
+    """What ``--calibrate`` names for recordings: a file, seconds, or None for ``auto``."""
     if wanted == "auto":
         return None
     kind, _, argument = wanted.partition(":")

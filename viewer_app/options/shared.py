@@ -194,20 +194,12 @@ class LiveOutputOptions(ZenohOptions):
 
 
 def check_paper_options(settings: FuserSettings) -> None:
-    """Rejects settings of the paper's methods if the method is ``duplex``, which ignores them.
-
-    Raises:
-        UsageError: ``--h`` or ``--weights`` is given.
-    """
+    """Rejects settings of the paper's methods if the method is ``duplex``, which ignores them."""
     if settings.method == "duplex" and (settings.h != PAPER_H or settings.weights != "paper"):
         raise UsageError("--h and --weights apply to the paper's methods: add --method paper or published.")
 
 
 def check_seconds(seconds: float | None) -> None:
-    """Rejects a duration that is not positive or not finite.
-
-    Raises:
-        UsageError: With one line for the person who asked.
-    """
+    """Rejects a duration that is not positive or not finite."""
     if seconds is not None and not 0.0 < seconds < float("inf"):
         raise UsageError(f"--seconds must be a positive number; got {seconds}.")

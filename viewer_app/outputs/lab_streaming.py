@@ -50,9 +50,6 @@ class LabStreamingOutput(LiveOutput):
 
     Args:
         others: Whether other machines may find the stream. If not, discovery is limited to this machine.
-
-    Raises:
-        UsageError: pylsl is not installed.
     """
 
     def __init__(self, name: str, body: Body, rate: float, others: bool = False) -> None:
@@ -91,11 +88,7 @@ class LabStreamingOutput(LiveOutput):
 
 
 def load_pylsl(others: bool) -> Any:
-    """The module ``pylsl``, with discovery limited to this machine unless `others`.
-
-    Raises:
-        UsageError: It is not installed.
-    """
+    """The module ``pylsl``, with discovery limited to this machine unless `others`."""
     try:
         import pylsl
     except (ImportError, RuntimeError, OSError) as fault:

@@ -50,11 +50,7 @@ class OutputPlan:
 
     @contextmanager
     def opened(self, setup: FusionSetup, rate: float = 30.0) -> Iterator[Sequence[LiveOutput]]:
-        """Opens the outputs; closes them at the end of the block.
-
-        Raises:
-            DeviceError, UsageError: An output cannot start.
-        """
+        """Opens the outputs; closes them at the end of the block."""
         self.warm_up(setup.body)
         with ExitStack() as stack:
             outputs = []
@@ -95,9 +91,6 @@ def plan_outputs(
     Args:
         listen: Address of this machine for receivers on other machines; None: this machine only.
         remote_sensors: Whether the Zenoh addresses are used by sensors as well.
-
-    Raises:
-        DeviceError, UsageError: An option is wrong, a host is unknown, or a package is missing.
     """
     vmc = None if options.vmc is None else Address.of(options.vmc, "--vmc", _VMC_PORT)
     vrchat = None if options.vrchat is None else Address.of(options.vrchat, "--vrchat", _VRCHAT_PORT)

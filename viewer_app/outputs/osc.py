@@ -50,11 +50,7 @@ class Address:
 
     @staticmethod
     def of(text: str, option: str, example: int) -> Address:
-        """Reads ``HOST:PORT``, ``[IPV6]:PORT`` or ``PORT``, which is a port of this machine.
-
-        Raises:
-            UsageError: It is none of them.
-        """
+        """Reads ``HOST:PORT``, ``[IPV6]:PORT`` or ``PORT``, which is a port of this machine."""
         found = re.fullmatch(r"(?:(\[[0-9A-Fa-f:.%\w]+\]|[^\s:/\[\]]+):)?(\d{1,5})", text.strip())
         if found is None or not 0 < int(found[2]) < 65536:
             raise UsageError(f"{option} {text}: write HOST:PORT, as in {LOOPBACK}:{example}.")
@@ -62,11 +58,7 @@ class Address:
 
 
 def looked_up(address: Address, option: str) -> tuple[socket.AddressFamily, Any]:
-    """The family and the socket address of a UDP receiver.
-
-    Raises:
-        UsageError: The host is unknown; the message names the command's option.
-    """
+    """The family and the socket address of a UDP receiver."""
     try:
         found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as fault:
@@ -81,9 +73,6 @@ class OscOutput(LiveOutput):
     Args:
         option: The command's option, for messages.
         encode: Gives the datagrams of (J, 3) joints in K_A's frame at a time in nanoseconds.
-
-    Raises:
-        UsageError: The host is unknown.
     """
 
     def __init__(

@@ -37,11 +37,7 @@ class Avatar:
 
 
 def read_avatar(path: Path) -> Avatar:
-    """The rest pose of a VRM.
-
-    Raises:
-        UsageError: The file is missing, damaged, or no VRM.
-    """
+    """The rest pose of a VRM."""
     try:
         return _avatar(_json_of(path.read_bytes()))
     except OSError as fault:

@@ -57,9 +57,6 @@ class WebSocketOutput(LiveOutput):
 
     Args:
         listen: Address of this machine to listen on; None for this machine only.
-
-    Raises:
-        UsageError: The port is in use, or the address is not of this machine.
     """
 
     def __init__(self, port: int, setup: FusionSetup, listen: str | None = None) -> None:

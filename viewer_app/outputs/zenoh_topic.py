@@ -17,11 +17,7 @@ _HELLO_EVERY_NS = 1_000_000_000  # for those who come later
 
 
 class ZenohOutput(LiveOutput):
-    """Publishes S*; a message that a congested link does not take at once is dropped by Zenoh.
-
-    Raises:
-        DeviceError: Zenoh is not installed, or an address is busy.
-    """
+    """Publishes S*; a message that a congested link does not take at once is dropped by Zenoh."""
 
     def __init__(self, key: str, addresses: ZenohAddresses, setup: FusionSetup) -> None:
         super().__init__(f"Zenoh key {key}", keep=_KEEP)

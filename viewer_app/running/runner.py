@@ -38,9 +38,6 @@ class Runner:
 
     Attributes:
         session: The sinks; set by :meth:`open_session`.
-
-    Raises:
-        DeviceError, UsageError: The options of the viewer or of an output are wrong.
     """
 
     session: LiveSession
@@ -135,11 +132,7 @@ class Runner:
             say_more(console)
 
     def check_saved(self) -> None:
-        """Reports a failure of saving as a usage error: one line and exit code 2.
-
-        Raises:
-            UsageError: Saving stopped.
-        """
+        """Reports a failure of saving as a usage error: one line and exit code 2."""
         file = self.session.file
         if file is not None and file.failure is not None:
             raise UsageError(file.failure)

@@ -27,11 +27,7 @@ def tracker_of(options: TrackerOptions) -> TrackerChoice:
 
 
 def announce_tracker(tracker: TrackerChoice, console: Console) -> None:
-    """Says which tracker runs and why, and fetches its networks if they are missing.
-
-    Raises:
-        DeviceError: The networks cannot be fetched.
-    """
+    """Says which tracker runs and why, and fetches its networks if they are missing."""
     console.print(f"Body tracker: {tracker.full_name} ({tracker.reason}).", markup=False)
     if tracker.name == "blazepose":
         ensure_networks(tracker.blazepose, console)
@@ -41,9 +37,6 @@ def ensure_networks(settings: BlazePoseSettings, console: Console) -> None:
     """Fetches the tracker's network files if they are missing in the user's cache folder.
 
     A folder that was named by the user is not written; opening the tracker reports what it lacks.
-
-    Raises:
-        DeviceError: They cannot be fetched; one line with the way out.
     """
     from devices.blazepose.networks.files import cache_folder, missing
 
@@ -59,9 +52,6 @@ def fetch_networks(network: NetworkName, folder: Path, console: Console) -> list
 
     Returns:
         The files that were fetched.
-
-    Raises:
-        DeviceError: They cannot be fetched; one line with the way out.
     """
     from devices.blazepose.networks.fetching import fetch
 

@@ -32,9 +32,6 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
     Args:
         file: The file to write; None for none. It is readable while it grows.
         file_blueprint: The layout in the file; None: the viewer's. A file lacks what only a viewer is shown.
-
-    Raises:
-        UsageError: The viewer does not start.
     """
 
     def __init__(

@@ -183,11 +183,7 @@ class ImageTurns:
 
 
 class ViewerSink(ViewerFeed):
-    """Shows a session in a viewer.
-
-    Raises:
-        UsageError: The viewer does not start.
-    """
+    """Shows a session in a viewer."""
 
     def __init__(
         self,

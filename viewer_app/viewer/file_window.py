@@ -70,9 +70,6 @@ def written_and_shown(save: Path | None, window: bool) -> Iterator[Path | None]:
 
     The file gets its final name only then; without a name it exists only for the window. The window stays
     open when this process ends.
-
-    Raises:
-        UsageError: The viewer does not start, or the file cannot be written.
     """
     with session_file(save, window) as file:
         if file is None:
@@ -108,9 +105,6 @@ def show(path: Path, at_ns: int | None = None) -> bool:
 
     Returns:
         Whether the time cursor stands there.
-
-    Raises:
-        UsageError: The viewer does not start.
     """
     with path.open("rb") as file:
         process, port = start_viewer(["--hide-welcome-screen", "-"], file)
@@ -122,11 +116,7 @@ def show(path: Path, at_ns: int | None = None) -> bool:
 
 @contextmanager
 def served(path: Path, hub: Hub) -> Iterator[None]:
-    """Serves a session to browsers during the block.
-
-    Raises:
-        UsageError: The hub does not start.
-    """
+    """Serves a session to browsers during the block."""
     with path.open("rb") as file:
         process = hub.start(file)
         try:

@@ -49,11 +49,7 @@ class Hub:
 
     @staticmethod
     def on_free_ports(web: bool, address: str | None = None) -> Hub:
-        """A hub that is not started yet; for browsers on the usual ports, or the next free ones.
-
-        Raises:
-            UsageError: The address is none of this machine's.
-        """
+        """A hub that is not started yet; for browsers on the usual ports, or the next free ones."""
         host = address or LOOPBACK
         if not web:
             return Hub(free_port(host), None, host)
@@ -96,22 +92,14 @@ class Hub:
         )
 
     def wait_until_listening(self, process: subprocess.Popen[bytes]) -> None:
-        """Waits until a started hub, which is receiving its session, listens.
-
-        Raises:
-            UsageError: It does not start.
-        """
+        """Waits until a started hub, which is receiving its session, listens."""
         for port in (self.port, self.web_port):
             if port is not None:
                 _wait_for(process, reached_at(self.address).strip("[]"), port, "Rerun's server")
 
 
 def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
-    """Starts a viewer that shows what the hub has; `headless` is for tests.
-
-    Raises:
-        UsageError: It does not start.
-    """
+    """Starts a viewer that shows what the hub has; `headless` is for tests."""
     arguments = ["--connect", hub.url, "--hide-welcome-screen", *(["--headless"] if headless else [])]
     return start_viewer(arguments)[0]
 
@@ -119,11 +107,7 @@ def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
 def start_viewer(
     arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL
 ) -> tuple[subprocess.Popen[bytes], int]:
-    """Starts a viewer with a bounded memory that listens on a port of the loopback address; returns both.
-
-    Raises:
-        UsageError: It does not start.
-    """
+    """Starts a viewer with a bounded memory that listens on a port of the loopback address; returns both."""
     port = free_port()
     own = ["--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY]
     viewer = _start([*own, *arguments], stdin)

@@ -88,11 +88,7 @@ def clouds(session: Session) -> Iterator[tuple[str, int, NDArray[np.float32]]]:
 
 
 def send_clouds(path: Path, url: str) -> int:
-    """Sends the clouds of a session to the viewer that shows it; returns their number.
-
-    Raises:
-        RecordingError: The session cannot be read.
-    """
+    """Sends the clouds of a session to the viewer that shows it; returns their number."""
     session = Session.open(path)
     with RrdFile(path) as file:
         identity = file.identity()

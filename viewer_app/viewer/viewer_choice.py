@@ -44,9 +44,6 @@ def choose_viewing(
 
     Returns:
         None if no viewer is wanted. If none can open, a value that states the reason.
-
-    Raises:
-        UsageError: The options contradict each other, or there is neither a display nor a file.
     """
     if options.listen is not None and not (options.web or served):
         raise UsageError(f"--listen {options.listen} is the address of --web; give both.")

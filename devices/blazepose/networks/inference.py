@@ -59,11 +59,7 @@ class Landmarks:
 
 
 class _Network:
-    """One network file, loaded.
-
-    Raises:
-        DeviceError: The runtime is missing or refuses the file.
-    """
+    """One network file, loaded."""
 
     def __init__(self, content: bytes, threads: int = 1) -> None:
         try:
