@@ -147,7 +147,7 @@ def _plain(name: str) -> str:
 
 
 def _other_side(name: str) -> str:
-    for left, right in (("Left", "Right"), ("LEFT", "RIGHT")):
+    for left, right in (("Left", "Right"), ("LEFT", "RIGHT"), ("left", "right")):
         if left in name:
             return name.replace(left, right)
         if right in name:
@@ -155,16 +155,22 @@ def _other_side(name: str) -> str:
     return name
 
 
-def _body(name: str, torso: tuple[str, ...], table: str) -> Body:
-    """A body from rows ``joint parent bone rest-direction length`` in the tracker's joint order."""
-    rows = [line.split() for line in table.strip().splitlines()]
+def _body(name: str, torso: str, table: str) -> Body:
+    """A body from rows ``joint parent bone rest-direction length`` in the tracker's joint order.
+
+    The left joints of a block come again, on the right, at its end.
+    """
+    rows: list[list[str]] = []
+    for block in table.strip().split("\n\n"):
+        own = [line.split() for line in block.splitlines()]
+        rows += own + [[_other_side(word) for word in row] for row in own if "left" in row[0].lower()]
     joints = tuple(row[0] for row in rows)
     return Body(
         name=name,
         joints=joints,
         parents=tuple(-1 if row[1] == "-" else joints.index(row[1]) for row in rows),
         bones=tuple("" if row[2] == "-" else row[2] for row in rows),
-        torso=tuple(joints.index(joint) for joint in torso),
+        torso=tuple(joints.index(joint) for joint in torso.split()),
         rest=np.array([_REST_DIRECTIONS[row[3]] for row in rows]),
         nominal_lengths=np.array([float(row[4]) for row in rows]),
     )
@@ -172,7 +178,7 @@ def _body(name: str, torso: tuple[str, ...], table: str) -> Body:
 
 KINECT_V1 = _body(
     "kinect_v1",
-    ("HipCenter", "Spine", "ShoulderCenter", "ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight"),
+    "HipCenter Spine ShoulderCenter ShoulderLeft ShoulderRight HipLeft HipRight",
     """
     HipCenter       -               -                root   0.00
     Spine           HipCenter       lower_spine      up     0.12
@@ -182,25 +188,18 @@ KINECT_V1 = _body(
     ElbowLeft       ShoulderLeft    upper_arm_left   down   0.29
     WristLeft       ElbowLeft       forearm_left     down   0.25
     HandLeft        WristLeft       hand_left        down   0.08
-    ShoulderRight   ShoulderCenter  collar_right     right  0.17
-    ElbowRight      ShoulderRight   upper_arm_right  down   0.29
-    WristRight      ElbowRight      forearm_right    down   0.25
-    HandRight       WristRight      hand_right       down   0.08
+
     HipLeft         HipCenter       pelvis_left      left   0.09
     KneeLeft        HipLeft         thigh_left       down   0.42
     AnkleLeft       KneeLeft        shin_left        down   0.41
     FootLeft        AnkleLeft       foot_left        front  0.13
-    HipRight        HipCenter       pelvis_right     right  0.09
-    KneeRight       HipRight        thigh_right      down   0.42
-    AnkleRight      KneeRight       shin_right       down   0.41
-    FootRight       AnkleRight      foot_right       front  0.13
     """,
 )
 """Kinect for Xbox 360: the paper's 20 joints."""
 
 KINECT_V2 = _body(
     "kinect_v2",
-    ("SpineBase", "SpineMid", "SpineShoulder", "ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight"),
+    "SpineBase SpineMid SpineShoulder ShoulderLeft ShoulderRight HipLeft HipRight",
     """
     SpineBase      -              -                root   0.00
     SpineMid       SpineBase      lower_spine      up     0.20
@@ -210,40 +209,23 @@ KINECT_V2 = _body(
     ElbowLeft      ShoulderLeft   upper_arm_left   down   0.29
     WristLeft      ElbowLeft      forearm_left     down   0.25
     HandLeft       WristLeft      hand_left        down   0.08
-    ShoulderRight  SpineShoulder  collar_right     right  0.17
-    ElbowRight     ShoulderRight  upper_arm_right  down   0.29
-    WristRight     ElbowRight     forearm_right    down   0.25
-    HandRight      WristRight     hand_right       down   0.08
+
     HipLeft        SpineBase      pelvis_left      left   0.09
     KneeLeft       HipLeft        thigh_left       down   0.42
     AnkleLeft      KneeLeft       shin_left        down   0.41
     FootLeft       AnkleLeft      foot_left        front  0.13
-    HipRight       SpineBase      pelvis_right     right  0.09
-    KneeRight      HipRight       thigh_right      down   0.42
-    AnkleRight     KneeRight      shin_right       down   0.41
-    FootRight      AnkleRight     foot_right       front  0.13
+
     SpineShoulder  SpineMid       upper_spine      up     0.24
     HandTipLeft    HandLeft       fingers_left     down   0.08
     ThumbLeft      WristLeft      thumb_left       front  0.06
-    HandTipRight   HandRight      fingers_right    down   0.08
-    ThumbRight     WristRight     thumb_right      front  0.06
     """,
 )
 """Kinect for Xbox One: 25 joints."""
 
 AZURE_KINECT = _body(
     "azure_kinect",
-    (
-        "PELVIS",
-        "SPINE_NAVEL",
-        "SPINE_CHEST",
-        "CLAVICLE_LEFT",
-        "SHOULDER_LEFT",
-        "CLAVICLE_RIGHT",
-        "SHOULDER_RIGHT",
-        "HIP_LEFT",
-        "HIP_RIGHT",
-    ),
+    "PELVIS SPINE_NAVEL SPINE_CHEST CLAVICLE_LEFT SHOULDER_LEFT CLAVICLE_RIGHT SHOULDER_RIGHT "
+    "HIP_LEFT HIP_RIGHT",
     """
     PELVIS          -               -                root   0.00
     SPINE_NAVEL     PELVIS          lower_spine      up     0.20
@@ -256,34 +238,23 @@ AZURE_KINECT = _body(
     HAND_LEFT       WRIST_LEFT      hand_left        down   0.08
     HANDTIP_LEFT    HAND_LEFT       fingers_left     down   0.08
     THUMB_LEFT      WRIST_LEFT      thumb_left       front  0.06
-    CLAVICLE_RIGHT  SPINE_CHEST     clavicle_right   up     0.10
-    SHOULDER_RIGHT  CLAVICLE_RIGHT  collar_right     right  0.14
-    ELBOW_RIGHT     SHOULDER_RIGHT  upper_arm_right  down   0.29
-    WRIST_RIGHT     ELBOW_RIGHT     forearm_right    down   0.25
-    HAND_RIGHT      WRIST_RIGHT     hand_right       down   0.08
-    HANDTIP_RIGHT   HAND_RIGHT      fingers_right    down   0.08
-    THUMB_RIGHT     WRIST_RIGHT     thumb_right      front  0.06
+
     HIP_LEFT        PELVIS          pelvis_left      left   0.09
     KNEE_LEFT       HIP_LEFT        thigh_left       down   0.42
     ANKLE_LEFT      KNEE_LEFT       shin_left        down   0.41
     FOOT_LEFT       ANKLE_LEFT      foot_left        front  0.13
-    HIP_RIGHT       PELVIS          pelvis_right     right  0.09
-    KNEE_RIGHT      HIP_RIGHT       thigh_right      down   0.42
-    ANKLE_RIGHT     KNEE_RIGHT      shin_right       down   0.41
-    FOOT_RIGHT      ANKLE_RIGHT     foot_right       front  0.13
+
     HEAD            NECK            head             up     0.16
     NOSE            HEAD            nose             front  0.17
     EYE_LEFT        HEAD            eye_left         front  0.14
     EAR_LEFT        HEAD            ear_left         left   0.09
-    EYE_RIGHT       HEAD            eye_right        front  0.14
-    EAR_RIGHT       HEAD            ear_right        right  0.09
     """,
 )
 """Azure Kinect body tracking (libk4abt), and Orbbec's cameras with it: 32 joints."""
 
 BLAZEPOSE = _body(
     "blazepose",
-    ("PELVIS", "SPINE_NAVEL", "NECK", "SHOULDER_LEFT", "SHOULDER_RIGHT", "HIP_LEFT", "HIP_RIGHT"),
+    "PELVIS SPINE_NAVEL NECK SHOULDER_LEFT SHOULDER_RIGHT HIP_LEFT HIP_RIGHT",
     """
     PELVIS          -               -                root   0.00
     SPINE_NAVEL     PELVIS          lower_spine      up     0.18
@@ -293,27 +264,17 @@ BLAZEPOSE = _body(
     WRIST_LEFT      ELBOW_LEFT      forearm_left     down   0.25
     HAND_LEFT       WRIST_LEFT      hand_left        down   0.08
     THUMB_LEFT      WRIST_LEFT      thumb_left       front  0.09
-    SHOULDER_RIGHT  NECK            collar_right     right  0.19
-    ELBOW_RIGHT     SHOULDER_RIGHT  upper_arm_right  down   0.29
-    WRIST_RIGHT     ELBOW_RIGHT     forearm_right    down   0.25
-    HAND_RIGHT      WRIST_RIGHT     hand_right       down   0.08
-    THUMB_RIGHT     WRIST_RIGHT     thumb_right      front  0.09
+
     HIP_LEFT        PELVIS          pelvis_left      left   0.09
     KNEE_LEFT       HIP_LEFT        thigh_left       down   0.42
     ANKLE_LEFT      KNEE_LEFT       shin_left        down   0.41
     HEEL_LEFT       ANKLE_LEFT      heel_left        down   0.07
     FOOT_LEFT       ANKLE_LEFT      foot_left        front  0.16
-    HIP_RIGHT       PELVIS          pelvis_right     right  0.09
-    KNEE_RIGHT      HIP_RIGHT       thigh_right      down   0.42
-    ANKLE_RIGHT     KNEE_RIGHT      shin_right       down   0.41
-    HEEL_RIGHT      ANKLE_RIGHT     heel_right       down   0.07
-    FOOT_RIGHT      ANKLE_RIGHT     foot_right       front  0.16
+
     HEAD            NECK            head             up     0.12
     NOSE            HEAD            nose             front  0.12
     EYE_LEFT        HEAD            eye_left         front  0.12
     EAR_LEFT        HEAD            ear_left         left   0.09
-    EYE_RIGHT       HEAD            eye_right        front  0.12
-    EAR_RIGHT       HEAD            ear_right        right  0.09
     """,
 )
 """The program's own tracker (:mod:`devices.blazepose`): 29 joints with the names of Azure's.

@@ -76,12 +76,7 @@ class FusionSetup:
         intrinsics_a: Intrinsics | None = None,
         intrinsics_b: Intrinsics | None = None,
     ) -> None:
-        """Fills in defaults.
-
-        Args:
-            calibration: R, t and the bone lengths.
-            settings: The method and its parameters; the defaults where None.
-            intrinsics_a, intrinsics_b: The depth cameras; the sensor family's nominal ones where None.
+        """Takes the default settings and the sensor family's nominal cameras where None.
 
         Raises:
             FusionError: A bone has no positive length.

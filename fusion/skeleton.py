@@ -68,7 +68,6 @@ class Skeleton:
         position, whatever its coordinates.
 
         Args:
-            body: Which joints these are.
             positions: (J, 3) metres, sensor frame.
             states: (J,) tracking states 0, 1 or 2; all tracked where None.
             time_ns: Capture time on the sensor's clock.
@@ -117,11 +116,7 @@ def nobody(body: Body) -> Skeleton:
 def checked_joints(
     body: Body, positions: ArrayLike, states: ArrayLike | None = None, frames: tuple[int, ...] = ()
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Read-only positions (frames, J, 3) and states (frames, J), checked as :meth:`Skeleton.of` does.
-
-    Raises:
-        FusionError: As there.
-    """
+    """Read-only positions (frames, J, 3) and states (frames, J), checked as :meth:`Skeleton.of` does."""
     with np.errstate(over="ignore"):  # values beyond float32 become infinite and count as not tracked
         at = np.array(positions, dtype=np.float32)
     if at.shape != (*frames, len(body), 3):

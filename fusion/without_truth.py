@@ -124,7 +124,6 @@ class HeldOutRegistration:
     rotation_off: float  # radians from a robust fit over the second half
     position_off: float  # metres between both positions of the middle of the person in the second half
     apart: float  # median distance between the views in the second half, with the registration learned
-    apart_own_fit: float  # the same with the second half's own fit: the lower limit
 
 
 def judge_registration(learned: RigidTransform, a: Array, b: Array) -> HeldOutRegistration:
@@ -135,7 +134,6 @@ def judge_registration(learned: RigidTransform, a: Array, b: Array) -> HeldOutRe
         rotation_off=learned.angle_to(own),
         position_off=float(np.linalg.norm(learned.apply(middle) - own.apply(middle))),
         apart=_median(np.linalg.norm(learned.apply(b) - a, axis=2)),
-        apart_own_fit=_median(np.linalg.norm(own.apply(b) - a, axis=2)),
     )
 
 

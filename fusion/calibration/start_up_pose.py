@@ -18,25 +18,18 @@ from fusion.calibration.calibration import FEWEST_PAIRS
 from fusion.errors import CalibrationError
 from fusion.large_arrays import parts
 from fusion.pair_arrays import Pairs
+from fusion.registration.rigid_fit import NOBODY_IN_BOTH
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 
 _SHORTEST_NS = 1_000_000_000
 _SHORTEST_PARTLY_NS = 2_000_000_000
 _LONGEST_NS = 3_000_000_000
+_CALM_NS = 2_000_000_000  # of the window where no pose is held
 _FEWEST_SHARED = 4  # main joints that both sensors track, of a pose that each sees in part
 _STILL = 0.040  # metres RMS about the window's mean; real still poses tremble by 1–20 mm a joint
 _ARM_ANGLE = np.radians(25.0)  # shoulder → wrist against the trunk's axis
 _LONG = 18_000  # pairs, ten minutes
 _LEG_ANGLE = np.radians(12.0)  # hips' centre → one ankle against the other
-
-_MAIN_JOINTS = (
-    ("HEAD",),
-    *(
-        (f"{joint}_{side}",)
-        for side in ("LEFT", "RIGHT")
-        for joint in ("SHOULDER", "ELBOW", "WRIST", "HIP", "KNEE", "ANKLE")
-    ),
-)
 
 
 class StartUpPose:
@@ -68,24 +61,15 @@ class StartUpPose:
         Returns:
             The pairs of the held pose once it ends after at least a second, or lasts three; else None.
         """
-        if self._holds(pair):
-            self._held.append(pair)
-            if not self._still():
-                return self._finish(but_last=1)
-            if pair.time_ns - self._held[0].time_ns >= _LONGEST_NS:
-                return self._finish()
-            return None
-        return self._finish()
+        if not self._holds(pair):
+            return self.end()
+        self._held.append(pair)
+        if not self._still():
+            return self.end(but_last=1)
+        return self.end() if pair.time_ns - self._held[0].time_ns >= _LONGEST_NS else None
 
-    def end(self) -> list[SkeletonPair] | None:
-        """Ends the sequence of pairs.
-
-        Returns:
-            The pairs of the pose where it was held long enough to the end; else None.
-        """
-        return self._finish()
-
-    def _finish(self, but_last: int = 0) -> list[SkeletonPair] | None:
+    def end(self, but_last: int = 0) -> list[SkeletonPair] | None:
+        """Ends the pose, without some last pairs; its pairs if it was held long enough, else None."""
         pose = list(self._held)[: len(self._held) - but_last]
         long_enough = len(pose) >= FEWEST_PAIRS and pose[-1].time_ns - pose[0].time_ns >= self._shortest_ns
         if long_enough or not but_last:
@@ -156,7 +140,9 @@ def _worth_watching(pairs: Pairs) -> Iterator[SkeletonPair | None]:
 
 def main_joints(body: Body) -> NDArray[np.int64]:
     """The joints that must be seen at the start: head, and both arms and legs down to wrist and ankle."""
-    return np.array([body.joint(name) for (name,) in _MAIN_JOINTS], dtype=np.int64)
+    limbs = ("SHOULDER", "ELBOW", "WRIST", "HIP", "KNEE", "ANKLE")
+    names = ["HEAD", *(f"{joint}_{side}" for side in ("LEFT", "RIGHT") for joint in limbs)]
+    return np.array([body.joint(name) for name in names], dtype=np.int64)
 
 
 def limbs_apart(skeleton: Skeleton) -> bool:
@@ -179,30 +165,27 @@ def _limbs_apart(body: Body, positions: NDArray[np.float32]) -> NDArray[np.bool_
     return np.asarray((left > _ARM_ANGLE) & (right > _ARM_ANGLE) & (legs > _LEG_ANGLE))
 
 
-def _calmest(pairs: Pairs, seconds: float = 2.0) -> Sequence[SkeletonPair]:
+def _calmest(pairs: Pairs) -> Sequence[SkeletonPair]:
     """The calmest window; of a long recording, windows within parts of ten minutes count."""
     both = [part.start + np.flatnonzero(pairs[part].seen_by_both) for part in parts(len(pairs))]
     seen = np.concatenate([np.zeros(0, dtype=np.int64), *both])
     if len(seen) == 0:
-        raise CalibrationError(
-            "No frame shows a person to both sensors. Check that the two recordings overlap and that the "
-            "person stands in both views."
-        )
-    each = (_calm_windows(pairs[seen[part]], seconds) for part in parts(len(seen), _LONG))
+        raise CalibrationError(NOBODY_IN_BOTH)
+    each = (_calm_windows(pairs[seen[part]]) for part in parts(len(seen), _LONG))
     found = list(chain.from_iterable(each))
     if not found:  # too short or too sparse for a choice
         return pairs[seen]
     return min(found, key=lambda window: window[:2])[2]  # the best seen, and of these the calmest
 
 
-def _calm_windows(pairs: Pairs, seconds: float) -> Iterator[tuple[float, float, Pairs]]:
+def _calm_windows(pairs: Pairs) -> Iterator[tuple[float, float, Pairs]]:
     """The best window, if there is any: its share of joints that are not seen, their tremble, its pairs."""
     main, of = main_joints(pairs.body), pairs.arrays()
     tracked = (of.states_a == TrackingState.TRACKED) & (of.states_b == TrackingState.TRACKED)
     share = tracked[:, main].mean(axis=1)
-    ends = np.searchsorted(of.time_ns, of.time_ns + int(seconds * 1e9))
+    ends = np.searchsorted(of.time_ns, of.time_ns + _CALM_NS)
     count = ends - np.arange(len(ends))
-    spans = of.time_ns[ends - 1] - of.time_ns >= 0.75 * seconds * 1e9
+    spans = of.time_ns[ends - 1] - of.time_ns >= 0.75 * _CALM_NS
     starts = np.flatnonzero(spans & (count >= FEWEST_PAIRS))
     if len(starts):
         missing = (1.0 - _window_sums(share, starts, ends[starts]) / count[starts]).round(1)

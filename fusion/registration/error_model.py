@@ -267,11 +267,9 @@ def _accumulate(observations, model, sums):  # type: ignore[no-untyped-def]
             gradient[4] += w * (x2 * r0 - x0 * r2)
             gradient[5] += w * (x0 * r1 - x1 * r0)
     information[1, 1] = information[2, 2] = information[0, 0]
-    information[1, 3], information[2, 3], information[2, 4] = (
-        -information[0, 4],
-        -information[0, 5],
-        -information[1, 5],
-    )
+    information[1, 3] = -information[0, 4]
+    information[2, 3] = -information[0, 5]
+    information[2, 4] = -information[1, 5]
     for y in range(6):
         for z in range(y):
             information[y, z] = information[z, y]

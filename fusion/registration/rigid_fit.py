@@ -17,6 +17,10 @@ from fusion.skeleton import SkeletonPair
 
 LARGEST_RESIDUAL = 0.300
 """Metres: a fit whose median residual is larger cannot be right."""
+NOBODY_IN_BOTH = (
+    "No frame shows a person to both sensors. Check that the two recordings overlap and that the person "
+    "stands in both views."
+)
 Array = NDArray[np.float64]
 _FEWEST_JOINTS = 5
 _STEPS = 12  # of a robust fit
@@ -130,10 +134,7 @@ def register(pairs: Sequence[SkeletonPair]) -> Registration:
     """
     seen = [(pair.a, pair.b) for pair in pairs if pair.a is not None and pair.b is not None]
     if not seen:
-        raise CalibrationError(
-            "No frame shows a person to both sensors. Check that the two recordings overlap and that the "
-            "person stands in both views."
-        )
+        raise CalibrationError(NOBODY_IN_BOTH)
     body = seen[0][0].body
     p = np.array([a.positions for a, _ in seen], dtype=np.float64)  # (T, J, 3)
     q = np.array([b.positions for _, b in seen], dtype=np.float64)
