@@ -11,14 +11,11 @@ from fusion.large_arrays import parts
 
 def mirrored_share(body: Body, positions: NDArray[np.floating]) -> float | None:
     """The share of frames (T, J, 3) in which the toes point to the wrong side of the plane of shoulders and
-    hips.
+    hips; None where no frame shows these, ankles and feet.
 
     With up u from the hips to the shoulders, l to the person's left and f from the ankles to the toes,
     l·(f×u) is negative in a right-handed frame. A tracker that takes a back for a front exchanges the labels
     of a whole body, which keeps the sign. On 30 real recordings of Kinect v2 the share is at most 2 %.
-
-    Returns:
-        None where no frame shows shoulders, hips, ankles and feet.
     """
     left, right = ([body.joint(f"{name} {side}") for name in _NAMES] for side in ("left", "right"))
     count = mirrored = 0

@@ -96,14 +96,13 @@ def how_to_install(platform: str = sys.platform) -> str:
 
 
 def open_kinect(sdk: Any, serial: str, configuration: Any, *, joins_color: bool = False) -> Any:
-    """Opens the Kinect with a serial number. It queries all devices, because their indices are not stable.
+    """Opens the Kinect with a serial number, without starting its cameras.
+
+    It queries all devices, because their indices are not stable.
 
     Args:
         joins_color: Whether libk4a puts the colour image of a moment into its depth image's capture. It then
             holds depth back until colour comes. If not, each image comes at once, in a capture of its own.
-
-    Returns:
-        The opened ``pyk4a.PyK4A``, without cameras running.
 
     Raises:
         AbsentError: It is not connected; libk4a was not asked to open anything.

@@ -62,13 +62,10 @@ class BodyLandmarks(NamedTuple):
 
 
 def lift(landmarks: BodyLandmarks, depth: NDArray[np.uint16], camera: Intrinsics) -> Lifted | None:
-    """Places the landmarks in space.
+    """Places the landmarks in space; None where the depth shows no person of possible size.
 
     Args:
         depth: (h, w) millimetres along z, 0 without a reading.
-
-    Returns:
-        None where the depth shows no person of possible size.
     """
     pixels, visibility, _, _ = landmarks
     laid = lay_body(landmarks, depth, camera)

@@ -168,11 +168,7 @@ class Calibrator:
         return self._pose.held
 
     def watch(self, pair: SkeletonPair) -> Calibration | None:
-        """Takes the next pair.
-
-        Returns:
-            The new calibration where this pair completes one, else None.
-        """
+        """The new calibration where the next pair completes one, else None."""
         if self._final or pair.a is None or pair.b is None:
             return None
         found = self._from_pose(pair) or self._from_movement(pair)

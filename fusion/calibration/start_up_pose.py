@@ -56,11 +56,7 @@ class StartUpPose:
         return (self._held[-1].time_ns - self._held[0].time_ns) * 1e-9
 
     def watch(self, pair: SkeletonPair) -> list[SkeletonPair] | None:
-        """Takes the next pair.
-
-        Returns:
-            The pairs of the held pose once it ends after at least a second, or lasts three; else None.
-        """
+        """The pairs of the held pose once it ends after a second or more, or lasts three; else None."""
         if not self._holds(pair):
             return self.end()
         self._held.append(pair)

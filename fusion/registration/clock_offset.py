@@ -86,10 +86,9 @@ class ClockOffsetEstimator:
         return _combined(list(self._windows))
 
     def observe(self, pair: SkeletonPair, a_from_b: RigidTransform) -> ClockOffset | None:
-        """Takes a pair that is neither stale nor one-sided.
+        """The estimate, when it becomes certain or changes beyond its uncertainty.
 
-        Returns:
-            The estimate, when it becomes certain or changes beyond its uncertainty.
+        The pair is neither stale nor one-sided.
         """
         if self._pending and pair.time_ns - self._pending[0].time_ns >= _WINDOW_NS:
             self._windows.extend(_windows(self._points, *self._points.of(self._pending, a_from_b), 0.0))
@@ -113,7 +112,7 @@ class ClockOffsetEstimator:
 def clock_offset_of(
     body: Body, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform
 ) -> ClockOffset | None:
-    """The offset and skew of a whole recording, up to a tenth of a second.
+    """The offset and skew of a whole recording, up to a tenth of a second; None with too little motion.
 
     The regression is repeated with B interpolated at the offset found so far.
     :mod:`fusion.registration.clock_search` finds larger offsets. Of a long recording, minutes that are
@@ -121,9 +120,6 @@ def clock_offset_of(
 
     Args:
         pairs: In order, without stale ones and with both views.
-
-    Returns:
-        None where there is too little motion.
     """
     if len(pairs) < 4 * _SLOPE + 2:
         return None

@@ -43,14 +43,11 @@ _CORRELATED = 2.0  # standard errors are larger by this factor, because neighbou
 
 
 def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
-    """The time to add to B's clock so that both views show one motion.
+    """The time to add to B's clock so that both views show one motion; None where the motion does not tell.
 
     Args:
         a, b: The frames in which the person is seen. Where their times do not overlap, the search begins with
             equal first times.
-
-    Returns:
-        None where the motion does not tell.
     """
     if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
         return None

@@ -86,7 +86,9 @@ class KeyframeSet:
 
     def __init__(self, body: Body, capacity: int = 128, *, selective: bool = True) -> None:
         self._body, self._capacity, self._selective = body, capacity, selective
-        self._left, self._right = _sides(body)
+        self._left, self._right = (
+            [body.joint(f"{name}_{side}") for name in ("SHOULDER", "HIP")] for side in ("LEFT", "RIGHT")
+        )
         self._store = new_arrays(Evidence, K=capacity, J=len(body))
         self._cells: list[tuple[int, int, int]] = []
         self._newest: int | None = None
@@ -108,11 +110,7 @@ class KeyframeSet:
         self._newest = int(np.argmax(self._store.time_ns[: len(keep)])) if keep else None
 
     def add(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> bool:
-        """Takes a pair that shows something new; the caller leaves out stale ones.
-
-        Returns:
-            Whether the pair became a keyframe.
-        """
+        """Whether a pair shows something new, and became a keyframe; the caller leaves out stale ones."""
         if pair.a is None or pair.b is None or (self._selective and not self.due(pair.time_ns)):
             return False
         a, weight_a = relabelled(pair.a, codes[0])
@@ -206,10 +204,3 @@ def match_sides(body: Body, evidence: Evidence, a_from_b: RigidTransform) -> NDA
 
 def _penalty(apart: Array) -> Array:
     return np.asarray(np.log1p(np.sum(apart * apart, axis=-1) / _FAR**2))
-
-
-def _sides(body: Body) -> tuple[list[int], list[int]]:
-    return (
-        [body.joint("SHOULDER_LEFT"), body.joint("HIP_LEFT")],
-        [body.joint("SHOULDER_RIGHT"), body.joint("HIP_RIGHT")],
-    )

@@ -67,11 +67,7 @@ _LONGEST = 10.0  # of the bone's length: a longer step is not tried
 
 @inner_kernel
 def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
-    """From the joints in ``work.positions``, whose objective is given, to a minimum; see :func:`solve_tree`.
-
-    Returns:
-        (iterations, systems, objective, converged).
-    """
+    """From the joints in ``work.positions``, whose objective is given, to a minimum; as solve_tree."""
     for i in range(len(order)):
         work.multipliers[i] = 0.0
     root, scales, move = order[0], work.scales, work.moves

@@ -55,8 +55,7 @@ class TreeWorkspace(NamedTuple):
 def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
     """Copies targets and information to the workspace; a joint without a finite target has no information.
 
-    Returns:
-        Whether all weights are finite, and all bones have a length.
+    Returns whether all weights are finite, and all bones have a length.
     """
     target, info = work.targets, work.information
     for i in range(targets.shape[0]):
@@ -139,15 +138,13 @@ def bend(point, length, reach, side):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def place(parents, order, rest, start, way, work, at):  # type: ignore[no-untyped-def]
-    """Writes a feasible skeleton to ``at``: bone directions from a source, then the best translation.
+    """Writes a feasible skeleton to ``at``: bone directions from a source, then the best translation; returns
+    the objective.
 
     ``FROM_START``: a bone has its direction in ``start``, else in ``rest``. ``FROM_TARGETS``: it points from
     its near end's target, or position, to the point of :func:`aim_at`; as above without one. ``BENT``
     and ``BENT_AWAY``: likewise, but before a hole it leaves space for the bones beyond, on the side of its
     direction in ``start`` or ``rest``, or on the other side.
-
-    Returns:
-        The objective.
     """
     target, info, lengths = work.targets, work.information, work.lengths
     aim, counts, reaches = work.aims, work.aim_counts, work.aim_reaches

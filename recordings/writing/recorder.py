@@ -104,13 +104,10 @@ class Recorder:
     def record_all(
         self, frames: Sequence[SessionFrame], numbers: Sequence[int] | None = None
     ) -> SessionArrays:
-        """Logs many frames by columns; may be called again for the following frames.
+        """Logs many frames by columns and returns the arrays; may be called again for the following frames.
 
         Args:
             numbers: Frame numbers, if frames were left out. None: consecutive numbers.
-
-        Returns:
-            The logged arrays.
         """
         rows = self._stack(frames, numbers)
         if self._plots_every > 1:

@@ -72,13 +72,10 @@ def show_infrared(stream: rr.RecordingStream, side: str, image: NDArray[np.uint1
 
 
 def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.float32]:
-    """The points of every n-th row and column of a depth image.
+    """(N, 3) points of every n-th row and column of a depth image, metres in the sensor's frame.
 
     Args:
         depth: (height, width) millimetres, 0 where there is no reading.
-
-    Returns:
-        (N, 3) metres in the sensor's frame.
 
     Raises:
         DeviceError: The sizes of the image and the camera differ.

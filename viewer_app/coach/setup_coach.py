@@ -104,11 +104,7 @@ class Coach:
         self._overlap_of: tuple[Calibration | None, float] = (None, math.inf)
 
     def watch(self, frame: SessionFrame, now: Situation) -> list[Advice]:
-        """Processes the next frame.
-
-        Returns:
-            All current advice, the most urgent first.
-        """
+        """All current advice with the next frame, the most urgent first."""
         time = frame.pair.time_ns * 1e-9
         self._began = time if self._began is None else self._began
         self._remember(frame, now, time)

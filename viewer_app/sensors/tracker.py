@@ -48,11 +48,7 @@ def ensure_networks(settings: BlazePoseSettings, console: Console) -> None:
 
 
 def fetch_networks(network: NetworkName, folder: Path, console: Console) -> list[Path]:
-    """Fetches the files of a network that a folder lacks or has damaged.
-
-    Returns:
-        The files that were fetched.
-    """
+    """Fetches the files of a network that a folder lacks or has damaged; returns them."""
     from devices.blazepose.networks.fetching import fetch
 
     with console.status("fetching a package of about 40 MB …"):

@@ -82,11 +82,7 @@ class ViewerFeed(QueuedSink):
         self._turn_over.wait(seconds)
 
     def wait_until_free(self, seconds: float) -> bool:
-        """Waits while the static data or an item is to be written, at most the given seconds.
-
-        Returns:
-            Whether everything is written, or the thread has ended.
-        """
+        """Waits until all is written or the thread has ended, at most so long; whether it is so."""
         return self._free.wait(seconds)
 
     def close(self) -> None:

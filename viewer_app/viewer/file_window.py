@@ -38,13 +38,10 @@ def write_for_viewer(
     end: int | None = None,
     progress: Progress = quietly,
 ) -> int:
-    """Writes frames of a session with its page and the layouts.
+    """Writes frames of a session with its page and the layouts; returns how many damaged images it skipped.
 
     Args:
         setup: The last setup of the frames; None: of the session.
-
-    Returns:
-        The number of damaged images that were skipped.
     """
     blueprint = session_blueprint(
         setup or session.last_setup, session.whereabouts, active, depth=has_depth(session)
@@ -102,9 +99,7 @@ def show(path: Path, at_ns: int | None = None) -> bool:
 
     Args:
         at_ns: Where to put the time cursor, ns since the first pair; None: wherever the viewer puts it.
-
-    Returns:
-        Whether the time cursor stands there.
+            Returns whether it stands there.
     """
     with path.open("rb") as file:
         process, port = start_viewer(["--hide-welcome-screen", "-"], file)

@@ -45,10 +45,7 @@ _PIP_OPTIONS = (
 def fetch(network: NetworkName, folder: Path) -> list[Path]:
     """Fetches the files of a network that the folder lacks or has damaged, with licence and notice.
 
-    A file appears in the folder whole and checked, or not at all.
-
-    Returns:
-        The files that were fetched; none if the folder had them all.
+    A file appears in the folder whole and checked, or not at all. Returns those that were fetched.
 
     Raises:
         DeviceError: There is no pip (or npm, for ``lite``) or package index, or the folder cannot be written.
