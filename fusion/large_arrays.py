@@ -77,7 +77,6 @@ class Rows(Sequence[Item]):
     @overload
     def __getitem__(self, k: slice) -> list[Item]: ...
     def __getitem__(self, k: int | slice) -> Item | list[Item]:
-        """Item k, or some of the items."""
         numbers = range(len(self))
         return [self.row(number) for number in numbers[k]] if isinstance(k, slice) else self.row(numbers[k])
 

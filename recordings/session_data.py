@@ -60,7 +60,6 @@ class SessionData:
         return len(self.rows)
 
     def __str__(self) -> str:
-        """The file of the session, for messages."""
         return "the session in memory" if self.path is None else str(self.path)
 
     @property

@@ -93,11 +93,7 @@ class _KinectStream(CaptureStream[_Captured]):
 
 
 class KinectSensor(LiveSensor):
-    """One Azure Kinect with its body tracker: a :class:`~devices.sensor.Sensor`.
-
-    Attributes:
-        waits_for: What the sensor is waiting for, if that may take minutes; else empty.
-    """
+    """One Azure Kinect with its body tracker."""
 
     def __init__(
         self,

@@ -44,7 +44,6 @@ class MkvRecording(Sensor):
     """
 
     def __init__(self, path: Path | str) -> None:
-        """Stores the path without opening the file."""
         self.path = Path(path)
         self.name = self.path.name
         self.body: Body = AZURE_KINECT
@@ -55,7 +54,6 @@ class MkvRecording(Sensor):
         self._begun, self._described = False, 0
 
     def __enter__(self) -> MkvRecording:
-        """Opens the recording and reads its metadata."""
         self.__exit__()
         self._container, self._begun = self._open(), False
         self.warnings = []

@@ -62,7 +62,6 @@ class BlazePose:
     """
 
     def __init__(self, settings: BlazePoseSettings | None = None) -> None:
-        """Stores the settings; opening loads the networks."""
         self.settings = settings or BlazePoseSettings()
         self.region: Region | None = None
         self._networks: tuple[Detector, LandmarkNetwork] | None = None
@@ -71,7 +70,6 @@ class BlazePose:
         self._searched = 0  # images without the person in a row: every other one is searched closer
 
     def __enter__(self) -> BlazePose:
-        """Loads the networks."""
         folder = self.settings.models or cache_folder()
         detector, landmarks = (checked_content(file, folder) for file in files_of(self.settings.network))
         threads = self.settings.threads

@@ -47,7 +47,6 @@ class CaptureStream(ABC, Generic[M]):
     """What to check if a subordinate gets no pulses."""
 
     def __init__(self, label: str, settings: CaptureSettings, sensor: LiveSensor) -> None:
-        """Prepares; takes no capture yet."""
         self.label, self.settings, self.sensor = label, settings, sensor
         self._silent_s = 0.0
         self._patience_s = settings.start_s if settings.sync == "subordinate" else settings.stall_s
@@ -164,12 +163,7 @@ class LiveSensor(Sensor):
     """A sensor of this machine.
 
     Attributes:
-        name: Its serial number.
-        decimation: Which moments are given.
-        intrinsics: Intrinsics of the depth camera in the chosen mode; None before opening.
-        missed: Captured frames that were dropped because this program or its tracker was too slow. Moments
-            skipped on purpose by the decimation are not counted.
-        lost: Captured frames that did not reach this machine.
+        decimation: Which moments are given. Those skipped on purpose do not count as missed.
     """
 
     def __init__(

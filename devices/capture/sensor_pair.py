@@ -56,6 +56,7 @@ class TwoSensors:
             SensorThread(sensor, keep=_KEEP, limits=limits, arrival=self._arrival, clock=clock)
             for sensor in (a, b)
         )
+        self._sides: tuple[tuple[Side, SensorThread], ...] = (("a", self.a), ("b", self.b))
         self._pairing = pairing or LivePairing()
         self._decimation, self.step = decimation, 1
         self._clock, self._tell = clock, tell
@@ -91,7 +92,7 @@ class TwoSensors:
             for thread in (self.b, self.a) if a_leads else (self.a, self.b):
                 thread.open()
             # Frames of one sensor that arrived while the other's tracker was loading do not count as dropped.
-            for _, thread in self._sides():
+            for _, thread in self._sides:
                 thread.count_from_now()
         except BaseException:
             self.__exit__()
@@ -106,7 +107,7 @@ class TwoSensors:
             self.a.close(_CLOSE_S)
         finally:
             self.b.close(max(0.0, until_s - time.monotonic()))
-        for _, thread in self._sides():
+        for _, thread in self._sides:
             self._take_events(thread)
 
     def pairs(self, every_frame: bool = True) -> Iterator[FramePair]:
@@ -141,7 +142,7 @@ class TwoSensors:
         self._name_late_sensor()
         now_ns, pairs = _ns(self._clock()), []
         arrivals: list[tuple[Side, Arrival]] = []
-        for side, thread in self._sides():
+        for side, thread in self._sides:
             came_back, taken = thread.returns, thread.take()
             if came_back != self._returns[side]:
                 self._returns[side] = came_back
@@ -151,7 +152,7 @@ class TwoSensors:
         # Use the arrival times, so that a pause of this thread does not look like a pause of a sensor.
         for side, arrival in sorted(arrivals, key=lambda entry: entry[1].at_ns):
             pairs += self._pairing.add(side, arrival.frame, arrival.at_ns)
-        for side, thread in self._sides():
+        for side, thread in self._sides:
             if thread.gone:
                 self._pairing.set_gone(side, True)
         return pairs + self._pairing.poll(now_ns)
@@ -171,7 +172,7 @@ class TwoSensors:
             return
         self.step = decimation.step
         self._pairing.set_interval(decimation.interval_ns)
-        for _, thread in self._sides():
+        for _, thread in self._sides:
             thread.set_interval(decimation.interval_ns * 1e-9)
         full, kept = 1e9 / decimation.period_ns, 1e9 / decimation.interval_ns
         message = (
@@ -200,7 +201,7 @@ class TwoSensors:
         self._tell(event)
 
     def _end(self) -> None:
-        for _, thread in self._sides():
+        for _, thread in self._sides:
             thread.end()
 
     def _take_events(self, thread: SensorThread) -> None:
@@ -209,9 +210,6 @@ class TwoSensors:
         self._events += events
         for event in events:
             self._tell(event)
-
-    def _sides(self) -> tuple[tuple[Side, SensorThread], ...]:
-        return ("a", self.a), ("b", self.b)
 
 
 def _ns(seconds: float) -> int:

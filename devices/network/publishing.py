@@ -62,7 +62,6 @@ class FramePublisher:
         self._publisher: Any = None
 
     def __enter__(self) -> FramePublisher:
-        """Opens the session."""
         zenoh = load_zenoh()
         session = self._stack.enter_context(zenoh_session(self._addresses))
         declare = self._stack.enter_context

@@ -32,7 +32,6 @@ class MomentJoiner:
     """
 
     def __init__(self, period_ns: int) -> None:
-        """Starts without a frame."""
         self._period_ns = period_ns
         self._depth: Any = None
         self._infrared: Any = None

@@ -32,7 +32,6 @@ class OrbbecRecording(Sensor):
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        """Names the recording; opens nothing."""
         self.path, self.name = path, path.name
         self.body: Body = BLAZEPOSE
         self.intrinsics: Intrinsics | None = None
@@ -45,7 +44,6 @@ class OrbbecRecording(Sensor):
         self._streams: tuple[Any, ...] = ()
 
     def __enter__(self) -> OrbbecRecording:
-        """Opens the file."""
         self.__exit__()
         if not self.path.is_file():
             raise DeviceError(f"No file {self.path}.")

@@ -75,7 +75,7 @@ class Refinement:
         self._in_force, self.prior, self._proposal = a_from_b, prior, None
 
     def observe(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> RobustFit | None:
-        """Takes a pair that is neither stale nor one-sided; returns a new fit that is now in force, or None."""
+        """Takes a pair that is neither stale nor one-sided; returns a fit that is in force from now on."""
         self._seen += self.keyframes.add(pair, codes)
         if self._next_ns is None:
             self._next_ns = pair.time_ns + self._settings.interval_ns

@@ -30,15 +30,16 @@ class Line:
 def lead_lines(figures: Figures) -> Iterator[Line]:
     """The lines that lead every report."""
     if "fused_frames" in figures:
-        repaired, rate = figures["repaired"], figures["frames_per_second"]
-        error = figures["bone_error_mm"]
+        rate, error = figures["frames_per_second"], figures["bone_error_mm"]
         found = Verdict(**figures["verdict"])
         yield Line("Verdict", in_words(found), found.word in ("poor", "unknown"), found.word)
-        yield _agreement(figures)
+        median, high = (in_mm(figures["views_agree_mm"][key]) for key in ("median", "p95"))
+        text = f"median {median}, 95 % {high}, over all frames since the calibration."
+        yield Line("Views agree", text, figure=median)
         turn = figures["calibration"]["rotation_sd_deg"]
         precision = f"{precision_in_words(figures['calibration'])}."
         yield Line("Calibration", precision, figure="–" if turn is None else f"± {turn:.1f}°")
-        yield Line("Repaired", _repaired(repaired), figure=_exchanged(repaired))
+        yield _repaired(figures["repaired"])
         yield Line("S*", _pace(figures), figure="–" if rate is None else f"{rate:.1f} / s")
         yield Line("Bones", _bones(error), figure=in_mm(error["fused"]["max"]))
     yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
@@ -93,27 +94,13 @@ BONE_HEAD = ("bone", "target", "S_A", "S_B", "S*")
 """The columns of :func:`bone_rows`."""
 
 
-def _agreement(figures: Figures) -> Line:
-    apart = figures["views_agree_mm"]
-    median, high = in_mm(apart["median"]), in_mm(apart["p95"])
-    text = f"median {median}, 95 % {high}, over all frames since the calibration."
-    return Line("Views agree", text, figure=median)
-
-
-def _exchanged(repaired: Figures) -> str:
-    shares = repaired["exchanged"]
-    if shares is None:
-        return in_percent(repaired["unseen_joints"])
-    return f"{in_percent(shares['a'])}, {in_percent(shares['b'])}"
-
-
-def _repaired(repaired: Figures) -> str:
-    filled_in = f"joints filled in: {in_percent(repaired['unseen_joints'])}."
-    exchanged = repaired["exchanged"]
+def _repaired(repaired: Figures) -> Line:
+    unseen, exchanged = in_percent(repaired["unseen_joints"]), repaired["exchanged"]
+    filled_in = f"joints filled in: {unseen}."
     if exchanged is None:
-        return filled_in
+        return Line("Repaired", filled_in, figure=unseen)
     a, b = in_percent(exchanged["a"]), in_percent(exchanged["b"])
-    return f"left and right: {a} of A, {b} of B; {filled_in}"
+    return Line("Repaired", f"left and right: {a} of A, {b} of B; {filled_in}", figure=f"{a}, {b}")
 
 
 def _pace(figures: Figures) -> str:
@@ -215,7 +202,7 @@ def _without_truth(figures: Figures) -> Iterator[Line]:
         yield Line("Without truth", "too short, or too few joints that both sensors see.")
         return
     ratio, own = figures["roughness_ratio"], in_percent(figures["jumps_own"])
-    a, b, fused = (in_mm(_times_1000(figures[f"rough_{key}"])) for key in ("a", "b", "fused"))
+    a, b, fused = (in_mm(1e3 * figures[f"rough_{key}"]) for key in ("a", "b", "fused"))
     yield Line("Roughness", f"second difference: S* {fused}, S_A {a}, S_B {b}; ratio {ratio:.2f}.")
     a, b, fused = (in_percent(figures[f"jumps_{key}"]) for key in ("a", "b", "fused"))
     yield Line("Jumps", f"above 150 mm per frame: S* {fused}, S_A {a}, S_B {b} of steps; S* alone {own}.")
@@ -235,10 +222,6 @@ def _without_truth(figures: Figures) -> Iterator[Line]:
 def _times(ms: Figures, digits: int, unit: str) -> str:
     median, high, most = (f"{ms[key]:.{digits}f}" for key in ("p50", "p99", "max"))
     return f"{median} {unit} (median), 99 % {high} ms, max {most} ms"
-
-
-def _times_1000(metres: float | None) -> float | None:
-    return None if metres is None else metres * 1e3
 
 
 def _listed(counts: Figures) -> str:

@@ -1,8 +1,6 @@
 """The layouts of the viewer: three tabs, one per task.
 
 *setup* is for placing the sensors, *inspect* for explaining the motion of a joint, *report* for the bones.
-
-A little over 300 lines: three layouts, of views that they share.
 """
 
 from __future__ import annotations

@@ -45,7 +45,6 @@ class TrackedRecording(SensorWrapper):
         self._calibration: ctypes.Array[ctypes.c_char] | None = None
 
     def __enter__(self) -> Self:
-        """Opens the recording, then the tracker."""
         self.recording.__enter__()
         try:
             info = self.recording.info
