@@ -94,7 +94,9 @@ def figures_without_truth(pair: FusedPair) -> FiguresWithoutTruth:
         )
     robust = fit_recording(pair.a, pair.b)
     b = robust.apply(pair.b)
-    steps_a, steps_b, steps = (_steps(view) for view in (pair.a, b, pair.fused))
+    steps_a, steps_b, steps = (  # (T-1, J) distance that each joint moves from frame to frame
+        np.linalg.norm(np.diff(view, axis=0), axis=2) for view in (pair.a, b, pair.fused)
+    )
     known = np.isfinite(steps_a) & np.isfinite(steps_b) & np.isfinite(steps)
     way, fast = _motion(pair.body, pair.a, b, pair.time_ns)
     own = (steps > JUMP) & (steps_a < NO_JUMP) & (steps_b < NO_JUMP)
@@ -180,11 +182,6 @@ def _flips_per_minute(body: Body, positions: Array, time_ns: NDArray[np.int64]) 
     turned = np.flatnonzero((left[within:] * left[:-within]).sum(axis=1) < 0.0)
     flips = int(np.sum(np.diff(turned) > _ONE_FLIP)) + 1 if len(turned) else 0
     return flips * 60.0 / (float(time_ns[-1] - time_ns[0]) * 1e-9)
-
-
-def _steps(positions: Array) -> Array:
-    """(T-1, J) distance that each joint moves from frame to frame."""
-    return np.asarray(np.linalg.norm(np.diff(positions, axis=0), axis=2))
 
 
 def _roughness(positions: Array) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -166,10 +167,6 @@ def state_names(body: Body) -> tuple[str, ...]:
     return layout.STATE_NAMES
 
 
-_DICTIONARIES: dict[tuple[str, ...], pa.Array] = {}
-
-
+@cache
 def _dictionary(names: tuple[str, ...]) -> pa.Array:
-    if names not in _DICTIONARIES:
-        _DICTIONARIES[names] = pa.array(names)
-    return _DICTIONARIES[names]
+    return pa.array(names)

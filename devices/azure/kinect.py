@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -176,7 +177,8 @@ class KinectSensor(LiveSensor):
                     yield self._frame(taken)
             return
         # Waiting at most three quarters of a frame for the tracker leaves time to fetch the next capture.
-        queue = TrackerQueue(self._tracker, 0.75 / self.settings.fps, self._took, self.clock)
+        took = partial(self.decimation.tracked, self.name)
+        queue = TrackerQueue(self._tracker, 0.75 / self.settings.fps, took, self.clock)
         while not self._interrupted.is_set():
             if not queue.full and (taken := self._take(stream, wait=queue.empty)) is not None:
                 queue.put(self._frame(taken), capture_pointer(taken.capture))
@@ -194,9 +196,6 @@ class KinectSensor(LiveSensor):
             color=None if jpeg is None or self._color is None else ColorImage.of(jpeg.tobytes(), self._color),
             host_ns=taken.host_ns,
         )
-
-    def _took(self, time_ns: int) -> None:
-        self.decimation.tracked(self.name, time_ns)
 
     def _check_jack(self) -> None:
         """Checks that the sync cable is connected, and that a device that opens lazily is not busy."""

@@ -82,15 +82,12 @@ class TrackedImages(SensorWrapper):
                     self._pace.stay(self.tracker.settings.network, fault)
             begun_ns = self._clock()
             people = self._people(frame)
-            self._tell(self._clock() - begun_ns)
+            spent_ns = self._clock() - begun_ns
+            self._took(spent_ns)
+            if self._pace is not None:
+                # A simulated sensor makes its images on this thread, within the same budget.
+                self._pace.tracked(self.name, spent_ns + int(getattr(self.source, "making_ns", 0)))
             yield replace(frame, people=people)
-
-    def _tell(self, spent_ns: int) -> None:
-        """Reports how long the tracker worked on a frame."""
-        self._took(spent_ns)
-        if self._pace is not None:
-            # A simulated sensor makes its images on this thread, within the same budget.
-            self._pace.tracked(self.name, spent_ns + int(getattr(self.source, "making_ns", 0)))
 
     def _people(self, frame: SensorFrame) -> dict[str, Skeleton]:
         camera = self.source.intrinsics

@@ -110,7 +110,10 @@ class Refinement:
         if settings.in_steps:
             evidence = evidence.copy()  # keyframes come in between the steps
         try:
-            candidate = self._fit(evidence, iterations=3)
+            candidate = fit_robust(
+                self._body, evidence, self._in_force, settings.fit,
+                iterations=3, noise_sd=self._noise_sd, biases=self._biases, prior=self.prior,
+            )  # fmt: skip
             self._biases, self._noise_sd = candidate.biases, candidate.noise_sd
             if not self._worth_it(candidate.a_from_b, candidate.centre):
                 return None
@@ -126,12 +129,6 @@ class Refinement:
             return None
         self._in_force = candidate.a_from_b
         return candidate
-
-    def _fit(self, evidence: Evidence, iterations: int) -> RobustFit:
-        return fit_robust(
-            self._body, evidence, self._in_force, self._settings.fit,
-            iterations=iterations, noise_sd=self._noise_sd, biases=self._biases, prior=self.prior,
-        )  # fmt: skip
 
     def _worth_it(self, proposed: RigidTransform, centre: NDArray[np.float64]) -> bool:
         shift = proposed.apply(self._in_force.inverse().apply(centre)) - centre

@@ -60,7 +60,8 @@ def write_bvh(session: Session, path: Path, rate: float | None = None) -> str:
     held[held < 0] = int(np.argmax(present))
     positions = positions[held]
     body = session.body
-    nodes = list(_nodes(body, _rest(body, session.calibration.bone_lengths)))
+    rest = y_up(body.rest) * session.calibration.bone_lengths[:, None]  # metres: standing, facing +z, y up
+    nodes = list(_nodes(body, rest))
     rotations = _rotations(nodes, y_up_rotations(rotations_of(body, y_up(positions), even.time_ns)))
     angles = [r.as_euler("ZXY", degrees=True, suppress_warnings=True) for r in rotations]
     motion = np.concatenate([positions[:, body.root] * _CM, *angles], axis=1)
@@ -87,11 +88,6 @@ def _first_of_last_lengths(session: Session) -> int:
             break
         first = number
     return first
-
-
-def _rest(body: Body, lengths: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(J, 3) metres, each bone in the rest pose: standing, facing +z, y up."""
-    return y_up(body.rest) * lengths[:, None]
 
 
 def _nodes(body: Body, rest: NDArray[np.float64]) -> Iterator[_Node]:

@@ -117,7 +117,10 @@ class Recorder:
                 self.plot()
         else:
             self.record_rows(rows)
-        self._log_sensors(frames, rows)
+        for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
+            if frame.streams is not None:
+                self._figures.record(number, time_ns, frame.streams)
+            self.record_images(number, frame)
         return rows
 
     def record_rows(self, rows: SessionArrays, checks: FusedChecks | None = None) -> None:
@@ -210,13 +213,6 @@ class Recorder:
         """Marks the session as complete; a reader treats a session without this mark as cut off."""
         self.plot()
         self._stream.send_property("end", rr.AnyValues(frames=self._frames))
-
-    def _log_sensors(self, frames: Sequence[SessionFrame], rows: SessionArrays) -> None:
-        """Logs sensor data other than skeletons."""
-        for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
-            if frame.streams is not None:
-                self._figures.record(number, time_ns, frame.streams)
-            self.record_images(number, frame)
 
     def _stack(self, frames: Sequence[SessionFrame], numbers: Sequence[int] | None) -> SessionArrays:
         if numbers is None:

@@ -23,7 +23,10 @@ from viewer_app.options.sensing import BatchOptions, calibration_source, recordi
 def run(options: BatchOptions) -> None:
     """Runs the command; exits with code 1 if a pair could not be fused."""
     console = Console(highlight=False)
-    _check(options)
+    if options.processes < 0:
+        raise UsageError(f"--processes must be 0 or more; got {options.processes}.")
+    recording_settings(options)
+    calibration_source(options.calibrate)
     options = _absolute(options)
     pairs, alone = _pairs(options)
     for line in alone:
@@ -128,13 +131,6 @@ def _absolute(options: BatchOptions) -> BatchOptions:
         tracker_model=None if options.tracker_model is None else options.tracker_model.absolute(),
         k4abt=None if options.k4abt is None else options.k4abt.absolute(),
     )
-
-
-def _check(options: BatchOptions) -> None:
-    if options.processes < 0:
-        raise UsageError(f"--processes must be 0 or more; got {options.processes}.")
-    recording_settings(options)
-    calibration_source(options.calibrate)
 
 
 def _pairs(options: BatchOptions) -> tuple[list[Pair], list[str]]:

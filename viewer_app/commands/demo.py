@@ -157,13 +157,9 @@ def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMom
             "The sensors are badly placed, and S* is less accurate. The advice says what to change."
         )
     for moment in sorted(moments, key=lambda each: each.starts[0]):
-        when = _listed([f"{start:g}" for start in moment.starts])
+        when = ", ".join(f"{start:g}" for start in moment.starts[:_MOST_NAMED])
+        when += " …" if len(moment.starts) > _MOST_NAMED else ""
         console.print(f"At {when} s {moment.fault} for a second; S* stays right.")
-
-
-def _listed(words: Sequence[str]) -> str:
-    first = ", ".join(words[:_MOST_NAMED])
-    return f"{first} …" if len(words) > _MOST_NAMED else first
 
 
 def _own_tracker(options: DemoOptions, console: Console) -> TrackingPace:

@@ -30,7 +30,7 @@ class Line:
 def lead_lines(figures: Figures) -> Iterator[Line]:
     """The lines that lead every report."""
     if "fused_frames" in figures:
-        rate, error = figures["frames_per_second"], figures["bone_error_mm"]
+        rate = figures["frames_per_second"]
         found = Verdict(**figures["verdict"])
         yield Line("Verdict", in_words(found), found.word in ("poor", "unknown"), found.word)
         median, high = (in_mm(figures["views_agree_mm"][key]) for key in ("median", "p95"))
@@ -41,7 +41,9 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
         yield Line("Calibration", precision, figure="–" if turn is None else f"± {turn:.1f}°")
         yield _repaired(figures["repaired"])
         yield Line("S*", _pace(figures), figure="–" if rate is None else f"{rate:.1f} / s")
-        yield Line("Bones", _bones(error), figure=in_mm(error["fused"]["max"]))
+        a, b, fused = (in_mm(figures["bone_error_mm"][key]["max"]) for key in ("a", "b", "fused"))
+        text = f"S* within {fused} of their lengths; S_A up to {a} off, S_B {b}."
+        yield Line("Bones", text, figure=fused)
     yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
 
 
@@ -112,11 +114,6 @@ def _pace(figures: Figures) -> str:
         return f"{counted} in {seconds:.1f} s{each}."
     late = f"{latency_ms['p50']:.0f} ms after the images (99 %: {latency_ms['p99']:.0f} ms)"
     return f"{late}{each} over {seconds:.1f} s."
-
-
-def _bones(error_mm: Figures) -> str:
-    a, b, fused = (in_mm(error_mm[key]["max"]) for key in ("a", "b", "fused"))
-    return f"S* within {fused} of their lengths; S_A up to {a} off, S_B {b}."
 
 
 def _shortfalls(figures: Figures) -> Iterator[Line]:

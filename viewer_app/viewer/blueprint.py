@@ -180,7 +180,12 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
             ),
             rrb.Tabs(
                 disagreement,
-                _events(),
+                # without the entity path, which is the same in every row
+                rrb.TextLogView(
+                    origin=layout.EVENTS,
+                    name="events",
+                    columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),
+                ),
                 rrb.StateTimelineView(
                     origin="/",
                     contents=[layout.state_lane(side, joint) for joint in prominent for side in layout.SIDES],
@@ -280,12 +285,6 @@ def _plot(name: str, title: str) -> rrb.TimeSeriesView:
         plot_legend=rrb.PlotLegend(visible=False),
         overrides={layout.QUALITY: entity_styles.figure_lines(name)},
     )
-
-
-def _events() -> rrb.TextLogView:
-    """The event log without the entity path, which is the same in every row."""
-    columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
-    return rrb.TextLogView(origin=layout.EVENTS, name="events", columns=columns)
 
 
 def _scene(

@@ -13,10 +13,6 @@ from devices.simulated.person.motion import STARTUP, Frame, Motion, both_arms, k
 from devices.simulated.person.sports import badminton, basketball, boxing
 
 
-def _still() -> Motion:
-    return Motion("still", 60.0, keyframes(60.0, (0.0, {}), (30.0, {})), startup=False)
-
-
 def _startup() -> Motion:
     loop = keyframes(60.0, (0.0, STARTUP), (30.0, STARTUP))
     return Motion("startup", 60.0, loop, Footsteps(FEET_APART), arrive=Footsteps(FEET_APART))
@@ -178,7 +174,7 @@ MOTIONS = {
         _squat(),
         _sit(),
         boxing(),
-        _still(),
+        Motion("still", 60.0, keyframes(60.0, (0.0, {}), (30.0, {})), startup=False),
         _idle(),
     )
 }
