@@ -11,11 +11,10 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import repeats
 from fusion.paper.reliability import ViewPixels, weigh_views
+from fusion.setup import FusionSetup
 from fusion.solvers.published import solve_published
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_start import TreeWorkspace, copy
@@ -77,28 +76,21 @@ class Result(NamedTuple):
     stale_b: Annotated[NDArray[np.bool_], ("T",)]
 
 
-def new_model(
-    body: Body,
-    bone_lengths: Array,
-    rotation: Array,
-    intrinsics: tuple[Intrinsics, Intrinsics],
-    h: float,
-    weights: int,
-) -> Model:
+def new_model(setup: FusionSetup) -> Model:
     """The model of one body, calibration and choice of settings."""
-    a, b = intrinsics
+    body, calibration, (a, b) = setup.body, setup.calibration, setup.intrinsics
     return Model(
         parents=body.parent_indices,
         order=body.order,
         rest=np.ascontiguousarray(body.rest),
         torso=np.array(body.torso, dtype=np.int64),
         linked=body.linked,
-        bone_lengths=np.array(bone_lengths, dtype=np.float64),
-        rotation=np.array(rotation, dtype=np.float64),
+        bone_lengths=np.array(calibration.bone_lengths, dtype=np.float64),
+        rotation=np.array(calibration.a_from_b.rotation, dtype=np.float64),
         focal_a=np.array([a.fx, a.fy]),
         focal_b=np.array([b.fx, b.fy]),
-        h=h,
-        weights=weights,
+        h=setup.settings.h,
+        weights=EQUAL if setup.settings.weights == "equal" else PAPER,
     )
 
 

@@ -28,14 +28,7 @@ class PaperFusion:
     def recalibrate(self, setup: FusionSetup) -> None:
         """Continues with another calibration."""
         self._setup = setup
-        self._model = method.new_model(
-            setup.body,
-            setup.calibration.bone_lengths,
-            setup.calibration.a_from_b.rotation,
-            setup.intrinsics,
-            setup.settings.h,
-            method.EQUAL if setup.settings.weights == "equal" else method.PAPER,
-        )
+        self._model = method.new_model(setup)
         self._memory.translation[:] = setup.calibration.a_from_b.translation
 
     def compile(self, pairs: PairArrays) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Literal
 
 from recordings.errors import RecordingError
@@ -19,16 +18,14 @@ Table = Literal["long", "wide"]
 Writer = Callable[[Session, Path], str]
 """Writes a session to a file and returns a description of what was written."""
 
-_WRITERS: MappingProxyType[str, Writer] = MappingProxyType(
-    {
-        ".bvh": write_bvh,
-        ".c3d": write_c3d,
-        ".csv": write_long_csv,
-        ".npz": write_npz,
-        ".parquet": write_parquet,
-        ".trc": write_trc,
-    }
-)
+_WRITERS: dict[str, Writer] = {
+    ".bvh": write_bvh,
+    ".c3d": write_c3d,
+    ".csv": write_long_csv,
+    ".npz": write_npz,
+    ".parquet": write_parquet,
+    ".trc": write_trc,
+}
 
 
 def writer_for(path: Path, table: Table = "long", rate: float | None = None) -> Writer:

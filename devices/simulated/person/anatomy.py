@@ -43,7 +43,9 @@ SEGMENTS = tuple(_SEGMENTS)
 # landmark: (segment that carries it, landmark it is measured from, offset at rest in metres); _LEFT only,
 # the right is its mirror image. Proportions after Drillis and Contini (1966), joints as Azure's tracker
 # places them.
-_MIDDLE: dict[str, tuple[str, str, tuple[float, float, float]]] = {
+_Landmark = tuple[str, str, tuple[float, float, float]]
+_MIDDLE: dict[str, _Landmark] = {
+    "PELVIS": ("pelvis", "", (0.0, 0.0, 0.0)),
     "SPINE_NAVEL": ("pelvis", "PELVIS", (0.0, -0.175, 0.0)),
     "SPINE_CHEST": ("trunk", "SPINE_NAVEL", (0.0, -0.140, 0.005)),
     "SPINE_SHOULDER": ("trunk", "SPINE_NAVEL", (0.0, -0.290, 0.010)),
@@ -52,7 +54,7 @@ _MIDDLE: dict[str, tuple[str, str, tuple[float, float, float]]] = {
     "HEAD_TOP": ("head", "HEAD", (0.0, -0.165, 0.0)),
     "NOSE": ("head", "HEAD", (0.0, -0.030, -0.112)),
 }
-_SIDED: dict[str, tuple[str, str, tuple[float, float, float]]] = {
+_SIDED: dict[str, _Landmark] = {
     "CLAVICLE": ("trunk", "SPINE_NAVEL", (0.035, -0.305, 0.0)),
     "SHOULDER": ("trunk", "SPINE_NAVEL", (0.185, -0.300, 0.0)),
     "ELBOW": ("upper_arm", "SHOULDER", (0.0, 0.295, 0.0)),
@@ -70,11 +72,8 @@ _SIDED: dict[str, tuple[str, str, tuple[float, float, float]]] = {
 }
 
 
-def _landmark_table() -> dict[str, tuple[str, str, tuple[float, float, float]]]:
-    table: dict[str, tuple[str, str, tuple[float, float, float]]] = {
-        "PELVIS": ("pelvis", "", (0.0, 0.0, 0.0))
-    }
-    table |= _MIDDLE
+def _landmark_table() -> dict[str, _Landmark]:
+    table = dict(_MIDDLE)
     for side, sign in (("LEFT", 1.0), ("RIGHT", -1.0)):
         for name, (segment, origin, (x, y, z)) in _SIDED.items():
             sided_segment = segment if segment in _SEGMENTS else f"{segment}_{side}"
