@@ -1,7 +1,5 @@
 """Sources of frames: sensors, recordings and the simulator; pairing of frames."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from fusion.lazy_names import lazy_names

@@ -1,7 +1,5 @@
 """The result of one check of this machine."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 

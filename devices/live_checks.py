@@ -1,7 +1,5 @@
 """Checks of live capture on this machine, for the sensors of all vendors and both body trackers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

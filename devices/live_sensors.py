@@ -1,7 +1,5 @@
 """All connected sensors, of every vendor whose software is installed, and the live sensors made of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib.util import find_spec
 

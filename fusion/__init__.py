@@ -1,7 +1,5 @@
 """The method: two skeletons in, one out. It knows neither files nor devices."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from fusion.lazy_names import lazy_names

@@ -1,7 +1,5 @@
 """Allocates the arrays of a NamedTuple from the shapes that its fields declare."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any, TypeVar, get_args, get_type_hints
 

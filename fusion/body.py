@@ -4,8 +4,6 @@ A bone belongs to the joint at its far end, so that every joint but the root has
 are the person's own.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from functools import cached_property

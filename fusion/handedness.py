@@ -1,7 +1,5 @@
 """Whether recorded skeletons are the mirror image of a body, as where one axis is reversed."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """A sensor's viewing plane: projection of points to its image."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

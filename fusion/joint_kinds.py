@@ -6,8 +6,6 @@ Until its own values are measured, it names the kind that it resembles, and take
 groups. A joint whose name says no kind, and a kind without a value, are errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import TypeVar
 

@@ -14,8 +14,6 @@ facing the sensor) to its direction in S*. So p_child = p_parent + Q_child · (r
 S* exactly.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from typing import NamedTuple

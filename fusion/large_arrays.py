@@ -1,7 +1,5 @@
 """Arrays that may be larger than the memory, and the parts in which long recordings are worked on."""
 
-from __future__ import annotations
-
 import mmap
 import tempfile
 import weakref

@@ -1,7 +1,5 @@
 """Public names of a package that are imported on first use, because numba alone takes a second."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable
 from importlib import import_module

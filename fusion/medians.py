@@ -1,7 +1,5 @@
 """The median of what is known of an array, without the masked arrays of ``np.nanmedian``, which are slow."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

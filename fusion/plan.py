@@ -5,8 +5,6 @@ registration and bones from the whole recording. The second finds the labels aga
 live run has neither pass, because both use later frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass

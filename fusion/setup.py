@@ -1,7 +1,5 @@
 """The inputs of a fusion besides skeletons: calibration, settings and both depth cameras."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -4,8 +4,6 @@ Good figures do not prove that S* is right; bad ones prove that it is wrong. The
 of human motion (people do not jump between frames, and do not run backwards) and with its two views.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 

@@ -23,8 +23,6 @@ The tables are fitted on simulated sensors by ``python -m tests.experiments.fit_
 real people with depth images and truth was available, so the evidence is limited to LARGEST.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, NamedTuple
 

@@ -1,7 +1,5 @@
 """Sessions, in memory and on disk: ``from recordings import Session, fuse``."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from fusion.lazy_names import lazy_names

@@ -1,7 +1,5 @@
 """Calibration files, to be reused as long as the sensors do not move."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The figures themselves are the attributes of :class:`recordings.session_arrays.S
 each. The writer, the reader and the checksums iterate over these declarations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache

@@ -1,7 +1,5 @@
 """A session's images: of two recordings, or none. :mod:`recordings.file.stored_images` has a file's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Generic, TypeVar
 

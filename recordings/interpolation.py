@@ -1,7 +1,5 @@
 """S* between the moments of a session, with bones of constant length."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -3,8 +3,6 @@
 The layout is the same live and in a file. Positions are metres; the world is K_A's frame.
 """
 
-from __future__ import annotations
-
 from fusion.skeleton import NO_FRAME as NO_FRAME
 
 APPLICATION_ID = "duplex_kinects"

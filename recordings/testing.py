@@ -1,7 +1,5 @@
 """Comparison of sessions in tests, also in users' own: ``examples/test_fusion.py`` shows it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

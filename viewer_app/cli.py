@@ -1,7 +1,5 @@
 """The program ``duplex``: one command per task. A usage error prints one line and exits with code 2."""
 
-from __future__ import annotations
-
 import atexit
 import importlib
 import io

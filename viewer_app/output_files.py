@@ -1,7 +1,5 @@
 """Output files that are either complete or absent."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterable, Iterator

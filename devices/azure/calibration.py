@@ -6,8 +6,6 @@ from the binned size and the corner of the crop. Both are those of the Sensor SD
 source); tested against the output of the SDK.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

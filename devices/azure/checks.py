@@ -1,7 +1,5 @@
 """Checks of the Azure Kinect's SDK, its sensors and its body tracker, as data."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import shutil

@@ -3,8 +3,6 @@
 The SDK's errors have no description, so this file determines why a device does not open.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import sys

@@ -6,8 +6,6 @@ one. The process aborts when the count reaches zero: after half an hour with ``-
 camera. From Python 3.12 on, ``None`` is immortal and the error has no effect.
 """
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Settings of a Kinect, and their translation for libk4a."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

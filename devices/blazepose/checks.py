@@ -1,7 +1,5 @@
 """Checks of the program's own body tracker, as data."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 
 from devices.blazepose.networks.files import cache_folder, checked_content, fetch_command, files_of, missing

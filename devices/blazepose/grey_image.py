@@ -6,8 +6,6 @@ errors. CLAHE adds 1 to 5 mm there. The detector needs it: without, it misses on
 contrast.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Joints of the body ``blazepose`` from the network's landmarks."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The network's landmarks, and constants of their depth by kind."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ direction of each landmark, the depth image the distance of what is seen there. 
 surface, and then decides which readings are its own: what lies before it covers it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

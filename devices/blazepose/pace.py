@@ -1,7 +1,5 @@
 """Keeps two trackers on one processor in time: first with fewer frames, then with the lighter network."""
 
-from __future__ import annotations
-
 from devices.blazepose.networks.files import cache_folder, fetch_command, missing
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
 from devices.capture.frame_decimation import FrameDecimation

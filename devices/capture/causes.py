@@ -3,8 +3,6 @@
 The SDKs seldom give a reason. A message names the cause and the way out.
 """
 
-from __future__ import annotations
-
 from enum import Enum
 
 from devices.sensor import DeviceError

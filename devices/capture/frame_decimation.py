@@ -4,8 +4,6 @@ Without it each sensor keeps the frame that arrives when its own tracker is free
 different moments, and few pairs form. Here both count moments on a common grid and keep every n-th.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import deque

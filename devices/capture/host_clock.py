@@ -1,7 +1,5 @@
 """Estimates the offset between a sensor's clock and the host clock from arrival times."""
 
-from __future__ import annotations
-
 from collections import deque
 from enum import Enum
 

@@ -1,7 +1,5 @@
 """The connected sensors: which is A, which is B, and which is the master on the sync cable."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """State of a sensor on its own thread, the back-off between attempts to reopen it, and its messages."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple

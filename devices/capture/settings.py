@@ -1,7 +1,5 @@
 """Settings that live sensors of all vendors have."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

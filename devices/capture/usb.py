@@ -4,8 +4,6 @@ The SDK does not report why a device cannot be opened, so this module asks Linux
 information.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Removes or thins the images of a pair."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Converts depth images to points in the sensor's frame."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

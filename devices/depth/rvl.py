@@ -5,8 +5,6 @@ reading alternate. A reading is coded as its difference from the previous one, t
 The header is the one of ROS 2's compressed depth, which Rerun's viewer reads as ``application/rvl``.
 """
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -4,8 +4,6 @@ A body tracker places joints by a learned model; the depth image shows whether a
 are recorded with the session, so that a replay needs no images. See :mod:`fusion.witness` for their meaning.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

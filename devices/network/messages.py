@@ -4,8 +4,6 @@ Little endian. Every length is checked before it is used and a checksum covers t
 which is damaged, cut off or not ours raises :class:`MalformedError` and changes nothing.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ reply came, the other clock is ahead by ((t2 − t1) + (t3 − t4)) / 2, wrong b
 the smallest now counts.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 

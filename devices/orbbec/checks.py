@@ -1,7 +1,5 @@
 """Checks of Orbbec's SDK and of its sensors, as data."""
 
-from __future__ import annotations
-
 import re
 import sys
 

@@ -1,7 +1,5 @@
 """Images from the SDK's frames, and the images of one moment joined."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Access to connected Orbbec sensors through pyorbbecsdk2. Only this file imports it, and only on demand."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

@@ -1,7 +1,5 @@
 """A sensor's streams (depth, infrared of the same pixels, colour) and the lenses of their cameras."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -3,8 +3,6 @@
 The benchmarks use ``Rig()`` and the movements as they are; nothing here changes those.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A simulated Kinect, a pair of simulated Kinects, and their ground truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The poses and clocks of the two simulated sensors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

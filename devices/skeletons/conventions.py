@@ -1,7 +1,5 @@
 """Notices recorded skeletons whose units or axes are not those of this program."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Literal

@@ -1,7 +1,5 @@
 """Reads skeletons of the NTU RGB+D data set: ``.skeleton`` text files of a Kinect v2, without times."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Reads JSON of Microsoft's ``offline_processor`` sample: skeletons in millimetres, without confidences."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a reader of skeleton files takes and gives: the bytes of a text file, and the recording in it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise

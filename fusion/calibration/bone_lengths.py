@@ -1,7 +1,5 @@
 """Bone lengths of the averaged skeleton of the start-up pose, eq. (13), and of a moving person."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

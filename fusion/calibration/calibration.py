@@ -1,7 +1,5 @@
 """A calibration: K_B's pose in K_A's frame, and the bone lengths."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

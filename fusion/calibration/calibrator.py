@@ -10,8 +10,6 @@ person, in which the sides of the limbs are exchanged. Both are tried, and the b
 far.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The calibration of a whole recording in two passes: knocks first, then R, t and bones between them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple

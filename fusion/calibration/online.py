@@ -1,7 +1,5 @@
 """Refinement of a calibration while pairs come in: R, t and bone lengths, with events."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import Literal

@@ -4,8 +4,6 @@ Sec. 4 asks for a start-up pose: at 45° to both sensors, arms and legs apart, e
 few seconds. The program recognises that pose.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator, Sequence
 from itertools import chain

@@ -12,8 +12,6 @@ values of imported constants; numba does not notice a change of *their* files.
 On a first run two processes compile, because numba uses one core; each finds the other's kernels on disk.
 """
 
-from __future__ import annotations
-
 import atexit
 import os
 import shutil

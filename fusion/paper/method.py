@@ -3,8 +3,6 @@
 The caller owns all arrays, so that a frame allocates nothing.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, NamedTuple
 

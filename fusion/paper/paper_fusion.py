@@ -1,7 +1,5 @@
 """The paper's methods: owns their arrays and returns the results as fused frames."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import typeof

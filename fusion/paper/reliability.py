@@ -5,8 +5,6 @@ The nearest such joint over both planes is the mis-leading one, m; the view in w
 is more reliable.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ taken relative to their means over that second. τ follows by robust regression 
 used are those that an exchange of left and right does not move.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections import deque
 from collections.abc import Iterator, Sequence

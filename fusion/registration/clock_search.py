@@ -5,8 +5,6 @@ are correlated at all offsets. The largest peaks are candidates; a rigid registr
 tells which one puts the person in the same place.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

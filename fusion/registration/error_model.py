@@ -9,8 +9,6 @@ with an error that is the same in every frame of a view. Without β, ten thousan
 count as ten thousand observations and would outweigh a better pose that was held for two seconds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, NamedTuple

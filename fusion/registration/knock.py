@@ -14,8 +14,6 @@ A tracker's bias that changes with heading is in β, and a registration that was
 that both are explained without D. What remains is the gain of log-likelihood by D, at the price of D's prior.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Refinement of R and t while the person moves: one proposal per second, tested on held-out pairs."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from dataclasses import dataclass, field
 

@@ -3,8 +3,6 @@
 The fit is Gauss-Newton on (θ, dt) with iterated weights; β is eliminated joint by joint.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

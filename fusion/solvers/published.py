@@ -4,8 +4,6 @@ All bones are combined in one constraint c(X) = Σ (|e| - l)², whose gradient v
 multiplier cannot hold every bone against the data, so that bone lengths are only nearly right.
 """
 
-from __future__ import annotations
-
 import math
 
 from fusion.compiling.kernels import inner_kernel, kernel

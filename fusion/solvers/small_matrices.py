@@ -3,8 +3,6 @@
 In the solver a symmetric 3×3 matrix is six numbers: xx, xy, xz, yy, yz, zz.
 """
 
-from __future__ import annotations
-
 import math
 
 from fusion.compiling.kernels import inner_kernel

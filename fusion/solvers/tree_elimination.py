@@ -11,8 +11,6 @@ system of eq. (1), with constraints that hold already.
 All quantities are in a :class:`fusion.solvers.tree_start.TreeWorkspace`.
 """
 
-from __future__ import annotations
-
 import math
 
 from fusion.compiling.kernels import inner_kernel

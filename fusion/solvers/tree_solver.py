@@ -4,8 +4,6 @@ The unknowns are the root's position and one direction per bone, so that every i
 lengths. One step costs O(J): see :mod:`fusion.solvers.tree_elimination`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ xx, xy, xz, yy, yz, zz. A basis T (3, 2) is its two columns. The start is a skel
 lengths. Other steps lead away from a saddle, or are longer where the curvature is negative.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, NamedTuple
 

@@ -4,8 +4,6 @@ Capsules and bones are placed at the recorded joints by :mod:`recordings.appeara
 directions and lengths are stored in addition.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

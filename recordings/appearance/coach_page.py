@@ -1,7 +1,5 @@
 """The text and the drawings of the setup coach at one moment."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -4,8 +4,6 @@ People with protanopia or deuteranopia tell them apart as well; a test computes 
 the model of colour vision of Machado et al. 2009).
 """
 
-from __future__ import annotations
-
 Color = tuple[int, int, int]
 
 SKELETON_COLORS: dict[str, Color] = {

@@ -1,7 +1,5 @@
 """Appearance of a session's entities, logged once as static data."""
 
-from __future__ import annotations
-
 import rerun as rr
 from rerun.blueprint import Visualizer
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping

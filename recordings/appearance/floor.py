@@ -4,8 +4,6 @@ Skeletons contain no floor. A standing person's trunk and legs give the vertical
 (:mod:`fusion.facing.evidence`), and the lower ankle the height.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -1,7 +1,5 @@
 """Which view S* follows: joints coloured by their source, and one lane per limb over time."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

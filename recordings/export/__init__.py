@@ -1,7 +1,5 @@
 """Exports S* for other programs: chosen by the file's suffix."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -9,8 +9,6 @@ then gets the rotation of the pelvis, trunk, head, hand or foot, and each bone g
 position for the remaining rotation. Centimetres, y up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Moments at an even rate, for formats without time stamps, and conversion to the axes of these formats."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ C3D has z up, an even rate, at which S* is interpolated, and residual -1 for a g
 frame, and empty cells for gaps.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 from pathlib import Path

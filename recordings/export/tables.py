@@ -3,8 +3,6 @@
 Each writer returns a description of what was written.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

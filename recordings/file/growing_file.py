@@ -1,7 +1,5 @@
 """A session file that is readable while it grows; an interruption loses at most the last block."""
 
-from __future__ import annotations
-
 import os
 from contextlib import suppress
 from io import FileIO

@@ -1,7 +1,5 @@
 """Reads a session from its file: checks its content, and takes the frames before the first damaged one."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The images in a session's file, read on demand. Damaged images are skipped and counted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar

@@ -4,8 +4,6 @@ Sensors, floor and person are coordinate frames. A recalibration is one message:
 ``/kinect_b``, whose children move with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -4,8 +4,6 @@ A frame's checksum covers every number that :class:`recordings.session.Session` 
 precision.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

@@ -5,8 +5,6 @@ values share an entity, and many of them share a struct. Names are stored as dic
 numbers, and the viewer shows words when a joint is clicked.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A session's properties: the data for a replay, and facts about the recording."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import version

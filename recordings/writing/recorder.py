@@ -1,7 +1,5 @@
 """Logs a session to a stream: constant data once, frames by columns, everything else when it changes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any

@@ -3,8 +3,6 @@
 To add a figure, add a row to :data:`SHOWN_FIGURES`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any

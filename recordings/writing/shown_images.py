@@ -1,7 +1,5 @@
 """Images of the sensors in a stream: colour images, and for a viewer point clouds and infrared images."""
 
-from __future__ import annotations
-
 import io
 import math
 from functools import lru_cache

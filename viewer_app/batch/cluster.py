@@ -1,7 +1,5 @@
 """Workers of a Dask cluster. They must see the recordings and the output folder under the same paths."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Generator, Sequence

@@ -1,7 +1,5 @@
 """``duplex batch``: fuses many pairs of recordings and writes a summary."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Generator, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Finds the pairs of recordings in a folder."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A session's folder is made under a temporary name and renamed when it is complet
 final name is complete. A worker deletes only its own temporary folder; the command deletes all remains.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Reads a manifest: a CSV table of pairs of recordings."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path

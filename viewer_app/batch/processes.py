@@ -1,7 +1,5 @@
 """Worker processes on this machine; one that dies costs only its own job."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """The summary of a batch: a table with one row per pair, as Parquet and as an HTML page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Fuses one pair as ``duplex fuse --save`` does; runs in a process of this machine or on a Dask worker."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Advice for setting up two sensors, and advice derived from a calibration."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """The coach's advice in the 3D scene: where to stand, which sensor has a problem, where B would see more."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence

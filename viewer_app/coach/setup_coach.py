@@ -4,8 +4,6 @@ The coach is pure: its input is the loop's data, its clock is the pairs' time, a
 prints.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterator

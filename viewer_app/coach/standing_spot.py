@@ -1,7 +1,5 @@
 """The best place to stand, where both sensors see the whole person."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``duplex compare``: compares two fusions of the same capture."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

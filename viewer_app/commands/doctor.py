@@ -1,7 +1,5 @@
 """``duplex doctor``: checks live capture on this machine, and states how to fix what does not work."""
 
-from __future__ import annotations
-
 import ctypes.util
 import os
 import platform

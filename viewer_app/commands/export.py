@@ -1,7 +1,5 @@
 """``duplex export``: writes S* in formats of other programs."""
 
-from __future__ import annotations
-
 from rich.console import Console
 
 from recordings.export import writer_for

@@ -1,7 +1,5 @@
 """``duplex info``: prints the contents of a session."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rich.console import Console

@@ -1,7 +1,5 @@
 """``duplex live``: fuses two connected Kinects and shows or saves the session."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """``duplex replay``: fuses the two skeletons of a session again."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """``duplex review``: prints a session's summary and events, and shows it where something happened."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from rich.console import Console

@@ -1,7 +1,5 @@
 """``duplex sensor``: runs one sensor and its body tracker, and publishes its skeletons over Zenoh."""
 
-from __future__ import annotations
-
 import threading
 import time
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """``duplex tracker fetch``: fetches the networks of the program's own tracker."""
 
-from __future__ import annotations
-
 from rich.console import Console
 from rich.markup import escape
 

@@ -1,7 +1,5 @@
 """``duplex trim``: saves a time range of a session as a new session."""
 
-from __future__ import annotations
-
 import numpy as np
 from rich.console import Console
 

@@ -1,7 +1,5 @@
 """The commands of the program, and the options that a command line states."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from typing import Any

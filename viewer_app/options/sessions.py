@@ -1,7 +1,5 @@
 """Options of the commands on saved sessions: replay, info, trim, compare, review, export."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal

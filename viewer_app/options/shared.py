@@ -3,8 +3,6 @@
 A class's own options come after those of its bases, and those of its last base come first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ Per joint four channels: x, y, z in metres in K_A's frame, and a confidence from
 positions are NaN and confidences 0.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 from uuid import uuid4

@@ -1,7 +1,5 @@
 """Opens the outputs that the options ask for, and reports their counts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The base of all outputs: a bounded queue and a thread, so that no receiver holds up the loop."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

@@ -5,8 +5,6 @@ calibration changes), ``frame`` and ``event``. A later version of the schema kee
 drops it.
 """
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -6,8 +6,6 @@ same. A person who faces the sensor then faces +z. In Unity's T-pose, which has 
 point sideways and the palms down.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ https://protocol.vmc.info. A frame is one or two bundles: ``/VMC/Ext/OK``, ``/VM
 above. Without a person only the first two are sent, and an avatar keeps its pose.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -4,8 +4,6 @@ https://docs.vrchat.com/docs/osc-trackers. Unity's axes, metres, Euler angles in
 the order z, x, y. ``head`` relates this space to that of VRChat. Without a person nothing is sent.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation

@@ -3,8 +3,6 @@
 Only the JSON part is read. Nothing of the file is executed or drawn.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from dataclasses import dataclass

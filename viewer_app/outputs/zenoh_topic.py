@@ -1,7 +1,5 @@
 """S* over Zenoh: the JSON of the WebSocket under ``KEY/hello``, ``KEY/frame`` and ``KEY/event``."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 from devices.events import Event

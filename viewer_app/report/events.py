@@ -1,7 +1,5 @@
 """A session's events as a numbered list, and the one at which a review opens."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The figures of a fusion, as ``report.json`` has them."""
 
-from __future__ import annotations
-
 import json
 import math
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The motion of S_A, S_B and S* as compact data for the player in a page, ``templates/player.js``."""
 
-from __future__ import annotations
-
 import zlib
 from base64 import b64encode
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ This module collects the content of the page; ``templates/review_page.html`` def
 ``templates/player.js`` plays the motion. Jinja escapes all text from the session.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

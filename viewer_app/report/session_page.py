@@ -1,7 +1,5 @@
 """The viewer's page about a recorded session: its verdict, and the figures behind it."""
 
-from __future__ import annotations
-
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from viewer_app.coach.scene import CoachScene

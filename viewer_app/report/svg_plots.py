@@ -4,8 +4,6 @@ The plots use matplotlib, whose SVG needs no script, so that a page is small and
 add 4 MB of script to each page, Bokeh 1 MB.
 """
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The report in the terminal."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess

@@ -14,8 +14,6 @@ frames without a partner                               < 10 %     < 30 %
 Anything beyond is poor, and so is a view that is the mirror image of a body.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple

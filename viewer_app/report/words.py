@@ -4,8 +4,6 @@ How well the two views agree, how much of the data had to be repaired, and how f
 lead. Further lines appear only where there is something to say. All other figures follow on request.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

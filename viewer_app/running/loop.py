@@ -3,8 +3,6 @@
 :class:`recordings.fusing.live_fusion.LiveFusion` fuses and learns; the loop hands its frames to sinks.
 """
 
-from __future__ import annotations
-
 import gc
 import sys
 import time

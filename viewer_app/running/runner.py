@@ -1,7 +1,5 @@
 """What ``duplex live`` and ``duplex demo`` have in common: from open sensors to the summary at the end."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """The two sensors of a live session, as the options, the cables and the user choose them."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Opens the sensors of ``duplex live`` of which one or both hang on another PC."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 

@@ -1,7 +1,5 @@
 """A copy of the session in large blocks, which replaces the growing file when the session ends."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

@@ -1,7 +1,5 @@
 """The sinks of a running loop: viewer, file, further sinks. The loop waits for none of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A bounded queue and a thread: the base of every sink that may wait for a disk, a process or a network."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

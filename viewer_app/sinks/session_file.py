@@ -1,7 +1,5 @@
 """A session file, written on a separate thread."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import closing

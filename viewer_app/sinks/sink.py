@@ -1,7 +1,5 @@
 """The contract of the outputs of a loop: viewer, file, network."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any

@@ -4,8 +4,6 @@ A thread feeds it; no other thread waits for it. A viewer that is too slow gets 
 frames are counted. A hub that dies or hangs is replaced by a new one on the same port.
 """
 
-from __future__ import annotations
-
 import os
 import selectors
 import subprocess

@@ -3,8 +3,6 @@
 *setup* is for placing the sensors, *inspect* for explaining the motion of a joint, *report* for the bones.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal

@@ -1,7 +1,5 @@
 """Checks whether a window can open: a display must be named and must answer."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import io

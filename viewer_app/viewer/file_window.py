@@ -1,7 +1,5 @@
 """Shows a file in a viewer window after writing it, so that no viewer can block the writing."""
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 import tempfile

@@ -4,8 +4,6 @@ The file is not changed. A program of its own computes the clouds, because it ma
 that opened the viewer; it ends when all are sent or the viewer is gone.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import platform

@@ -1,7 +1,5 @@
 """Chooses the viewer that a command opens, and announces it."""
 
-from __future__ import annotations
-
 import threading
 import webbrowser
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ pyk4a (``devices.azure.kinect``); for a recording they are made from its images
 (``devices.azure.tracking.recorded_captures``).
 """
 
-from __future__ import annotations
-
 import ctypes
 from ctypes import POINTER, byref, c_char_p, c_float, c_int, c_int32, c_uint32, c_uint64, c_void_p
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Finds and loads the C libraries of a vendor."""
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import re

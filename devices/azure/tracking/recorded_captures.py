@@ -3,8 +3,6 @@
 Only recordings need this: the captures of a live sensor come from pyk4a.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The queue of frames that the body tracker is processing."""
 
-from __future__ import annotations
-
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Generator, Iterator

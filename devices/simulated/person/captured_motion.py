@@ -5,8 +5,6 @@ so that the bone lengths of all bodies are exact for any spine and collars in th
 motion capture lacks (hand tips, thumbs, nose, eyes, ears) are fixed to their segments.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

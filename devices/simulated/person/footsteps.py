@@ -1,7 +1,5 @@
 """Footsteps: where the feet are planted, and how they move between those places."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

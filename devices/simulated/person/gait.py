@@ -1,7 +1,5 @@
 """Walking along a closed path: footsteps on the path, the pelvis above them, arms opposite to the legs."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline

@@ -6,8 +6,6 @@ with the start-up pose, standing still, so that the program can calibrate, unles
 Then it repeats its loop.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any

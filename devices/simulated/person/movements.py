@@ -3,8 +3,6 @@
 Wrists and elbows are (out, up, front) from the shoulder in arm lengths; angles are radians.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from devices.simulated.person.footsteps import FEET_APART, FEET_AT_EASE, Footsteps, Stance, Step, arrive

@@ -1,7 +1,5 @@
 """Sports: badminton, basketball, boxing. See ``movements`` for the meaning of the tables."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from devices.simulated.person.footsteps import Footsteps, Stance, Step, arrive

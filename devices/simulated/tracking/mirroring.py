@@ -10,8 +10,6 @@ Shoulders and hips also face the sensor more than the person does: a person in p
 at 30° rather than at −30°.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The faults are those that real trackers have. A script only decides when they ha
 in the same way as those that it draws by chance (see ``tracker`` and ``mirroring``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -5,8 +5,6 @@ joint, a guess or the position of the joint that covers it (sec. 3); an outlier;
 the scale of the whole skeleton; jitter; mirroring; a repeated frame; a lost person.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
