@@ -43,10 +43,7 @@ class HostClock:
     def observe(self, sensor_ns: int, host_ns: int) -> Timing:
         """Adds a frame captured at ``sensor_ns`` that arrived at ``host_ns``."""
         offset_ns = host_ns - sensor_ns
-        if self.offset_ns is None:
-            self._note(offset_ns, host_ns)
-            return Timing.IN_TIME
-        excess_ns = offset_ns - self.offset_ns
+        excess_ns = 0 if self.offset_ns is None else offset_ns - self.offset_ns
         if -_LATE_NS <= excess_ns <= _LATE_NS:
             self._suspect = None
             self._note(offset_ns, host_ns)

@@ -44,9 +44,9 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
     yield verdict(calibration)
 
 
-def quality(residual_mm: float) -> Literal["good", "usable", "poor"]:
-    """Rates a calibration by the median distance between the views, millimetres."""
-    return "good" if residual_mm < GOOD else "usable" if residual_mm < USABLE else "poor"
+def graded(value: float, limits: tuple[float, float]) -> Literal["good", "usable", "poor"]:
+    """Good below the first limit, usable below the second."""
+    return "good" if value < limits[0] else "usable" if value < limits[1] else "poor"
 
 
 def verdict(calibration: Calibration) -> Advice:
@@ -55,7 +55,7 @@ def verdict(calibration: Calibration) -> Advice:
     if registration is None:
         return Advice("calibration", f"Calibration: {calibration.how}; its quality is unknown.")
     apart = registration.residual_median * 1e3
-    word = quality(apart)
+    word = graded(apart, (GOOD, USABLE))
     worst = ", ".join(f"{spoken(name)} {1e3 * off:.0f} mm" for name, off in registration.worst_joints(2))
     limit = f"limited by {worst}" if worst else "no joint was seen by both"
     if (uncertain := math.degrees(registration.rotation_sd)) > CERTAIN_TURN_DEG:

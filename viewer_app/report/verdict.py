@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, FEWEST_PAIRS
-from viewer_app.coach.advice import ANGLES, GOOD, USABLE
+from viewer_app.coach.advice import ANGLES, GOOD, USABLE, graded
 
 Figures = dict[str, Any]
 Word = Literal["good", "usable", "poor", "unknown"]
@@ -56,10 +56,6 @@ def verdict(figures: Figures) -> Verdict:
     return min(found, key=lambda each: order.index(each.word), default=Verdict("good"))
 
 
-def _graded(value: float, limits: tuple[float, float]) -> Word:
-    return "good" if value < limits[0] else "usable" if value < limits[1] else "poor"
-
-
 def _shortcomings(figures: Figures) -> Iterator[Verdict]:
     live = "streams" in figures
     calibration, apart = figures["calibration"], figures["views_agree_mm"]["median"]
@@ -79,11 +75,11 @@ def _shortcomings(figures: Figures) -> Iterator[Verdict]:
     if clock is not None:
         text = f"B captures {clock['offset_ms']:+.0f} ± {clock['sd_ms']:.0f} ms off its time stamps"
         certain = abs(clock["offset_ms"]) - 2.0 * clock["sd_ms"]
-        yield Verdict(_graded(certain, _OFFSETS), text, "Check the clocks")
+        yield Verdict(graded(certain, _OFFSETS), text, "Check the clocks")
     if apart is None:
         yield Verdict("unknown", "no joint was seen by both sensors", "Check that both see the person")
     else:
-        word = _graded(apart, (GOOD, USABLE))
+        word = graded(apart, (GOOD, USABLE))
         limit = f"good is below {GOOD:.0f}" if word == "usable" else f"usable is below {USABLE:.0f}"
         remedy = _CALIBRATE if live else _SAME_MOMENT
         text = f"the views differ by {_beyond(apart, GOOD, USABLE)} mm; {limit}"
@@ -107,7 +103,7 @@ def _shortcomings(figures: Figures) -> Iterator[Verdict]:
     if share >= _UNPAIRED[0]:
         text = f"{100.0 * share:.0f} % of the frames have no partner"
         remedy = "Check the frame rates of both sensors" if live else "Check clocks and frame rates"
-        yield Verdict(_graded(share, _UNPAIRED), text, remedy)
+        yield Verdict(graded(share, _UNPAIRED), text, remedy)
 
 
 def _distance(side: str, live: bool, median: float | None, near: float, far: float) -> Iterator[Verdict]:
