@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import filecmp
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,21 +27,13 @@ from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 from fusion.large_arrays import give_back
 from fusion.pair_arrays import View
+from fusion.progress import Progress, quietly
 from fusion.registration.clock_offset import ClockOffset
 from fusion.registration.clock_search import find_clock_offset
 
 MKV = ".mkv"
-Progress = Callable[[Iterable[Any], str, int | None], Iterable[Any]]
-"""Shows progress: takes frames or parts of the work, a description of it, and their number if known."""
-
 _CLOCKS_AGREE_NS = 1_000_000
 """Tolerance between the measured and the configured sync delay; the sensors are accurate to 0.1 ms."""
-
-
-def quietly(frames: Iterable[Any], what: str, total: int | None) -> Iterable[Any]:
-    """A :data:`Progress` that shows nothing."""
-    del what, total
-    return frames
 
 
 def open_source(
@@ -51,6 +42,7 @@ def open_source(
     tracker: TrackerChoice | None = None,
     option: str = "",
     unit: Unit = "auto",
+    progress: Progress = quietly,
 ) -> Sensor:
     """Creates the sensor for a recording; opens nothing.
 
@@ -63,6 +55,7 @@ def open_source(
         tracker: The body tracker, where one is needed. None: chosen for this machine.
         option: What the option that gives ``skeletons`` is called, for the message.
         unit: Unit of the positions of a ``.csv``; found from the size of the person where ``auto``.
+        progress: Shows how far reading a ``.csv`` is.
 
     Raises:
         DeviceError: Skeletons for a file that has its own, or a tracker that cannot take its images.
@@ -70,7 +63,7 @@ def open_source(
     if not has_images(path):
         if skeletons is not None:
             raise DeviceError(f"{path.name} has its own skeletons; {option} {skeletons} is for an .mkv.")
-        return SkeletonRecording(path, unit)
+        return SkeletonRecording(path, unit, progress)
     images = open_images(path)
     if skeletons is not None:
         if not isinstance(images, MkvRecording):
@@ -221,7 +214,7 @@ def read_two(
     if tracked:
         tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(choice_a.path, choice_b.path))
     a, b = (
-        open_source(choice.path, choice.skeletons, tracker, choice.skeletons_option, choice.unit)
+        open_source(choice.path, choice.skeletons, tracker, choice.skeletons_option, choice.unit, progress)
         for choice in (choice_a, choice_b)
     )
     read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)

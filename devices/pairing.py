@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import Body
-from fusion.large_arrays import Rows
+from fusion.large_arrays import Rows, stored
 from fusion.pair_arrays import Pairs, View
 from fusion.skeleton import SkeletonPair
 
@@ -110,7 +110,7 @@ def pair_views(
         DeviceError: A recording is empty, or the two never overlap in time.
     """
     moments = _moments(a.time_ns, b.time_ns + offset_ns, tolerance_ns, every_frame)
-    pairs = RecordedPairs(Pairs(body, (a, b), moments[:, 0], moments[:, 1], moments[:, 2:]))
+    pairs = RecordedPairs(Pairs(body, (a, b), *stored(moments[:, 0], moments[:, 1], moments[:, 2:])))
     frames_a, frames_b = len(a.time_ns), len(b.time_ns)
     with_a, with_b = (moments[:, 2:] >= 0).T
     alone_a, alone_b = int((~with_b).sum()), int((~with_a).sum())

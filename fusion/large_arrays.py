@@ -1,9 +1,13 @@
 """Arrays that may be larger than the memory, and the parts in which long recordings are worked on."""
 
+import ctypes
 import mmap
+import os
+import sys
 import tempfile
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import IO, Any, TypeVar, overload
 
 import numpy as np
@@ -14,7 +18,8 @@ from fusion.errors import FusionError
 Item = TypeVar("Item")
 PART = 4096
 """Frames: two minutes."""
-_LARGE = 8_000_000  # bytes
+_LARGE = 2_000_000  # bytes
+_COPIED, _ALIGNED = 1_000_000, 64  # bytes
 _MAPPED: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 
 
@@ -37,30 +42,72 @@ class GrowingArray:
         """
         self._parts.append(rows)
         self._size += rows.nbytes
-        if self._size < _LARGE:
-            return
-        try:
-            self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115
-            for part in self._parts:
-                rest = memoryview(part.tobytes())
-                while rest:
-                    rest = rest[self._file.write(rest) :]
-        except OSError as error:
-            raise FusionError(
-                f"A recording this long needs temporary files in the folder {tempfile.gettempdir()}: "
-                f"{error.strerror or error}. The variable TMPDIR names another folder."
-            ) from None
-        self._parts = [rows[:0]]
+        if self._size >= _LARGE:
+            with _room_needed():
+                self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115
+                for part in self._parts:
+                    _write(self._file, part.tobytes())
+            self._parts = [rows[:0]]
 
-    def whole(self) -> NDArray[Any]:
-        """All rows; at least one was appended. A large array cannot be written."""
-        if self._file is None:
-            return np.concatenate(self._parts)
-        with self._file as file:
-            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        _MAPPED.add(mapped)
+    @staticmethod
+    def wholes(arrays: "Iterable[GrowingArray]") -> list[NDArray[Any]]:
+        """All rows of each array, at least one; they cannot be written, and the arrays take no more.
+
+        Large arrays are put into one file, because a file counts as open as long as it is mapped.
+        """
+        shared: IO[bytes] | None = None
+        every = [(array, 0) for array in arrays]
+        for k, (array, _) in enumerate(every):
+            if array._file is not None:
+                if shared is None:
+                    shared = array._file
+                else:
+                    every[k] = array, _move(array._file, shared)
+        mapped = None
+        if shared is not None:
+            with shared:
+                mapped = mmap.mmap(shared.fileno(), 0, access=mmap.ACCESS_READ)
+            _MAPPED.add(mapped)
+        return [array._whole(mapped, begin) for array, begin in every]
+
+    def _whole(self, mapped: mmap.mmap | None, begin: int) -> NDArray[Any]:
+        """All rows; those of a file from a byte of the mapped one."""
+        if self._file is None or mapped is None:
+            rows = np.concatenate(self._parts)
+            rows.flags.writeable = False
+            return rows
         kind = self._parts[0]
-        return np.frombuffer(mapped, kind.dtype).reshape(-1, *kind.shape[1:])
+        values = np.frombuffer(mapped, kind.dtype, self._size // kind.itemsize, begin)
+        return values.reshape(-1, *kind.shape[1:])
+
+
+def _move(own: IO[bytes], shared: IO[bytes]) -> int:
+    """Moves a file to the end of another one; returns the byte at which it begins there."""
+    with _room_needed(), own:
+        begin = -(-shared.seek(0, os.SEEK_END) // _ALIGNED) * _ALIGNED
+        shared.seek(begin)
+        own.seek(0)
+        while block := own.read(_COPIED):
+            _write(shared, block)
+    return begin
+
+
+def _write(file: IO[bytes], data: bytes) -> None:
+    rest = memoryview(data)
+    while rest:
+        rest = rest[file.write(rest) :]
+
+
+@contextmanager
+def _room_needed() -> Iterator[None]:
+    """Turns the errors of a temporary file into one for the user."""
+    try:
+        yield
+    except OSError as error:
+        raise FusionError(
+            f"A recording this long needs temporary files in the folder {tempfile.gettempdir()}: "
+            f"{error.strerror or error}. The variable TMPDIR names another folder."
+        ) from None
 
 
 class Rows(Sequence[Item]):
@@ -79,11 +126,23 @@ class Rows(Sequence[Item]):
         return [self.row(number) for number in numbers[k]] if isinstance(k, slice) else self.row(numbers[k])
 
 
+def stored(*arrays: NDArray[Any]) -> list[NDArray[Any]]:
+    """The arrays, read-only; large ones in a temporary file."""
+    growing = [GrowingArray() for _ in arrays]
+    for array, rows in zip(growing, arrays, strict=True):
+        array.append(rows)
+    return GrowingArray.wholes(growing)
+
+
 def parts(count: int, size: int = PART) -> Iterator[slice]:
-    """The slices of `size` frames; memory that large arrays took meanwhile is given back after each."""
+    """The slices of `size` frames; memory that they took is given back."""
     for first in range(0, count, size):
         yield slice(first, min(first + size, count))
         give_back()
+    if count > size and sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc keeps what was freed
+        if trim is not None:
+            trim(0)
 
 
 def give_back(*mapped: mmap.mmap) -> None:

@@ -81,8 +81,8 @@ def joined_views(blocks: Iterable[View]) -> View:
             unseen = block.witness is None
             witness.append(_no_images(*block.states.shape) if unseen else np.asarray(block.witness))
         count += len(block.time_ns)
-    images = None if witness is None else witness.whole()
-    return View(time_ns.whole(), positions.whole(), states.whole(), images)
+    every = (time_ns, positions, states) if witness is None else (time_ns, positions, states, witness)
+    return View(*GrowingArray.wholes(every))
 
 
 def view_of(body: Body, skeletons: Iterable[Skeleton]) -> View:

@@ -16,7 +16,6 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import (
     LearnedCalibration,
-    Progress,
     fresh_pairs,
     learn_from_recording,
     spaced,
@@ -30,6 +29,7 @@ from fusion.facing.sequence import relabel_sequence, reported_pairs
 from fusion.large_arrays import parts
 from fusion.medians import median_of_known
 from fusion.pair_arrays import PairArrays, Pairs
+from fusion.progress import Progress, quietly
 from fusion.registration.clock_offset import ClockOffset
 from fusion.setup import FuserSettings
 from fusion.skeleton import SkeletonPair
@@ -61,7 +61,7 @@ def plan_recording(
     settings: FuserSettings,
     calibration: Calibration | None = None,
     refine: bool = True,
-    progress: Progress = iter,
+    progress: Progress = quietly,
 ) -> RecordingPlan:
     """Finds the calibrations and labels of a recording.
 
@@ -83,14 +83,14 @@ def plan_recording(
     learned: LearnedCalibration | None = None
     few = pairs if len(pairs) <= _LONG else pairs[spaced(pairs.time_ns, fresh_pairs(pairs))]
     if refine and len(few):
-        codes = _labels(few, ((start, slice(0, len(few))),)).codes & WHOLE
+        codes = _labels(few, ((start, slice(0, len(few))),), progress).codes & WHOLE
         with suppress(CalibrationError):  # nothing to learn from: the start-up pose's calibration remains
             learned = learn_from_recording(body, few, codes, start, progress=progress, timed=pairs)
     if learned is not None:
         segments = _segments(learned, pairs.time_ns)
     return RecordingPlan(
         segments,
-        None if settings.hindsight == "none" else _labels(pairs, segments),
+        None if settings.hindsight == "none" else _labels(pairs, segments, progress),
         () if learned is None else learned.events,
         None if learned is None else learned.clock,
         _difference(pairs, segments),
@@ -118,10 +118,10 @@ def _b_in_a(pairs: PairArrays, part: slice, segments: Segments) -> NDArray[np.fl
     return in_a
 
 
-def _labels(pairs: Pairs, segments: Segments) -> Labels:
+def _labels(pairs: Pairs, segments: Segments, progress: Progress) -> Labels:
     """Exchanged sides and heading under these calibrations, from earlier and later pairs."""
-    labels = []
-    for part in parts(len(pairs), _LONG if len(pairs) <= _LONG else _LONG // 2):
+    labels, size = [], _LONG if len(pairs) <= _LONG else _LONG // 2
+    for part in progress(parts(len(pairs), size), "finding left and right", -(-len(pairs) // size)):
         around = slice(max(part.start - _AROUND, 0), min(part.stop + _AROUND, len(pairs)))
         of = pairs[around].arrays()
         views = of.a, _b_in_a(of, around, segments)

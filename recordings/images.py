@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth
-from devices.files import Progress, TwoRecordings, quietly
+from devices.files import TwoRecordings
 from devices.sensor import ColorImage
+from fusion.progress import Progress, quietly
 
 T = TypeVar("T")
 

@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from devices.events import Event, Spell, spells_of
 from devices.pairing import FramePair, RecordedPairs
 from fusion.calibration.calibration import Calibration
+from fusion.large_arrays import GrowingArray
 from fusion.pair_arrays import Pairs, View
 from fusion.setup import FusionSetup
 from recordings import layout
@@ -110,7 +111,7 @@ class Session(SessionData):
             RecordingError: There is no frame.
         """
         calibrations: list[tuple[int, Calibration]] = []
-        checks: list[tuple[NDArray[np.uint32], NDArray[np.uint8]]] = []
+        checks = GrowingArray(), GrowingArray()
 
         def stacked() -> Iterator[SessionArrays]:
             begun = start_ns = 0
@@ -123,7 +124,8 @@ class Session(SessionData):
                         one.body, one.calibration.bone_lengths, block, numbers, start_ns
                     )
                     begun += len(part)
-                    checks.append((fused_checksums(part.fused), joint_digests(part.fused)))
+                    checks[0].append(fused_checksums(part.fused))
+                    checks[1].append(joint_digests(part.fused))
                     del block  # before the next one is made
                     yield part
                 if begun > first:
@@ -134,7 +136,7 @@ class Session(SessionData):
         if first is None:
             raise RecordingError("A session needs at least one frame.")
         rows, setup = SessionArrays.joined(chain([first], blocks)), fused[0][0]
-        fused_crc, digests = map(np.concatenate, zip(*checks, strict=True))
+        fused_crc, digests = GrowingArray.wholes(checks)
         return Session(
             path=None,
             rows=rows,

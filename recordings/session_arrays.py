@@ -285,7 +285,9 @@ class SessionArrays:
                 if name in joined:
                     joined[name].append(block.filled(name) if name in FRAME_FIELDS else getattr(block, name))
             end += len(block)
-        return SessionArrays(body=block.body, **{name: rows.whole() for name, rows in joined.items()})
+        return SessionArrays(
+            body=block.body, **dict(zip(joined, GrowingArray.wholes(joined.values()), strict=True))
+        )
 
     def figures(self) -> Iterator[tuple[str, FrameField, NDArray[Any]]]:
         """Name, declaration and values of every figure that these frames have."""

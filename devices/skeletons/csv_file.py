@@ -26,7 +26,9 @@ from devices.skeletons.csv_text import TextRows, codes, line_of_row, refuse_cut_
 from devices.skeletons.read_file import ReadFile
 from fusion.body import Body, body_of
 from fusion.errors import FusionError
+from fusion.large_arrays import stored
 from fusion.pair_arrays import View, joined_views
+from fusion.progress import Progress, quietly
 from fusion.skeleton import TrackingState, checked_joints
 
 LATEST_US = 9 * 10**15
@@ -35,7 +37,7 @@ LATEST_US = 9 * 10**15
 _BLOCK = 4_000_000  # bytes that are read at once
 
 
-def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
+def read_csv(path: Path, unit: Unit = "auto", progress: Progress = quietly) -> ReadFile:
     """Reads a CSV file. Columns are separated by commas, semicolons or tabs.
 
     Where commas do not separate columns, numbers may have a decimal comma. ``state`` is tracked, inferred or
@@ -48,9 +50,9 @@ def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
             of an unknown unit, or behind the sensor.
     """
     try:
-        return _Reader(path, unit).read(_BLOCK)
+        return _Reader(path, unit).read(_BLOCK, progress)
     except _NotInBlocksError:
-        return _Reader(path, unit).read(-1)
+        return _Reader(path, unit).read(-1, progress)
 
 
 class _NotInBlocksError(Exception):
@@ -72,10 +74,11 @@ class _Reader:
         self._wrong: tuple[int, NDArray[np.float64]] | None = None
         self._warnings: dict[str, str] = {}
 
-    def read(self, size: int) -> ReadFile:
+    def read(self, size: int, progress: Progress) -> ReadFile:
         """Reads the file in blocks of this many bytes; -1: at once."""
         self._in_blocks = size > 0
-        skeletons = joined_views(self._blocks(size))
+        count = -(-self._path.stat().st_size // size) if self._in_blocks else 1
+        skeletons = joined_views(progress(self._blocks(size), f"reading {self._path.name}", count))
         pa.default_memory_pool().release_unused()
         assert self._body is not None
         frame, person = np.concatenate(self._index, axis=1)
@@ -83,7 +86,7 @@ class _Reader:
             row, place = self._wrong
             where = f"in line {line_of_row(self._path, row)}"
             self._warnings["impossible"] = impossible_in_words(self._path, self._impossible, where, place)
-        times = np.concatenate(self._times) * 1000
+        (times,) = stored(np.concatenate(self._times) * 1000)
         people = RecordedPeople(self._body, times, list(self._people), frame, person, skeletons)
         return ReadFile(self._body, people, tuple(self._warnings.values()))
 

@@ -15,8 +15,9 @@ from devices.skeletons.offline_processor import read_json
 from devices.skeletons.read_file import ReadFile
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
+from fusion.progress import Progress, quietly
 
-Reader = Callable[[Path, Unit], ReadFile]
+Reader = Callable[[Path, Unit, Progress], ReadFile]
 
 READERS: MappingProxyType[str, Reader] = MappingProxyType(
     {".csv": read_csv, ".json": read_json, ".skeleton": read_ntu}
@@ -27,12 +28,12 @@ READERS: MappingProxyType[str, Reader] = MappingProxyType(
 class SkeletonRecording(Sensor):
     """A file of recorded skeletons; it is read completely when it is opened."""
 
-    def __init__(self, path: Path, unit: Unit = "auto") -> None:
+    def __init__(self, path: Path, unit: Unit = "auto", progress: Progress = quietly) -> None:
         self.name = str(path)
         self.intrinsics: Intrinsics | None = None
         self.warnings: Sequence[str] = ()
         self._path = path
-        self._unit = unit
+        self._unit, self._progress = unit, progress
         self._body: Body | None = None
         self._people: RecordedPeople | None = None
 
@@ -58,7 +59,7 @@ class SkeletonRecording(Sensor):
                 f"Known: {', '.join(READERS)}; with images: .mkv, .bag."
             )
         try:
-            read = reader(self._path, self._unit)
+            read = reader(self._path, self._unit, self._progress)
         except FileNotFoundError:
             raise DeviceError(f"No file {self.name}.") from None
         except OSError as error:

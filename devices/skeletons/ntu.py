@@ -10,6 +10,7 @@ from devices.sensor import DeviceError, SensorFrame
 from devices.skeletons.conventions import Unit
 from devices.skeletons.read_file import ReadFile, text_bytes
 from fusion.body import KINECT_V2
+from fusion.progress import Progress, quietly
 from fusion.skeleton import Skeleton
 
 FRAME_NS = 33_333_333
@@ -19,13 +20,13 @@ FRAME_NS = 33_333_333
 _SENSOR_FROM_CAMERA_SPACE = np.array([-1.0, -1.0, 1.0])
 
 
-def read_ntu(path: Path, unit: Unit = "auto") -> ReadFile:
+def read_ntu(path: Path, unit: Unit = "auto", progress: Progress = quietly) -> ReadFile:
     """Reads a ``.skeleton`` file; its positions are always metres.
 
     Raises:
         DeviceError: The file is empty or cut off, or has an invalid line; the message names the line.
     """
-    del unit
+    del unit, progress
     lines = _Lines(path)
     frames = []
     for number in range(lines.whole_number("frame count")):

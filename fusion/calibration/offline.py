@@ -1,6 +1,6 @@
 """The calibration of a whole recording in two passes: knocks first, then R, t and bones between them."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.large_arrays import PART, give_back, parts
 from fusion.pair_arrays import Pairs
+from fusion.progress import Progress, quietly
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.error_model import disagreement
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
@@ -25,7 +26,6 @@ from fusion.registration.robust_fit import RobustFit, fit_robust, registration_o
 from fusion.rigid import RigidTransform
 from fusion.skeleton import NO_FRAME, SkeletonPair
 
-Progress = Callable[[Sequence[int]], Iterable[int]]
 _KEYFRAMES = 128  # per span; the tempering of the fit was chosen for this number
 _BONE_PAIRS = 256
 """Pairs, evenly spaced, from which a recording's bone lengths are learned. Bone lengths need no variety of
@@ -81,7 +81,7 @@ def learn_from_recording(
     codes: NDArray[np.int64] | None = None,
     start: Calibration | None = None,
     settings: LearnerSettings | None = None,
-    progress: Progress = iter,
+    progress: Progress = quietly,
     timed: Sequence[SkeletonPair] | None = None,
 ) -> LearnedCalibration:
     """Learns one calibration from a recording, or one for each span between knocks.
@@ -109,7 +109,8 @@ def learn_from_recording(
     rarely = replace(settings.refinement, interval_ns=max(_PROPOSED_NS, length_ns // _PROPOSALS))
     learner = CalibrationLearner(body, start, replace(settings, refinement=rarely, clock=False, bones=False))
     changes: list[CalibrationChange] = []
-    for number, k in enumerate(progress(spaced(pairs.time_ns, fresh).tolist())):
+    chosen = spaced(pairs.time_ns, fresh).tolist()
+    for number, k in enumerate(progress(chosen, "learning the registration", len(chosen))):
         if number % PART == 0:
             give_back()
         changes += learner.observe(pairs[k], (int(codes[k, 0]), int(codes[k, 1])))

@@ -23,8 +23,8 @@ import rerun as rr
 import rerun_bindings
 
 from devices.events import Event
-from devices.files import Progress, quietly
 from fusion.large_arrays import parts
+from fusion.progress import Progress, quietly
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.errors import RecordingError
@@ -32,9 +32,10 @@ from recordings.file.rrd_file import damage_of
 from recordings.session_data import SessionData
 from recordings.writing.recorder import Recorder
 
-_BLOCK = 300
-"""Frames per write: a file that is cut off loses at most ten seconds more than what is missing."""
-_MOST_BLOCKS = 400  # Rerun keeps some kB of each block and entity until the file is complete
+_BLOCK, _MOST_BLOCKS = 300, 150
+"""Frames per write: a file that is cut off loses at most ten seconds more than what is missing.
+One of more than 25 minutes loses more: Rerun keeps 0.4 MB of each block until the file is complete, and
+7 kB of each frame while it writes a block."""
 _FLUSH_WITHIN = 60  # seconds
 _FULL = 65_536  # bytes: with less space, a disk is full
 LEFT_AFTER = 2.0

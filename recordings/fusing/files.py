@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth
 from devices.events import Event
-from devices.files import Progress, RecordingChoice, TwoRecordings, quietly, read_two
+from devices.files import RecordingChoice, TwoRecordings, read_two
 from devices.skeletons.conventions import Unit
 from devices.tracker_choice import TrackerChoice, WantedTracker, choose_tracker
 from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
 from fusion.handedness import mirrored_share
 from fusion.plan import RecordingPlan, plan_recording
+from fusion.progress import Progress, quietly
 from fusion.setup import FuserSettings, Hindsight
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch

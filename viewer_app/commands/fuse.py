@@ -101,8 +101,7 @@ def _plan(
     source = calibration_source(options.calibrate)
     calibration = _calibrate(source, read.body, skeletons)
     refine = not (options.no_refine or isinstance(source, Path))
-    shown = partial(_progress(console), description="learning the registration")
-    return plan_recording(read.body, skeletons, settings, calibration, refine, shown)
+    return plan_recording(read.body, skeletons, settings, calibration, refine, _progress(console))
 
 
 def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.files import Progress, quietly
+from fusion.progress import Progress, quietly
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage

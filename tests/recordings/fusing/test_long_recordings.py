@@ -136,11 +136,31 @@ def test_a_large_array_has_no_name_and_is_what_was_appended(tmp_path, monkeypatc
     monkeypatch.setattr(large_arrays, "_LARGE", 100)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     rows = np.arange(120, dtype=np.float32).reshape(20, 2, 3)
-    array = GrowingArray()
+    arrays = [GrowingArray() for _ in range(3)]
     for row in rows:
-        array.append(np.broadcast_to(row, (1, 2, 3)))
-    np.testing.assert_array_equal(array.whole(), rows)
+        arrays[0].append(np.broadcast_to(row, (1, 2, 3)))
+        arrays[1].append(np.broadcast_to(row.astype(np.float64) + 0.5, (1, 2, 3)))
+    arrays[2].append(rows[:2, 0])
+    wholes = GrowingArray.wholes(arrays)
+    for values, expected in zip(wholes, (rows, rows + 0.5, rows[:2, 0]), strict=True):
+        np.testing.assert_array_equal(values, expected)
+        assert not values.flags.writeable
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="counts descriptors as Linux and macOS number them")
+def test_a_long_session_keeps_few_files_open(tmp_path, monkeypatch):
+    monkeypatch.setattr(large_arrays, "_LARGE", 10_000)
+    files = write_walk(tmp_path / "walk", 150)
+    fuse(*files)
+    sessions = [fuse(*files)]
+    before = os.dup(0)  # the lowest number that is free
+    os.close(before)
+    sessions.append(fuse(*files))
+    after = os.dup(0)
+    os.close(after)
+    assert after - before <= 3  # the session's and both views'
+    assert len(sessions) == 2
 
 
 def test_no_room_for_a_large_array_is_said_in_one_line(monkeypatch):
@@ -154,14 +174,21 @@ def test_no_room_for_a_large_array_is_said_in_one_line(monkeypatch):
         GrowingArray().append(np.zeros(100))
 
 
-def test_writing_shows_how_far_it_is(tmp_path):
-    session, shown = fuse(*write_walk(tmp_path / "walk", 100)), []
+def test_every_pass_shows_how_far_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(csv_file, "_BLOCK", 50_000)  # bytes: about 30 frames
+    monkeypatch.setattr(plan, "_LONG", 60)
+    files, shown = write_walk(tmp_path / "walk", 100), []
 
     def progress(blocks, what, total):
         seen = list(blocks)
-        shown.append((what, total, len(seen)))
+        shown.append((what, len(seen) / total))
         return seen
 
-    write_session(session, tmp_path / "s.rrd", block=30, progress=progress)
-    assert shown == [("writing", 4, 4)]
+    read = read_two(*map(RecordingChoice, files), progress=progress)
+    settings = FuserSettings(hindsight="labels")
+    plan_recording(KINECT_V2, read.pairing.pairs.skeletons, settings, progress=progress)
+    write_session(fuse(*files), tmp_path / "s.rrd", block=30, progress=progress)
+    passes = "finding left and right", "learning the registration", "finding left and right"
+    assert [what for what, _ in shown] == ["reading a.csv", "reading b.csv", *passes, "writing"]
+    assert [done for _, done in shown] == [1.0] * 6
     assert len(Session.open(tmp_path / "s.rrd")) == 100
