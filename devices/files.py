@@ -29,7 +29,7 @@ from fusion.large_arrays import give_back
 from fusion.pair_arrays import View
 from fusion.progress import Progress, quietly
 from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.clock_search import find_clock_offset
+from fusion.registration.clock_search import find_clock_offset, find_clock_skew
 
 MKV = ".mkv"
 _CLOCKS_AGREE_NS = 1_000_000
@@ -198,7 +198,8 @@ def read_two(
 ) -> TwoRecordings:
     """Reads both recordings, one after the other: only one body tracker is in the GPU's memory at once.
 
-    Where B's clock is off by more than a frame and the motion tells by how much, its times are corrected.
+    Where B's clock is off by two thirds of a frame or more and the motion tells by how much, its times are
+    corrected.
 
     Args:
         tracker: The body tracker, where one is needed. None: chosen for this machine.
@@ -227,17 +228,22 @@ def read_two(
     if offset_ns is None:
         clock = _clock_correction(a.body, read_a.seen, read_b.seen)
         give_back()
-        offset_ns = 0 if clock is None else round(clock.offset_ns)
     # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
     tolerance_ns = None if clock is None else median_interval(read_a.seen.time_ns)
     pairing = pair_views(
-        a.body, read_a.person, read_b.person, tolerance_ns, offset_ns=offset_ns, every_frame=every_frame
+        a.body,
+        read_a.person,
+        read_b.person,
+        tolerance_ns,
+        offset_ns=clock.at(read_b.person.time_ns) if clock is not None else offset_ns or 0,
+        every_frame=every_frame,
     )
     about_clocks = clock_warnings(read_a.info, read_b.info, pairing.pairs)
     if clock is not None:
         about_clocks = [
-            f"The clocks differ: {clock.offset_ns * 1e-6:+.0f} ± {clock.sd_ns * 1e-6:.0f} ms were added to "
-            "B's times, so that both views show one motion. --offset MS sets another correction."
+            f"The clocks differ: {clock.offset_ns * 1e-6:+.0f} ± {clock.sd_ns * 1e-6:.0f} ms"
+            f"{_skew_in_words(clock)} were added to B's times, so that both views show one motion. "
+            "--offset MS sets another correction."
         ]
     warnings = *read_a.warnings, *read_b.warnings, *about_clocks
     path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
@@ -248,12 +254,24 @@ def read_two(
 
 
 def _clock_correction(body: Body, a: View, b: View) -> ClockOffset | None:
-    """The offset of B's clock, where the motion shows one of at least a frame, certain to two frames."""
+    """The offset of B's clock, where the motion shows one of two thirds of a frame or more, certain to two.
+
+    It may be that large at the ends of the recording only.
+    """
     found = find_clock_offset(body, a, b)
-    if found is None or not found.significant:
-        return None
     interval = median_interval(a.time_ns)
-    return found if abs(found.offset_ns) >= interval and found.sd_ns <= 2.0 * interval else None
+    if found is None or found.sd_ns > 2.0 * interval:
+        return None
+    found = find_clock_skew(a, b, found)
+    if not abs(found.skew_ppm) > 3.0 * found.skew_sd_ppm:
+        found = replace(found, skew_ppm=0.0)
+    at_ends = np.abs(found.at(b.time_ns[[0, -1]])).max()
+    grows = found.skew_ppm != 0.0
+    return found if at_ends >= 2 * interval / 3 and (grows or found.significant) else None
+
+
+def _skew_in_words(clock: ClockOffset) -> str:
+    return f", growing by {clock.skew_ppm:+.1f} millionths of the time," if clock.skew_ppm else ""
 
 
 def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:

@@ -90,7 +90,7 @@ def pair_views(
     b: View,
     tolerance_ns: int | None = None,
     *,
-    offset_ns: int = 0,
+    offset_ns: int | NDArray[np.int64] = 0,
     every_frame: bool = False,
 ) -> Pairing:
     """Pairs each frame of A with the nearest of B in time, each frame once.
@@ -102,7 +102,7 @@ def pair_views(
     Args:
         a, b: The person in all frames of each recording.
         tolerance_ns: Half the slower stream's median frame interval where None.
-        offset_ns: Added to the times of B, so that both are on A's clock.
+        offset_ns: Added to the times of B, one or (T,), so that both are on A's clock.
         every_frame: Whether a frame that merely finds no partner, as where one sensor is faster, is given
             alone, too. Else it is left out, because the paper's methods fuse pairs.
 

@@ -6,7 +6,8 @@ from numpy.typing import ArrayLike, NDArray
 from recordings.session_arrays import SessionArrays
 
 Array = NDArray[np.float64]
-_LONGEST_NS = 300_000_000  # S* is not interpolated across a longer interval
+Ints = NDArray[np.int64]
+_LONGEST = 0.3  # seconds: S* is not interpolated across a longer interval
 
 
 def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
@@ -23,10 +24,7 @@ def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
     times, fused, body = rows.time_ns, rows.fused, rows.body
     if len(times) == 0:
         return np.full((len(wanted), len(body), 3), np.nan)
-    before = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, len(times) - 1)
-    after = np.minimum(before + 1, len(times) - 1)
-    step = times[after] - times[before]
-    share = (wanted - times[before]) / np.maximum(step, 1)
+    before, after, seconds, share = _neighbours(times, wanted)
     start, end, lengths = fused[before], fused[after], rows.bone_lengths[before]
     found = np.empty((len(wanted), len(body), 3))
     found[:, body.root] = start[:, body.root] + share[:, None] * (end[:, body.root] - start[:, body.root])
@@ -36,9 +34,52 @@ def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
         found[:, joint] = found[:, parent] + lengths[:, joint, None] * direction
     exact = share == 0.0
     found[exact] = start[exact]
-    outside = (wanted < times[0]) | (wanted > times[-1]) | (~exact & (step > _LONGEST_NS))
+    outside = (wanted < times[0]) | (wanted > times[-1]) | (~exact & (seconds > _LONGEST))
     found[outside] = np.nan
     return found
+
+
+def sigma_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
+    """Uncertainty of :func:`positions_at`: that of the frames, and what the motion between them adds.
+
+    Between two frames Δ apart, an acceleration a moves a joint by a Δ² s (1 − s) / 2 off the straight line at
+    the share s of the interval. a is taken from the velocities of S* before and after the interval.
+
+    Returns:
+        (N, J) metres, one standard deviation of a joint's distance to the truth; NaN where there is no S*,
+        and with the paper's methods.
+    """
+    wanted = np.atleast_1d(np.asarray(time_ns, dtype=np.int64))
+    found = np.full((len(wanted), len(rows.body)), np.nan)
+    if rows.sigma is None or len(rows) == 0:
+        return found
+    before, after, seconds, share = _neighbours(rows.time_ns, wanted)
+    s, last = share[:, None], max(len(rows) - 2, 0)
+    earlier, later = np.maximum(before - 1, 0), np.minimum(after, last)
+    (first, first_s), (second, second_s) = (_velocity(rows, start) for start in (earlier, later))
+    change, elapsed = np.linalg.norm(second - first, axis=2), second_s - first_s
+    off = 0.5 * change / np.maximum(elapsed, 1e-3)[:, None] * (seconds**2)[:, None] * s * (1.0 - s)
+    squared = np.asarray(rows.sigma, dtype=np.float64) ** 2
+    known = np.isfinite(positions_at(rows, wanted))[..., 0]
+    variance = (1.0 - s) * squared[before] + s * squared[after] + np.nan_to_num(off) ** 2
+    found[known] = np.sqrt(variance[known])
+    return found
+
+
+def _velocity(rows: SessionArrays, start: Ints) -> tuple[Array, Array]:
+    """(N, J, 3) m/s of S* from these frames to the next ones, and (N,) the middles of the intervals, s."""
+    end = np.minimum(start + 1, len(rows) - 1)
+    seconds = 1e-9 * np.maximum(rows.time_ns[end] - rows.time_ns[start], 1)
+    velocity = (rows.fused[end] - rows.fused[start]) / seconds[:, None, None]
+    return np.asarray(velocity), np.asarray(0.5e-9 * (rows.time_ns[end] + rows.time_ns[start]))
+
+
+def _neighbours(times: Ints, wanted: Ints) -> tuple[Ints, Ints, Array, Array]:
+    """The frames before and after, the seconds between them, and the share of it that has passed."""
+    before: Ints = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, len(times) - 1)
+    after: Ints = np.minimum(before + 1, len(times) - 1)
+    step = times[after] - times[before]
+    return before, after, np.asarray(1e-9 * step), (wanted - times[before]) / np.maximum(step, 1)
 
 
 def _between(start: Array, end: Array, share: Array) -> Array:

@@ -36,7 +36,7 @@ from recordings import layout
 from recordings.errors import RecordingError
 from recordings.file.session_reader import read_session
 from recordings.images import NO_IMAGES, SessionImages
-from recordings.interpolation import positions_at
+from recordings.interpolation import positions_at, sigma_at
 from recordings.session_arrays import SessionArrays, SessionFrame, SessionFrames, ViewsAgree
 from recordings.session_data import SessionData
 from recordings.writing.checksums import fused_checksums, joint_digests
@@ -213,6 +213,10 @@ class Session(SessionData):
         See :func:`recordings.interpolation.positions_at`.
         """
         return positions_at(self.rows, time_ns)
+
+    def sigma_at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
+        """(N, J) metres, the uncertainty of :meth:`at`; see :func:`recordings.interpolation.sigma_at`."""
+        return sigma_at(self.rows, time_ns)
 
     @property
     def bone_lengths(self) -> NDArray[np.float64]:

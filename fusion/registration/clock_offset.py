@@ -45,6 +45,12 @@ class ClockOffset:
     skew_ppm: float = 0.0  # growth of the offset, in millionths of the time; 0 where unknown
     skew_sd_ppm: float = float("inf")  # standard deviation of the skew; infinite where unknown
     windows: int = 0  # seconds of motion that it is based on
+    middle_ns: float = 0.0  # the time at which the delay is ``offset_ns``, where it grows
+
+    def at(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The delay at (T,) times, ns."""
+        grown = 1e-6 * self.skew_ppm * (time_ns - self.middle_ns)
+        return np.asarray(round(self.offset_ns) + np.rint(grown).astype(np.int64))
 
     @property
     def significant(self) -> bool:

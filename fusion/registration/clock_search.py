@@ -5,8 +5,11 @@ are correlated at all offsets. The largest peaks are candidates; a rigid registr
 tells which one puts the person in the same place.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import theilslopes
 
 from fusion.body import Body
 from fusion.errors import CalibrationError
@@ -37,6 +40,9 @@ _FEWEST = 24
 _FEWEST_JOINTS = 5
 _FAR = 0.05  # metres: a joint's distance beyond this counts less and less
 _CERTAIN = 3.0  # standard errors by which a candidate must be better than any other
+_DRIFT_WINDOWS, _DRIFT_SPAN_NS, _DRIFT_STEPS = 12, 60_000_000_000, 4
+_FEWEST_WINDOWS = 6
+_CERTAIN_NS = 15_000_000  # standard deviation of the offset in a window that counts
 _CORRELATED = 2.0  # standard errors are larger by this factor, because neighbouring frames are alike
 
 
@@ -80,20 +86,64 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     return _refined(a, shifted, offsets[best], base)
 
 
+def find_clock_skew(a: View, b: View, middle: ClockOffset) -> ClockOffset:
+    """Adds the growth of an offset over a long recording: a line through the offsets of single minutes.
+
+    Args:
+        a, b: As for :func:`find_clock_offset`.
+        middle: Its result.
+
+    Returns:
+        The same offset where the recordings overlap for less than twelve minutes, or where the motion tells
+        too little.
+    """
+    b = b._replace(time_ns=b.time_ns + round(middle.offset_ns))
+    first, last = max(a.time_ns[0], b.time_ns[0]), min(a.time_ns[-1], b.time_ns[-1])
+    if last - first < _DRIFT_WINDOWS * _DRIFT_SPAN_NS:
+        return middle
+    centre, reach = (first + last) // 2, _DRIFT_SPAN_NS // 2
+    moments = np.linspace(first + reach, last - reach, _DRIFT_WINDOWS).astype(np.int64)
+    lever, offset, slope = list[float](), list[float](), 0.0
+    for moment in moments[np.argsort(np.abs(moments - centre), kind="stable")]:
+        expected = int(slope * (moment - centre))
+        seen, near = (
+            view.chosen(np.flatnonzero(np.abs(view.time_ns - moment) < within))
+            for view, within in ((a, reach), (b, reach + abs(expected) + 1_000_000_000))
+        )
+        few = min(len(seen.time_ns), len(near.time_ns)) < 2
+        found = None if few else _refined(seen, near, expected, 0, _DRIFT_STEPS)
+        if found is None or found.sd_ns > _CERTAIN_NS:
+            continue
+        lever.append(float(moment - centre))
+        offset.append(found.offset_ns)
+        if len(lever) > 1:
+            slope = float(theilslopes(offset, lever).slope)
+    if len(lever) < _FEWEST_WINDOWS:
+        return middle
+    line = theilslopes(offset, lever, alpha=0.95)
+    return replace(
+        middle,
+        offset_ns=middle.offset_ns + float(line.intercept),
+        skew_ppm=1e6 * float(line.slope),
+        skew_sd_ppm=1e6 * float(line.high_slope - line.low_slope) / (2.0 * 1.96),
+        middle_ns=float(centre - round(middle.offset_ns)),
+    )
+
+
 def _usual_times(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """The times without those of another day: within four times the usual length of so many frames."""
     usual = 4 * len(time_ns) * int(np.median(np.diff(time_ns)))
     return time_ns[np.abs(time_ns - np.median(time_ns)) <= usual]
 
 
-def _refined(a: View, b: View, near_ns: int, base_ns: int) -> ClockOffset | None:
+def _refined(a: View, b: View, near_ns: int, base_ns: int, steps: int = _STEPS) -> ClockOffset | None:
     """The offset nearby at which the registered views differ least, its deviation by the jackknife."""
-    offsets = near_ns + _STEP_NS * np.arange(-_STEPS, _STEPS + 1)
+    offsets = near_ns + _STEP_NS * np.arange(-steps, steps + 1)
     costs = np.array([_costs(a, b, int(offset)) for offset in offsets])
     part = np.arange(_COMPARED) * _PARTS // _COMPARED
     best = _minimum(costs)
     others = np.array([_minimum(costs[:, part != k]) for k in range(_PARTS)])
-    if not 0.0 < best < 2.0 * _STEPS:
+    if not 0.0 < best < 2.0 * steps:
         return None  # no offset nearby is better than all others
     sd = np.sqrt((_PARTS - 1) * np.mean((others - best) ** 2))
     return ClockOffset(base_ns + float(offsets[0] + best * _STEP_NS), max(float(sd * _STEP_NS), _LEAST_SD_NS))

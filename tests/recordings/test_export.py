@@ -13,6 +13,7 @@ from recordings.errors import RecordingError
 from recordings.export import writer_for
 from recordings.export.even_frames import even_moments
 from recordings.file.session_writer import write_session
+from recordings.interpolation import positions_at, sigma_at
 from recordings.session import Session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
@@ -186,6 +187,25 @@ def test_s_star_between_two_frames_keeps_its_bones_and_turns_evenly(session):
     turned = [np.linalg.norm(np.cross(u, v)) for u, v in itertools.pairwise(bones)]
     np.testing.assert_allclose(turned, turned[0], rtol=0.02)
     assert np.isnan(session.at([rows.time_ns[0] - 1, rows.time_ns[-1] + 1])).all()
+
+
+def test_the_uncertainty_between_frames_covers_what_interpolation_misses(session):
+    rows = session.rows
+    every, few = np.arange(0, 24), np.arange(0, 24, 6)
+    angle = 0.1 * every  # radians: one metre about a centre
+    circle = np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=-1)[:, None]
+    chosen = rows[every]
+    chosen = replace(
+        chosen,
+        time_ns=every * 33_333_333,
+        fused=rows.fused[[30]] - rows.fused[30, rows.body.root] + circle,
+        sigma=np.full_like(chosen.filled("sigma"), 0.001),
+    )
+    root, times = rows.body.root, chosen.time_ns[9:15]
+    missed = np.linalg.norm(positions_at(chosen[few], times) - chosen.fused[9:15], axis=2)[:, root]
+    np.testing.assert_allclose(sigma_at(chosen[few], times)[:, root], np.hypot(0.001, missed), rtol=0.1)
+    np.testing.assert_allclose(sigma_at(chosen, chosen.time_ns), 0.001, rtol=1e-6)
+    assert np.isnan(session.sigma_at([-1])).all()
 
 
 def test_a_rate_is_for_formats_without_times(session, tmp_path):

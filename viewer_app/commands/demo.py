@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 
@@ -191,26 +190,32 @@ def _print_truth(
     assert rows.truth is not None
     angle = math.degrees(setup.calibration.a_from_b.angle_to(truth.a_from_b))
     calibrated = rows.frame >= len(rows) // 4  # the start-up pose is over by then
-    skeletons: dict[str, NDArray[np.float64]] = {
-        "S_A": rows.positions_a.astype(np.float64),
-        "S_B": rows.b_in_a,
-        "S*": rows.fused,
-    }
-    off_mm = {
-        name: np.linalg.norm(positions - rows.truth, axis=2)[calibrated] * 1e3
-        for name, positions in skeletons.items()
-    }
-    off_mm = {name: off[np.isfinite(off)] for name, off in off_mm.items()}
-    means = {name: f"{name} {off.mean():.0f} mm" for name, off in off_mm.items() if off.size}
-    if means:
-        print_lines(console, [Line("Truth", f"mean distance of the joints: {', '.join(means.values())}.")])
+    a_mm, b_mm, fused_mm = (
+        np.linalg.norm(positions - rows.truth, axis=2)[calibrated] * 1e3
+        for positions in (rows.positions_a, rows.b_in_a, rows.fused)
+    )
+    # a view is compared where it reports a joint; S* also has the joints that no sensor sees
+    compared = [
+        (joints, name, off[seen], fused_mm[seen])
+        for joints, name, off in (("that A reports", "S_A", a_mm), ("that B reports", "S_B", b_mm))
+        for seen in [np.isfinite(off) & np.isfinite(fused_mm)]
+        if seen.any()
+    ]
+    if not compared:
+        return
+    each = [
+        f"{joints}: {name} {off.mean():.0f} mm, S* {at.mean():.0f} mm" for joints, name, off, at in compared
+    ]
+    every = fused_mm[np.isfinite(fused_mm)]
+    text = f"mean distance of the joints {'; '.join(each)}; all: S* {every.mean():.0f} mm."
+    print_lines(console, [Line("Truth", text)])
     if not verbose:
         return
     console.print(f"The sensors' true rotation lies {angle:.1f}° from the one found.")
     table = [
-        [name, f"{off.mean():.0f} mm", f"{np.percentile(off, 95):.0f} mm"]
-        for name, off in off_mm.items()
-        if off.size
+        [joints, name, f"{values.mean():.0f} mm", f"{np.percentile(values, 95):.0f} mm"]
+        for joints, view, off, at in [*compared, ("all", "S*", every, every)]
+        for name, values in ((view, off), ("S*", at))[joints == "all" :]
     ]
     title = "Distance from the true joints, after the start"
-    console.print(figure_table(title, ("skeleton", "mean", "95 %"), table))
+    console.print(figure_table(title, ("joints", "skeleton", "mean", "95 %"), table))

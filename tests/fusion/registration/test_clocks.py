@@ -9,7 +9,7 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.registration import clock_search
 from fusion.registration.clock_offset import ClockOffsetEstimator, clock_offset_of
-from fusion.registration.clock_search import View, find_clock_offset
+from fusion.registration.clock_search import View, find_clock_offset, find_clock_skew
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, standing
 
@@ -111,6 +111,20 @@ def test_long_recordings_are_compared_where_they_overlap(monkeypatch):
     found = find_clock_offset(AZURE_KINECT, a, early._replace(time_ns=early.time_ns - 400_000_000))
     assert found is not None
     assert found.offset_ns == pytest.approx(400_000_000, abs=FRAME_NS / 3)
+
+
+def test_the_growth_of_an_offset_is_found(monkeypatch):
+    monkeypatch.setattr(clock_search, "_DRIFT_SPAN_NS", 6_000_000_000)
+    a, b = views_of("walk", 67, seconds=80.0)
+    for ppm in (1000.0, 0.0):
+        fast = b._replace(time_ns=(b.time_ns * (1.0 + 1e-6 * ppm)).astype(np.int64) - 400_000_000)
+        found = find_clock_offset(AZURE_KINECT, a, fast)
+        assert found is not None
+        found = find_clock_skew(a, fast, found)
+        assert found.skew_ppm == pytest.approx(-ppm, abs=3.0 * found.skew_sd_ppm)
+        assert found.skew_sd_ppm < 60.0
+        np.testing.assert_allclose(fast.time_ns + found.at(fast.time_ns), b.time_ns, atol=FRAME_NS / 5)
+        assert find_clock_skew(a, fast.chosen(np.arange(1500)), found) is found, "too short"
 
 
 def test_people_who_hardly_move_tell_no_offset():
