@@ -67,10 +67,11 @@ function directions([x, z]) {
   });
 }
 
-// The turn with which the eye stands between the sensors.
+// The turn with which the eye stands between the sensors, or opposite: A is on the left, as in the viewer.
 function between() {
-  const [a, b] = directions(centres[0]);
-  return Math.atan2(a[0] + b[0], -(a[1] + b[1]));
+  const [a, b] = directions(centres[0]), turn = Math.atan2(a[0] + b[0], -(a[1] + b[1]));
+  const right = Math.cos(turn) * (a[0] - b[0]) + Math.sin(turn) * (a[1] - b[1]);  // of A from B
+  return right > 0 ? turn + Math.PI : turn;
 }
 
 function frameAt(moment) {
