@@ -2,6 +2,7 @@
 
 import io
 import math
+import shlex
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -17,7 +18,7 @@ from fusion.registration.rigid_fit import Registration
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 from viewer_app.report.figures import report, truth_free_figures, with_verdict
-from viewer_app.report.terminal import print_lines, print_summary
+from viewer_app.report.terminal import print_lines, print_summary, say_saved
 from viewer_app.report.words import Line, detail_lines, in_mm, lead_lines
 from viewer_app.running.runner import stream_figures
 
@@ -241,3 +242,13 @@ def test_a_link_that_loses_something_is_a_warning(change, words):
     assert line.label == "Network"
     assert words in line.text
     assert line.warning
+
+
+def test_the_printed_command_can_be_pasted(tmp_path):
+    path = tmp_path / "Ordner mit ä" / "it's $1.rrd"
+    path.parent.mkdir()
+    path.write_bytes(b"0")
+    console = Console(file=io.StringIO(), width=60)
+    say_saved(console, path)
+    command = console.file.getvalue().partition("Look at it with: ")[2]
+    assert str(path) in shlex.split(command)
