@@ -192,3 +192,16 @@ def test_every_pass_shows_how_far_it_is(tmp_path, monkeypatch):
     assert [what for what, _ in shown] == ["reading a.csv", "reading b.csv", *passes, "writing"]
     assert [done for _, done in shown] == [1.0] * 6
     assert len(Session.open(tmp_path / "s.rrd")) == 100
+
+
+def test_a_saved_session_knows_what_was_dropped(tmp_path):
+    """The paper's methods fuse pairs only; B gives half as many frames as A."""
+    a, b = write_walk(tmp_path / "walk", 150)
+    header, *rows = b.read_text().splitlines()
+    half = [row for k, row in enumerate(rows) if k // len(KINECT_V2) % 2 == 0]
+    b.write_text("\n".join([header, *half]) + "\n")
+    session = fuse(a, b, settings=FuserSettings("paper"))
+    session.save(tmp_path / "s.rrd")
+    opened = Session.open(tmp_path / "s.rrd")
+    assert opened.dropped == session.dropped == (75, 0)
+    assert opened.frame_counts["frames_a"] == 150
