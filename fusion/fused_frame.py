@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.body import Body
 from fusion.large_arrays import Rows
 from fusion.rigid import RigidTransform
 
@@ -34,6 +35,7 @@ class FusedFrame:
         doubt_a, doubt_b: Probability that the sides of the view are wrong all the same.
         heading: (3,) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to 1,
             is the confidence. NaN where it is unknown; None with the paper's methods.
+        velocities: (J, 3) m/s; None with the paper's methods.
     """
 
     positions: NDArray[np.float64]
@@ -53,11 +55,25 @@ class FusedFrame:
     doubt_a: float = 0.0
     doubt_b: float = 0.0
     heading: NDArray[np.float64] | None = None
+    velocities: NDArray[np.float64] | None = None
 
     @property
     def has_person(self) -> bool:
         """Whether there is an S*."""
         return bool(np.isfinite(self.positions[0, 0]))
+
+    def predicted_for(self, body: Body, seconds: float) -> FusedFrame:
+        """This frame some time later: joints keep their velocities, and bones their lengths."""
+        if self.velocities is None or not self.has_person:
+            return self
+        moved = self.positions + seconds * self.velocities
+        later = moved.copy()
+        for joint in body.order[1:]:
+            parent = body.parents[joint]
+            length = np.linalg.norm(self.positions[joint] - self.positions[parent])
+            bone = moved[joint] - moved[parent]
+            later[joint] = later[parent] + bone * (length / max(float(np.linalg.norm(bone)), 1e-9))
+        return replace(self, positions=later, time_ns=self.time_ns + round(1e9 * seconds))
 
 
 class FusedFrames(Rows[FusedFrame]):

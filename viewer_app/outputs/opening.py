@@ -11,6 +11,7 @@ from fusion.body import Body
 from fusion.setup import FusionSetup
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
+from viewer_app.outputs.even_samples import EvenSamples
 from viewer_app.outputs.osc import Address, OscOutput, looked_up
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.outputs.vmc import VmcEncoder
@@ -52,8 +53,10 @@ class OutputPlan:
         self.warm_up(setup.body)
         with ExitStack() as stack:
             outputs = []
-            for output in self._open(setup, rate):
+            for output in self._open(setup, self.options.rate or rate):
                 stack.callback(output.close)
+                if self.options.rate is not None:
+                    output.even = EvenSamples(setup.body, self.options.rate)
                 outputs.append(output)
             yield outputs
 
@@ -97,6 +100,11 @@ def plan_outputs(
             looked_up(address, option)
     if options.avatar is not None and vmc is None:
         raise UsageError("--avatar gives the proportions for --vmc; give both.")
+    wanted = (options.vmc, options.vrchat, options.lsl, options.websocket, options.zenoh)
+    if options.rate is not None and all(each is None for each in wanted):
+        raise UsageError("--rate is for --vmc, --vrchat, --lsl, --websocket and --zenoh; give one of them.")
+    if options.rate is not None and not 1.0 <= options.rate <= 240.0:
+        raise UsageError(f"--rate {options.rate:g}: a rate is 1 to 240 samples per second.")
     if options.websocket is not None and not 0 < options.websocket < 65536:
         raise UsageError(f"--websocket {options.websocket}: a port is between 1 and 65535.")
     if options.lsl is not None:

@@ -1,7 +1,7 @@
 """The base of all outputs: a bounded queue and a thread, so that no receiver holds up the loop."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from devices.events import Event
 from fusion.fused_frame import FusedFrame
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
+from viewer_app.outputs.even_samples import EvenSamples
 from viewer_app.sinks.queued_sink import Item, QueuedFrame, QueuedSink
 
 LATE_NS = 33_333_333
@@ -43,7 +44,10 @@ class LiveOutput(QueuedSink):
         failure: Why it stopped before the end; None if it did not.
         page: Address of a web page that shows it; empty for none.
         note: What the user should know about it before it starts.
+        even: Sends S* at a constant rate; None: once per frame. Set it before the first frame.
     """
+
+    even: EvenSamples | None = None
 
     def __init__(self, name: str, keep: int = 1, clock: Callable[[], int] = time.perf_counter_ns) -> None:
         super().__init__(f"output {name.partition(' ')[0].lower()}", keep, clock)
@@ -101,8 +105,15 @@ class LiveOutput(QueuedSink):
 
     def _run(self) -> None:
         try:
-            while items := self._take(None, most=1):
-                self._send(items[0])
+            while True:
+                wait_s = None if self.even is None else self.even.wait_s(self._clock())
+                items: Sequence[Item] = self._take(wait_s, most=1)
+                if not items and self._ending:
+                    break
+                if self.even is not None:
+                    items = self.even.passed_on(items, self._clock())
+                for item in items:
+                    self._send(item)
         except Exception as fault:  # an output must not end the session
             self.failure = f"{self.name} stopped: {type(fault).__name__}: {fault}"
             self._end()

@@ -1,0 +1,64 @@
+"""S* at a constant rate, predicted from the newest frame."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from devices.capture.host_clock import HostClock
+from fusion.body import Body
+from viewer_app.sinks.queued_sink import Item, QueuedFrame
+
+_FARTHEST_NS = (
+    300_000_000  # S* is not predicted farther ahead, and moments that are farther behind are left out
+)
+
+
+class EvenSamples:
+    """The moments k / rate since the first frame, each as soon as a frame of that moment could be here.
+
+    Frames arrive unevenly: their clock plus their least delay tells when a moment is due.
+
+    Args:
+        body: Of the frames.
+        rate: Samples per second.
+    """
+
+    def __init__(self, body: Body, rate: float) -> None:
+        self._body, self._period_ns = body, 1e9 / rate
+        self._clock, self._next = HostClock(), 0
+        self._newest: QueuedFrame | None = None
+
+    def wait_s(self, now_ns: int) -> float | None:
+        """Seconds until the next moment is due; None: for a frame."""
+        if self._newest is None or self._too_far(self._next):
+            return None
+        return max(self._due_ns(self._next) - now_ns, 0) * 1e-9
+
+    def passed_on(self, items: Sequence[Item], now_ns: int) -> list[Item]:
+        """These items with the moments that are due now in place of frames."""
+        samples: list[Item] = []
+        for item in items:
+            if isinstance(item, QueuedFrame):
+                self._clock.observe(item.time_ns, item.written_ns)
+                self._newest = item
+            else:
+                samples.append(item)
+        while (
+            self._newest is not None and not self._too_far(self._next) and self._due_ns(self._next) <= now_ns
+        ):
+            if now_ns - self._due_ns(self._next) <= _FARTHEST_NS:
+                samples.append(self._sample(self._newest))
+            self._next += 1
+        return samples
+
+    def _sample(self, newest: QueuedFrame) -> QueuedFrame:
+        time_ns = round(self._next * self._period_ns)
+        fused = newest.fused.predicted_for(self._body, 1e-9 * (time_ns - newest.time_ns))
+        return QueuedFrame(
+            self._next, replace(newest.frame, fused=fused), time_ns, round(self._due_ns(self._next))
+        )
+
+    def _too_far(self, number: int) -> bool:
+        return self._newest is None or number * self._period_ns > self._newest.time_ns + _FARTHEST_NS
+
+    def _due_ns(self, number: int) -> float:
+        return number * self._period_ns + (self._clock.offset_ns or 0)
