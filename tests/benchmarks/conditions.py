@@ -1,14 +1,14 @@
 """S* under conditions of real set-ups, on simulated Azure Kinects: ``python -m tests.benchmarks.conditions``.
 
-The recordings are spoilt, written to .csv files and fused as ``duplex fuse`` does; ``alone`` takes no later
-frame. The figures are written to ``results/conditions.json``.
+The recordings are spoilt, written to .csv files and fused as ``duplex fuse`` does. The figures are written to
+``results/conditions.json``.
 """
 
 import argparse
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +20,6 @@ from devices.simulated.kinect import Scene, simulated_pair
 from fusion.body import AZURE_KINECT
 from fusion.pair_arrays import View, view_of
 from recordings.fusing.files import fuse
-from recordings.session import Session
 from tests.benchmarks import results
 
 _STATES = np.array(["not_tracked", "inferred", "tracked"])
@@ -36,15 +35,15 @@ class Recorded(NamedTuple):
     truth_at: Callable[[NDArray[np.int64]], NDArray[np.float64]]
 
 
-def _later(view: View, ms: float, ppm: float = 0.0) -> View:
+def _later(view, ms, ppm=0.0):
     return view._replace(time_ns=np.rint(view.time_ns * (1.0 + 1e-6 * ppm)).astype(np.int64) + int(ms * 1e6))
 
 
-def _kept(view: View, kept: NDArray[np.bool_]) -> View:
+def _kept(view, kept):
     return view.chosen(np.flatnonzero(kept))
 
 
-def _seconds(view: View) -> NDArray[np.float64]:
+def _seconds(view):
     return (view.time_ns - view.time_ns[0]) * 1e-9
 
 
@@ -65,13 +64,13 @@ CONDITIONS: dict[str, Spoil] = {
 }
 
 
-def recorded(motion: str, seed: int) -> Recorded:
+def recorded(motion, seed):
     """A movement before well placed sensors 90° apart, for 20 seconds."""
     a, b, truth = simulated_pair(motion=motion, seed=seed, body=AZURE_KINECT, angle_deg=90.0, seconds=20.0)
     return Recorded(_view(a), _view(b), truth.positions_at)
 
 
-def badly_placed(seed: int) -> Recorded:
+def badly_placed(seed):
     """``duplex demo --bad-setup``: the sensors too close, too high to see the feet, and side by side."""
     shown = demonstration(
         Scene(demonstrated("badminton"), AZURE_KINECT, seconds=14.0, seed=seed), bad_setup=True
@@ -79,11 +78,11 @@ def badly_placed(seed: int) -> Recorded:
     return Recorded(_view(shown.a), _view(shown.b), shown.truth.positions_at)
 
 
-def _view(sensor: Any) -> View:
+def _view(sensor):
     return view_of(AZURE_KINECT, (person for frame in sensor.frames() for person in frame.people.values()))
 
 
-def write_csv(path: Path, view: View) -> None:
+def write_csv(path, view):
     """Writes a view as ``.csv``; joints that are not tracked have no row."""
     frame, joint = np.nonzero(np.isfinite(view.positions[..., 0]))
     x, y, z = view.positions[frame, joint].T
@@ -93,16 +92,16 @@ def write_csv(path: Path, view: View) -> None:
     pyarrow.csv.write_csv(pa.table(columns), path)
 
 
-def fused(a: View, b: View, live: bool) -> Session:
+def fused(a, b):
     """The session of two views that were written to files."""
     with tempfile.TemporaryDirectory() as folder:
         paths = Path(folder) / "a.csv", Path(folder) / "b.csv"
         for path, view in zip(paths, (a, b), strict=True):
             write_csv(path, view)
-        return fuse(*paths, hindsight="none" if live else "labels", force=True)
+        return fuse(*paths, force=True)
 
 
-def errors(session: Session, recording: Recorded) -> Iterator[NDArray[np.float64]]:
+def errors(session, recording):
     """(T, J) metres from S_A, S_B and S* to the truth after the start-up pose, S_B under the registration."""
     rows = session.rows
     own = rows.clock_a[rows.clock_a > 0]
@@ -112,21 +111,21 @@ def errors(session: Session, recording: Recorded) -> Iterator[NDArray[np.float64
         yield np.linalg.norm(positions - truth, axis=2)[late]
 
 
-def of_condition(spoil: Spoil, recordings: list[Recorded], live: bool, seed: int) -> dict[str, float]:
+def of_condition(spoil, recordings, seed):
     """Mean and worst error of S*, metres, and its frames per frame of A."""
     means, frames = [], []
     for recording in recordings:
         a, b = spoil(recording.a, recording.b, np.random.default_rng(seed))
-        session = fused(a, b, live)
+        session = fused(a, b)
         means.append(float(np.nanmean(list(errors(session, recording))[2])))
         frames.append(float((session.rows.clock_a > 0).sum() / len(a.time_ns)))
     return {"mpjpe": float(np.mean(means)), "worst": max(means), "frames": float(np.mean(frames))}
 
 
-def of_bad_setup(seed: int, live: bool) -> dict[str, float]:
+def of_bad_setup(seed):
     """Mean errors in metres: of each view, of S* on the joints that this view reports, and of all of S*."""
     recording = badly_placed(seed)
-    a, b, fused_at = errors(fused(recording.a, recording.b, live), recording)
+    a, b, fused_at = errors(fused(recording.a, recording.b), recording)
     row = {"fused": float(np.nanmean(fused_at))}
     for name, view in (("a", a), ("b", b)):
         seen = np.isfinite(view) & np.isfinite(fused_at)
@@ -134,18 +133,17 @@ def of_bad_setup(seed: int, live: bool) -> dict[str, float]:
     return row
 
 
-def main() -> None:
+def main():
     """Runs all conditions and writes their figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--motions", nargs="+", default=["walk", "arms", "squat"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[7800, 7801])
     parser.add_argument("--bad-setups", nargs="*", type=int, default=list(range(7810, 7820)))
-    parser.add_argument("--live", action="store_true")
     options = parser.parse_args()
     recordings = [recorded(motion, seed) for motion in options.motions for seed in options.seeds]
     rows = {}
     for name, spoil in CONDITIONS.items():
-        rows[name] = of_condition(spoil, recordings, options.live, options.seeds[0])
+        rows[name] = of_condition(spoil, recordings, options.seeds[0])
         clean = rows["as it is"]["mpjpe"]
         row = rows[name]
         print(
@@ -155,11 +153,9 @@ def main() -> None:
         )
     bad = {}
     for seed in options.bad_setups:
-        bad[str(seed)] = of_bad_setup(seed, options.live)
+        bad[str(seed)] = of_bad_setup(seed)
         print(f"bad set-up {seed}:", *(f"{name} {1e3 * v:.0f}" for name, v in bad[str(seed)].items()))
-    results.write(
-        "conditions_live" if options.live else "conditions", {"conditions": rows, "bad_setups": bad}
-    )
+    results.write("conditions", {"conditions": rows, "bad_setups": bad})
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks.md"
 _SETS = {
     "azure": "Azure Kinect",
     "kinect_v2": "Kinect v2",
-    "blazepose": "our own tracker (simulated errors)",
+    "blazepose": "BlazePose, simulated errors",
     "larger_errors": "Azure, errors × 1.5",
     "heavy_tails": "Azure, heavy-tailed errors",
     "depth": "Azure, with depth images",
@@ -24,12 +24,13 @@ def page():
     """The whole page."""
     template = Template(Path(__file__).with_name("page.md").read_text(encoding="utf-8"))
     names = {f"accuracy_{name}": f"accuracy_{name}" for name in _SETS}
-    names |= dict.fromkeys(("real", "speed", "latency"), "")
+    names |= dict.fromkeys(("real", "conditions", "speed", "latency"), "")
     origins = [_origin(name) for name in names if (results.FOLDER / f"{name}.json").exists()]
     return template.substitute(
         methods=_methods(results.read("accuracy_azure")["figures"]),
         sets=_sets(),
         real=_real(results.read("real")["figures"]),
+        conditions=_conditions(results.read("conditions")["figures"]),
         speed=_speed(results.read("speed")),
         latency=_latency(results.read("latency")),
         origins="\n".join(origins),
@@ -107,6 +108,28 @@ def _real(figures):
         "flips per minute", "second half: R, °", "t, mm",
     )  # fmt: skip
     return _table(columns, rows)
+
+
+def _conditions(figures):
+    clean, *others = figures["conditions"].items()
+    clocks = [row for name, row in others if " off" in name or "clock" in name]
+    rows = [
+        (name, _number(max(row["mpjpe"] for row in of) / clean[1]["mpjpe"], 1, 2))
+        for name, of in (
+            ("B's clock 33 ms–7 s off, or 200 ppm fast; worst", clocks),
+            *((name, [row]) for name, row in others if row not in clocks),
+        )
+    ]
+    worst = max(
+        row[f"fused_where_{view}"] / row[view] for row in figures["bad_setups"].values() for view in "ab"
+    )
+    rows.append(
+        (
+            f"{len(figures['bad_setups'])} bad set-ups: S\\*, a view = 1, same joints; worst",
+            _number(worst, 1, 2),
+        )
+    )
+    return _table(("condition", "error, clean = 1"), rows)
 
 
 def _real_row(name, rows, over):
