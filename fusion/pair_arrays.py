@@ -143,8 +143,9 @@ class Pairs(Sequence[SkeletonPair]):
         """Pair k, or some of the pairs."""
         if isinstance(k, slice | np.ndarray):
             return Pairs(self.body, self.views, self.time_ns[k], self.skew_ns[k], self.frames[k])
-        a, b = (view.skeleton(self.body, i) for view, i in zip(self.views, self.frames[k], strict=True))
-        return SkeletonPair(a, b, int(self.time_ns[k]), int(self.skew_ns[k]))
+        (i, j), (a, b) = self.frames[k].tolist(), self.views
+        seen = a.skeleton(self.body, i), b.skeleton(self.body, j)
+        return SkeletonPair(*seen, int(self.time_ns[k]), int(self.skew_ns[k]))
 
     @property
     def seen_by_both(self) -> NDArray[np.bool_]:

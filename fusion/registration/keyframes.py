@@ -6,7 +6,6 @@ Keyframes are stored by the person's place and heading, so that the set covers t
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
@@ -17,7 +16,7 @@ from fusion.array_fields import new_arrays
 from fusion.body import Body
 from fusion.joint_kinds import limbs
 from fusion.rigid import RigidTransform
-from fusion.skeleton import TRACKED, Skeleton, SkeletonPair
+from fusion.skeleton import Skeleton, SkeletonPair
 
 Array = NDArray[np.float64]
 
@@ -27,8 +26,8 @@ _MOVED = 0.06  # metres, mean over the joints: a pose that is new
 _CELL = 0.5  # metres
 _SECTORS = 8  # of the person's heading
 _BLOCK_NS = 2_000_000_000  # frames of one block share a fold
-_INFERRED_WEIGHT = 0.1
-"""Information of an inferred joint relative to a tracked one: its error is about three times as large."""
+_WEIGHTS = np.array([0.0, 0.1, 1.0])
+"""Information of a joint by its tracking state: the error of an inferred one is three times as large."""
 _FAR = 0.08  # metres: a joint's disagreement beyond this counts less and less
 
 
@@ -71,9 +70,7 @@ def relabelled(skeleton: Skeleton, code: int) -> tuple[Array, Array]:
         body = skeleton.body
         source = np.where(limbs(body) & code, body.mirror, np.arange(len(body)))
         at, states = at[source], states[source]
-    weight = np.where(states == TRACKED, 1.0, _INFERRED_WEIGHT)
-    known = states != 0
-    return np.where(known[:, None], at, 0.0), np.where(known, weight, 0.0)
+    return np.where(states[:, None] != 0, at, 0.0), _WEIGHTS[states]
 
 
 class KeyframeSet:
@@ -90,23 +87,26 @@ class KeyframeSet:
             [body.joint(f"{name}_{side}") for name in ("SHOULDER", "HIP")] for side in ("LEFT", "RIGHT")
         )
         self._store = new_arrays(Evidence, K=capacity, J=len(body))
-        self._cells: list[tuple[int, int, int]] = []
+        self._cells: dict[tuple[int, int, int], list[int]] = {}  # the slots in each, oldest first
+        self._count = 0
         self._newest: int | None = None
 
     def __len__(self) -> int:
-        return len(self._cells)
+        return self._count
 
     @property
     def evidence(self) -> Evidence:
         """All keyframes, as views of the store, not ordered by time."""
-        return self._store.chosen(slice(0, len(self._cells)))
+        return self._store.chosen(slice(0, self._count))
 
     def forget_before(self, time_ns: int) -> None:
         """Forgets the keyframes older than ``time_ns``."""
         keep = [k for k in range(len(self)) if self._store.time_ns[k] >= time_ns]
         for values in self._store:
             values[: len(keep)] = values[keep]
-        self._cells = [self._cells[k] for k in keep]
+        number = {old: new for new, old in enumerate(keep)}
+        self._cells = {cell: [number[k] for k in slots if k in number] for cell, slots in self._cells.items()}
+        self._count = len(keep)
         self._newest = int(np.argmax(self._store.time_ns[: len(keep)])) if keep else None
 
     def add(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> bool:
@@ -120,7 +120,7 @@ class KeyframeSet:
         weight = weight_a * weight_b
         if np.count_nonzero(weight == 1.0) < len(self._body) // 3:
             return False
-        across = a[self._left].mean(axis=0) - a[self._right].mean(axis=0)
+        across = 0.5 * (a[self._left].sum(axis=0) - a[self._right].sum(axis=0))
         heading = float(np.arctan2(across[2], across[0]))
         centre = a[weight_a > 0.0].mean(axis=0)
         cell = (
@@ -154,14 +154,14 @@ class KeyframeSet:
         return bool(np.sqrt((moved * moved).sum(axis=1)).mean() > _MOVED)
 
     def _slot(self, cell: tuple[int, int, int]) -> int:
-        if len(self._cells) < self._capacity:
-            self._cells.append(cell)
-            return len(self._cells) - 1
-        counts, times = Counter(self._cells), self._store.time_ns.tolist()
-        most = max(counts.values())
-        crowded = [k for k, other in enumerate(self._cells) if counts[other] == most]
-        slot = min(crowded, key=times.__getitem__)
-        self._cells[slot] = cell
+        slot = self._count
+        if slot < self._capacity:
+            self._count += 1
+        else:
+            most = max(map(len, self._cells.values()))
+            fullest = (slots for slots in self._cells.values() if len(slots) == most)
+            slot = min(fullest, key=lambda slots: int(self._store.time_ns[slots[0]])).pop(0)
+        self._cells.setdefault(cell, []).append(slot)
         return slot
 
 

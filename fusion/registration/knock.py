@@ -89,7 +89,7 @@ class KnockDetector:
         self._settings = settings or KnockSettings()
         self._own, self._other = body.midpoints
         self._blocks: deque[_Block] = deque(maxlen=self._settings.history)
-        self._offsets: deque[Array] = deque(maxlen=self._settings.history)  # of each block, under _offset_by
+        self._offsets = np.zeros((0, 3))  # of each block, under _offset_by
         self._offset_by: RigidTransform | None = None
         self._pairs: list[SkeletonPair] = []
         self._quiet_ns = 0
@@ -100,7 +100,7 @@ class KnockDetector:
         """Uses another transform and forgets the history."""
         self.a_from_b, self.since_ns = a_from_b, None
         self._blocks.clear()
-        self._offsets.clear()
+        self._offset_by = None
         self._pairs.clear()
 
     def withdraw(self, now_ns: int) -> None:
@@ -127,10 +127,14 @@ class KnockDetector:
         if len(usual) < self._settings.fewest or start_ns < self._quiet_ns:
             return
         offsets, history = every[-len(newest) :], every[: len(usual)]
-        middle = np.median(history, axis=0)
-        sd = float(np.median(np.linalg.norm(history - middle, axis=1))) / _NORM_OF_SD
+        ordered = np.sort(history, axis=0)
+        middle = (ordered[(len(usual) - 1) // 2] + ordered[len(usual) // 2]) / 2.0
         off = offsets - middle
-        apart = np.linalg.norm(off, axis=1) > max(self._settings.smallest, self._settings.deviations * sd)
+        apart = np.sqrt((off * off).sum(axis=1)) > self._settings.smallest
+        if self.since_ns is None and not apart.all():
+            return
+        sd = float(np.median(np.linalg.norm(history - middle, axis=1))) / _NORM_OF_SD
+        apart &= np.linalg.norm(off, axis=1) > self._settings.deviations * sd
         if self.since_ns is not None:
             self.since_ns = self.since_ns if apart.any() else None
         elif apart.all():
@@ -148,12 +152,11 @@ class KnockDetector:
         """(N, 3) the median difference of the views over the points of each block."""
         new = [self._blocks[-1]]
         if self._offset_by is not self.a_from_b:
-            self._offsets.clear()
-            new = list(self._blocks)
+            self._offsets, new = self._offsets[:0], list(self._blocks)
         apart = np.array([b.a for b in new]) - self.a_from_b.apply(np.array([b.b for b in new]))
-        self._offsets.extend(median_of_known(apart))
+        self._offsets = np.concatenate([self._offsets, median_of_known(apart)])[-len(self._blocks) :]
         self._offset_by = self.a_from_b
-        return np.array(self._offsets)
+        return self._offsets
 
     def _mean_points(self, view: Sequence[Skeleton | None]) -> Array:
         """(M, 3) mean over time of the midpoints that are tracked in every frame of the block."""
