@@ -59,7 +59,8 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     apart = of_b[0] > of_a[-1] or of_a[0] > of_b[-1]
     base = int(of_a[0] - of_b[0]) if apart else 0
     # the middle of what both saw is enough
-    middle = (max(of_a[0], of_b[0] + base) + min(of_a[-1], of_b[-1] + base)) // 2
+    first, last = max(of_a[0], of_b[0] + base), min(of_a[-1], of_b[-1] + base)
+    middle = first + (last - first) // 2  # a sum could exceed 64 bits
     a = a.chosen(np.flatnonzero(np.abs(a.time_ns - middle) < _LONGEST_SPAN_NS // 2))
     if len(a.time_ns) < _FEWEST:
         return None

@@ -104,6 +104,15 @@ def test_recordings_that_begin_at_their_own_zero_on_another_day_are_aligned():
     assert found.offset_ns == pytest.approx(-86_400_000_000_000, abs=FRAME_NS / 3)
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_longest_times_do_not_overflow():
+    far_ns = -8_999_000_000_000_000_000
+    a, b = views_of("walk", 62)
+    found = find_clock_offset(AZURE_KINECT, a._replace(time_ns=a.time_ns + far_ns), b)
+    assert found is not None
+    assert found.offset_ns == pytest.approx(far_ns, abs=FRAME_NS / 3)
+
+
 def test_long_recordings_are_compared_where_they_overlap(monkeypatch):
     monkeypatch.setattr(clock_search, "_LONGEST_SPAN_NS", 20_000_000_000)
     a, b = views_of("walk", 67, seconds=80.0)
