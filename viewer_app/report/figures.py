@@ -17,6 +17,7 @@ from fusion.large_arrays import parts
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
+from fusion.skeleton import NO_FRAME
 from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without_truth, judge_registration
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
@@ -52,12 +53,14 @@ def with_verdict(figures: Figures) -> Figures:
 def fusion_figures(setup: FusionSetup, rows: SessionArrays) -> Figures:
     """The figures of fused frames from any source, with the last setup that applies to them."""
     settings = setup.settings
+    empty_a, empty_b = ((states == 0).all(axis=1) for states in (rows.states_a, rows.states_b))
+    gave_a, gave_b = (clock != NO_FRAME for clock in (rows.clock_a, rows.clock_b))
     return {
         "stale": {"a": int(rows.stale_a.sum()), "b": int(rows.stale_b.sum())},
         "without_person": {
-            "a": int((rows.states_a == 0).all(axis=1).sum()),
-            "b": int((rows.states_b == 0).all(axis=1).sum()),
-            "both": int(rows.predicted.all(axis=1).sum()),
+            "a": int((empty_a & gave_a).sum()),
+            "b": int((empty_b & gave_b).sum()),
+            "both": int((empty_a & empty_b).sum()),
         },
         "settings": {name: getattr(settings, name) for name in ("method", "h", "weights", "smoothing")},
         "calibration": calibration_figures(setup.calibration),

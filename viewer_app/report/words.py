@@ -116,10 +116,14 @@ def _pace(figures: Figures) -> str:
 
 def _shortfalls(figures: Figures) -> Iterator[Line]:
     """What recordings lack: partners and people."""
-    dropped, absent, frames = figures["dropped"], figures["without_person"], figures["frames"]
+    dropped, alone, absent = (figures[key] for key in ("dropped", "alone", "without_person"))
+    frames = figures["frames"]
     if dropped["a"] or dropped["b"]:
         of_a, of_b = (f"{dropped[key] or 0} of {frames[key]}" for key in ("a", "b"))
         yield Line("Dropped", f"{of_a} frames of A and {of_b} of B have no partner.", warning=True)
+    if alone["a"] or alone["b"]:
+        of_a, of_b = (f"{alone[key]} of {frames[key]}" for key in ("a", "b"))
+        yield Line("One view", f"{of_a} frames of A and {of_b} of B: the other sensor has none at that time.")
     if absent["a"] or absent["b"]:
         yield Line(
             "No person", f"in {absent['a']} frames of A, {absent['b']} of B, {absent['both']} of both."

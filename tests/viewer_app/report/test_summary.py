@@ -15,6 +15,7 @@ from devices.sensor import LinkFigures
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import FEWEST_PAIRS
 from fusion.registration.rigid_fit import Registration
+from fusion.skeleton import NO_FRAME
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 from viewer_app.report.figures import report, truth_free_figures, with_verdict
@@ -149,6 +150,26 @@ def test_repaired_shares_count_frames_with_a_person(session):
     assert "left and right: 30 % of A, 0 % of B; joints filled in: 8.0 %." in said(figures)
     without = replace(session, rows=replace(rows, exchanged=None))  # the paper's methods
     assert "left and right" not in said(report(without))
+
+
+def test_a_sensor_without_a_frame_is_not_a_frame_without_a_person(session):
+    rows = session.rows
+    clock_b, states_a, states_b, predicted = (
+        each.copy() for each in (rows.clock_b, rows.states_a, rows.states_b, rows.predicted)
+    )
+    clock_b[::2] = NO_FRAME
+    states_b[::2] = 0
+    states_b[1] = 0  # a frame of B in which it sees no one
+    states_a[:2] = 0
+    predicted[:10] = True  # A repeats a frame, but sees the person
+    changed = replace(rows, clock_b=clock_b, states_a=states_a, states_b=states_b, predicted=predicted)
+    figures = report(replace(session, rows=changed))
+    assert figures["without_person"] == {"a": 2, "b": 1, "both": 2}
+    assert figures["alone"] == {"a": 30, "b": 0}
+    text = " ".join(said(figures, width=200).split())
+    assert "One view 30 of 60 frames of A and 0 of 30 of B: the other sensor has none at that time." in text
+    assert "No person in 2 frames of A, 1 of B, 2 of both." in text
+    assert "One view" not in said(report(session))
 
 
 def test_what_someone_must_act_on_is_told_in_words(figures):
