@@ -134,15 +134,20 @@ def stored(*arrays: NDArray[Any]) -> list[NDArray[Any]]:
     return GrowingArray.wholes(growing)
 
 
+def _trim() -> None:
+    """Gives back what was freed, which glibc keeps; it takes some milliseconds."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if trim is not None:
+        trim(0)
+
+
 def parts(count: int, size: int = PART) -> Iterator[slice]:
     """The slices of `size` frames; memory that they took is given back."""
     for first in range(0, count, size):
         yield slice(first, min(first + size, count))
         give_back()
-    if count > size and sys.platform == "linux":
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc keeps what was freed
-        if trim is not None:
-            trim(0)
+        if count > size and (size > PART or first + size >= count):
+            _trim()
 
 
 def give_back(*mapped: mmap.mmap) -> None:
