@@ -102,7 +102,7 @@ def find_clock_skew(a: View, b: View, middle: ClockOffset) -> ClockOffset:
     first, last = max(a.time_ns[0], b.time_ns[0]), min(a.time_ns[-1], b.time_ns[-1])
     if last - first < _DRIFT_WINDOWS * _DRIFT_SPAN_NS:
         return middle
-    centre, reach = (first + last) // 2, _DRIFT_SPAN_NS // 2
+    centre, reach = first + (last - first) // 2, _DRIFT_SPAN_NS // 2
     moments = np.linspace(first + reach, last - reach, _DRIFT_WINDOWS).astype(np.int64)
     lever, offset, slope = list[float](), list[float](), 0.0
     for moment in moments[np.argsort(np.abs(moments - centre), kind="stable")]:

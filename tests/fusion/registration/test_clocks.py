@@ -122,17 +122,21 @@ def test_long_recordings_are_compared_where_they_overlap(monkeypatch):
     assert found.offset_ns == pytest.approx(400_000_000, abs=FRAME_NS / 3)
 
 
+@pytest.mark.filterwarnings("error")
 def test_the_growth_of_an_offset_is_found(monkeypatch):
     monkeypatch.setattr(clock_search, "_DRIFT_SPAN_NS", 6_000_000_000)
     a, b = views_of("walk", 67, seconds=80.0)
-    for ppm in (1000.0, 0.0):
-        fast = b._replace(time_ns=(b.time_ns * (1.0 + 1e-6 * ppm)).astype(np.int64) - 400_000_000)
+    for ppm, far_ns in ((1000.0, 0), (0.0, 8_999_000_000_000_000_000)):
+        times = (b.time_ns * (1.0 + 1e-6 * ppm)).astype(np.int64) - 400_000_000
+        a, fast = a._replace(time_ns=a.time_ns + far_ns), b._replace(time_ns=times + far_ns)
         found = find_clock_offset(AZURE_KINECT, a, fast)
         assert found is not None
         found = find_clock_skew(a, fast, found)
         assert found.skew_ppm == pytest.approx(-ppm, abs=3.0 * found.skew_sd_ppm)
         assert found.skew_sd_ppm < 60.0
-        np.testing.assert_allclose(fast.time_ns + found.at(fast.time_ns), b.time_ns, atol=FRAME_NS / 5)
+        np.testing.assert_allclose(
+            fast.time_ns + found.at(fast.time_ns) - far_ns, b.time_ns, atol=FRAME_NS / 5
+        )
         assert find_clock_skew(a, fast.chosen(np.arange(1500)), found) is found, "too short"
 
 
