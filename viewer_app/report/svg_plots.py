@@ -19,6 +19,7 @@ _INK = "#010203"  # placeholder for the page's text colour
 _POINTS_PER_INCH = 120  # of the width of a plot: about one point per pixel
 _TRUST_COLUMNS = 600
 _WIDE = 11.0  # inches, of a plot across the page
+_LONGEST_JOINED = 0.3  # seconds between two values that a line joins
 Line = tuple[NDArray[Any], str]
 
 
@@ -35,7 +36,8 @@ def line_plot(
     width = _WIDE if wide else 6.0
     figure, axes = _figure(width, 2.4)
     for name, (values, key) in lines.items():
-        at, thinned = _thinned(time, np.asarray(values, dtype=np.float64), int(width * _POINTS_PER_INCH))
+        joined = _joined(time, np.asarray(values, dtype=np.float64))
+        at, thinned = _thinned(*joined, int(width * _POINTS_PER_INCH))
         axes.plot(
             at, thinned, color=skeleton_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name
         )
@@ -166,6 +168,19 @@ def skeleton_color(key: str) -> str:
 
 def _css(color: Color) -> str:
     return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def _joined(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The values without the unknown ones between known ones that are near in time, so that a line joins
+    them: one sensor may have half the frames of the other."""
+    known = np.isfinite(values)
+    at = np.flatnonzero(known)
+    after = np.searchsorted(at, np.arange(len(values)))
+    between = ~known & (after > 0) & (after < len(at))
+    after = after[between]
+    kept = np.ones(len(values), dtype=bool)
+    kept[between] = time[at[after]] - time[at[after - 1]] > _LONGEST_JOINED
+    return time[kept], values[kept]
 
 
 def _thinned(time: NDArray[Any], values: NDArray[Any], most: int) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -20,6 +20,7 @@ from viewer_app.report import motion as motion_module
 from viewer_app.report.figures import report, truth_free_figures
 from viewer_app.report.motion import _floor, _kept_frames, encoded_motion
 from viewer_app.report.review_page import review_page
+from viewer_app.report.svg_plots import line_plot, skeleton_color
 
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
 
@@ -103,6 +104,16 @@ def without_plots(monkeypatch):
     """Leaves out the plots, which take most of the time."""
     for name in ("line_plot", "bar_plot", "trust_map"):
         monkeypatch.setattr(f"viewer_app.report.review_page.{name}", lambda *_, **__: "")
+
+
+def test_a_line_joins_values_of_every_other_frame_but_not_across_a_gap():
+    time = np.arange(60) / 30
+    values = np.where(np.arange(60) % 2, np.nan, 5.0)
+    values[20:41] = np.nan
+    drawn = line_plot("views differ", "mm", time, {"one": (values, "fused")})
+    (path,) = re.findall(rf'<path d="([^"]*)"[^>]*stroke: {skeleton_color("fused")}', drawn)
+    assert path.count("M ") == 2
+    assert path.count("L ") == 9 + 8
 
 
 def test_a_long_session_keeps_more_frames_near_its_events():
