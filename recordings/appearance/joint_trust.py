@@ -31,14 +31,19 @@ class TrustColors:
     def add(self, rows: SessionArrays) -> NDArray[np.uint8]:
         """(T, J, 3) RGB of frames in time order: the colours of A, of S* where both views count alike, and of
         B; grey where neither sensor sees the joint."""
+        share = self.shares(rows)
+        unseen = np.isnan(share)
+        shades = np.where(unseen, _SHADES + 1, np.round(np.nan_to_num(share) * _SHADES)).astype(np.int64)
+        return np.asarray(_palette()[shades])
+
+    def shares(self, rows: SessionArrays) -> NDArray[np.float64]:
+        """(T, J) share of A in frames in time order; NaN where neither sensor sees the joint."""
         weights = np.stack((rows.weights_a, rows.weights_b), axis=1).astype(np.float64)
         means = _running_means(weights, _KEPT_A_SECOND, self._mean)
         self._mean = means[-1]
         total = means.sum(axis=1)
         share = np.where(total > 0.0, means[:, 0] / np.where(total > 0.0, total, 1.0), 0.5)
-        unseen = (rows.states_a == 0) & (rows.states_b == 0)
-        shades = np.where(unseen, _SHADES + 1, np.round(share * _SHADES)).astype(np.int64)
-        return np.asarray(_palette()[shades])
+        return np.where((rows.states_a == 0) & (rows.states_b == 0), np.nan, share)
 
 
 def _palette() -> NDArray[np.uint8]:

@@ -50,6 +50,13 @@ def test_a_joint_has_the_colour_of_the_sensor_it_came_from(rows):
     assert (TrustColors().add(nothing) == PREDICTED_COLOR).all()
 
 
+def test_frames_of_one_view_in_turn_share_the_trust(rows):
+    weights = np.zeros_like(rows.weights_a)
+    weights[::2] = 1.0
+    told = replace(rows, weights_a=weights, weights_b=1.0 - weights)
+    np.testing.assert_allclose(TrustColors().shares(told)[90:], 0.5, atol=0.06)
+
+
 def test_a_frame_that_a_sensor_repeats_does_not_flash(rows):
     even = trusting(rows, 0.5)
     weights_a, weights_b = even.weights_a.copy(), even.weights_b.copy()

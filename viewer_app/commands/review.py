@@ -84,6 +84,6 @@ def opening_time(options: ReviewOptions, session: Session, events: Sequence[List
     else:
         chosen = opening_event(events, first_calibrated_frame(session))
     if chosen is None:
-        return 0, "at the beginning: no event calls for a look"
+        return 0, "at the beginning: no later event calls for a look"
     time_ns = chosen.event.time_ns
     return time_ns, f"at {seconds_of(time_ns)}, event {chosen.number}"

@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from recordings.appearance.colors import PROMINENT_BONES
+from recordings.appearance.joint_trust import TrustColors
 from recordings.fusing.files import without_folders
 from recordings.session import Session
 from recordings.session_comparison import frame_noise_of
@@ -109,8 +110,8 @@ def _jitter_plot(session: Session) -> Markup:
 
 def _trust_plot(session: Session) -> Markup:
     rows = session.rows
-    total = rows.weights_a + rows.weights_b
-    share = np.where(total > 0.0, rows.weights_a / np.where(total > 0.0, total, 1.0), np.nan)
+    trust = TrustColors()
+    share = np.concatenate([trust.shares(part).astype(np.float32) for part in rows.parts()])
     return Markup(trust_map(rows.time_ns * 1e-9, session.body.joints, share))
 
 

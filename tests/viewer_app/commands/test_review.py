@@ -72,7 +72,7 @@ def test_without_a_display_it_says_where_a_viewer_would_open(path, shown, monkey
 def test_without_an_event_it_opens_at_the_beginning_and_says_so(session, shown, capsys):
     assert duplex("review", session.path) == 0
     shown.assert_called_once_with(session.path, 0)
-    assert "opens at the beginning: no event calls for a look" in capsys.readouterr().out
+    assert "opens at the beginning: no later event calls for a look" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
