@@ -143,9 +143,8 @@ def main():
     recordings = [recorded(motion, seed) for motion in options.motions for seed in options.seeds]
     rows = {}
     for name, spoil in CONDITIONS.items():
-        rows[name] = of_condition(spoil, recordings, options.seeds[0])
+        row = rows[name] = of_condition(spoil, recordings, options.seeds[0])
         clean = rows["as it is"]["mpjpe"]
-        row = rows[name]
         print(
             f"{name:28s} {row['mpjpe'] * 1e3:6.1f} mm, {row['mpjpe'] / clean:.2f} of the clean one, worst "
             f"{row['worst'] * 1e3:6.1f} mm, S* at {row['frames']:.1%} of A's frames",

@@ -123,12 +123,8 @@ def _conditions(figures):
     worst = max(
         row[f"fused_where_{view}"] / row[view] for row in figures["bad_setups"].values() for view in "ab"
     )
-    rows.append(
-        (
-            f"{len(figures['bad_setups'])} bad set-ups: S\\*, a view = 1, same joints; worst",
-            _number(worst, 1, 2),
-        )
-    )
+    title = f"{len(figures['bad_setups'])} bad set-ups: S\\*, a view = 1, same joints; worst"
+    rows.append((title, _number(worst, 1, 2)))
     return _table(("condition", "error, clean = 1"), rows)
 
 

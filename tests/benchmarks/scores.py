@@ -1,14 +1,9 @@
 """Error figures of a skeleton against ground truth."""
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.skeleton import TrackingState
-
-Array = NDArray[np.float64]
 
 _STILL_SPEED = 0.02  # m/s: slower is standing still
 _SMOOTH = 5  # frames of the moving mean that jitter is measured against
@@ -17,41 +12,21 @@ _EVEN_STEPS = 1e-4  # metres per frame: a speed that varies less has no shape to
 _WEAK_MATCH = 0.5  # correlation: a lower peak is noise
 
 
-@dataclass(frozen=True)
-class Accuracy:
-    """The figures of one method on one recording; metres, NaN where a figure does not exist.
-
-    Attributes:
-        mpjpe: Mean per joint position error, the mean distance of a joint from its true place.
-        p95: 95th percentile of that distance.
-        hidden_one, hidden_both: MPJPE of joints that one view, or both, do not track.
-        bone_error: Largest difference of a bone from its true length.
-        bone_deviation: Standard deviation of a bone's length over time; mean over bones.
-        jitter: RMS distance of a joint from its moving mean over 5 frames while it truly stands still.
-        acceleration: Mean distance of a joint's second difference from the true one, metres per frame².
-        swapped: Share of frames whose limbs fit the truth better with left and right exchanged.
-        lag: Frames by which the joints' mean speed trails the true one: where they correlate most. NaN
-            where that is less than 0.5, or at the end of the ±10 frames that are searched.
-        within_1sd, within_2sd: Share of joints within one and two standard deviations of the truth, as the
-            method states them: 0.608 and 0.993 for isotropic Gaussian errors. NaN where it states none.
-    """
-
-    mpjpe: float
-    p95: float
-    hidden_one: float
-    hidden_both: float
-    bone_error: float
-    bone_deviation: float
-    jitter: float
-    acceleration: float
-    swapped: float
-    lag: float
-    within_1sd: float = np.nan
-    within_2sd: float = np.nan
-
-
 def accuracy(body, found, truth, states_a, states_b, frame_seconds, sd=None):
-    """Measures a method's joints against the true ones.
+    """Figures of a method's joints against the true ones; metres, NaN where a figure does not exist.
+
+    mpjpe: Mean per joint position error, the mean distance of a joint from its true place.
+    p95: 95th percentile of that distance.
+    hidden_one, hidden_both: MPJPE of joints that one view, or both, do not track.
+    bone_error: Largest difference of a bone from its true length.
+    bone_deviation: Standard deviation of a bone's length over time; mean over bones.
+    jitter: RMS distance of a joint from its moving mean over 5 frames while it truly stands still.
+    acceleration: Mean distance of a joint's second difference from the true one, metres per frame².
+    swapped: Share of frames whose limbs fit the truth better with left and right exchanged.
+    lag: Frames by which the joints' mean speed trails the true one: where they correlate most. NaN where
+        that is less than 0.5, or at the end of the ±10 frames that are searched.
+    within_1sd, within_2sd: Share of joints within one and two standard deviations of the truth, as the
+        method states them: 0.608 and 0.993 for isotropic Gaussian errors. NaN where it states none.
 
     Args:
         body: The joints.
@@ -65,20 +40,20 @@ def accuracy(body, found, truth, states_a, states_b, frame_seconds, sd=None):
     untracked = (states_a != TrackingState.TRACKED).astype(int) + (states_b != TrackingState.TRACKED)
     lengths = bone_lengths_of(body, found)[:, body.bone_joints]
     true_lengths = bone_lengths_of(body, truth)[:, body.bone_joints]
-    return Accuracy(
-        mpjpe=_mean(off),
-        p95=float(np.nanpercentile(off, 95)) if np.isfinite(off).any() else np.nan,
-        hidden_one=_mean(off[untracked == 1]),
-        hidden_both=_mean(off[untracked == 2]),
-        bone_error=float(np.nanmax(np.abs(lengths - true_lengths))),
-        bone_deviation=_mean(np.array([_deviation(bone) for bone in lengths.T])),
-        jitter=_jitter(found, truth, frame_seconds),
-        acceleration=_mean(np.linalg.norm(np.diff(found - truth, n=2, axis=0), axis=2)),
-        swapped=_swapped(body, found, truth),
-        lag=_lag(found, truth),
-        within_1sd=np.nan if sd is None else _coverage(off, sd),
-        within_2sd=np.nan if sd is None else _coverage(off, 2.0 * sd),
-    )
+    return {
+        "mpjpe": _mean(off),
+        "p95": float(np.nanpercentile(off, 95)) if np.isfinite(off).any() else np.nan,
+        "hidden_one": _mean(off[untracked == 1]),
+        "hidden_both": _mean(off[untracked == 2]),
+        "bone_error": float(np.nanmax(np.abs(lengths - true_lengths))),
+        "bone_deviation": _mean(np.array([_deviation(bone) for bone in lengths.T])),
+        "jitter": _jitter(found, truth, frame_seconds),
+        "acceleration": _mean(np.linalg.norm(np.diff(found - truth, n=2, axis=0), axis=2)),
+        "swapped": _swapped(body, found, truth),
+        "lag": _lag(found, truth),
+        "within_1sd": np.nan if sd is None else _coverage(off, sd),
+        "within_2sd": np.nan if sd is None else _coverage(off, 2.0 * sd),
+    }
 
 
 def _coverage(errors, bound):

@@ -1,7 +1,7 @@
 """Simulated recordings with known truth, and every method on each of them."""
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from typing import Literal
@@ -94,16 +94,10 @@ def run_trial(trial, simulation, seconds, names):
     outcomes = []
     for method in chosen_methods(names):
         found = method.find(recording)
-        figures = accuracy(
-            recording.body,
-            found.joints[first:],
-            recording.truth[first:],
-            states_a[first:],
-            states_b[first:],
-            recording.frame_seconds,
-            None if found.sd is None else found.sd[first:],
-        )
-        outcomes.append(Outcome(trial, method.name, {**asdict(figures), "fuse_us": found.each_us}))
+        measured = (at[first:] for at in (found.joints, recording.truth, states_a, states_b))
+        sd = None if found.sd is None else found.sd[first:]
+        figures = accuracy(recording.body, *measured, recording.frame_seconds, sd)
+        outcomes.append(Outcome(trial, method.name, {**figures, "fuse_us": found.each_us}))
     return outcomes
 
 
@@ -113,15 +107,9 @@ def record(trial, simulation, seconds):
     The start-up pose is excluded, because all methods perform best in it.
     """
     body = BODIES[simulation.body]
-    a, b, truth = simulated_pair(
-        motion=trial.motion,
-        seed=trial.seed,
-        body=body,
-        angle_deg=trial.angle,
-        seconds=seconds,
-        errors=simulation.errors_of_tracker(),
-        depth=simulation.depth,
-    )
+    scene = {"motion": trial.motion, "angle_deg": trial.angle, "seed": trial.seed, "seconds": seconds}
+    errors = simulation.errors_of_tracker()
+    a, b, truth = simulated_pair(**scene, body=body, errors=errors, depth=simulation.depth)
     # only the few figures per joint that each image gave are kept
     frames_a, frames_b = ([replace(f, depth=None) for f in sensor.frames()] for sensor in (a, b))
     pairs = paired(frames_a, frames_b).pairs

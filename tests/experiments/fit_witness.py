@@ -7,6 +7,7 @@ bones; so real standard deviations are larger, and the evidence is limited to a 
 import argparse
 from collections import defaultdict
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from devices.depth.witness import with_witness
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.array_fields import new_arrays
-from fusion.body import BODIES, Body
+from fusion.body import AZURE_KINECT, Body
 from fusion.joint_kinds import kind_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TrackingState
@@ -28,6 +29,7 @@ from fusion.witness import (
     new_witness_model,
     weigh_witness,
 )
+from tests.benchmarks.accuracy import ANGLES, MOTIONS
 
 GOOD, BAD = 0.050, 0.100  # metres: errors between them count for neither
 _LARGEST_ERROR = 0.060  # metres: what the root mean square of a surface measurement is limited to
@@ -142,30 +144,16 @@ def log_ratios(counts):
 def main():
     """Simulates, fits and prints."""
     p = argparse.ArgumentParser(description=__doc__)
-    p.add_argument("--body", default="azure_kinect", choices=list(BODIES))
     p.add_argument("--seeds", type=int, nargs="+", default=[3000, 3001, 3002, 3003, 3004])
-    p.add_argument("--angles", type=float, nargs="+", default=[45.0, 90.0, 135.0])
     p.add_argument("--seconds", type=float, default=12.0)
-    p.add_argument(
-        "--motions", nargs="+",
-        default=["walk", "arms", "badminton", "basketball", "squat", "sit", "boxing", "still"],
-    )  # fmt: skip
     o = p.parse_args()
     sums, views = Sums(), []
-    for seed in o.seeds:
-        for motion in o.motions:
-            for angle in o.angles:
-                a, b, truth = simulated_pair(
-                    motion=motion,
-                    seed=seed,
-                    body=BODIES[o.body],
-                    angle_deg=angle,
-                    seconds=o.seconds,
-                    depth="half",
-                )
-                begins = round(getattr(truth.scene.motion, "begins", 0.0) * 1e9)
-                views.append(watch(a, RigidTransform.identity(), truth.positions_at, begins))
-                views.append(watch(b, truth.a_from_b.inverse(), truth.positions_at, begins))
+    for seed, motion, angle in product(o.seeds, MOTIONS, ANGLES):
+        scene = {"motion": motion, "seed": seed, "angle_deg": angle, "seconds": o.seconds}
+        a, b, truth = simulated_pair(**scene, body=AZURE_KINECT, depth="half")
+        begins = round(getattr(truth.scene.motion, "begins", 0.0) * 1e9)
+        views.append(watch(a, RigidTransform.identity(), truth.positions_at, begins))
+        views.append(watch(b, truth.a_from_b.inverse(), truth.positions_at, begins))
     flesh = flesh_of(views)
     for view in views:
         collect(view, flesh, sums)

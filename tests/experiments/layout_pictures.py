@@ -2,15 +2,15 @@
 
 ``python -m tests.experiments.layout_pictures`` runs ``duplex demo``, ``duplex fuse`` on real recordings, and
 ``duplex demo --tracker blazepose``. It draws their layouts in a viewer without a screen and writes
-``docs/pictures/*.png``. ``--only demo`` makes those of one run. A graphics driver or Debian's
-mesa-vulkan-drivers is needed. What is missing for a run is said, and its pictures stay as they are: the
-recordings (``DUPLEX_SHARED``), the body tracker's networks.
+``docs/pictures/*.png``. A graphics driver or Debian's mesa-vulkan-drivers is needed. What is missing for a
+run is said, and its pictures stay as they are: the recordings (``DUPLEX_SHARED``) or the networks.
 """
 
 import argparse
 import contextlib
 import io
 import os
+import socket
 import tempfile
 import threading
 from pathlib import Path
@@ -117,17 +117,17 @@ def settled_picture(client, moment):
     return Image.frombytes("RGB", SIZE, pictures[-1])
 
 
-def write_png(path, picture, limit=_LIMIT):
-    """Writes a PNG file with as many colours as fit into a size."""
+def write_png(path, picture):
+    """Writes a PNG file with as many colours as fit into the limit."""
     for colors in _COLORS:
         made = io.BytesIO()
         reduced = picture.quantize(colors, Image.Quantize.MEDIANCUT, kmeans=3, dither=Image.Dither.NONE)
         reduced.save(made, "PNG", optimize=True)
-        if len(made.getvalue()) < limit:
+        if len(made.getvalue()) < _LIMIT:
             path.write_bytes(made.getvalue())
             print(f"{path.name}: {len(made.getvalue()) / 1e3:.0f} kB, {colors} colours")
             return
-    raise ValueError(f"{path.name} does not fit into {limit} bytes.")
+    raise ValueError(f"{path.name} does not fit into {_LIMIT} bytes.")
 
 
 def hard_moment(session):
@@ -179,14 +179,10 @@ def of_own_tracker(out, folder):
         return
     hub = Hub.on_free_ports(web=False)
     shown = []
-    ports = []
 
     def show():
-        if not eventually(lambda: _listens(hub.port), 300.0):
-            return
-        process, port = start_viewer(["--headless", "--window-size", WINDOW, "--connect", hub.url])
-        shown.append(process)
-        ports.append(port)
+        if eventually(lambda: _listens(hub.port), 300.0):
+            shown.extend(start_viewer(["--headless", "--window-size", WINDOW, "--connect", hub.url]))
 
     thread = threading.Thread(target=show, daemon=True)
     thread.start()
@@ -194,17 +190,16 @@ def of_own_tracker(out, folder):
     with mock.patch("viewer_app.running.runner.choose_viewing", return_value=Viewing(hub=hub)):
         main(["demo", *options, "--save", str(folder / "own.rrd")])
     thread.join()
+    process, port = shown
     try:
-        client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{ports[0]}/proxy")
+        client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
         client.run_command("ui.toggle_top_panel")
         write_png(out / "setup_infrared.png", settled_picture(client, _TRACKING_S))
     finally:
-        stop(shown[0])
+        stop(process)
 
 
 def _listens(port):
-    import socket
-
     try:
         socket.create_connection((LOOPBACK, port), timeout=0.5).close()
     except OSError:
@@ -212,20 +207,15 @@ def _listens(port):
     return True
 
 
-RUNS = {"demo": of_demo, "walk": of_walk, "own-tracker": of_own_tracker}
-
-
 def run(arguments=None):
     """Makes the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--only", choices=RUNS, help="make the pictures of one run")
     parser.add_argument("--out", type=Path, default=PICTURES)
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
-    for name, make in RUNS.items():
-        if options.only in (None, name):
-            with tempfile.TemporaryDirectory() as folder:
-                make(options.out, Path(folder))
+    for make in (of_demo, of_walk, of_own_tracker):
+        with tempfile.TemporaryDirectory() as folder:
+            make(options.out, Path(folder))
 
 
 if __name__ == "__main__":

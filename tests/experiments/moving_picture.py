@@ -210,14 +210,13 @@ def with_captions(picture, skeletons, row):
     for place, key in enumerate(SHOWN):
         middle = (place + 0.5) * width
         pen.text((middle, 24), _TITLES[key], fill=SKELETON_COLORS[key], font=title, anchor="mm")
-        fault = fault_of(skeletons, key, row)
-        if fault or (key == "fused" and any(fault_of(skeletons, side, row) for side in layout.SIDES)):
-            color = color_of_fault(skeletons, key, row) if fault else SKELETON_COLORS[key]
-            pen.text(
-                (middle, picture.height - 20), fault or "stays right", fill=color, font=text, anchor="mm"
-            )
-        elif key != "fused" and skeletons.hidden[key][row]:
-            pen.text((middle, picture.height - 20), "grey: not seen", fill=_QUIET, font=text, anchor="mm")
+        words = fault_of(skeletons, key, row)
+        color = color_of_fault(skeletons, key, row) if words else _QUIET
+        if not words and key == "fused" and any(fault_of(skeletons, side, row) for side in layout.SIDES):
+            words, color = "stays right", SKELETON_COLORS[key]
+        elif not words and key != "fused" and skeletons.hidden[key][row]:
+            words = "grey: not seen"
+        pen.text((middle, picture.height - 20), words, fill=color, font=text, anchor="mm")
         if place:
             pen.line([(place * width, 12), (place * width, picture.height - 12)], fill=_GRID)
     return picture
@@ -236,18 +235,18 @@ def fault_of(skeletons, key, row):
     return "left and right exchanged" if skeletons.exchanged[key][row] else "an arm is misplaced"
 
 
-def write_animation(path, frames, seconds, limit=LIMIT):
-    """Writes an animated WebP of the best quality that stays below a size."""
+def write_animation(path, frames, seconds):
+    """Writes an animated WebP of the best quality that stays below the limit."""
     each = round(1000 * seconds / len(frames))
     for quality in _QUALITIES:
         made = io.BytesIO()
         frames[0].save(
             made, "WEBP", save_all=True, append_images=frames[1:], duration=each, loop=0, quality=quality
         )
-        if len(made.getvalue()) < limit:
+        if len(made.getvalue()) < LIMIT:
             path.write_bytes(made.getvalue())
             return quality
-    raise ValueError(f"{len(frames)} frames of {frames[0].size} do not fit into {limit} bytes.")
+    raise ValueError(f"{len(frames)} frames of {frames[0].size} do not fit into {LIMIT} bytes.")
 
 
 def run():

@@ -31,6 +31,7 @@ from tests.benchmarks.methods import RecordedPair, as_recorded
 from tests.helpers.frame_pairs import paired
 
 Array = NDArray[np.float64]
+SEED = 5000
 HIDDEN = 0.35
 """Visible share of a joint's surface below which it counts as hidden: the simulated trackers' own limit."""
 COVERED = 0.05
@@ -49,7 +50,6 @@ class View:
         errors: (T, J) metres; NaN where the joint has no position.
         states: (T, J) tracking states.
         visible: (T, J) visible share of each joint's surface.
-        along: (T, J) metres, error along the ray: positive is too far.
         milliseconds: (T,) CPU time of the tracker.
     """
 
@@ -58,7 +58,6 @@ class View:
     errors: Array
     states: NDArray[np.uint8]
     visible: Array
-    along: Array
     milliseconds: Array
 
 
@@ -67,33 +66,22 @@ class SceneFigures:
     """One scene: both views, and MPJPE of S* of both trackers over the common joints, metres."""
 
     motion: str
-    angle: float
     views: tuple[View, View]
     fused_own: float
     fused_azure: float
 
 
-def measure(motion, angle, seed, seconds, depth, settings):
+def measure(motion, angle, seconds, depth, settings):
     """Runs both trackers on one scene."""
-    sensors = simulated_pair(
-        motion=motion, angle_deg=angle, seed=seed, seconds=seconds, depth=depth, infrared=True
+    *sensors, truth = simulated_pair(
+        motion=motion, angle_deg=angle, seed=SEED, seconds=seconds, depth=depth, infrared=True
     )
-    a, b, truth = sensors
-    own_frames, azure_frames, views = [], [], []
-    for which, sensor in enumerate((a, b)):
-        azure = list(sensor.frames())
-        own, view = track(sensor, which, azure, truth, settings)
-        own_frames.append(own)
-        azure_frames.append(azure)
-        views.append(view)
+    azure = [list(sensor.frames()) for sensor in sensors]
+    tracked = [track(sensor, k, azure[k], truth, settings) for k, sensor in enumerate(sensors)]
+    own, views = zip(*tracked, strict=True)
     own_truth = Truth(replace(truth.scene, body=BLAZEPOSE), truth.rig)
-    return SceneFigures(
-        motion,
-        angle,
-        (views[0], views[1]),
-        fused_error(BLAZEPOSE, *own_frames, own_truth),
-        fused_error(AZURE_KINECT, *azure_frames, truth),
-    )
+    errors = fused_error(BLAZEPOSE, *own, own_truth), fused_error(AZURE_KINECT, *azure, truth)
+    return SceneFigures(motion, views, *errors)
 
 
 def track(sensor, which, frames, truth, settings):
@@ -124,18 +112,8 @@ def track(sensor, which, frames, truth, settings):
                 continue  # the start-up pose, in which every tracker is at its best
             off = np.full((len(BLAZEPOSE), 3), np.nan) if skeleton is None else skeleton.positions - true
             states = np.zeros(len(BLAZEPOSE), np.uint8) if skeleton is None else skeleton.states
-            ray = true / np.linalg.norm(true, axis=1, keepdims=True)
-            rows.append(
-                (
-                    skeleton is not None,
-                    inside.mean() >= 0.5,
-                    np.linalg.norm(off, axis=1),
-                    states,
-                    visible,
-                    np.sum(off * ray, axis=1),
-                    spent,
-                )
-            )
+            error, half = np.linalg.norm(off, axis=1), inside.mean() >= 0.5
+            rows.append((skeleton is not None, half, error, states, visible, spent))
     return tracked, View(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
@@ -166,48 +144,15 @@ def summary(scenes):
     tracked = states == TrackingState.TRACKED
     hidden = (visible < HIDDEN) & np.isfinite(errors)
     own, azure = (np.mean([getattr(one, name) for one in scenes]) for name in ("fused_own", "fused_azure"))
-    return {
-        "images": float(len(found)),
-        "found": float(found.mean()),
-        "median": float(np.median(errors[tracked])),
-        "p90": float(np.percentile(errors[tracked], 90)),
-        "tracked": float(tracked.mean()),
-        "hidden": float(hidden.mean()),
-        "hidden_tracked": float(tracked[hidden].mean()),
-        "covered_tracked": float(tracked[(visible < COVERED) & np.isfinite(errors)].mean()),
-        "visible_tracked": float(tracked[visible > 0.9].mean()),
-        "own": float(own),
-        "azure": float(azure),
-        "ratio": float(own / azure),
-        "ms": float(np.median(np.concatenate([view.milliseconds for view in views]))),
-    }
-
-
-def by_joint(scenes):
-    """Figures by joint, to see what limits the accuracy."""
-    views = [view for scene in scenes for view in scene.views]
-    errors, states, visible, along = (
-        np.concatenate([getattr(view, name) for view in views])
-        for name in ("errors", "states", "visible", "along")
-    )
-    table = {}
-    for j, name in enumerate(BLAZEPOSE.joints):
-        tracked = states[:, j] == TrackingState.TRACKED
-        hidden = visible[:, j] < HIDDEN
-        known = np.isfinite(errors[:, j])
-        some = errors[tracked, j]
-        table[name] = {
-            "median": float(np.median(some)) if some.size else np.nan,
-            "p90": float(np.percentile(some, 90)) if some.size else np.nan,
-            "along": float(np.median(along[tracked, j])) if some.size else np.nan,
-            "tracked": float(tracked.mean()),
-            "hidden": float(hidden.mean()),
-            "hidden_tracked": float(tracked[hidden & known].mean()) if (hidden & known).any() else np.nan,
-            "inferred_median": float(np.median(errors[known & ~tracked, j]))
-            if (known & ~tracked).any()
-            else np.nan,
-        }
-    return table
+    some = np.isfinite(errors)
+    shares = {"tracked": tracked, "hidden": hidden, "hidden_tracked": tracked[hidden]}
+    shares |= {"covered_tracked": tracked[(visible < COVERED) & some]}
+    shares |= {"visible_tracked": tracked[visible > 0.9]}
+    figures = {"images": len(found), "found": found.mean(), "median": np.median(errors[tracked])}
+    figures |= {"p90": np.percentile(errors[tracked], 90)}
+    figures |= {name: flags.mean() for name, flags in shares.items()}
+    milliseconds = np.median(np.concatenate([view.milliseconds for view in views]))
+    return figures | {"own": own, "azure": azure, "ratio": own / azure, "ms": milliseconds}
 
 
 def printed(figures):
@@ -218,25 +163,16 @@ def printed(figures):
 def main():
     """Runs the experiment."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--motions", nargs="+", default=MOTIONS)
-    parser.add_argument("--angles", nargs="+", type=float, default=ANGLES)
-    parser.add_argument("--seed", type=int, default=5000)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--depth", choices=("half", "full"), default="full", help="size of the images")
-    parser.add_argument("--network", choices=("full", "lite"), default="full")
-    parser.add_argument("--joints", action="store_true", help="figures by joint as well")
-    o = parser.parse_args()
-    settings = BlazePoseSettings(network=o.network)
+    options = parser.parse_args()
     scenes = []
-    for motion, angle in product(o.motions, o.angles):
-        scenes.append(measure(motion, angle, o.seed, o.seconds, o.depth, settings))
+    for motion, angle in product(MOTIONS, ANGLES):
+        scenes.append(measure(motion, angle, options.seconds, options.depth, BlazePoseSettings()))
         print(f"{motion} {angle:g}°: {printed(summary(scenes[-1:]))}", flush=True)
-    for motion in o.motions:
+    for motion in MOTIONS:
         print(f"{motion}: {printed(summary([scene for scene in scenes if scene.motion == motion]))}")
     print(f"all: {printed(summary(scenes))}")
-    if o.joints:
-        for name, figures in by_joint(scenes).items():
-            print(f"{name}: {printed(figures)}")
 
 
 if __name__ == "__main__":

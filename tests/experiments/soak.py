@@ -37,6 +37,7 @@ from viewer_app.viewer.rerun_process import Hub
 from viewer_app.viewer.viewer_choice import Viewing
 
 FPS = 30
+REPORT_EVERY_S = 30.0
 SETTLED_S = 60.0  # the minute after which memory must be flat: caches and kept frames are full by then
 GROWTH_MB = 20.0
 SHOWN_MS = 15.0  # 99 % of the frames, from capture to logged for the viewer
@@ -116,7 +117,7 @@ def _arrived(frame):
     return max(seen.host_ns or 0 for seen in (frame.pair.a, frame.pair.b) if seen is not None)
 
 
-def soak(seconds, depth, path, report_every_s=30.0, viewer=False):
+def soak(seconds, depth, path, viewer=False):
     """Runs the loop and inspects it a few times per second."""
     seen = Soak(shown=_TimedRecorder.shown)
     seen.shown.clear()
@@ -127,8 +128,7 @@ def soak(seconds, depth, path, report_every_s=30.0, viewer=False):
         image = next(sensor.frames()).depth  # compiles the renderer before the clock runs
         if image is not None:
             encode_depth(image)
-    begun, said = time.perf_counter(), [0.0]
-    looked = [0.0]
+    begun, said, looked = time.perf_counter(), [0.0], [0.0]
 
     def look(status):
         seen.frames += 1
@@ -138,7 +138,7 @@ def soak(seconds, depth, path, report_every_s=30.0, viewer=False):
         if now - looked[0] >= 1.0:
             looked[0] = now
             seen.memory.append((now, resident_mb()))
-        if now - said[0] >= report_every_s:
+        if now - said[0] >= REPORT_EVERY_S:
             said[0] = now
             figures = status.sensors.figures
             print(

@@ -4,7 +4,6 @@ They need no ground truth: they compare the views with each other, a joint with 
 bone with its mean length. The simulator can therefore be compared with real recordings.
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -22,47 +21,24 @@ _WINDOW = 30  # frames of one jitter value
 _SMOOTH = 5  # frames of the moving mean from which jitter is measured
 
 
-@dataclass(frozen=True)
-class PairStatistics:
-    """The statistics of one pair of recordings. Lengths are metres.
-
-    Attributes:
-        view_rms, view_median: Distance between the two views of a joint, after the best rigid fit over the
-            whole recording (Kabsch, all joints that both views have).
-        bone_deviation: Standard deviation of a bone's length in one view; median over bones and views.
-        bone_deviation_share: The same as a share of the bone's mean length.
-        jitter: By kind of joint, its distance from its moving mean over 5 frames: RMS over each second,
-            median over seconds, joints and views. It measures noise only while the person stands still.
-        inferred, not_tracked: Share of joints in that state.
-        hands_unsure, feet_unsure: Share of hands, tips and thumbs (of feet) in a state other than tracked.
-        swapped: Share of frames in which one view fits the other better with left and right exchanged.
-        swap_frames: Mean length of a run of such frames; NaN if there is none.
-        tracked_change, tracked_change_p99: Second difference of a joint between frames, while tracked in
-            all three: median and 99th percentile.
-        inferred_change, inferred_change_p99: The same if one of the three is inferred; NaN if none is.
-        stale: Share of frames that repeat the previous frame.
-    """
-
-    view_rms: float
-    view_median: float
-    bone_deviation: float
-    bone_deviation_share: float
-    jitter: dict[str, float]
-    inferred: float
-    not_tracked: float
-    hands_unsure: float
-    feet_unsure: float
-    swapped: float
-    swap_frames: float
-    tracked_change: float
-    tracked_change_p99: float
-    inferred_change: float
-    inferred_change_p99: float
-    stale: float
-
-
 def statistics(a, b):
-    """Computes the statistics of one pair of recordings."""
+    """Computes the statistics of one pair of recordings, by name. Lengths are metres.
+
+    view_rms, view_median: Distance between the two views of a joint, after the best rigid fit over the whole
+        recording (Kabsch, all joints that both views have).
+    bone_deviation: Standard deviation of a bone's length in one view; median over bones and views.
+    bone_deviation_share: The same as a share of the bone's mean length.
+    jitter_KIND: Distance of joints of this kind from their moving mean over 5 frames: RMS over each second,
+        median over seconds, joints and views. It measures noise only while the person stands still.
+    inferred, not_tracked: Share of joints in that state.
+    hands_unsure, feet_unsure: Share of hands, tips and thumbs (of feet) in a state other than tracked.
+    swapped: Share of frames in which one view fits the other better with left and right exchanged.
+    swap_frames: Mean length of a run of such frames; NaN if there is none.
+    tracked_change, tracked_change_p99: Second difference of a joint between frames, while tracked in all
+        three: median and 99th percentile.
+    inferred_change, inferred_change_p99: The same if one of the three is inferred; NaN if none is.
+    stale: Share of frames that repeat the previous frame.
+    """
     both = [(p, q) for p, q in zip(a, b, strict=True) if p is not None and q is not None]
     body = both[0][0].body
     views = [(_positions(pair), np.stack([s.states for s in pair])) for pair in zip(*both, strict=True)]
@@ -77,24 +53,25 @@ def statistics(a, b):
     unsure = (states != TrackingState.TRACKED).mean(axis=0)
     change, sure = (np.concatenate(parts) for parts in zip(*(_changes(p, s) for p, s in views), strict=True))
     guessed = change[~sure & np.isfinite(change)]
-    return PairStatistics(
-        view_rms=float(np.sqrt(np.nanmean(apart**2))),
-        view_median=float(np.nanmedian(apart)),
-        bone_deviation=float(np.nanmedian(deviations)),
-        bone_deviation_share=float(np.nanmedian(deviations / means)),
-        jitter=_jitter([p for p, _ in views], body),
-        inferred=float((states == TrackingState.INFERRED).mean()),
-        not_tracked=float((states == TrackingState.NOT_TRACKED).mean()),
-        hands_unsure=float(unsure[_kinds(body, "hand", "tip", "thumb")].mean()),
-        feet_unsure=float(unsure[_kinds(body, "foot")].mean()),
-        swapped=float(swapped.mean()),
-        swap_frames=float(np.mean(runs)) if runs else float("nan"),
-        tracked_change=float(np.median(change[sure])),
-        tracked_change_p99=float(np.percentile(change[sure], 99)),
-        inferred_change=_median(guessed),
-        inferred_change_p99=float(np.percentile(guessed, 99)) if guessed.size else float("nan"),
-        stale=float(np.mean([_stale(view) for view in (a, b)])),
-    )
+    found = {
+        "view_rms": float(np.sqrt(np.nanmean(apart**2))),
+        "view_median": float(np.nanmedian(apart)),
+        "bone_deviation": float(np.nanmedian(deviations)),
+        "bone_deviation_share": float(np.nanmedian(deviations / means)),
+        "inferred": float((states == TrackingState.INFERRED).mean()),
+        "not_tracked": float((states == TrackingState.NOT_TRACKED).mean()),
+        "hands_unsure": float(unsure[_kinds(body, "hand", "tip", "thumb")].mean()),
+        "feet_unsure": float(unsure[_kinds(body, "foot")].mean()),
+        "swapped": float(swapped.mean()),
+        "swap_frames": float(np.mean(runs)) if runs else float("nan"),
+        "tracked_change": float(np.median(change[sure])),
+        "tracked_change_p99": float(np.percentile(change[sure], 99)),
+        "inferred_change": _median(guessed),
+        "inferred_change_p99": float(np.percentile(guessed, 99)) if guessed.size else float("nan"),
+        "stale": float(np.mean([_stale(view) for view in (a, b)])),
+    }
+    jitter = _jitter([p for p, _ in views], body)
+    return found | {f"jitter_{kind}": value for kind, value in jitter.items()}
 
 
 def _positions(skeletons):

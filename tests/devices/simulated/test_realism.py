@@ -2,7 +2,7 @@
 
 import csv
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -84,15 +84,12 @@ def simulated_statistics(setting, seeds):
                 skip = int(np.ceil(getattr(truth.scene.motion, "begins", 0.0) / truth.rig.frame_seconds))
                 for view, sensor in zip(both, (a, b), strict=True):
                     view += [frame.people.get(PERSON) for frame in sensor.frames()][skip:]
-        found.append(flat(statistics(*both)))
+        found.append(known(statistics(*both)))
     return {name: float(np.nanmedian([one.get(name, np.nan) for one in found])) for name in found[0]}
 
 
-def flat(found):
-    values = asdict(found)
-    jitter = values.pop("jitter")
-    known = values | {f"jitter_{kind}": value for kind, value in jitter.items()}
-    return {name: value for name, value in known.items() if np.isfinite(value)}
+def known(figures):
+    return {name: value for name, value in figures.items() if np.isfinite(value)}
 
 
 def far_off(simulated, ranges):
@@ -113,7 +110,7 @@ def test_the_simulated_pair_errs_like_the_real_one(recording):
     if not folder.exists():
         pytest.skip(f"no real recording at {folder}: set DUPLEX_SHARED")
     setting = REAL[recording]
-    real = flat(statistics(read_csv(folder / "a.csv"), read_csv(folder / "b.csv")))
+    real = known(statistics(read_csv(folder / "a.csv"), read_csv(folder / "b.csv")))
     simulated = simulated_statistics(setting, TUNING_SEEDS[:4])
     # Jitter measures noise only while the person stands still.
     compared = {
