@@ -4,10 +4,12 @@ import os
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 # A deadline measures the machine, and the first example of a test may compile a kernel.
-settings.register_profile("duplex", deadline=None)
+settings.register_profile(
+    "duplex", deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 settings.load_profile("duplex")
 
 pytest_plugins = (

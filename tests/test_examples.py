@@ -22,7 +22,7 @@ from tests.helpers.command_line import duplex
 from tests.helpers.machine import need_networks
 from tests.helpers.network import free_address
 from tests.helpers.notebooks import code_cells, read_notebook, run_cells
-from tests.helpers.programs import ROOT
+from tests.helpers.programs import ROOT, python
 from tests.helpers.recorded_pairs import write_recordings
 
 EXAMPLES = ROOT / "examples"
@@ -107,15 +107,7 @@ def test_a_session_is_checked_in_a_test_of_ones_own(method, says, tmp_path):
     expected.save(tmp_path / "expected.rrd")
     example = tmp_path / "test_fusion.py"
     example.write_bytes((EXAMPLES / "test_fusion.py").read_bytes())
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", example],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert says in done.stdout
+    assert says in python("-m", "pytest", "-q", "-p", "no:cacheprovider", example, cwd=tmp_path).stdout
 
 
 def test_readmes_python_runs(tmp_path, monkeypatch):

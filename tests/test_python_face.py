@@ -2,8 +2,6 @@
 
 import ast
 import importlib
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ import recordings
 from devices import Sensor, SensorFrame
 from fusion import KINECT_V2, FusionSetup
 from recordings import RecordingError, Session, fuse, fuse_live
+from tests.helpers.programs import python
 from tests.helpers.recorded_pairs import write_recordings
 from tests.helpers.two_views import FRAME_NS, calibration_of, moving, pair_of
 
@@ -56,7 +55,7 @@ for package in (fusion, devices, recordings):
 import fusion.paper.method, devices.depth.rvl, devices.simulated.imaging.rendering
 print(dict(os.environ) == before, deleted)
 """
-    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    said = python("-c", program)
     assert said.stdout == "True []\n", said.stderr
 
 

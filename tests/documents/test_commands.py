@@ -76,17 +76,9 @@ def own_tables(tmp_path, monkeypatch):
     for sensor in "ab":
         file = tmp_path / f"{sensor}.csv"
         table = pandas.read_csv(file)
-        mine = pandas.DataFrame(
-            {
-                "seconds": table["time_us"] * 1e-6,
-                "person": table["body"],
-                "part": table["joint"].str.lower(),
-                "X": -1000 * table["x"],
-                "Y": -1000 * table["y"],
-                "Z": 1000 * table["z"],
-                "confidence": 0.5,
-            }
-        )
+        people = {"person": table["body"], "part": table["joint"].str.lower()}
+        places = {"X": -1000 * table["x"], "Y": -1000 * table["y"], "Z": 1000 * table["z"]}
+        mine = pandas.DataFrame({"seconds": table["time_us"] * 1e-6, **people, **places, "confidence": 0.5})
         mine.to_csv(tmp_path / f"mine_{sensor}.csv", index=False)
         file.unlink()
     monkeypatch.chdir(tmp_path)

@@ -29,13 +29,8 @@ def frames(fuser, count, depth=False):
     for k in range(count):
         joints = standing(BODY) + [0.1 * np.sin(k / 10), 0.0, 0.0]
         seen = pair_of(BODY, joints, k * FRAME_NS)
-        pair = frame_pair(
-            SensorFrame(k * FRAME_NS, {"1": seen.a}, image),
-            SensorFrame(k * FRAME_NS, {"1": seen.b}, image),
-            "1",
-            k * FRAME_NS,
-        )
-        made.append(fuse_one(fuser, pair))
+        a, b = (SensorFrame(k * FRAME_NS, {"1": skeleton}, image) for skeleton in (seen.a, seen.b))
+        made.append(fuse_one(fuser, frame_pair(a, b, "1", k * FRAME_NS)))
     return made
 
 

@@ -1,4 +1,4 @@
-"""Runs ``duplex`` in separate processes and reads their output."""
+"""Runs Python and ``duplex`` in separate processes and reads their output."""
 
 import os
 import signal
@@ -11,6 +11,13 @@ from pathlib import Path
 from tests.helpers.waiting import eventually
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+def python(*arguments, cwd=ROOT, timeout=600.0, **environment):
+    """What a Python process of the project printed, and its exit code."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=timeout)
 
 
 class Program:

@@ -24,12 +24,10 @@ cli.script()
 
 def telling_demo(save, *more):
     """Starts it."""
+    command = [sys.executable, "-u", "-c", _PROGRAM, str(save), *more]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
-        [sys.executable, "-u", "-c", _PROGRAM, str(save), *more],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
 
 

@@ -5,16 +5,10 @@ def plug_in(root, serial="000123", product="097c", speed=5000, number=7, vendor=
     """Puts a depth camera on a made-up machine's bus, as Linux shows it."""
     entry = root / "sys/bus/usb/devices" / f"2-{number}"
     entry.mkdir(parents=True)
-    content = {
-        "idVendor": vendor,
-        "idProduct": product,
-        "serial": serial,
-        "busnum": "2",
-        "devnum": str(number),
-        "speed": str(speed),
-    }
+    content = {"idVendor": vendor, "idProduct": product, "serial": serial, "busnum": 2, "devnum": number}
+    content["speed"] = speed
     for name, text in content.items():
-        (entry / name).write_text(text + "\n")
+        (entry / name).write_text(f"{text}\n")
     node = root / "dev/bus/usb/002" / f"{number:03d}"
     node.parent.mkdir(parents=True, exist_ok=True)
     node.touch()

@@ -1,8 +1,6 @@
 """Sessions are read as they were written, and damage is reported."""
 
 import doctest
-import subprocess
-import sys
 from dataclasses import replace
 from importlib.resources import files
 from unittest import mock
@@ -27,6 +25,7 @@ from recordings.writing.checksums import event_checksum, fused_checksums
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
+from tests.helpers.programs import python
 from tests.helpers.two_views import calibration_of
 
 FRAMES = 70
@@ -57,17 +56,10 @@ def test_a_session_gives_back_what_the_sensors_said(body, fused_run):
                 assert one.time_ns == two.time_ns
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        FuserSettings(),
-        FuserSettings(smoothing=0.2),
-        FuserSettings("paper", h=0.9),
-        FuserSettings("published"),
-        FuserSettings("paper", weights="equal"),
-    ],
-    ids=str,
-)
+PAPERS = [FuserSettings("published"), FuserSettings("paper", h=0.9), FuserSettings("paper", weights="equal")]
+
+
+@pytest.mark.parametrize("settings", [FuserSettings(), FuserSettings(smoothing=0.2), *PAPERS], ids=str)
 def test_fusing_a_session_again_gives_the_same_bits(settings, fused_run):
     session = fused_run(full_of_faults(KINECT_V2), calibration_of(KINECT_V2), settings)
     assert session.settings == settings
@@ -221,9 +213,7 @@ def test_a_session_opens_without_pandas(fused_run):
         "import sys; sys.modules['pandas'] = None; "
         "from recordings.session import Session; print(len(Session.open(sys.argv[1])))"
     )
-    said = subprocess.run(
-        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=False
-    )
+    said = python("-c", program, path)
     assert said.stdout == "3\n", said.stderr
 
 
@@ -302,7 +292,7 @@ def test_the_example_runs(tmp_path, monkeypatch):
 
 def test_a_part_of_the_package_does_not_wait_for_sessions():
     program = "import sys, recordings; print('pyarrow' in sys.modules); recordings.Session"
-    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    said = python("-c", program)
     assert said.stdout == "False\n"
     with pytest.raises(AttributeError, match="Sessions"):
         recordings.Sessions  # noqa: B018

@@ -17,15 +17,14 @@ from tests.scenarios.table import SCENARIOS
 
 _ENDS = 2  # frames: the first and the last may lack their partner
 _LABEL = r"(?:Kinect )?\w+"
-_PATTERNS = {
-    cause: re.compile(
-        "".join(
-            _LABEL if part == "{label}" else ".*?" if part[:1] == "{" else re.escape(part)
-            for part in re.split(r"(\{.*?\})", cause.value[1])
-        )
-    )
-    for cause in Cause
-}
+
+
+def _pattern(text):
+    parts = re.split(r"(\{.*?\})", text)
+    return "".join(_LABEL if p == "{label}" else ".*?" if p[:1] == "{" else re.escape(p) for p in parts)
+
+
+_PATTERNS = {cause: re.compile(_pattern(cause.value[1])) for cause in Cause}
 _SLOW_MACHINE = {Cause.TOO_FAST, Cause.LOST_ON_USB, Cause.LATE, Cause.TOO_LATE}
 """Told rightly on a busy machine, the rig's bus included."""
 _ELSEWHERE = {
@@ -72,13 +71,8 @@ def _run(scenario, rig, folder):
             (folder / file.name).symlink_to(file)
         library = str(rig / "lib" / library)
     options = ["live", "--no-viewer", "--k4abt", library, "--principal", "000001111111"]
-    options += [
-        "--save",
-        str(folder / "s.rrd"),
-        "--report",
-        str(folder / "r.json"),
-        *scenario.options.split(),
-    ]
+    options += ["--save", str(folder / "s.rrd"), "--report", str(folder / "r.json")]
+    options += scenario.options.split()
     return program.run(options, folder, conf, scenario.events, rig)
 
 

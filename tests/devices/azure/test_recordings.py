@@ -3,7 +3,7 @@
 import av
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from devices.azure.mkv import MkvRecording
@@ -16,12 +16,7 @@ from fusion.skeleton import Skeleton
 from tests.helpers.mkv_writer import INTERVAL_US, depth_image, write_mkv
 
 FRAMES = 12
-_EXAMPLES = settings(
-    max_examples=60,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+_EXAMPLES = settings(max_examples=60, derandomize=True)
 
 
 @pytest.fixture(scope="module")

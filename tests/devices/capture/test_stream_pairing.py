@@ -39,16 +39,9 @@ def _every_frame_of_a_once(pairs, a):
 )
 def test_frames_of_one_moment_pair_whatever_the_clocks_say(phase_ms, clock_s, ppm, extra_latency_ms, seed):
     phase_ns = round(phase_ms * MILLISECOND_NS)
+    clock_ns, latency_ns = round(clock_s * SECOND_NS), round((20 + extra_latency_ms) * MILLISECOND_NS)
     a = shots("a", 12, seed=seed)
-    b = shots(
-        "b",
-        12,
-        phase_ns=phase_ns,
-        clock_ns=round(clock_s * SECOND_NS),
-        ppm=ppm,
-        latency_ns=20_000_000 + round(extra_latency_ms * MILLISECOND_NS),
-        seed=seed,
-    )
+    b = shots("b", 12, phase_ns=phase_ns, clock_ns=clock_ns, ppm=ppm, latency_ns=latency_ns, seed=seed)
     pairing = LivePairing(INTERVAL_NS)
     pairs = run(pairing, a, b)
     assert _every_frame_of_a_once(pairs, a)

@@ -25,15 +25,8 @@ NO_CAPSULES = np.zeros(0, np.int8)
 def exposed(z, cosine, label, model=SILENT):
     """An image of one surface that fills the view."""
     size = (LENS.height, LENS.width)
-    return infrared_image(
-        np.full(size, z, np.float32),
-        np.full(size, label, np.int8),
-        np.full(size, cosine, np.float32),
-        NO_CAPSULES,
-        model.illumination(LENS),
-        model,
-        np.random.default_rng(0),
-    )
+    surface = np.full(size, z, np.float32), np.full(size, label, np.int8), np.full(size, cosine, np.float32)
+    return infrared_image(*surface, NO_CAPSULES, model.illumination(LENS), model, np.random.default_rng(0))
 
 
 def test_brightness_follows_from_material_distance_angle_and_place_in_the_image():

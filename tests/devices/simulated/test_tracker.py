@@ -10,6 +10,7 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.tracking.tracker import Tracker
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, KINECT_V2
+from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.skeleton import TrackingState
 from tests.helpers.pair_statistics import run_lengths
@@ -116,13 +117,8 @@ def test_the_whole_skeleton_rescales_by_one_factor():
     skeletons, true = stand(replace(NONE, rescale=0.04, rescale_seconds=0.2), 1800)
     body = AZURE_KINECT
     joints = errors_of(skeletons, true) + true
-    ratio = np.stack(
-        [
-            np.linalg.norm(joints[:, j] - joints[:, body.parents[j]], axis=1)
-            / np.linalg.norm(true[:, j] - true[:, body.parents[j]], axis=1)
-            for j in body.bone_joints
-        ]
-    )
+    lengths, true_lengths = (bone_lengths_of(body, at)[:, body.bone_joints] for at in (joints, true))
+    ratio = (lengths / true_lengths).T
     assert np.ptp(ratio, axis=0).max() < 1e-4  # the same for all bones, to float32 over 3 cm
     # 60 s hold about 60 / (2 · 0.2) = 150 independent scales: known to 1/√300 = 6 %; five times that.
     assert ratio[0].std() == pytest.approx(0.04, rel=0.3)

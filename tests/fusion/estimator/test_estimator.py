@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V2
@@ -20,7 +19,7 @@ from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
 
 BODY = KINECT_V2
-Array = NDArray[np.float64]
+COMPARED = ("positions", "sigma", "covariance", "weights_a", "weights_b", "predicted", "misleading_joint")
 
 
 def fuser(smoothing=0.5, body=BODY, calibration=None):
@@ -81,15 +80,7 @@ def test_one_by_one_and_all_at_once_are_the_same_bits():
     singly, together = fuser(), fuser().fuse_sequence(pairs)
     for pair, expected in zip(pairs, together, strict=True):
         found = singly.update(pair)
-        for name in (
-            "positions",
-            "sigma",
-            "covariance",
-            "weights_a",
-            "weights_b",
-            "predicted",
-            "misleading_joint",
-        ):
+        for name in COMPARED:
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     assert not together[21].has_person
     assert together[22].has_person

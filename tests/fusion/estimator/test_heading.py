@@ -63,13 +63,11 @@ def test_the_trunk_follows_a_walk_that_kinects_v2_report_askew():
     )
     pairs = [
         SkeletonPair(
-            Skeleton.of(KINECT_V2, a, states_a, int(time)),
-            Skeleton.of(KINECT_V2, b - views.sensor_b, states_b, int(time)),
-            int(time),
+            Skeleton.of(KINECT_V2, views.a[t], views.states_a[t], time),
+            Skeleton.of(KINECT_V2, views.b_in_a[t] - views.sensor_b, views.states_b[t], time),
+            time,
         )
-        for time, a, b, states_a, states_b in zip(
-            views.time_ns, views.a, views.b_in_a, views.states_a, views.states_b, strict=True
-        )
+        for t, time in enumerate(views.time_ns.tolist())
     ]
     off = []
     for on in (True, False):

@@ -116,12 +116,8 @@ def test_the_bones_tell_which_view_of_a_wrist_is_wrong():
         for some in (pairs, bad):
             fuser = Fuser(setup)
             fuser._fusion = DuplexFusion(setup, constants)
-            found.append(
-                [
-                    f.positions[wrist]
-                    for f in fuser.fuse_sequence(some, Labels.with_sides(np.zeros((len(some), 2))))
-                ]
-            )
+            frames = fuser.fuse_sequence(some, Labels.with_sides(np.zeros((len(some), 2))))
+            found.append([frame.positions[wrist] for frame in frames])
         return float(np.linalg.norm(np.array(found[0]) - found[1], axis=1)[70:85].mean())
 
     default = Constants.of(BODY)

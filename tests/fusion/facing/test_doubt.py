@@ -65,12 +65,10 @@ def test_the_fused_frame_tells_code_and_doubt():
 def test_a_view_with_doubtful_sides_pulls_the_limbs_less():
     """B's labels become wrong after a second: with certain labels its joints count, with doubt hardly."""
     pairs = walk(40)
-    wrong = [
-        replace(pair, b=Skeleton.of(KINECT_V2, pair.b.positions[KINECT_V2.mirror], None, pair.time_ns))
-        if k >= 30 and pair.b is not None
-        else pair
-        for k, pair in enumerate(pairs)
-    ]
+    wrong = list(pairs)
+    for k, pair in enumerate(pairs[30:], 30):
+        exchanged = Skeleton.of(KINECT_V2, pair.b.positions[KINECT_V2.mirror], None, pair.time_ns)
+        wrong[k] = replace(pair, b=exchanged)
     off = []
     for doubt in (0.0, 1.0):
         fuser = Fuser(SETUP)
@@ -78,12 +76,6 @@ def test_a_view_with_doubtful_sides_pulls_the_limbs_less():
         frames = fuser.fuse_sequence(wrong, labels)
         right = Fuser(SETUP).fuse_sequence(pairs, Labels.with_sides(np.zeros((40, 2))))
         limbs = KINECT_V2.mirror != np.arange(len(KINECT_V2))
-        off.append(
-            np.mean(
-                [
-                    np.linalg.norm((f.positions - r.positions)[limbs], axis=1)
-                    for f, r in zip(frames, right, strict=True)
-                ]
-            )
-        )
+        apart = np.array([f.positions - r.positions for f, r in zip(frames, right, strict=True)])
+        off.append(np.linalg.norm(apart[:, limbs], axis=2).mean())
     assert off[1] < 0.7 * off[0]

@@ -50,14 +50,9 @@ def files_of(name):
 
 
 def started(*arguments):
-    return subprocess.Popen(
-        [sys.executable, "-m", "viewer_app.cli", "batch", *map(str, arguments)],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    command = [sys.executable, "-m", "viewer_app.cli", "batch", *map(str, arguments)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, cwd=ROOT, **pipes, start_new_session=True)
 
 
 def test_two_processes_fuse_what_duplex_fuse_fuses(tmp_path):

@@ -15,14 +15,9 @@ distributed = pytest.importorskip("distributed")
 @pytest.fixture
 def local_cluster():
     """The address of a cluster with two workers in this process."""
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp",
-        host="127.0.0.1",
-        dashboard_address=None,
-    ) as made:
+    workers = {"n_workers": 2, "threads_per_worker": 1, "processes": False}
+    address = {"protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
+    with distributed.LocalCluster(**workers, **address) as made:
         yield made.scheduler_address
 
 

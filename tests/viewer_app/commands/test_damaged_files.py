@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.body import KINECT_V2
@@ -14,39 +14,18 @@ from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
 FRAMES = 12
-_EXAMPLES = settings(
-    max_examples=12,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+_EXAMPLES = settings(max_examples=12, derandomize=True)
 _ODD = (
-    "nan",
-    "-1",
-    "1e999",
-    "9" * 400,
-    "null",
-    "[]",
-    "{}",
-    '""',
-    "é",
-    "\0",
-    "0x1",
-    ",",
-    "\n",
-    "true",
+    *("nan", "-1", "1e999", "9" * 400, "null", "[]", "{}", '""', "é", "\0", "0x1", ",", "\n", "true"),
     "1e-320",
 )
 
 
 def _json(path, at):
-    frames = [
-        {
-            "timestamp_usec": t * FRAME_NS // 1000,
-            "bodies": [{"body_id": 1, "joint_positions": (positions * 1e3).tolist()}],
-        }
-        for t, positions in enumerate(at)
-    ]
+    frames = []
+    for t, positions in enumerate((at * 1e3).tolist()):
+        bodies = [{"body_id": 1, "joint_positions": positions}]
+        frames.append({"timestamp_usec": t * FRAME_NS // 1000, "bodies": bodies})
     path.write_text(json.dumps({"joint_names": KINECT_V2.joints, "frames": frames}), encoding="utf-8")
     return path
 
@@ -66,18 +45,10 @@ WRITERS = {".csv": lambda path, at: write_view(path, KINECT_V2, at), ".json": _j
 @st.composite
 def damage(draw):
     """Damages a file in one to three places: a cut, a flipped bit, lost, doubled or replaced bytes."""
-    wounds = draw(
-        st.lists(
-            st.tuples(
-                st.sampled_from(("cut", "flip", "lose", "double", "odd")),
-                st.floats(0, 1, exclude_max=True),
-                st.integers(1, 200),
-                st.sampled_from(_ODD),
-            ),
-            min_size=1,
-            max_size=3,
-        )
-    )
+    kind = st.sampled_from(("cut", "flip", "lose", "double", "odd"))
+    place, length = st.floats(0, 1, exclude_max=True), st.integers(1, 200)
+    wound = st.tuples(kind, place, length, st.sampled_from(_ODD))
+    wounds = draw(st.lists(wound, min_size=1, max_size=3))
 
     def apply(data):
         for kind, place, length, odd in wounds:

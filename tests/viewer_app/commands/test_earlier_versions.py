@@ -2,10 +2,7 @@
 
 import hashlib
 import lzma
-import os
 import platform
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +11,7 @@ import pytest
 
 from recordings.session import Session
 from tests.helpers.command_line import duplex
+from tests.helpers.programs import python
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -133,12 +131,8 @@ def test_a_real_pair_gives_the_fused_skeleton_of_0_1_to_the_bit(name, shared, tm
     options = ["--no-viewer", "--save", str(file), *THE_METHOD_OF_0_1]
     # The last bits of the calibration's SVD depend on the processor, for which OpenBLAS chooses a kernel.
     # The digests are of the kernel that every x86-64 processor can run.
-    subprocess.run(
-        [sys.executable, "-m", "viewer_app.cli", "fuse", *recordings, *options],
-        check=True,
-        capture_output=True,
-        env={**os.environ, "OPENBLAS_CORETYPE": "Prescott"},
-    )
+    done = python("-m", "viewer_app.cli", "fuse", *recordings, *options, OPENBLAS_CORETYPE="Prescott")
+    assert done.returncode == 0, done.stderr
     session = Session.open(file)
     as_float32, checksums = REAL_PAIRS[name]
     assert digest(np.asarray(session.fused, dtype=np.float32)) == as_float32

@@ -215,15 +215,9 @@ def test_the_verdict_on_a_calibration_goes_with_the_session(shared, tmp_path, ca
 def test_info_says_what_is_in_it_and_what_is_missing(session, tmp_path, capsys):
     assert duplex("info", session) == 0
     said = capsys.readouterr().out
-    for words in (
-        "kinect_v2, 25 joints",
-        "90 in",
-        "A 90, B 89",
-        "85° apart",
-        "whole",
-        "Calibrated: known truth",
-    ):
+    for words in ("kinect_v2, 25 joints", "90 in", "A 90, B 89", "85° apart", "whole"):
         assert words in said
+    assert "Calibrated: known truth" in said
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(session.read_bytes()[:-50])
     assert duplex("info", cut) == 0
@@ -242,14 +236,9 @@ def test_export_writes_by_the_files_ending(session, tmp_path, capsys):
 def test_a_damaged_session_gives_one_line(session, tmp_path, capsys):
     bad = tmp_path / "bad.rrd"
     bad.write_bytes(session.read_bytes()[:3000])
-    for command in (
-        ("replay", bad),
-        ("info", bad),
-        ("review", bad),
-        ("compare", bad, session),
-        ("export", bad, "--to", tmp_path / "x.csv"),
-    ):
-        assert duplex(*command) == 2
+    more = {"compare": (session,), "export": ("--to", tmp_path / "x.csv")}
+    for command in ("replay", "info", "review", *more):
+        assert duplex(command, bad, *more.get(command, ())) == 2
         assert "bad.rrd" in one_line(capsys)
 
 

@@ -28,12 +28,8 @@ ALL = [CALIBRATED, CUT_OFF, EARLY, A_FROM, B_FROM, A_TO, MOVED]
 
 def test_events_are_numbered_in_order_of_time_and_a_spell_is_one_of_them():
     listed = list_events([MOVED, A_FROM, B_FROM, A_TO, CALIBRATED])  # a fused session has them in two parts
-    assert [(each.number, each.event.text) for each in listed] == [
-        (1, CALIBRATED.text),
-        (2, A_FROM.text),
-        (3, B_FROM.text),
-        (4, MOVED.text),
-    ]
+    texts = [event.text for event in (CALIBRATED, A_FROM, B_FROM, MOVED)]
+    assert [(each.number, each.event.text) for each in listed] == list(enumerate(texts, 1))
     assert [each.spell for each in listed] == [None, Spell(A_FROM, A_TO), Spell(B_FROM, None), None]
 
 
@@ -63,10 +59,6 @@ def test_a_session_is_settled_with_its_first_calibration_that_is_not_provisional
 
 def test_a_short_list_keeps_warnings_then_spells_in_order_of_time():
     listed = list_events(ALL)
-    assert [each.event.text for each in shortest_list(listed, 4)] == [
-        CUT_OFF.text,
-        EARLY.text,
-        A_FROM.text,
-        MOVED.text,
-    ]
+    short = [event.text for event in (CUT_OFF, EARLY, A_FROM, MOVED)]
+    assert [each.event.text for each in shortest_list(listed, 4)] == short
     assert shortest_list(listed, 99) == listed

@@ -2,13 +2,12 @@
 
 import os
 import signal
-import subprocess
 import sys
 import time
 
 import pytest
 
-from tests.helpers.documents import ROOT
+from tests.helpers.programs import python
 from tests.helpers.session_text import rows_of
 from tests.helpers.telling_demo import telling_demo, wait_for_frames
 from viewer_app.running.interruption import CtrlC
@@ -31,14 +30,7 @@ script()
 
 @pytest.mark.parametrize("name", ["cyclopts", "rerun"])
 def test_ctrl_c_during_the_imports(name):
-    ended = subprocess.run(
-        [sys.executable, "-c", PRESSED_DURING_IMPORT.format(name=name)],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=60.0,
-    )
+    ended = python("-c", PRESSED_DURING_IMPORT.format(name=name), timeout=60.0)
     assert (ended.returncode, ended.stderr) == (130, "duplex: stopped\n")
 
 
@@ -80,14 +72,7 @@ cli.script()
     [(0.5, 60.0, "", "closed", 130), (60.0, 0.2, "", "did not close", 0), (60.0, 60.0, "pressed", "", 130)],
 )
 def test_a_sensor_that_closes_is_waited_for_and_changes_no_code(closes_s, limit_s, pressed, said, code):
-    ended = subprocess.run(
-        [sys.executable, "-c", LEAVES_A_SENSOR, *map(str, (closes_s, limit_s, pressed, code))],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=50.0,
-    )
+    ended = python("-c", LEAVES_A_SENSOR, closes_s, limit_s, pressed, code, timeout=50.0)
     assert (ended.returncode, ended.stdout.splitlines()[0]) == (code, "saved")
     assert "Waiting for 000123 (its body tracker, which stops) to close" in ended.stderr
     assert said in ended.stdout + ended.stderr

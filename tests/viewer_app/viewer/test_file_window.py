@@ -204,13 +204,8 @@ def test_a_hub_does_not_outlive_the_program(how):
 def test_nothing_survives_two_ctrl_c_while_a_page_is_served():
     arguments = ["-m", "viewer_app.cli", "demo", "--web", "--depth", "none", "--seconds", "60", "--quiet"]
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    with subprocess.Popen(
-        [sys.executable, *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        cwd=ROOT,
-        env=environment,
-    ) as program:
+    command, pipes = [sys.executable, *arguments], {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with subprocess.Popen(command, **pipes, cwd=ROOT, env=environment) as program:
         served = next((line for line in program.stdout if b"Viewer" in line), b"")
         assert b"127.0.0.1" in served
         assert eventually(lambda: len(psutil.Process(program.pid).children(recursive=True)) > 0)
