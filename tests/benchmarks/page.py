@@ -120,9 +120,8 @@ def _conditions(figures):
             *((name, [row]) for name, row in others if row not in clocks),
         )
     ]
-    worst = max(
-        row[f"fused_where_{view}"] / row[view] for row in figures["bad_setups"].values() for view in "ab"
-    )
+    bad = figures["bad_setups"].values()
+    worst = max(row[f"fused_where_{view}"] / row[view] for row in bad for view in "ab")
     title = f"{len(figures['bad_setups'])} bad set-ups: S\\*, a view = 1, same joints; worst"
     rows.append((title, _number(worst, 1, 2)))
     return _table(("condition", "error, clean = 1"), rows)

@@ -1,7 +1,7 @@
 """The benchmarks count what they say; harsher trackers are as harsh as they say."""
 
 from dataclasses import fields, replace
-from itertools import islice, pairwise
+from itertools import islice, pairwise, product
 
 import numpy as np
 import pytest
@@ -29,17 +29,11 @@ NAMES = tuple(method.name for method in METHODS)
 
 def made_up(size):
     """Two movements, two angles, three seeds; all figures of a method as large as ``size`` says, or 1."""
-    return [
-        Outcome(
-            Trial(motion, angle, seed),
-            method,
-            dict.fromkeys(("mpjpe", "lag"), size.get(method, 1.0) + 0.01 * seed),
-        )
-        for motion in ("basketball", "still")
-        for angle in (45.0, 135.0)
-        for seed in range(3)
-        for method in NAMES
-    ]
+    outcomes = []
+    for motion, angle, seed, method in product(("basketball", "still"), (45.0, 135.0), range(3), NAMES):
+        figures = dict.fromkeys(("mpjpe", "lag"), size.get(method, 1.0) + 0.01 * seed)
+        outcomes.append(Outcome(Trial(motion, angle, seed), method, figures))
+    return outcomes
 
 
 def test_a_trial_counts_only_where_every_method_has_the_figure():

@@ -8,6 +8,7 @@ import argparse
 from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +39,7 @@ _FEWEST = 300  # measurements
 Array = NDArray[np.float64]
 
 
-@dataclass
-class View:
+class View(NamedTuple):
     """One sensor's recording: T frames of J joints in its frame."""
 
     body: Body

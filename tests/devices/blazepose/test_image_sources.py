@@ -82,14 +82,9 @@ def test_only_images_with_depth_in_its_place_give_people():
     moved = color_of(ir, RigidTransform.of(np.eye(3), (0.03, 0.0, 0.0)))
     a, _, _ = simulated_pair(seconds=0.05)
     empty_infrared, empty_depth = images_of([])
-    frames = [
-        frame_of(ir, depth, color=color_of(ir)),
-        frame_of(ir, depth, color=moved),
-        SensorFrame(0, ir=ir),
-        SensorFrame(1, depth=depth),
-        SensorFrame(2),
-        SensorFrame(3, depth=depth, ir=ir[::2]),
-    ]
+    frames = [frame_of(ir, depth, color=color) for color in (color_of(ir), moved)]
+    frames += [SensorFrame(0, ir=ir), SensorFrame(1, depth=depth), SensorFrame(2)]
+    frames.append(SensorFrame(3, depth=depth, ir=ir[::2]))
     with tracked(Images(*frames)) as sensor:
         assert [len(frame.people) for frame in sensor.frames()] == [1, 0, 0, 0, 0, 0]
     people = replace(next(iter(a.frames())), depth=empty_depth, ir=empty_infrared)

@@ -26,51 +26,42 @@ class Saved:
     body: str
     frames: int
     fused: str
-    depth_images: int
-    depth: str
     events: tuple[str, ...]
+    depth_images: int = 0
+    depth: str = hashlib.sha256(b"").hexdigest()
 
 
-_NOTHING = hashlib.sha256(b"").hexdigest()
 SESSIONS = {
     "version_0_1/demo": Saved(
         "azure_kinect",
         24,
         "53353ea178fba666fa88f91be25891eb5313ae913e25a51b618b3322ec311188",
-        0,
-        _NOTHING,
         ("calibrated: provisional, 1 frames of any pose",),
     ),
     "version_0_1/fused": Saved(
         "kinect_v2",
         25,
         "4abdddf3a57044c766c3dececcc10cd0b95c2a6b1ffa9e7e8fb2096729509cf8",
-        0,
-        _NOTHING,
         ("calibrated: start-up pose at 0.0 s, 91 frames",),
     ),
     "version_0_1/live": Saved(
         "kinect_v1",
         36,
         "c892b21cd02d5962cedfe7f9dd18334151201d45772303881a7542eb0b34b27f",
+        ("calibrated: known truth", "calibrated: known truth, moved by 20 mm"),
         6,
         "9bc023088aa63d814b256b60f9d6f2ae3369c17e53454339d5d410ef19fe3e69",
-        ("calibrated: known truth", "calibrated: known truth, moved by 20 mm"),
     ),
     "version_0_1/published": Saved(
         "kinect_v2",
         20,
         "33d8d049eaffc089004a16e8522984531cb4f85a28e6b1b26f1842106a537b12",
-        0,
-        _NOTHING,
         ("calibrated: known truth",),
     ),
     "version_1_0/walk": Saved(
         "kinect_v1",
         19,
         "07e1e4397c49f91cb7be55bf73417a386bf72f6c3ee6d668da1f1bd41921422b",
-        0,
-        _NOTHING,
         ("calibrated: known truth",),
     ),
 }
