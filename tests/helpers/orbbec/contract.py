@@ -179,21 +179,8 @@ def configurations(sdk):
     sdk.Config().set_frame_aggregate_output_mode(sdk.OBFrameAggregateOutputMode.ANY_SITUATION)
 
 
-CLAUSES = (
-    quiet,  # first: before any context
-    names,
-    enums,
-    no_device,
-    errors,
-    clock,
-    playback,
-    frames,
-    frame_sets,
-    our_images,
-    profiles,
-    sync_configuration,
-    configurations,
-)
+CLAUSES = (quiet, names, enums, no_device, errors, clock, playback)  # quiet first: before any context
+CLAUSES += (frames, frame_sets, our_images, profiles, sync_configuration, configurations)
 
 
 def _made(sdk, kind, image_format, image, device_us=0, system_us=0):

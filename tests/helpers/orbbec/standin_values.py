@@ -38,14 +38,10 @@ OBFrameAggregateOutputMode = pybind_enum(
 OBMultiDeviceSyncMode = pybind_enum(
     "OBMultiDeviceSyncMode", FREE_RUN=1, STANDALONE=2, PRIMARY=4, SECONDARY=8, SECONDARY_SYNCED=16
 )
+_DISTORTIONS = ("NONE", "MODIFIED_BROWN_CONRADY", "INVERSE_BROWN_CONRADY", "BROWN_CONRADY")
+_DISTORTIONS += ("BROWN_CONRADY_K6", "KANNALA_BRANDT4")
 OBCameraDistortionModel = pybind_enum(
-    "OBCameraDistortionModel",
-    NONE=0,
-    MODIFIED_BROWN_CONRADY=1,
-    INVERSE_BROWN_CONRADY=2,
-    BROWN_CONRADY=3,
-    BROWN_CONRADY_K6=4,
-    KANNALA_BRANDT4=5,
+    "OBCameraDistortionModel", **{name: number for number, name in enumerate(_DISTORTIONS)}
 )
 OBPlaybackStatus = pybind_enum("OBPlaybackStatus", UNKNOWN=0, PLAYING=1, PAUSED=2, STOPPED=3)
 
