@@ -61,9 +61,11 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     warm_up(Fuser(setup), console)
     sources = without_folders((str(options.a), str(options.b)))
     progress = _progress(console)
-    fused = fuse_segments(segments, read.pairing.pairs, plan.labels)
-    blocks = progress(fused, "fusing", block_count(segments))
+    blocks = progress(
+        fuse_segments(segments, read.pairing.pairs, plan.labels), "fusing", block_count(segments)
+    )
     session = fused_session(read, plan, segments, blocks, sources, options.depth, progress)
+    del plan, blocks  # ends the bar, and frees the labels, 30 bytes of each pair
     figures = report(session)
     with session_file(options.save, viewing is not None and viewing.opens) as file:
         if file is not None:
