@@ -24,7 +24,7 @@ def _pattern(text):
     return "".join(_LABEL if p == "{label}" else ".*?" if p[:1] == "{" else re.escape(p) for p in parts)
 
 
-_PATTERNS = {cause: re.compile(_pattern(cause.value[1])) for cause in Cause}
+_PATTERNS = {cause: re.compile(_pattern(cause.value)) for cause in Cause}
 _SLOW_MACHINE = {Cause.TOO_FAST, Cause.LOST_ON_USB, Cause.LATE, Cause.TOO_LATE}
 """Told rightly on a busy machine, the rig's bus included."""
 _ELSEWHERE = {
