@@ -25,7 +25,7 @@ class TrackerErrors:
 
     The defaults of :meth:`of` are fitted to real recordings (``tests/devices/simulated/test_realism.py``).
     Those of BlazePose, of which there are no recordings, were read off the tracker itself on simulated images
-    (``python -m tests.experiments.own_tracker --joints``).
+    (``python -m tests.experiments.own_tracker --joints`` of commit a82937b).
     """
 
     view_bias: float = 0.0
