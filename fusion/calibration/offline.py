@@ -125,8 +125,8 @@ def learn_from_recording(
         )
         spans.append(CalibrationSpan(begin_ns, calibration))
         within = seen.within(begin_ns, end_ns)
-        even = range(within.start, within.stop, max(1, (within.stop - within.start) // _BONE_PAIRS))
-        evidence = evidence_of(body, [seen.pairs[k] for k in even], seen.codes[list(even)].tolist())
+        even = np.arange(within.start, within.stop, max(1, (within.stop - within.start) // _BONE_PAIRS))
+        evidence = evidence_of(body, seen.pairs[even], seen.codes[even].tolist())
         match_sides(body, evidence, calibration.a_from_b)
         bone_evidence.append((evidence, calibration))
     if settings.bones:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fusion.array_fields import new_arrays
 from fusion.body import Body
 from fusion.joint_kinds import limbs
+from fusion.large_arrays import give_back
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 
@@ -26,6 +27,7 @@ _MOVED = 0.06  # metres, mean over the joints: a pose that is new
 _CELL = 0.5  # metres
 _SECTORS = 8  # of the person's heading
 _BLOCK_NS = 2_000_000_000  # frames of one block share a fold
+_GIVEN_BACK = 32  # pairs far apart in a file, each of which takes half a megabyte
 _WEIGHTS = np.array([0.0, 0.1, 1.0])
 """Information of a joint by its tracking state: the error of an inferred one is three times as large."""
 _FAR = 0.08  # metres: a joint's disagreement beyond this counts less and less
@@ -172,6 +174,8 @@ def evidence_of(
     every = KeyframeSet(body, capacity=max(1, len(pairs)), selective=False)
     for k, pair in enumerate(pairs):
         every.add(pair, (0, 0) if codes is None else codes[k])
+        if k % _GIVEN_BACK == 0:
+            give_back()
     return every.evidence
 
 
