@@ -10,6 +10,7 @@ Level = Literal["INFO", "WARN", "ERROR"]
 """Severity of an event."""
 Phase = Literal["moment", "start", "end"]
 """Phase of an event: a single event, or the start or end of a spell."""
+_INTERRUPTION_NS = 500_000_000  # a shorter one does not end a spell
 
 
 @dataclass(frozen=True)
@@ -46,15 +47,22 @@ class Spell:
 
 
 def spells_of(events: Iterable[Event]) -> list[Spell]:
-    """The spells of events given in time order, sorted by start. A repeated start does not open a second
-    spell."""
+    """The spells of events given in time order, sorted by start.
+
+    A start within half a second of the end of the same spell continues it; a repeated start does not open a
+    second spell.
+    """
     spells: list[Spell] = []
-    lasting: dict[str, int] = {}
+    newest: dict[str, int] = {}
     for event in events:
-        if event.phase == "start" and event.topic not in lasting:
-            lasting[event.topic] = len(spells)
+        index = newest.get(event.topic, -1)
+        last = spells[index].end if index >= 0 else None
+        if event.phase == "start" and (index < 0 or last is not None):
+            if last is not None and event.time_ns - last.time_ns <= _INTERRUPTION_NS:
+                spells[index] = Spell(spells[index].start, None)
+                continue
+            newest[event.topic] = len(spells)
             spells.append(Spell(event, None))
-        elif event.phase == "end" and event.topic in lasting:
-            index = lasting.pop(event.topic)
+        elif event.phase == "end" and index >= 0 and last is None:
             spells[index] = Spell(spells[index].start, event)
     return spells

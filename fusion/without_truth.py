@@ -24,9 +24,12 @@ NO_JUMP = 0.075
 FAST = 0.8
 """m/s of the trunk: people rarely walk backwards that fast."""
 _AGAINST = -0.5  # cosine between facing and motion: more than 120° apart
+_STRAIGHT = np.radians(40.0)  # per second: a path that turns more slowly
+_ASTRAY = np.radians(45.0)
 _SMOOTH = 9  # frames that the trunk's speed is averaged over
 _ENDS = 12  # frames at each end without a smooth speed
 _FEWEST_FAST = 30  # frames: too few for a share
+_FEWEST_STRAIGHT = 20  # frames
 _FLIP_SECONDS = 0.1
 _ONE_FLIP = 10  # frames: turns that are nearer to each other are one flip
 
@@ -68,6 +71,13 @@ class FiguresWithoutTruth:
     against_fused: float
     """Share of frames with a trunk faster than FAST in which it faces against its motion: a sign of mirrored
     labels."""
+    heading_a: float
+    heading_b: float
+    heading_fused: float
+    """Radians, the median angle between where the trunk faces and where it moves, over the frames with a
+    trunk faster than FAST on a straight path. People face where they walk to within 10° to 20°, but for those
+    who walk backwards or sideways."""
+    astray_fused: float  # share of these frames in which S* faces more than 45° away from its path
     flips_per_minute: float  # how often S* turns by more than 90° within 0.1 s
     rotation_off: float  # radians between the last frame's R and a robust fit over the recording
     apart: float  # median distance between the views, by the registration of each frame
@@ -96,7 +106,8 @@ def figures_without_truth(pair: FusedPair) -> FiguresWithoutTruth:
         np.linalg.norm(np.diff(view, axis=0), axis=2) for view in (pair.a, b, pair.fused)
     )
     known = np.isfinite(steps_a) & np.isfinite(steps_b) & np.isfinite(steps)
-    way, fast = _motion(pair.body, pair.a, b, pair.time_ns)
+    way, fast, straight = _motion(pair.body, pair.a, b, pair.time_ns)
+    headings = [_off_the_path(pair.body, of, way, straight) for of in (pair.a, b, pair.fused)]
     own = (steps > JUMP) & (steps_a < NO_JUMP) & (steps_b < NO_JUMP)
     return FiguresWithoutTruth(
         frames=len(pair.time_ns),
@@ -111,6 +122,10 @@ def figures_without_truth(pair: FusedPair) -> FiguresWithoutTruth:
         against_a=_against(pair.body, pair.a, way, fast),
         against_b=_against(pair.body, b, way, fast),
         against_fused=_against(pair.body, pair.fused, way, fast),
+        heading_a=_median(headings[0]),
+        heading_b=_median(headings[1]),
+        heading_fused=_median(headings[2]),
+        astray_fused=_share(headings[2] > _ASTRAY),
         flips_per_minute=_flips_per_minute(pair.body, pair.fused, pair.time_ns),
         rotation_off=pair.a_from_b[-1].angle_to(robust),
         apart=_median(np.linalg.norm(pair.b_in_a - pair.a, axis=2)),
@@ -153,8 +168,11 @@ def facing(body: Body, positions: Array) -> Array:
     return np.stack([left[:, 1], -left[:, 0]], axis=1)
 
 
-def _motion(body: Body, a: Array, b: Array, time_ns: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
-    """(T, 2) the direction on the floor in which the trunk moves, and whether faster than FAST."""
+def _motion(
+    body: Body, a: Array, b: Array, time_ns: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """(T, 2) the direction on the floor in which the trunk moves, (T,) whether faster than FAST, and (T,)
+    whether along a straight path as well."""
     trunk = [body.joint(name) for name in ("ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight")]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a frame in which no view has a trunk
@@ -165,7 +183,18 @@ def _motion(body: Body, a: Array, b: Array, time_ns: NDArray[np.int64]) -> tuple
     speed = np.linalg.norm(velocity, axis=1)
     fast = speed > FAST  # NaN is not
     fast[:_ENDS] = fast[-_ENDS:] = False
-    return velocity / np.maximum(speed, 1e-9)[:, None], fast
+    way = velocity / np.maximum(speed, 1e-9)[:, None]
+    angle = np.arctan2(way[:, 1], way[:, 0])
+    angle[np.isfinite(angle)] = np.unwrap(angle[np.isfinite(angle)])
+    turning = np.gradient(angle) / np.gradient(time_ns * 1e-9)
+    return way, fast, fast & (np.abs(turning) < _STRAIGHT)
+
+
+def _off_the_path(body: Body, positions: Array, way: Array, straight: NDArray[np.bool_]) -> Array:
+    """Angles, radians, between facing and the straight path; empty where it is too short."""
+    cosine = (facing(body, positions) * way).sum(axis=1)[straight]
+    found: Array = np.arccos(np.clip(cosine[np.isfinite(cosine)], -1.0, 1.0))
+    return found if len(found) > _FEWEST_STRAIGHT else found[:0]
 
 
 def _against(body: Body, positions: Array, way: Array, fast: NDArray[np.bool_]) -> float:

@@ -54,6 +54,8 @@ class SkeletonRecording(Sensor):
     def __enter__(self) -> SkeletonRecording:
         reader = READERS.get(self._path.suffix.lower())
         if reader is None:
+            if self._path.is_dir():
+                raise DeviceError(f"{self.name} is a folder, not a recording.")
             raise DeviceError(
                 f"{self.name}: {self._path.suffix or 'no ending'} is not a format of recorded skeletons. "
                 f"Known: {', '.join(READERS)}; with images: .mkv, .bag."

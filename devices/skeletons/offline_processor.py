@@ -29,7 +29,8 @@ def read_json(path: Path, unit: Unit = "auto", progress: Progress = quietly) -> 
     except (ValueError, RecursionError) as error:  # a number may have too many digits
         if not text.lstrip().startswith(("{", "[")):
             raise DeviceError(f"{path} is not JSON: it begins with {text[:40]!r}.") from None
-        raise DeviceError(f"{path} is not complete JSON: {error}. Was it cut off?") from None
+        hint = " Was it cut off?" if isinstance(error, json.JSONDecodeError) else ""
+        raise DeviceError(f"{path} is not complete JSON: {error}.{hint}") from None
     where = "the top level"
     try:
         if not isinstance(document, dict):

@@ -98,8 +98,8 @@ class Registration:
     frames: int  # how many pairs were used
     body: Body  # the body the joints belong to
     translation_sd: float = float("nan")
-    """Metres, standard error of R q + t at the person's centre, along the least certain axis; NaN where it
-    was not estimated."""
+    """Metres, standard error of R q + t at the person's centre, along the least certain axis; NaN where a
+    session does not have it."""
 
     @staticmethod
     def between(
@@ -148,7 +148,7 @@ def register(pairs: Sequence[SkeletonPair]) -> Registration:
     a_from_b = fit_rigid(p[both], q[both])
     mean_square = float(np.mean(np.linalg.norm(p[both] - a_from_b.apply(q[both]), axis=1) ** 2))
     registration = Registration.between(
-        body, p, q, both, a_from_b, _rotation_sd(p[both], mean_square, joints)
+        body, p, q, both, a_from_b, *_standard_errors(p[both], mean_square, joints)
     )
     if registration.residual_median > LARGEST_RESIDUAL:
         raise CalibrationError(
@@ -160,13 +160,15 @@ def register(pairs: Sequence[SkeletonPair]) -> Registration:
     return registration
 
 
-def _rotation_sd(points: NDArray[np.float64], mean_square: float, joints: int) -> float:
+def _standard_errors(points: NDArray[np.float64], mean_square: float, joints: int) -> tuple[float, float]:
+    """Those of R, radians, and of the centre, metres, along the least certain axis of each."""
     # A rotation by a small θ moves a point at r from the centre by θ × r, so the information about θ
     # is Σ (|r|² I − r rᵀ) / σ², here per joint, with σ² the residual's variance along one axis.
     r = points - points.mean(axis=0)
     information = (np.sum(r * r) * np.eye(3) - r.T @ r) * (joints / len(points))
     least = float(np.linalg.eigvalsh(information)[0])
-    return float(np.sqrt(mean_square / 3.0 / least)) if least > 0.0 else np.inf
+    rotation_sd = float(np.sqrt(mean_square / 3.0 / least)) if least > 0.0 else np.inf
+    return rotation_sd, float(np.sqrt(mean_square / 3.0 / joints))
 
 
 def label_free_fit(body: Body, evidence: Evidence) -> RigidTransform | None:

@@ -5,7 +5,7 @@ Each folder has the recordings ``a.csv`` and ``b.csv``. The figures are written 
 
 import argparse
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,27 +19,80 @@ from fusion.without_truth import FusedPair, figures_without_truth, judge_registr
 from recordings.fusing.pairs import fuse_segments, setups_of
 from tests.benchmarks import results
 
+HELD_OUT = "walk_18"
+"""End of the names of the walks on which nothing was chosen."""
+_FAULT_FRAMES = 20
+_FAULT_SHIFT = np.array([0.25, 0.0, 0.0])  # metres
+_TOLD = 0.08  # metres: a fault that moves a joint less is none
+_ARM = ("ElbowRight", "WristRight", "HandRight", "HandTipRight", "ThumbRight")
+
 
 def measure(body, skeletons):
     """Computes all figures of one recording, by name, in SI.
+
+    ``live_…`` are those without later frames, ``fault_…`` the shares of faults in one view that reach S*.
 
     Raises:
         FusionError: The recording is too short, or cannot be calibrated.
     """
     pair = fuse_pair(body, skeletons)
     figures = figures_without_truth(pair)
+    live = figures_without_truth(fuse_pair(body, skeletons, "none"))
     half = len(skeletons) // 2
     learned = fuse_pair(body, skeletons[:half]).a_from_b[-1]
     held_out = judge_registration(learned, pair.a[half:], pair.b[half:])
     row = {name: float(value) for name, value in asdict(figures).items()}
     row["roughness_ratio"] = figures.roughness_ratio
     row |= {f"held_out_{name}": float(value) for name, value in asdict(held_out).items()}
-    return row
+    row |= {f"live_{name}": float(getattr(live, name)) for name in ("heading_fused", "astray_fused")}
+    return row | {f"fault_{kind}": fault_share(body, skeletons, pair, kind) for kind in FAULTS}
 
 
-def fuse_pair(body, skeletons):
-    """Fuses a recording as the program does with its default settings."""
-    settings = FuserSettings(hindsight="labels")
+def _snapped(body, _, joints):
+    """The right arm in front of the trunk."""
+    trunk = joints[body.joint("SpineMid")]
+    moved = joints.copy()
+    for k, name in enumerate(_ARM):
+        moved[body.joint(name)] = trunk + (0.12, 0.02 * k, 0.0)
+    return moved
+
+
+FAULTS = {
+    "snap": _snapped,
+    "swap": lambda body, _, joints: joints[body.mirror],
+    "freeze": lambda _, held, __: held,
+    "shift": lambda _, __, joints: joints + _FAULT_SHIFT,
+}
+"""The joints (J, 3) of a fault, from those before it and those of the frame."""
+
+
+def fault_share(body, skeletons, clean, kind):
+    """How far S* moves per metre by which 20 faulty frames of one view move a joint; NaN without them."""
+    moved = faulty = 0.0
+    for seed in range(2):
+        random = np.random.default_rng(seed)
+        side = "ab"[seed % 2]
+        first = int(random.integers(len(skeletons) // 3, len(skeletons) - 2 * _FAULT_FRAMES))
+        before = getattr(skeletons[first - 1], side)
+        if before is None:
+            continue
+        spoilt = list(skeletons)
+        for k in range(first, first + _FAULT_FRAMES):
+            view = getattr(spoilt[k], side)
+            if view is not None:
+                joints = FAULTS[kind](body, before.positions, view.positions)
+                spoilt[k] = replace(spoilt[k], **{side: replace(view, positions=joints)})
+        with_fault = fuse_pair(body, spoilt)
+        fault = np.linalg.norm(getattr(with_fault, side) - getattr(clean, side), axis=2)
+        hit = fault > _TOLD
+        moved += float(np.nansum(np.linalg.norm(with_fault.fused - clean.fused, axis=2)[hit]))
+        faulty += float(np.nansum(fault[hit]))
+    return moved / faulty if faulty else np.nan
+
+
+def fuse_pair(body, skeletons, hindsight="labels"):
+    """Fuses a recording; without another hindsight as the program does with its default settings."""
+    settings = FuserSettings(hindsight=hindsight)
     plan = plan_recording(body, skeletons, settings)
     pairs = RecordedPairs(Pairs.of(body, skeletons))
     segments = setups_of(plan, settings, (None, None))

@@ -14,6 +14,7 @@ from recordings.fusing.view_events import ViewEvents
 from recordings.session import Session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, standing
+from viewer_app.report.events import event_in_words, list_events
 
 LOST = Event("A is lost", "WARN", "A", "start", frame=2, time_ns=66_000_000)
 TURNED = Event("B is mirrored", "INFO", "B", "start", frame=3, time_ns=99_000_000)
@@ -36,6 +37,17 @@ def test_a_spell_that_starts_again_before_its_end_stays_one_spell():
     again = replace(LOST, frame=4)
     assert [(spell.start, spell.end) for spell in spells_of([LOST, again, BACK, BACK])] == [(LOST, BACK)]
     assert spells_of([BACK, Event("moment", "INFO")]) == []
+
+
+def test_a_short_interruption_does_not_end_a_spell():
+    soon, late = (replace(LOST, time_ns=BACK.time_ns + gap) for gap in (400_000_000, 600_000_000))
+    ended = replace(BACK, time_ns=late.time_ns + 900_000_000)
+    assert [(s.start, s.end) for s in spells_of([LOST, BACK, soon, ended])] == [(LOST, ended)]
+    assert [(s.start, s.end) for s in spells_of([LOST, BACK, late, ended])] == [(LOST, BACK), (late, ended)]
+    (listed,) = list_events([LOST, BACK, soon, ended])
+    assert event_in_words(listed) == "Warning: A is lost. It lasted 1.6 s."
+    (moment,) = list_events([LOST, replace(BACK, time_ns=LOST.time_ns + 33_000_000)])
+    assert event_in_words(moment) == "Warning: A is lost. It lasted 33 ms."
 
 
 BODY = KINECT_V2

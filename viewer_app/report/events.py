@@ -20,8 +20,12 @@ def list_events(events: Iterable[Event]) -> list[ListedEvent]:
     """The events in order of time, numbered from 1. A spell is one event; its end is not listed."""
     ordered = sorted(events, key=lambda event: (event.time_ns, event.frame))
     spells = {id(spell.start): spell for spell in spells_of(ordered)}
-    ends = {id(spell.end) for spell in spells.values()}
-    listed = [event for event in ordered if id(event) not in ends]
+    topics = {spell.start.topic for spell in spells.values()}
+    listed = [
+        event
+        for event in ordered
+        if event.phase == "moment" or event.topic not in topics or id(event) in spells
+    ]
     return [ListedEvent(number, event, spells.get(id(event))) for number, event in enumerate(listed, start=1)]
 
 
@@ -66,7 +70,13 @@ def event_in_words(listed: ListedEvent) -> str:
     text = event.text[:1].upper() + event.text[1:]
     text += "" if text.endswith((".", "!", "?")) else "."
     if spell is not None:
-        lasted = "to the end" if spell.end is None else f"{(spell.end.time_ns - event.time_ns) * 1e-9:.1f} s"
-        text += f" It lasted {lasted}."
+        text += f" It lasted {_duration(event, spell.end)}."
     marks = {"INFO": "", "WARN": "Warning: ", "ERROR": "Error: "}
     return f"{marks[event.level]}{text}"
+
+
+def _duration(start: Event, end: Event | None) -> str:
+    if end is None:
+        return "to the end"
+    milliseconds = (end.time_ns - start.time_ns) * 1e-6
+    return f"{milliseconds:.0f} ms" if milliseconds < 100.0 else f"{milliseconds * 1e-3:.1f} s"

@@ -125,9 +125,7 @@ def _shortfalls(figures: Figures) -> Iterator[Line]:
         of_a, of_b = (f"{alone[key]} of {frames[key]}" for key in ("a", "b"))
         yield Line("One view", f"{of_a} frames of A and {of_b} of B: the other sensor has none at that time.")
     if absent["a"] or absent["b"]:
-        yield Line(
-            "No person", f"in {absent['a']} frames of A, {absent['b']} of B, {absent['both']} of both."
-        )
+        yield Line("No person", f"Frames: {absent['a']} of A, {absent['b']} of B, {absent['both']} of both.")
 
 
 def _stream_trouble(figures: Figures) -> Iterator[Line]:
@@ -211,6 +209,11 @@ def _without_truth(figures: Figures) -> Iterator[Line]:
         "Facing",
         f"against the motion: S* {fused}, S_A {a}, S_B {b} of fast frames; {flips:.1f} flips per minute.",
     )
+    if figures["heading_fused"] is not None:
+        off = [figures[f"heading_{key}"] for key in ("a", "b", "fused")]
+        a, b, fused = ("–" if angle is None else f"{math.degrees(angle):.0f}°" for angle in off)
+        astray = in_percent(figures["astray_fused"])
+        yield Line("Heading", f"off a straight path: S* {fused}, S_A {a}, S_B {b}; S* astray (45°) {astray}.")
     text = f"R is {math.degrees(figures['rotation_off']):.1f}° from a robust fit"
     if figures["halves_rotation_off"] is not None:
         halves, shift = figures["halves_rotation_off"], in_mm(1e3 * figures["halves_position_off"])

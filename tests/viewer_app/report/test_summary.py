@@ -168,7 +168,7 @@ def test_a_sensor_without_a_frame_is_not_a_frame_without_a_person(session):
     assert figures["alone"] == {"a": 30, "b": 0}
     text = " ".join(said(figures, width=200).split())
     assert "One view 30 of 60 frames of A and 0 of 30 of B: the other sensor has none at that time." in text
-    assert "No person in 2 frames of A, 1 of B, 2 of both." in text
+    assert "No person Frames: 2 of A, 1 of B, 2 of both." in text
     assert "One view" not in said(report(session))
 
 
@@ -182,7 +182,7 @@ def test_what_someone_must_act_on_is_told_in_words(figures):
     ]
     text = " ".join(said(figures, width=200, events=events).split())
     assert "Dropped 3 of 60 frames of A and 0 of 60 of B have no partner." in text
-    assert "No person in 5 frames of A, 0 of B, 0 of both." in text
+    assert "No person Frames: 5 of A, 0 of B, 0 of both." in text
     assert "Warning 3.00 s: A sensor seems to have been moved. (1 more)" in text
 
 
