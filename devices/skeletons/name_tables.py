@@ -1,0 +1,135 @@
+"""Tables of names: which points of a file are the joints of a body, as TOML.
+
+A table has one section, ``[joints]``. Its keys are joints of any body, in any spelling. A value is the name
+of a point in the file, a list of points whose mean is the joint (a point that is named twice counts twice),
+or a list of such lists, of which the first counts that the file has whole.
+"""
+
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from devices.sensor import DeviceError
+from fusion.body import BODIES, Body
+
+READY_MADE = ("bodies", "plug-in-gait", "gait2392", "mixamo")
+"""Tables that the program brings along, in the order in which they are tried."""
+_FOLDER = Path(__file__).parent / "names"
+_MOST_LISTED = 12
+Points = tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class NameTable:
+    """The points that make up each joint.
+
+    Attributes:
+        name: What the table is called in messages.
+        joints: By the joint's name in any body's spelling, the alternatives in their order.
+        ready_made: Whether joints whose points a file lacks are left out instead of being an error.
+    """
+
+    name: str
+    joints: Mapping[str, Sequence[Points]]
+    ready_made: bool = False
+
+    def points_of(self, body: Body, labels: Sequence[str]) -> dict[int, list[int]]:
+        """The points of each joint of a body: joint → indices of the labels.
+
+        Joints that the table does not have are found by their own names. A label's prefix up to the last
+        colon, a subject's name, its case and its punctuation do not count.
+
+        Raises:
+            DeviceError: The table names a point that the file does not have.
+        """
+        index = _by_plain_name(labels)
+        found = {}
+        for name, alternatives in self.joints.items():
+            joint = body.find(name)
+            if joint is None:
+                continue
+            whole = [points for points in alternatives if all(_find(index, p) is not None for p in points)]
+            if whole:
+                found[joint] = [k for k in (_find(index, point) for point in whole[0]) if k is not None]
+            elif not self.ready_made:
+                missing = next(p for p in alternatives[0] if _find(index, p) is None)
+                there = listed(labels)
+                raise DeviceError(f"{self.name}: {name} needs one point {missing!r}; the file has {there}.")
+        for joint, name in enumerate(body.joints):
+            own = _find(index, name)
+            if joint not in found and own is not None:
+                found[joint] = [own]
+        return dict(sorted(found.items()))
+
+
+def name_table(name: str | Path) -> NameTable:
+    """A table of :data:`READY_MADE` by its name, or one from a TOML file.
+
+    Raises:
+        DeviceError: There is no such table or file, it is not TOML, or a joint or value in it is wrong.
+    """
+    ready_made = str(name) in READY_MADE
+    path = _FOLDER / f"{name}.toml" if ready_made else Path(name)
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        known = f"Give a .toml file, or one of {', '.join(READY_MADE)}."
+        raise DeviceError(f"No table of names {str(name)!r}. {known}") from None
+    except OSError as error:
+        raise DeviceError(f"{name} cannot be read: {error.strerror or error}.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DeviceError(f"{name} is not TOML: {error}.") from None
+    joints = document.get("joints")
+    if not isinstance(joints, dict) or not joints or len(document) > 1:
+        raise DeviceError(f'{name} needs one section, [joints], with lines such as HIP_LEFT = "LASI".')
+    for joint in joints:
+        if all(body.find(joint) is None for body in BODIES.values()):
+            names = ", ".join(BODIES["azure_kinect"].joints)
+            raise DeviceError(f"{name}: no body has a joint {joint!r}. Joints are {names}.")
+    return NameTable(str(name), {j: _alternatives(name, j, value) for j, value in joints.items()}, ready_made)
+
+
+def fitting_table(body: Body, labels: Sequence[str]) -> NameTable:
+    """The ready-made table by which most joints of a body are found among the labels of a file."""
+    return max(map(name_table, READY_MADE), key=lambda table: len(table.points_of(body, labels)))
+
+
+def listed(labels: Sequence[str]) -> str:
+    """Names of points in a message; only the first ones of many."""
+    more = len(labels) - _MOST_LISTED
+    return ", ".join(labels[:_MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _alternatives(table: str | Path, joint: str, value: Any) -> list[Points]:
+    points = [value] if isinstance(value, str) else value
+    if isinstance(points, list) and points and all(isinstance(each, str) for each in points):
+        points = [points]
+    if isinstance(points, list) and points and all(isinstance(each, list) and each for each in points):
+        found = [tuple(each) for each in points]
+        if all(isinstance(point, str) for each in found for point in each):
+            return found
+    raise DeviceError(f"{table}: {joint} must be the name of a point or a list of names; it is {value!r}.")
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def _by_plain_name(labels: Iterable[str]) -> dict[str, int]:
+    """By whole label, and by the part after the last colon where only one label has it."""
+    index: dict[str, int] = {}
+    for short in (False, True):
+        names = [label.rpartition(":")[2] if short else label for label in labels]
+        plain = [_plain(name) for name in names]
+        for k, name in enumerate(plain):
+            if name and (not short or plain.count(name) == 1):
+                index.setdefault(name, k)
+    return index
+
+
+def _find(index: Mapping[str, int], point: str) -> int | None:
+    whole = index.get(_plain(point))
+    return index.get(_plain(point.rpartition(":")[2])) if whole is None else whole
