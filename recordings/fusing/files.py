@@ -88,13 +88,30 @@ def fuse(
     )
     settings = replace(settings or FuserSettings(), hindsight=hindsight)
     read = read_for(settings, choices, choose_tracker(tracker), offset_ms)
+    return fuse_read(read, (str(a), str(b)), settings, calibration, refine, depth, force)
+
+
+def fuse_read(
+    read: TwoRecordings,
+    sources: tuple[str, str],
+    settings: FuserSettings,
+    calibration: Calibration | None = None,
+    refine: bool = True,
+    depth: Depth = "none",
+    force: bool = False,
+) -> Session:
+    """Fuses what two recordings hold, as :func:`fuse` does.
+
+    Args:
+        sources: Names of the sensors, or their files, K_A first.
+    """
     skeletons = read.pairing.pairs.skeletons
     plan = plan_recording(read.body, skeletons, settings, calibration, refine and calibration is None)
     if not force:
-        check_related(read, plan, str(a), str(b))
+        check_related(read, plan, *sources)
     segments = setups_of(plan, settings, read.cameras(depth))
     blocks = fuse_segments(segments, read.pairing.pairs, plan.labels)
-    return fused_session(read, plan, segments, blocks, without_folders((str(a), str(b))), depth)
+    return fused_session(read, plan, segments, blocks, without_folders(sources), depth)
 
 
 def read_for(

@@ -20,7 +20,6 @@ from recordings import Session, layout
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
 from recordings.session_arrays import SessionFrame
-from recordings.testing import assert_sessions_match
 from recordings.writing.checksums import event_checksum, fused_checksums
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
@@ -157,31 +156,6 @@ def test_another_layout_says_which_version_wrote_it(monkeypatch, fused_run):
         RecordingError, match=rf"layout {older}, written by duplex-kinects .*reads layout {readable}"
     ):
         Session.open(old.path)
-
-
-def test_sessions_that_match_and_that_do_not(fused_run):
-    pairs, calibration = full_of_faults(KINECT_V1), calibration_of(KINECT_V1)
-    one, two = fused_run(pairs, calibration), fused_run(pairs, calibration)
-    assert_sessions_match(one, two, position_mm=0.0)
-    other = fused_run(pairs, calibration, FuserSettings("paper", weights="equal"))
-    with pytest.raises(AssertionError, match=r"first at frame \d+, \w+"):
-        assert_sessions_match(other, one, position_mm=1.0)
-    assert_sessions_match(other, one.path, position_mm=500.0)
-    shorter = fused_run(pairs[:-1], calibration)
-    with pytest.raises(AssertionError, match="frames"):
-        assert_sessions_match(shorter, one, position_mm=1.0)
-    for name in ("time_ns", "skew_ns", "clock_b", "positions_a", "states_b"):
-        rows = getattr(one.rows, name).copy()
-        rows[12] += 1
-        moved = replace(one, rows=replace(one.rows, **{name: rows}))
-        with pytest.raises(AssertionError, match=r"frame 12: .* differs; .* different captures"):
-            assert_sessions_match(moved, one, position_mm=500.0)
-    for tolerance in (float("nan"), -1.0, float("inf")):
-        with pytest.raises(ValueError, match="position_mm is"):
-            assert_sessions_match(one, two, position_mm=tolerance)
-    nudged = replace(one, fused_checksums=one.fused_checksums + np.uint32(1))
-    with pytest.raises(AssertionError, match=r"frame 0: S\* differs"):
-        assert_sessions_match(nudged, one, position_mm=0.0)
 
 
 def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path):

@@ -1,0 +1,120 @@
+"""The pytest plugin, which pip registers: a simulated session, ``--duplex-update``, and sessions kept when a
+test fails. Every run of pytest imports it, so it imports no more than pytest and :mod:`recordings.testing`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from recordings import testing
+
+if TYPE_CHECKING:
+    from recordings.session import Session
+
+_WRITTEN = "duplex_written"
+"""The user property of a report that names an expected file."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Adds ``--duplex-update``."""
+    parser.getgroup("duplex-kinects").addoption(
+        "--duplex-update",
+        action="store_true",
+        help="Write the expected sessions of assert_sessions_match, where they are files.",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Tells :func:`recordings.testing.assert_sessions_match` whether to write."""
+    testing.update_expected = config.getoption("duplex_update")
+
+
+def pytest_unconfigure() -> None:
+    """Ends what :func:`pytest_configure` began."""
+    testing.update_expected = False
+
+
+@pytest.fixture(scope="session")
+def simulated_session() -> Callable[..., Session]:
+    """Factory of sessions of two simulated sensors: simulated_session("walk", seconds=4.0, seed=0).
+
+    The arguments are those of recordings.testing.simulated_session; equal ones give the same object.
+    """
+    return cache(testing.simulated_session)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> None:
+    """Keeps both sessions of a failed comparison, and says where."""
+    item.user_properties += [(_WRITTEN, str(path)) for path in testing.written]
+    testing.written.clear()
+    if call.excinfo is not None and isinstance(error := call.excinfo.value, testing.SessionsDifferError):
+        begun = item.config.invocation_params.dir
+        test = "::".join([_seen_from(begun, item.path), *item.nodeid.split("::")[1:]])
+        update = shlex.join(["pytest", "--duplex-update", test])
+        error.add_note("")
+        if len(error.sessions) == 1:
+            error.add_note(f"to make it, with a version that you trust: {update}")
+            return
+        try:
+            paths = [_seen_from(begun, path) for path in _kept(item, *error.sessions)]
+        except OSError as why:
+            error.add_note(f"The sessions could not be kept: {why}.")
+            return
+        error.add_note(f"actual:   {paths[0]}\nexpected: {paths[1]}")
+        for command in _commands(error.sessions, paths):
+            error.add_note(f"to see it:    {shlex.join(command)}")
+        if error.sessions[1].path is not None:
+            error.add_note(f"to accept it: {update}")
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Names the expected files that were written."""
+    reports = (each for every in terminalreporter.stats.values() for each in every)
+    properties = (found for report in reports for found in getattr(report, "user_properties", ()))
+    for path in sorted({path for name, path in properties if name == _WRITTEN}):
+        shown = _seen_from(terminalreporter.config.invocation_params.dir, Path(path))
+        terminalreporter.write_line(f"Wrote {shown}.")
+
+
+def _kept(item: pytest.Item, actual: Session, expected: Session) -> Iterator[Path]:
+    """The files of both sessions; written, without images, if they are not the expected file."""
+    from recordings.images import NO_IMAGES
+
+    cached = getattr(item.config, "cache", None)
+    root = Path(tempfile.mkdtemp(prefix="duplex-")) if cached is None else cached.mkdir("duplex")
+    folder = root / re.sub(r"[^\w.-]+", "_", item.nodeid)[-100:]
+    folder.mkdir(exist_ok=True)
+    for name, session in (("actual", actual), ("expected", expected)):
+        if session is expected and session.path is not None:
+            yield session.path
+        else:
+            replace(session, images=NO_IMAGES).save(folder / f"{name}.rrd")
+            yield folder / f"{name}.rrd"
+
+
+def _commands(sessions: Sequence[Session], paths: Sequence[str]) -> list[list[str]]:
+    """The commands that show what differs; sessions of different captures are shown one by one."""
+    from recordings.errors import RecordingError
+    from recordings.session_comparison import Comparison
+
+    try:
+        Comparison.of(sessions[0], sessions[1])
+    except RecordingError:
+        return [["duplex", "review", path] for path in paths]
+    return [["duplex", "compare", *paths]]
+
+
+def _seen_from(folder: Path, path: Path) -> str:
+    """A path as one types it in a folder."""
+    return os.path.relpath(path, folder) if path.absolute().is_relative_to(folder) else str(path)

@@ -1,0 +1,187 @@
+"""The pytest plugin, as a user's own tests meet it: in a fresh folder, with nothing configured."""
+
+import re
+import shlex
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion.body import KINECT_V1
+from fusion.setup import FuserSettings
+from recordings import Session
+from recordings.testing import SessionsDifferError, assert_sessions_match, simulated_session
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.programs import ROOT, python
+from tests.helpers.recorded_pairs import write_recordings
+from tests.helpers.two_views import calibration_of
+
+pytest_plugins = "pytester"
+
+OWN = """
+import pytest
+from recordings.testing import assert_sessions_match
+
+@pytest.mark.parametrize("seed", [7, 8])
+def test_walk(simulated_session, seed):
+    session = simulated_session("walk", seconds=1.0, seed=seed)
+    assert session is simulated_session("walk", seconds=1.0, seed=seed)
+    assert_sessions_match(session, f"kept/expected_{seed}.rrd", position_mm=0.0)
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def imported(tmp_path_factory):
+    """Imports what the tests use before pytester, which forgets later imports; numba bears no second one."""
+    path = tmp_path_factory.mktemp("imported") / "s.rrd"
+    simulated_session(seconds=1.0).save(path)
+    Session.open(path)
+
+
+@pytest.fixture
+def run(pytester):
+    """Runs pytest in the folder of a user's tests; returns its output and how many passed and failed."""
+
+    def run_pytest(*arguments):
+        result = pytester.runpytest_subprocess(*arguments)
+        outcomes = result.parseoutcomes()
+        return result.stdout.str(), outcomes.get("passed", 0), outcomes.get("failed", 0)
+
+    return run_pytest
+
+
+def printed_command(said, label):
+    return shlex.split(re.search(rf"^E +{label}: +(.*)$", said, re.MULTILINE)[1])
+
+
+def test_the_example_makes_its_expected_file_and_shows_what_changed(run, pytester):
+    write_recordings(pytester.path)
+    example = (ROOT / "examples" / "test_fusion.py").read_text(encoding="utf-8")
+    own = pytester.makepyfile(test_fusion=example)
+    said, passed, failed = run()
+    assert (passed, failed) == (1, 1)
+    assert "There is no" in said
+    program, *update = printed_command(said, "to make it, with a version that you trust")
+    assert program == "pytest"
+    said, *counts = run(*update)
+    assert (counts, "Wrote expected.rrd." in said) == ([1, 0], True)
+
+    other = example.replace('"b.csv")', '"b.csv", settings=FuserSettings(smoothing=1.0))')
+    own.write_text(f"from fusion import FuserSettings\n{other}", encoding="utf-8")
+    said, passed, failed = run()
+    assert (passed, failed) == (1, 1)
+    assert re.search(r"S\* +all joints +\d+ ", said)
+    assert not re.search(r"S_[AB] +all joints", said)
+    program, *compare = printed_command(said, "to see it")
+    compared = python("-m", "viewer_app.cli", *compare, "--no-viewer", cwd=pytester.path)
+    assert (program, compared.returncode) == ("duplex", 0)
+    assert "70 frames in common" in compared.stdout
+    _, actual, expected = compare
+    assert Session.open(pytester.path / actual).settings.smoothing == 1.0
+    assert expected == "expected.rrd"
+    assert printed_command(said, "to accept it")[1:] == update
+
+
+def test_processes_of_xdist_share_the_option_and_the_expected_files(run, pytester):
+    pytester.makepyfile(test_own=OWN)
+    said, *counts = run("-n", "2", "--duplex-update")
+    assert counts == [2, 0]
+    assert len(re.findall(r"^Wrote kept/expected_[78].rrd.$", said, re.MULTILINE)) == 2
+    assert {path.name for path in (pytester.path / "kept").iterdir()} == {"expected_7.rrd", "expected_8.rrd"}
+    kept = pytester.path / "kept"
+    (kept / "expected_8.rrd").replace(kept / "expected_7.rrd")
+    said, *counts = run("-n", "2")
+    assert counts == [0, 2]
+    assert "of different captures" in said
+    assert said.count("duplex review") == 2, "compare would refuse them"
+    actual = pytester.path / ".pytest_cache" / "d" / "duplex" / "test_own.py_test_walk_7_" / "actual.rrd"
+    assert_sessions_match(actual, simulated_session(seconds=1.0, seed=7), position_mm=0.0)
+
+
+def test_sessions_in_memory_are_kept_without_a_cache(run, pytester):
+    pytester.makepyfile("""
+        from recordings.testing import assert_sessions_match
+
+        def test_two(simulated_session):
+            pair = [simulated_session(seconds=1.0, seed=seed) for seed in (1, 2)]
+            assert_sessions_match(*pair)
+    """)
+    said, _, failed = run("-p", "no:cacheprovider")
+    assert failed == 1
+    kept = [re.search(rf"^E +{name}: +(.*)$", said, re.MULTILINE)[1] for name in ("actual", "expected")]
+    for path, seed in zip(kept, (1, 2), strict=True):
+        assert_sessions_match(path, simulated_session(seconds=1.0, seed=seed), position_mm=0.0)
+    assert "to accept it" not in said, "there is no file to write"
+
+
+@pytest.mark.parametrize(
+    ("program", "says"),
+    [
+        ("import pytest, sys; import recordings.pytest_plugin; print('numpy' in sys.modules)", "False"),
+        ("import sys; sys.modules['pytest'] = None; from recordings import testing; print('here')", "here"),
+    ],
+    ids=["the plugin costs other projects nothing", "the comparison needs no pytest"],
+)
+def test_what_is_imported(program, says):
+    said = python("-c", program)
+    assert said.stdout.strip() == says, said.stderr
+
+
+@pytest.fixture
+def session():
+    return simulated_session("walk", 1.0, 3, body="kinect_v1", settings=FuserSettings("paper"))
+
+
+def test_the_table_has_the_differences(session):
+    rows = session.rows
+    joint = KINECT_V1.joint("wrist left"), KINECT_V1.joint("head")
+    moved, lost = rows.fused.copy(), rows.positions_b.copy()
+    moved[10:15, joint[0], 1] += [0.001, 0.002, 0.003, 0.004, 0.0300]
+    moved[20, joint[1], 0] += 0.0005
+    seen = np.flatnonzero(np.isfinite(lost[:, joint[1], 0]))[:3]
+    lost[seen, joint[1]] = np.nan
+    other = replace(session, rows=replace(rows, fused=moved, positions_b=lost))
+    with pytest.raises(SessionsDifferError) as found:
+        assert_sessions_match(other, session, position_mm=0.4)
+    wrist, head = (KINECT_V1.joints[j] for j in joint)
+    table = [line.split() for line in str(found.value).partition("first frame\n")[2].splitlines()]
+    assert table == [
+        ["S_B", "all", "joints", "3", "3", "–", "–", str(seen[0])],
+        ["S_B", head, "3", "3", "–", "–", str(seen[0])],
+        ["S*", "all", "joints", "6", "30", "2.5", "10"],
+        ["S*", wrist, "5", "30", "3", "10"],
+        ["S*", head, "1", "0.5", "0.5", "20"],
+    ]
+    assert f"S* differs by more than 0.4 mm in 6 of {len(session)} frames, first in frame 10, {wrist}" in str(
+        found.value
+    )
+    nearby = replace(session, rows=replace(rows, fused=moved))
+    assert_sessions_match(nearby, session, position_mm=31.0)
+    assert found.value.sessions == (other, session)
+
+
+def test_sessions_that_match_and_that_do_not(fused_run):
+    pairs = frame_pairs(KINECT_V1, 70, gap=(7, 40, 41), only_a=(9, 10), no_b=(15,), jitter_ns=3_000_000)
+    calibration = calibration_of(KINECT_V1)
+    one, two = fused_run(pairs, calibration), fused_run(pairs, calibration)
+    assert_sessions_match(one, two, position_mm=0.0)
+    other = fused_run(pairs, calibration, FuserSettings("paper", weights="equal"))
+    with pytest.raises(AssertionError, match=r"first in frame \d+, \w+"):
+        assert_sessions_match(other, one)
+    assert_sessions_match(other, one.path, position_mm=500.0)
+    shorter = fused_run(pairs[:-1], calibration)
+    with pytest.raises(AssertionError, match="frames"):
+        assert_sessions_match(shorter, one)
+    for name in ("time_ns", "skew_ns", "clock_b", "positions_a", "states_b"):
+        rows = getattr(one.rows, name).copy()
+        rows[12] += 1
+        moved = replace(one, rows=replace(one.rows, **{name: rows}))
+        with pytest.raises(AssertionError, match=r"frame 12.*; the sessions are of different captures"):
+            assert_sessions_match(moved, one, position_mm=500.0)
+    for tolerance in (float("nan"), -1.0, float("inf")):
+        with pytest.raises(ValueError, match="position_mm is"):
+            assert_sessions_match(one, two, position_mm=tolerance)
+    nudged = replace(one, fused_checksums=one.fused_checksums + np.uint32(1))
+    with pytest.raises(AssertionError, match=r"frame 0: S\* differs"):
+        assert_sessions_match(nudged, one, position_mm=0.0)
+    assert_sessions_match(nudged, one)
