@@ -2,8 +2,7 @@
 
 Unity's axes are left-handed: x right, y up, z forward. K_A's are right-handed: x right, y down, z forward.
 Where K_A's p is −p in Unity, all three axes are reversed: a rotation matrix, and so a quaternion, stays the
-same. A person who faces the sensor then faces +z. In Unity's T-pose, which has no rotation anywhere, the arms
-point sideways and the palms down.
+same. A person who faces the sensor then faces +z. Unity's T-pose has no rotation anywhere.
 """
 
 import math
@@ -14,34 +13,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
-from fusion.joint_rotations import JointRotations, joint_bones
+from fusion.humanoid import human_bones, rest_from_t_pose
+from fusion.joint_rotations import JointRotations
+from recordings.appearance.floor import ANKLE
 
 Array = NDArray[np.float64]
 
-_TOES_DOWN = math.atan2(0.055, 0.150)
-"""rad. From the ankle, a standing person's foot joint lies in front and below; at rest it lies in front."""
 _RISES, _SINKS = 0.01, 0.3
 """m/s. The floor follows the lowest joint: down fast, up slowly, so that a jump does not lift it."""
-
-# name, parent, names of the joint where the bone begins
-_TRUNK: tuple[tuple[str, str | None, tuple[str, ...]], ...] = (
-    ("Hips", None, ()),
-    ("Spine", "Hips", ("SpineNavel", "SpineMid", "Spine")),
-    ("Chest", "Spine", ("SpineChest", "SpineShoulder", "ShoulderCenter")),
-    ("Neck", "Chest", ("Neck",)),
-    ("Head", "Neck", ("Head",)),
-)
-# name, parent, joint where the bone ends; each without its side
-_LIMBS = (
-    ("Shoulder", "Chest", "Shoulder"),
-    ("UpperArm", "Shoulder", "Elbow"),
-    ("LowerArm", "UpperArm", "Wrist"),
-    ("Hand", "LowerArm", "Hand"),
-    ("UpperLeg", "Hips", "Knee"),
-    ("LowerLeg", "UpperLeg", "Ankle"),
-    ("Foot", "LowerLeg", "Foot"),
-)
-_ARM = ("UpperArm", "LowerArm", "Hand")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +34,7 @@ class UnityPose:
 
 
 class UnitySkeleton:
-    """Which bones of a humanoid a body has, and their pose frame by frame.
+    """The pose of a humanoid's bones, frame by frame.
 
     The origin lies on the floor, beneath the pelvis of the first person who was seen.
 
@@ -68,24 +47,12 @@ class UnitySkeleton:
     def __init__(self, body: Body) -> None:
         self.body = body
         self._rotations = JointRotations(body)
-        shown = joint_bones(body)
-        rows: list[tuple[str, str | None, int, int]] = []  # name, parent, joint where it begins, bone
-        for name, above, joints in _TRUNK:
-            found = [j for j in map(body.find, joints) if j is not None] if joints else [body.root]
-            if found:
-                rows.append((name, above, found[0], int(shown[found[0]])))
-        for side in ("Left", "Right"):
-            for name, above, end in _LIMBS:
-                bone = body.joint(end + side)
-                parent = above if above in ("Chest", "Hips") else side + above
-                rows.append((side + name, parent, body.parents[bone], bone))
-            foot = body.joint("Foot" + side)
-            rows.append((side + "Toes", side + "Foot", foot, foot))
-        self.names = tuple(row[0] for row in rows)
-        self.parents = np.array([self._parent(row[1]) for row in rows])
-        self.begins = np.array([row[2] for row in rows])
-        self.bones = np.array([row[3] for row in rows])
-        self._unturned = Rotation.from_quat([_from_t_pose(name) for name in self.names])  # T-pose → rest
+        bones = human_bones(body)
+        self.names = tuple(bone.name for bone in bones)
+        self.parents = np.array([-1 if b.parent is None else self.names.index(b.parent) for b in bones])
+        self.begins = np.array([bone.begin for bone in bones])
+        self.bones = np.array([bone.bone for bone in bones])
+        self._unturned = Rotation.from_quat(rest_from_t_pose(body)[self.bones])
         rest = self._unturned.inv().apply(-body.rest[self.bones])
         self.rest = np.where(self.parents[:, None] < 0, 0.0, rest)
         feet = [body.find(j + s) for j in ("Foot", "Ankle", "Heel") for s in ("Left", "Right")]
@@ -119,25 +86,4 @@ class UnitySkeleton:
         offsets = back.apply(begins - np.where(topmost, 0.0, begins[self.parents]))
         local = np.concatenate((offsets, (back * turned).as_quat()), axis=1)
         legs = sum(math.dist(positions[i], positions[j]) for i, j in self._leg)
-        return UnityPose(begins, turns, local, 0.5 * legs + _ANKLE_HEIGHT)
-
-    def _parent(self, name: str | None) -> int:
-        """The index of the nearest bone above that the body has; v1 has no neck."""
-        while name is not None and name not in self.names:
-            name = next(above for trunk, above, _ in _TRUNK if trunk == name)
-        return -1 if name is None else self.names.index(name)
-
-
-_ANKLE_HEIGHT = 0.08  # metres
-
-
-def _from_t_pose(name: str) -> Array:
-    """(4,) the rotation from the T-pose to the rest of :attr:`fusion.body.Body.rest`, where arms hang."""
-    half = math.sqrt(0.5)
-    if name.removeprefix("Left") in _ARM:
-        return np.array([0.0, 0.0, half, half])  # left → down: a quarter turn about K_A's z
-    if name.removeprefix("Right") in _ARM:
-        return np.array([0.0, 0.0, -half, half])
-    if name.endswith(("Foot", "Toes")):
-        return np.array([-math.sin(0.5 * _TOES_DOWN), 0.0, 0.0, math.cos(0.5 * _TOES_DOWN)])
-    return np.array([0.0, 0.0, 0.0, 1.0])
+        return UnityPose(begins, turns, local, 0.5 * legs + ANKLE)

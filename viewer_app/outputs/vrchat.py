@@ -33,13 +33,8 @@ class VRChatEncoder:
     def __init__(self, body: Body) -> None:
         self.skeleton = UnitySkeleton(body)
         names = self.skeleton.names
-        chest = "Chest" if "Chest" in names else "Spine"
-
-        def index(name: str) -> int:
-            return names.index(chest if name == "Chest" else name)
-
-        self._turns = np.array([index(turn) for turn, _ in TRACKERS.values()])
-        self._places = np.array([index(place) for _, place in TRACKERS.values()])
+        self._turns = np.array([names.index(turn) for turn, _ in TRACKERS.values()])
+        self._places = np.array([names.index(place) for _, place in TRACKERS.values()])
 
     def encode(self, positions: NDArray[np.float64], time_ns: int) -> list[bytes]:
         """The datagrams of (J, 3) joints in K_A's frame; none without a person."""
