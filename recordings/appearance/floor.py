@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.facing.evidence import upright_direction
 from fusion.rigid import RigidTransform
+from recordings.session_arrays import SessionArrays
 
 ANKLE = 0.08
 """Metres: height of an ankle above the floor."""
@@ -27,6 +28,8 @@ _ENOUGH = 10
 _MOVED, _TURNED = 0.03, math.radians(1.0)
 """Metres and radians: smaller changes are not reported."""
 _CENTIMETRE = 0.01
+_SAMPLES = 9000
+"""Frames from which the floor of a session is found."""
 
 
 class FloorFinder:
@@ -75,6 +78,16 @@ def find_floor(body: Body, fused: NDArray[np.float64]) -> RigidTransform:
     ankles = fused[:, [body.joint("ankle left"), body.joint("ankle right")]]
     height = ANKLE - float(np.median((ankles @ up).min(axis=1)))
     return floor_frame(up, round(height / _CENTIMETRE) * _CENTIMETRE)
+
+
+def floor_under(rows: SessionArrays) -> RigidTransform:
+    """K_A ← floor of a whole session; level and at the assumed height where no frame has both ankles."""
+    body, fused = rows.body, rows.fused[:: len(rows) // _SAMPLES + 1]
+    ankles = [body.joint("ankle left"), body.joint("ankle right")]
+    whole = fused[np.isfinite(fused[:, ankles]).all(axis=(1, 2))]
+    if not len(whole):
+        return floor_frame(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT)
+    return find_floor(body, whole)
 
 
 def floor_frame(up: NDArray[np.float64], height: float) -> RigidTransform:

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.rigid import RigidTransform
-from recordings.appearance.floor import CAMERA_HEIGHT, find_floor, floor_frame
+from recordings.appearance.floor import floor_under
 from recordings.session import Session
 
 _MOST_BYTES = 650_000  # a page may have 1.5 MB, and the plots need most of the rest
@@ -33,7 +32,7 @@ def encoded_motion(session: Session, moments: Sequence[float]) -> dict[str, obje
         joints. ``sensors``: (2, 3) positions of A and B in metres.
     """
     rows = session.rows
-    floor = _floor(session).inverse()
+    floor = floor_under(rows).inverse()
     skeletons = np.stack((rows.positions_a, rows.b_in_a, rows.fused)).astype(np.float64)
     seconds = rows.time_ns * 1e-9
     most = _MOST_FRAMES
@@ -50,15 +49,6 @@ def encoded_motion(session: Session, moments: Sequence[float]) -> dict[str, obje
         "parents": list(session.body.parents),
         "sensors": sensors.round(3).tolist(),
     }
-
-
-def _floor(session: Session) -> RigidTransform:
-    """K_A ← floor of the whole session; level and at the assumed height where no frame has both ankles."""
-    ankles = [session.body.joint(f"ankle {side}") for side in ("left", "right")]
-    whole = session.fused[np.isfinite(session.fused[:, ankles]).all(axis=(1, 2))]
-    if not len(whole):
-        return floor_frame(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT)
-    return find_floor(session.body, whole)
 
 
 def _kept_frames(seconds: NDArray[np.floating], moments: Sequence[float], most: int) -> NDArray[np.intp]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fusion.body import KINECT_V2
+from recordings.appearance.floor import floor_under
 from recordings.fusing.files import without_folders
 from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
@@ -18,7 +19,7 @@ from tests.helpers.machine import need_browser
 from tests.helpers.two_views import calibration_of
 from viewer_app.report import motion as motion_module
 from viewer_app.report.figures import report, truth_free_figures
-from viewer_app.report.motion import _floor, _kept_frames, encoded_motion
+from viewer_app.report.motion import _kept_frames, encoded_motion
 from viewer_app.report.review_page import review_page
 from viewer_app.report.svg_plots import line_plot, skeleton_color
 
@@ -83,7 +84,7 @@ def test_the_motion_is_that_of_the_session_to_the_millimetre(session):
     code = low + 256 * high
     steps = np.where(code % 2, -(code + 1) // 2, code // 2).reshape(3, joints, 3, count)
     found = (np.cumsum(steps, axis=-1) + 2**15) % 2**16 - 2**15
-    floor = _floor(session)
+    floor = floor_under(session.rows)
     rows = np.searchsorted(session.time_ns * 1e-9, seconds - 1e-3)
     assert np.diff(seconds[:-1]).min() > 1 / 16  # the last frame is always there
     assert seconds[-1] == pytest.approx(session.time_ns[-1] * 1e-9)
