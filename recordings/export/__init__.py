@@ -3,10 +3,12 @@
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from recordings.errors import RecordingError
+from recordings.export.animation import Names
 from recordings.export.bvh import write_bvh
+from recordings.export.glb import write_glb
 from recordings.export.markers import write_c3d, write_trc
 from recordings.export.tables import write_long_csv, write_npz, write_parquet, write_wide_csv
 from recordings.session import Session
@@ -20,31 +22,42 @@ _WRITERS: dict[str, Writer] = {
     ".bvh": write_bvh,
     ".c3d": write_c3d,
     ".csv": write_long_csv,
+    ".glb": write_glb,
     ".npz": write_npz,
     ".parquet": write_parquet,
     ".trc": write_trc,
 }
 
 
-def writer_for(path: Path, table: Table = "long", rate: float | None = None) -> Writer:
+def writer_for(path: Path, table: Table = "long", rate: float | None = None, names: Names = "body") -> Writer:
     """Returns the writer for the suffix of a file.
 
     Args:
         table: Layout of a ``.csv``: one row per joint (``long``) or one row per frame (``wide``).
-        rate: Frames per second of a ``.bvh`` or ``.c3d``; that of the recording where None.
+        rate: Frames per second of a ``.bvh``, ``.c3d`` or ``.glb``; that of the recording where None.
+        names: Names of the bones of a ``.bvh`` or ``.glb``: the body's, of Unity's humanoid, or Mixamo's.
 
     Raises:
-        RecordingError: No format has this suffix, or a rate is given for one that keeps the recorded times.
+        RecordingError: No format has this suffix, or an option is given for one that has no use for it.
     """
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
         raise RecordingError(
             f"{path}: {path.suffix or 'no ending'} is no format to export to. Known: {', '.join(_WRITERS)}."
         )
+    options: dict[str, Any] = {}
     if rate is not None:
-        if writer not in (write_bvh, write_c3d):
-            raise RecordingError(f"--rate is for .bvh and .c3d; {path.suffix} keeps the recorded times.")
+        if writer not in (write_bvh, write_c3d, write_glb):
+            raise RecordingError(
+                f"--rate is for .bvh, .c3d and .glb; {path.suffix} keeps the recorded times."
+            )
         if not 1.0 <= rate <= 1000.0:
             raise RecordingError(f"--rate {rate:g}: a rate is 1 to 1000 frames per second.")
-        return partial(writer, rate=rate)
-    return write_wide_csv if writer is write_long_csv and table == "wide" else writer
+        options["rate"] = rate
+    if names != "body":
+        if writer not in (write_bvh, write_glb):
+            raise RecordingError(f"--names is for .bvh and .glb; {path.suffix} has the names of the joints.")
+        options["names"] = names
+    if writer is write_long_csv and table == "wide":
+        return write_wide_csv
+    return partial(writer, **options) if options else writer

@@ -1,17 +1,20 @@
-"""Export to marker files of biomechanics: C3D and OpenSim's TRC, in millimetres.
+"""Export to marker files of biomechanics: C3D and OpenSim's TRC, in millimetres above the floor.
 
 C3D has z up, an even rate, at which S* is interpolated, and residual -1 for a gap. TRC has y up, one time per
-frame, and empty cells for gaps.
+frame, and empty cells for gaps; as in OpenSim's models, a person who faces the first sensor faces +x.
 """
 
 import errno
 import os
+from itertools import count
+from math import isnan
 from pathlib import Path
 
 import numpy as np
 
+from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
-from recordings.export.even_frames import even_moments, y_up
+from recordings.export.even_frames import even_moments
 from recordings.session import Session
 
 # Vendors count further in parameters of their own; ezc3d and all that is built on it read none of those
@@ -20,6 +23,8 @@ _MOST_FRAMES = 65_535
 
 def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
     """Writes S* as points labelled with the joint names: x right, y forward, z up, as seen from K_A.
+
+    The origin lies on the floor, below K_A.
 
     Raises:
         RecordingError: ``ezc3d`` is not installed, or the session is too long for the format.
@@ -38,7 +43,8 @@ def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
             f"{even.rate:.6g} Hz; {session} has {len(even.time_ns)}. Export it in parts made with "
             "`duplex trim`, or as .trc."
         )
-    positions = session.at(even.time_ns) * 1e3  # (N, J, 3)
+    floor_from_a = floor_under(session.rows).inverse()
+    positions = floor_from_a.apply(session.at(even.time_ns)) * 1e3  # (N, J, 3)
     N, J = positions.shape[:2]
     points = np.full((4, J, N), np.nan)
     points[:3] = (positions[..., [0, 2, 1]] * [1.0, 1.0, -1.0]).transpose(2, 1, 0)
@@ -75,9 +81,13 @@ def write_trc(session: Session, path: Path) -> str:
         "\t\t" + "\t".join(f"X{j}\tY{j}\tZ{j}" for j in range(1, J + 1)),
         "",
     ]
-    millimetres = y_up(rows.fused).reshape(T, -1) * 1e3
-    for t, (time_ns, values) in enumerate(zip(rows.time_ns.tolist(), millimetres, strict=True)):
-        cells = ("" if np.isnan(v) else f"{v:.4f}" for v in values)
-        lines.append(f"{t + 1}\t{time_ns * 1e-9:.6f}\t" + "\t".join(cells))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    floor_from_a = floor_under(rows).inverse()
+    with path.open("w", encoding="utf-8") as file:
+        file.write("\n".join(lines) + "\n")
+        number = count(1)
+        for part in rows.parts():
+            millimetres = floor_from_a.apply(part.fused)[..., [2, 1, 0]].reshape(len(part), -1) * -1e3
+            for time_ns, values in zip(part.time_ns.tolist(), millimetres.tolist(), strict=True):
+                cells = ("" if isnan(v) else f"{v:.4f}" for v in values)
+                file.write(f"{next(number)}\t{time_ns * 1e-9:.6f}\t" + "\t".join(cells) + "\n")
     return f"{T} frames at the times they were recorded, {rate} Hz on average"

@@ -9,12 +9,14 @@ import pytest
 from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.rigid import RigidTransform
+from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
 from recordings.export import writer_for
 from recordings.export.even_frames import even_moments
 from recordings.file.session_writer import write_session
 from recordings.interpolation import positions_at, sigma_at
 from recordings.session import Session
+from tests.helpers.animations import bvh_joints
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.recalibrated import record_recalibrated
@@ -31,8 +33,9 @@ def session(request, tmp_path):
     return record_fused(tmp_path / "s.rrd", pairs, calibration_of(body))
 
 
-def y_up(positions):
-    return np.stack([positions[..., 0], -positions[..., 1], -positions[..., 2]], axis=-1)
+def on_floor(session, positions):
+    """Metres: x right, y up, z towards the sensor. test_animations.py has the floor on known truth."""
+    return floor_under(session.rows).inverse().apply(positions) * [1.0, -1.0, -1.0]
 
 
 def exported(session, name, **how):
@@ -79,7 +82,7 @@ def test_npz_has_every_array(session):
         assert tuple(arrays["joints"]) == session.body.joints
 
 
-def test_trc_is_in_millimetres_y_up_with_empty_cells_for_gaps(session):
+def test_trc_is_in_millimetres_x_forward_y_up_with_empty_cells_for_gaps(session):
     pandas = pytest.importorskip("pandas")
     path = exported(session, "s.trc")
     lines = path.read_text(encoding="utf-8").split("\n")
@@ -88,7 +91,8 @@ def test_trc_is_in_millimetres_y_up_with_empty_cells_for_gaps(session):
     assert [name for name in lines[3].split("\t")[2:] if name] == list(session.body.joints)
     table = pandas.read_csv(path, sep="\t", skiprows=6, header=None, skip_blank_lines=False)
     joints = table.iloc[:, 2:].to_numpy(dtype=float).reshape(session.rows.fused.shape)
-    np.testing.assert_allclose(joints, 1e3 * y_up(session.rows.fused), atol=1e-4)
+    right, up, towards = np.moveaxis(1e3 * on_floor(session, session.rows.fused), -1, 0)
+    np.testing.assert_allclose(joints, np.stack([towards, up, -right], axis=-1), atol=1e-4)
     np.testing.assert_allclose(table[1], session.rows.time_ns * 1e-9, atol=1e-6)
 
 
@@ -109,8 +113,9 @@ def test_c3d_is_read_by_another_library(session):
         if recorded.get(time_ns) in GAP or np.isnan(at).any():
             assert (points[:, 3] == -1).all()
             continue
-        x, y, z = 1e3 * at.T
-        np.testing.assert_allclose(points[:, :3], np.stack([x, z, -y], axis=1), atol=1e-3)  # float32, metres
+        right, up, towards = 1e3 * on_floor(session, at).T
+        expected = np.stack([right, -towards, up], axis=1)
+        np.testing.assert_allclose(points[:, :3], expected, atol=1e-3)  # float32, metres
 
 
 def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(session):
@@ -122,19 +127,7 @@ def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(sess
     there = session.at(even.time_ns)
     known = np.maximum.accumulate(np.where(np.isnan(there).any(axis=(1, 2)), 0, np.arange(len(there))))
     assert (known < np.arange(len(there))).sum() >= len(GAP)  # the last pose is held
-    np.testing.assert_allclose(bvh_joints(path, body), y_up(there[known]), atol=1e-4)
-
-
-def bvh_joints(path, body):
-    """(N, J, 3) metres, as another library makes them of the file."""
-    bvhio = pytest.importorskip("bvhio")
-    root = bvhio.readAsHierarchy(str(path))
-    nodes = {node.Name: node for node, _, _ in root.layout()}
-    found = []
-    for moment in range(len(root.Keyframes)):
-        root.loadPose(moment)
-        found.append([np.array(nodes[joint].PositionWorld) for joint in body.joints])
-    return np.array(found) / 100.0
+    np.testing.assert_allclose(bvh_joints(path, body), on_floor(session, there[known]), atol=1e-4)
 
 
 def test_bvh_has_the_frames_of_the_last_bone_lengths_and_says_so(tmp_path):
@@ -148,11 +141,13 @@ def test_bvh_has_the_frames_of_the_last_bone_lengths_and_says_so(tmp_path):
     said = writer_for(path)(session, path)
     assert "18 frames at a constant 30 Hz; without the 12 frames before" in said
     assert "duplex trim --to 0.383" in said  # between frames 11 and 12
-    np.testing.assert_allclose(bvh_joints(path, KINECT_V2), y_up(session.rows.fused[12:]), atol=1e-4)
+    np.testing.assert_allclose(
+        bvh_joints(path, KINECT_V2), on_floor(session, session.rows.fused[12:]), atol=1e-4
+    )
     write_session(session, tmp_path / "before.rrd", first=0, end=12)
     before = Session.open(tmp_path / "before.rrd")
     assert "without" not in writer_for(path)(before, path)
-    np.testing.assert_allclose(bvh_joints(path, KINECT_V2), y_up(session.rows.fused[:12]), atol=1e-4)
+    np.testing.assert_allclose(bvh_joints(path, KINECT_V2), on_floor(before, before.rows.fused), atol=1e-4)
 
 
 def paused(tmp_path, frames):
@@ -217,6 +212,8 @@ def test_a_rate_is_for_formats_without_times(session, tmp_path):
     assert f"Frames: {round(seconds * 60.0) + 1}\n" in header
     with pytest.raises(RecordingError, match="keeps the recorded times"):
         writer_for(tmp_path / "s.csv", rate=60.0)
+    with pytest.raises(RecordingError, match=r"--names is for \.bvh and \.glb; \.trc has"):
+        writer_for(tmp_path / "s.trc", names="mixamo")
     with pytest.raises(RecordingError, match="1 to 1000"):
         writer_for(path, rate=0.0)
 

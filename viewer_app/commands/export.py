@@ -12,7 +12,7 @@ from viewer_app.report.terminal import print_damage
 def run(options: ExportOptions) -> None:
     """Runs the command."""
     console = Console(highlight=False)
-    write = writer_for(options.to, options.table, options.rate)
+    write = writer_for(options.to, options.table, options.rate, options.names)
     check_outputs([options.to], [options.session], options.force)
     session = Session.open(options.session)
     print_damage(console, session)

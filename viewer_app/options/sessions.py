@@ -112,7 +112,7 @@ class ReviewOptions(WebOptions, SummaryOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Write S* for another program: .bvh, .c3d, .csv, .npz, .parquet or .trc, by the file's ending."""
+    """Write S* for another program: .bvh, .c3d, .csv, .glb, .npz, .parquet or .trc, by the file's ending."""
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to export."""
@@ -121,6 +121,8 @@ class ExportOptions:
     table: Literal["long", "wide"] = "long"
     """Layout of a .csv: one row per joint and skeleton, or one row per frame with S* only."""
     rate: float | None = None
-    """Frames per second of a .bvh or .c3d; that of the recording if not given."""
+    """Frames per second of a .bvh, .c3d or .glb; that of the recording if not given."""
+    names: Literal["body", "humanoid", "mixamo"] = "body"
+    """Names of bones in a .bvh or .glb: those of the joints, of Unity's humanoid, or of Mixamo."""
     force: bool = False
     """Overwrite a file that exists."""

@@ -110,6 +110,7 @@ def test_a_replay_with_other_settings_is_compared_with_the_first(session, tmp_pa
         ("trim {} --from 2 --to 1 --save none.rrd", "--from 2 must be before --to 1"),
         ("export {} --to s.fbx", "Known: .bvh"),
         ("export {} --to taken.bvh", "--force"),
+        ("export {} --to s.c3d --names mixamo", "--names is for .bvh and .glb; .c3d has the names"),
     ],
 )
 def test_a_mistake_gives_one_line(session, command, words, tmp_path, monkeypatch, capsys):
@@ -225,7 +226,7 @@ def test_info_says_what_is_in_it_and_what_is_missing(session, tmp_path, capsys):
 
 
 def test_export_writes_by_the_files_ending(session, tmp_path, capsys):
-    names = ["T.C3D", "s.bvh", "s.c3d", "s.csv", "s.npz", "s.parquet", "s.trc"]
+    names = ["T.C3D", "s.bvh", "s.c3d", "s.csv", "s.glb", "s.npz", "s.parquet", "s.trc"]
     for name in names:
         assert duplex("export", session, "--to", tmp_path / name) == 0
         assert (tmp_path / name).stat().st_size > 1000
@@ -259,7 +260,7 @@ def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(tmp_path, cap
     assert duplex("replay", part, "--verify") == 0
 
 
-@pytest.mark.parametrize("ending", ["rrd", "c3d", "csv", "parquet"])
+@pytest.mark.parametrize("ending", ["rrd", "bvh", "c3d", "csv", "glb", "parquet", "trc"])
 def test_a_full_disk_ends_with_one_line_and_no_file(session, tmp_path, capsys, ending):
     name = f"s.{ending}"
     for kilobytes in (4, 20):  # the smallest file has 37 kB
