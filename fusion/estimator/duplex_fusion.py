@@ -10,7 +10,7 @@ from numba import typeof
 from fusion.array_fields import new_arrays
 from fusion.estimator.arrays import Filter, Model, Output, Solve, State, Views, new_model
 from fusion.estimator.constants import Constants
-from fusion.estimator.estimator import estimate_pairs
+from fusion.estimator.estimator import boxed, estimate_pairs
 from fusion.estimator.smoother import Trace, smooth_pairs
 from fusion.estimator.views import relabel
 from fusion.facing.model import FacingState, new_facing_model
@@ -42,6 +42,7 @@ class DuplexFusion:
             views=new_arrays(Views, J=joints),
             solve=new_arrays(Solve, J=joints),
         )
+        self._boxed = boxed(self._filter)
         self._setup = setup
         self._no_trace = new_arrays(Trace, T=0, J=joints)
 
@@ -65,6 +66,7 @@ class DuplexFusion:
         seen = np.isfinite(moved).all(axis=1)
         state.offsets[1][seen] += moved[seen]
         self._setup, self._filter = setup, self._filter._replace(model=self._model_of(setup))
+        self._boxed = boxed(self._filter)
 
     def _model_of(self, setup: FusionSetup) -> Model:
         calibration = setup.calibration
@@ -86,7 +88,7 @@ class DuplexFusion:
         frames, joints = pairs.a.shape[:2]
         output = new_arrays(Output, T=frames, J=joints)
         trace = new_arrays(Trace, T=frames, J=joints) if smooth else self._no_trace
-        estimate_pairs(self._filter, pairs, output, trace)
+        estimate_pairs(self._boxed, pairs, output, trace)
         if smooth:
             smooth_pairs(self._filter.model, self._filter.solve, trace, output)
         return FusedFrames(output, self._setup.calibration.a_from_b, pairs.time_ns)

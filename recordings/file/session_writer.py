@@ -32,7 +32,7 @@ from recordings.file.rrd_file import damage_of
 from recordings.session_data import SessionData
 from recordings.writing.recorder import Recorder
 
-_BLOCK, _MOST_BLOCKS = 300, 150
+_BLOCK, _MOST_BLOCKS = 300, 256
 """Frames per write: a file that is cut off loses at most ten seconds more than what is missing.
 One of more than 25 minutes loses more: Rerun keeps 0.4 MB of each block until the file is complete, and
 7 kB of each frame while it writes a block."""
