@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import filecmp
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from devices.people import RecordedPeople, one_person
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.conventions import Unit
 from devices.skeletons.file_sensor import SkeletonRecording
+from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
@@ -43,6 +44,8 @@ def open_source(
     option: str = "",
     unit: Unit = "auto",
     progress: Progress = quietly,
+    axes: str = "",
+    names: str = "",
 ) -> Sensor:
     """Creates the sensor for a recording; opens nothing.
 
@@ -54,21 +57,23 @@ def open_source(
         skeletons: The skeletons of an Azure Kinect recording, saved before.
         tracker: The body tracker, where one is needed. None: chosen for this machine.
         option: What the option that gives ``skeletons`` is called, for the message.
-        unit: Unit of the positions of a ``.csv``; found from the size of the person where ``auto``.
+        unit, axes, names: Of a ``.csv``; see :class:`devices.skeletons.stated_format.StatedFormat`.
         progress: Shows how far reading a ``.csv`` is.
 
     Raises:
         DeviceError: Skeletons for a file that has its own, or a tracker that cannot take its images.
     """
+    stated = StatedFormat(unit, axes, names)
     if not has_images(path):
         if skeletons is not None:
             raise DeviceError(f"{path.name} has its own skeletons; {option} {skeletons} is for an .mkv.")
-        return SkeletonRecording(path, unit, progress)
+        return SkeletonRecording(path, stated, progress)
     images = open_images(path)
     if skeletons is not None:
         if not isinstance(images, MkvRecording):
             raise DeviceError(f"{option} {skeletons} is for an .mkv; {path.name} is tracked.")
-        return RecordingWithSkeletons(images, SkeletonRecording(skeletons, unit))
+        return RecordingWithSkeletons(images, SkeletonRecording(skeletons, stated))
+    stated.refuse_for(path)
     tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(path))
     if tracker.name == "blazepose" or not isinstance(images, MkvRecording):
         return TrackedImages(images, tracker.blazepose)
@@ -127,6 +132,7 @@ class TwoRecordings:
         images: The files that hold depth images, A's and B's; None for skeletons alone.
         tracker: The body tracker that found the people; empty where the files had skeletons.
         clock: The offset by which B's times were corrected; None where they are as recorded.
+        stated: What was stated about the files.
     """
 
     body: Body
@@ -136,6 +142,7 @@ class TwoRecordings:
     images: tuple[Path | None, Path | None] = (None, None)
     tracker: str = ""
     clock: ClockOffset | None = None
+    stated: StatedFormat = UNSTATED
 
     def cameras(self, depth: Depth) -> tuple[Intrinsics | None, Intrinsics | None]:
         """The intrinsics, for depth images as they are logged."""
@@ -170,14 +177,14 @@ class RecordingChoice:
         path: Recorded skeletons, an Azure Kinect recording, or a recording of Orbbec's SDK v2.
         skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
         person: Id of the person; the one seen longest where None.
-        unit: Unit of the positions of a ``.csv``; found from the size of the person where ``auto``.
+        stated: What is stated about a ``.csv``: unit, axes, names of the joints.
         skeletons_option, person_option: What the caller's user knows these two as, for messages.
     """
 
     path: Path
     skeletons: Path | None = None
     person: str | None = None
-    unit: Unit = "auto"
+    stated: StatedFormat = UNSTATED
     skeletons_option: str = "skeletons"
     person_option: str = "person"
 
@@ -215,7 +222,14 @@ def read_two(
     if tracked:
         tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(choice_a.path, choice_b.path))
     a, b = (
-        open_source(choice.path, choice.skeletons, tracker, choice.skeletons_option, choice.unit, progress)
+        open_source(
+            choice.path,
+            choice.skeletons,
+            tracker,
+            choice.skeletons_option,
+            progress=progress,
+            **asdict(choice.stated),
+        )
         for choice in (choice_a, choice_b)
     )
     read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
@@ -248,9 +262,8 @@ def read_two(
     warnings = *read_a.warnings, *read_b.warnings, *about_clocks
     path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
     name = tracker.full_name if tracked and tracker is not None else ""
-    return TwoRecordings(
-        a.body, pairing, (a.intrinsics, b.intrinsics), warnings, (path_a, path_b), name, clock
-    )
+    cameras, paths = (a.intrinsics, b.intrinsics), (path_a, path_b)
+    return TwoRecordings(a.body, pairing, cameras, warnings, paths, name, clock, choice_a.stated)
 
 
 def _clock_correction(body: Body, a: View, b: View) -> ClockOffset | None:

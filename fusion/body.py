@@ -297,6 +297,5 @@ def body_of(joint_names: set[str]) -> Body:
     strangers = sorted(name for name in joint_names if nearest.find(name) is None)
     raise FusionError(
         f"Unknown joint {', '.join(repr(name[:40]) for name in strangers[:4])}: the nearest body, "
-        f"{nearest.name}, has {', '.join(nearest.joints)}. Rename yours, with pandas: "
-        f"table['joint'] = table['joint'].replace({{{strangers[0][:40]!r}: 'NAME'}})."
+        f"{nearest.name}, has {', '.join(nearest.joints)}. Name yours in a table: --names FILE.toml."
     )

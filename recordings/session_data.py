@@ -86,7 +86,7 @@ class SessionData:
     def origin(self) -> dict[str, str | float]:
         """What the session keeps of the capture that it was made of, for a session made of this one."""
         clocks = "clock_corrected_ms", "clock_offset_ms", "clock_sd_ms"
-        names = "tracker", "replay_of", *clocks, "dropped_a", "dropped_b"
+        names = "tracker", "replay_of", *clocks, "dropped_a", "dropped_b", "axes", "joint_names"
         known = self.about["session"]
         return {name: known[name][0] for name in names if name in known}
 

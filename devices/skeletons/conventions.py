@@ -34,7 +34,20 @@ comes near."""
 _FEWEST_BONES = 3
 _FEWEST_TIMES = 3
 _SHORTEST_US, _LONGEST_US = 2_000.0, 5_000_000.0
-"""Sensors give 5 to 120 frames per second; in milliseconds or nanoseconds the numbers are far outside."""
+"""The interval of frames for which the unit that a column names is taken without a question."""
+_TRACKER_US = 6_000.0, 250_000.0
+"""Body trackers give 5 to 120 frames per second. An interval in a file lies in this range in one unit, or in
+none, and never in the range above in another one."""
+TIME_COLUMNS: MappingProxyType[str, tuple[float, str]] = MappingProxyType(
+    {
+        "time_us": (1.0, "microseconds"),
+        "time_ms": (1e3, "milliseconds"),
+        "time_s": (1e6, "seconds"),
+        "time_ns": (1e-3, "nanoseconds"),
+        "time": (1.0, "microseconds"),
+    }
+)
+"""Microseconds per unit, and the unit's name, by the name of a column of times; ``time`` names no unit."""
 _LARGEST = 1e9  # in any unit; a larger number is an error
 _FROZEN_FRAMES = 15  # a person can be seen as standing still for some frames
 _UPSIDE_DOWN_M = 0.3
@@ -93,7 +106,8 @@ def check_metres_forward(name: object, xyz: NDArray[np.float64]) -> None:
         )
     if np.median(xyz[..., 2].ravel()[known]) < 0.0:
         raise DeviceError(
-            f"{name}: most joints have a negative z. The z axis must point forward, towards the person."
+            f"{name}: most joints have a negative z. The z axis must point forward, towards the person; "
+            "state the file's axes with --axes."
         )
 
 
@@ -120,21 +134,39 @@ def impossible_in_words(name: object, count: int, where: str, value: NDArray[np.
     )
 
 
-def check_microseconds(name: object, times_us: NDArray[np.int64]) -> None:
-    """Refuses (T,) capture times in another unit.
+def find_time_unit(name: object, column: str, times: NDArray[np.number]) -> tuple[float, str]:
+    """Finds the unit of capture times from their interval.
+
+    Args:
+        column: The name of the column, of :data:`TIME_COLUMNS`.
+        times: (T,) different times as the file has them, ascending.
+
+    Returns:
+        Microseconds per unit, and a line for the user if it is not the unit that the column names.
 
     Raises:
-        DeviceError: The median interval is no sensor's.
+        DeviceError: The median interval is no body tracker's in any unit.
     """
-    if len(times_us) < _FEWEST_TIMES:
-        return
-    interval = float(np.median(np.diff(times_us)))
-    if not _SHORTEST_US <= interval <= _LONGEST_US:
-        unit = "milliseconds" if interval < _SHORTEST_US else "nanoseconds"
-        raise DeviceError(
-            f"{name}: the frames are {interval:g} µs apart (median). time_us must be microseconds; are these "
-            f"{unit}?"
-        )
+    stated, words = TIME_COLUMNS[column]
+    if len(times) < _FEWEST_TIMES:
+        return stated, ""
+    interval = float(np.median(np.diff(times)))
+    if _SHORTEST_US <= interval * stated <= _LONGEST_US:
+        return stated, "" if column != "time" else _taken_as(name, column, words, interval * stated)
+    for per_unit, words in TIME_COLUMNS.values():
+        if _TRACKER_US[0] <= interval * per_unit <= _TRACKER_US[1]:
+            return per_unit, _taken_as(name, column, words, interval * per_unit)
+    raise DeviceError(
+        f"{name}: the unit of {column} is unclear; its median interval of {interval:g} is in no unit that of "
+        "5 to 120 frames per second. Name the column time_s, time_ms, time_us or time_ns by its unit."
+    )
+
+
+def _taken_as(name: object, column: str, words: str, interval_us: float) -> str:
+    return (
+        f"{name}: {column} is taken as {words}, so that there are {1e6 / interval_us:.3g} frames per second. "
+        "Name the column time_s, time_ms, time_us or time_ns to state the unit."
+    )
 
 
 def upside_down(name: str, body: Body, frames: Sequence[SensorFrame]) -> list[str]:
@@ -154,8 +186,8 @@ def upside_down(name: str, body: Body, frames: Sequence[SensorFrame]) -> list[st
     if len(known) == 0 or np.mean(known > _UPSIDE_DOWN_M) <= _ALMOST_ALWAYS:
         return []
     return [
-        f"{name}: the head is below the feet in almost every frame. The y axis must point down; if it points "
-        "up, change the sign of y (Kinect SDK: of x and y)."
+        f"{name}: the head is below the feet in almost every frame. The y axis must point down; state the "
+        "file's axes with --axes (kinect, unity, opengl, ros, or a list)."
     ]
 
 

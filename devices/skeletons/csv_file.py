@@ -1,4 +1,7 @@
-"""Reads skeletons from CSV, one row per joint: ``time_us,body,joint,x,y,z[,state]``; metres, sensor frame."""
+"""Reads skeletons from CSV, one row per joint: ``time_us,body,joint,x,y,z[,state]``; metres, sensor frame.
+
+The files of other programs may have other units, axes and names.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +17,17 @@ from numpy.typing import NDArray
 from devices.people import RecordedPeople
 from devices.sensor import DeviceError
 from devices.skeletons.conventions import (
-    Unit,
     check_metres_forward,
-    check_microseconds,
+    find_time_unit,
     find_unit,
     impossible,
     impossible_in_words,
     stature_of,
 )
 from devices.skeletons.csv_text import TextRows, codes, line_of_row, refuse_cut_off, states_of, text_rows
+from devices.skeletons.name_tables import listed
 from devices.skeletons.read_file import ReadFile
-from fusion.body import Body, body_of
-from fusion.errors import FusionError
+from devices.skeletons.stated_format import UNSTATED, FilePoints, StatedFormat
 from fusion.large_arrays import stored
 from fusion.pair_arrays import View, joined_views
 from fusion.progress import Progress, quietly
@@ -35,9 +37,10 @@ LATEST_US = 9 * 10**15
 """Largest time, so that nanoseconds fit into 64 bits."""
 
 _BLOCK = 4_000_000  # bytes that are read at once
+_FEW_TIMES = 3  # of a block; fewer tell no unit
 
 
-def read_csv(path: Path, unit: Unit = "auto", progress: Progress = quietly) -> ReadFile:
+def read_csv(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> ReadFile:
     """Reads a CSV file. Columns are separated by commas, semicolons or tabs.
 
     Where commas do not separate columns, numbers may have a decimal comma. ``state`` is tracked, inferred or
@@ -46,13 +49,13 @@ def read_csv(path: Path, unit: Unit = "auto", progress: Progress = quietly) -> R
 
     Raises:
         DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, a
-            repeated joint; the message names the line. Or times that are no microseconds, or positions
-            of an unknown unit, or behind the sensor.
+            repeated joint; the message names the line. Or times or positions of an unknown unit, or positions
+            behind the sensor, or of a person who is a mirror image by the stated axes.
     """
     try:
-        return _Reader(path, unit).read(_BLOCK, progress)
+        return _Reader(path, stated).read(_BLOCK, progress)
     except _NotInBlocksError:
-        return _Reader(path, unit).read(-1, progress)
+        return _Reader(path, stated).read(-1, progress)
 
 
 class _NotInBlocksError(Exception):
@@ -62,10 +65,11 @@ class _NotInBlocksError(Exception):
 class _Reader:
     """Turns the rows of a file into skeletons, block after block."""
 
-    def __init__(self, path: Path, unit: Unit) -> None:
-        self._path, self._unit = path, unit
-        self._body: Body | None = None
+    def __init__(self, path: Path, stated: StatedFormat) -> None:
+        self._path, self._stated = path, stated
+        self._points: FilePoints | None = None
         self._metres: float | None = None
+        self._us: float | None = None  # microseconds per unit of time
         self._people: dict[str, int] = {}
         self._times: list[NDArray[np.int64]] = [np.zeros(0, dtype=np.int64)]
         self._index: list[NDArray[np.int64]] = []
@@ -80,15 +84,17 @@ class _Reader:
         count = -(-self._path.stat().st_size // size) if self._in_blocks else 1
         skeletons = joined_views(progress(self._blocks(size), f"reading {self._path.name}", count))
         pa.default_memory_pool().release_unused()
-        assert self._body is not None
+        assert self._points is not None
+        body = self._points.body
         frame, person = np.concatenate(self._index, axis=1)
         if self._wrong is not None:
             row, place = self._wrong
             where = f"in line {line_of_row(self._path, row)}"
             self._warnings["impossible"] = impossible_in_words(self._path, self._impossible, where, place)
         (times,) = stored(np.concatenate(self._times) * 1000)
-        people = RecordedPeople(self._body, times, list(self._people), frame, person, skeletons)
-        return ReadFile(self._body, people, tuple(self._warnings.values()))
+        self._stated.check_handed(self._path, body, skeletons.positions)
+        people = RecordedPeople(body, times, list(self._people), frame, person, skeletons)
+        return ReadFile(body, people, tuple(self._warnings.values()))
 
     def _blocks(self, size: int) -> Iterator[View]:
         """The skeletons of each block; its last two frames wait for the next one, which may continue them."""
@@ -111,45 +117,63 @@ class _Reader:
                 self._rows += whole
 
     def _numbers(self, text: TextRows) -> tuple[NDArray[Any], ...]:
-        """Time, person, joint, x, y, z and state of each row."""
-        time_us = text.numbers("time_us", pa.int64())
+        """Time, person, point, x, y, z and state of each row."""
+        time_us = self._microseconds(text)
         xyz = np.stack([text.numbers(axis, pa.float64()) for axis in "xyz"], axis=1)
         states = states_of(text)
-        if max(time_us.max(), -(time_us.min() + 1)) >= LATEST_US:  # the least integer has no absolute value
-            raise DeviceError(f"{self._path}: time_us goes beyond {LATEST_US}; times are microseconds.")
         people, person = codes(text.table, "body")
         numbers = [self._people.setdefault(name, len(self._people)) for name in people]
         names, name = codes(text.table, "joint")
-        if self._body is None:
-            try:
-                self._body = body_of(set(names))
-            except FusionError as error:
-                raise DeviceError(f"{self._path}: {error}") from None
-        if any(self._body.find(joint) is None for joint in names):
+        if self._points is None:
+            self._points = self._check(self._stated.points, self._path, names)
+            assert self._points is not None
+            if left_out := self._points.left_out:
+                self._warnings["names"] = (
+                    f"{self._path}: by {self._stated.names} these points are no joints: {listed(left_out)}."
+                )
+        points = [self._points.find(point) for point in names]
+        if None in points:
             raise _NotInBlocksError
-        joints = np.array([self._body.joint(joint) for joint in names])
-        return time_us, np.array(numbers)[person], joints[name], xyz, states
+        return time_us, np.array(numbers)[person], np.array(points)[name], self._stated.turned(xyz), states
+
+    def _microseconds(self, text: TextRows) -> NDArray[np.int64]:
+        """The times, rounded."""
+        times = text.times()
+        if self._us is None:
+            different = np.unique(times)
+            if self._in_blocks and len(different) < _FEW_TIMES:
+                raise _NotInBlocksError
+            self._us, warning = self._check(find_time_unit, self._path, text.time, different)
+            if warning:
+                self._warnings["time"] = warning
+        assert self._us is not None
+        if max(float(times.max()), -float(times.min())) * self._us >= LATEST_US:
+            raise DeviceError(f"{self._path}: {text.time} goes beyond {LATEST_US} microseconds.")
+        exact = self._us == 1.0 and times.dtype == np.int64
+        return times if exact else np.rint(times * self._us).astype(np.int64)
 
     def _skeletons(self, rows: tuple[NDArray[Any], ...]) -> View:
         """The skeletons of whole frames."""
-        path, body, (time_us, person, joint, xyz, states) = self._path, self._body, rows
-        assert body is not None
+        path, points, (time_us, person, point, xyz, states) = self._path, self._points, rows
+        assert points is not None
+        body = points.body
         times, frame = np.unique(time_us, return_inverse=True)
         if len(self._times[-1]) and times[0] <= self._times[-1][-1]:
             raise _NotInBlocksError
-        self._check(check_microseconds, path, times)
-        self._warn_backward(time_us, person * len(body) + joint)
+        self._warn_backward(time_us, person * len(points) + point)
         key, row = np.unique(frame * len(self._people) + person, return_inverse=True)
-        slot = row * len(body) + joint
+        slot = row * len(points) + point
         self._refuse_repeated(slot)
-        positions = np.full((len(key), len(body), 3), np.nan)
-        state = np.zeros((len(key), len(body)), dtype=np.uint8)
-        positions.reshape(-1, 3)[slot] = xyz
+        at = np.full((len(key), len(points), 3), np.nan)
+        state = np.zeros((len(key), len(points)), dtype=np.uint8)
+        at.reshape(-1, 3)[slot] = xyz
         state.reshape(-1)[slot] = states
+        positions, state = points.joints(at, state)
         if self._metres is None:
-            if self._in_blocks and self._unit == "auto" and stature_of(body, positions) is None:
+            unit = self._stated.unit
+            if self._in_blocks and unit == "auto" and stature_of(body, positions) is None:
                 raise _NotInBlocksError
-            self._metres, warning = self._check(find_unit, path, body, positions, self._unit)
+            self._metres, warning = self._check(find_unit, path, body, positions, unit)
             if warning:
                 self._warnings["unit"] = warning
         positions *= self._metres
@@ -174,9 +198,9 @@ class _Reader:
     def _refuse_repeated(self, slot: NDArray[np.int64]) -> None:
         order = np.argsort(slot, kind="stable")
         again = order[1:][slot[order][1:] == slot[order][:-1]]
-        if len(again) and self._body is not None:
+        if len(again) and self._points is not None:
             row = int(again.min())
-            joint = self._body.joints[int(slot[row]) % len(self._body)]
+            joint = self._points.named(int(slot[row]) % len(self._points))
             raise DeviceError(
                 f"{self._path}: joint {joint} of one person has two rows in one frame, the second in line "
                 f"{line_of_row(self._path, self._rows + row)}."
@@ -191,7 +215,7 @@ class _Reader:
         if len(back) and "backward" not in self._warnings:
             line = line_of_row(self._path, self._rows + int(back.min()))
             self._warnings["backward"] = (
-                f"{self._path}: time_us goes back in line {line}; the frames were sorted by time."
+                f"{self._path}: the time goes back in line {line}; the frames were sorted by time."
             )
 
     def _count_impossible(self, metres: NDArray[np.float64], states: NDArray[np.uint8]) -> None:

@@ -17,10 +17,11 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
+from devices.skeletons.conventions import TIME_COLUMNS
 from devices.skeletons.read_file import text_blocks
 from fusion.skeleton import TrackingState
 
-COLUMNS = ("time_us", "body", "joint", "x", "y", "z")
+COLUMNS = ("body", "joint", "x", "y", "z")
 _LONGEST_HEADER = 65_536  # bytes
 _SEPARATORS = (",", ";", "\t")
 _STATES = {
@@ -37,6 +38,7 @@ class TextRows:
     raw: bytes
     path: Path
     first: int  # number of the first of these rows in the file
+    time: str  # name of the column of times
     decimal_comma: bool  # whether numbers may be written with a comma
 
     def line(self, row: int) -> int:
@@ -62,10 +64,22 @@ class TextRows:
                     pa.scalar(value).cast(kind)
                 except pa.ArrowInvalid:
                     wanted = "a whole number" if kind == pa.int64() else "a number"
-                    raise DeviceError(
-                        f"{self.path}, line {self.line(row)}: {column} must be {wanted}; got {value[:40]!r}."
-                    ) from None
+                    raise self._not(wanted, column, row, value) from None
             raise
+
+    def times(self) -> NDArray[Any]:
+        """The times as whole numbers, or as decimals where one of them is."""
+        with suppress(DeviceError):
+            return self.numbers(self.time, pa.int64())
+        values = self.numbers(self.time, pa.float64())
+        for row in np.flatnonzero(~np.isfinite(values))[:1]:
+            raise self._not("a number", self.time, int(row), self.table[self.time][int(row)].as_py())
+        return values
+
+    def _not(self, wanted: str, column: str, row: int, value: str) -> DeviceError:
+        return DeviceError(
+            f"{self.path}, line {self.line(row)}: {column} must be {wanted}; got {value[:40]!r}."
+        )
 
 
 def text_rows(path: Path, size: int) -> Iterator[TextRows]:
@@ -80,7 +94,8 @@ def text_rows(path: Path, size: int) -> Iterator[TextRows]:
             continue
         table = _table(path, raw, columns, separator, header)
         if table.num_rows:
-            yield TextRows(table, raw, path, first, decimal_comma=separator != ",")
+            time = next(name for name in TIME_COLUMNS if name in columns)
+            yield TextRows(table, raw, path, first, time, decimal_comma=separator != ",")
         first += table.num_rows
     if first == 0:
         raise DeviceError(f"{path} has a header and no rows.")
@@ -91,13 +106,15 @@ def _columns(path: Path, raw: bytes) -> tuple[list[str], str]:
     header = raw[:_LONGEST_HEADER].splitlines()[0].decode("utf-8-sig", "replace")
     separator = max(_SEPARATORS, key=header.count)
     columns = [name.strip() for name in next(csv.reader([header], delimiter=separator), [])]
-    if not set(COLUMNS) <= set(columns):  # X beside x is a column of its own
-        columns = [name.lower() for name in columns]
+    if not set(COLUMNS) <= set(columns) or not TIME_COLUMNS.keys() & set(columns):
+        columns = [name.lower() for name in columns]  # X beside x is a column of its own
     missing = [name for name in COLUMNS if name not in columns]
+    if not TIME_COLUMNS.keys() & set(columns):
+        missing.insert(0, next(iter(TIME_COLUMNS)))
     if missing:
         raise DeviceError(
-            f"{path}: no column {', '.join(missing)}. Columns must be {','.join(COLUMNS)} and optionally "
-            f"state; the file begins with {header[:80]!r}."
+            f"{path}: no column {', '.join(missing)}. Columns must be time_us,{','.join(COLUMNS)} and "
+            f"optionally state; the file begins with {header[:80]!r}."
             + (" This looks like JSON: name it .json." if header.lstrip().startswith(("{", "[")) else "")
         )
     if len(set(columns)) < len(columns):

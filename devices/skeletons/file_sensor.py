@@ -8,16 +8,17 @@ from types import MappingProxyType
 
 from devices.people import RecordedPeople
 from devices.sensor import DeviceError, Sensor, SensorFrame
-from devices.skeletons.conventions import Unit, frozen, upside_down
+from devices.skeletons.conventions import frozen, upside_down
 from devices.skeletons.csv_file import read_csv
 from devices.skeletons.ntu import read_ntu
 from devices.skeletons.offline_processor import read_json
 from devices.skeletons.read_file import ReadFile
+from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 from fusion.progress import Progress, quietly
 
-Reader = Callable[[Path, Unit, Progress], ReadFile]
+Reader = Callable[[Path, StatedFormat, Progress], ReadFile]
 
 READERS: MappingProxyType[str, Reader] = MappingProxyType(
     {".csv": read_csv, ".json": read_json, ".skeleton": read_ntu}
@@ -28,12 +29,12 @@ READERS: MappingProxyType[str, Reader] = MappingProxyType(
 class SkeletonRecording(Sensor):
     """A file of recorded skeletons; it is read completely when it is opened."""
 
-    def __init__(self, path: Path, unit: Unit = "auto", progress: Progress = quietly) -> None:
+    def __init__(self, path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> None:
         self.name = str(path)
         self.intrinsics: Intrinsics | None = None
         self.warnings: Sequence[str] = ()
         self._path = path
-        self._unit, self._progress = unit, progress
+        self._stated, self._progress = stated, progress
         self._body: Body | None = None
         self._people: RecordedPeople | None = None
 
@@ -61,7 +62,7 @@ class SkeletonRecording(Sensor):
                 f"Known: {', '.join(READERS)}; with images: .mkv, .bag."
             )
         try:
-            read = reader(self._path, self._unit, self._progress)
+            read = reader(self._path, self._stated, self._progress)
         except FileNotFoundError:
             raise DeviceError(f"No file {self.name}.") from None
         except OSError as error:

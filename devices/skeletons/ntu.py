@@ -7,8 +7,8 @@ import numpy as np
 
 from devices.people import RecordedPeople
 from devices.sensor import DeviceError, SensorFrame
-from devices.skeletons.conventions import Unit
 from devices.skeletons.read_file import ReadFile, text_bytes
+from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from fusion.body import KINECT_V2
 from fusion.progress import Progress, quietly
 from fusion.skeleton import Skeleton
@@ -20,13 +20,14 @@ FRAME_NS = 33_333_333
 _SENSOR_FROM_CAMERA_SPACE = np.array([-1.0, -1.0, 1.0])
 
 
-def read_ntu(path: Path, unit: Unit = "auto", progress: Progress = quietly) -> ReadFile:
+def read_ntu(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> ReadFile:
     """Reads a ``.skeleton`` file; its positions are always metres.
 
     Raises:
         DeviceError: The file is empty or cut off, or has an invalid line; the message names the line.
     """
-    del unit, progress
+    stated.refuse_for(path)
+    del progress
     lines = _Lines(path)
     frames = []
     for number in range(lines.whole_number("frame count")):

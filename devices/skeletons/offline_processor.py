@@ -7,22 +7,23 @@ from typing import Any
 import numpy as np
 
 from devices.sensor import DeviceError, SensorFrame
-from devices.skeletons.conventions import Unit
 from devices.skeletons.csv_file import LATEST_US
 from devices.skeletons.read_file import ReadFile, in_time_order, text_bytes
+from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from fusion.body import Body, body_of
 from fusion.errors import FusionError
 from fusion.progress import Progress, quietly
 from fusion.skeleton import Skeleton
 
 
-def read_json(path: Path, unit: Unit = "auto", progress: Progress = quietly) -> ReadFile:
+def read_json(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> ReadFile:
     """Reads an offline_processor file. Every joint counts as tracked; positions are always millimetres.
 
     Raises:
         DeviceError: The file is not JSON, is cut off, has another layout, or names an unknown joint.
     """
-    del unit, progress
+    stated.refuse_for(path)
+    del progress
     text = text_bytes(path).decode("utf-8-sig")
     try:
         document = json.loads(text)

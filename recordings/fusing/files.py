@@ -15,6 +15,7 @@ from devices.depth.image_thinning import Depth
 from devices.events import Event
 from devices.files import RecordingChoice, TwoRecordings, read_two
 from devices.skeletons.conventions import Unit
+from devices.skeletons.stated_format import StatedFormat
 from devices.tracker_choice import TrackerChoice, WantedTracker, choose_tracker
 from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
@@ -43,6 +44,8 @@ def fuse(
     skeletons_a: str | Path | None = None,
     skeletons_b: str | Path | None = None,
     unit: Unit = "auto",
+    axes: str = "",
+    names: str | Path = "",
     tracker: WantedTracker = "auto",
     depth: Depth = "full",
     hindsight: Hindsight = "labels",
@@ -70,6 +73,10 @@ def fuse(
         skeletons_a, skeletons_b: For an ``.mkv``: saved skeletons, used instead of the body tracker.
         unit: Unit of the positions of ``.csv`` files: ``m``, ``cm``, ``mm``, ``ft``, ``in``; ``auto``: found
             from the size of the person.
+        axes: Axes of the positions of ``.csv`` files: ``kinect``, ``unity``, ``opengl``, ``ros``, or the axes
+            of the file that are x (right), y (down) and z (forward), such as ``x,-y,z``.
+        names: A table of the names of the joints in ``.csv`` files: a TOML file, or ``mixamo``,
+            ``plug-in-gait`` or ``gait2392``.
         tracker: The body tracker of images: ``k4abt``, Microsoft's; ``blazepose``, the program's own, whose
             networks ``duplex tracker fetch`` has fetched; ``auto``: k4abt where it works, else blazepose.
         depth: For an ``.mkv``: how many of its depth images the session contains.
@@ -82,9 +89,10 @@ def fuse(
         DeviceError: A recording cannot be read or tracked, the bodies differ, or they never overlap in time.
         FusionError: The views cannot be calibrated, or cannot be of one capture.
     """
+    stated = StatedFormat(unit, axes, str(names))
     choices = (
-        RecordingChoice(Path(a), _path(skeletons_a), person_a, unit, "skeletons_a", "person_a"),
-        RecordingChoice(Path(b), _path(skeletons_b), person_b, unit, "skeletons_b", "person_b"),
+        RecordingChoice(Path(a), _path(skeletons_a), person_a, stated, "skeletons_a", "person_a"),
+        RecordingChoice(Path(b), _path(skeletons_b), person_b, stated, "skeletons_b", "person_b"),
     )
     settings = replace(settings or FuserSettings(), hindsight=hindsight)
     read = read_for(settings, choices, choose_tracker(tracker), offset_ms)
@@ -152,8 +160,8 @@ def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> N
     for name, view in zip((a, b), read.pairing.pairs.skeletons.views, strict=True):
         if (mirrored_share(read.body, view.positions) or 0.0) > 0.5:
             raise CalibrationError(
-                f"{name} is the mirror image of a person: change the sign of x in it. --force fuses it as "
-                "it is."
+                f"{name} is the mirror image of a person: state its axes with --axes, or change the sign of "
+                "x in it. --force fuses it as it is."
             )
     raise CalibrationError(
         f"{a} and {b} cannot be of one person at the same time: the views differ by "
@@ -200,6 +208,7 @@ def fused_session(
 def _about(read: TwoRecordings, plan: RecordingPlan) -> dict[str, str | float]:
     """What a session keeps of its recordings: the tracker, frames that were dropped, the clocks' offset."""
     about: dict[str, str | float] = {"tracker": read.tracker} if read.tracker else {}
+    about |= read.stated.about
     about |= {"dropped_a": read.pairing.dropped_a, "dropped_b": read.pairing.dropped_b}
     if read.clock is not None:
         about |= {"clock_corrected_ms": read.clock.offset_ns * 1e-6}

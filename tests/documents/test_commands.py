@@ -7,6 +7,7 @@ import numpy as np
 import pandas
 import pytest
 
+from devices.skeletons.stated_format import AXES, StatedFormat
 from fusion import KINECT_V2
 from fusion.body import BODIES
 from recordings import Session, fuse
@@ -62,8 +63,8 @@ def test_the_start_page_works_from_top_to_bottom(tmp_path, monkeypatch):
 
 START = ROOT / "docs" / "start.md"
 FROM_TABLE, FROM_ARRAYS = python_of(START)
-AXES = re.findall(
-    r"^\| (?P<convention>[^|]*): [^|]* \| (?P<x>−?[XYZ]), (?P<y>−?[XYZ]), (?P<z>−?[XYZ]) \|$",
+AXES_ROWS = re.findall(
+    r"^\| `(?P<name>\w+)` \| [^|]* \| (?P<axes>−?[XYZ], −?[XYZ], −?[XYZ]) \|$",
     START.read_text(encoding="utf-8"),
     re.MULTILINE,
 )
@@ -87,7 +88,7 @@ def own_tables(tmp_path, monkeypatch):
 
 def test_tables_in_other_units_and_axes_give_the_same_session(own_tables, tmp_path):
     exec(FROM_TABLE, {})
-    assert duplex("fuse", "a.csv", "b.csv", "--no-viewer", "--save", "walk.rrd") == 0
+    assert duplex("fuse", "a.csv", "b.csv", "--no-viewer", "--save", "walk.rrd", "--axes", "kinect") == 0
     session = Session.open(tmp_path / "walk.rrd")
     np.testing.assert_array_equal(session.time_ns, own_tables.time_ns)
     # positions went through millimetres in text; float32 has 2e-7 m at 3 m, and fusion adds some
@@ -104,12 +105,20 @@ def test_arrays_become_a_recording(tmp_path, monkeypatch):
     np.testing.assert_allclose(session.time_ns * 1e-9, np.arange(70) / 30, atol=1e-6)
 
 
-def test_axes_are_turned_and_never_mirrored():
-    handed = {"Unity": -1}  # left-handed
-    assert [convention.split()[0] for convention, *_ in AXES] == ["Kinect", "Azure", "Unity", "OpenGL", "ROS"]
-    for convention, *target in AXES:
-        rows = [(-1 if name[0] == "−" else 1) * np.eye(3)["XYZ".index(name[-1])] for name in target]
-        assert np.linalg.det(np.array(rows)) == handed.get(convention.split()[0], 1), convention
+def test_the_axes_are_those_of_the_option():
+    shown = {name: axes.replace("−", "-").replace(" ", "").lower() for name, axes in AXES_ROWS}
+    assert shown == AXES
+
+
+def test_the_table_of_names_is_one_of_the_program(tmp_path):
+    (text,) = re.findall(r"```toml\n(.*?)```", START.read_text(encoding="utf-8"), re.DOTALL)
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    labels = ["LeftUpLeg", "crown", "chin"]
+    points = StatedFormat(names=str(tmp_path / "mine.toml")).points("a.csv", labels)
+    assert {points.body.joints[joint]: of for joint, of in points.groups.items()} == {
+        points.body.joints[points.body.joint("hip left")]: [0],
+        points.body.joints[points.body.joint("head")]: [1, 2],
+    }
 
 
 def test_the_names_of_the_joints_are_those_of_the_bodies():

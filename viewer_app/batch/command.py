@@ -125,6 +125,7 @@ def _absolute(options: BatchOptions) -> BatchOptions:
         options,
         source=options.source.absolute(),
         out=options.out.absolute(),
+        names=str(Path(options.names).absolute()) if Path(options.names).is_file() else options.names,
         calibrate=str(calibration.absolute()) if isinstance(calibration, Path) else options.calibrate,
         tracker_model=None if options.tracker_model is None else options.tracker_model.absolute(),
         k4abt=None if options.k4abt is None else options.k4abt.absolute(),

@@ -173,6 +173,8 @@ def _value(name: str, option: Any) -> Any:
     calibration = calibration_source(option) if name == "calibrate" else None
     if isinstance(calibration, Path):
         return f"sha256:{checksum(calibration)}"
+    if name == "names" and Path(option).is_file():
+        return f"sha256:{checksum(Path(option))}"
     if isinstance(option, Path) and option.is_file():
         return f"sha256:{checksum(option)}"
     return str(option) if isinstance(option, Path) else option

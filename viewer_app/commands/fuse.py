@@ -110,8 +110,8 @@ def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:
     a = options.a, options.skeletons_a, options.person_a
     b = options.b, options.skeletons_b, options.person_b
     return (
-        RecordingChoice(*a, options.unit, "--skeletons-a", "--person-a"),
-        RecordingChoice(*b, options.unit, "--skeletons-b", "--person-b"),
+        RecordingChoice(*a, options.stated, "--skeletons-a", "--person-a"),
+        RecordingChoice(*b, options.stated, "--skeletons-b", "--person-b"),
     )
 
 

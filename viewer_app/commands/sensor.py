@@ -3,6 +3,7 @@
 import threading
 import time
 from contextlib import ExitStack
+from dataclasses import asdict
 
 from rich.console import Console
 
@@ -92,7 +93,7 @@ def _sensor(options: PublishOptions, console: Console) -> Sensor:
         if has_images(options.recording):
             tracker = tracker.for_images_of(not_of_libk4a(options.recording))
             announce_tracker(tracker, console)
-        return PacedSensor(open_source(options.recording, tracker=tracker))
+        return PacedSensor(open_source(options.recording, tracker=tracker, **asdict(options.stated)))
     settings = KinectSettings(depth_mode=options.depth_mode, fps=options.fps)
     return one_sensor(options.kinect, "--kinect", tracker, settings, console)
 

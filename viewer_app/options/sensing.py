@@ -17,6 +17,7 @@ from viewer_app.options.shared import (
     LiveOutputOptions,
     MethodOptions,
     OutputOptions,
+    OwnFileOptions,
     RecordingOptions,
     SensorOptions,
     SummaryOptions,
@@ -129,7 +130,7 @@ class DoctorOptions(TrackerOptions, SensorOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PublishOptions(ZenohOptions, TrackerOptions):
+class PublishOptions(ZenohOptions, TrackerOptions, OwnFileOptions):
     """Run one sensor and its body tracker on this PC, and publish its skeletons for duplex live on another.
 
     There: duplex live --zenoh-listen tcp/0.0.0.0:7447 --kinect-a zenoh:KEY_A --kinect-b zenoh:KEY_B.

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from cyclopts import CoercionError, Group, Parameter, Token
 
+from devices.skeletons.stated_format import StatedFormat
 from fusion.setup import PAPER_H, FuserSettings
 from viewer_app.errors import UsageError
 
@@ -108,7 +109,24 @@ class MethodOptions(FusionOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordingOptions:
+class OwnFileOptions:
+    """How the .csv files of other programs are read."""
+
+    unit: Annotated[Literal["auto", "m", "cm", "mm", "ft", "in"], SENSORS] = "auto"
+    """Unit of the positions in .csv files. auto: found from the size of the person."""
+    axes: Annotated[str, SENSORS, Parameter(allow_leading_hyphen=True)] = ""
+    """Axes of .csv files: kinect, unity, opengl, ros, or those that are right, down and forward: x,-y,z."""
+    names: Annotated[str, SENSORS] = ""
+    """Names of the joints in .csv files: a .toml table, or mixamo, plug-in-gait, gait2392."""
+
+    @property
+    def stated(self) -> StatedFormat:
+        """What is stated about the files."""
+        return StatedFormat(self.unit, self.axes, self.names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingOptions(OwnFileOptions):
     """How recordings are fused."""
 
     calibrate: Annotated[str, METHOD] = "auto"
@@ -118,8 +136,6 @@ class RecordingOptions:
     smooth: Annotated[Literal["off", "whole"], METHOD] = "off"
     """whole: smooth over the whole recording, using later frames too; no lag, less jitter. Method duplex
     only."""
-    unit: Annotated[Literal["auto", "m", "cm", "mm", "ft", "in"], SENSORS] = "auto"
-    """Unit of the positions in .csv files. auto: found from the size of the person."""
     depth: Annotated[Literal["none", "half", "full"], SENSORS] = "full"
     """For an .mkv: its depth images in the session: none, every second pixel in both directions, or all."""
 

@@ -45,17 +45,6 @@ def test_csv_gives_the_joints_of_every_frame(tmp_path, body):
     assert frames[0].people["0"].tracked.all()
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1e-3, "milliseconds"), (1e3, "nanoseconds")])
-def test_other_units_of_time_are_named(tmp_path, factor, unit):
-    file = write_csv(tmp_path / "a.csv", csv_rows(KINECT_V2))
-    header, *rows = file.read_text().splitlines()
-    parts = [row.split(",", 1) for row in rows]
-    rows = [f"{round(int(time_us) * factor)},{rest}" for time_us, rest in parts]
-    file.write_text("\n".join([header, *rows]) + "\n")
-    with pytest.raises(DeviceError, match=f"time_us must be microseconds; are these {unit}"):
-        read(file)
-
-
 @pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
 def test_a_y_axis_that_points_up_is_noticed(tmp_path, body):
     people = np.stack([standing(body)] * 10)

@@ -11,6 +11,7 @@ from devices.files import RecordingChoice, read_two
 from devices.sensor import DeviceError
 from devices.skeletons.conventions import METRES
 from devices.skeletons.file_sensor import SkeletonRecording
+from devices.skeletons.stated_format import StatedFormat
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
@@ -78,7 +79,7 @@ REFUSED = {
     "all infinite": (with_xyz("inf"), "no joint has a position in any frame"),
     "a time that is no number": (
         lambda text: rewritten(text, lambda k, c: ["nan" if k == 30 else c[0], *c[1:]]),
-        "line 32: time_us must be a whole number; got 'nan'",
+        "line 32: time_us must be a number; got 'nan'",
     ),
     "a time twice": (
         lambda text: text + text.splitlines()[1] + "\n",
@@ -108,7 +109,7 @@ REFUSED = {
         "time_us goes beyond",
     ),
     "noise": (lambda _: bytes(range(128, 256)), "not text in UTF-8: byte 1, in line 1"),
-    "a wide table": (lambda _: "time,head_x\n1,2\n", "no column time_us, body, joint, x, y, z"),
+    "a wide table": (lambda _: "time,head_x\n1,2\n", "no column body, joint, x, y, z"),
     "backward z": (
         lambda text: rewritten(text, lambda _, c: [*c[:5], f"-{c[5]}", *c[6:]]),
         "The z axis must point forward",
@@ -194,10 +195,10 @@ def test_a_stated_unit_is_taken_without_a_question(tmp_path):
     kilometres = scaled(tmp_path / "a.csv", KINECT_V2, 1.0, stature=5.0)
     with pytest.raises(DeviceError, match="State the unit"), SkeletonRecording(kilometres):
         pass
-    with SkeletonRecording(kilometres, "m") as read:
+    with SkeletonRecording(kilometres, StatedFormat("m")) as read:
         assert not read.warnings
     feet = scaled(tmp_path / "b.csv", KINECT_V2, 0.3048)
-    with SkeletonRecording(feet, "ft") as read:
+    with SkeletonRecording(feet, StatedFormat("ft")) as read:
         assert not read.warnings
 
 
@@ -227,7 +228,7 @@ def test_frames_out_of_order_are_sorted_with_a_warning(tmp_path, good):
     header, *rows = good.read_text(encoding="utf-8").splitlines()
     odd.write_text("\n".join([header, *rows[250:], *rows[:250]]) + "\n", encoding="utf-8")
     with SkeletonRecording(odd) as read:
-        assert read.warnings == [f"{odd}: time_us goes back in line 252; the frames were sorted by time."]
+        assert read.warnings == [f"{odd}: the time goes back in line 252; the frames were sorted by time."]
         times = [frame.time_ns for frame in read.frames()]
     assert times == sorted(times)
 

@@ -1,0 +1,225 @@
+"""Files of other programs: their units of time, their axes, their names of the joints."""
+
+import json
+
+import numpy as np
+import pandas
+import pytest
+
+from devices.sensor import DeviceError
+from devices.skeletons.conventions import TIME_COLUMNS
+from devices.skeletons.csv_file import read_csv
+from devices.skeletons.file_sensor import SkeletonRecording
+from devices.skeletons.stated_format import AXES, StatedFormat
+from fusion.body import KINECT_V2
+from recordings import Session, fuse
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.recorded_pairs import assert_same_session, write_recordings, write_view
+from tests.helpers.two_views import A_FROM_B, moving
+
+FRAMES = 40
+PER_SECOND = {"time_s": 1.0, "time_ms": 1e3, "time_us": 1e6, "time_ns": 1e9}
+SENSOR_FROM = {
+    "kinect": [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
+    "unity": [[1, 0, 0], [0, -1, 0], [0, 0, 1]],
+    "opengl": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "ros": [[0, -1, 0], [0, 0, -1], [1, 0, 0]],
+}
+"""x right, y down, z forward of each program's axes, as its documentation has them."""
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    return write_view(tmp_path_factory.mktemp("good") / "a.csv", KINECT_V2, moving(KINECT_V2, FRAMES))
+
+
+def changed(path, made, change):
+    """Writes a recording with its table changed."""
+    change(pandas.read_csv(path)).to_csv(made, index=False)
+    return made
+
+
+def retimed(column, per_second, rate=30.0, start=0.0):
+    def change(table):
+        frame = table.index // len(KINECT_V2)
+        times = (start + frame / rate) * per_second
+        times = times if per_second < 1e6 else times.round().astype("int64")
+        return table.assign(time_us=times).rename(columns={"time_us": column})
+
+    return change
+
+
+def turned(path, made, sensor_from):
+    """Writes a recording in other axes."""
+
+    def change(table):
+        return table.assign(**dict(zip("xyz", np.linalg.solve(sensor_from, table[[*"xyz"]].T), strict=True)))
+
+    return changed(path, made, change)
+
+
+@pytest.mark.parametrize("start", [0.0, 1_763_900_000.25], ids=["from zero", "since 1970"])
+@pytest.mark.parametrize("rate", [5.0, 30.0, 120.0])
+@pytest.mark.parametrize("unit", PER_SECOND)
+def test_the_unit_of_time_is_found_by_the_rate(tmp_path, good, unit, rate, start):
+    for column in ("time_us", "time", unit):
+        path = changed(good, tmp_path / f"{column}.csv", retimed(column, PER_SECOND[unit], rate, start))
+        read = read_csv(path)
+        expected = np.rint((start + np.arange(FRAMES) / rate) * 1e6) * 1000
+        np.testing.assert_allclose(np.diff(read.people.time_ns), np.diff(expected), rtol=0, atol=2001)
+        assert read.people.time_ns[0] == pytest.approx(expected[0], abs=1001)
+        told = f"{column} is taken as {TIME_COLUMNS[unit][1]}, so that there are {rate:g} frames per second"
+        assert [told in warning for warning in read.warnings] == [True] * (column != unit)
+
+
+@pytest.mark.parametrize("interval", [300e-6, 0.001, 0.4, 1.2, 500.0, 1000.0, 1e7 / 2 + 1, 1e9])
+def test_an_interval_of_no_body_tracker_is_refused(tmp_path, good, interval):
+    path = changed(good, tmp_path / "odd.csv", retimed("time_us", 1.0, 1.0 / interval))
+    with pytest.raises(DeviceError, match="the unit of time_us is unclear; its median interval of"):
+        read_csv(path)
+
+
+def test_no_interval_has_two_units():
+    intervals = np.geomspace(1e-6, 1e12, 20_000)
+    scales = np.array([scale for name, (scale, _) in TIME_COLUMNS.items() if name != "time"])
+    us = intervals[:, None] * scales
+    tracker, without_question = (us >= 6e3) & (us <= 250e3), (us >= 2e3) & (us <= 5e6)
+    assert tracker.sum(axis=1).max() == 1
+    for column in range(len(scales)):
+        others = np.delete(tracker, column, axis=1).any(axis=1)
+        assert not (without_question[:, column] & others).any()
+
+
+def test_times_with_decimal_commas_in_blocks_are_those_of_the_whole_file(tmp_path, good, monkeypatch):
+    table = retimed("time_s", 1.0)(pandas.read_csv(good))
+    path = tmp_path / "a.csv"
+    table.to_csv(path, index=False, sep=";", decimal=",")
+    whole = read_csv(path)
+    monkeypatch.setattr("devices.skeletons.csv_file._BLOCK", 20_000)
+    in_blocks = read_csv(path)
+    np.testing.assert_array_equal(in_blocks.people.time_ns, whole.people.time_ns)
+    np.testing.assert_array_equal(in_blocks.people.time_ns, np.rint(np.arange(FRAMES) / 30 * 1e6) * 1000)
+    assert whole.warnings == in_blocks.warnings == ()
+
+
+@pytest.mark.parametrize("spelling", ["name", "list"])
+@pytest.mark.parametrize("axes", SENSOR_FROM)
+def test_axes_of_other_programs_are_turned(tmp_path, good, axes, spelling):
+    path = turned(good, tmp_path / "a.csv", SENSOR_FROM[axes])
+    read = read_csv(path, StatedFormat(axes=axes if spelling == "name" else AXES[axes]))
+    assert read.warnings == ()
+    expected = read_csv(good).people.skeletons.positions
+    np.testing.assert_allclose(read.people.skeletons.positions, expected, rtol=0, atol=1e-6)
+
+
+WRONG_AXES = {
+    "x,x,z": "has x twice",
+    "x,y": "neither kinect, unity, opengl, ros, nor three axes",
+    "x,y,w": "neither kinect, unity, opengl, ros, nor three axes",
+    "x,-y,z": "by --axes x,-y,z the person is a mirror image, so the result is left-handed",
+    "unity": "by --axes unity the person is a mirror image",
+    "-x,y,-z": "most joints have a negative z",
+}
+
+
+@pytest.mark.parametrize("axes", WRONG_AXES)
+def test_wrong_axes_are_refused_in_one_line(tmp_path, good, axes, capsys):
+    other = write_view(tmp_path / "b.csv", KINECT_V2, A_FROM_B.inverse().apply(moving(KINECT_V2, FRAMES)))
+    # a right-handed file, or the person of a left-handed one
+    assert duplex("fuse", good, other, "--no-viewer", "--axes", axes) == 2
+    assert WRONG_AXES[axes] in one_line(capsys)
+
+
+NAMES = """
+[joints]
+SpineBase = "Hips"
+Head = ["crown", "chin"]
+HandLeft = [["palm_l"], ["LeftHand"]]
+"""
+THEIRS = {"SpineBase": "Hips", "HandLeft": "LeftHand"}
+
+
+def renamed(table):
+    """Other names for two joints, two points for the head, and a point that is no joint."""
+    head = table[table["joint"] == "Head"]
+    up = head.assign(joint="Crown", y=head["y"] - 0.1)
+    down = head.assign(joint="Chin", y=head["y"] + 0.1)
+    ring = head.assign(joint="ring finger")
+    rest = table[table["joint"] != "Head"].assign(joint=table["joint"].replace(THEIRS))
+    return pandas.concat([rest, up, down, ring]).sort_values("time_us", kind="stable")
+
+
+@pytest.fixture
+def own_pair(tmp_path):
+    """A pair in seconds, Unity's axes and other names, its table of names, and the session expected of it."""
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    expected = fuse(*write_recordings(tmp_path))
+    for side in "ab":
+        made = turned(tmp_path / f"{side}.csv", folder / f"{side}.csv", SENSOR_FROM["unity"])
+        changed(made, made, retimed("time", 1.0))
+        table = pandas.read_csv(made).rename(columns={"time": "time_us"})
+        renamed(table).rename(columns={"time_us": "time"}).to_csv(made, index=False)
+    (folder / "names.toml").write_text(NAMES, encoding="utf-8")
+    return folder, expected
+
+
+def test_files_of_another_program_are_fused_and_replayed(own_pair, tmp_path, capsys):
+    folder, expected = own_pair
+    a, b, names = (folder / name for name in ("a.csv", "b.csv", "names.toml"))
+    stated = ["--axes", "x,-y,z", "--names", names]
+    save = tmp_path / "s.rrd"
+    assert duplex("fuse", a, b, "--no-viewer", *stated, "--save", save) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count("time is taken as seconds, so that there are 30 frames per second") == 2
+    assert said.count("these points are no joints: ring finger.") == 2
+    session = Session.open(save)
+    np.testing.assert_allclose(session.fused, expected.fused, atol=1e-4)
+    recorded = {"Head": [["crown", "chin"]], "SpineBase": [["Hips"]], "HandLeft": [["palm_l"], ["LeftHand"]]}
+    assert json.loads(session.about["session"]["joint_names"][0]) == recorded
+    assert duplex("replay", save, "--verify") == 0
+    assert duplex("replay", save, "--no-viewer", "--save", tmp_path / "again.rrd") == 0
+    assert Session.open(tmp_path / "again.rrd").about["session"]["axes"] == ["x,-y,z"]
+    out = tmp_path / "out"
+    for axes, code in (("x,-y,z", 0), ("x,-y,z", 0), ("unity", 2)):
+        assert duplex("batch", folder, "--out", out, "--axes", axes, "--names", names) == code
+    assert "was fused with another --axes" in one_line(capsys)
+    assert_same_session(out / "mine" / "mine.rrd", save)
+    names.write_text(NAMES.replace("chin", "crown"), encoding="utf-8")
+    assert duplex("batch", folder, "--out", out, *stated) == 2
+    assert "was fused with another --names" in one_line(capsys)
+
+
+WRONG_NAMES = {
+    "tail": ('[joints]\nTail = "Hips"\n', "no body has a joint 'Tail'"),
+    "point": ('[joints]\nSpineBase = "Hipz"\n', "SpineBase needs one point 'Hipz'"),
+    "two bodies": ('[joints]\nSpineBase = "Hips"\nNOSE = "Chin"\n', "Unknown joint 'NOSE'"),
+    "no TOML": ("SpineBase: Hips\n", "is not TOML"),
+}
+
+
+@pytest.mark.parametrize("kind", WRONG_NAMES)
+def test_wrong_tables_of_names_are_refused_in_one_line(own_pair, kind, capsys):
+    folder, _ = own_pair
+    text, message = WRONG_NAMES[kind]
+    (folder / "names.toml").write_text(text, encoding="utf-8")
+    own = [folder / "a.csv", folder / "b.csv", "--axes", "unity", "--names"]
+    assert duplex("fuse", *own, folder / "names.toml", "--no-viewer") == 2
+    assert message in one_line(capsys)
+
+
+def test_a_ready_made_table_without_a_fitting_point_is_refused(tmp_path, good):
+    path = changed(good, tmp_path / "a.csv", lambda table: table.assign(joint="p" + table["joint"]))
+    with pytest.raises(DeviceError, match="by mixamo none of its points is a joint: pSpineBase, "):
+        read_csv(path, StatedFormat(names="mixamo"))
+
+
+@pytest.mark.parametrize(
+    "stated", [StatedFormat(axes="unity"), StatedFormat(names="mixamo")], ids=["axes", "names"]
+)
+@pytest.mark.parametrize("suffix", [".json", ".skeleton"])
+def test_formats_with_axes_and_names_of_their_own_take_none(tmp_path, suffix, stated):
+    path = tmp_path / f"a{suffix}"
+    path.write_text("{}", encoding="utf-8")
+    with pytest.raises(DeviceError, match=r"is for \.csv files"), SkeletonRecording(path, stated):
+        pass
