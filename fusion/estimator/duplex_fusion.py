@@ -42,9 +42,9 @@ class DuplexFusion:
             views=new_arrays(Views, J=joints),
             solve=new_arrays(Solve, J=joints),
         )
-        self._boxed = boxed(self._filter)
         self._setup = setup
         self._no_trace = new_arrays(Trace, T=0, J=joints)
+        self._box = boxed(self._filter, self._no_trace)
 
     def compile(self, pairs: PairArrays) -> None:
         """Compiles a large part of the code that does not call the solver, for arrays like these."""
@@ -66,7 +66,7 @@ class DuplexFusion:
         seen = np.isfinite(moved).all(axis=1)
         state.offsets[1][seen] += moved[seen]
         self._setup, self._filter = setup, self._filter._replace(model=self._model_of(setup))
-        self._boxed = boxed(self._filter)
+        self._box = boxed(self._filter, self._no_trace)
 
     def _model_of(self, setup: FusionSetup) -> Model:
         calibration = setup.calibration
@@ -87,8 +87,10 @@ class DuplexFusion:
         """
         frames, joints = pairs.a.shape[:2]
         output = new_arrays(Output, T=frames, J=joints)
-        trace = new_arrays(Trace, T=frames, J=joints) if smooth else self._no_trace
-        estimate_pairs(self._boxed, pairs, output, trace)
-        if smooth:
+        if not smooth:
+            estimate_pairs(self._box, pairs, output)
+        else:
+            trace = new_arrays(Trace, T=frames, J=joints)
+            estimate_pairs(boxed(self._filter, trace), pairs, output)
             smooth_pairs(self._filter.model, self._filter.solve, trace, output)
         return FusedFrames(output, self._setup.calibration.a_from_b, pairs.time_ns)

@@ -31,25 +31,25 @@ _SHORTEST_STEP = 1e-3  # s: two pairs with the same time must not give an infini
 
 
 @kernel
-def boxed(filter):  # type: ignore[no-untyped-def]
-    """The filter as the only item of a list of numba's, which a kernel takes ten times as fast as its 60
-    arrays."""
+def boxed(filter, trace):  # type: ignore[no-untyped-def]
+    """Both as the only item of a list of numba's, which a kernel takes ten times as fast as their arrays."""
     box = List()
-    box.append(filter)
+    box.append((filter, trace))
     return box
 
 
 @kernel
-def estimate_pairs(boxed_filter, pairs, output, trace):  # type: ignore[no-untyped-def]
+def estimate_pairs(box, pairs, output):  # type: ignore[no-untyped-def]
     """:func:`estimate_pair` over consecutive pairs.
 
     Args:
-        boxed_filter: A :class:`fusion.estimator.arrays.Filter`, :func:`boxed`; its states are updated.
+        box: A :class:`fusion.estimator.arrays.Filter`, whose states are updated, and the input of the
+            smoother (:mod:`fusion.estimator.smoother`), which is written, of length 0 without one; see
+            :func:`boxed`.
         pairs: T pairs, :class:`fusion.pair_arrays.PairArrays`.
         output: Written, T pairs.
-        trace: Written, input of the smoother (:mod:`fusion.estimator.smoother`); of length 0 without one.
     """
-    filter = boxed_filter[0]
+    filter, trace = box[0]
     for k in range(len(pairs.time_ns)):
         estimate_pair(filter, pairs, output, trace, k)
 

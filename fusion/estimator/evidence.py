@@ -27,6 +27,12 @@ def depth_evidence(model, facing_model, views, pairs, k):  # type: ignore[no-unt
             positions, states, witness = pairs.a[k], pairs.states_a[k], pairs.witness_a[k]
         else:
             positions, states, witness = pairs.b[k], pairs.states_b[k], pairs.witness_b[k]
+        image_seen = False
+        for i in range(len(model.parents)):
+            image_seen = image_seen or not math.isnan(witness[i, 0])
+            views.log_odds[v, i], views.places[v, i, 0] = 0.0, math.nan
+        if not image_seen:
+            continue
         weigh_witness(
             model.witness, model.rotations[v], model.translations[v], positions, states, witness, image
         )

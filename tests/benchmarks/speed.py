@@ -48,11 +48,13 @@ def repeated(pairs, count):
     ]  # fmt: skip
 
 
-def time_update(pairs, body, method):
-    """Times ``Fuser.update`` pair by pair, and ``fuse_sequence`` over many pairs."""
+def time_update(pairs, body, method, alone=False):
+    """Times ``Fuser.update`` pair by pair, or frames of A alone, and ``fuse_sequence`` over many pairs."""
     setup = FusionSetup(calibrate(body, *find_start_up_pose(body, pairs)), FuserSettings(method=method))
     fuser = Fuser(setup)
     fuser.warm_up()
+    if alone:
+        pairs = [replace(pair, b=None) for pair in pairs]
     took = []
     for pair in pairs:
         before = time.thread_time_ns()
@@ -132,6 +134,9 @@ def main(arguments=None):
     for body in BODIES.values():
         walk = simulated_walk(body)
         figures["update"][body.name] = {method: time_update(walk, body, method) for method in methods}
+        figures["update"][body.name]["duplex, frames of A alone"] = time_update(
+            walk, body, "duplex", alone=True
+        )
     figures["solver"]["exact"] = time_solver(solver_of(KINECT_V1))
     figures["solver"]["published"] = time_solver(PaperSolver(KINECT_V1.parent_indices))
     figures["commands"] = time_commands(KINECT_V2, simulated_walk(KINECT_V2))
