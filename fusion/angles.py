@@ -6,8 +6,9 @@ elbow). Axial rotations are missing, because positions do not contain them.
 
 * **Knee, elbow**: between the two bones of the limb; 0 is straight, never negative.
 * **Hip**: the thigh in the frame of the trunk, by the sequence Z-X-Y: flexion about the lateral axis, then
-  abduction. The lateral axis is the line of the hips, the long axis goes from their middle to the middle of
-  the shoulders: the joints do not show how the pelvis tilts against the trunk.
+  abduction. The long axis goes from the middle of the hips to that of the shoulders, because joints do not
+  show how the pelvis tilts against the trunk. The lateral axis is the sum of the lines of hips and shoulders:
+  trackers see that of the hips turned by up to 15° (RMS on simulated walks), that of the shoulders by 1°.
 * **Shoulder**: the upper arm in the frame of the trunk, with the line of the shoulders as lateral axis. The
   elevation, second angle of the sequence Y-X-Y, is resolved by the plane of elevation, its first angle, into
   flexion (forwards) and abduction (outwards). In either plane alone this is what a goniometer reads.
@@ -78,6 +79,13 @@ def angle_sigma(
     return sigmas.reshape(*shape, len(ANGLES))
 
 
+def warm_up(body: Body) -> None:
+    """Compiles the kernels."""
+    nowhere = np.full((len(body), 3), np.nan)
+    joint_angles(body, nowhere)
+    angle_sigma(body, nowhere, nowhere[:, 0])
+
+
 def _prepared(
     positions: ArrayLike, up: ArrayLike
 ) -> tuple[tuple[int, ...], NDArray[np.float64], NDArray[np.float64]]:
@@ -134,7 +142,8 @@ def _copy(positions, joints, points):  # type: ignore[no-untyped-def]
 def _angles(p, up, out):  # type: ignore[no-untyped-def]
     """The angles of one frame, in the order of ANGLES, from the joints of _PARTS."""
     vertical = (up[0], up[1], up[2])
-    across_hips, across_shoulders = _between(p, _HIPS + 1, _HIPS), _between(p, _SHOULDERS + 1, _SHOULDERS)
+    across_shoulders = _between(p, _SHOULDERS + 1, _SHOULDERS)
+    across = _sum(_between(p, _HIPS + 1, _HIPS), across_shoulders)
     trunk = _unit(_sum(_between(p, _HIPS, _SHOULDERS), _between(p, _HIPS + 1, _SHOULDERS + 1)))
     for side in range(2):
         outwards = 1.0 - 2.0 * side
@@ -144,7 +153,7 @@ def _angles(p, up, out):  # type: ignore[no-untyped-def]
             _between(p, _ELBOWS + side, _WRISTS + side),
         )
         out[side] = math.degrees(_angle(thigh, shin))
-        ahead, down, left = _in_frame(_unit(thigh), trunk, across_hips)
+        ahead, down, left = _in_frame(_unit(thigh), trunk, across)
         out[2 + side] = math.degrees(math.atan2(ahead, down))
         out[4 + side] = math.degrees(math.asin(min(max(outwards * left, -1.0), 1.0)))
         out[6 + side] = math.degrees(_angle(arm, forearm))
@@ -153,7 +162,7 @@ def _angles(p, up, out):  # type: ignore[no-untyped-def]
         degrees = math.degrees(math.atan2(sine, down)) / sine if sine > 0.0 else 0.0 * sine
         out[8 + side] = degrees * ahead
         out[10 + side] = degrees * outwards * left
-    ahead, down, left = _in_frame(trunk, vertical, _sum(across_hips, across_shoulders))
+    ahead, down, left = _in_frame(trunk, vertical, across)
     out[12] = math.degrees(math.atan2(ahead, -down))
     out[13] = math.degrees(math.asin(min(max(-left, -1.0), 1.0)))
 

@@ -9,6 +9,9 @@ if TYPE_CHECKING:
     from recordings.errors import RecordingError as RecordingError
     from recordings.fusing.files import fuse as fuse
     from recordings.fusing.live_fusion import fuse_live as fuse_live
+    from recordings.gait import Gait as Gait
+    from recordings.gait import Step as Step
+    from recordings.session import AngleSeries as AngleSeries
     from recordings.session import QualitySeries as QualitySeries
     from recordings.session import Session as Session
     from recordings.session import SkeletonSeries as SkeletonSeries

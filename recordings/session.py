@@ -28,13 +28,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from devices.events import Event, Spell, spells_of
 from devices.pairing import FramePair, RecordedPairs
+from fusion.angles import ANGLES, angle_sigma, joint_angles
 from fusion.calibration.calibration import Calibration
+from fusion.facing.evidence import upright_direction
 from fusion.large_arrays import GrowingArray
 from fusion.pair_arrays import Pairs, View
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.file.session_reader import read_session
+from recordings.gait import Gait, find_gait
 from recordings.images import NO_IMAGES, SessionImages
 from recordings.interpolation import positions_at, sigma_at
 from recordings.session_arrays import SessionArrays, SessionFrame, SessionFrames, ViewsAgree
@@ -81,6 +84,25 @@ class QualitySeries:
     fuse_ms: NDArray[np.float64]
     iterations: NDArray[np.int64]
     predicted: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class AngleSeries:
+    """Joint angles of S* over T frames; see :mod:`fusion.angles` for their definitions.
+
+    Attributes:
+        names: The K angles.
+        degrees: (T, K); NaN where a joint is missing.
+        sigma: (T, K) degrees, one standard deviation; NaN with the paper's methods.
+    """
+
+    names: tuple[str, ...]
+    degrees: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """(T,) degrees of an angle."""
+        return np.asarray(self.degrees[:, self.names.index(name)])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -217,6 +239,24 @@ class Session(SessionData):
     def sigma_at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
         """(N, J) metres, the uncertainty of :meth:`at`; see :func:`recordings.interpolation.sigma_at`."""
         return sigma_at(self.rows, time_ns)
+
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """(3,) unit vector against gravity in K_A's frame, from the person's standing."""
+        step = max(1, len(self) // _SAMPLES)
+        return upright_direction(self.body, np.asarray(self.rows.fused[::step]))
+
+    @property
+    def angles(self) -> AngleSeries:
+        """Joint angles of S*, computed now."""
+        rows, up = self.rows, self.up
+        sigma = angle_sigma(self.body, rows.fused, rows.filled("sigma"), up)
+        return AngleSeries(ANGLES, joint_angles(self.body, rows.fused, up), sigma)
+
+    @property
+    def gait(self) -> Gait:
+        """Heel strikes, toe-offs and steps of S*, computed now; see :mod:`recordings.gait`."""
+        return find_gait(self.body, self.time_ns, self.fused, self.up, self.rows.sigma)
 
     @property
     def bone_lengths(self) -> NDArray[np.float64]:

@@ -164,7 +164,7 @@ def test_the_rotation_sequences_of_another_library_give_the_same_angles():
             shin = joint(f"Knee{side}") - joint(f"Ankle{side}")
             arm = joint(f"Shoulder{side}") - joint(f"Elbow{side}")
             forearm = joint(f"Elbow{side}") - joint(f"Wrist{side}")
-            flexion, adduced, _ = between((trunk, hips), (thigh, hips), "zxy")
+            flexion, adduced, _ = between((trunk, hips + shoulders), (thigh, hips), "zxy")
             plane, elevation, _ = between((trunk, shoulders), (arm, shoulders), "yxy")
             expected |= {
                 f"hip_flexion_{side}": flexion,
