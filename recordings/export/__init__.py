@@ -10,7 +10,14 @@ from recordings.export.animation import Names
 from recordings.export.bvh import write_bvh
 from recordings.export.glb import write_glb
 from recordings.export.markers import write_c3d, write_trc
-from recordings.export.tables import write_long_csv, write_npz, write_parquet, write_wide_csv
+from recordings.export.opensim import write_mot
+from recordings.export.tables import (
+    write_long_csv,
+    write_npz,
+    write_parquet,
+    write_wide_csv,
+    write_wide_parquet,
+)
 from recordings.session import Session
 
 Table = Literal["long", "wide"]
@@ -23,17 +30,19 @@ _WRITERS: dict[str, Writer] = {
     ".c3d": write_c3d,
     ".csv": write_long_csv,
     ".glb": write_glb,
+    ".mot": write_mot,
     ".npz": write_npz,
     ".parquet": write_parquet,
     ".trc": write_trc,
 }
+_WIDE_WRITERS: dict[str, Writer] = {".csv": write_wide_csv, ".parquet": write_wide_parquet}
 
 
 def writer_for(path: Path, table: Table = "long", rate: float | None = None, names: Names = "body") -> Writer:
     """Returns the writer for the suffix of a file.
 
     Args:
-        table: Layout of a ``.csv``: one row per joint (``long``) or one row per frame (``wide``).
+        table: Layout of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
         rate: Frames per second of a ``.bvh``, ``.c3d`` or ``.glb``; that of the recording where None.
         names: Names of the bones of a ``.bvh`` or ``.glb``: the body's, of Unity's humanoid, or Mixamo's.
 
@@ -58,6 +67,6 @@ def writer_for(path: Path, table: Table = "long", rate: float | None = None, nam
         if writer not in (write_bvh, write_glb):
             raise RecordingError(f"--names is for .bvh and .glb; {path.suffix} has the names of the joints.")
         options["names"] = names
-    if writer is write_long_csv and table == "wide":
-        return write_wide_csv
+    if table == "wide":
+        writer = _WIDE_WRITERS.get(path.suffix.lower(), writer)
     return partial(writer, **options) if options else writer

@@ -1,4 +1,5 @@
-"""Export of sessions as tables: CSV, Parquet and NumPy's .npz; metres and seconds, K_A's frame.
+"""Export of sessions as tables: CSV, Parquet and NumPy's .npz; metres, seconds and degrees, K_A's
+frame.
 
 Each writer returns a description of what was written.
 """
@@ -12,6 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from recordings.gait import Step
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 
@@ -26,21 +28,16 @@ def write_long_csv(session: Session, path: Path) -> str:
 
 
 def write_wide_csv(session: Session, path: Path) -> str:
-    """Writes one row per frame with S* only: ``frame, time_s, <joint>_x, <joint>_y, <joint>_z, …``."""
-    rows = session.rows
-    columns: dict[str, pa.Array] = {"frame": pa.array(rows.frame), "time_s": pa.array(rows.time_ns * 1e-9)}
-    for j, joint in enumerate(rows.body.joints):
-        for axis in range(3):
-            columns[f"{joint}_{'xyz'[axis]}"] = pa.array(rows.fused[:, j, axis], from_pandas=True)
-    pyarrow.csv.write_csv(pa.table(columns), path)
+    """Writes the table of :func:`wide_table`."""
+    pyarrow.csv.write_csv(wide_table(session), path)
     return _frames(session)
 
 
-def write_parquet(session: Session, path: Path) -> str:
-    """Writes the rows of :func:`write_long_csv`; null if a joint has no position."""
-    table = long_table(session)
+def write_parquet(session: Session, path: Path, table: pa.Table | None = None) -> str:
+    """Writes the rows of :func:`write_long_csv`, or another table; null if a joint has no position."""
+    table = long_table(session) if table is None else table
     about = {
-        "units": "metres, seconds",
+        "units": "metres, seconds, degrees",
         "frame": "K_A: x right, y down, z forward",
         "body": session.body.name,
         "frame_rate": f"{session.frame_rate:.6g}",
@@ -49,9 +46,16 @@ def write_parquet(session: Session, path: Path) -> str:
     return _frames(session)
 
 
+def write_wide_parquet(session: Session, path: Path) -> str:
+    """Writes the table of :func:`wide_table`."""
+    return write_parquet(session, path, wide_table(session))
+
+
 def write_npz(session: Session, path: Path) -> str:
-    """Writes the arrays of :class:`recordings.session_arrays.SessionArrays` and the names of the joints."""
-    rows = session.rows
+    """Writes the arrays of :class:`recordings.session_arrays.SessionArrays`, the names of the joints, the
+    angles of :class:`recordings.session.AngleSeries`, and the steps as an array with named fields."""
+    rows, angles = session.rows, session.angles
+    kinds = [(name, "U5" if name == "side" else np.float64) for name in Step._fields]
     arrays = {name: getattr(rows, name) for name in ("bone_lengths", "frame", "time_ns")}
     arrays |= {name: values for name, _, values in rows.figures()}
     with path.open("wb") as file:
@@ -62,6 +66,10 @@ def write_npz(session: Session, path: Path) -> str:
             joints=np.array(rows.body.joints),
             bones=np.array(rows.body.bones),
             parents=rows.body.parent_indices,
+            angle_names=np.array(angles.names),
+            angles=angles.degrees,
+            angle_sigma=angles.sigma,
+            steps=np.array(list(session.gait.steps), dtype=kinds),
         )
     return _frames(session)
 
@@ -91,6 +99,23 @@ def long_table(session: Session) -> pa.Table:
             )
         )
     return pa.concat_tables(parts)
+
+
+def wide_table(session: Session) -> pa.Table:
+    """One row per frame: ``frame, time_s, <joint>_x, <joint>_y, <joint>_z, …`` of S*, its angles in degrees,
+    and ``gait``: the events nearest to the frame, such as ``heel_strike_left``."""
+    rows, angles = session.rows, session.angles
+    columns: dict[str, pa.Array] = {"frame": pa.array(rows.frame), "time_s": pa.array(rows.time_ns * 1e-9)}
+    for j, joint in enumerate(rows.body.joints):
+        for axis in range(3):
+            columns[f"{joint}_{'xyz'[axis]}"] = pa.array(rows.fused[:, j, axis], from_pandas=True)
+    for name in angles.names:
+        columns[name] = pa.array(angles[name], from_pandas=True)
+    happened: list[str | None] = [None] * len(rows)
+    for seconds, event in session.gait.events:
+        k = int(np.abs(rows.time_ns - 1e9 * seconds).argmin())
+        happened[k] = " ".join(filter(None, (happened[k], event)))
+    return pa.table({**columns, "gait": pa.array(happened, pa.string())})
 
 
 def _skeletons(

@@ -5,8 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from fusion.body import BODIES, KINECT_V2
+from devices.simulated.kinect import Scene, Truth, movement
+from devices.simulated.rig import Rig
+from fusion.angles import ANGLES, joint_angles
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.rigid import RigidTransform
 from recordings.appearance.floor import floor_under
@@ -31,6 +35,15 @@ def session(request, tmp_path):
     body = request.param
     pairs = frame_pairs(body, 60, gap=GAP, jitter_ns=3_000_000)
     return record_fused(tmp_path / "s.rrd", pairs, calibration_of(body))
+
+
+def walking_session(path):
+    """A session whose S* is a simulated person who walks."""
+    times = np.arange(300) * 33_333_333
+    walk = Truth(Scene(movement("walk"), AZURE_KINECT), Rig()).positions_at(times + 3_000_000_000)
+    pairs = frame_pairs(AZURE_KINECT, 300)
+    session = record_fused(path, pairs, calibration_of(AZURE_KINECT))
+    return replace(session, rows=replace(session.rows, fused=walk, time_ns=times))
 
 
 def on_floor(session, positions):
@@ -62,7 +75,51 @@ def test_wide_csv_has_a_row_a_frame(session):
     joint = session.body.joints[5]
     np.testing.assert_allclose(table[f"{joint}_y"].to_numpy(), session.rows.fused[:, 5, 1], atol=1e-9)
     np.testing.assert_allclose(table.time_s.to_numpy(), session.rows.time_ns * 1e-9, atol=1e-9)
-    assert len(table.columns) == 2 + 3 * len(session.body)
+    assert len(table.columns) == 2 + 3 * len(session.body) + len(ANGLES) + 1
+    angles = joint_angles(session.body, session.fused, session.up)
+    np.testing.assert_allclose(table[list(ANGLES)].to_numpy(), angles, atol=1e-9)
+    assert table.gait.isna().all()
+
+
+def test_a_walk_s_steps_are_in_the_wide_tables_and_in_npz(tmp_path):
+    pandas = pytest.importorskip("pandas")
+    session = walking_session(tmp_path / "s.rrd")
+    events = {event for _, event in session.gait.events}
+    assert len(events) == 4
+    for name in ("s.csv", "s.parquet"):
+        path = exported(session, name, table="wide")
+        table = pandas.read_csv(path) if name == "s.csv" else pandas.read_parquet(path)
+        told = table[table.gait.notna()]
+        assert told.gait.tolist() == [event for _, event in session.gait.events]
+        np.testing.assert_allclose(told.time_s, [seconds for seconds, _ in session.gait.events], atol=0.017)
+    with np.load(exported(session, "s.npz")) as arrays:
+        assert tuple(arrays["angle_names"]) == ANGLES
+        np.testing.assert_array_equal(arrays["angles"], session.angles.degrees)
+        assert arrays["steps"]["side"].tolist() == [step.side for step in session.gait.steps]
+        np.testing.assert_array_equal(arrays["steps"]["strike"], [step.strike for step in session.gait.steps])
+
+
+def test_mot_has_the_coordinates_of_opensim_s_model(session):
+    pandas = pytest.importorskip("pandas")
+    path = exported(session, "s.mot")
+    lines = path.read_text(encoding="utf-8").split("\n")
+    head = dict(line.split("=") for line in lines[1:5])
+    table = pandas.read_csv(path, sep="\t", skiprows=6)
+    assert head == {
+        "version": "1", "nRows": str(len(table)), "nColumns": str(len(table.columns)), "inDegrees": "yes",
+    }  # fmt: skip
+    np.testing.assert_allclose(table.time, session.time_ns * 1e-9, atol=1e-6)
+    angles = session.angles
+    np.testing.assert_allclose(table.knee_angle_r, angles["knee_flexion_right"], atol=1e-4)
+    np.testing.assert_allclose(table.hip_adduction_l, -angles["hip_abduction_left"], atol=1e-4)
+    # the model turns an arm about its lateral axis first, then about the axis that points forwards
+    arm = Rotation.from_euler("ZX", table[["arm_flex_r", "arm_add_r"]].dropna().to_numpy(), degrees=True)
+    flexion, abduction = (angles[f"shoulder_{of}_right"] for of in ("flexion", "abduction"))
+    elevation = np.hypot(flexion, abduction)
+    ahead, out = (np.sin(np.radians(elevation)) * of / elevation for of in (flexion, abduction))
+    expected = np.stack([ahead, -np.cos(np.radians(elevation)), out], axis=1)
+    known = np.isfinite(expected).all(axis=1)
+    np.testing.assert_allclose(arm.apply([0.0, -1.0, 0.0]), expected[known], atol=1e-5)
 
 
 def test_parquet_has_the_same_rows_and_says_its_units(session):
@@ -72,7 +129,7 @@ def test_parquet_has_the_same_rows_and_says_its_units(session):
     table = pandas.read_parquet(path)
     fused = table[table.skeleton == "fused"][["x", "y", "z"]].to_numpy()
     np.testing.assert_array_equal(fused.reshape(session.rows.fused.shape), session.rows.fused)
-    assert pyarrow_parquet.read_schema(path).metadata[b"units"] == b"metres, seconds"
+    assert pyarrow_parquet.read_schema(path).metadata[b"units"] == b"metres, seconds, degrees"
 
 
 def test_npz_has_every_array(session):

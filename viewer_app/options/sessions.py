@@ -112,14 +112,16 @@ class ReviewOptions(WebOptions, SummaryOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Write S* for another program: .bvh, .c3d, .csv, .glb, .npz, .parquet or .trc, by the file's ending."""
+    """Write S* for another program: .bvh, .c3d, .csv, .glb, .mot, .npz, .parquet or .trc, by the file's
+    ending."""
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to export."""
     to: Path
     """The file to write."""
     table: Literal["long", "wide"] = "long"
-    """Layout of a .csv: one row per joint and skeleton, or one row per frame with S* only."""
+    """Layout of a .csv or .parquet: one row per joint and skeleton, or one row per frame with S* and its
+    angles."""
     rate: float | None = None
     """Frames per second of a .bvh, .c3d or .glb; that of the recording if not given."""
     names: Literal["body", "humanoid", "mixamo"] = "body"
