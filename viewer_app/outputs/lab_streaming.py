@@ -1,7 +1,7 @@
-"""Lab Streaming Layer: S* as a stream of type MoCap, events as a stream of type Markers.
+"""Lab Streaming Layer: S* and its angles as streams of type MoCap, events as a stream of type Markers.
 
 Per joint four channels: x, y, z in metres in K_A's frame, and a confidence from 0 to 1. Without a person
-positions are NaN and confidences 0.
+positions are NaN and confidences 0. Per angle two channels: degrees, and their standard deviation.
 """
 
 import time
@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from devices.capture.host_clock import HostClock
 from devices.events import Event
+from fusion.angles import ANGLES
 from fusion.body import Body
 from fusion.fused_frame import FusedFrame
 from viewer_app.errors import UsageError
+from viewer_app.outputs.live_movement import LiveMovement
 from viewer_app.outputs.output import LiveOutput, confidence
 from viewer_app.sinks.queued_sink import QueuedFrame
 
@@ -41,7 +43,7 @@ def sample(fused: FusedFrame) -> NDArray[np.float32]:
 
 
 class LabStreamingOutput(LiveOutput):
-    """Two outlets: ``NAME`` and ``NAME-events``.
+    """Three outlets: ``NAME``, ``NAME-angles`` and ``NAME-events``.
 
     A sample has the time of its capture plus the least delay of the last frames, on liblsl's clock. So the
     stamps are as regular as the sensor.
@@ -61,19 +63,32 @@ class LabStreamingOutput(LiveOutput):
         info = pylsl.StreamInfo(name, "MoCap", 4 * len(body), rate, pylsl.cf_float32, source)
         _describe(info.desc(), body)
         events = pylsl.StreamInfo(f"{name}-events", "Markers", 1, 0.0, pylsl.cf_string, f"{source}-events")
-        self._samples, self._events = pylsl.StreamOutlet(info), pylsl.StreamOutlet(events)
+        angles = f"{name}-angles", "MoCap", 2 * len(ANGLES), rate, pylsl.cf_float32, f"{source}-angles"
+        of_angles = pylsl.StreamInfo(*angles)
+        channels = of_angles.desc().append_child("channels")
+        for label in (f"{angle}{of}" for angle in ANGLES for of in ("", "_sigma")):
+            channel = channels.append_child("channel")
+            channel.append_child_value("label", label)
+            channel.append_child_value("unit", "degrees")
+        self._samples, self._events, self._angles = map(pylsl.StreamOutlet, (info, events, of_angles))
+        self._movement = LiveMovement(body)
         self._clock_offset = pylsl.local_clock() - time.perf_counter()
         self._host_clock = HostClock()
         self._stamp = -np.inf
         self.start()
 
     def send_frame(self, frame: QueuedFrame) -> int:
-        """Pushes a sample; liblsl buffers it for each receiver."""
+        """Pushes a sample of each stream; liblsl buffers them for each receiver."""
         self._host_clock.observe(frame.time_ns, frame.written_ns)
         offset_ns = self._host_clock.offset_ns
         host_ns = frame.written_ns if offset_ns is None else frame.time_ns + offset_ns
         self._stamp = max(host_ns * 1e-9 + self._clock_offset, self._stamp + 1e-6)
         self._samples.push_sample(sample(frame.fused), self._stamp)
+        degrees_and_sigma = np.stack(self._movement.angles(frame), axis=1).astype(np.float32)
+        self._angles.push_sample(degrees_and_sigma.ravel(), self._stamp)
+        for event in self._movement.new_events():
+            happened = self._stamp + 1e-9 * (event.time_ns - frame.time_ns)
+            self._events.push_sample([f"{event.level}: {event.text}"], happened)
         return 1
 
     def send_event(self, event: Event) -> None:
@@ -82,7 +97,7 @@ class LabStreamingOutput(LiveOutput):
         self._events.push_sample([f"{event.level}: {event.text}"], stamp)
 
     def shut(self) -> None:
-        del self._samples, self._events
+        del self._samples, self._events, self._angles
 
 
 def load_pylsl(others: bool) -> Any:

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from rich.console import Console
 
+from fusion.angles import UP
 from fusion.body import Body
 from fusion.setup import FusionSetup
+from recordings.gait import find_gait
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
 from viewer_app.outputs.even_samples import EvenSamples
@@ -37,8 +39,9 @@ class OutputPlan:
         return any(each is not None for each in wanted)
 
     def warm_up(self, body: Body) -> None:
-        """Compiles what the outputs need before the first frame."""
+        """Compiles and loads what the outputs need before the first frame."""
         if self:
+            find_gait(body, [0], np.full((1, len(body), 3), np.nan), UP)
             from viewer_app.outputs.unity_pose import UnitySkeleton
 
             joints = np.zeros((len(body), 3))

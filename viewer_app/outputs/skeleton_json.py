@@ -6,12 +6,16 @@ drops it.
 """
 
 import json
+import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from devices.events import Event
+from fusion.angles import ANGLES
 from fusion.joint_rotations import JointRotations
 from fusion.setup import FusionSetup
+from viewer_app.outputs.live_movement import LiveMovement
 from viewer_app.outputs.output import confidence
 from viewer_app.sinks.queued_sink import QueuedFrame
 
@@ -23,6 +27,7 @@ class SkeletonJson:
 
     def __init__(self, setup: FusionSetup) -> None:
         self._rotations = JointRotations(setup.body)
+        self._movement = LiveMovement(setup.body)
 
     def hello(self, setup: FusionSetup) -> str:
         """The message that describes the others."""
@@ -38,14 +43,18 @@ class SkeletonJson:
                 "rest": body.rest.tolist(),
                 "bone_lengths": calibration.bone_lengths.round(5).tolist(),
                 "axes": "x right, y down, z forward, of the first sensor; right-handed",
-                "units": "metres, seconds",
+                "angles": ANGLES,
+                "units": "metres, seconds, degrees",
             }
         )
 
     def frame(self, timed: QueuedFrame) -> str:
-        """A frame: positions (J, 3), rotations (J, 4) x, y, z, w, confidence (J,), sigma (J,) or null."""
+        """A frame: positions (J, 3), rotations (J, 4) x, y, z, w, confidence (J,), sigma (J,) or null, angles
+        and their sigma (K,)."""
         fused, sigma = timed.fused, timed.fused.sigma
-        person: dict[str, object] = dict.fromkeys(("positions", "rotations", "confidence", "sigma"))
+        angles, angle_sigma = self._movement.angles(timed)
+        names = "positions", "rotations", "confidence", "sigma", "angles", "angle_sigma"
+        person: dict[str, object] = dict.fromkeys(names)
         if fused.has_person:
             rotations = self._rotations.update(fused.positions, timed.time_ns)
             person = {
@@ -53,6 +62,8 @@ class SkeletonJson:
                 "rotations": rotations.round(5).tolist(),
                 "confidence": confidence(fused).round(3).tolist(),
                 "sigma": None if sigma is None else np.minimum(sigma, 9.0).round(4).tolist(),
+                "angles": _or_null(angles),
+                "angle_sigma": None if sigma is None else _or_null(np.minimum(angle_sigma, 180.0)),
             }
         return json.dumps(
             {
@@ -66,6 +77,10 @@ class SkeletonJson:
             separators=(",", ":"),
         )
 
+    def gait_events(self) -> list[str]:
+        """Messages of the heel strikes and toe-offs that the last frames show."""
+        return [self.event(event) for event in self._movement.new_events()]
+
     def event(self, event: Event) -> str:
         """An event."""
         return json.dumps(
@@ -77,3 +92,8 @@ class SkeletonJson:
                 "text": event.text,
             }
         )
+
+
+def _or_null(degrees: NDArray[np.float64]) -> list[float | None]:
+    """JSON has no NaN."""
+    return [round(value, 2) if math.isfinite(value) else None for value in degrees.tolist()]

@@ -98,6 +98,8 @@ class WebSocketOutput(LiveOutput):
         """Encodes a frame, if there is a client, and hands it to the server's thread."""
         if self._clients:
             self._publish(self._json.frame(frame), frame.written_ns)
+            for event in self._json.gait_events():
+                self._publish(event)
         return None  # the server's thread counts
 
     def send_event(self, event: Event) -> None:

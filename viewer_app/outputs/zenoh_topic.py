@@ -34,6 +34,8 @@ class ZenohOutput(LiveOutput):
             self._hello_ns = frame.time_ns + _HELLO_EVERY_NS
             self.send_setup(self._setup)
         self._put("frame", self._json.frame(frame))
+        for event in self._json.gait_events():
+            self._put("event", event)
         return 1
 
     def send_event(self, event: Event) -> None:
