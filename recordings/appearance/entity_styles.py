@@ -141,6 +141,11 @@ def _darker(color: Color, darker: bool) -> Color:
     return red, green, blue
 
 
+def angle_lines(angle: str, name: str, color: Color) -> Visualizer:
+    """Plot line of an angle of layout.ANGLES."""
+    return _lines(rr.SeriesLines(names=name, colors=color), layout.DEGREES, angle)
+
+
 def figure_lines(name: str) -> Visualizer:
     """Plot line of a figure of layout.QUALITY; its name ends in its unit, if any."""
     words = name.replace("_mm", " (mm)").replace("_ms", " (ms)").replace("_", " ")

@@ -48,6 +48,11 @@ class PlacementLog:
         self._b: NDArray[np.float64] | None = None  # (3, 4) [R t]
         self._log_static()
 
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """(3,) against gravity in K_A's frame, from the newest floor."""
+        return -self._floor.a_from_floor.rotation[:, 1]
+
     def record(self, rows: SessionArrays) -> None:
         """Logs what changed within some frames, in time order."""
         placement = np.concatenate((rows.rotation, rows.translation[..., None]), axis=2)

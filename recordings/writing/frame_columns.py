@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import rerun as rr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from fusion.angles import ANGLES, UP, joint_angles
 from recordings import layout
 from recordings.frame_fields import FrameField
 from recordings.session_arrays import SessionArrays
@@ -27,10 +28,10 @@ from recordings.writing.checksums import (
 )
 from recordings.writing.shown_figures import SHOWN_FIGURES
 
-_BONES_EVERY = 2  # plot every second frame; S_A, S_B and S* are logged every frame
+_EVERY = 2  # bones and angles are plotted every second frame; S_A, S_B and S* are logged every frame
 
 
-PLOTTED = frozenset({layout.QUALITY, layout.BONES, layout.kinect("b")})
+PLOTTED = frozenset({layout.QUALITY, layout.BONES, layout.ANGLES, layout.kinect("b")})
 """Entities that are plotted or only read back; all others are drawn into the scene."""
 
 
@@ -40,6 +41,7 @@ def frame_columns(
     *,
     colors: NDArray[np.uint8] | None = None,
     plotted: bool = True,
+    up: ArrayLike = UP,
 ) -> Iterator[tuple[str, SessionArrays, list[Column]]]:
     """Each entity with its frames and their columns: the recorded figures, then those for the viewer.
 
@@ -47,6 +49,7 @@ def frame_columns(
         checks: Checks of S* in float64, if `rows` come from a file in float32.
         colors: (T, J, 3) of S*. None: entities that are drawn into the scene are left out.
         plotted: Whether the other entities are, see :data:`PLOTTED`.
+        up: (3,) against gravity in K_A's frame.
     """
     drawn = colors is not None
     entities: dict[str, _EntityColumns] = {}
@@ -81,10 +84,11 @@ def frame_columns(
             entities[layout.QUALITY].add_data(component, values)
     for entity, of_entity in entities.items():
         yield entity, rows, of_entity.columns()
-    chosen = np.flatnonzero(rows.frame % _BONES_EVERY == 0)
+    chosen = np.flatnonzero(rows.frame % _EVERY == 0)
     if plotted and len(chosen):
         every = rows if len(chosen) == len(rows) else rows[chosen]
         yield layout.BONES, every, [Column.of_data(layout.BONE_LENGTHS, _bones(every), len(every))]
+        yield layout.ANGLES, every, [Column.of_data(layout.DEGREES, _angles(every, up), len(every))]
 
 
 class _EntityColumns:
@@ -130,6 +134,11 @@ def _bones(rows: SessionArrays) -> pa.Array:
     bones = [each.slice(j * count, count) for j in body.bone_joints]
     # the viewer plots float16 only if the struct has another numeric field
     return pa.StructArray.from_arrays([of, *bones], names=["of", *(body.bones[j] for j in body.bone_joints)])
+
+
+def _angles(rows: SessionArrays, up: ArrayLike) -> pa.Array:
+    each = joint_angles(rows.body, rows.fused, up).astype(np.float32)
+    return pa.StructArray.from_arrays([_array(of) for of in each.T], names=list(ANGLES))
 
 
 def _checks(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Array]:

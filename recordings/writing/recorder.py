@@ -128,7 +128,7 @@ class Recorder:
             checks: Checks of S* in float64, if `rows` come from a file in float32.
         """
         self._placement.record(rows)
-        self._send(frame_columns(rows, checks, colors=self._trust_colors.add(rows)))
+        self._send(frame_columns(rows, checks, colors=self._trust_colors.add(rows), up=self._placement.up))
         self._explain(rows)
         self._frames = max(self._frames, int(rows.frame[-1]) + 1)
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
@@ -139,7 +139,7 @@ class Recorder:
             frames, numbers = zip(*self._unplotted, strict=True)
             self._unplotted.clear()
             rows = self._stack(frames, numbers)
-            self._send(frame_columns(rows))
+            self._send(frame_columns(rows, up=self._placement.up))
             self._explain(rows)
 
     def _draw(self, rows: SessionArrays) -> None:

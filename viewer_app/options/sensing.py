@@ -107,7 +107,7 @@ class LiveOptions(
     Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks.
     """
 
-    layout: Annotated[Literal["setup", "inspect", "report"], VIEWER] = "setup"
+    layout: Annotated[Literal["setup", "inspect", "report", "angles"], VIEWER] = "setup"
     """Which of the viewer's tabs is open at first."""
     seconds: float | None = None
     """End after this many seconds; if not given, end with Ctrl-C."""

@@ -64,7 +64,7 @@ class WebOptions:
 class ViewerOptions(WebOptions):
     """How a running session is shown."""
 
-    layout: Annotated[Literal["setup", "inspect", "report"], VIEWER] = "inspect"
+    layout: Annotated[Literal["setup", "inspect", "report", "angles"], VIEWER] = "inspect"
     """Which of the viewer's tabs is open at first."""
 
 

@@ -25,6 +25,7 @@ from viewer_app.report.events import (
 )
 from viewer_app.report.motion import encoded_motion
 from viewer_app.report.svg_plots import bar_plot, line_plot, skeleton_color, trust_map
+from viewer_app.report.walking import GAIT_HEAD, movement_of
 from viewer_app.report.words import BONE_HEAD, bone_rows, detail_lines, lead_lines
 
 _MOST_EVENTS = 12
@@ -56,6 +57,8 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         tiles=[line for line in lead if line.figure],
         lines=[line for line in lead if not line.figure],
         details=detail_lines(figures),
+        movement=movement_of(session),
+        gait_head=GAIT_HEAD,
         bone_plots=_bone_plots(session),
         bone_head=BONE_HEAD,
         bones=list(bone_rows(figures)),

@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS, Color
+from recordings.appearance.colors import PREDICTED_COLOR, SIDE_COLORS, SKELETON_COLORS, Color
 
 _INK = "#010203"  # placeholder for the page's text colour
 _POINTS_PER_INCH = 120  # of the width of a plot: about one point per pixel
@@ -32,15 +32,13 @@ def line_plot(
     logarithmic: bool = False,
     wide: bool = False,
 ) -> str:
-    """Plots values over seconds; each line has the key of its skeleton's colour. A level is dashed."""
+    """Plots values over seconds; each line has the key of a skeleton or side. A level is dashed."""
     width = _WIDE if wide else 6.0
     figure, axes = _figure(width, 2.4)
     for name, (values, key) in lines.items():
         joined = _joined(time, np.asarray(values, dtype=np.float64))
         at, thinned = _thinned(*joined, int(width * _POINTS_PER_INCH))
-        axes.plot(
-            at, thinned, color=skeleton_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name
-        )
+        axes.plot(at, thinned, color=line_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name)
     if level is not None:
         axes.axhline(level, color=_INK, linewidth=0.9, linestyle=(0, (5, 4)))
     if logarithmic and any(np.nanmax(values) > 0.0 for values, _ in lines.values()):
@@ -51,6 +49,33 @@ def line_plot(
     if len(lines) > 1:
         _legend(axes, len(lines))
     return _svg(figure, f"{title}, {unit}, over time", wide)
+
+
+def cycle_plot(title: str, curves: Mapping[str, NDArray[Any]], toe_offs: Mapping[str, float]) -> str:
+    """Plots degrees over the gait cycle, from heel strike to heel strike: median and middle two thirds.
+
+    Args:
+        curves: (C, 101) by side.
+        toe_offs: Share of the cycle at which the foot leaves the floor, by side; a dashed line.
+    """
+    figure, axes = _figure(4.0, 2.6)
+    percent = np.arange(101)
+    for side, each in curves.items():
+        known = each[np.isfinite(each).all(axis=1)]
+        if not len(known):
+            continue
+        low, median, high = np.percentile(known, [16.7, 50.0, 83.3], axis=0)
+        axes.fill_between(percent, low, high, color=line_color(side), alpha=0.2, linewidth=0)
+        axes.plot(percent, median, color=line_color(side), linewidth=1.6, label=side)
+        if np.isfinite(toe_offs[side]):
+            axes.axvline(100.0 * toe_offs[side], color=line_color(side), linewidth=0.9, linestyle=(0, (5, 4)))
+    axes.axhline(0.0, color=_INK, linewidth=0.5)
+    axes.set_xlim(0, 100)
+    axes.set_title(title, fontsize=10, loc="left", color=_INK)
+    axes.set_xlabel("% of the gait cycle")
+    axes.set_ylabel("°")
+    _legend(axes, len(curves))
+    return _svg(figure, f"{title}, degrees, over the gait cycle")
 
 
 def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
@@ -159,6 +184,11 @@ def _svg(figure: Any, label: str, wide: bool = False) -> str:
     svg = re.sub(r'href="#', f'href="#{own}-', svg)
     kind = ' class="wide"' if wide else ""
     return f'<figure{kind} role="img" aria-label="{label}">{svg}</figure>'
+
+
+def line_color(key: str) -> str:
+    """The colour of a skeleton, or of the person's left or right side, as CSS and SVG write it."""
+    return _css({**SKELETON_COLORS, **SIDE_COLORS}[key])
 
 
 def skeleton_color(key: str) -> str:

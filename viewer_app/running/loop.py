@@ -20,6 +20,7 @@ from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, without_images
 from devices.depth.rvl import encode_depth
 from devices.events import Event
+from fusion import angles
 from fusion.calibration.calibrator import Calibrator
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
@@ -53,6 +54,7 @@ def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = la
     with call_after(1.0, lambda: console.print(notice)):
         fuser.warm_up(meanwhile)
         depth_witness.warm_up()
+        angles.warm_up(fuser.setup.body)
         encode_depth(np.zeros((1, 1), dtype=np.uint16))
 
 

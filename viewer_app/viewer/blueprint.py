@@ -1,6 +1,7 @@
-"""The layouts of the viewer: three tabs, one per task.
+"""The layouts of the viewer: four tabs, one per task.
 
-*setup* is for placing the sensors, *inspect* for explaining the motion of a joint, *report* for the bones.
+*setup* is for placing the sensors, *inspect* for explaining the motion of a joint, *report* for the bones,
+*angles* for the person's movement.
 """
 
 import math
@@ -16,10 +17,10 @@ from fusion.body import Body
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
-from recordings.appearance.colors import PROMINENT_JOINTS
+from recordings.appearance.colors import PROMINENT_JOINTS, SIDE_COLORS, SKELETON_COLORS, Color
 
-Layout = Literal["setup", "inspect", "report"]
-LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
+Layout = Literal["setup", "inspect", "report", "angles"]
+LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report", "angles")
 
 SCENE = "S*: orange from A, blue from B, violet from both, grey unseen; lines: S_A, S_B"
 """Title of the scene in *inspect*, which is its legend."""
@@ -35,6 +36,15 @@ _STREAM_FIGURES = (
     ("dropped", "frames dropped"),
     ("unpaired", "frames without a partner"),
 )
+_ANGLES = (
+    ("hip_flexion", (-40.0, 120.0)),
+    ("knee_flexion", (-10.0, 140.0)),
+    ("hip_abduction", (-30.0, 60.0)),
+    ("elbow_flexion", (-10.0, 160.0)),
+    ("shoulder_flexion", (-60.0, 180.0)),
+    ("shoulder_abduction", (-30.0, 180.0)),
+)
+"""In *angles*: what both sides have, with the degrees of its axis."""
 _LIMBS = {
     "upper_arm": "upper arms (m)",
     "forearm": "forearms (m)",
@@ -74,6 +84,7 @@ def session_blueprint(
             _setup(setup, person_at, live, depth, color, infrared),
             _inspect(setup, person_at, live, depth),
             _report(setup.calibration.bone_lengths, body),
+            _angles(),
             active_tab=LAYOUTS.index(active),
         ),
         rrb.BlueprintPanel(state="collapsed"),
@@ -231,6 +242,25 @@ def _report(lengths: NDArray[np.float64], body: Body) -> rrb.Container:
         row_shares=[4, *([2] * len(rows))],
         name="report",
     )
+
+
+def _angles() -> rrb.Container:
+    def plot(name: str, degrees: tuple[float, float], *lines: tuple[str, str, Color]) -> rrb.View:
+        return rrb.TimeSeriesView(
+            origin=layout.ANGLES,
+            name=f"{name.replace('_', ' ')} (°)",
+            axis_y=rrb.ScalarAxis(range=degrees),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+            overrides={layout.ANGLES: [entity_styles.angle_lines(*line) for line in lines]},
+        )
+
+    forwards, aside = SKELETON_COLORS["fused"], SKELETON_COLORS["truth"]
+    trunk = ("trunk_flexion", "forwards", forwards), ("trunk_lean", "to the right", aside)
+    of_sides = (
+        plot(name, degrees, *((f"{name}_{side}", side, color) for side, color in SIDE_COLORS.items()))
+        for name, degrees in _ANGLES
+    )
+    return rrb.Grid(*of_sides, plot("trunk", (-30.0, 60.0), *trunk), grid_columns=2, name="angles")
 
 
 def _seen(body: Body) -> rrb.View:

@@ -59,6 +59,9 @@ def expected(active):
         return {bone_title(bone) for bone in bones if not bone.endswith("_right")} | quality
     if active == "setup":
         return {"Kinect A", "Kinect B", "sensors and person", "how good"}
+    if active == "angles":
+        limbs = ("hip flexion", "knee flexion", "hip abduction", "elbow flexion", "shoulder flexion")
+        return {f"{name} (°)" for name in (*limbs, "shoulder abduction", "trunk")}
     limbs = {"upper arms (m)", "forearms (m)", "thighs (m)", "shins (m)"}
     return limbs | {SCENE, "which sensor each limb follows", "views differ (mm)"}
 
@@ -123,7 +126,7 @@ def test_a_session_without_depth_images_promises_none():
         blueprint = session_blueprint(
             FusionSetup(nominal_calibration(KINECT_V2)), np.array([0.1, 0.1, 2.6]), "inspect", depth=depth
         )
-        setup, inspect, _ = blueprint.root_container.contents
+        setup, inspect, *_ = blueprint.root_container.contents
         tabs[depth] = [view.name for view in inspect.contents[0].contents[0].contents]
         images[depth] = [view.name for view in panes(setup)[:2]]
     assert tabs == {

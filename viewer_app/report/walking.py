@@ -1,0 +1,100 @@
+"""The joint angles and the gait of a session, for its page."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from markupsafe import Markup
+
+from recordings.gait import SIDES, Gait, Measured, cycle_curves
+from recordings.session import AngleSeries, Session
+from viewer_app.report.svg_plots import cycle_plot, line_plot
+
+_OF_A_SIDE = ("hip_flexion", "knee_flexion", "hip_abduction", "shoulder_flexion", "elbow_flexion")
+_FEWEST_CYCLES = 2  # of a side, for a mean
+GAIT_HEAD = ("", "left", "right")
+
+
+class Movement(NamedTuple):
+    """What the page shows of the person's movement."""
+
+    angles: Markup  # plots over time
+    summary: str  # of the gait; empty where the person does not walk
+    rows: list[tuple[str, ...]]  # of the gait, with the columns of GAIT_HEAD
+    cycles: Markup  # plots over the gait cycle
+
+
+def movement_of(session: Session) -> Movement:
+    """The content of the page's sections about angles and gait."""
+    angles, gait = session.angles, session.gait
+    return Movement(
+        Markup("").join(map(Markup, _over_time(session, angles))),
+        _summary(gait),
+        list(_gait_rows(gait)),
+        Markup("").join(map(Markup, _over_cycles(session, angles, gait))),
+    )
+
+
+def _over_time(session: Session, angles: AngleSeries) -> Iterator[str]:
+    time = session.time_ns * 1e-9
+    for name in (*_OF_A_SIDE, "shoulder_abduction"):
+        yield line_plot(
+            name.replace("_", " "), "°", time, {side: (angles[f"{name}_{side}"], side) for side in SIDES}
+        )
+    trunk = {"forwards": (angles["trunk_flexion"], "fused"), "to the right": (angles["trunk_lean"], "truth")}
+    yield line_plot("trunk", "°", time, trunk)
+
+
+def _over_cycles(session: Session, angles: AngleSeries, gait: Gait) -> Iterator[str]:
+    cycles = {side: gait.cycles(side) for side in SIDES}
+    if min(len(each) for each in cycles.values()) < _FEWEST_CYCLES:
+        return
+    toe_offs = {side: _median(gait.stance(side)) for side in SIDES}
+    time = session.time_ns * 1e-9
+    for name in _OF_A_SIDE:
+        curves = {side: cycle_curves(time, angles[f"{name}_{side}"], cycles[side]) for side in SIDES}
+        yield cycle_plot(name.replace("_", " "), curves, toe_offs)
+    trunk = {side: cycle_curves(time, angles["trunk_flexion"], cycles[side]) for side in SIDES}
+    yield cycle_plot("trunk flexion", trunk, toe_offs)
+
+
+def _summary(gait: Gait) -> str:
+    if not gait.steps:
+        return ""
+    walks = len(gait.walks)
+    return (
+        f"{len(gait.steps)} steps in {walks} {'walk' if walks == 1 else 'walks'}; cadence "
+        f"{_in_words(gait.cadence, 0)} steps/min, speed {_in_words(gait.speed, 2)} m/s."
+    )
+
+
+def _in_words(measured: Measured, digits: int) -> str:
+    if not np.isfinite(measured.sigma):
+        return f"{measured.value:.{digits}f}"
+    # no fewer digits than the value, and not 0
+    return f"{measured.value:.{digits}f} ± {max(measured.sigma, 10.0**-digits):.{digits}f}"
+
+
+def _gait_rows(gait: Gait) -> Iterator[tuple[str, ...]]:
+    """Mean and standard deviation of the steps of each side."""
+    if not gait.steps:
+        return
+    sides = [gait.of_side(side) for side in SIDES]
+    yield ("steps", *(str(len(steps)) for steps in sides))
+    yield ("step length (m)", *(_mean([step.length for step in steps], 2) for steps in sides))
+    yield ("step time (s)", *(_mean([step.seconds for step in steps], 2) for steps in sides))
+    strides = [np.diff(gait.cycles(side), axis=1) for side in SIDES]
+    yield ("stride time (s)", *(_mean(each, 2) for each in strides))
+    yield ("stance (% of the cycle)", *(_mean(100.0 * gait.stance(side), 0) for side in SIDES))
+
+
+def _mean(values: object, digits: int) -> str:
+    known = np.asarray(values, dtype=np.float64)
+    known = known[np.isfinite(known)]
+    return f"{known.mean():.{digits}f} ± {known.std():.{digits}f}" if len(known) else "–"
+
+
+def _median(values: object) -> float:
+    known = np.asarray(values, dtype=np.float64)
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else float("nan")
