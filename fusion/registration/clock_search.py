@@ -28,6 +28,8 @@ _LONGEST_NS = 300_000_000  # a longer interval is a gap
 _FASTEST = 8.0  # m/s: a faster joint has jumped
 _STILL = 0.1  # m/s: slower motion is mostly noise
 _OVERLAP = 0.35  # least share of either view's motion that a peak is based on
+_PART_OVERLAP = 0.1  # where one may be a calm part of the other
+_AS_MANY = 0.9  # of the most frames that two views have in common
 _CANDIDATES = 6
 _LEAST_CORRELATION = 0.2
 _AMBIGUOUS = 1.6  # a candidate whose 1 - r is smaller by this factor is right where the places do not tell
@@ -68,7 +70,7 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     within = np.flatnonzero((times > a.time_ns[0] - reach) & (times < a.time_ns[-1] + reach))
     shifted = b.chosen(within)._replace(time_ns=times[within])
     besides = () if apart else (0,)
-    peaks = _peaks(body, a, shifted, besides)
+    peaks = _peaks(body, a, shifted, besides, _REACH_NS, _OVERLAP)
     if len(peaks) == len(besides):
         return None
     offsets = [offset for offset, _ in peaks]
@@ -85,6 +87,34 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
         if mismatch[0] < _AMBIGUOUS * mismatch[1] or _better(costs[other], costs[best]):
             return None
     return _refined(a, shifted, offsets[best], base)
+
+
+def find_part_offsets(body: Body, a: View, b: View) -> list[int]:
+    """The times to add to B's clock, ns, at which one view may be a part of the other.
+
+    All offsets at which the views overlap are searched. Of those that the motion does not tell apart, as
+    where a movement repeats itself, the first has most frames in common.
+
+    Returns:
+        The best one, then all others that match as well; empty where no offset matches.
+    """
+    if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
+        return []
+    base = int(a.time_ns[0] - b.time_ns[0])
+    shifted = b._replace(time_ns=b.time_ns + base)
+    reach = int(max(np.ptp(a.time_ns), np.ptp(b.time_ns)))
+    peaks = _peaks(body, a, shifted, (), reach, _PART_OVERLAP)
+    costs = [_costs(a, shifted, offset) for offset, _ in peaks]
+    frames = [int(np.isfinite(cost).sum()) for cost in costs]
+    known = [k for k, count in enumerate(frames) if count >= _FEWEST]
+    if not known:
+        return []
+    mean = _means(np.array(costs))
+    best = min(known, key=lambda k: mean[k])
+    equal = [k for k in known if k == best or not _better(costs[best], costs[k])]
+    enough = _AS_MANY * max(frames[k] for k in equal)
+    equal.sort(key=lambda k: (frames[k] < enough, mean[k]))
+    return [base + peaks[k][0] for k in equal]
 
 
 def find_clock_skew(a: View, b: View, middle: ClockOffset) -> ClockOffset:
@@ -157,16 +187,18 @@ def _minimum(costs: Array) -> float:
     return k + _vertex(-means[max(k - 1, 0) : k + 2])
 
 
-def _peaks(body: Body, a: View, b: View, besides: tuple[int, ...]) -> list[tuple[int, float]]:
+def _peaks(
+    body: Body, a: View, b: View, besides: tuple[int, ...], reach_ns: int, overlap: float
+) -> list[tuple[int, float]]:
     """The largest correlations of the speeds: offset in ns, and r; and those at the offsets ``besides``."""
-    reach = _REACH_NS // _GRID_NS
+    reach = reach_ns // _GRID_NS
     count = int((a.time_ns[-1] - a.time_ns[0]) // _GRID_NS) + 1
     grid = a.time_ns[0] + _GRID_NS * np.arange(-reach, count + reach)
     x, y = _speeds(body, a, grid[reach : reach + count]), _speeds(body, b, grid)
     known_x, known_y = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
     x, y = np.nan_to_num(x), np.nan_to_num(y)
     product, power_x, power_y = _correlate(x, y), _correlate(x * x, known_y), _correlate(known_x, y * y)
-    enough = (power_x > _OVERLAP * power_x.max()) & (power_y > _OVERLAP * power_y.max())
+    enough = (power_x > overlap * power_x.max()) & (power_y > overlap * power_y.max())
     r = np.where(enough, product / np.sqrt(np.where(enough, power_x * power_y, 1.0)), -np.inf)
     peaks = [(offset, float(r[reach - offset // _GRID_NS])) for offset in besides]
     for _ in range(_CANDIDATES):
