@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Runs a command line; without arguments, that of the process."""
     os.environ.setdefault("RERUN_ANALYTICS", "0")
     # a file that cannot be written is an error of this program, in one line
-    os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off")
+    os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off,re_sdk::recording_stream=off")
     # all matrices are small: more threads would only wait for each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.joint_kinds import ARM, LEG, kind_of, limbs
+from fusion.skeleton import NO_FRAME
 from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS, Color
 from recordings.session_arrays import SessionArrays
 
@@ -16,6 +17,31 @@ _SHADES = 16  # finer shades are not visible; few colours compress well
 _MOSTLY = 0.7  # share of a view from which on a limb counts as following it
 _KEPT_A_SECOND = 0.967  # share of the mean that is kept from frame to frame: a second at 30 per second
 _KEPT = 0.9  # share of the mean that is kept from frame to frame: a third of a second
+_NEWEST_NS = 200_000_000  # a frame of a sensor says nothing any more after this time
+
+
+class SeenJoints:
+    """Tells which joints a sensor saw in its newest frame.
+
+    Sensors whose frames are not simultaneous give them in turn. Without the newest frame, a joint that one of
+    them sees all the time would count as unseen in every frame of the other.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self._seen = np.zeros((1, joints), dtype=bool)
+        self._time_ns = np.full(1, -(2**62), dtype=np.int64)
+
+    def add(
+        self, states: NDArray[np.integer], clock: NDArray[np.int64], time_ns: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """(T, J) of frames in time order; after 0.2 s without a frame of the sensor no joint is seen."""
+        seen = np.concatenate((self._seen, states != 0))
+        times = np.concatenate((self._time_ns, time_ns))
+        gave = np.concatenate(([True], clock != NO_FRAME))
+        newest = np.maximum.accumulate(np.where(gave, np.arange(len(gave)), 0))
+        self._seen, self._time_ns = seen[newest[-1:]], times[newest[-1:]]
+        recent = times - times[newest] <= _NEWEST_NS
+        return np.asarray((seen[newest] & recent[:, None])[1:])
 
 
 class TrustColors:
@@ -27,6 +53,7 @@ class TrustColors:
 
     def __init__(self) -> None:
         self._mean: NDArray[np.float64] | None = None
+        self._sensors: tuple[SeenJoints, SeenJoints] | None = None
 
     def add(self, rows: SessionArrays) -> NDArray[np.uint8]:
         """(T, J, 3) RGB of frames in time order: the colours of A, of S* where both views count alike, and of
@@ -43,7 +70,11 @@ class TrustColors:
         self._mean = means[-1]
         total = means.sum(axis=1)
         share = np.where(total > 0.0, means[:, 0] / np.where(total > 0.0, total, 1.0), 0.5)
-        return np.where((rows.states_a == 0) & (rows.states_b == 0), np.nan, share)
+        if self._sensors is None:
+            self._sensors = SeenJoints(len(rows.body)), SeenJoints(len(rows.body))
+        a, b = self._sensors
+        seen_a = a.add(rows.states_a, rows.clock_a, rows.time_ns)
+        return np.where(seen_a | b.add(rows.states_b, rows.clock_b, rows.time_ns), share, np.nan)
 
 
 def _palette() -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from fusion.skeleton import TrackingState
+from fusion.skeleton import NO_FRAME, TrackingState
 from recordings import layout
 from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS
 from recordings.appearance.joint_trust import LIMBS, LimbSources, TrustColors
@@ -66,6 +66,20 @@ def test_a_frame_that_a_sensor_repeats_does_not_flash(rows):
     predicted[90] = True
     told = replace(even, weights_a=weights_a, weights_b=weights_b, predicted=predicted)
     assert (TrustColors().add(told) == SKELETON_COLORS["fused"]).all()
+
+
+def test_a_frame_that_the_other_sensor_has_none_for_does_not_flash(rows):
+    """A sees no one; B sees the person in every second frame, until it is gone."""
+    states_b, clock_b = rows.states_b.copy(), rows.clock_b.copy()
+    states_b[1::2], clock_b[1::2] = 0, NO_FRAME
+    states_b[60:], clock_b[60:] = 0, NO_FRAME
+    told = replace(rows, states_a=np.zeros_like(rows.states_a), states_b=states_b, clock_b=clock_b)
+    grey = (TrustColors().add(told) == PREDICTED_COLOR).all(axis=(1, 2))
+    assert not grey[:60].any()
+    assert grey[67:].all()  # 0.2 s later
+    parts = TrustColors()
+    each = [parts.add(told[slice(k, k + 7)]) for k in range(0, len(told), 7)]
+    np.testing.assert_array_equal(np.concatenate(each), TrustColors().add(told))
 
 
 def test_the_colours_follow_the_trust_of_the_last_second(rows):

@@ -19,6 +19,7 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import NO_FRAME
 from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without_truth, judge_registration
+from recordings.appearance.joint_trust import SeenJoints
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 from viewer_app.coach.standing_spot import FARTHEST, nearest
@@ -60,13 +61,24 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays) -> Figures:
         "without_person": {
             "a": int((empty_a & gave_a).sum()),
             "b": int((empty_b & gave_b).sum()),
-            "both": int((empty_a & empty_b).sum()),
+            "both": _without_person(rows),
         },
         "settings": {name: getattr(settings, name) for name in ("method", "h", "weights", "smoothing")},
         "calibration": calibration_figures(setup.calibration),
         "distance_m": _distances(setup, rows),
         **method_figures(rows),
     }
+
+
+def _without_person(rows: SessionArrays) -> int:
+    """Frames in which nobody is in the newest frame of either sensor."""
+    a, b = SeenJoints(len(rows.body)), SeenJoints(len(rows.body))
+    count = 0
+    for part in rows.parts():
+        seen = a.add(part.states_a, part.clock_a, part.time_ns)
+        seen |= b.add(part.states_b, part.clock_b, part.time_ns)
+        count += int((~seen.any(axis=1)).sum())
+    return count
 
 
 def calibration_figures(calibration: Calibration) -> Figures:

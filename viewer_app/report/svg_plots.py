@@ -102,11 +102,9 @@ def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> 
     from matplotlib.colors import LinearSegmentedColormap
 
     figure, axes = _figure(_WIDE, 0.16 * len(names) + 1.0)
-    axes.set_facecolor(_css(PREDICTED_COLOR))
     mean = _columns_of_time(time, share)
-    colors = LinearSegmentedColormap.from_list(
-        "trust", [skeleton_color("b"), skeleton_color("fused"), skeleton_color("a")]
-    )
+    ramp = [skeleton_color(key) for key in ("b", "fused", "a")]
+    colors = LinearSegmentedColormap.from_list("trust", ramp).with_extremes(bad=_css(PREDICTED_COLOR))
     extent = (float(time[0]), float(time[-1]) or 1.0, len(names) - 0.5, -0.5)
     image = axes.imshow(
         mean.T, aspect="auto", cmap=colors, vmin=0.0, vmax=1.0, extent=extent, interpolation="none"
@@ -120,7 +118,7 @@ def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> 
 
 
 def _columns_of_time(time: NDArray[Any], share: NDArray[Any]) -> NDArray[np.float64]:
-    """(columns, J) means of (T, J) over equal time spans; NaN without a frame nearby."""
+    """(columns, J) means of (T, J) over equal time spans; NaN without a frame within 0.15 s."""
     if len(time) < 2:
         return np.asarray(share, dtype=np.float64)
     edges = np.linspace(time[0], time[-1], _TRUST_COLUMNS + 1)
@@ -135,7 +133,7 @@ def _columns_of_time(time: NDArray[Any], share: NDArray[Any]) -> NDArray[np.floa
     after = np.clip(np.searchsorted(time, middle), 1, len(time) - 1)
     nearest = np.where(middle - time[after - 1] <= time[after] - middle, after - 1, after)
     empty = np.bincount(column, minlength=_TRUST_COLUMNS) == 0
-    near = np.abs(time[nearest] - middle) <= np.median(np.diff(time))
+    near = np.abs(time[nearest] - middle) <= 0.5 * _LONGEST_JOINED
     mean[empty & near] = share[nearest[empty & near]]
     return np.asarray(mean)
 

@@ -266,6 +266,11 @@ def test_one_recording_twice_is_refused(tmp_path, capsys):
     for other in (a, tmp_path / "." / "a.csv", copy):
         with pytest.raises(DeviceError, match="are the same recording"):
             read_two(RecordingChoice(a), RecordingChoice(other))
+    empty = tmp_path / "empty_a.csv", tmp_path / "empty_b.csv"
+    for path in empty:
+        path.write_text("")
+    with pytest.raises(DeviceError, match=r"empty_a\.csv is empty"):
+        read_two(*map(RecordingChoice, empty))
     assert duplex("fuse", a, copy, "--no-viewer") == 2
     assert "Fusion needs one recording of each sensor" in one_line(capsys)
 

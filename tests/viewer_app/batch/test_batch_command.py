@@ -11,6 +11,7 @@ import pytest
 
 from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
+from tests.helpers.machine import small_disk
 from tests.helpers.recorded_pairs import assert_same_session, write_pair
 from tests.helpers.waiting import eventually
 from viewer_app.batch import processes
@@ -74,6 +75,25 @@ def test_two_processes_fuse_what_duplex_fuse_fuses(tmp_path):
     page = (out / "summary.html").read_text(encoding="utf-8")
     assert page.index("p1") < page.index('href="p0/p0.rrd"')
     assert "p1/p1" not in page  # no link to a session that is not there
+
+
+def test_on_a_full_disk_every_pair_ends_with_one_line(tmp_path, capsys):
+    for name in "pq":
+        write_pair(tmp_path / "pairs" / name)
+    assert (
+        duplex(
+            "fuse", *sorted((tmp_path / "pairs" / "p").iterdir()), "--no-viewer", "--save", tmp_path / "s.rrd"
+        )
+        == 0
+    )
+    kilobytes = 0.8 * (tmp_path / "s.rrd").stat().st_size / 1024
+    capsys.readouterr()
+    with small_disk(tmp_path / "small", round(kilobytes)) as disk:
+        assert duplex("batch", tmp_path / "pairs", "--out", disk / "out", "--processes", 2) == 1
+        said = " ".join(capsys.readouterr().out.split())
+        assert said.count("could not be written") == 2
+        assert files_in(disk / "out") <= {"summary.html", "summary.parquet"}
+        assert not (disk / "out" / ".partial").exists()
 
 
 def test_only_what_is_not_done_is_fused(tmp_path, in_this_process, capsys):
@@ -187,6 +207,8 @@ def test_a_job_that_a_cluster_repeats_is_not_fused_again(tmp_path):
     options = BatchOptions(source=folder.parent, out=tmp_path / "out")
     job = Job(Pair("p", folder / "a.csv", folder / "b.csv"), options)
     first = fuse_job(job)
+    # another worker may be about to make its own folder in this one
+    assert list((tmp_path / "out" / ".partial").iterdir()) == []
     made = job.session.stat().st_mtime_ns
     assert fuse_job(job) == first
     assert job.session.stat().st_mtime_ns == made

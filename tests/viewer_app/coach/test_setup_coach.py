@@ -42,10 +42,11 @@ def watched(
     b_gone=(np.inf, np.inf),
     frame_ns=FRAME_NS,
     simulated=False,
+    remote="",
 ):
     """The coach's advice by topic after some seconds of unchanged frames."""
     now = now or Situation(KNOWN, final=True, held=0.0)
-    coach = Coach(BODY, (CAMERA, CAMERA), simulated=simulated)
+    coach = Coach(BODY, (CAMERA, CAMERA), simulated=simulated, remote=remote)
     fuser = Fuser(FusionSetup(now.calibration))
     joints = standing(BODY) if truth is None else truth
     advice = []
@@ -136,6 +137,10 @@ def test_the_start_up_pose_is_counted_down():
 def test_slow_late_and_dropping_sensors_are_named():
     assert wrong(watched(every=2)) == {"rate A", "rate B"}
     assert "USB" in watched(every=2)["rate A"].text
+    of_two_pcs = watched(every=2, remote="B")
+    assert "USB" in of_two_pcs["rate A"].text
+    assert "network" in of_two_pcs["rate B"].text
+    assert "USB" not in of_two_pcs["rate B"].text
     assert wrong(watched(skew_ns=-20_000_000)) == {"skew"}
     assert wrong(watched(skew_ns=15_000_000)) == set()
     said = watched(dropping=1)

@@ -10,6 +10,7 @@ import rerun as rr
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from recordings import Session
 from tests.helpers.command_line import duplex, one_line
+from tests.helpers.machine import small_disk
 from tests.helpers.programs import python
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
 from tests.helpers.two_views import A_FROM_B, moving
@@ -197,6 +198,19 @@ def test_a_browser_is_served_the_whole_session(recordings, monkeypatch, capsys):
 def test_the_installed_program_answers_with_exit_code_2_and_no_traceback(tmp_path):
     done = python("-m", "viewer_app.cli", "fuse", "no.csv", "no.csv", "--no-viewer", TMPDIR=str(tmp_path))
     assert (done.returncode, done.stderr) == (2, "duplex: No file no.csv.\n")
+
+
+def test_a_full_disk_gives_one_line_and_leaves_no_file(recordings, tmp_path):
+    """In a process of its own: Rerun's log of the failure would be lines beside it."""
+    command = ("-m", "viewer_app.cli", "fuse", *recordings, "--no-viewer", "--save")
+    assert python(*command, tmp_path / "s.rrd").returncode == 0
+    whole = (tmp_path / "s.rrd").stat().st_size / 1024
+    for share in (0.1, 0.6, 0.9):
+        with small_disk(tmp_path / f"{share}", round(share * whole)) as disk:
+            done = python(*command, disk / "s.rrd", timeout=120.0)
+            assert done.returncode == 2
+            assert re.fullmatch(r"duplex: .*s\.rrd could not be written: .*\n", done.stderr)
+            assert list(disk.iterdir()) == []
 
 
 def test_a_clock_that_is_seconds_off_is_corrected_and_every_frame_is_fused(tmp_path, capsys):

@@ -1,5 +1,6 @@
 """``duplex review`` lists the events and opens the viewer where something happened."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from unittest.mock import MagicMock
 
@@ -67,6 +68,19 @@ def test_without_a_display_it_says_where_a_viewer_would_open(path, shown, monkey
     assert duplex("review", path, "--event", 2) == 0
     assert "There is no display; a viewer would open at 0.50 s, event 2." in capsys.readouterr().out
     shown.assert_not_called()
+
+
+def test_a_browser_is_served_the_session(path, monkeypatch, capsys):
+    served = []
+    monkeypatch.setattr(review, "served", lambda file, hub: nullcontext(served.append((file, hub.web_port))))
+    monkeypatch.setattr(review, "stay_for_visitors", lambda *_: None)
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
+    assert duplex("review", path, "--web") == 0
+    ((file, port),) = served
+    assert file == path
+    said = capsys.readouterr().out
+    assert f"Viewer: http://127.0.0.1:{port}/?url=" in said
+    assert "a window would open at 1.00 s, event 3." in said
 
 
 def test_without_an_event_it_opens_at_the_beginning_and_says_so(session, shown, capsys):

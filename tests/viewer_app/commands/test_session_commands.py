@@ -24,6 +24,7 @@ from tests.helpers.recorded_pairs import REAL
 from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import calibration_of
 from viewer_app.commands.replay import verify
+from viewer_app.report.figures import fusion_figures, report
 
 
 @pytest.fixture(scope="module")
@@ -244,12 +245,16 @@ def test_a_damaged_session_gives_one_line(session, tmp_path, capsys):
 
 
 def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(tmp_path, capsys):
-    saved, part = tmp_path / "demo.rrd", tmp_path / "part.rrd"
+    saved, part, told = tmp_path / "demo.rrd", tmp_path / "part.rrd", tmp_path / "r.json"
     options = ("--no-viewer", "--seconds", "5", "--depth", "none", "--verbose")
-    assert duplex("demo", *options, "--save", saved) == 0
+    assert duplex("demo", *options, "--save", saved, "--report", told) == 0
     assert "Distance from the true joints" in capsys.readouterr().out
-    assert [path.name for path in tmp_path.iterdir()] == ["demo.rrd"]
+    assert {path.name for path in tmp_path.iterdir()} == {"demo.rrd", "r.json"}
     session = Session.open(saved)
+    live, reviewed = json.loads(told.read_text(encoding="utf-8")), json.loads(json.dumps(report(session)))
+    same = fusion_figures(session.last_setup, session.rows).keys()  # not only since the last calibration
+    assert {name: live[name] for name in same} == {name: reviewed[name] for name in same}
+    assert live["seconds"] > 4.5
     assert session.damage is None
     assert session.rows.truth is not None
     assert len(session.calibrations) > 1
@@ -263,9 +268,11 @@ def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(tmp_path, cap
 @pytest.mark.parametrize("ending", ["rrd", "bvh", "c3d", "csv", "glb", "parquet", "trc"])
 def test_a_full_disk_ends_with_one_line_and_no_file(session, tmp_path, capsys, ending):
     name = f"s.{ending}"
-    for kilobytes in (4, 20):  # the smallest file has 37 kB
+    command = ("trim", session, "--save") if ending == "rrd" else ("export", session, "--to")
+    assert duplex(*command, tmp_path / name) == 0
+    whole = (tmp_path / name).stat().st_size / 1024
+    for kilobytes in (4, *(int(share * whole) for share in (0.5, 0.7, 0.8))):
         with small_disk(tmp_path / str(kilobytes), kilobytes) as disk:
-            command = ("trim", session, "--save") if ending == "rrd" else ("export", session, "--to")
             assert duplex(*command, disk / name) == 2
             assert list(disk.iterdir()) == []
         assert f"{name} could not be written: " in one_line(capsys)

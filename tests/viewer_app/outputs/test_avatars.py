@@ -15,6 +15,7 @@ from tests.helpers.live_frames import frames
 from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, turned_about, world_of_local
 from tests.helpers.two_views import FRAME_NS, moving
 from viewer_app.errors import UsageError
+from viewer_app.outputs import vrm as vrm_module
 from viewer_app.outputs.osc import Address, OscOutput
 from viewer_app.outputs.vmc import VmcEncoder
 from viewer_app.outputs.vrchat import VRChatEncoder, euler_degrees
@@ -209,6 +210,19 @@ def test_a_file_that_is_no_avatar_gives_one_line(tmp_path):
             read_avatar(bad)
     with pytest.raises(UsageError, match=r"--avatar .*none\.vrm"):
         read_avatar(tmp_path / "none.vrm")
+
+
+def test_a_long_chain_of_bones_is_multiplied_once(monkeypatch):
+    chain = [{"children": [k + 1], "translation": [0, 0.001, 0]} for k in range(1000)]
+    bones = {f"b{k}": {"node": k} for k in range(1, 1000)} | {"hips": {"node": 500}}
+    gltf = {"nodes": [*chain, {}], "extensions": {"VRMC_vrm": {"humanoid": {"humanBones": bones}}}}
+    computed = []
+    matrix_of = vrm_module._matrix
+    monkeypatch.setattr(vrm_module, "_matrix", lambda node: computed.append(node) or matrix_of(node))
+    avatar = vrm_module._avatar(gltf)
+    assert len(computed) <= 1001  # from the root for every bone it would be 500,000
+    np.testing.assert_allclose(avatar.hips, [0.0, 0.501, 0.0], atol=1e-9)
+    np.testing.assert_allclose(avatar.translations["B900"], [0.0, 0.001, 0.0], atol=1e-9)
 
 
 JOINTS = {"2": "AnkleLeft", "3": "AnkleRight", "4": "KneeLeft", "5": "KneeRight", "7": "ElbowLeft",

@@ -24,7 +24,7 @@ from tests.helpers.waiting import eventually
 from viewer_app.addresses import reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import confidence
-from viewer_app.outputs.websocket import WebSocketOutput
+from viewer_app.outputs.websocket import UNANSWERED, WebSocketOutput
 
 
 @pytest.fixture
@@ -113,6 +113,25 @@ def test_a_client_that_does_not_read_skips_frames_and_costs_others_nothing(serve
             assert numbers == list(range(300))
             assert server.counts.dropped > 0
             assert slowest < 3.0  # a loop that waited would never return
+
+
+def test_few_frames_are_on_the_way_to_a_client_that_answers_no_ping(server, fuser):
+    """Buffers of the network would take all of them, and the client would see the past."""
+    made = frames(fuser, 1)[0]
+    with socket.create_connection(("127.0.0.1", port_of(server))) as slow:
+        slow.sendall(handshake(port_of(server)))
+        assert eventually(lambda: len(server._clients) == 1)
+
+        def all_on_the_way():
+            server.write(made)
+            return server.counts.sent >= UNANSWERED
+
+        assert eventually(all_on_the_way)
+        before = server.counts.dropped
+        for _ in range(60):
+            server.write(made)
+        assert eventually(lambda: server.counts.dropped >= before + 59)  # the last one waits
+        assert server.counts.sent == UNANSWERED
 
 
 def handshake(port):

@@ -4,12 +4,15 @@ import base64
 import re
 import zlib
 from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
 
+import cv2
 import numpy as np
 import pytest
 
 from fusion.body import KINECT_V2
+from recordings.appearance.colors import PREDICTED_COLOR
 from recordings.appearance.floor import floor_under
 from recordings.fusing.files import without_folders
 from tests.helpers.command_line import duplex
@@ -21,7 +24,8 @@ from viewer_app.report import motion as motion_module
 from viewer_app.report.figures import report, truth_free_figures
 from viewer_app.report.motion import _kept_frames, encoded_motion
 from viewer_app.report.review_page import review_page
-from viewer_app.report.svg_plots import line_plot, skeleton_color
+from viewer_app.report.svg_plots import _columns_of_time, line_plot, skeleton_color, trust_map
+from viewer_app.report.words import in_percent
 
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
 
@@ -117,6 +121,18 @@ def test_a_line_joins_values_of_every_other_frame_but_not_across_a_gap():
     assert path.count("L ") == 9 + 8
 
 
+def test_the_map_of_trust_is_grey_only_where_no_sensor_sees_the_joint():
+    at = np.random.default_rng(0).random(900) > 0.3  # uneven frames: some columns of the map have none
+    time, share = (np.arange(900) / 30)[at], np.full((900, 2), 0.5)[at]
+    share[(time > 10.0) & (time < 11.0), 1] = np.nan
+    unseen = np.isnan(_columns_of_time(time, share))
+    assert not unseen[:, 0].any()
+    np.testing.assert_array_equal(np.flatnonzero(unseen[:, 1]), np.arange(201, 220))  # 50 ms each
+    images = re.findall(r"data:image/png;base64,([^\"]+)", trust_map(time, ("head", "neck"), share))
+    drawn = cv2.imdecode(np.frombuffer(base64.b64decode(images[0]), np.uint8), cv2.IMREAD_COLOR)
+    assert (drawn == PREDICTED_COLOR).all(axis=-1).mean() == pytest.approx(19 / 600 / 2, rel=0.2)
+
+
 def test_a_long_session_keeps_more_frames_near_its_events():
     seconds = np.arange(0.0, 1200.0, 1 / 30)
     kept = seconds[_kept_frames(seconds, [300.0, 900.0], 2000)]
@@ -181,6 +197,25 @@ def test_an_event_of_the_list_leads_to_its_moment(fused_run, tmp_path):
             assert errors == []
         finally:
             browser.close()
+
+
+def test_the_page_shows_exchanged_sides_large_one_frame_rate_and_no_empty_plot(session):
+    rows = session.rows
+    exchanged = np.zeros((len(rows), 2), dtype=np.int8)
+    exchanged[:30, 1] = 3
+    plots = {}
+    for name, skew in (("some", rows.skew_ns), ("none", np.zeros_like(rows.skew_ns))):
+        changed = replace(session, rows=replace(rows, exchanged=exchanged, skew_ns=skew))
+        figures = report(changed) | {"without_truth": truth_free_figures(changed)}
+        text = unescape(review_page(changed, figures))
+        plots[name] = 'aria-label="skew of B' in text
+    assert plots == {"some": True, "none": False}
+    share = in_percent(figures["repaired"]["exchanged"]["b"])
+    assert share == "48 %"  # 28 of the 58 frames with a person
+    assert f'<dt>Repaired</dt><dd class="figure">0 %, {share}</dd>' in text
+    shown = text[: text.index("<script")]
+    rates = set(re.findall(r"([\d.]+) (?:frames )?per second", shown))
+    assert rates == {f"{figures['frames_per_second']:.1f}"}
 
 
 @pytest.mark.usefixtures("without_plots")

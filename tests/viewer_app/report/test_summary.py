@@ -1,9 +1,11 @@
 """The summary in the terminal: three figures first, few lines, warnings in words."""
 
 import io
+import json
 import math
 import shlex
 from dataclasses import replace
+from html import unescape
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,8 +20,12 @@ from fusion.registration.rigid_fit import Registration
 from fusion.skeleton import NO_FRAME
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
-from viewer_app.report.figures import report, truth_free_figures, with_verdict
+from viewer_app.batch.worker import _session_figures
+from viewer_app.report.figures import report, save_report, truth_free_figures, with_verdict
+from viewer_app.report.review_page import review_page
+from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_lines, print_summary, say_saved
+from viewer_app.report.verdict import in_words, verdict
 from viewer_app.report.words import Line, detail_lines, in_mm, lead_lines
 from viewer_app.running.runner import stream_figures
 
@@ -132,6 +138,46 @@ def test_the_verdict_judges_the_calibration(figures, changed, words):
     assert line.warning is not words.startswith("usable")
 
 
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"views_agree_mm": {"median": 81.0, "p95": 90.0}}, "Calibrate: stand still"),
+        ({"mirrored": {"a": 0.0, "b": 0.97}}, "Switch the mirroring off."),
+        ({"calibration": {"axes_angle_deg": 45.0}}, "Move them further apart round the person."),
+        (seen_at(4.2), "Stand nearer."),
+        ({"calibration": {"rotation_sd_deg": 2.1}}, "Walk about while both sensors see you."),
+        ({"dropped": {"a": 20, "b": 22}}, "Check the frame rates of both sensors."),
+    ],
+)
+def test_people_before_sensors_get_other_advice_than_files(figures, changed, words):
+    changed = changed | {"calibration": figures["calibration"] | changed.get("calibration", {})}
+    figures = with_views(figures, 30.0) | changed
+    live = {**stream_figures(sensors()), **figures, "streams": {}}
+    assert words in in_words(verdict(live))
+    assert words not in in_words(verdict(figures))
+
+
+def test_how_far_the_views_are_apart_is_one_figure_everywhere(session, tmp_path):
+    """Of all frames since the calibration, whose own figure is 31 mm."""
+    rotation, translation = session.rows.rotation.copy(), session.rows.translation.copy()
+    rotation[:20], translation[:20] = np.eye(3), 0.0  # not calibrated yet
+    session = replace(session, rows=replace(session.rows, rotation=rotation, translation=translation))
+    apart = session.rows.disagreement[20:]
+    median, most = np.median(apart), np.percentile(apart, 95.0)
+    assert session.views_agree == pytest.approx((median, most))
+    assert abs(1e3 * median - 31.0) > 5.0
+    figures = report(session)
+    save_report(tmp_path / "r.json", figures)
+    written = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))["views_agree_mm"]
+    assert written == pytest.approx({"median": 1e3 * median, "p95": 1e3 * most})
+    figures["without_truth"] = truth_free_figures(session)
+    assert _session_figures(session, figures)["views_agree"] == pytest.approx(median)  # of duplex batch
+    words = f"median {1e3 * median:.0f} mm, 95 % {1e3 * most:.0f} mm, over all frames"
+    viewer = session_page(session.last_setup, figures).text
+    for told in (said(figures, width=200), viewer, unescape(review_page(session, figures))):
+        assert words in told
+
+
 def with_repairs(rows):
     """60 frames: A with exchanged sides in 15, 2 joints unseen in all, nobody seen in the last 10."""
     exchanged = np.zeros((60, 2), dtype=np.int8)
@@ -161,14 +207,15 @@ def test_a_sensor_without_a_frame_is_not_a_frame_without_a_person(session):
     states_b[::2] = 0
     states_b[1] = 0  # a frame of B in which it sees no one
     states_a[:2] = 0
+    states_a[4] = 0  # B has no frame, and saw the person in the one before
     predicted[:10] = True  # A repeats a frame, but sees the person
     changed = replace(rows, clock_b=clock_b, states_a=states_a, states_b=states_b, predicted=predicted)
     figures = report(replace(session, rows=changed))
-    assert figures["without_person"] == {"a": 2, "b": 1, "both": 2}
+    assert figures["without_person"] == {"a": 3, "b": 1, "both": 2}
     assert figures["alone"] == {"a": 30, "b": 0}
     text = " ".join(said(figures, width=200).split())
     assert "One view 30 of 60 frames of A and 0 of 30 of B: the other sensor has none at that time." in text
-    assert "No person Frames: 2 of A, 1 of B, 2 of both." in text
+    assert "No person Frames: 3 of A, 1 of B, 2 of both." in text
     assert "One view" not in said(report(session))
 
 

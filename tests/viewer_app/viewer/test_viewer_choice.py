@@ -95,6 +95,22 @@ def test_listening_to_others_is_warned_of(monkeypatch):
     assert said(None, monkeypatch) == ""
 
 
+def test_a_terminal_shows_the_address_for_a_camera(monkeypatch):
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
+    printed = {}
+    for address in (LOOPBACK, "0.0.0.0"):
+        hub = Hub(DATA_PORT, PAGE_PORT, address)
+        out = io.StringIO()
+        announce(Viewing(hub=hub), Console(file=out, width=300, force_terminal=True))
+        printed[address] = [line for line in out.getvalue().splitlines() if set(line) & set("▀▄█")]
+    assert printed[LOOPBACK] == []
+    light = {"█": (1, 1), "▀": (1, 0), "▄": (0, 1), " ": (0, 0)}  # upper and lower half of a character
+    halves = np.array([[light[each] for each in line] for line in printed["0.0.0.0"]], dtype=np.uint8)
+    modules = halves.transpose(0, 2, 1).reshape(-1, halves.shape[1])
+    picture = cv2.resize(255 * modules, None, fx=8, fy=8, interpolation=cv2.INTER_NEAREST)
+    assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == hub.page
+
+
 @pytest.fixture
 def own_address():
     """This machine's address on its network, which is not the loopback one; skips where there is none."""
