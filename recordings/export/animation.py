@@ -1,10 +1,11 @@
 """S* as an animation: a tree of nodes in the T-pose, and a rotation per node at a constant rate.
 
 S* has constant bone lengths, so rotations represent it exactly. A file has one length per bone, but a new
-calibration changes the lengths. Therefore only the frames of the last calibration are used, and the number of
-omitted frames is reported. Rotations are those of :mod:`fusion.joint_rotations`. If several bones leave a
-joint, their angles vary and one rotation cannot represent all of them. The node of the joint then turns with
-the pelvis, trunk, head, hand or foot, and each other bone gets a node of its own at the same position.
+calibration changes the lengths. Frames before the last lengths are shown with the last ones: their bones have
+the directions of S*, and their joints are off by what is reported. Rotations are those of
+:mod:`fusion.joint_rotations`. If several bones leave a joint, their angles vary and one rotation cannot
+represent all of them. The node of the joint then turns with the pelvis, trunk, head, hand or foot, and each
+other bone gets a node of its own at the same position.
 
 Axes: x right, y up, z towards the first sensor, the floor at y = 0; the origin is below the sensor. The
 T-pose faces +z.
@@ -12,6 +13,7 @@ T-pose faces +z.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -57,28 +59,26 @@ class Animation:
         """Chooses the frames.
 
         Raises:
-            RecordingError: No frame with the last bone lengths has an S*.
+            RecordingError: No frame has an S*.
         """
+        self._rows = session.rows
         self._body = body = session.body
-        first = _first_of_last_lengths(session)
-        self._rows = session.rows[first:]
-        self._floor_from_a = floor_under(session.rows).inverse()
+        self._floor_from_a = floor_under(self._rows).inverse()
         even = even_moments(self._rows, rate)
         self.rate, self._time_ns = even.rate, even.time_ns
         present = np.concatenate([np.isfinite(self._at(p)).all(axis=(1, 2)) for p in self._parts()])
         if not present.any():
-            since = f" from frame {first} on, where its bones got their last lengths" if first else ""
-            raise RecordingError(f"{session} has no frame with an S*{since}; there is nothing to export.")
+            raise RecordingError(f"{session} has no frame with an S*; there is nothing to export.")
         self._shown = np.maximum.accumulate(np.where(present, np.arange(len(present)), -1))
         self._shown[self._shown < 0] = np.argmax(present)
         self.in_words = even.in_words
         if not present.all():
             self.in_words += f"; {np.count_nonzero(~present)} of them hold the pose before, for lack of an S*"
+        first, error = _other_lengths(session)
         if first:
-            between = session.rows.time_ns[first - 1 : first + 1].mean() * 1e-9
             self.in_words += (
-                f"; without the {first} frames before, whose bones were calibrated to other lengths: cut "
-                f"them out with `duplex trim --to {between:.3f}` to export them"
+                f"; the bones of the first {first} recorded frames have their last lengths, not those they "
+                f"were fused with: joints are up to {1e3 * error:.0f} mm off"
             )
         self._rest_from_t_pose = Rotation.from_quat(rest_from_t_pose(body))
         offsets = y_up(self._rest_from_t_pose.inv().apply(body.rest))
@@ -135,14 +135,19 @@ class Animation:
         return (np.arange(k, min(k + PART, len(self))) for k in range(0, len(self), PART))
 
 
-def _first_of_last_lengths(session: Session) -> int:
-    """The first frame with the bone lengths of the last calibration."""
-    first, last = session.calibrations[-1]
-    for number, calibration in reversed(session.calibrations):
-        if not np.array_equal(calibration.bone_lengths, last.bone_lengths):
-            break
-        first = number
-    return first
+def _other_lengths(session: Session) -> tuple[int, float]:
+    """The number of frames before the last bone lengths, and how far off, in metres, the last ones can make a
+    joint in them: the sum of the differences from the root on.
+    """
+    body, last = session.body, session.calibration.bone_lengths
+    first, largest = 0, 0.0
+    for (_, calibration), (end, _) in pairwise(session.calibrations):
+        off = np.abs(calibration.bone_lengths - last)
+        for joint in body.order[1:]:
+            off[joint] += off[body.parents[joint]]
+        if off.any():
+            first, largest = end, max(largest, float(off.max()))
+    return first, largest
 
 
 def _labels(body: Body, names: Names) -> dict[tuple[int, int], str]:

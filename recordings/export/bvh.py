@@ -21,7 +21,7 @@ def write_bvh(session: Session, path: Path, rate: float | None = None, names: Na
     """Writes S* as BVH. BVH has no gaps: the last pose is held during a gap.
 
     Raises:
-        RecordingError: No frame with the last bone lengths has an S*.
+        RecordingError: No frame has an S*.
     """
     animation = Animation(session, rate, names)
     head = [*_hierarchy(animation.nodes), "MOTION", f"Frames: {len(animation)}"]

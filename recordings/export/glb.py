@@ -23,7 +23,7 @@ def write_glb(session: Session, path: Path, rate: float | None = None, names: Na
     """Writes S* as a ``.glb``. The last pose is held during a gap.
 
     Raises:
-        RecordingError: ``pygltflib`` is not installed, or no frame with the last bone lengths has an S*.
+        RecordingError: ``pygltflib`` is not installed, or no frame has an S*.
     """
     try:
         import pygltflib as gl
