@@ -138,6 +138,25 @@ def test_a_session_without_depth_images_promises_none():
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("a_from_b", [A_FROM_B, A_FROM_B.inverse()], ids=["B on the right", "B on the left"])
+def test_a_is_on_the_left_in_every_tab_and_the_eye_follows_the_person(a_from_b):
+    setup = FusionSetup(Calibration(BODY, a_from_b, BODY.nominal_lengths, "known"))
+    person = np.array([0.1, 0.1, 2.6])
+    tabs = session_blueprint(setup, person, "inspect").root_container.contents
+    scenes = [view for tab in tabs for view in panes(tab) if isinstance(view, rrb.Spatial3DView)]
+    assert len(scenes) == 2
+    followed = []
+    for scene in scenes:
+        eye = scene.properties["EyeControls3D"]
+        position, target = (
+            np.array(each.as_arrow_array().to_pylist()[0]) for each in (eye.position, eye.look_target)
+        )
+        right = np.cross(target - position, [0.0, -1.0, 0.0])  # y is down
+        assert -position @ right < (a_from_b.translation - position) @ right
+        followed += [] if eye.tracking_entity is None else eye.tracking_entity.as_arrow_array().to_pylist()
+    assert followed == [layout.PELVIS]  # in inspect; in setup the sensors are looked at
+
+
 @pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)
 def test_a_report_has_every_bone_in_full_rows_with_short_titles(body):
     quality, *rows = layouts(body)["report"].contents
