@@ -73,6 +73,18 @@ def test_the_page_has_the_figures_of_the_files():
     assert benchmarks_page.PAGE.read_text(encoding="utf-8") == benchmarks_page.page(), "make benchmarks"
 
 
+def test_the_page_of_angles_has_the_figures_of_the_file():
+    page = (ROOT / "docs" / "angles.md").read_text(encoding="utf-8")
+    figures = results.read("angles")["figures"]
+    rows = {cells[1]: cells[3] for cells in (line.split("|") for line in page.splitlines()) if len(cells) > 4}
+    for names, errors in list(rows.items())[2:]:
+        measured = [f"{figures['angles'][name]['rmse']:.1f}°" for name in re.findall("`(.*?)`", names)]
+        assert errors.strip() == ", ".join(measured), names
+    strikes = figures["strikes"]
+    assert f"all {strikes['found']}\nstrikes were found, within {1e3 * strikes['largest']:.0f} ms" in page
+    assert (strikes["missed"], strikes["invented"]) == (0, 0)
+
+
 def test_the_page_is_short():
     assert len(benchmarks_page.page().split()) <= 1300
 

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.simulated.kinect import Scene, Truth, movement
-from devices.simulated.rig import Rig
 from fusion.angles import ANGLES, joint_angles
-from fusion.body import AZURE_KINECT, BODIES, KINECT_V2
+from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.rigid import RigidTransform
 from recordings.appearance.floor import floor_under
@@ -22,6 +20,7 @@ from recordings.file.session_writer import write_session
 from recordings.interpolation import positions_at, sigma_at
 from recordings.session import Session
 from tests.helpers.animations import bvh_joints
+from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.recalibrated import record_recalibrated
@@ -36,15 +35,6 @@ def session(request, tmp_path):
     body = request.param
     pairs = frame_pairs(body, 60, gap=GAP, jitter_ns=3_000_000)
     return record_fused(tmp_path / "s.rrd", pairs, calibration_of(body))
-
-
-def walking_session(path):
-    """A session whose S* is a simulated person who walks."""
-    times = np.arange(300) * 33_333_333
-    walk = Truth(Scene(movement("walk"), AZURE_KINECT), Rig()).positions_at(times + 3_000_000_000)
-    pairs = frame_pairs(AZURE_KINECT, 300)
-    session = record_fused(path, pairs, calibration_of(AZURE_KINECT))
-    return replace(session, rows=replace(session.rows, fused=walk, time_ns=times))
 
 
 def on_floor(session, positions):

@@ -5,12 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from devices.simulated.kinect import Scene, Truth, movement
-from devices.simulated.person import anatomy
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from fusion.angles import UP
 from fusion.body import AZURE_KINECT, BODIES
 from recordings.gait import SIDES, cycle_curves, find_gait
+from tests.helpers.footfalls import contacts
 
 SECONDS, RATE = 20.0, 30.0
 TIMES = np.arange(0, round(SECONDS * RATE)) * round(1e9 / RATE)
@@ -21,26 +21,13 @@ def truth_of(name, body=AZURE_KINECT):
     return Truth(Scene(movement(name), body), Rig()).positions_at(TIMES)
 
 
-def contacts(name):
-    """Seconds at which a heel reaches the floor and at which toes leave it, of each side, while walking."""
-    t = np.arange(0.0, SECONDS, 1e-3)
-    marks = -movement(name).landmarks(t)[..., 1]
-    found = {}
-    for side in SIDES:
-        heel, toes = (marks[:, anatomy.INDEX[f"{part}_{side.upper()}"]] for part in ("HEEL", "FOOT"))
-        down, off = heel < np.percentile(heel, 5.0) + 0.01, toes > anatomy.FOOT_HEIGHT + 0.01
-        strikes, offs = (t[1:][of[1:] & ~of[:-1]] for of in (down, off))
-        found[side] = strikes[strikes > movement(name).begins], offs[offs > movement(name).begins]
-    return found
-
-
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
 def test_every_step_of_a_walk_is_found_at_its_time_and_none_is_invented(body):
     random = np.random.default_rng(3)
     erring = truth_of("walk", body) + random.normal(0.0, 0.01, (len(TIMES), len(body), 3))
     gait = find_gait(body, TIMES, erring, UP)
     assert [step.side for step in gait.steps[:4]] == ["right", "left", "right", "left"]
-    for side, (strikes, offs) in contacts("walk").items():
+    for side, (strikes, offs) in contacts("walk", SECONDS).items():
         steps = gait.of_side(side)
         seen = strikes[strikes < SECONDS - 0.35]  # a strike shows by what follows
         assert len(steps) in (len(seen), len(strikes))
