@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -173,7 +174,7 @@ def _parts(
 
     The points are pelvis, left and right ankle on the floor, and the direction of facing; filtered.
     """
-    from scipy.signal import butter, sosfiltfilt  # loads for a second
+    from scipy.signal import sosfiltfilt  # loads for a second
 
     up = up / np.linalg.norm(up)
     across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
@@ -190,14 +191,20 @@ def _parts(
         errors = np.stack([0.5 * np.hypot(of_joints[:, 0], of_joints[:, 1]), *of_joints[:, 4:].T], axis=1)
     known = np.flatnonzero(np.isfinite(ground).all(axis=(1, 2)))
     gaps = np.flatnonzero(np.diff(seconds[known]) > _LONGEST_GAP) + 1
-    low_pass = butter(2, _CUT_OFF, fs=_RATE, output="sos")
     for part in np.split(known, gaps):
         if len(part) < 2 or seconds[part[-1]] - seconds[part[0]] < _SHORTEST:
             continue
         t = np.arange(seconds[part[0]], seconds[part[-1]], 1.0 / _RATE)
         values = np.concatenate([ground[part].reshape(len(part), -1), errors[part]], axis=1)
         even = np.stack([np.interp(t, seconds[part], column) for column in values.T], axis=1)
-        yield t, sosfiltfilt(low_pass, even[:, :8], axis=0).reshape(-1, 4, 2), even[:, 8:]
+        yield t, sosfiltfilt(_low_pass(), even[:, :8], axis=0).reshape(-1, 4, 2), even[:, 8:]
+
+
+@cache
+def _low_pass() -> Array:
+    from scipy.signal import butter
+
+    return np.asarray(butter(2, _CUT_OFF, fs=_RATE, output="sos"))
 
 
 def _strikes(t: Array, ground: Array, errors: Array) -> list[Step]:

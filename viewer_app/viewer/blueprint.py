@@ -36,15 +36,10 @@ _STREAM_FIGURES = (
     ("dropped", "frames dropped"),
     ("unpaired", "frames without a partner"),
 )
-_ANGLES = (
-    ("hip_flexion", (-40.0, 120.0)),
-    ("knee_flexion", (-10.0, 140.0)),
-    ("hip_abduction", (-30.0, 60.0)),
-    ("elbow_flexion", (-10.0, 160.0)),
-    ("shoulder_flexion", (-60.0, 180.0)),
-    ("shoulder_abduction", (-30.0, 180.0)),
-)
-"""In *angles*: what both sides have, with the degrees of its axis."""
+_OF_SIDES = (
+    "hip_flexion", "knee_flexion", "hip_abduction", "elbow_flexion", "shoulder_flexion", "shoulder_abduction",
+)  # fmt: skip
+"""In *angles*: what both sides have."""
 _LIMBS = {
     "upper_arm": "upper arms (m)",
     "forearm": "forearms (m)",
@@ -245,11 +240,10 @@ def _report(lengths: NDArray[np.float64], body: Body) -> rrb.Container:
 
 
 def _angles() -> rrb.Container:
-    def plot(name: str, degrees: tuple[float, float], *lines: tuple[str, str, Color]) -> rrb.View:
+    def plot(name: str, *lines: tuple[str, str, Color]) -> rrb.View:
         return rrb.TimeSeriesView(
             origin=layout.ANGLES,
             name=f"{name.replace('_', ' ')} (°)",
-            axis_y=rrb.ScalarAxis(range=degrees),
             plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
             overrides={layout.ANGLES: [entity_styles.angle_lines(*line) for line in lines]},
         )
@@ -257,10 +251,10 @@ def _angles() -> rrb.Container:
     forwards, aside = SKELETON_COLORS["fused"], SKELETON_COLORS["truth"]
     trunk = ("trunk_flexion", "forwards", forwards), ("trunk_lean", "to the right", aside)
     of_sides = (
-        plot(name, degrees, *((f"{name}_{side}", side, color) for side, color in SIDE_COLORS.items()))
-        for name, degrees in _ANGLES
+        plot(name, *((f"{name}_{side}", side, color) for side, color in SIDE_COLORS.items()))
+        for name in _OF_SIDES
     )
-    return rrb.Grid(*of_sides, plot("trunk", (-30.0, 60.0), *trunk), grid_columns=2, name="angles")
+    return rrb.Grid(*of_sides, plot("trunk", *trunk), grid_columns=2, name="angles")
 
 
 def _seen(body: Body) -> rrb.View:

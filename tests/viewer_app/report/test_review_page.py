@@ -16,6 +16,7 @@ from recordings.appearance.colors import PREDICTED_COLOR
 from recordings.appearance.floor import floor_under
 from recordings.fusing.files import without_folders
 from tests.helpers.command_line import duplex
+from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.machine import need_browser
@@ -47,6 +48,19 @@ def page(session):
     path = session.path.with_name("report.html")
     assert duplex("review", session.path, "--no-viewer", "--html", path) == 0
     return path
+
+
+def test_the_page_has_the_gait_of_people_who_walk_and_of_no_others(session, tmp_path):
+    walking = walking_session(tmp_path / "walk.rrd")
+    text = review_page(walking, report(walking) | {"without_truth": truth_free_figures(walking)})
+    assert f"{len(walking.gait.steps)} steps in 1 walk; cadence 104" in text  # a stride takes 1.15 s
+    assert text.count("over the gait cycle") == 6
+    assert re.search(r"<td>stance \(% of the cycle\)</td><td>7\d ± \d", text)
+    for name in ("knee flexion", "shoulder abduction", "trunk"):
+        assert f'aria-label="{name}, °, over time"' in text
+    text = review_page(session, report(session) | {"without_truth": truth_free_figures(session)})
+    assert "gait" not in text.lower()
+    assert 'aria-label="knee flexion, °, over time"' in text
 
 
 class _Ids(HTMLParser):

@@ -1,0 +1,93 @@
+"""Angles and gait events of live frames, as LSL, WebSocket and Zenoh send them."""
+
+import json
+from dataclasses import replace
+from uuid import uuid4
+
+import numpy as np
+import pytest
+
+from devices.simulated.kinect import Scene, Truth, movement
+from devices.simulated.rig import Rig
+from fusion.angles import ANGLES, joint_angles
+from fusion.body import AZURE_KINECT
+from fusion.calibration.calibration import nominal_calibration
+from fusion.setup import FusionSetup
+from recordings.gait import find_gait
+from tests.helpers.live_frames import frames
+from viewer_app.outputs.lab_streaming import LabStreamingOutput
+from viewer_app.outputs.live_movement import LiveMovement
+from viewer_app.outputs.skeleton_json import SkeletonJson
+from viewer_app.sinks.queued_sink import QueuedFrame
+
+SETUP = FusionSetup(nominal_calibration(AZURE_KINECT))
+
+
+@pytest.fixture
+def walk(fuser):
+    """Twelve seconds of a person who starts to walk; S* is the truth."""
+    template = frames(fuser, 1)[0]
+    times = np.arange(360) * 33_333_333
+    joints = Truth(Scene(movement("walk"), AZURE_KINECT), Rig()).positions_at(times + 2_000_000_000)
+    sigma = np.full(len(AZURE_KINECT), 0.02)
+    return [
+        QueuedFrame(
+            k, replace(template, fused=replace(template.fused, positions=at, sigma=sigma)), time_ns, time_ns
+        )
+        for k, (time_ns, at) in enumerate(zip(times.tolist(), joints, strict=True))
+    ]
+
+
+def test_every_event_of_a_walk_is_reported_once_and_soon(walk):
+    live, told = LiveMovement(AZURE_KINECT), []
+    for frame in walk:
+        live.angles(frame)
+        told += [(event, frame.time_ns) for event in live.new_events()]
+    times = np.array([frame.time_ns for frame in walk])
+    joints = np.array([frame.fused.positions for frame in walk])
+    whole = find_gait(AZURE_KINECT, times, joints, (0.0, -1.0, 0.0))
+    due = [(at, name.replace("_", " ")) for at, name in whole.events if at < times[-1] * 1e-9 - 0.6]
+    found = sorted((event.time_ns * 1e-9, event.text) for event, _ in told)[: len(due)]
+    assert [name for _, name in found] == [name for _, name in due]
+    np.testing.assert_allclose([at for at, _ in found], [at for at, _ in due], atol=0.03)
+    third = whole.steps[2].strike
+    strikes = [(event, now) for event, now in told if event.text.startswith("heel")]
+    assert max(now - event.time_ns for event, now in strikes if event.time_ns * 1e-9 > third) < 0.6e9
+
+
+def test_json_has_the_angles_and_their_uncertainty_and_null_where_unknown(walk):
+    encoder = SkeletonJson(SETUP)
+    assert json.loads(encoder.hello(SETUP))["angles"] == list(ANGLES)
+    frame = walk[0]
+    said = json.loads(encoder.frame(frame))
+    expected = joint_angles(AZURE_KINECT, frame.fused.positions)
+    np.testing.assert_allclose(said["angles"][:-2], expected[:-2], atol=0.006)
+    assert all(0.0 < sigma < 180.0 for sigma in said["angle_sigma"])
+    frame.fused.positions[AZURE_KINECT.joint("WRIST_LEFT")] = np.nan
+    said = json.loads(encoder.frame(frame))
+    assert said["angles"][ANGLES.index("elbow_flexion_left")] is None
+
+
+def test_an_inlet_reads_angles_and_heel_strikes_at_their_times(walk):
+    pylsl = pytest.importorskip("pylsl", exc_type=ImportError)
+    name = f"test-{uuid4().hex[:8]}"
+    output = LabStreamingOutput(name, AZURE_KINECT, 30.0)
+    try:
+        angles, events = (
+            pylsl.StreamInlet(pylsl.resolve_byprop("name", f"{name}-{of}", timeout=30.0)[0])
+            for of in ("angles", "events")
+        )
+        for inlet in (angles, events):
+            inlet.open_stream(timeout=30.0)
+        for frame in walk:
+            output.send_frame(frame)
+        sample, stamp = angles.pull_sample(timeout=30.0)
+        assert len(sample) == 2 * len(ANGLES)
+        np.testing.assert_allclose(
+            sample[: 2 * 12 : 2], joint_angles(AZURE_KINECT, walk[0].fused.positions)[:12], atol=1e-3
+        )
+        text, happened = events.pull_sample(timeout=30.0)
+        assert text == ["INFO: toe off right"]
+        assert 0.0 < happened - stamp < 4.0
+    finally:
+        output.close()
