@@ -32,7 +32,8 @@ _PEOPLE_IN_METRES = (0.5, 3.0)
 """Metres is the documented unit, so that it is accepted for odd or noisy people, too. No other unit's range
 comes near."""
 _FEWEST_BONES = 3
-_FEWEST_TIMES = 3
+FEWEST_TIMES = 3
+"""Of a file or of a part of it; fewer tell no unit."""
 _SHORTEST_US, _LONGEST_US = 2_000.0, 5_000_000.0
 """The interval of frames for which the unit that a column names is taken without a question."""
 _TRACKER_US = 6_000.0, 250_000.0
@@ -148,7 +149,7 @@ def find_time_unit(name: object, column: str, times: NDArray[np.number]) -> tupl
         DeviceError: The median interval is no body tracker's in any unit.
     """
     stated, words = TIME_COLUMNS[column]
-    if len(times) < _FEWEST_TIMES:
+    if len(times) < FEWEST_TIMES:
         return stated, ""
     interval = float(np.median(np.diff(times)))
     if _SHORTEST_US <= interval * stated <= _LONGEST_US:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from devices.people import RecordedPeople
 from devices.sensor import DeviceError
 from devices.skeletons.conventions import (
+    FEWEST_TIMES,
     check_metres_forward,
     find_time_unit,
     find_unit,
@@ -37,7 +38,6 @@ LATEST_US = 9 * 10**15
 """Largest time, so that nanoseconds fit into 64 bits."""
 
 _BLOCK = 4_000_000  # bytes that are read at once
-_FEW_TIMES = 3  # of a block; fewer tell no unit
 
 
 def read_csv(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> ReadFile:
@@ -141,7 +141,7 @@ class _Reader:
         times = text.times()
         if self._us is None:
             different = np.unique(times)
-            if self._in_blocks and len(different) < _FEW_TIMES:
+            if self._in_blocks and len(different) < FEWEST_TIMES:
                 raise _NotInBlocksError
             self._us, warning = self._check(find_time_unit, self._path, text.time, different)
             if warning:
