@@ -153,7 +153,7 @@ def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> N
 
     Raises:
         CalibrationError: The views differ by more than 200 mm in the median. On 15 real pairs they differ by
-            29 to 77 mm, with clocks 200 ms apart by 99 mm; pairs of different people by 322 mm and more.
+            29 to 77 mm, with clocks 200 ms apart by 99 mm; 12 walks of different people by 248 mm and more.
     """
     if not plan.views_differ > _UNRELATED:
         return
@@ -161,12 +161,12 @@ def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> N
         if (mirrored_share(read.body, view.positions) or 0.0) > 0.5:
             raise CalibrationError(
                 f"{name} is the mirror image of a person: state its axes with --axes, or change the sign of "
-                "x in it. --force fuses it as it is."
+                "x in it. duplex fuse --force takes it as it is."
             )
     raise CalibrationError(
         f"{a} and {b} cannot be of one person at the same time: the views differ by "
         f"{1e3 * plan.views_differ:.0f} mm after the best registration. Check that they belong together, and "
-        "their clocks; --force fuses them all the same."
+        "their clocks; duplex fuse --force fuses them all the same."
     )
 
 
