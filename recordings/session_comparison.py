@@ -6,23 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import rerun as rr
 from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from recordings import layout
-from recordings.appearance.colors import SKELETON_COLORS
-from recordings.appearance.entity_styles import skeleton_class
 from recordings.errors import RecordingError
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
-from recordings.writing.changes import set_time
 
-SECOND_SKELETON = "/second/skeleton"
-DIFFERENCE = "/difference/joints"
-LARGEST = "/difference/largest"
-_SECOND_COLOR = (64, 168, 96)
 _APART = 1.0  # minimum seconds between two listed worst moments
 
 
@@ -131,42 +123,6 @@ def largest(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
     """The largest finite value along an axis; NaN if there is none."""
     found = np.where(np.isnan(values), -np.inf, values).max(axis=axis)
     return np.where(np.isinf(found), np.nan, found)
-
-
-def record_comparison(
-    stream: rr.RecordingStream, comparison: Comparison, worst: list[tuple[int, int]]
-) -> None:
-    """Logs both S* to one scene, the distance of each joint, and the worst moments as events."""
-    body = comparison.body
-    both = (
-        (layout.FUSED_SKELETON, 1, "first S*", SKELETON_COLORS["fused"], comparison.first),
-        (SECOND_SKELETON, 2, "second S*", _SECOND_COLOR, comparison.second),
-    )
-    classes = [skeleton_class(body, number, label, color) for _, number, label, color, _ in both]
-    stream.log(layout.ROOT, rr.ViewCoordinates.RDF, rr.AnnotationContext(classes), static=True)
-    stream.log(DIFFERENCE, rr.SeriesLines(names=body.joints), static=True)
-    stream.log(LARGEST, rr.SeriesLines(names="largest (mm)"), static=True)
-    first = comparison.first
-    times = [
-        rr.TimeColumn(layout.FRAME, sequence=first.frame),
-        rr.TimeColumn(layout.TIME, duration=first.time_ns.astype("timedelta64[ns]")),
-    ]
-    T, J = comparison.apart.shape
-    for entity, number, _, color, rows in both:
-        look = rr.Points3D.from_fields(
-            class_ids=number, keypoint_ids=range(J), colors=color, radii=0.015, show_labels=False
-        )
-        stream.log(entity, look, static=True)
-        points = rr.Points3D.columns(positions=rows.fused.astype(np.float32).reshape(-1, 3))
-        stream.send_columns(entity, times, points.partition([J] * T))
-    stream.send_columns(
-        DIFFERENCE, times, rr.Scalars.columns(scalars=comparison.apart.ravel() * 1e3).partition([J] * T)
-    )
-    stream.send_columns(LARGEST, times, rr.Scalars.columns(scalars=largest(comparison.apart, axis=1) * 1e3))
-    for t, j in worst:
-        set_time(stream, first.frame[t], first.time_ns[t])
-        text = f"{body.joints[j]} differs by {comparison.apart[t, j] * 1e3:.0f} mm"
-        stream.log(layout.EVENTS, rr.TextLog(text, level="WARN"))
 
 
 def _same_inputs(one: SessionArrays, two: SessionArrays) -> NDArray[np.bool_]:

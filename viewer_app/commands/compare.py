@@ -1,25 +1,50 @@
-"""``duplex compare``: compares two fusions of the same capture."""
+"""``duplex compare``: compares a session with motion capture, or with another fusion of the same capture."""
 
 from collections.abc import Iterator
 
 import numpy as np
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from devices.skeletons.name_tables import name_table
 from recordings import layout
+from recordings.comparison_scene import (
+    DIFFERENCE,
+    LARGEST,
+    MEANS,
+    record_comparison,
+    record_truth_comparison,
+)
 from recordings.file.session_writer import whole_recording
 from recordings.session import Session
-from recordings.session_comparison import DIFFERENCE, LARGEST, Comparison, record_comparison
+from recordings.session_comparison import Comparison
+from recordings.truth_comparison import TruthComparison
+from recordings.truth_files import SUFFIXES, read_truth
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import CompareOptions
-from viewer_app.output_files import check_outputs
+from viewer_app.output_files import check_outputs, write_text
+from viewer_app.report.figures import save_report
 from viewer_app.report.terminal import figure_table, print_damage, print_lines
+from viewer_app.report.truth_figures import (
+    ALL_HEAD,
+    ANGLE_HEAD,
+    JOINT_HEAD,
+    all_rows,
+    angle_rows,
+    joint_rows,
+    truth_figures,
+    truth_lines,
+)
 from viewer_app.report.words import Line, in_mm
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
 
 _APPLICATION_ID = f"{layout.APPLICATION_ID}_compare"
+_EYE = np.array([-1.5, -0.6, -3.2])  # metres, from the person in K_A's frame
+_OF_TRUTH = ("names", "offset", "html", "report")  # options for motion capture only
 
 
 def run(options: CompareOptions) -> None:
@@ -27,7 +52,53 @@ def run(options: CompareOptions) -> None:
     console = Console(highlight=False)
     if options.worst < 0:
         raise UsageError(f"--worst {options.worst}: how many moments to list, 0 or more.")
-    check_outputs([], [options.first, options.second], options.force, options.save)
+    inputs = [options.first, options.second]
+    check_outputs([options.html, options.report], inputs, options.force, options.save)
+    if options.second.suffix.lower() in SUFFIXES:
+        _compare_with_truth(options, console)
+    elif given := [name for name in _OF_TRUTH if getattr(options, name) is not None]:
+        known = ", ".join(SUFFIXES)
+        raise UsageError(f"--{given[0]} is for motion capture ({known}); {options.second} is none.")
+    else:
+        _compare_sessions(options, console)
+
+
+def _compare_with_truth(options: CompareOptions, console: Console) -> None:
+    table = None if options.names is None else name_table(options.names)
+    session, truth = Session.open(options.first), read_truth(options.second)
+    print_damage(console, session)
+    comparison = TruthComparison.of(session, truth, table, options.offset)
+    figures = truth_figures(comparison)
+    if options.html is not None:
+        from viewer_app.report.truth_page import truth_page
+
+        write_text(options.html, truth_page(session, comparison, figures))
+    save_report(options.report, figures)
+    window = not options.no_viewer and has_display()
+    with written_and_shown(options.save, window) as path:
+        if path is not None:
+            blueprint = _blueprint(
+                "S_A, S_B, S* and the truth (green)", MEANS, "mean distance (mm)", session.whereabouts
+            )
+            with whole_recording(path, blueprint, _APPLICATION_ID) as stream:
+                record_truth_comparison(stream, comparison)
+    joints, frames = len(comparison.joints), f"[bold]{len(comparison)}[/] of {len(session)} frames"
+    names = f"{joints} joints by the table {escape(comparison.table)}, in {comparison.unit}"
+    console.print(f"{frames} compared: {names}.", soft_wrap=True)
+    print_lines(console, truth_lines(figures))
+    console.print(figure_table("", ALL_HEAD, all_rows(figures)))
+    head = "Angles, degrees: RMSE and correlation; range of the truth: of each"
+    console.print(figure_table(head, ANGLE_HEAD, angle_rows(figures)))
+    if options.verbose:
+        head = "Joints, mm: mean distance, its constant part, mean of the rest"
+        console.print(figure_table(head, JOINT_HEAD, joint_rows(figures)))
+    for written in filter(None, (options.html, options.report, options.save)):
+        console.print(f"Wrote {written}.", markup=False, soft_wrap=True)
+    if not options.verbose:
+        console.print("Every joint: --verbose.")
+
+
+def _compare_sessions(options: CompareOptions, console: Console) -> None:
     sessions = [Session.open(path) for path in (options.first, options.second)]
     for session in sessions:
         print_damage(console, session)
@@ -36,7 +107,10 @@ def run(options: CompareOptions) -> None:
     window = not options.no_viewer and has_display()
     with written_and_shown(options.save, window) as path:
         if path is not None:
-            with whole_recording(path, _blueprint(), _APPLICATION_ID) as stream:
+            blueprint = _blueprint(
+                "first S* violet, second green", LARGEST, "largest difference (mm)", sessions[0].whereabouts
+            )
+            with whole_recording(path, blueprint, _APPLICATION_ID) as stream:
                 record_comparison(stream, comparison, worst)
     console.print(
         f"[bold]{len(comparison)}[/] frames in common, of {len(sessions[0])} and {len(sessions[1])}."
@@ -109,22 +183,26 @@ def _mm(value: float | np.float64) -> str:
     return in_mm(float(value), "")
 
 
-def _blueprint() -> rrb.Blueprint:
+def _blueprint(scene: str, entity: str, plot: str, whereabouts: NDArray[np.float64]) -> rrb.Blueprint:
+    """A scene, a plot of an entity, and that of each joint."""
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Spatial3DView(
                 origin=layout.ROOT,
-                name="first S* violet, second green",
+                name=scene,
+                eye_controls=rrb.EyeControls3D(
+                    position=whereabouts + _EYE, look_target=whereabouts, eye_up=(0.0, -1.0, 0.0)
+                ),
                 line_grid=rrb.LineGrid3D(visible=False),
             ),
             rrb.Horizontal(
-                rrb.TimeSeriesView(origin=LARGEST, name="largest difference (mm)"),
+                rrb.TimeSeriesView(origin=entity, name=plot),
                 rrb.TimeSeriesView(
                     origin=DIFFERENCE,
                     name="difference of each joint (mm)",
                     plot_legend=rrb.PlotLegend(visible=False),
                 ),
-                rrb.TextLogView(origin=layout.EVENTS, name="worst moments"),
+                *([rrb.TextLogView(origin=layout.EVENTS, name="worst moments")] if entity == LARGEST else []),
             ),
             row_shares=[3, 2],
         ),

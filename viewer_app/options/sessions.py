@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from viewer_app.options.shared import (
     ARGUMENT,
@@ -18,6 +18,8 @@ from viewer_app.options.shared import (
     SummaryOptions,
     WebOptions,
 )
+
+MOTION_CAPTURE = Parameter(group=Group("Motion capture", sort_key=2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,16 +79,26 @@ class TrimOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions(SummaryOptions):
-    """Compare two fusions of the same capture, joint by joint and bone by bone."""
+    """Compare a session with motion capture, or with another fusion of the same capture."""
 
     first: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """A session."""
     second: Annotated[Path, ARGUMENT] = field(kw_only=False)
-    """Another of the same capture: a replay with other settings, say."""
+    """Motion capture of the same movement, .c3d, .trc or .csv; or another session of the same capture: a
+    replay with other settings, say."""
+    names: Annotated[Path | None, MOTION_CAPTURE] = None
+    """Which points of the file are joints: a TOML table, or plug-in-gait, gait2392, mixamo or bodies. The
+    one of these that finds most joints if not given."""
+    offset: Annotated[float | None, MOTION_CAPTURE] = None
+    """Seconds to add to the file's times; found from the motion if not given."""
+    html: Annotated[Path | None, MOTION_CAPTURE] = None
+    """Write a self-contained page: distances, angles, and how they change."""
+    report: Annotated[Path | None, MOTION_CAPTURE] = None
+    """Write all figures as JSON."""
     save: Annotated[Path | None, OUTPUTS] = None
-    """Keep both S* and their difference as an .rrd file."""
+    """Keep the skeletons and their difference as an .rrd file."""
     worst: Annotated[int, WHOLE_NUMBER] = 5
-    """How many of the moments in which they differ most to list."""
+    """Of two sessions: how many of the moments in which they differ most to list."""
     no_viewer: Annotated[bool, VIEWER] = False
     """Do not open the viewer."""
     force: Annotated[bool, OUTPUTS] = False

@@ -96,7 +96,7 @@ def calibration_figures(calibration: Calibration) -> Figures:
         figures |= {
             "residual_mm": {"median": fit.residual_median * 1e3, "rms": fit.residual_rms * 1e3},
             "rotation_sd_deg": math.degrees(fit.rotation_sd),
-            "translation_sd_mm": _known(fit.translation_sd * 1e3),
+            "translation_sd_mm": known_or_none(fit.translation_sd * 1e3),
             "frames": fit.frames,
             "worst_joints_mm": {name: distance * 1e3 for name, distance in fit.worst_joints()},
         }
@@ -122,7 +122,7 @@ def truth_free_figures(session: Session) -> dict[str, float | None]:
         values["halves_rotation_off"] = halves.rotation_off
         values["halves_position_off"] = halves.position_off
     names += ["roughness_ratio", "halves_rotation_off", "halves_position_off"]
-    return {name: _of_finite(np.mean, np.array([values.get(name, np.nan)])) for name in names}
+    return {name: of_finite(np.mean, np.array([values.get(name, np.nan)])) for name in names}
 
 
 def method_figures(rows: SessionArrays) -> Figures:
@@ -133,8 +133,11 @@ def method_figures(rows: SessionArrays) -> Figures:
     for joint in rows.body.bone_joints:
         of_bone: Figures = {"target_m": float(rows.bone_lengths[-1, joint])}
         for k, key in enumerate(("a", "b", "fused")):
-            of_bone[key] = {"mean_m": _known(mean[k, joint]), "std_mm": _known(1e3 * std[k, joint])}
-        of_bone["fused"]["max_error_mm"] = _known(1e3 * worst[2, joint])
+            of_bone[key] = {
+                "mean_m": known_or_none(mean[k, joint]),
+                "std_mm": known_or_none(1e3 * std[k, joint]),
+            }
+        of_bone["fused"]["max_error_mm"] = known_or_none(1e3 * worst[2, joint])
         bones[rows.body.bones[joint]] = of_bone
     seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
     return {
@@ -148,12 +151,15 @@ def method_figures(rows: SessionArrays) -> Figures:
         },
         "bones": bones,
         "bone_error_mm": {
-            key: {"rms": _known(1e3 * rms[k]), "max": _known(1e3 * np.fmax.reduce(worst[k]))}
+            key: {"rms": known_or_none(1e3 * rms[k]), "max": known_or_none(1e3 * np.fmax.reduce(worst[k]))}
             for k, key in enumerate(("a", "b", "fused"))
         },
-        "views_agree_mm": {"median": _known(apart.median * 1e3), "p95": _known(apart.percentile_95 * 1e3)},
+        "views_agree_mm": {
+            "median": known_or_none(apart.median * 1e3),
+            "p95": known_or_none(apart.percentile_95 * 1e3),
+        },
         "fuse_ms": {
-            name: _of_finite(lambda ms, percent=percent: np.percentile(ms, percent), rows.fuse_ms)
+            name: of_finite(lambda ms, percent=percent: np.percentile(ms, percent), rows.fuse_ms)
             for name, percent in (("p50", 50), ("p99", 99), ("max", 100))
         },
     }
@@ -183,7 +189,7 @@ def _bones(rows: SessionArrays) -> tuple[NDArray[np.float64], ...]:
         return mean, np.sqrt(square / count), np.where(count > 0.0, worst, np.nan), rms
 
 
-def _known(figure: float) -> float | None:
+def known_or_none(figure: float) -> float | None:
     return float(figure) if math.isfinite(figure) else None
 
 
@@ -197,7 +203,7 @@ def _distances(setup: FusionSetup, rows: SessionArrays) -> Figures:
         for positions in (rows.positions_a, rows.positions_b)
     )
     return {
-        side: {"median": _of_finite(np.median, z), "near": nearest(camera), "far": far}
+        side: {"median": of_finite(np.median, z), "near": nearest(camera), "far": far}
         for side, z, camera in zip("ab", depths, cameras, strict=True)
     }
 
@@ -211,7 +217,7 @@ def _repaired(rows: SessionArrays) -> Figures:
     exchanged = None
     if rows.exchanged is not None:
         exchanged = {
-            key: _of_finite(np.mean, rows.exchanged[seen, k] != 0) for k, key in enumerate(("a", "b"))
+            key: of_finite(np.mean, rows.exchanged[seen, k] != 0) for k, key in enumerate(("a", "b"))
         }
     return {
         "exchanged": exchanged,
@@ -226,7 +232,7 @@ def save_report(path: Path | None, figures: Figures) -> None:
         write_text(path, text)
 
 
-def _of_finite(figure: Any, values: NDArray[Any]) -> float | None:
+def of_finite(figure: Any, values: NDArray[Any]) -> float | None:
     """A figure of the finite values; None if there are none."""
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]

@@ -7,7 +7,7 @@ This module collects the content of the page; ``templates/review_page.html`` def
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from recordings.appearance.colors import PROMINENT_BONES
@@ -34,16 +34,13 @@ _MOST_EVENTS = 12
 
 def review_page(session: Session, figures: dict[str, Any]) -> str:
     """The page as HTML."""
-    environment = Environment(
-        loader=PackageLoader("viewer_app.report"), autoescape=True, undefined=StrictUndefined
-    )
     source_a, source_b = without_folders(session.sources)
     lead = list(lead_lines(figures))
     events = list_events(session.events)
     printed = {each.number for each in shortest_list(events, _MOST_EVENTS)}
     opening = opening_event(events, first_calibrated_frame(session))
     time_ns = session.rows.time_ns
-    return environment.get_template("review_page.html").render(
+    return page_template("review_page.html").render(
         name=session.name,
         damage=session.damage,
         frames_lost=session.frames_lost,
@@ -79,6 +76,14 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         motion=encoded_motion(session, [each.event.time_ns * 1e-9 for each in events]),
         start=0.0 if opening is None else opening.event.time_ns * 1e-9,
     )
+
+
+def page_template(name: str) -> Template:
+    """A template of this package; all text that is put into it is escaped."""
+    environment = Environment(
+        loader=PackageLoader("viewer_app.report"), autoescape=True, undefined=StrictUndefined
+    )
+    return environment.get_template(name)
 
 
 def _bone_plots(session: Session) -> Markup:

@@ -1,0 +1,256 @@
+"""Compares S_A, S_B and S* of a session with motion capture of the same movement.
+
+The files share neither clock (:mod:`recordings.truth_timing`) nor frame. One rigid transform takes the truth
+to K_A's frame, by a robust fit to all joints of all three skeletons in all frames; nothing is scaled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from devices.skeletons.conventions import METRES
+from devices.skeletons.name_tables import NameTable, fitting_table, listed
+from fusion.angles import joint_angles
+from fusion.body import Body
+from fusion.errors import CalibrationError
+from fusion.facing.evidence import upright_direction
+from fusion.joint_rotations import rotations_of
+from fusion.medians import median_of_known
+from fusion.registration.rigid_fit import LARGEST_RESIDUAL, fit_recording
+from fusion.rigid import RigidTransform
+from recordings.errors import RecordingError
+from recordings.session import Session
+from recordings.truth_files import TruthFile
+from recordings.truth_timing import JointPath, Joints, TimeOffset, find_offset
+
+Array = NDArray[np.float64]
+
+SKELETONS = ("a", "b", "fused")
+"""S_A, S_B and S*, as in :data:`recordings.layout.SKELETON_NAMES`."""
+_FEWEST_JOINTS = 5
+_FEWEST_FRAMES = 24
+_SIZE_WITHIN = 1.4  # factor between the sizes of the person in both files
+_MOST_FITTED = 3000  # frames that the transform is fitted to
+_MIRRORED = 0.6  # of the residual: a mirror image that fits so much better is right
+
+
+@dataclass(frozen=True, eq=False)
+class TruthComparison:
+    """The T frames of a session that have S* and are covered by the truth; metres, K_A's frame.
+
+    Attributes:
+        body: The body of the session.
+        truth_name: The file of the truth.
+        table: The table of names by which its points are joints.
+        joints: (M,) the joints that the truth has.
+        unit: The truth's unit of length, in words.
+        offset: Between the clocks.
+        a_from_truth: K_A ← the truth's frame.
+        frame, time_ns: (T,) numbers and times of the frames.
+        found: (T, J, 3) by :data:`SKELETONS`.
+        truth: (T, J, 3) by the same keys, when the skeleton was captured.
+        up: (3,) unit vector against gravity.
+    """
+
+    body: Body
+    truth_name: str
+    table: str
+    joints: NDArray[np.int64]
+    unit: str
+    offset: TimeOffset
+    a_from_truth: RigidTransform
+    frame: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    found: dict[str, Array]
+    truth: dict[str, Array]
+    up: Array
+
+    @staticmethod
+    def of(
+        session: Session, truth: TruthFile, table: NameTable | None = None, offset_s: float | None = None
+    ) -> TruthComparison:
+        """Finds the names, the unit, the offset and the transform.
+
+        Args:
+            table: Which points are joints; the ready-made table that finds most where None.
+            offset_s: Seconds to add to the truth's times; found by the motion where None.
+
+        Raises:
+            RecordingError: There is no S*, the truth has too few of the joints, another person or another
+                movement, or does not overlap with the session.
+            DeviceError: The table names a point that the truth does not have.
+        """
+        body, rows = session.body, session.rows
+        if not np.isfinite(rows.fused).any():
+            raise RecordingError(f"{session} has no S*: no frame shows a person after a calibration.")
+        table = table or fitting_table(body, truth.labels)
+        joints = _joints_of(body, truth, table)
+        metres, unit = _unit_of(rows.fused, joints, session, truth)
+        path = JointPath(Joints(truth.seconds, metres * joints))
+        seconds, skew = np.asarray(1e-9 * rows.time_ns), np.asarray(1e-9 * rows.skew_ns)
+        found = {
+            "a": Joints(seconds, rows.positions_a.astype(np.float64)),
+            "b": Joints(seconds + skew, rows.b_in_a),
+            "fused": Joints(seconds, rows.fused),
+        }
+        views = found["a"], found["b"]
+        offset = find_offset(body, views, found["fused"], path) if offset_s is None else TimeOffset(offset_s)
+        if offset is None:
+            raise RecordingError(
+                f"{truth.name} and {session}: no offset in time makes the movements match. Do they show the "
+                f"same movement, and is the table of names, {table.name}, right? --offset gives an offset."
+            )
+        true = {key: path.at(view.seconds - offset.seconds) for key, view in found.items()}
+        both = np.isfinite(rows.fused + true["fused"]).any(axis=(1, 2))
+        common = np.flatnonzero(both)
+        if len(common) < _FEWEST_FRAMES:
+            raise RecordingError(
+                f"{truth.name} covers {len(common)} frames of {session} with an S*, at an offset of "
+                f"{offset.seconds:.3f} s: too few to compare."
+            )
+        positions = {key: view.positions[common] for key, view in found.items()}
+        true = {key: at[common] for key, at in true.items()}
+        fit = _transform(positions, true, session, truth)
+        return TruthComparison(
+            body=body,
+            truth_name=truth.name,
+            table=table.name,
+            joints=np.flatnonzero(np.isfinite(joints).any(axis=(0, 2))),
+            unit=unit,
+            offset=offset,
+            a_from_truth=fit,
+            frame=rows.frame[common],
+            time_ns=rows.time_ns[common],
+            found=positions,
+            truth={key: fit.apply(at) for key, at in true.items()},
+            up=upright_direction(body, rows.fused),
+        )
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @cached_property
+    def distance(self) -> dict[str, Array]:
+        """(T, J) of each skeleton to the truth, metres; NaN where either is unknown."""
+        return {key: _length(self.found[key] - self.truth[key]) for key in SKELETONS}
+
+    def mean_distance(self, key: str) -> Array:
+        """(T,) of a skeleton to the truth, mean over the joints that both have, metres; NaN without any."""
+        known = np.isfinite(self.distance[key])
+        count = known.sum(axis=1)
+        total = np.where(known, self.distance[key], 0.0).sum(axis=1)
+        return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+    @cached_property
+    def angles(self) -> dict[str, tuple[Array, Array]]:
+        """(T, K) angles of each skeleton and of the truth, degrees, of :data:`fusion.angles.ANGLES`."""
+        found, truth = self.found, self.truth
+        return {
+            key: (joint_angles(self.body, found[key], self.up), joint_angles(self.body, truth[key], self.up))
+            for key in SKELETONS
+        }
+
+    @cached_property
+    def _rest(self) -> dict[str, tuple[Array, Array]]:
+        """(J, 3) constant part, and (T, J) length of the rest."""
+        turns = rotations_of(self.body, self.found["fused"], self.time_ns)
+        known = np.isfinite(turns).all(axis=2)
+        frames = Rotation.from_quat(turns[known])
+        parts = {}
+        for key in SKELETONS:
+            own = np.full(self.found[key].shape, np.nan)
+            own[known] = frames.apply((self.found[key] - self.truth[key])[known], inverse=True)
+            constant = median_of_known(own.transpose(1, 0, 2))
+            parts[key] = constant, _length(own - constant)
+        return parts
+
+    @property
+    def constant(self) -> dict[str, Array]:
+        """(J, 3) of each skeleton: what its distance to the truth has in common over all frames.
+
+        It is the median of found less true in the frame of the bone of S* that ends in the joint (x to the
+        person's left, y down, z to the back, of a person upright with hanging arms): another definition of
+        the joint, rather than an error of tracking.
+        """
+        return {key: constant for key, (constant, _) in self._rest.items()}
+
+    @property
+    def rest(self) -> dict[str, Array]:
+        """(T, J) distance of each skeleton to the truth without the constant part, metres."""
+        return {key: rest for key, (_, rest) in self._rest.items()}
+
+
+def _joints_of(body: Body, truth: TruthFile, table: NameTable) -> Array:
+    """(N, J, 3) the joints of a file; NaN where it has none."""
+    joints = np.full((len(truth.seconds), len(body), 3), np.nan)
+    for joint, points in table.points_of(body, truth.labels).items():
+        joints[:, joint] = truth.points[:, points].mean(axis=1)
+    count = int(np.isfinite(joints).any(axis=(0, 2)).sum())
+    if count < _FEWEST_JOINTS:
+        raise RecordingError(
+            f"{truth.name}: {count} of the joints of {body.name} are found by the table {table.name}, and "
+            f"{_FEWEST_JOINTS} are needed. The file has {listed(truth.labels)}. Name its points in a table "
+            "with --names TABLE.toml."
+        )
+    return joints
+
+
+def _unit_of(fused: Array, joints: Array, session: Session, truth: TruthFile) -> tuple[float, str]:
+    """Metres per unit of the truth, and the unit's name: the person has the same size as S*."""
+    ratio = float(np.nanmedian(_spans(fused) / _spans(joints)))
+    metres, words = min(METRES.values(), key=lambda unit: abs(np.log(ratio / unit[0])))
+    factor = max(ratio / metres, metres / ratio)
+    if not factor < _SIZE_WITHIN:
+        raise RecordingError(
+            f"The person of {truth.name}, in {words}, has {metres / ratio:.2g} times the size of that of "
+            f"{session}. Is the table of names right?"
+        )
+    return metres, words
+
+
+def _spans(joints: Array) -> Array:
+    """(J, J) median distance between two joints; NaN where unknown."""
+    some = joints[:: max(1, len(joints) // 200)]
+    spans = np.linalg.norm(some[:, :, None] - some[:, None], axis=3)
+    spans[spans == 0.0] = np.nan
+    known = np.isfinite(spans).any(axis=0)
+    median = np.full(known.shape, np.nan)
+    median[known] = np.nanmedian(spans[:, known], axis=0)
+    return median
+
+
+def _transform(
+    found: dict[str, Array], true: dict[str, Array], session: Session, truth: TruthFile
+) -> RigidTransform:
+    """K_A ← the truth's frame."""
+    every = max(1, len(found["fused"]) // _MOST_FITTED)
+    p, q = (np.concatenate([each[key][::every] for key in SKELETONS]) for each in (found, true))
+    try:
+        fit = fit_recording(p, q)
+        mirror = np.array([-1.0, 1.0, 1.0])
+        residual, mirrored = (
+            float(np.nanmedian(_length(p - one.apply(at))))
+            for one, at in ((fit, q), (fit_recording(p, q * mirror), q * mirror))
+        )
+    except CalibrationError as error:
+        raise RecordingError(f"{truth.name} and {session}: {error}") from None
+    if mirrored < _MIRRORED * residual:
+        raise RecordingError(
+            f"{truth.name} is a mirror image of {session}: its axes are left-handed, or its left and right "
+            "are exchanged."
+        )
+    if residual > LARGEST_RESIDUAL:
+        raise RecordingError(
+            f"{truth.name} and {session} are {residual * 1e3:.0f} mm apart (median) after the best fit: not "
+            "the same movement, or another table of names is needed."
+        )
+    return fit
+
+
+def _length(vectors: Array) -> Array:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))

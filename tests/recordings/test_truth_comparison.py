@@ -1,0 +1,141 @@
+"""Comparison with motion capture whose offset, frame and errors are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from devices.skeletons.name_tables import name_table
+from fusion.body import AZURE_KINECT
+from fusion.joint_rotations import rotations_of
+from fusion.registration.rigid_fit import fit_recording
+from fusion.rigid import RigidTransform
+from recordings.errors import RecordingError
+from recordings.truth_comparison import SKELETONS, TruthComparison
+from recordings.truth_files import TruthFile, read_truth
+from recordings.truth_timing import TimeOffset
+from tests.benchmarks.scores import accuracy
+from tests.helpers.motion_capture import captured, true_positions, write_c3d, write_trc
+
+SECONDS = 22.0
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    return captured(tmp_path_factory.mktemp("walk") / "s.rrd", AZURE_KINECT, "walk", SECONDS, seed=11)
+
+
+def truth_of(walk, labels=AZURE_KINECT.joints, **how):
+    return TruthFile("truth.c3d", tuple(labels), *walk.truth(**how))
+
+
+@pytest.mark.parametrize(
+    ("writer", "name", "unit", "rate", "offset", "seconds"),
+    [
+        (write_c3d, "t.c3d", 1000.0, 100.0, 3.7, 15.0),
+        (write_trc, "t.trc", 1.0, 100.0, 3.7, 15.0),
+        (write_c3d, "t.c3d", 1000.0, 240.0, -3.7, 22.0),  # begins before the session
+        (write_trc, "t.trc", 100.0, 25.0, -8.0, 45.0),  # longer than the session
+        (write_c3d, "t.c3d", 1000.0, 120.0, 12.3, 5.0),  # a part only
+    ],
+)
+def test_offset_and_distance_are_those_of_the_benchmark(
+    walk, writer, name, unit, rate, offset, seconds, tmp_path
+):
+    times, points = walk.truth(offset, seconds, rate, missing=0.1, unit=unit)
+    file = read_truth(writer(tmp_path / name, AZURE_KINECT.joints, times, points))
+    found = TruthComparison.of(walk.session, file)
+    assert found.offset.seconds == pytest.approx(offset, abs=0.002)
+    rows = walk.session.rows[found.frame]
+    truth = walk.positions_at(rows.time_ns * 1e-9)
+    truth = fit_recording(rows.fused, truth).apply(truth)
+    expected = accuracy(AZURE_KINECT, rows.fused, truth, rows.states_a, rows.states_b, 1 / 30)["mpjpe"]
+    assert np.nanmean(found.distance["fused"]) == pytest.approx(expected, abs=0.0005)
+
+
+def test_gaps_of_half_a_second_stay_gaps(walk):
+    times, points = walk.truth(3.7, 12.0)
+    points[200:250, 5] = np.nan
+    found = TruthComparison.of(walk.session, TruthFile("t", AZURE_KINECT.joints, times, points))
+    inside = np.abs(found.time_ns * 1e-9 - 3.7 - 2.25) < 0.24
+    assert np.isnan(found.distance["fused"][inside, 5]).all()
+    assert np.isfinite(found.distance["fused"][~inside, 5]).mean() > 0.99
+    assert np.isfinite(found.distance["fused"][inside, 6]).all()
+
+
+def test_markers_of_a_subject_need_no_table(walk):
+    times, points = walk.truth(3.7, 12.0)
+    markers = {"Ann:LASI": 18, "Ann:RASI": 22, "Ann:LPSI": 18, "Ann:RPSI": 22, "Ann:C7": 3, "Ann:CLAV": 3}
+    for side, (hip, shoulder) in {"L": (18, 5), "R": (22, 12)}.items():
+        parts = {"KNE": hip + 1, "ANK": hip + 2, "TOE": hip + 3}
+        arms = {"SHO": shoulder, "ELB": shoulder + 1, "WRA": shoulder + 2, "WRB": shoulder + 2}
+        markers |= {f"Ann:{side}{part}": joint for part, joint in (parts | arms).items()}
+    points = points[:, list(markers.values())]
+    found = TruthComparison.of(walk.session, TruthFile("t", tuple(markers), times, points))
+    assert found.table == "plug-in-gait"
+    assert found.offset.seconds == pytest.approx(3.7, abs=0.002)
+    knee = AZURE_KINECT.joint("KNEE_LEFT")
+    assert np.nanmean(found.distance["fused"][:, knee]) < 0.03
+    angles, true = found.angles["fused"]
+    assert np.isfinite(true).all()
+    assert np.sqrt(np.nanmean((angles - true)[:, :2] ** 2)) < 5.0  # knees
+
+
+def test_the_constant_part_is_another_definition_of_the_joint(walk):
+    rows = walk.session.rows[200:500]
+    turns = rotations_of(AZURE_KINECT, rows.fused, rows.time_ns)
+    put_in = np.random.default_rng(2).normal(0.0, 0.03, (len(AZURE_KINECT), 3))
+    moved = np.stack([Rotation.from_quat(turns[:, j]).apply(put_in[j]) for j in range(len(put_in))], axis=1)
+    every = dict.fromkeys(SKELETONS, rows.fused)
+    found = TruthComparison(
+        AZURE_KINECT, "t", "bodies", np.arange(len(AZURE_KINECT)), "metres", TimeOffset(0.0),
+        RigidTransform.identity(), rows.frame, rows.time_ns, every,
+        every | {"fused": rows.fused - moved}, np.array([0.0, -1.0, 0.0]),
+    )  # fmt: skip
+    np.testing.assert_allclose(found.constant["fused"], put_in, atol=1e-6)
+    np.testing.assert_allclose(found.rest["fused"], 0.0, atol=1e-6)
+    np.testing.assert_allclose(
+        found.distance["fused"].mean(axis=0), np.linalg.norm(put_in, axis=1), atol=1e-6
+    )
+    np.testing.assert_array_equal(found.distance["a"], 0.0)
+
+
+def test_an_offset_that_is_given_is_kept(walk):
+    found = TruthComparison.of(walk.session, truth_of(walk, offset_s=3.7, seconds=12.0), offset_s=3.75)
+    assert found.offset.seconds == 3.75
+    assert np.isnan(found.offset.sd_seconds)
+
+
+def test_what_cannot_be_compared_says_why(walk, tmp_path):
+    good = truth_of(walk, offset_s=3.7, seconds=12.0)
+
+    def error(session=walk.session, truth=good, **how):
+        with pytest.raises(RecordingError) as raised:
+            TruthComparison.of(session, truth, **how)
+        return str(raised.value)
+
+    assert "covers 0 frames" in error(offset_s=100.0)
+    few = replace(good, labels=good.labels[:4], points=good.points[:, :4])
+    assert "4 of the joints of azure_kinect" in error(truth=few)
+    assert "has PELVIS, SPINE_NAVEL, SPINE_CHEST, NECK" in error(truth=few)
+    nobody = replace(walk.session.rows, fused=np.full_like(walk.session.fused, np.nan))
+    assert "has no S*" in error(replace(walk.session, rows=nobody))
+    assert "times the size" in error(truth=replace(good, points=1.8 * good.points))
+    still = replace(good, points=np.repeat(good.points[:1], len(good.points), axis=0))
+    assert "no offset in time makes the movements match" in error(truth=still)
+    mirrored = replace(good, points=good.points * [-1.0, 1.0, 1.0])
+    assert "is a mirror image" in error(truth=mirrored, offset_s=3.7)
+    scrambled = tmp_path / "t.toml"
+    scrambled.write_text("[joints]\n" + "\n".join(
+        f'{joint} = "{other}"' for joint, other in zip(good.labels, good.labels[::-1], strict=True)
+    ))  # fmt: skip
+    assert "or another table of names is needed" in error(table=name_table(scrambled))
+
+
+@pytest.mark.parametrize("motion", ["squat", "steps", "turn"])
+def test_another_movement_is_refused(walk, motion):
+    times = np.arange(1100) / 100.0
+    file = TruthFile("t", AZURE_KINECT.joints, times, true_positions(AZURE_KINECT, motion)(times + 4.0))
+    with pytest.raises(RecordingError, match="no offset in time makes the movements match"):
+        TruthComparison.of(walk.session, file)

@@ -1,0 +1,80 @@
+"""Files of motion capture, written by others and by this program."""
+
+import numpy as np
+import pytest
+
+from fusion.body import KINECT_V1
+from recordings.errors import RecordingError
+from recordings.export import writer_for
+from recordings.truth_files import read_truth
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.motion_capture import write_c3d, write_trc
+from tests.helpers.two_views import calibration_of
+
+LABELS = ("Ann:LASI", "Ann:RASI", "Ann:C7")
+
+
+def points_of(count):
+    rng = np.random.default_rng(3)
+    points = rng.normal(0.0, 800.0, (count, len(LABELS), 3))
+    points[rng.random(points.shape[:2]) < 0.1] = np.nan
+    return np.arange(count) / 120.0, points
+
+
+@pytest.mark.parametrize(("writer", "name"), [(write_c3d, "t.c3d"), (write_trc, "T.TRC")])
+def test_points_of_other_writers_are_read(writer, name, tmp_path):
+    times, points = points_of(50)
+    read = read_truth(writer(tmp_path / name, LABELS, times, points))
+    assert read.labels == LABELS
+    np.testing.assert_allclose(read.seconds, times, atol=1e-5)
+    np.testing.assert_allclose(read.points, points, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "table"), [("s.c3d", "long"), ("s.trc", "long"), ("s.csv", "long"), ("s.csv", "wide")]
+)
+def test_what_this_program_exports_is_read(fused_run, tmp_path, name, table):
+    session = fused_run(frame_pairs(KINECT_V1, 40, gap=(20,)), calibration_of(KINECT_V1))
+    writer_for(tmp_path / name, table)(session, tmp_path / name)
+    read = read_truth(tmp_path / name)
+    assert read.labels == KINECT_V1.joints
+    np.testing.assert_allclose(read.seconds, session.time_ns * 1e-9, atol=1e-3)
+    unit = 1.0 if name.endswith(".csv") else 1e-3  # metres, but in axes of the format
+    apart, expected = (np.linalg.norm(at[:, 1:] - at[:, :-1], axis=2) for at in (read.points, session.fused))
+    known = np.isfinite(apart).all(axis=1)
+    assert 37 <= known.sum() <= 39  # an even rate leaves out the frames beside the gap
+    assert not known[20]
+    np.testing.assert_allclose(unit * apart[known], expected[known], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("t.c3d", "no motion", "not a .c3d that ezc3d can read"),
+        ("t.trc", "PathFileType\n\n\n\n\n\n\n", "fourth line does not begin with Frame#"),
+        ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t1\t2\t3\n2\tx\t1\t2\t3\n", "line 7: not a row of numbers"),
+        ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t1\t2\t3\n2\t0\t1\t2\t3\n", "times that increase"),
+        ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t\t\t\n2\t1\t\t\t\n", "has no points"),
+        ("t.csv", "a,b\n1,2\n", "neither a column joint nor columns that end in _x"),
+        ("t.csv", "time_s,joint,x,y\n0,HEAD,1,2\n", "Its columns must be those of duplex export"),
+        ("t.csv", "time_us,body,joint,x,y,z\n0,1,HEAD,1,2,3\n0,2,HEAD,1,2,3\n", "it has 2 bodies"),
+        ("t.csv", "", "is no .csv of motion"),
+    ],
+)
+def test_a_file_that_cannot_be_read_says_why(name, text, message, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(RecordingError, match=message) as raised:
+        read_truth(tmp_path / name)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_c3d_that_is_cut_off_says_so(tmp_path):
+    path = write_c3d(tmp_path / "t.c3d", LABELS, *points_of(500))
+    path.write_bytes(path.read_bytes()[:8000])
+    with pytest.raises(RecordingError, match=r"cut off: it states 500 frames and has 134"):
+        read_truth(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(RecordingError, match=r"none\.c3d cannot be read: No such file"):
+        read_truth(tmp_path / "none.c3d")

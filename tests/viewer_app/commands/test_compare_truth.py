@@ -1,0 +1,98 @@
+"""``duplex compare`` with motion capture: what it prints and writes, and its one line where it cannot."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fusion.angles import ANGLES, joint_angles
+from fusion.body import KINECT_V2
+from recordings import layout
+from recordings.session import Session
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.motion_capture import captured, true_positions, write_c3d, write_trc
+from tests.helpers.session_text import rows_of
+
+# of laboratories, on the joints of KINECT_V2
+MARKERS = {
+    "LSHO": "ShoulderLeft", "LELB": "ElbowLeft", "LWRA": "WristLeft", "LWRB": "WristLeft",
+    "RSHO": "ShoulderRight", "RELB": "ElbowRight", "RWRA": "WristRight", "RWRB": "WristRight",
+    "LASI": "HipLeft", "LPSI": "HipLeft", "LKNE": "KneeLeft", "LANK": "AnkleLeft",
+    "RASI": "HipRight", "RPSI": "HipRight", "RKNE": "KneeRight", "RANK": "AnkleRight",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("walk")
+    seen = captured(folder / "walk.rrd", KINECT_V2, "walk", 14.0, seed=13)
+    times, points = seen.truth(3.7, 10.0, missing=0.1)
+    chosen = points[:, [KINECT_V2.joint(joint) for joint in MARKERS.values()]]
+    write_c3d(folder / "walk.c3d", [f"Ann:{name}" for name in MARKERS], times, chosen)
+    write_trc(folder / "lab.trc", [f"m{j}" for j in range(len(KINECT_V2))], times, points)
+    return folder
+
+
+def test_markers_of_a_laboratory_are_compared_without_a_table(walk, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    page, report, scene = (tmp_path / name for name in ("c.html", "c.json", "c.rrd"))
+    outputs = ("--html", page, "--report", report, "--save", scene)
+    assert duplex("compare", walk / "walk.rrd", walk / "walk.c3d", "--no-viewer", "--verbose", *outputs) == 0
+    said = capsys.readouterr().out
+    assert "frames compared: 13 joints by the table plug-in-gait, in millimetres." in said
+    for words in ("Offset ", "mean over joints and frames", "knee flexion left", "AnkleRight"):
+        assert words in said
+    figures = json.loads(report.read_text())
+    assert figures["offset_s"] == pytest.approx(3.7, abs=0.002)
+    assert figures["offset_sd_ms"] < 5.0
+    every = figures["all_joints"]
+    assert every["fused"]["mean_mm"] < min(every["a"]["mean_mm"], every["b"]["mean_mm"])
+    assert figures["joints"].keys() == {"SpineBase", *MARKERS.values()}
+    for joint in figures["joints"].values():
+        assert joint["fused"]["rest_mean_mm"] < joint["fused"]["mean_mm"] + 1.0
+    session = Session.open(walk / "walk.rrd")
+    seconds = session.time_ns * 1e-9
+    angles = [
+        joint_angles(KINECT_V2, at)[:, 0]
+        for at in (session.fused, true_positions(KINECT_V2, "walk")(seconds))
+    ]
+    off, true = (angle[seconds > 3.7] for angle in (angles[0] - angles[1], angles[1]))
+    knee = figures["angles"][ANGLES[0]]["fused"]
+    assert knee["rmse_deg"] == pytest.approx(np.sqrt(np.nanmean(off**2)), rel=0.1)  # a tenth is missing
+    assert knee["true_range_deg"] == pytest.approx(np.ptp(np.percentile(true, [1.0, 99.0])), abs=1.0)
+    text = page.read_text()
+    assert text.count("<svg") == 2 + len(figures["angles"])
+    assert "walk.c3d" in text
+    for entity in (layout.TRUTH_SKELETON, layout.FUSED_SKELETON, layout.skeleton("a"), layout.skeleton("b")):
+        assert rows_of(scene, entity) == figures["frames"]
+
+
+def test_names_of_ones_own_take_a_table(walk, tmp_path, capsys):
+    table = tmp_path / "lab.toml"
+    lines = [f'{name} = "m{KINECT_V2.joint(name)}"' for name in KINECT_V2.joints]
+    table.write_text("\n".join(["[joints]", *lines]))
+    files = walk / "walk.rrd", walk / "lab.trc", "--no-viewer"
+    assert duplex("compare", *files, "--names", table) == 0
+    assert "25 joints by the table" in capsys.readouterr().out.replace("\n", " ")
+    assert duplex("compare", *files) == 2
+    assert "0 of the joints of kinect_v2 are found" in one_line(capsys)
+    table.write_text("\n".join(["[joints]", *lines, 'THUMB_LEFT = "m99"']))
+    assert duplex("compare", *files, "--names", table) == 2
+    assert "'m99'; the file has m0, m1, m2" in one_line(capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("walk.rrd none.c3d", "none.c3d cannot be read: No such file"),
+        ("walk.c3d walk.c3d", "walk.c3d"),
+        ("walk.rrd walk.c3d --names vicon", "No table of names 'vicon'"),
+        ("walk.rrd walk.c3d --offset 100", "covers 0 frames"),
+        ("walk.rrd walk.rrd --html c.html", "--html is for motion capture"),
+        ("walk.rrd walk.c3d --html walk.c3d", "is also read"),
+    ],
+)
+def test_a_mistake_gives_one_line(walk, arguments, words, capsys, monkeypatch):
+    monkeypatch.chdir(walk)
+    assert duplex("compare", *arguments.split(), "--no-viewer") == 2
+    assert words in one_line(capsys)
