@@ -50,6 +50,8 @@ class Step(NamedTuple):
     """Its uncertainty, one standard deviation; NaN where that of S* is unknown."""
     toe_off: float
     """When the foot left the floor before; NaN where that was not seen."""
+    toe_off_sigma: float
+    """Its uncertainty, one standard deviation."""
     seconds: float
     """Since the other heel's strike; NaN for the first of a walk."""
     length: float
@@ -86,9 +88,9 @@ class Gait:
         if not count:
             return _UNKNOWN
         way = sum(step.progress for step in self._later)
-        # the pelvis is at least as certain as the two ankles of a step
-        ends = 2.0 * sum(walk[0].length_sigma ** 2 for walk in self.walks)
-        return Measured(way / seconds, math.hypot(way * sigma / seconds, math.sqrt(0.5 * ends)) / seconds)
+        # the pelvis at both ends of a walk is at least as certain as the two ankles of a step
+        ends = math.sqrt(sum(walk[0].length_sigma ** 2 for walk in self.walks))
+        return Measured(way / seconds, math.hypot(way * sigma / seconds, ends) / seconds)
 
     @property
     def walks(self) -> list[list[Step]]:
@@ -224,7 +226,7 @@ def _strikes(t: Array, ground: Array, errors: Array) -> list[Step]:
     found = []
     for side in (0, 1):
         ahead = np.sum((ground[:, 1 + side] - pelvis) * direction, axis=1)
-        acceleration = np.gradient(np.gradient(ahead)) * _RATE**2
+        error = np.hypot(errors[:, 1 + side], errors[:, 0])
         toe_offs = find_peaks(-ahead, prominence=_SWING)[0]
         for k in find_peaks(ahead, prominence=_SWING)[0]:
             length = float((ground[k, 1 + side] - ground[k, 2 - side]) @ direction[k])
@@ -232,16 +234,16 @@ def _strikes(t: Array, ground: Array, errors: Array) -> list[Step]:
                 continue
             before = toe_offs[: np.searchsorted(toe_offs, k)]
             swung = len(before) > 0 and k - before[-1] < _LONGEST_SWING * _RATE
-            of_speed = math.hypot(errors[k, 1 + side], errors[k, 0]) / _ERRORS_LAST
+            strike = _extremum(t, ahead, error, k)
+            toe_off = _extremum(t, ahead, error, before[-1]) if swung else _UNKNOWN
             found.append(
                 Step(
                     side=SIDES[side],
                     walk=0,
-                    strike=float(t[k]) + _vertex(ahead[k - 1 : k + 2]) / _RATE,
-                    strike_sigma=of_speed / max(-float(acceleration[k]), 1e-6),
-                    toe_off=float(t[o := before[-1]]) + _vertex(ahead[o - 1 : o + 2]) / _RATE
-                    if swung
-                    else math.nan,
+                    strike=strike.value,
+                    strike_sigma=strike.sigma,
+                    toe_off=toe_off.value,
+                    toe_off_sigma=toe_off.sigma,
                     seconds=math.nan,
                     length=length,
                     length_sigma=math.hypot(errors[k, 1], errors[k, 2]),
@@ -251,10 +253,12 @@ def _strikes(t: Array, ground: Array, errors: Array) -> list[Step]:
     return sorted(found, key=lambda step: step.strike)
 
 
-def _vertex(values: Array) -> float:
-    """Where the parabola through values at -1, 0 and 1 has its vertex."""
-    before, middle, after = values.tolist()
-    return 0.5 * float(before - after) / float(before - 2.0 * middle + after)
+def _extremum(t: Array, values: Array, error: Array, k: int) -> Measured:
+    """Seconds of the vertex of the parabola through three values, of which the middle one is extreme."""
+    before, middle, after = values[k - 1 : k + 2].tolist()
+    bend = before - 2.0 * middle + after or 1e-9
+    sigma = float(error[k]) / _ERRORS_LAST / (abs(bend) * _RATE**2)
+    return Measured(float(t[k]) + 0.5 * (before - after) / bend / _RATE, sigma)
 
 
 def _walks(strikes: Sequence[Step]) -> Iterator[list[Step]]:

@@ -37,12 +37,17 @@ def movement_of(session: Session) -> Movement:
 
 def _over_time(session: Session, angles: AngleSeries) -> Iterator[str]:
     time = session.time_ns * 1e-9
-    for name in (*_OF_A_SIDE, "shoulder_abduction"):
+    plots = {
+        name: {side: (f"{name}_{side}", side) for side in SIDES}
+        for name in (*_OF_A_SIDE, "shoulder_abduction")
+    }
+    plots["trunk"] = {"forwards": ("trunk_flexion", "fused"), "to the right": ("trunk_lean", "truth")}
+    for name, lines in plots.items():
+        sigma = _median([angles.sigma[:, angles.names.index(angle)] for angle, _ in lines.values()])
+        title = name.replace("_", " ") + (f", 1 σ about {sigma:.0f}°" if np.isfinite(sigma) else "")
         yield line_plot(
-            name.replace("_", " "), "°", time, {side: (angles[f"{name}_{side}"], side) for side in SIDES}
+            title, "°", time, {line: (angles[angle], key) for line, (angle, key) in lines.items()}
         )
-    trunk = {"forwards": (angles["trunk_flexion"], "fused"), "to the right": (angles["trunk_lean"], "truth")}
-    yield line_plot("trunk", "°", time, trunk)
 
 
 def _over_cycles(session: Session, angles: AngleSeries, gait: Gait) -> Iterator[str]:
@@ -83,6 +88,7 @@ def _gait_rows(gait: Gait) -> Iterator[tuple[str, ...]]:
     yield ("steps", *(str(len(steps)) for steps in sides))
     yield ("step length (m)", *(_mean([step.length for step in steps], 2) for steps in sides))
     yield ("step time (s)", *(_mean([step.seconds for step in steps], 2) for steps in sides))
+    yield ("gait cycles", *(str(len(gait.cycles(side))) for side in SIDES))
     strides = [np.diff(gait.cycles(side), axis=1) for side in SIDES]
     yield ("stride time (s)", *(_mean(each, 2) for each in strides))
     yield ("stance (% of the cycle)", *(_mean(100.0 * gait.stance(side), 0) for side in SIDES))

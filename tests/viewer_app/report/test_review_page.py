@@ -57,10 +57,10 @@ def test_the_page_has_the_gait_of_people_who_walk_and_of_no_others(session, tmp_
     assert text.count("over the gait cycle") == 6
     assert re.search(r"<td>stance \(% of the cycle\)</td><td>7\d ± \d", text)
     for name in ("knee flexion", "shoulder abduction", "trunk"):
-        assert f'aria-label="{name}, °, over time"' in text
+        assert re.search(f'aria-label="{name}, 1 σ about \\d+°, °, over time"', text)
     text = review_page(session, report(session) | {"without_truth": truth_free_figures(session)})
     assert "gait" not in text.lower()
-    assert 'aria-label="knee flexion, °, over time"' in text
+    assert 'aria-label="knee flexion, 1 σ about ' in text
 
 
 class _Ids(HTMLParser):
