@@ -1,4 +1,8 @@
-"""Checks whether a window can open: a display must be named and must answer."""
+"""Checks whether a window can open: a display must be named and must answer.
+
+A program that opens a window on an X server that does not answer waits for ever. So python-xlib connects
+first, with a time limit.
+"""
 
 import contextlib
 import functools
