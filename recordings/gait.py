@@ -33,6 +33,7 @@ _BETWEEN = 0.25, 1.3  # seconds between strikes of both feet
 _LONGEST_SWING = 1.0  # seconds
 _FEWEST = 3  # strikes in turn
 _LONGEST_GAP = 0.3  # seconds without S*
+_FARTHEST = 1000.0  # metres: what is farther is damaged
 _SHORTEST = 1.0  # seconds of a part without gaps
 _ERRORS_LAST = 0.16  # seconds; two thirds of the strikes of simulated walks are then within 1 σ
 
@@ -185,13 +186,14 @@ def _parts(
     names = [f"{part}{side}" for part in ("Hip", "Shoulder", "Ankle") for side in ("Left", "Right")]
     joints = [body.joint(name) for name in names]
     hip, other_hip, shoulder, other_shoulder, left, right = np.moveaxis(positions[:, joints], 1, 0)
-    facing = np.cross(hip - other_hip + shoulder - other_shoulder, up)
-    ground = np.stack([0.5 * (hip + other_hip), left, right, facing], axis=1) @ floor
+    with np.errstate(invalid="ignore", over="ignore"):  # a damaged file has any numbers
+        facing = np.cross(hip - other_hip + shoulder - other_shoulder, up)
+        ground = np.stack([0.5 * (hip + other_hip), left, right, facing], axis=1) @ floor
     errors = np.full((len(seconds), 3), np.nan)
     if sigma is not None:
         of_joints = np.asarray(sigma, dtype=np.float64)[:, joints] / math.sqrt(3.0)
         errors = np.stack([0.5 * np.hypot(of_joints[:, 0], of_joints[:, 1]), *of_joints[:, 4:].T], axis=1)
-    known = np.flatnonzero(np.isfinite(ground).all(axis=(1, 2)))
+    known = np.flatnonzero((np.abs(ground) < _FARTHEST).all(axis=(1, 2)))
     gaps = np.flatnonzero(np.diff(seconds[known]) > _LONGEST_GAP) + 1
     for part in np.split(known, gaps):
         if len(part) < 2 or seconds[part[-1]] - seconds[part[0]] < _SHORTEST:

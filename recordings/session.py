@@ -244,7 +244,8 @@ class Session(SessionData):
     def up(self) -> NDArray[np.float64]:
         """(3,) unit vector against gravity in K_A's frame, from the person's standing."""
         step = max(1, len(self) // _SAMPLES)
-        return upright_direction(self.body, np.asarray(self.rows.fused[::step]))
+        with np.errstate(invalid="ignore", over="ignore"):  # a damaged file has any numbers
+            return upright_direction(self.body, np.asarray(self.rows.fused[::step]))
 
     @property
     def angles(self) -> AngleSeries:
