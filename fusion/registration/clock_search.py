@@ -29,6 +29,7 @@ _FASTEST = 8.0  # m/s: a faster joint has jumped
 _STILL = 0.1  # m/s: slower motion is mostly noise
 _OVERLAP = 0.35  # least share of either view's motion that a peak is based on
 _PART_OVERLAP = 0.1  # where one may be a calm part of the other
+_EQUAL = 2.0  # times the least cost: a larger one is of other places
 _AS_MANY = 0.9  # of the most frames that two views have in common
 _CANDIDATES = 6
 _LEAST_CORRELATION = 0.2
@@ -92,26 +93,25 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
 def find_part_offsets(body: Body, a: View, b: View) -> list[int]:
     """The times to add to B's clock, ns, at which one view may be a part of the other.
 
-    All offsets at which the views overlap are searched. Of those that the motion does not tell apart, as
-    where a movement repeats itself, the first has most frames in common.
+    All offsets at which the views overlap are searched.
 
     Returns:
-        The best one, then all others that match as well; empty where no offset matches.
+        Those that match equally well, as where a movement repeats itself, most frames in common first.
     """
     if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
         return []
     base = int(a.time_ns[0] - b.time_ns[0])
     shifted = b._replace(time_ns=b.time_ns + base)
-    reach = int(max(np.ptp(a.time_ns), np.ptp(b.time_ns)))
-    peaks = _peaks(body, a, shifted, (), reach, _PART_OVERLAP)
+    reach_ns = int(max(np.ptp(a.time_ns), np.ptp(b.time_ns)))
+    peaks = _peaks(body, a, shifted, (), reach_ns, _PART_OVERLAP)
     costs = [_costs(a, shifted, offset) for offset, _ in peaks]
     frames = [int(np.isfinite(cost).sum()) for cost in costs]
-    known = [k for k, count in enumerate(frames) if count >= _FEWEST]
-    if not known:
+    if not (known := [k for k, count in enumerate(frames) if count >= _FEWEST]):
         return []
     mean = _means(np.array(costs))
-    best = min(known, key=lambda k: mean[k])
-    equal = [k for k in known if k == best or not _better(costs[best], costs[k])]
+    best = min(known, key=mean.__getitem__)
+    near = [k for k in known if k != best and mean[k] < _EQUAL * mean[best]]
+    equal = [best, *(k for k in near if not _better(costs[best], costs[k]))]
     enough = _AS_MANY * max(frames[k] for k in equal)
     equal.sort(key=lambda k: (frames[k] < enough, mean[k]))
     return [base + peaks[k][0] for k in equal]

@@ -9,8 +9,11 @@ from scipy.spatial.transform import Rotation
 from devices.skeletons.name_tables import name_table
 from fusion.body import AZURE_KINECT
 from fusion.joint_rotations import rotations_of
+from fusion.pair_arrays import View
+from fusion.registration.clock_search import find_part_offsets
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
+from fusion.skeleton import TRACKED
 from recordings.errors import RecordingError
 from recordings.truth_comparison import SKELETONS, TruthComparison
 from recordings.truth_files import TruthFile, read_truth
@@ -131,6 +134,21 @@ def test_what_cannot_be_compared_says_why(walk, tmp_path):
         f'{joint} = "{other}"' for joint, other in zip(good.labels, good.labels[::-1], strict=True)
     ))  # fmt: skip
     assert "or another table of names is needed" in error(table=name_table(scrambled))
+
+
+def test_standing_before_a_movement_that_repeats_itself_is_no_part_of_it():
+    positions_at, noise = true_positions(AZURE_KINECT, "squat"), np.random.default_rng(5)
+
+    def view(count, begin, sd):  # before the movement begins, the person stands
+        seconds = np.arange(count) / 30.0
+        at = positions_at(np.maximum(seconds + begin, 0.0))
+        at += noise.normal(0.0, sd, at.shape)
+        states = np.full(at.shape[:2], TRACKED, dtype=np.uint8)
+        return View(np.rint(1e9 * seconds).astype(np.int64), at.astype(np.float32), states)
+
+    truth, session = view(660, -3.7, 0.001), view(900, 0.0, 0.03)  # at 8 s more, all of the truth is covered
+    first, *_ = find_part_offsets(AZURE_KINECT, truth, session)
+    assert first == pytest.approx(3.7e9, abs=3e7)
 
 
 @pytest.mark.parametrize("motion", ["squat", "steps", "turn"])
