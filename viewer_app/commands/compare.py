@@ -43,7 +43,7 @@ from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
 
 _APPLICATION_ID = f"{layout.APPLICATION_ID}_compare"
-_EYE = np.array([-1.5, -0.6, -3.2])  # metres, from the person in K_A's frame
+_EYE = np.array([-1.1, -0.4, -2.4])  # metres, from the person in K_A's frame
 _OF_TRUTH = ("names", "offset", "html", "report")  # options for motion capture only
 
 
