@@ -28,8 +28,12 @@ def transform_views(model, state, views, pairs, k):  # type: ignore[no-untyped-d
     """
     a, states_a, b, states_b = pairs.a[k], pairs.states_a[k], pairs.b[k], pairs.states_b[k]
     R, t = model.rotation, model.translation
-    views.stale[0] = repeats(a, states_a, state.last_positions[0], state.last_states[0])
-    views.stale[1] = repeats(b, states_b, state.last_positions[1], state.last_states[1])
+    # a sensor without a person, or without a frame, repeats nothing, and its last skeleton stays the last one
+    views.stale[0] = views.stale[1] = False
+    if _anyone(states_a):
+        views.stale[0] = repeats(a, states_a, state.last_positions[0], state.last_states[0])
+    if _anyone(states_b):
+        views.stale[1] = repeats(b, states_b, state.last_positions[1], state.last_states[1])
     views.delays[0], views.delays[1] = 0.0, 1e-9 * pairs.skew_ns[k]
     for i in range(len(states_a)):
         views.reported_states[0, i], views.reported_states[1, i] = states_a[i], states_b[i]
@@ -37,6 +41,14 @@ def transform_views(model, state, views, pairs, k):  # type: ignore[no-untyped-d
         for c in range(3):
             views.reported[0, i, c] = a[i, c]
             views.reported[1, i, c] = R[c, 0] * x + R[c, 1] * y + R[c, 2] * z + t[c]
+
+
+@inner_kernel
+def _anyone(states):  # type: ignore[no-untyped-def]
+    some = False
+    for i in range(len(states)):
+        some = some or states[i] != 0
+    return some
 
 
 @inner_kernel
@@ -50,6 +62,8 @@ def relabel(model, facing_model, facing, views, labels, k, dt):  # type: ignore[
     """
     codes, doubt, heading = labels.codes[k], labels.doubt[k], labels.heading[k]
     biased = facing_model.constants.folded > 0.0  # then the heading is needed, too
+    for v in range(2):  # neither is evidence of the heading
+        views.stale[v] = views.stale[v] or not _anyone(views.reported_states[v])
     pair = ReportedPair(views.reported, views.reported_states, views.stale, model.translation, model.up)
     missing = codes[0] < 0 or codes[1] < 0 or math.isnan(doubt[0]) or math.isnan(doubt[1])
     if missing or (biased and math.isnan(heading[0])):

@@ -29,6 +29,8 @@ from fusion.skeleton import TRACKED
 
 _OUTLIER_STEP = 0.2  # m between two frames: a larger step is an outlier and is limited to this
 _SPEED_SECONDS = 0.3
+CONTINUOUS_SECONDS = 0.5
+"""After a longer time without a new skeleton a view's labels may have changed."""
 _LOG_ODDS = math.log(0.3), math.log(3000.0)  # smallest and largest
 IN_LINE = math.cos(math.radians(20.0))
 """The person counts as standing if the cosine between trunk and legs is above this."""
@@ -161,6 +163,8 @@ def exchange_odds(model, state, view):  # type: ignore[no-untyped-def]
     It has limits: a tracker that changes over smoothly passes through d ≈ 0, so that continuity alone must
     not exclude an exchange.
     """
+    if state.since[view] > CONTINUOUS_SECONDS:
+        return 1.0
     total = 0.0
     for pair in (SHOULDER, HIP, ELBOW, KNEE):
         dot = 0.0

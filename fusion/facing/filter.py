@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.facing.evidence import exchange_odds, learn_up, measure_view, update_motion
+from fusion.facing.evidence import CONTINUOUS_SECONDS, exchange_odds, learn_up, measure_view, update_motion
 from fusion.facing.model import WHOLE
 from fusion.facing.whole_body import correct, log_likelihood, predict, prior_belief, set_headings, set_turning
 
@@ -41,8 +41,8 @@ def update_evidence(model, state, pair, dt):  # type: ignore[no-untyped-def]
         state.rates[view] = 0.0  # a stale skeleton keeps its labels
         if not pair.stale[view]:
             measure_view(model, state, view, pair.positions[view], pair.states[view])
-            update_motion(model, state, view, pair.positions[view])
             state.odds[view] = exchange_odds(model, state, view)
+            update_motion(model, state, view, pair.positions[view])
             state.rates[view] = 1.0 - math.exp(-dt / model.constants.mirrored_seconds)
     for c in range(3):
         state.velocity[c] += state.velocity_change[0, c] + state.velocity_change[1, c]
@@ -116,7 +116,8 @@ def decide(model, state, belief):  # type: ignore[no-untyped-def]
                     along += sign * state.axes[view, girdle, c] * state.facing[c]
         contradicted = max(0.0, min(1.0, 0.5 - along / trust)) if trust > 0.0 else 0.0
         state.doubt[view] = max(wrong, contradicted)
-        state.codes[view] = WHOLE * state.whole[view] if trust > 0.0 else 0
+        gone = state.since[view] > CONTINUOUS_SECONDS
+        state.codes[view] = WHOLE * state.whole[view] if trust > 0.0 and not gone else 0
 
 
 @inner_kernel

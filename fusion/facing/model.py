@@ -151,7 +151,7 @@ class ReportedPair(NamedTuple):
 
     positions: Floats  # (2, J, 3) metres, K_A's frame, as reported; NaN where not tracked
     states: NDArray[np.uint8]  # (2, J) uint8 tracking states
-    stale: Bools  # (2,) whether the view repeats its last skeleton, which is then no evidence
+    stale: Bools  # (2,) whether the view repeats its last skeleton or has none, and so is no evidence
     sensor_b: Floats  # (3,) position of K_B in K_A's frame: t of the registration
     up: Floats
     """(3,) unit vector against gravity in K_A's frame; NaN where it is unknown: then it is learned from the

@@ -72,9 +72,13 @@ def reported_pairs(
         up: (3,) against gravity; learned from the person where None.
     """
     positions = np.stack([np.asarray(view, dtype=np.float64) for view in views], axis=1)
-    stale = np.zeros(positions.shape[:2], dtype=np.bool_)
-    later, before = positions[1:], positions[:-1]
-    stale[1:] = ((later == before) | np.isnan(later)).all(axis=(2, 3)) & np.isfinite(later).any(axis=(2, 3))
+    stale: NDArray[np.bool_] = np.asarray(
+        np.isnan(positions).all(axis=(2, 3))
+    )  # a view without a person, or without a frame
+    for view in range(2):
+        seen = np.flatnonzero(~stale[:, view])
+        later, before = positions[seen[1:], view], positions[seen[:-1], view]
+        stale[seen[1:], view] = ((later == before) | np.isnan(later)).all(axis=(1, 2))
     if up is None:
         up = upright_direction(body, positions[:, 0], positions[:, 1])
     return ReportedPair(
@@ -163,7 +167,9 @@ def _label(model, state, pairs, intervals, labels, history):  # type: ignore[no-
         if intervals[k] > FORGET_SECONDS:
             state.started[0] = 0
         for view in range(2):
+            state.since[view] += intervals[k]
             if not pairs.stale[k, view]:
+                state.since[view] = 0.0
                 measure_view(model, state, view, pairs.positions[k, view], pairs.states[k, view])
         for n in range(len(state.headings)):
             for x in range(2):

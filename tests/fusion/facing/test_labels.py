@@ -132,6 +132,30 @@ def test_stale_skeletons_are_no_evidence():
     assert state.confidence[0] < 0.95  # less certain after a second without evidence
 
 
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_view_that_misses_frames_keeps_its_labels_in_between(smooth):
+    views = simulated_views("walk", seconds=16.0)
+    b, states_b = views.b_in_a.copy(), views.states_b.copy()
+    b[1::2], states_b[1::2] = np.nan, 0
+    whole = views.relabel(smooth=smooth).codes[:, 1]
+    half = replace(views, b_in_a=b, states_b=states_b).relabel(smooth=smooth).codes[:, 1]
+    changes = np.count_nonzero(np.diff(whole))
+    assert changes > 1
+    assert np.count_nonzero(np.diff(half)) <= changes + 2
+    assert (half == whole).mean() > 0.95
+
+
+def test_a_skeleton_is_repeated_also_after_moments_without_the_view():
+    views = simulated_views("walk", seconds=4.0)
+    b, states_b = views.b_in_a.copy(), views.states_b.copy()
+    b[40:80] = b[40]
+    b[1::2], states_b[1::2] = np.nan, 0
+    stale = replace(views, b_in_a=b, states_b=states_b).reported().stale[:, 1]
+    assert stale[42:80].all()
+    assert stale[1::2].all()
+    assert not stale[:40:2].all()
+
+
 def test_a_held_posture_does_not_change_the_labels():
     views = simulated_views("walk", tracker="right")
     model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
