@@ -96,15 +96,15 @@ def pair_views(
     """Pairs each frame of A with the nearest of B in time, each frame once.
 
     Two frames are a pair when each is the other's nearest and they lie within the tolerance. A frame that
-    falls into a gap of the other recording (it saw no one, or lost frames there) is given alone. Frames
-    before or after all of the other recording are left out.
+    falls into a gap of the other recording (it saw no one, or lost frames there) is given alone.
 
     Args:
         a, b: The person in all frames of each recording.
         tolerance_ns: Half the slower stream's median frame interval where None.
         offset_ns: Added to the times of B, one or (T,), so that both are on A's clock.
-        every_frame: Whether a frame that merely finds no partner, as where one sensor is faster, is given
-            alone, too. Else it is left out, because the paper's methods fuse pairs.
+        every_frame: Whether all other frames are given alone, too: those that merely find no partner, as
+            where one sensor is faster, and those before or after all of the other recording. Else they are
+            left out, because the paper's methods fuse pairs.
 
     Raises:
         DeviceError: A recording is empty, or the two never overlap in time.
@@ -135,9 +135,10 @@ def _moments(
             f"The two recordings never overlap in time: A runs from {_span(time_a)}, B from {_span(time_b)}. "
             "They must be of the same capture, on one clock."
         )
-    gap = 0.0 if every_frame else _GAP
-    alone_a = np.setdiff1d(_in_gaps(time_a, time_b, gap), chosen)
-    alone_b = np.setdiff1d(_in_gaps(time_b, time_a, gap), nearest_b[chosen])
+    alone_a, alone_b = (
+        np.setdiff1d(np.arange(len(times)) if every_frame else _in_gaps(times, others), paired)
+        for times, others, paired in ((time_a, time_b, chosen), (time_b, time_a, nearest_b[chosen]))
+    )
     moments = np.concatenate(
         [
             np.stack([time_a[chosen], skew[chosen], chosen, nearest_b[chosen]], axis=1),
@@ -148,15 +149,11 @@ def _moments(
     return moments[np.argsort(moments[:, 0], kind="stable")]
 
 
-def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64], gap: float) -> NDArray[np.int64]:
-    """The frames, by index, that lie in a gap of the other recording, and not before or after all of it.
-
-    The gap is the distance to the nearest frame of the other recording that must be exceeded, in its frame
-    intervals.
-    """
+def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The frames, by index, that lie in a gap of the other recording, and not before or after all of it."""
     apart = np.abs(others[_nearest(times, others)] - times)
     within = (times > others[0]) & (times < others[-1])
-    return np.flatnonzero(within & (apart > gap * median_interval(others)))
+    return np.flatnonzero(within & (apart > _GAP * median_interval(others)))
 
 
 def _nearest(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -3,10 +3,12 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from recordings.errors import RecordingError
 from recordings.session_arrays import SessionArrays
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+_LATEST_NS = 9.0e18
 _LONGEST = 0.3  # seconds: S* is not interpolated across a longer interval
 
 
@@ -20,7 +22,7 @@ def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
         (N, J, 3) metres in K_A's frame; the recorded S* at the times of frames. NaN before the first and
         after the last frame, in intervals of more than 0.3 s, and where a frame has no S*.
     """
-    wanted = np.atleast_1d(np.asarray(time_ns, dtype=np.int64))
+    wanted = _whole(time_ns)
     times, fused, body = rows.time_ns, rows.fused, rows.body
     if len(times) == 0:
         return np.full((len(wanted), len(body), 3), np.nan)
@@ -49,7 +51,7 @@ def sigma_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
         (N, J) metres, one standard deviation of a joint's distance to the truth; NaN where there is no S*,
         and with the paper's methods.
     """
-    wanted = np.atleast_1d(np.asarray(time_ns, dtype=np.int64))
+    wanted = _whole(time_ns)
     found = np.full((len(wanted), len(rows.body)), np.nan)
     if rows.sigma is None or len(rows) == 0:
         return found
@@ -64,6 +66,15 @@ def sigma_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
     variance = (1.0 - s) * squared[before] + s * squared[after] + np.nan_to_num(off) ** 2
     found[known] = np.sqrt(variance[known])
     return found
+
+
+def _whole(time_ns: ArrayLike) -> Ints:
+    """(N,) nanoseconds; times that are not finite, or beyond 290 years, become one before every session."""
+    times = np.asarray(time_ns)
+    if times.ndim > 1:
+        raise RecordingError(f"Times are one number or (N,) nanoseconds; got an array of {times.shape}.")
+    known = np.isfinite(times) & (np.abs(times) < _LATEST_NS)
+    return np.atleast_1d(np.where(known, times, -_LATEST_NS)).astype(np.int64)
 
 
 def _velocity(rows: SessionArrays, start: Ints) -> tuple[Array, Array]:

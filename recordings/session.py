@@ -230,7 +230,7 @@ class Session(SessionData):
         return self.rows.fused
 
     def at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
-        """(N, J, 3) S* at any times (N,) since the first pair, with bones of constant length.
+        """(N, J, 3) S* at any times (N,) in nanoseconds since the first pair, with bones of constant length.
 
         See :func:`recordings.interpolation.positions_at`.
         """

@@ -58,6 +58,11 @@ def run(options: ReplayOptions) -> None:
     print_damage(console, session)
     if session.settings.method == settings.method and session.method_revision != REVISIONS[settings.method]:
         console.print(f"The method {settings.method} has changed since this session was made; S* is today's.")
+    if settings.method != session.settings.method == "duplex" and (alone := _of_one_view(session)):
+        console.print(
+            f"{alone} of {len(session)} moments have one view alone. "
+            f"`duplex fuse --method {settings.method}` leaves such moments out, a replay does not."
+        )
     segments, labels = _plan(session, settings)
     with planned.opened(segments[0][0]) as outputs:
         announce_outputs(console, outputs)
@@ -81,6 +86,11 @@ def run(options: ReplayOptions) -> None:
         say_more(console)
     if options.verify and not verify(console, session, replayed.rows.fused):
         sys.exit(1)
+
+
+def _of_one_view(session: Session) -> int:
+    counts = session.frame_counts
+    return counts["alone_a"] + counts["alone_b"]
 
 
 def _plan(session: Session, settings: FuserSettings) -> tuple[Segments, Labels | None]:
