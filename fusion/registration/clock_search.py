@@ -39,12 +39,10 @@ _PARTS = 8  # of the recording
 _LEAST_SD_NS = 2_000_000.0
 _APART = 9  # grid steps between two peaks
 _COMPARED = 192  # frames
-_FEWEST = 24
-_FEWEST_JOINTS = 5
+_FEWEST, _FEWEST_JOINTS = 24, 5
 _FAR = 0.05  # metres: a joint's distance beyond this counts less and less
 _CERTAIN = 3.0  # standard errors by which a candidate must be better than any other
-_DRIFT_WINDOWS, _DRIFT_SPAN_NS, _DRIFT_STEPS = 12, 60_000_000_000, 4
-_FEWEST_WINDOWS = 6
+_DRIFT_WINDOWS, _FEWEST_WINDOWS, _DRIFT_SPAN_NS, _DRIFT_STEPS = 12, 6, 60_000_000_000, 4
 _CERTAIN_NS = 15_000_000  # standard deviation of the offset in a window that counts
 _CORRELATED = 2.0  # standard errors are larger by this factor, because neighbouring frames are alike
 
@@ -70,24 +68,26 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     times, reach = b.time_ns + base, _REACH_NS + 1_000_000_000
     within = np.flatnonzero((times > a.time_ns[0] - reach) & (times < a.time_ns[-1] + reach))
     shifted = b.chosen(within)._replace(time_ns=times[within])
-    besides = () if apart else (0,)
-    peaks = _peaks(body, a, shifted, besides, _REACH_NS, _OVERLAP)
-    if len(peaks) == len(besides):
+    peaks = _peaks(body, a, shifted, () if apart else (0,), _REACH_NS, _OVERLAP)
+    if len(peaks) == (not apart):
         return None
     offsets = [offset for offset, _ in peaks]
     costs = np.array([_costs(a, shifted, offset) for offset in offsets])  # (candidates, frames)
-    known = np.isfinite(costs).sum(axis=1) >= _FEWEST
-    if not known.any():
+    if not (known := np.isfinite(costs).sum(axis=1) >= _FEWEST).any():
         return None
     best = int(np.argmin(np.where(known, _means(costs), np.inf)))
+    least_ns = 0.0
     for other in np.flatnonzero(known):
-        near = offsets[other] != 0 and abs(offsets[other] - offsets[best]) < _APART * _GRID_NS
-        if other == best or near or _better(costs[best], costs[other]):
+        if other == best or _better(costs[best], costs[other]):
             continue
         mismatch = [1.0 - peaks[k][1] for k in (other, best)]
-        if mismatch[0] < _AMBIGUOUS * mismatch[1] or _better(costs[other], costs[best]):
+        if abs(offsets[other] - offsets[best]) < _APART * _GRID_NS:  # both lead to one minimum
+            if offsets[other] == 0:  # views of one moment show offsets below a frame, too
+                least_ns = float(np.median(np.diff(a.time_ns)))
+        elif mismatch[0] < _AMBIGUOUS * mismatch[1] or _better(costs[other], costs[best]):
             return None
-    return _refined(a, shifted, offsets[best], base)
+    found = _refined(a, shifted, offsets[best], base)
+    return None if found is None or abs(found.offset_ns - base) < least_ns else found
 
 
 def find_part_offsets(body: Body, a: View, b: View) -> list[int]:
