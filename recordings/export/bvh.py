@@ -1,6 +1,7 @@
 """Export to BVH, a skeleton file for animation, from :mod:`recordings.export.animation`.
 
-Programs disagree on position channels of inner joints, so only the root has them. Centimetres, y up.
+Programs disagree on position channels of inner joints, so only the root has them. Centimetres, y up. Angles
+do not jump between equal rotations, so they may exceed 180°: programs interpolate channels one by one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,15 +26,36 @@ def write_bvh(session: Session, path: Path, rate: float | None = None, names: Na
     """
     animation = Animation(session, rate, names)
     head = [*_hierarchy(animation.nodes), "MOTION", f"Frames: {len(animation)}"]
+    before = np.zeros((len(animation.nodes), 3))
     with path.open("w", encoding="utf-8") as file:
         file.write("\n".join([*head, f"Frame Time: {1.0 / animation.rate:.9f}"]) + "\n")
         for positions, rotations in animation.parts():
-            angles = Rotation.from_quat(rotations.reshape(-1, 4)).as_euler(
-                "ZXY", degrees=True, suppress_warnings=True
-            )
+            angles = _continuous_angles(rotations, before)
+            before = angles[-1]
             motion = np.concatenate((positions * _CM, angles.reshape(len(positions), -1)), axis=1)
             file.writelines(" ".join(f"{v:.6f}" for v in row) + "\n" for row in motion.tolist())
     return animation.in_words
+
+
+def _continuous_angles(rotations: NDArray[np.float64], before: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, K, 3) degrees about Z, X, Y of (N, K, 4) quaternions, each nearest to those of the frame before.
+
+    Equal rotations are (z, x, y) and (z + 180°, 180° - x, y + 180°), and whole turns more of each angle.
+
+    Args:
+        before: (K, 3) degrees of the frame before the first.
+    """
+    angles = Rotation.from_quat(rotations.reshape(-1, 4)).as_euler(
+        "ZXY", degrees=True, suppress_warnings=True
+    )
+    angles = np.concatenate((before[None], np.reshape(angles, (*rotations.shape[:2], 3))))
+    other = angles * [1.0, -1.0, 1.0] + 180.0
+    to_same, to_other = (
+        np.abs((each[1:] - angles[:-1] + 180.0) % 360.0 - 180.0).sum(axis=2) for each in (angles, other)
+    )
+    turned = np.cumsum(to_other < to_same, axis=0) % 2 == 1
+    angles[1:][turned] = other[1:][turned]
+    return np.unwrap(angles, period=360.0, axis=0)[1:]
 
 
 def _hierarchy(nodes: Sequence[Node]) -> Iterator[str]:

@@ -15,6 +15,7 @@ from fusion.rigid import RigidTransform
 from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
 from recordings.export import writer_for
+from recordings.export.bvh import _continuous_angles
 from recordings.export.even_frames import even_moments
 from recordings.file.session_writer import write_session
 from recordings.interpolation import positions_at, sigma_at
@@ -176,6 +177,15 @@ def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(sess
     known = np.maximum.accumulate(np.where(np.isnan(there).any(axis=(1, 2)), 0, np.arange(len(there))))
     assert (known < np.arange(len(there))).sum() >= len(GAP)  # the last pose is held
     np.testing.assert_allclose(bvh_joints(path, body), on_floor(session, there[known]), atol=1e-4)
+
+
+def test_angles_of_a_bvh_do_not_jump_between_equal_rotations():
+    t = np.linspace(0.0, 1.0, 501)
+    path = np.stack([800.0 * t, 151.0 * np.sin(9.0 * t), -500.0 * t], axis=1)[:, None]  # about Z, X, Y
+    rotations = Rotation.from_euler("ZXY", path[:, 0], degrees=True).as_quat()[:, None]
+    first = _continuous_angles(rotations[:200], np.zeros((1, 3)))
+    rest = _continuous_angles(rotations[200:], first[-1])
+    np.testing.assert_allclose(np.concatenate((first, rest)), path, atol=1e-6)
 
 
 def test_frames_before_a_calibration_keep_their_directions_and_get_the_last_lengths(tmp_path):
