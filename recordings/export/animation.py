@@ -24,7 +24,7 @@ from fusion.body import Body
 from fusion.humanoid import human_bones, mixamo_name, rest_from_t_pose
 from fusion.joint_rotations import JointRotations, joint_bones
 from fusion.large_arrays import PART
-from recordings.appearance.floor import ANKLE, floor_under
+from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
 from recordings.export.even_frames import even_moments, y_up, y_up_rotations
 from recordings.interpolation import positions_at
@@ -50,7 +50,7 @@ class Animation:
 
     Attributes:
         nodes: K nodes; a parent precedes its children.
-        rest: (J, 3) metres, the joints in the T-pose, which stands at the origin.
+        rest: (J, 3) metres, the joints in the T-pose, the root at the origin.
         rate: Frames per second.
         in_words: The frames, those that hold a pose, and those that are left out.
     """
@@ -86,7 +86,6 @@ class Animation:
         self.rest = np.zeros((len(body), 3))
         for joint in body.order[1:]:
             self.rest[joint] = self.rest[body.parents[joint]] + offsets[joint]
-        self.rest[:, 1] += ANKLE - self.rest[body.joint("ankle left"), 1]
         self.nodes = tuple(_nodes(body, offsets, _labels(body, names)))
 
     def __len__(self) -> int:

@@ -56,7 +56,10 @@ def write_glb(session: Session, path: Path, rate: float | None = None, names: Na
         )
         return len(file.accessors) - 1
 
+    points, normals, faces, followed = _person(animation, session)
     worlds = np.array([animation.rest[node.joint] for node in nodes], dtype=np.float32)
+    worlds[:, 1] -= points[:, 1].min()  # the rest pose stands on the floor
+    points[:, 1] -= points[:, 1].min()
     for k, node in enumerate(nodes):
         offset = node.offset if k else worlds[0]
         children = [n for n, each in enumerate(nodes) if each.above == k]
@@ -66,7 +69,6 @@ def write_glb(session: Session, path: Path, rate: float | None = None, names: Na
     file.skins.append(
         gl.Skin(joints=list(range(person)), skeleton=0, inverseBindMatrices=accessor(inverse, gl.MAT4))
     )
-    points, normals, faces, followed = _person(animation, session)
     weights, joints = np.zeros((2, len(points), 4), dtype=np.float32)
     weights[:, 0], joints[:, 0] = 1.0, followed
     shape = gl.Attributes(
