@@ -67,6 +67,8 @@ def writer_for(path: Path, table: Table = "long", rate: float | None = None, nam
         if writer not in (write_bvh, write_glb):
             raise RecordingError(f"--names is for .bvh and .glb; {path.suffix} has the names of the joints.")
         options["names"] = names
-    if table == "wide":
-        writer = _WIDE_WRITERS.get(path.suffix.lower(), writer)
+    if table != "long":
+        if path.suffix.lower() not in _WIDE_WRITERS:
+            raise RecordingError(f"--table is for .csv and .parquet; {path.suffix} has one layout.")
+        writer = _WIDE_WRITERS[path.suffix.lower()]
     return partial(writer, **options) if options else writer

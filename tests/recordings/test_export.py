@@ -276,6 +276,8 @@ def test_a_rate_is_for_formats_without_times(session, tmp_path):
         writer_for(tmp_path / "s.csv", rate=60.0)
     with pytest.raises(RecordingError, match=r"--names is for \.bvh and \.glb; \.trc has"):
         writer_for(tmp_path / "s.trc", names="mixamo")
+    with pytest.raises(RecordingError, match=r"--table is for \.csv and \.parquet; \.bvh has one layout"):
+        writer_for(path, table="wide")
     with pytest.raises(RecordingError, match="1 to 1000"):
         writer_for(path, rate=0.0)
 
