@@ -69,10 +69,12 @@ def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
 
 
 def write_trc(session: Session, path: Path) -> str:
-    """Writes S* as markers named after the joints. Times are as recorded; the header has the mean rate."""
+    """Writes S* as markers named after the joints. Times are as recorded, the header's rate their mean."""
     rows = session.rows
-    joints, rate = rows.body.joints, f"{even_moments(rows).rate:.6g}"
+    joints = rows.body.joints
     T, J = len(rows), len(joints)
+    seconds = (int(rows.time_ns[-1]) - int(rows.time_ns[0])) * 1e-9
+    rate = f"{(T - 1) / seconds if T > 1 else even_moments(rows).rate:.6g}"
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{session.name.removesuffix('.rrd')}.trc",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
