@@ -75,6 +75,13 @@ class Gait:
     """The steps of a recording, in the order of their strikes."""
 
     steps: tuple[Step, ...]
+    moving_seconds: float = 0.0
+    """Seconds in which the pelvis moves at 0.25 m/s or faster in any direction, and those of the walks."""
+
+    @property
+    def walking_seconds(self) -> float:
+        """Seconds of the walks, from first to last strike."""
+        return self._duration[1]
 
     @property
     def cadence(self) -> Measured:
@@ -151,11 +158,16 @@ def find_gait(
     """
     seconds = np.asarray(time_ns, dtype=np.float64) * 1e-9
     steps: list[Step] = []
+    moving_seconds = 0.0
     for t, ground, errors in _parts(body, seconds, positions, np.asarray(up, dtype=np.float64), sigma):
-        for walk in _walks(_strikes(t, ground, errors)):
+        speed, direction = _velocity(ground)
+        moving = speed > _SLOWEST
+        for walk in _walks(_strikes(t, ground, errors, speed, direction)):
             number = steps[-1].walk + 1 if steps else 0
             steps += [step._replace(walk=number) for step in walk]
-    return Gait(tuple(steps))
+            moving |= (t >= walk[0].strike) & (t <= walk[-1].strike)
+        moving_seconds += np.count_nonzero(moving) / _RATE
+    return Gait(tuple(steps), moving_seconds)
 
 
 def cycle_curves(seconds: NDArray[np.floating], values: Array, cycles: Array) -> Array:
@@ -211,16 +223,22 @@ def _low_pass() -> Array:
     return np.asarray(butter(2, _CUT_OFF, fs=_RATE, output="sos"))
 
 
-def _strikes(t: Array, ground: Array, errors: Array) -> list[Step]:
+def _velocity(ground: Array) -> tuple[Array, Array]:
+    """(n,) metres per second of the pelvis over about a stride, and (n, 2) its direction."""
+    from scipy.ndimage import gaussian_filter1d
+
+    velocity = np.gradient(ground[:, 0], 1.0 / _RATE, axis=0)
+    mean = gaussian_filter1d(velocity, _WINDOW * _RATE, axis=0, mode="nearest")
+    speed = np.maximum(np.linalg.norm(mean, axis=1), 1e-9)
+    return speed, mean / speed[:, None]
+
+
+def _strikes(t: Array, ground: Array, errors: Array, speed: Array, direction: Array) -> list[Step]:
     """The heel strikes of both feet while the person walks, in time order; not yet in turn."""
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import find_peaks
 
     pelvis, facing = ground[:, 0], ground[:, 3]
-    velocity = np.gradient(pelvis, 1.0 / _RATE, axis=0)
-    mean = gaussian_filter1d(velocity, _WINDOW * _RATE, axis=0, mode="nearest")
-    speed = np.maximum(np.linalg.norm(mean, axis=1), 1e-9)
-    direction = mean / speed[:, None]
     facing = gaussian_filter1d(facing, _WINDOW * _RATE, axis=0, mode="nearest")
     forwards = np.sum(facing * direction, axis=1) > _FORWARDS * np.linalg.norm(facing, axis=1)
     walking = forwards & (speed > _SLOWEST)

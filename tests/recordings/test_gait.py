@@ -53,6 +53,16 @@ def test_figures_of_a_walk_agree_with_how_it_was_made():
     ]  # fmt: skip
 
 
+def test_the_time_in_motion_has_walks_backwards_too():
+    joints = truth_of("walk")
+    forwards, backwards = (find_gait(AZURE_KINECT, TIMES, each, UP) for each in (joints, joints[::-1]))
+    assert 0.8 * SECONDS - 3.0 < forwards.walking_seconds <= forwards.moving_seconds < SECONDS
+    assert backwards.steps == ()
+    assert backwards.walking_seconds == 0.0
+    assert backwards.moving_seconds == pytest.approx(forwards.moving_seconds, abs=0.3)
+    assert find_gait(AZURE_KINECT, TIMES, in_place(joints), UP).moving_seconds < 0.1 * SECONDS
+
+
 def in_place(positions):
     """The same movement of a pelvis that stays where it is: a march on the spot."""
     moved = positions - positions[:, :1] + positions[:1, :1]

@@ -12,7 +12,7 @@ from viewer_app.report.svg_plots import cycle_plot, line_plot
 
 _OF_A_SIDE = ("hip_flexion", "knee_flexion", "hip_abduction", "shoulder_flexion", "elbow_flexion")
 _FEWEST_CYCLES = 2  # of a side, for a mean
-GAIT_HEAD = ("", "left", "right")
+GAIT_HEAD = ("mean ± standard deviation", "left", "right")
 
 
 class Movement(NamedTuple):
@@ -68,15 +68,16 @@ def _summary(gait: Gait) -> str:
         return ""
     walks = len(gait.walks)
     return (
-        f"{len(gait.steps)} steps in {walks} {'walk' if walks == 1 else 'walks'}; cadence "
-        f"{_in_words(gait.cadence, 0)} steps/min, speed {_in_words(gait.speed, 2)} m/s."
+        f"{len(gait.steps)} steps in {walks} {'walk' if walks == 1 else 'walks'} "
+        f"({gait.walking_seconds:.0f} of {gait.moving_seconds:.0f} s of motion); cadence "
+        f"{_in_words(gait.cadence, 1)} steps/min, speed {_in_words(gait.speed, 2)} m/s (± standard error)."
     )
 
 
 def _in_words(measured: Measured, digits: int) -> str:
     if not np.isfinite(measured.sigma):
         return f"{measured.value:.{digits}f}"
-    # no fewer digits than the value, and not 0
+    # no more certain than the value is rounded
     return f"{measured.value:.{digits}f} ± {max(measured.sigma, 10.0**-digits):.{digits}f}"
 
 
@@ -97,7 +98,9 @@ def _gait_rows(gait: Gait) -> Iterator[tuple[str, ...]]:
 def _mean(values: object, digits: int) -> str:
     known = np.asarray(values, dtype=np.float64)
     known = known[np.isfinite(known)]
-    return f"{known.mean():.{digits}f} ± {known.std():.{digits}f}" if len(known) else "–"
+    if not len(known):
+        return "–"
+    return _in_words(Measured(known.mean(), known.std() if len(known) > 1 else np.nan), digits)
 
 
 def _median(values: object) -> float:

@@ -15,6 +15,7 @@ from fusion.body import KINECT_V2
 from recordings.appearance.colors import PREDICTED_COLOR
 from recordings.appearance.floor import floor_under
 from recordings.fusing.files import without_folders
+from recordings.gait import Measured
 from tests.helpers.command_line import duplex
 from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs
@@ -26,6 +27,7 @@ from viewer_app.report.figures import report, truth_free_figures
 from viewer_app.report.motion import _kept_frames, encoded_motion
 from viewer_app.report.review_page import review_page
 from viewer_app.report.svg_plots import _columns_of_time, line_plot, skeleton_color, trust_map
+from viewer_app.report.walking import _in_words, _mean
 from viewer_app.report.words import in_percent
 
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
@@ -53,7 +55,11 @@ def page(session):
 def test_the_page_has_the_gait_of_people_who_walk_and_of_no_others(session, tmp_path):
     walking = walking_session(tmp_path / "walk.rrd")
     text = review_page(walking, report(walking) | {"without_truth": truth_free_figures(walking)})
-    assert f"{len(walking.gait.steps)} steps in 1 walk; cadence 104" in text  # a stride takes 1.15 s
+    assert re.search(
+        rf"{len(walking.gait.steps)} steps in 1 walk \(7 of 9 s of motion\); "
+        r"cadence 104\.\d ± \d+\.\d steps/min, .* \(± standard error\)",  # a stride takes 1.15 s
+        text,
+    )
     assert text.count("over the gait cycle") == 6
     assert re.search(r"<td>stance \(% of the cycle\)</td><td>7\d ± \d", text)
     for name in ("knee flexion", "shoulder abduction", "trunk"):
@@ -61,6 +67,12 @@ def test_the_page_has_the_gait_of_people_who_walk_and_of_no_others(session, tmp_
     text = review_page(session, report(session) | {"without_truth": truth_free_figures(session)})
     assert "gait" not in text.lower()
     assert 'aria-label="knee flexion, 1 σ about ' in text
+
+
+def test_no_value_is_more_certain_than_it_is_rounded():
+    assert _in_words(Measured(104.19, 0.07), 1) == "104.2 ± 0.1"
+    assert _mean([0.5, 0.5002], 2) == "0.50 ± 0.01"
+    assert _mean([0.5, np.nan], 2) == "0.50"
 
 
 class _Ids(HTMLParser):
