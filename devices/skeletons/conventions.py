@@ -148,25 +148,25 @@ def find_time_unit(name: object, column: str, times: NDArray[np.number]) -> tupl
     Raises:
         DeviceError: The median interval is no body tracker's in any unit.
     """
-    stated, words = TIME_COLUMNS[column]
+    stated, _ = TIME_COLUMNS[column]
     if len(times) < FEWEST_TIMES:
         return stated, ""
     interval = float(np.median(np.diff(times)))
     if _SHORTEST_US <= interval * stated <= _LONGEST_US:
-        return stated, "" if column != "time" else _taken_as(name, column, words, interval * stated)
-    for per_unit, words in TIME_COLUMNS.values():
+        return stated, "" if column != "time" else _taken_as(name, column, "time_us", interval * stated)
+    for found, (per_unit, _) in TIME_COLUMNS.items():
         if _TRACKER_US[0] <= interval * per_unit <= _TRACKER_US[1]:
-            return per_unit, _taken_as(name, column, words, interval * per_unit)
+            return per_unit, _taken_as(name, column, found, interval * per_unit)
     raise DeviceError(
         f"{name}: the unit of {column} is unclear; its median interval of {interval:g} is in no unit that of "
         "5 to 120 frames per second. Name the column time_s, time_ms, time_us or time_ns by its unit."
     )
 
 
-def _taken_as(name: object, column: str, words: str, interval_us: float) -> str:
+def _taken_as(name: object, column: str, found: str, interval_us: float) -> str:
     return (
-        f"{name}: {column} is taken as {words}, so that there are {1e6 / interval_us:.3g} frames per second. "
-        "Name the column time_s, time_ms, time_us or time_ns to state the unit."
+        f"{name}: {column} is taken as {TIME_COLUMNS[found][1]}, so that there are {1e6 / interval_us:.3g} "
+        f"frames per second. Name the column {found} to state this unit."
     )
 
 

@@ -85,10 +85,14 @@ def name_table(name: str | Path) -> NameTable:
     joints = document.get("joints")
     if not isinstance(joints, dict) or not joints or len(document) > 1:
         raise DeviceError(f'{name} needs one section, [joints], with lines such as HIP_LEFT = "LASI".')
+    spelled: dict[tuple[int | None, ...], str] = {}
     for joint in joints:
-        if all(body.find(joint) is None for body in BODIES.values()):
+        found = tuple(body.find(joint) for body in BODIES.values())
+        if set(found) == {None}:
             names = ", ".join(BODIES["azure_kinect"].joints)
             raise DeviceError(f"{name}: no body has a joint {joint!r}. Joints are {names}.")
+        if spelled.setdefault(found, joint) != joint:
+            raise DeviceError(f"{name}: {joint} is there twice, also as {spelled[found]}.")
     return NameTable(str(name), {j: _alternatives(name, j, value) for j, value in joints.items()}, ready_made)
 
 

@@ -69,6 +69,7 @@ def test_the_unit_of_time_is_found_by_the_rate(tmp_path, good, unit, rate, start
         np.testing.assert_allclose(np.diff(read.people.time_ns), np.diff(expected), rtol=0, atol=2001)
         assert read.people.time_ns[0] == pytest.approx(expected[0], abs=1001)
         told = f"{column} is taken as {TIME_COLUMNS[unit][1]}, so that there are {rate:g} frames per second"
+        told += f". Name the column {unit} to state this unit."
         assert [told in warning for warning in read.warnings] == [True] * (column != unit)
 
 
@@ -193,6 +194,7 @@ def test_files_of_another_program_are_fused_and_replayed(own_pair, tmp_path, cap
 WRONG_NAMES = {
     "tail": ('[joints]\nTail = "Hips"\n', "no body has a joint 'Tail'"),
     "point": ('[joints]\nSpineBase = "Hipz"\n', "SpineBase needs one point 'Hipz'"),
+    "twice": ('[joints]\nHead = "Crown"\nHEAD = "Chin"\n', "HEAD is there twice, also as Head."),
     "two bodies": ('[joints]\nSpineBase = "Hips"\nNOSE = "Chin"\n', "Unknown joint 'NOSE'"),
     "no TOML": ("SpineBase: Hips\n", "is not TOML"),
 }
