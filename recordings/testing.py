@@ -67,6 +67,7 @@ def assert_sessions_match(
     Raises:
         SessionsDifferError: An AssertionError. The body, the number of frames, the times or states differ;
             a skeleton is missing in one session; a joint exceeds the tolerance; or there is no expected file.
+        RecordingError: A file cannot be read.
         ValueError: `position_mm` is negative or not a number.
     """
     __tracebackhide__ = True
@@ -74,13 +75,13 @@ def assert_sessions_match(
 
     if not 0.0 <= position_mm < float("inf"):
         raise ValueError(f"position_mm is {position_mm}; it must be 0 or more millimetres")
-    one = actual if isinstance(actual, Session) else Session.open(actual)
+    one = actual if isinstance(actual, Session) else _opened(actual)
     if not isinstance(expected, Session):
         if update_expected:
             _write(one, Path(expected))
         elif not Path(expected).exists():
             raise SessionsDifferError(f"There is no {expected}; pytest --duplex-update makes it.", one)
-    two = expected if isinstance(expected, Session) else Session.open(expected)
+    two = expected if isinstance(expected, Session) else _opened(expected)
     differences = "\n".join(_differences(one, two, position_mm))
     if differences:
         raise SessionsDifferError(differences, one, two)
@@ -133,6 +134,18 @@ def simulated_session(
     session = fuse_read(read, (a.name, b.name), settings)
     true = truth.positions_at(pairing.pairs.skeletons.time_ns)
     return replace(session, rows=replace(session.rows, truth=true))
+
+
+def _opened(path: str | Path) -> Session:
+    """The session of a file; an error shows no frames of this package."""
+    __tracebackhide__ = True
+    from recordings.errors import RecordingError
+    from recordings.session import Session
+
+    try:
+        return Session.open(path)
+    except RecordingError as error:
+        raise error.with_traceback(None) from None
 
 
 def _write(session: Session, path: Path) -> None:

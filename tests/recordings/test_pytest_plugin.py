@@ -82,6 +82,17 @@ def test_the_example_makes_its_expected_file_and_shows_what_changed(run, pyteste
     assert printed_command(said, "to accept it")[1:] == update
 
 
+def test_a_file_that_cannot_be_read_shows_the_test_s_own_line(run, pytester):
+    pytester.makepyfile(
+        test_own="from recordings.testing import assert_sessions_match\n\n\n"
+        "def test_files():\n    assert_sessions_match('nothing.rrd', __file__)\n"
+    )
+    said, *counts = run()
+    assert counts == [0, 1]
+    assert re.findall(r"^(\S+\.py:\d+): ", said, re.MULTILINE) == ["test_own.py:5"]
+    assert "No session nothing.rrd" in said
+
+
 def test_processes_of_xdist_share_the_option_and_the_expected_files(run, pytester):
     pytester.makepyfile(test_own=OWN)
     said, *counts = run("-n", "2", "--duplex-update")
