@@ -245,7 +245,11 @@ def test_s_star_between_two_frames_keeps_its_bones_and_turns_evenly(session):
     bones = found[:, joint] - found[:, body.parents[joint]]
     turned = [np.linalg.norm(np.cross(u, v)) for u, v in itertools.pairwise(bones)]
     np.testing.assert_allclose(turned, turned[0], rtol=0.02)
-    assert np.isnan(session.at([rows.time_ns[0] - 1, rows.time_ns[-1] + 1])).all()
+    outside = [rows.time_ns[0] - 1, rows.time_ns[-1] + 1, -(2**63), 2**63 - 1]
+    assert np.isnan(session.at(outside)).all()
+    assert np.isnan(session.at([np.nan, np.inf, -1e300])).all()
+    with pytest.raises(RecordingError, match=r"got an array of \(2, 2\)"):
+        session.at([[0, 1], [2, 3]])
 
 
 def test_the_uncertainty_between_frames_covers_what_interpolation_misses(session):
