@@ -15,8 +15,7 @@ class Check:
     detail: str  # what was found
     advice: str = ""  # what to do if it fails; empty if it works
     needed: bool = True  # whether live capture requires it
-    alternative: str = ""
-    """Name of another check; if both fail, one of the two is enough. Empty if there is none."""
+    one_of: str = ""  # a group of checks of which one must be ok; empty for a check on its own
 
 
 def failed(name: str, fault: DeviceError, needed: bool = True) -> Check:

@@ -14,15 +14,14 @@ from devices.capture.sensor_choice import (
     sync_master,
 )
 from devices.check import Check, failed
-from devices.live_sensors import connected_sensors
-from devices.orbbec import checks as orbbec_checks
+from devices.live_sensors import VENDORS, connected_sensors
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice, choose_tracker
 
 _NO_SDK = Check(
     "two Kinects",
     False,
-    "cannot be looked for without pyk4a or pyorbbecsdk2",
+    "cannot be looked for without a sensor library",
     "Install one of them first, as said above.",
 )
 _CABLE_ADVICE = (
@@ -41,8 +40,8 @@ def device_checks(
 ) -> list[Check]:
     """Checks the devices and libraries that live capture needs, in the order of repair.
 
-    One of the two vendors' software is enough, and one body tracker. What another would need is reported,
-    too, and is not needed.
+    One vendor's software is enough, and one body tracker. What another would need is reported, too, and is
+    not needed.
 
     Args:
         tracker: The tracker that is to run, and the settings of both. None: chosen for this machine.
@@ -51,17 +50,17 @@ def device_checks(
         named_master: Serial number of the master on the sync cable, if named by the user.
     """
     tracker = tracker or choose_tracker(root=root)
-    sdk, orbbec = azure.sdk_check(), orbbec_checks.sdk_check()
-    kinects = _kinects(tracker, choice, named_master) if sdk.ok or orbbec.ok else [_NO_SDK]
+    sdks = [azure.sdk_check(), *(vendor.sdk_check() for vendor in VENDORS.values())]
+    usable = any(sdk.ok for sdk in sdks)
+    kinects = _kinects(tracker, choice, named_master) if usable else [_NO_SDK]
     with_k4abt = tracker.name == "k4abt"
     k4abt = [azure.tracker_library_check(tracker.k4abt)]
     if with_k4abt or k4abt[0].ok:
         k4abt += [azure.tracker_network_check(tracker.k4abt, root), azure.gpu_check(tracker.k4abt, root)]
     k4abt = [_needed_if(with_k4abt, check) for check in k4abt]
     return [
-        replace(sdk, needed=not orbbec.ok, alternative=orbbec.name),
-        replace(orbbec, needed=not sdk.ok, alternative=sdk.name),
-        _needed_if(sdk.ok, azure.depth_engine_check(root, x_answers)),
+        *(replace(sdk, needed=not usable, one_of="sensor library") for sdk in sdks),
+        _needed_if(sdks[0].ok, azure.depth_engine_check(root, x_answers)),
         Check("body tracker in use", True, f"{tracker.full_name} ({tracker.reason})", needed=False),
         *k4abt,
         _needed_if(not with_k4abt, networks_check(tracker.blazepose)),
@@ -71,7 +70,7 @@ def device_checks(
         Check(
             "proven on hardware",
             False,
-            "live capture (libk4a, Orbbec's SDK v2) and both body trackers have met stand-ins and "
+            "live capture of every sensor and both body trackers have met stand-ins and "
             "simulations only, never a real sensor; .mkv recordings have",
             "Report what happens with yours.",
             needed=False,
@@ -121,4 +120,5 @@ def _sync_cable(there: list[ConnectedSensor], chosen: tuple[str, str], named_mas
 
 
 def _sensor(sensor: ConnectedSensor) -> Check:
-    return orbbec_checks.sensor_check(sensor) if sensor.sdk == "orbbec" else azure.sensor_check(sensor)
+    check = VENDORS[sensor.sdk].sensor_check if sensor.sdk in VENDORS else azure.sensor_check
+    return check(sensor)

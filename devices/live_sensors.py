@@ -1,6 +1,7 @@
 """All connected sensors, of every vendor whose software is installed, and the live sensors made of them."""
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 from devices.azure.kinect import KinectSensor
@@ -10,14 +11,39 @@ from devices.blazepose.pace import TrackingPace
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_choice import ConnectedSensor
+from devices.capture.settings import CaptureSettings
+from devices.check import Check
+from devices.orbbec.checks import sdk_check as orbbec_sdk_check
+from devices.orbbec.checks import sensor_check as orbbec_sensor_check
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.orbbec.sensor import OrbbecSensor
 from devices.sensor import DeviceError, Sensor
 from devices.tracker_choice import TrackerChoice
 
 
+@dataclass(frozen=True)
+class Vendor:
+    """Sensors whose people the program's own tracker finds, and the software that gives their images."""
+
+    sensors: str  # what they are called in messages
+    connected: Callable[[], list[ConnectedSensor]]
+    """Those that are connected; raises a DeviceError if the software is not installed."""
+    sensor: Callable[[str, CaptureSettings, FrameDecimation], Sensor]
+    """The sensor with a serial number, without people; opens nothing."""
+    sdk_check: Callable[[], Check]
+    sensor_check: Callable[[ConnectedSensor], Check]
+
+
+VENDORS = {
+    "orbbec": Vendor(
+        "Orbbec's sensors", connected_orbbecs, OrbbecSensor, orbbec_sdk_check, orbbec_sensor_check
+    ),
+}
+"""All vendors but Microsoft, by :attr:`ConnectedSensor.sdk`."""
+
+
 def connected_sensors(tracker: TrackerChoice) -> list[ConnectedSensor]:
-    """Connected Azure Kinects and Orbbec sensors.
+    """Connected Azure Kinects and sensors of the other vendors.
 
     A Femto Bolt or Mega may be listed twice, by Orbbec's SDK v2 and by its K4A wrapper. It is taken from the
     wrapper where libk4abt tracks, which needs the wrapper's captures, else from SDK v2.
@@ -25,30 +51,30 @@ def connected_sensors(tracker: TrackerChoice) -> list[ConnectedSensor]:
     Raises:
         DeviceError: No vendor's software is installed.
     """
-    faults: list[DeviceError] = []
-    orbbecs: list[ConnectedSensor] = []
+    faults: list[str] = []
+    others: list[ConnectedSensor] = []
     kinects: list[ConnectedSensor] = []
-    broken = False
-    try:
-        orbbecs = connected_orbbecs()
-    except DeviceError as fault:
-        faults.append(fault)
     try:
         kinects = connected_kinects()
     except DeviceError as fault:
-        faults.insert(0, fault)
-        broken = find_spec("pyk4a") is not None  # installed, but it cannot be imported
-    if len(faults) == 2:
-        raise DeviceError(f"{faults[0]} Or, for Orbbec's sensors: {faults[1]}")
-    if broken and not orbbecs:
-        raise faults[0]  # else it would read as if nothing were connected
-    by_wrapper = {kinect.serial for kinect in kinects if kinect.serial is not None}
-    by_sdk = {orbbec.serial for orbbec in orbbecs}
+        faults.append(str(fault))
+    broken = bool(faults) and find_spec("pyk4a") is not None  # installed, but it cannot be imported
+    for vendor in VENDORS.values():
+        try:
+            others += vendor.connected()
+        except DeviceError as fault:
+            faults.append(f"For {vendor.sensors}: {fault}")
+    if len(faults) == len(VENDORS) + 1:
+        raise DeviceError(" Or: ".join(faults))
+    if broken and not others:
+        raise DeviceError(faults[0])  # else it would read as if nothing were connected
     if tracker.name == "k4abt":
-        orbbecs = [orbbec for orbbec in orbbecs if orbbec.serial not in by_wrapper]
+        by_wrapper = {kinect.serial for kinect in kinects if kinect.serial is not None}
+        others = [other for other in others if other.serial not in by_wrapper]
     else:
-        kinects = [kinect for kinect in kinects if kinect.serial not in by_sdk]
-    return [replace(found, index=index) for index, found in enumerate((*kinects, *orbbecs))]
+        by_sdk = {other.serial for other in others}
+        kinects = [kinect for kinect in kinects if kinect.serial is None or kinect.serial not in by_sdk]
+    return [replace(found, index=index) for index, found in enumerate((*kinects, *others))]
 
 
 def decimation_of(tracker: TrackerChoice, fps: float) -> FrameDecimation:
@@ -67,8 +93,8 @@ def live_sensor(
     if not isinstance(decimation, TrackingPace):
         return KinectSensor(serial, settings, tracker.k4abt, decimation=decimation)
     images: Sensor
-    if connected.sdk == "orbbec":
-        images = OrbbecSensor(serial, settings, decimation)
+    if connected.sdk in VENDORS:
+        images = VENDORS[connected.sdk].sensor(serial, settings, decimation)
     else:
         images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=decimation)
     return TrackedImages(images, decimation.settings, pace=decimation)

@@ -91,7 +91,7 @@ def sensor_check(kinect: ConnectedSensor) -> Check:
         return Check(f"Kinect at place {kinect.index}", False, what, advice, needed=False)
     plugs = (
         "sync jacks not known"
-        if kinect.is_orbbec
+        if kinect.hides_jacks
         else f"sync in {_plug(kinect.sync_in)}, sync out {_plug(kinect.sync_out)}"
     )
     detail = ", ".join(filter(None, (plugs, kinect.description)))

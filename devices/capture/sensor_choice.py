@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from devices.sensor import DeviceError
 
@@ -15,17 +14,22 @@ class ConnectedSensor:
     serial: str | None  # its serial number; None if it cannot be opened
     sync_in: bool | None = None
     sync_out: bool | None = None
-    """Whether a cable is in the jack; None if it cannot be opened. Orbbec's software always says no."""
+    """Whether a cable is in the jack; None if it cannot be opened."""
     fault: str = ""  # why it cannot be opened; empty if it can
-    sdk: Literal["k4a", "orbbec"] = "k4a"  # whose software gives its images: libk4a's, or Orbbec's SDK v2
+    sdk: str = "k4a"  # whose software gives its images: libk4a's, or a name in ``devices.live_sensors``
     description: str = ""  # its model, connection or firmware, as far as the software tells
     advice: str = ""  # what to do about its firmware; empty if nothing
+    tells_jacks: bool = True  # whether its software tells whether a cable is in a jack
 
     @property
-    def is_orbbec(self) -> bool:
-        """Whether it is of Orbbec. With libk4a, serial numbers tell: Orbbec's hold letters, Microsoft's do
-        not."""
-        return self.sdk == "orbbec" or (self.serial is not None and not self.serial.isdigit())
+    def hides_jacks(self) -> bool:
+        """Whether it may be on a cable that its software does not tell of.
+
+        Orbbec's K4A wrapper always says that the jacks are empty. Its serial numbers hold letters,
+        Microsoft's do not.
+        """
+        wrapped = self.sdk == "k4a" and self.serial is not None and not self.serial.isdigit()
+        return wrapped or not self.tells_jacks
 
 
 class NeedsChoiceError(DeviceError):
@@ -114,8 +118,8 @@ def sync_master(a: ConnectedSensor, b: ConnectedSensor, named: str | None = None
     The cable leads from the master's sync out to the subordinate's sync in. Start the subordinate first.
 
     Args:
-        named: The master, where the person says which one it is. Orbbec's jacks are not asked then: its
-            wrapper always says that they are empty. Microsoft's know better than the person.
+        named: The master, where the person says which one it is. Hidden jacks are not asked then;
+            Microsoft's know better than the person.
 
     Raises:
         DeviceError: A cable is there but joins no out to an in, or the master named is neither of the two or
@@ -127,7 +131,7 @@ def sync_master(a: ConnectedSensor, b: ConnectedSensor, named: str | None = None
                 f"--sync-master {named} is neither of the two Kinects chosen, {a.serial} and {b.serial}."
             )
         leads, follows = (a, b) if named == a.serial else (b, a)
-        seen = (leads.is_orbbec or leads.sync_out) and (follows.is_orbbec or follows.sync_in)
+        seen = (leads.hides_jacks or leads.sync_out) and (follows.hides_jacks or follows.sync_in)
         if not seen:
             raise DeviceError(
                 f"--sync-master {named}: no cable leads from its sync out to the sync in of {follows.serial} "
@@ -154,13 +158,12 @@ def _jacks(*kinects: ConnectedSensor) -> str:
 
 
 def cable_unknown(a: ConnectedSensor, b: ConnectedSensor) -> str:
-    """Advice if no cable was detected but one may exist: Orbbec's software cannot detect cables."""
-    orbbec = [str(kinect.serial) for kinect in (a, b) if kinect.is_orbbec]
-    if not orbbec:
+    """Advice if no cable was detected but one may exist: some software cannot detect cables."""
+    hidden = [str(kinect.serial) for kinect in (a, b) if kinect.hides_jacks]
+    if not hidden:
         return ""
-    software = "SDK" if "orbbec" in (a.sdk, b.sdk) else "wrapper"
     return (
-        f"Orbbec's {software} does not say whether a cable is in the jacks of {' and '.join(orbbec)}. "
+        f"The vendor's software does not say whether a sync cable is in {' and '.join(hidden)}. "
         f"If there is one, name the sensor that it leads out of: --sync-master {a.serial} or {b.serial}."
     )
 

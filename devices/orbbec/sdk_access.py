@@ -87,7 +87,10 @@ def connected_orbbecs() -> list[ConnectedSensor]:
             serial = devices.get_device_serial_number_by_index(index)
             found.append(
                 ConnectedSensor(
-                    *(index, serial, False, False), sdk="orbbec", description=f"{model}, {connection}"
+                    *(index, serial, False, False),
+                    sdk="orbbec",
+                    description=f"{model}, {connection}",
+                    tells_jacks=False,
                 )
             )
         return found

@@ -84,7 +84,7 @@ def test_sensors_of_both_vendors_are_listed(bus, orbbecs):
     listed = connected_sensors(OURS)
     assert [(one.index, one.serial, one.sdk) for one in listed] == [(0, "000123", "k4a"), (1, BOLT, "orbbec")]
     assert listed[1].description == "Orbbec Femto Bolt, USB3.2"
-    assert listed[1].is_orbbec
+    assert listed[1].hides_jacks
 
 
 def test_a_femto_in_both_lists_is_taken_once(bus, orbbecs):
@@ -98,7 +98,7 @@ def test_one_vendors_software_is_enough(bus, orbbecs, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     assert [one.serial for one in connected_sensors(OURS)] == [BOLT]
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
-    with pytest.raises(DeviceError, match=r"need pyk4a.*Or, for Orbbec's sensors: .*pyorbbecsdk2") as fault:
+    with pytest.raises(DeviceError, match=r"need pyk4a.*Or: For Orbbec's sensors: .*pyorbbecsdk2") as fault:
         connected_sensors(OURS)
     assert "\n" not in str(fault.value)
 

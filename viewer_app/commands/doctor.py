@@ -39,13 +39,12 @@ def run(options: DoctorOptions) -> None:
 
 
 def lacks(checks: list[Check]) -> list[str]:
-    """What ``duplex live`` lacks, in words; of two checks of which one is enough, one item."""
-    failures = [check for check in checks if check.needed and not check.ok]
-    words: dict[str, str] = {}
-    for check in failures:
-        if check.alternative not in words:
-            words[check.name] = f"{check.name} or {check.alternative}" if check.alternative else check.name
-    return list(words.values())
+    """What ``duplex live`` lacks, in words; of checks of which one is enough, one item."""
+    names: dict[str, list[str]] = {}
+    for check in checks:
+        if check.needed and not check.ok:
+            names.setdefault(check.one_of or check.name, []).append(check.name)
+    return [" or ".join(group) for group in names.values()]
 
 
 def line(check: Check) -> Text:

@@ -42,10 +42,10 @@ def two_connected_sensors(options: LiveOptions, console: Console) -> TwoSensors:
     if master is not None:
         leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
         console.print(
-            f"Sync cable: {leads} leads, {follows} captures {LASER_GAP_US} µs later and is started first, to "
-            f"be there at the first pulse."
+            f"Sync cable: {leads} leads, {follows} captures at its pulses and is started first, to be there "
+            f"at the first one."
         )
-    tracker = tracker.for_images_of([k.serial or "" for k in (kinect_a, kinect_b) if k.sdk == "orbbec"])
+    tracker = tracker.for_images_of([k.serial or "" for k in (kinect_a, kinect_b) if k.sdk != "k4a"])
     announce_tracker(tracker, console)
     if options.processing == "cpu" and tracker.name == "k4abt":
         console.print(
@@ -90,7 +90,7 @@ def one_sensor(
     connected = connected_sensors(tracker)
     chosen = choose_one(connected, serial, option)
     kinect = next(kinect for kinect in connected if kinect.serial == chosen)
-    tracker = tracker.for_images_of([chosen] if kinect.sdk == "orbbec" else [])
+    tracker = tracker.for_images_of([chosen] if kinect.sdk != "k4a" else [])
     announce_tracker(tracker, console)
     return live_sensor(kinect, settings, tracker, decimation_of(tracker, settings.fps))
 

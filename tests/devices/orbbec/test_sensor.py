@@ -34,7 +34,15 @@ def _sensor(serial=A, **settings):
 def test_listing_opens_nothing_and_takes_one_context(two):
     two.devices[1].busy = True
     expected = [
-        ConnectedSensor(index, serial, False, False, sdk="orbbec", description="Orbbec Femto Bolt, USB3.2")
+        ConnectedSensor(
+            index,
+            serial,
+            False,
+            False,
+            sdk="orbbec",
+            description="Orbbec Femto Bolt, USB3.2",
+            tells_jacks=False,
+        )
         for index, serial in enumerate((A, B))
     ]
     assert connected_orbbecs() == connected_orbbecs() == expected
