@@ -11,6 +11,7 @@ from devices.capture.sensor_choice import (
     NeedsChoiceError,
     cable_unknown,
     choose_two,
+    no_port,
     sync_master,
 )
 from devices.check import Check, failed
@@ -106,6 +107,8 @@ def _kinects(
 def _sync_cable(there: list[ConnectedSensor], chosen: tuple[str, str], named_master: str | None) -> Check:
     """Checks the sync cable between the two sensors."""
     a, b = (next(kinect for kinect in there if kinect.serial == serial) for serial in chosen)
+    if named_master is None and no_port(a, b):
+        return Check("sync cable", True, no_port(a, b), needed=False)
     try:
         master = sync_master(a, b, named_master)
     except DeviceError as fault:

@@ -9,10 +9,15 @@ from devices.azure.pyk4a_access import connected_kinects
 from devices.azure.settings import KinectSettings
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.tracked_images import TrackedImages
+from devices.capture.capture_stream import LiveSensor
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.check import Check
+from devices.freenect.libfreenect import connected_freenects
+from devices.freenect.libfreenect import library_check as freenect_library_check
+from devices.freenect.libfreenect import sensor_check as freenect_sensor_check
+from devices.freenect.sensor import FreenectSensor
 from devices.orbbec.checks import sdk_check as orbbec_sdk_check
 from devices.orbbec.checks import sensor_check as orbbec_sensor_check
 from devices.orbbec.sdk_access import connected_orbbecs
@@ -28,7 +33,7 @@ class Vendor:
     sensors: str  # what they are called in messages
     connected: Callable[[], list[ConnectedSensor]]
     """Those that are connected; raises a DeviceError if the software is not installed."""
-    sensor: Callable[[str, CaptureSettings, FrameDecimation], Sensor]
+    sensor: Callable[[str, CaptureSettings, FrameDecimation], LiveSensor]
     """The sensor with a serial number, without people; opens nothing."""
     sdk_check: Callable[[], Check]
     sensor_check: Callable[[ConnectedSensor], Check]
@@ -37,6 +42,10 @@ class Vendor:
 VENDORS = {
     "orbbec": Vendor(
         "Orbbec's sensors", connected_orbbecs, OrbbecSensor, orbbec_sdk_check, orbbec_sensor_check
+    ),
+    "freenect": Vendor(
+        *("a Kinect v1", connected_freenects, FreenectSensor),
+        *(freenect_library_check, freenect_sensor_check),
     ),
 }
 """All vendors but Microsoft, by :attr:`ConnectedSensor.sdk`."""
@@ -92,9 +101,9 @@ def live_sensor(
     serial = str(connected.serial)
     if not isinstance(decimation, TrackingPace):
         return KinectSensor(serial, settings, tracker.k4abt, decimation=decimation)
-    images: Sensor
+    images: LiveSensor
     if connected.sdk in VENDORS:
         images = VENDORS[connected.sdk].sensor(serial, settings, decimation)
     else:
         images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=decimation)
-    return TrackedImages(images, decimation.settings, pace=decimation)
+    return TrackedImages(images, decimation.settings, registered=images.registered, pace=decimation)

@@ -20,6 +20,7 @@ pytest_plugins = (
     "tests.helpers.standin_pyk4a",
     "tests.helpers.real_libraries",
     "tests.helpers.orbbec.standin",
+    "tests.helpers.freenect",
 )
 
 

@@ -9,10 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from devices.capture.causes import Cause, in_brackets
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
-from devices.sensor import AbsentError, ColorCamera, DeviceError, Sensor
+from devices.sensor import AbsentError, ColorCamera, DeviceError, Sensor, SensorFrame
 from fusion.intrinsics import Intrinsics
 
 _SAME_CLOCK_NS = 5_000_000_000
@@ -164,7 +167,11 @@ class LiveSensor(Sensor):
 
     Attributes:
         decimation: Which moments are given. Those skipped on purpose do not count as missed.
+        registered: Gives the RGB image on the depth's pixels of the frame given last, for sensors whose
+            frames have no infrared; else None.
     """
+
+    registered: Callable[[SensorFrame], NDArray[np.uint8] | None] | None = None
 
     def __init__(
         self,

@@ -20,6 +20,7 @@ class ConnectedSensor:
     description: str = ""  # its model, connection or firmware, as far as the software tells
     advice: str = ""  # what to do about its firmware; empty if nothing
     tells_jacks: bool = True  # whether its software tells whether a cable is in a jack
+    has_port: bool = True  # whether a sync cable fits
 
     @property
     def hides_jacks(self) -> bool:
@@ -130,6 +131,8 @@ def sync_master(a: ConnectedSensor, b: ConnectedSensor, named: str | None = None
             raise DeviceError(
                 f"--sync-master {named} is neither of the two Kinects chosen, {a.serial} and {b.serial}."
             )
+        if not (a.has_port and b.has_port):
+            raise DeviceError(f"--sync-master {named}: {no_port(a, b)} Leave --sync-master out.")
         leads, follows = (a, b) if named == a.serial else (b, a)
         seen = (leads.hides_jacks or leads.sync_out) and (follows.hides_jacks or follows.sync_in)
         if not seen:
@@ -168,14 +171,20 @@ def cable_unknown(a: ConnectedSensor, b: ConnectedSensor) -> str:
     )
 
 
+def no_port(a: ConnectedSensor, b: ConnectedSensor) -> str:
+    """A sentence if a sync cable does not fit into both; else empty."""
+    without = [str(sensor.serial) for sensor in (a, b) if not sensor.has_port]
+    return f"No sync cable fits into {' and '.join(without)}." if without else ""
+
+
 def cable_notes(a: ConnectedSensor, b: ConnectedSensor, master: str | None) -> list[str]:
     """Notes for the user about the sync cable and the firmware it needs."""
     if master is None:
-        return [cable_unknown(a, b) or _NO_CABLE]
+        if no_port(a, b):
+            return [f"{no_port(a, b)} {_APART}"]
+        return [cable_unknown(a, b) or f"No sync cable. {_APART} {_CABLE_HELPS}"]
     return [sensor.advice for sensor in (a, b) if sensor.advice]
 
 
-_NO_CABLE = (
-    "No sync cable: pairs are up to half a frame apart, and the sensors' lasers disturb each other where "
-    "both shine. A 3.5 mm cable from one's sync out to the other's sync in helps both."
-)
+_APART = "Pairs are up to half a frame apart, and the sensors' lasers disturb each other where both shine."
+_CABLE_HELPS = "A 3.5 mm cable from one's sync out to the other's sync in helps both."

@@ -13,17 +13,19 @@ from pathlib import Path
 from devices.capture.causes import Cause, in_brackets
 from devices.check import Check
 
-# The depth camera of each: Azure Kinect DK; Orbbec Femto Mega, Femto Bolt, Gemini 2, 2 L and the Gemini 330
-# series (ids as in OrbbecSDK's device lists and udev rules; none was seen on a bus of ours). A Femto Mega I
-# has no USB.
+# The depth camera of each: Azure Kinect DK; Kinect v1 of the Xbox 360 and for Windows; Orbbec Femto Mega,
+# Femto Bolt, Gemini 2, 2 L and the Gemini 330 series (ids as in libfreenect's and OrbbecSDK's sources; none
+# was seen on a bus of ours). A Femto Mega I has no USB.
 _ORBBECS = ("0669", "066b", "0670", "0673", "0800", "0801", "0803", "0804", "0805", "0807")
-_DEPTH_CAMERAS = {("045e", "097c"), *(("2bc5", product) for product in _ORBBECS)}
+_USB2_CAMERAS = {("045e", "02ae"), ("045e", "02bf")}
+_DEPTH_CAMERAS = {("045e", "097c"), *_USB2_CAMERAS, *(("2bc5", product) for product in _ORBBECS)}
 
 _USB3_MEGABITS = 5000
 
 UDEV_ADVICE = (
     "Copy 99-k4a.rules of the Azure Kinect Sensor SDK (scripts/), for an Orbbec 99-obsensor-libusb.rules "
-    "(in pyorbbecsdk2: shared/), to /etc/udev/rules.d, then unplug the sensor and plug it in again."
+    "(in pyorbbecsdk2: shared/), for a Kinect v1 51-kinect.rules (libfreenect: platform/linux/udev/), to "
+    "/etc/udev/rules.d, then unplug the sensor and plug it in again."
 )
 
 
@@ -36,13 +38,15 @@ class UsbKinect:
     allowed: bool  # whether this user may open it
     megabits: int
     """Speed of its connection, Mbit/s; 0 if unknown. USB 3 has 5000."""
+    usb3: bool = True  # whether it needs USB 3
 
 
 def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:
     """The Kinects plugged in, by Linux's own list; empty on other systems."""
     found = []
     for device in sorted((root / "sys/bus/usb/devices").glob("*")):
-        if (_read(device / "idVendor"), _read(device / "idProduct")) not in _DEPTH_CAMERAS:
+        camera = (_read(device / "idVendor"), _read(device / "idProduct"))
+        if camera not in _DEPTH_CAMERAS:
             continue
         bus, number = _read(device / "busnum"), _read(device / "devnum")
         node = root / "dev/bus/usb" / bus.zfill(3) / number.zfill(3)
@@ -53,6 +57,7 @@ def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:
                 node=node,
                 allowed=os.access(node, os.R_OK | os.W_OK),
                 megabits=int(speed) if speed.isdigit() else 0,
+                usb3=camera not in _USB2_CAMERAS,
             )
         )
     return found
@@ -80,7 +85,7 @@ def permission_check(root: Path) -> Check:
     rules = [
         rule
         for folder in ("etc", "lib", "usr/lib")
-        for of in ("k4a", "obsensor")
+        for of in ("k4a", "obsensor", "libfreenect")
         for rule in (root / folder / "udev/rules.d").glob(f"*{of}*.rules")
     ]
     if rules or os.geteuid() == 0:
@@ -89,8 +94,8 @@ def permission_check(root: Path) -> Check:
 
 
 def speed_check(root: Path) -> Check:
-    """Whether all sensors on the bus run at USB 3."""
-    there = usb_kinects(root)
+    """Whether all sensors on the bus that need USB 3 run at it."""
+    there = [device for device in usb_kinects(root) if device.usb3]
     slow = [device for device in there if 0 < device.megabits < _USB3_MEGABITS]
     if slow:
         detail = f"{slow[0].serial or slow[0].node} runs at {slow[0].megabits} Mbit/s"

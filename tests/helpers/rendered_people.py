@@ -26,7 +26,7 @@ def landmarks_at(motion, seconds, angle_deg=90.0):
     return truth.rig.world_from_sensor(0).inverse().apply(in_world)
 
 
-def images_of(people, seed=0, sizes=(), angle_deg=90.0):
+def images_of(people, seed=0, sizes=(), angle_deg=90.0, camera=CAMERA):
     """Infrared and depth of people with these landmarks, before the simulator's wall and floor.
 
     Args:
@@ -34,15 +34,16 @@ def images_of(people, seed=0, sizes=(), angle_deg=90.0):
         seed: Of the noise.
         sizes: Stature of each person, metres; 1.75 if empty.
         angle_deg: Angle between the rig's sensors, of which the images are A's.
+        camera: The depth camera.
     """
     statures = sizes or [anatomy.REFERENCE_HEIGHT] * len(people)
     shapes = [clothed_capsules(marks, size) for marks, size in zip(people, statures, strict=True)]
     capsules = np.concatenate(shapes) if shapes else np.empty((0, 7))
     sensor_from_world = Rig(angle_deg=angle_deg).world_from_sensor(0).inverse()
-    z, label, cosine = surface(capsules, sensor_from_world, CAMERA)
+    z, label, cosine = surface(capsules, sensor_from_world, camera)
     model, random = InfraredModel(), np.random.default_rng(seed)
     kinds = np.tile(materials(), max(1, len(people)))
-    infrared = infrared_image(z, label, cosine, kinds, model.illumination(CAMERA), model, random)
+    infrared = infrared_image(z, label, cosine, kinds, model.illumination(camera), model, random)
     return infrared, depth_image(z, cosine, DepthErrors(), random)
 
 
@@ -51,6 +52,6 @@ def true_joints(landmarks):
     return landmarks[anatomy.landmarks_of(BLAZEPOSE)]
 
 
-def share_seen(landmarks):
+def share_seen(landmarks, camera=CAMERA):
     """(J,) share of each joint's surface that nothing hides from the sensor."""
-    return visibility(true_joints(landmarks), clothed_capsules(landmarks), flesh_over(BLAZEPOSE), CAMERA)
+    return visibility(true_joints(landmarks), clothed_capsules(landmarks), flesh_over(BLAZEPOSE), camera)

@@ -42,8 +42,8 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(monkeypatc
         choose_tracker("k4abt", TrackerSettings(library=tmp_path / "libk4abt.so")), tmp_path
     )
     named = _by_name(checks)
-    lacking = {"pyk4a and the Sensor SDK", "pyorbbecsdk2 (Orbbec's SDK v2)", "USB permission", "two Kinects"}
-    lacking |= {"k4abt", "k4abt's network", "GPU"}
+    lacking = {"pyk4a and the Sensor SDK", "pyorbbecsdk2 (Orbbec's SDK v2)", "libfreenect 0.5 (Kinect v1)"}
+    lacking |= {"USB permission", "two Kinects", "k4abt", "k4abt's network", "GPU"}
     assert {name for name, check in named.items() if check.needed and not check.ok} >= lacking
     assert not named["depth engine"].needed, "only libk4a needs it"
     assert all(check.advice for check in checks if not check.ok)

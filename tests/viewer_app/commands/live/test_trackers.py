@@ -1,4 +1,4 @@
-"""``duplex live`` on Orbbec sensors, and on Azure Kinects with the program's own tracker."""
+"""``duplex live`` on Orbbec sensors, on Kinects v1, and on Azure Kinects with the program's own tracker."""
 
 import sys
 
@@ -12,6 +12,7 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
 from recordings.session import Session
 from tests.helpers.command_line import duplex
+from tests.helpers.freenect import film, numbered, write_dump
 from tests.helpers.orbbec import standin_values as values
 from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.session_text import rows_of
@@ -30,7 +31,7 @@ def own_tracker(monkeypatch):
     standing = moving(BLAZEPOSE, 1)[0]
 
     def track(_self, image, depth, _camera, time_ns):
-        assert image.shape == depth.shape
+        assert image.shape[:2] == depth.shape
         images.append(image)
         return {"1": Skeleton.of(BLAZEPOSE, standing, time_ns=time_ns)}
 
@@ -71,6 +72,25 @@ def test_two_orbbec_sensors_become_a_session(bolts, tmp_path, capsys):
     assert [device.sync["mode"] for device in bolts.devices] == [MODES.STANDALONE] * 2
     assert duplex("info", saved) == 0
     assert "blazepose full" in capsys.readouterr().out
+
+
+def test_two_kinects_v1_become_a_session(fakenect, own_tracker, tmp_path, capsys, monkeypatch):
+    for module in ("pyk4a", "pyorbbecsdk"):
+        monkeypatch.setitem(sys.modules, module, None)
+    depth, rgb = (images[0] for images in numbered(1))
+    for serial in (A, B):
+        fakenect.dumps[serial] = write_dump(tmp_path / serial, film([depth] * 400, [rgb] * 400))
+    saved = tmp_path / "live.rrd"
+    assert _live("--save", saved) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"No sync cable fits into {A} and {B}. Pairs are up to half a frame apart" in said
+    assert "counts as ideal, with 525 pixels" in said
+    session = Session.open(saved)
+    assert (session.tracker, session.sources) == ("blazepose full", (A, B))
+    assert len(session) > 10
+    assert session.intrinsics_a.width == 320, "half of the depth image"
+    assert {image.shape for image in own_tracker} == {(480, 640, 3)}, "the colour images"
+    assert fakenect.open == []
 
 
 def test_the_named_master_leads(bolts, tmp_path):

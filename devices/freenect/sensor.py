@@ -1,0 +1,234 @@
+"""Kinect v1 (Xbox 360, Kinect for Windows) live, through libfreenect."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.capture.capture_stream import CaptureStream, LiveSensor
+from devices.capture.causes import Cause, in_brackets
+from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.settings import CaptureSettings
+from devices.freenect.libfreenect import PROGRAMS, Context
+from devices.freenect.moments import FPS, FreenectMoment, MomentJoiner
+from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
+from fusion.body import BLAZEPOSE
+from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
+
+INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
+"""The colour camera's nominal lens, on whose pixels registered depth is: the sensor stores no calibration of
+it. 525 is the focal length that ROS's driver assumes."""
+_QUEUE = 4  # moments that wait for the reader
+_EVENTS_S = 0.1  # longest wait for events of USB
+_JPEG_QUALITY = 95
+
+
+class _Camera:
+    """Opens a camera, handles its USB events, closes it: all on this thread, as libfreenect wants it.
+
+    libfreenect buffers 32 ms of USB data, and the body tracker takes longer: they need threads of their own.
+    """
+
+    def __init__(self, serial: str, clock: Callable[[], int]) -> None:
+        self._thread = threading.Thread(target=self._run, name=f"libfreenect {serial}", daemon=True)
+        self.serial, self._clock = serial, clock
+        self._joiner, self._moments = MomentJoiner(), deque[FreenectMoment](maxlen=_QUEUE)
+        self._changed = threading.Condition()
+        self._stopping, self._started, self._ended = False, False, False
+        self._fault: BaseException | None = None
+        self.said = ""
+
+    def open(self) -> None:
+        """Starts the thread, and returns when the cameras run.
+
+        Raises:
+            DeviceError: They do not start.
+        """
+        self._thread.start()
+        with self._changed:
+            self._changed.wait_for(lambda: self._started or self._ended)
+        if self._fault is not None:
+            raise self._fault
+
+    def take(self, timeout_s: float) -> FreenectMoment | None:
+        """The oldest moment that waits; None if none comes, or the camera is lost: see :attr:`lost`."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._moments or self._ended, timeout_s)
+            return self._moments.popleft() if self._moments else None
+
+    @property
+    def lost(self) -> bool:
+        """Whether the camera gives no more moments."""
+        return self._ended
+
+    def close(self) -> None:
+        """Stops and closes the camera."""
+        self._stopping = True
+        self._thread.join()
+
+    def _run(self) -> None:
+        """Runs the camera until it is closed or lost."""
+        try:
+            with Context() as context:
+                context.open(self.serial)
+                if not context.start(self._take_depth, self._take_color):
+                    raise Cause.CAMERAS_NOT_STARTED.error(
+                        label=f"Kinect v1 {self.serial}",
+                        what="did not start its cameras",
+                        said=in_brackets(context.said),
+                        advice="",
+                        programs=PROGRAMS,
+                    )
+                self._tell(started=True)
+                while not self._stopping and context.process(_EVENTS_S):
+                    pass
+                self.said = context.said
+                self._tell(ended=True)  # before closing, which may take long
+        except BaseException as fault:
+            self._fault = fault
+        finally:
+            self._tell(ended=True)
+
+    def _tell(self, started: bool = False, ended: bool = False) -> None:
+        with self._changed:
+            self._started, self._ended = self._started or started, self._ended or ended
+            self._changed.notify_all()
+
+    def _take_depth(self, address: int, ticks: int) -> None:
+        image = np.empty((INTRINSICS.height, INTRINSICS.width), np.uint16)
+        ctypes.memmove(image.ctypes.data, address, image.nbytes)
+        self._keep(self._joiner.add_depth(ticks, self._clock(), image))
+
+    def _take_color(self, address: int, ticks: int) -> None:
+        image = np.empty((INTRINSICS.height, INTRINSICS.width, 3), np.uint8)
+        ctypes.memmove(image.ctypes.data, address, image.nbytes)
+        self._keep(self._joiner.add_color(ticks, self._clock(), image))
+
+    def _keep(self, moments: list[FreenectMoment]) -> None:
+        with self._changed:
+            self._moments.extend(moments)
+            self._changed.notify_all()
+
+
+class _FreenectStream(CaptureStream[FreenectMoment]):
+    """The moments of a running camera."""
+
+    def __init__(self, camera: _Camera, sensor: FreenectSensor) -> None:
+        super().__init__(f"Kinect v1 {sensor.name}", sensor.settings, sensor)
+        self._camera = camera
+
+    def poll(self, timeout_ms: int) -> FreenectMoment:
+        """The oldest moment that waits."""
+        moment = self._camera.take(timeout_ms / 1000)
+        if moment is not None:
+            return moment
+        if self._camera.lost and timeout_ms:  # else the moments before were for nothing
+            raise self.lost(DeviceError(self._camera.said))
+        raise TimeoutError
+
+    def is_connected(self) -> bool:
+        """Whether libfreenect still lists the sensor."""
+        try:
+            with Context() as context:
+                return self.sensor.name in context.serials()
+        except DeviceError:
+            return False
+
+
+class FreenectSensor(LiveSensor):
+    """One Kinect v1: a :class:`~devices.sensor.Sensor` with depth registered to colour, no people.
+
+    :class:`~devices.blazepose.tracked_images.TrackedImages` finds the people in :attr:`rgb`. Times are those
+    of the sensor's own clock. There is no sync cable: two sensors capture up to half a frame apart.
+
+    Attributes:
+        rgb: (480, 640, 3) the colour image of the frame given last; None without one.
+    """
+
+    def __init__(
+        self,
+        serial: str,
+        settings: CaptureSettings | None = None,
+        decimation: FrameDecimation | None = None,
+        clock: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        self.settings = settings or CaptureSettings()
+        super().__init__(serial, self.settings, decimation, clock)
+        self.body = BLAZEPOSE
+        self.rgb: NDArray[np.uint8] | None = None
+        self._camera: _Camera | None = None
+
+    def __enter__(self) -> FreenectSensor:
+        """Opens the sensor, starts its cameras."""
+        self.__exit__()
+        self._interrupted.clear()
+        check_modes(self.name, self.settings)
+        self._warn(
+            f"Kinect v1 {self.name} has no stored lens: its colour camera counts as ideal, with "
+            f"{INTRINSICS.fx:g} pixels of focal length."
+        )
+        if self.settings.color is not None:
+            self._warn(f"Kinect v1 {self.name}: colour is 640 × 480, not {self.settings.color}.")
+        camera = _Camera(self.name, self.clock)
+        camera.open()
+        self._camera, self.intrinsics = camera, INTRINSICS
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Stops and closes the sensor, even if it is no longer connected."""
+        camera, self._camera = self._camera, None
+        if camera is not None:
+            camera.close()
+
+    def registered(self, _: SensorFrame) -> NDArray[np.uint8] | None:
+        """The colour image of the frame given last, whose pixels depth is registered to."""
+        return self.rgb
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """Frames as they arrive, until interrupted."""
+        if self._camera is None:
+            raise DeviceError(f"Kinect v1 {self.name} is not open: use it in a with statement.")
+        self.decimation.restart(self.name)
+        stream = _FreenectStream(self._camera, self)
+        while not self._interrupted.is_set():
+            moment = self._take(stream)
+            if moment is None:
+                continue
+            self.rgb = moment.rgb
+            yield SensorFrame(
+                time_ns=moment.time_ns,
+                depth=moment.depth,
+                color=None if self.settings.color is None else compressed(moment.rgb),
+                host_ns=moment.host_ns,
+            )
+
+
+def check_modes(serial: str, settings: CaptureSettings) -> None:
+    """Checks without a sensor whether one could run in these modes.
+
+    Raises:
+        DeviceError: A mode that a Kinect v1 does not have.
+    """
+    if settings.depth_mode != "NFOV_UNBINNED":
+        raise DeviceError(f"Kinect v1 {serial} has one depth mode, 640 × 480. Leave --depth-mode out.")
+    if settings.fps != FPS:
+        raise DeviceError(f"Kinect v1 {serial} runs at {FPS} fps, not {settings.fps}. Leave --fps out.")
+    if settings.sync != "standalone":
+        raise DeviceError(f"Kinect v1 {serial} has no port for a sync cable. Leave --sync-master out.")
+
+
+def compressed(rgb: NDArray[np.uint8] | None) -> ColorImage | None:
+    """The colour image as a session records it; None without one."""
+    if rgb is None:
+        return None
+    import cv2  # it changes the environment; importing this package must not
+
+    _, jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return ColorImage.of(jpeg.tobytes(), ColorCamera(INTRINSICS, RigidTransform.identity()))

@@ -1,0 +1,344 @@
+"""Kinects v1, on the real fakenect, which plays dumps of simulated images."""
+
+import itertools
+import os
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from devices.blazepose.pace import TrackingPace
+from devices.blazepose.settings import BlazePoseSettings
+from devices.blazepose.tracked_images import TrackedImages
+from devices.capture.sensor_choice import cable_notes, choose_two, sync_master
+from devices.capture.sensor_pair import TwoSensors
+from devices.capture.sensor_state import TimeLimits
+from devices.capture.settings import CaptureSettings
+from devices.freenect import libfreenect
+from devices.freenect.libfreenect import connected_freenects, how_to_install
+from devices.freenect.moments import MomentJoiner, TickCounter
+from devices.freenect.sensor import INTRINSICS, FreenectSensor
+from devices.live_checks import device_checks
+from devices.live_sensors import connected_sensors, live_sensor
+from devices.sensor import AbsentError, DeviceError
+from devices.tracker_choice import choose_tracker
+from tests.helpers.freenect import PERIOD, film, numbered, write_dump
+from tests.helpers.machine import need_networks
+from tests.helpers.rendered_people import images_of, landmarks_at, share_seen, true_joints
+from tests.helpers.usb_tree import plug_in
+from tests.helpers.waiting import eventually
+
+A, B = "A00366A02534111A", "B00362721456043B"
+PERIOD_NS = 33_333_333
+
+
+@pytest.fixture
+def dump(fakenect, tmp_path):
+    """Connects a sensor with a dump of numbered images; returns its serial number."""
+
+    def connect(serial=A, count=4, first=1000, pace=1.0, **how):
+        folder = tmp_path / f"{serial}-{len(list(tmp_path.iterdir()))}"
+        fakenect.dumps[serial] = write_dump(folder, film(*numbered(count, first), **how), pace)
+        return serial
+
+    return connect
+
+
+def _sensor(serial=A, **settings):
+    return FreenectSensor(serial, CaptureSettings(**settings))
+
+
+def _all_frames(sensor):
+    """The frames until the dump ends, with the colour images."""
+    found = []
+
+    def take_all():
+        for frame in sensor.frames():
+            found.append((frame, sensor.rgb))
+
+    with pytest.raises(DeviceError, match="stopped giving frames"):
+        take_all()
+    return found
+
+
+def test_frames_carry_registered_depth_and_the_sensors_own_time(fakenect, dump):
+    begun_ns = time.perf_counter_ns()
+    with _sensor(dump(first_ticks=600_000_000)) as sensor:
+        assert (fakenect.open, fakenect.streams[A]) == ([A], {"depth", "video"})
+        found = _all_frames(sensor)
+    times = [frame.time_ns for frame, _ in found]
+    assert times[0] == 10_000_000_000
+    assert np.diff(times).tolist() == pytest.approx([PERIOD_NS] * 3, abs=1)
+    for number, (frame, rgb) in enumerate(found):
+        assert (frame.depth.dtype, frame.depth.shape) == (np.uint16, (480, 640))
+        assert np.unique(frame.depth).tolist() == [1000 + number]
+        assert (rgb.shape, np.unique(rgb).tolist()) == ((480, 640, 3), [number])
+        assert begun_ns < frame.host_ns < time.perf_counter_ns()
+        assert (frame.people, frame.color, frame.ir) == ({}, None, None)
+    assert (fakenect.open, fakenect.streams[A], fakenect._copies) == ([], set(), {})
+    assert sensor.intrinsics == INTRINSICS
+    assert "counts as ideal, with 525 pixels" in sensor.warnings[0]
+
+
+def test_times_go_on_where_the_32_bit_clock_wraps(dump):
+    with _sensor(dump(count=6, first_ticks=2**32 - 2 * PERIOD - 5)) as sensor:
+        times = [frame.time_ns for frame, _ in _all_frames(sensor)]
+    assert np.diff(times).tolist() == pytest.approx([PERIOD_NS] * 5, abs=1)
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.lists(st.tuples(st.integers(-PERIOD, 10**11), st.integers(-(10**9), 10**9)), max_size=20),
+)
+def test_ticks_are_counted_through_any_silence(first, steps):
+    """Within half a wrap (35 s) of error and delay of this machine's clock, here one second."""
+    counter, now_ns, total, late_ns = TickCounter(), 10**12, first, 0
+    assert counter.total(first, now_ns) == first
+    for ticks, delay_ns in steps:
+        total += ticks
+        now_ns += ticks * 50 // 3
+        late_ns = delay_ns
+        assert counter.total(total % 2**32, now_ns + late_ns) == total
+
+
+@pytest.mark.parametrize("late", [900_000, -900_000, 0])
+def test_each_depth_image_gets_the_colour_image_within_half_a_period(late):
+    events = film(*numbered(5), first_ticks=PERIOD, color_late=late)
+    joiner, found = MomentJoiner(), []
+    for seconds, ticks, image in events:
+        add = joiner.add_depth if image.ndim == 2 else joiner.add_color
+        found += add(ticks, round(1e9 * seconds), image)
+    numbers = [(int(moment.depth[0, 0]) - 1000, int(moment.rgb[0, 0, 0])) for moment in found]
+    assert numbers == [(number, number) for number in range(5)]
+
+
+def test_no_depth_image_is_lost_where_colour_is_missing(fakenect, tmp_path):
+    depths, rgbs = numbered(6)
+    rgbs[2] = rgbs[3] = None
+    fakenect.dumps[A] = write_dump(tmp_path / "dump", film(depths, rgbs))
+    with _sensor() as sensor:
+        found = _all_frames(sensor)
+    assert [int(frame.depth[0, 0]) for frame, _ in found] == [1000, 1001, 1002, 1003, 1004, 1005]
+    assert [None if rgb is None else int(rgb[0, 0, 0]) for _, rgb in found] == [0, 1, None, None, 4, 5]
+
+
+def test_a_slow_reader_gets_the_newest_frame_and_the_rest_are_counted(dump):
+    with _sensor(dump(count=20)) as sensor:
+        frames = sensor.frames()
+        assert int(next(frames).depth[0, 0]) == 1000
+        eventually(lambda: sensor._camera.lost)
+        assert len(sensor._camera._moments) == 4, "memory is bounded"
+        assert int(next(frames).depth[0, 0]) == 1019
+    assert (sensor.missed, sensor.lost) == (18, 0)
+
+
+def test_colour_is_compressed_only_if_asked_for(dump):
+    with _sensor(dump(), color="720P") as sensor:
+        frame, rgb = _all_frames(sensor)[3]
+    image = cv2.imdecode(np.frombuffer(frame.color.jpeg, np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape == rgb.shape
+    assert np.abs(image.astype(int) - 3).max() <= 1
+    assert frame.color.camera.intrinsics == INTRINSICS
+    assert "colour is 640 × 480, not 720P" in sensor.warnings[1]
+
+
+def test_red_stays_red(fakenect, tmp_path):
+    red = np.zeros((480, 640, 3), np.uint8)
+    red[..., 0] = 200
+    fakenect.dumps[A] = write_dump(tmp_path / "dump", film(numbered(2)[0], [red, red]))
+    with _sensor(color="1080P") as sensor:
+        frame = next(sensor.frames())
+        assert sensor.rgb[0, 0].tolist() == [200, 0, 0]
+    blue, _, most = cv2.imdecode(np.frombuffer(frame.color.jpeg, np.uint8), cv2.IMREAD_COLOR)[0, 0]
+    assert (blue < 10, most > 190) == (True, True)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"depth_mode": "WFOV_2X2BINNED"}, r"has one depth mode, 640 × 480\. Leave --depth-mode out"),
+        ({"fps": 15}, r"runs at 30 fps, not 15\. Leave --fps out"),
+        ({"sync": "master"}, r"no port for a sync cable\. Leave --sync-master out"),
+    ],
+)
+def test_a_mode_the_sensor_lacks_is_refused(fakenect, dump, settings, message):
+    with pytest.raises(DeviceError, match=message):
+        _sensor(dump(), **settings).__enter__()
+    assert fakenect.open == []
+
+
+# ------------------------------------------------------------------ faults
+
+
+def test_no_device(dump):
+    with pytest.raises(AbsentError, match=rf"No Kinect v1 with serial {B}\. No other is connected\."):
+        _sensor(B).__enter__()
+    dump()
+    with pytest.raises(AbsentError, match=rf"No Kinect v1 with serial {B}\. Connected: {A}\."):
+        _sensor(B).__enter__()
+
+
+def test_device_busy(fakenect, dump):
+    fakenect.busy.add(dump())
+    with pytest.raises(DeviceError, match=r"it is busy .*\(Failed to claim camera.*BUSY\)\. Close.*glview"):
+        _sensor().__enter__()
+    assert (fakenect.open, fakenect._copies) == ([], {})
+
+
+def test_cameras_that_do_not_start_leave_the_sensor_closed(fakenect, dump):
+    fakenect.still.add(dump())
+    with pytest.raises(DeviceError, match=r"did not start its cameras\. Check that no other.*controllers"):
+        _sensor().__enter__()
+    assert (fakenect.open, fakenect._copies) == ([], {})
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux restricts USB devices")
+def test_a_sensor_without_permission_is_named(fakenect, dump, tmp_path, monkeypatch):
+    dump()
+    fakenect.forbidden = 1
+    plug_in(tmp_path, "", product="02ae", speed=480)
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    found = libfreenect.usb_kinects
+    monkeypatch.setattr(libfreenect, "usb_kinects", lambda: found(tmp_path))
+    usable, other = connected_freenects()
+    assert (usable.serial, usable.fault) == (A, "")
+    assert other.serial is None
+    assert "no permission for" in other.fault
+    assert "51-kinect.rules" in other.fault
+    assert libfreenect.sensor_check(other).detail.startswith("Kinect v1 at place 1 cannot be opened")
+
+
+def test_unplugged_mid_stream(fakenect, dump):
+    with _sensor(dump(count=60)) as sensor:
+        frames = sensor.frames()
+        next(frames)
+        fakenect.dumps.clear()
+        with pytest.raises(AbsentError, match=rf"Kinect v1 {A} was unplugged or lost its power\. Plug it"):
+            list(frames)
+    assert (fakenect.open, fakenect.streams[A]) == ([], set())
+
+
+def test_stream_stalls(fakenect, tmp_path):
+    depths, rgbs = numbered(30)
+    fakenect.dumps[A] = write_dump(tmp_path / "dump", film(depths[:2] + [None] * 28, rgbs))
+    with _sensor(timeout_ms=50, stall_s=0.2) as sensor:
+        frames = sensor.frames()
+        next(frames)
+        with pytest.raises(DeviceError, match="stalls: no depth for 0 s"):
+            list(frames)
+
+
+def test_interrupting_ends_the_frames(dump):
+    with _sensor(dump(count=60)) as sensor:
+        taken = 0
+        for taken, _ in enumerate(sensor.frames(), 1):  # noqa: B007
+            sensor.interrupt()
+    assert taken == 1
+
+
+def test_two_run_side_by_side_and_a_lost_one_is_taken_back(fakenect, dump):
+    sensors = [_sensor(dump(A, 90, 1000), timeout_ms=20), _sensor(dump(B, 90, 2000), timeout_ms=20)]
+    kept = fakenect.dumps[B]
+    with TwoSensors(*sensors, limits=TimeLimits(retry_s=0.02)) as two:
+        found = []
+
+        def now(*wanted):
+            found.extend(two.poll())
+            return (found[-1].a is not None, found[-1].b is not None) == wanted if found else False
+
+        assert eventually(lambda: now(True, True))
+        del fakenect.dumps[B]
+        assert eventually(lambda: now(True, False))
+        fakenect.dumps[B] = kept
+        assert eventually(lambda: now(True, True))
+        told = " ".join(event.text for event in two.events())
+    assert f"Kinect v1 {B} was unplugged" in told
+    assert f"{B} is back" in told
+    assert {int(pair.a.depth[0, 0]) // 1000 for pair in found if pair.a is not None} == {1}
+    assert {int(pair.b.depth[0, 0]) // 1000 for pair in found if pair.b is not None} == {2}
+    assert fakenect.open == []
+
+
+# ------------------------------------------------------------------ beside other vendors
+
+
+def test_they_are_listed_beside_the_others_and_have_no_sync_port(dump):
+    dump(A)
+    dump(B)
+    ours = choose_tracker("blazepose")
+    a, b = connected_sensors(ours)
+    assert [(one.index, one.serial, one.sdk) for one in (a, b)] == [(0, A, "freenect"), (1, B, "freenect")]
+    assert not a.hides_jacks, "though its serial number has letters"
+    assert choose_two([a, b], principal=B) == (B, A)
+    assert sync_master(a, b) is None
+    assert cable_notes(a, b, None)[0].startswith(f"No sync cable fits into {A} and {B}. Pairs are up to half")
+    with pytest.raises(DeviceError, match=rf"No sync cable fits into {A} and {B}\. Leave --sync-master out"):
+        sync_master(a, b, A)
+
+
+def test_the_doctor_knows_them(dump, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
+    root = tmp_path / "root"
+    for number, serial in enumerate((dump(A), dump(B))):
+        plug_in(root, serial, "02ae", speed=480, number=number)
+    checks = device_checks(choose_tracker("blazepose"), root)
+    assert [c.name for c in checks if c.needed and not c.ok and c.name != "blazepose"] == []
+    named = {check.name: check for check in checks}
+    assert named["libfreenect 0.5 (Kinect v1)"].detail == "libfreenect.so.0.5"
+    assert named["two Kinects"].detail == "2 connected, 2 usable"
+    assert named[f"Kinect v1 {A}"].ok
+    assert named["sync cable"].detail == f"No sync cable fits into {A} and {B}."
+    assert named["USB speed"].ok, "they are made for USB 2"
+    assert "never a real sensor" in named["proven on hardware"].detail
+
+
+@pytest.mark.parametrize(
+    ("platform", "command"),
+    [
+        ("linux", "apt install libfreenect0.5"),
+        ("darwin", "brew install libfreenect"),
+        ("win32", "freenect.dll"),
+    ],
+)
+def test_a_missing_library_names_its_command(platform, command):
+    with pytest.raises(DeviceError, match=r"libfreenect, which is not installed\. Install it: "):
+        connected_freenects()
+    assert command in how_to_install(platform)
+
+
+def test_a_library_of_another_kind_is_refused(real_freenect, monkeypatch):
+    assert real_freenect
+    libfreenect.load_library.cache_clear()
+    monkeypatch.setattr(libfreenect, "find_library", lambda _: "libc.so.6")
+    with pytest.raises(DeviceError, match=r"libc\.so\.6 is not libfreenect 0\.5 \(.*freenect_init"):
+        libfreenect.load_library()
+
+
+# ------------------------------------------------------------------ with the program's own tracker
+
+
+def test_our_tracker_finds_a_simulated_person_in_its_images(fakenect, tmp_path):
+    folder, count = need_networks(), 8
+    marks = landmarks_at("arms", 1.0)
+    depths, rgbs = [], []
+    for seed in range(count):
+        infrared, depth = images_of([marks], seed, camera=INTRINSICS)
+        bright = np.sqrt(infrared / max(1.0, np.percentile(infrared, 99.0)))
+        depths.append(depth)
+        rgbs.append(np.repeat((255 * np.clip(bright, 0.0, 1.0)).astype(np.uint8)[..., None], 3, axis=2))
+    fakenect.dumps[A] = write_dump(tmp_path / "dump", film(depths, rgbs, period=10 * PERIOD))
+    tracker = choose_tracker("blazepose", blazepose=BlazePoseSettings(models=folder))
+    (listed,) = connected_sensors(tracker)
+    sensor = live_sensor(listed, CaptureSettings(), tracker, TrackingPace(30.0, tracker.blazepose))
+    assert isinstance(sensor, TrackedImages)
+    with sensor:
+        skeletons = [frame.people for frame in itertools.islice(sensor.frames(), count // 2)]
+    (found,) = skeletons[-1].values()
+    seen = share_seen(marks, INTRINSICS) > 0.9
+    errors = np.linalg.norm(found.positions - true_joints(marks), axis=1)[seen]
+    assert np.median(errors) < 0.035, "the goal of the project"
