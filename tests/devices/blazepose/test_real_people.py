@@ -1,0 +1,52 @@
+"""The tracker on real people before a real depth camera, against marks made by hand."""
+
+import numpy as np
+import pytest
+
+from devices.blazepose.blazepose import BlazePose
+from devices.blazepose.settings import BlazePoseSettings
+from fusion.body import BLAZEPOSE
+from tests.helpers.machine import need_networks
+from tests.helpers.real_people import CAMERA, clip, marks
+
+STATURE = 1.70  # metres; the men's is unknown. Their error in pixels is stated as a share of it.
+GOAL = 0.04  # of the stature: the project's
+
+
+def tracked(name):
+    """(image, skeleton) of each image of a clip."""
+    with BlazePose(BlazePoseSettings(models=need_networks())) as tracker:
+        for image in clip(name):
+            people = tracker.track(image.color, image.depth, CAMERA, image.time_ns)
+            assert len(people) == 1
+            yield image, next(iter(people.values()))
+
+
+def misses(name, person):
+    """Distances of the joints from the marks on visible joints, as shares of the person's height."""
+    by_hand = marks(name, person)
+    found = []
+    for image, skeleton in tracked(name):
+        visible = {joint: at for joint, (at, seen) in by_hand.get(image.frame, {}).items() if seen}
+        pixels = CAMERA.project(skeleton.positions)
+        trunk = [at for joint, at in visible.items() if joint.startswith(("SHOULDER", "HIP"))]
+        for joint, at in visible.items():
+            depths = [0.001 * image.depth[tuple(np.rint(place[::-1]).astype(int))] for place in trunk]
+            height = CAMERA.fy * STATURE / float(np.median(depths))
+            found.append(float(np.linalg.norm(pixels[BLAZEPOSE.joint(joint)] - at)) / height)
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "person", "marked"),
+    [
+        ("pointing", "seated", 104),
+        ("standing_and_seated", "seated", 99),
+    ],
+)
+def test_joints_are_within_a_twenty_fifth_of_the_height_of_marks_made_by_hand(name, person, marked):
+    """Measured: 1.5 % on average, 2.7 % (90 %), 5 % at most, a hip under a jacket."""
+    found = misses(name, person)
+    assert len(found) == marked
+    assert found.mean() < 0.02
+    assert np.percentile(found, 90) < GOAL
