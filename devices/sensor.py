@@ -131,8 +131,8 @@ class Sensor:
         Called from another thread.
         """
 
-    def take_link_news(self) -> list[str]:
-        """What happened to the messages since the last call, one line each. Called from another thread."""
+    def take_news(self) -> list[str]:
+        """What a person should know since the last call, one line each. Called from another thread."""
         return []
 
 

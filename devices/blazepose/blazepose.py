@@ -37,7 +37,16 @@ _LEAST_SCORE = 0.5  # of the landmark network, below which the crop holds no per
 _CANDIDATES = 3  # detections that are tried in one image
 _CLOSER = 0.62  # of the image's side: people far away are too small in the detector's 224 pixels
 _REMEMBERED_NS = 1_000_000_000  # a person who is lost for longer may be another one afterwards
-_STEP, _SPEED = 0.4, 3.0  # metres, metres per second: who moves farther between two images is another person
+_STEP, _SPEED = (
+    0.3,
+    2.0,
+)  # metres, metres per second: who is farther from the expected place is another person
+_FASTEST, _STEADY_S = (
+    2.0,
+    0.2,
+)  # metres per second, of a velocity that is trusted; seconds that it is averaged over
+_BEFORE = 0.35  # metres: who is so much nearer than expected is another person, unless the place is empty
+_HIPS = 0.02  # half width of a place that is certain to be the person's, of the region's side
 
 
 class _Sighting(NamedTuple):
@@ -46,19 +55,49 @@ class _Sighting(NamedTuple):
     region: Region
     middle: Array
     """(3,) middle of the trunk, metres."""
+    velocity: Array
+    """(3,) of the middle, metres per second."""
     time_ns: int
 
-    def may_be(self, middle: Array, time_ns: int) -> bool:
-        """Whether a person at a place is the one who was seen."""
+    def expected(self, time_ns: int) -> Array:
+        """(3,) where the middle is expected at another time."""
+        return self.middle + self.velocity * abs(time_ns - self.time_ns) * 1e-9
+
+    def next(self, region: Region, middle: Array, time_ns: int) -> _Sighting:
+        """The sighting after this one."""
         seconds = abs(time_ns - self.time_ns) * 1e-9
-        return float(np.linalg.norm(middle - self.middle)) <= _STEP + _SPEED * seconds
+        if seconds == 0.0:
+            return _Sighting(region, middle, self.velocity, time_ns)
+        newest = (middle - self.middle) / seconds
+        velocity = self.velocity + min(1.0, seconds / _STEADY_S) * (newest - self.velocity)
+        velocity = velocity * min(1.0, _FASTEST / max(float(np.linalg.norm(velocity)), 1e-9))
+        return _Sighting(region, middle, velocity, time_ns)
+
+    def may_be(self, middle: Array, time_ns: int, depth: NDArray[np.uint16], camera: Intrinsics) -> bool:
+        """Whether a person at a place is the one who was seen, not one who stands before them."""
+        expected = self.expected(time_ns)
+        reach = _STEP + _SPEED * abs(time_ns - self.time_ns) * 1e-9
+        if float(np.linalg.norm(middle - expected)) > reach:
+            return False
+        if middle[2] > expected[2] - _BEFORE or expected[2] <= 0.1:
+            return True
+        u, v = camera.project(expected)
+        return _distance(u, v, _HIPS * self.region.side, depth) > float(expected[2]) + _BEFORE
+
+
+def _distance(u: float, v: float, reach: float, depth: NDArray[np.uint16]) -> float:
+    """Median depth around a place of the image, metres; infinite where there is no reading."""
+    a, b, r = round(u), round(v), max(1, round(reach))
+    window = depth[max(0, b - r) : max(0, b + r + 1), max(0, a - r) : max(0, a + r + 1)]
+    readings = window[window > 0]
+    return 0.001 * float(np.median(readings)) if readings.size else math.inf
 
 
 class BlazePose:
     """Follows one person through the images of one sensor.
 
-    The person is the one nearest to the middle of the image at first, and then the same one. The detector
-    runs only while no person is followed.
+    The person is the one that the settings name at first, and then the same one. The detector runs only while
+    no person is followed.
     """
 
     def __init__(self, settings: BlazePoseSettings | None = None) -> None:
@@ -130,14 +169,16 @@ class BlazePose:
                 return {str(self._person): skeleton}
         if self._last is not None and abs(time_ns - self._last.time_ns) > _REMEMBERED_NS:
             self._last = None
-        for region in self._candidates(image):
+        for region in self._candidates(image, depth, intrinsics, time_ns):
             skeleton = self._follow(region, image, depth, intrinsics, time_ns)
             if skeleton is not None:
                 return {str(self._person): skeleton}
         self.region = None
         return {}
 
-    def _candidates(self, image: NDArray[np.generic]) -> list[Region]:
+    def _candidates(
+        self, image: NDArray[np.generic], depth: NDArray[np.uint16], camera: Intrinsics, time_ns: int
+    ) -> list[Region]:
         """Regions of the detected people, the one to follow first."""
         assert self._networks is not None
         whole = whole_image(*image.shape[:2])
@@ -155,9 +196,20 @@ class BlazePose:
         regions = [
             Region.around(*transformed(to_image, np.array((person.centre, person.rim)))) for person in found
         ]
-        aim = whole if self._last is None else self._last.region
-        regions.sort(key=lambda region: math.hypot(region.u - aim.u, region.v - aim.v))
-        return regions[:_CANDIDATES]
+        middle = np.array((whole.u, whole.v))
+        wanted = self.settings.person
+        if self._last is not None:
+            expected, wanted = self._last.expected(time_ns), "middle"
+            middle = camera.project(expected) if expected[2] > 0.1 else middle
+
+        def rank(region: Region) -> float:
+            if wanted == "nearest":
+                return _distance(region.u, region.v, _HIPS * region.side, depth)
+            if wanted == "middle":
+                return math.hypot(region.u - middle[0], region.v - middle[1])
+            return region.u if wanted == "left" else -region.u
+
+        return sorted(regions, key=rank)[:_CANDIDATES]
 
     def _follow(
         self,
@@ -183,9 +235,10 @@ class BlazePose:
         middle = lifted.positions[TRUNK].mean(axis=0)
         if self._last is None:
             self._person += 1
-        elif not self._last.may_be(middle, time_ns):
+        elif not self._last.may_be(middle, time_ns, depth, intrinsics):
             return None
         self._searched = 0
         self.region = Region.around(pixels[CENTRE], pixels[RIM])
-        self._last = _Sighting(self.region, middle, time_ns)
+        still = _Sighting(self.region, middle, np.zeros(3), time_ns)
+        self._last = still if self._last is None else self._last.next(self.region, middle, time_ns)
         return Skeleton.of(BLAZEPOSE, *joints_of(lifted, pixels[:LANDMARKS], depth), time_ns)

@@ -28,7 +28,7 @@ _MOVED = {
 
 The network was trained on marks that people set on photographs. On the simulated person its shoulders lie
 20 mm above the joints, elbows 27 mm and ankles 24 mm towards the trunk, knuckles 20 mm towards the wrist:
-means over nine scenes of five movements (seed 100). The shares undo that. No real person was measured."""
+means over nine scenes of five movements (seed 100). The shares undo that."""
 
 
 def _weights() -> Array:

@@ -52,7 +52,7 @@ CONSTANTS = {
     "FOOT": Kind(0.028, 0.9, 0.3, 0.20, 0.10),
 }
 """The constants, fitted on the simulated person: ``python -m tests.experiments.fit_blazepose``. That person
-wears thin clothes and has the median build; no real person was measured."""
+wears thin clothes and has the median build."""
 
 
 def column(field: str) -> NDArray[np.float64]:

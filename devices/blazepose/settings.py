@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import Literal
 
 NetworkName = Literal["full", "lite"]
+WantedPerson = Literal["middle", "nearest", "left", "right"]
+"""Whom to follow of several people: by the place in the image, or the one nearest to the sensor."""
 
 
 @dataclass(frozen=True)
@@ -17,3 +19,4 @@ class BlazePoseSettings:
     """Folder of the network files. None: the user's cache folder, into which the commands fetch missing
     files; in Python, :func:`devices.blazepose.networks.fetching.fetch` does."""
     threads: int = 1  # CPU threads of the networks
+    person: WantedPerson = "middle"  # whom to follow of several people, until they are lost for a second

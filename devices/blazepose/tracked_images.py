@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,10 @@ from fusion.skeleton import Skeleton
 
 if TYPE_CHECKING:
     from devices.blazepose.blazepose import BlazePose
+
+
+_OR = "or the same one after a second out of sight"
+_NAMED = 5  # changes whose times a warning names
 
 
 class TrackedImages(SensorWrapper):
@@ -54,6 +59,25 @@ class TrackedImages(SensorWrapper):
         self.tracker: BlazePose = BlazePose(settings)
         self._registered = registered or registered_color
         self._took, self._pace, self._clock = took, pace, clock
+        self._person = ""  # id of the person seen last
+        self._changes: list[int] = []  # times at which another one was followed, ns since the first frame
+        self._news: deque[str] = deque()
+
+    @property
+    def warnings(self) -> Sequence[str]:  # type: ignore[override]
+        """The source's, and when another person was followed."""
+        if not self._changes:
+            return self.source.warnings
+        times = ", ".join(f"{1e-9 * time_ns:.1f} s" for time_ns in self._changes[:_NAMED])
+        more = " …" if len(self._changes) > _NAMED else ""
+        return [
+            *self.source.warnings,
+            f"{self.name}: another person is followed, {_OR}, from {times}{more} on.",
+        ]
+
+    def take_news(self) -> list[str]:
+        """That another person is followed."""
+        return [self._news.popleft() for _ in range(len(self._news))]
 
     def __enter__(self) -> TrackedImages:
         """Loads the networks, then opens the source."""
@@ -71,7 +95,9 @@ class TrackedImages(SensorWrapper):
 
     def frames(self) -> Iterator[SensorFrame]:
         """The source's frames with the person in them."""
+        first_ns: int | None = None
         for frame in self.source.frames():
+            first_ns = frame.time_ns if first_ns is None else first_ns
             if frame.depth is None:
                 yield replace(frame, people={})
                 continue
@@ -87,6 +113,11 @@ class TrackedImages(SensorWrapper):
             if self._pace is not None:
                 # A simulated sensor makes its images on this thread, within the same budget.
                 self._pace.tracked(self.name, spent_ns + int(getattr(self.source, "making_ns", 0)))
+            for person in people:
+                if person != self._person and self._person:
+                    self._changes.append(frame.time_ns - first_ns)
+                    self._news.append(f"{self.name}: another person is followed, {_OR}.")
+                self._person = person
             yield replace(frame, people=people)
 
     def _people(self, frame: SensorFrame) -> dict[str, Skeleton]:

@@ -206,7 +206,7 @@ class TwoSensors:
 
     def _take_events(self, thread: SensorThread) -> None:
         events = thread.events()
-        events += [Event(text, "WARN", time_ns=_ns(self._clock())) for text in thread.sensor.take_link_news()]
+        events += [Event(text, "WARN", time_ns=_ns(self._clock())) for text in thread.sensor.take_news()]
         self._events += events
         for event in events:
             self._tell(event)

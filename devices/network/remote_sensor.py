@@ -84,7 +84,7 @@ class RemoteSensor(Sensor):
         """How its messages arrive."""
         return self._stream.figures
 
-    def take_link_news(self) -> list[str]:
+    def take_news(self) -> list[str]:
         return [self._told.popleft() for _ in range(len(self._told))]
 
     def __enter__(self) -> RemoteSensor:

@@ -152,6 +152,8 @@ class TrackerOptions:
     once."""
     tracker_network: Annotated[Literal["full", "lite"], TRACKER] = "full"
     """Network of blazepose; lite is faster and less accurate."""
+    person: Annotated[Literal["middle", "nearest", "left", "right"], TRACKER] = "middle"
+    """Whom blazepose follows of several people: by the place in each sensor's image, or the nearest one."""
     k4abt: Annotated[Path | None, EXPERTS] = None
     """Library of Microsoft's body tracker, libk4abt; if not given, the system's."""
     processing: Annotated[Literal["gpu", "cpu", "cuda", "tensorrt", "directml"], EXPERTS] = "gpu"

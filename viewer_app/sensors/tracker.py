@@ -9,6 +9,7 @@ from rich.console import Console
 
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
+from viewer_app.errors import UsageError
 from viewer_app.options.shared import TrackerOptions
 
 if TYPE_CHECKING:
@@ -16,14 +17,23 @@ if TYPE_CHECKING:
 
 
 def tracker_of(options: TrackerOptions) -> TrackerChoice:
-    """The tracker that the options ask for."""
+    """The tracker that the options ask for.
+
+    Raises:
+        UsageError: Options of the program's own tracker for another one.
+    """
     from devices.tracker_choice import choose_tracker
 
-    return choose_tracker(
+    choice = choose_tracker(
         options.tracker,
         TrackerSettings(processing=options.processing, library=options.k4abt),
-        BlazePoseSettings(network=options.tracker_network, models=options.tracker_model),
+        BlazePoseSettings(
+            network=options.tracker_network, models=options.tracker_model, person=options.person
+        ),
     )
+    if choice.name == "k4abt" and options.person != "middle":
+        raise UsageError("--person is of the program's own tracker: add --tracker blazepose.")
+    return choice
 
 
 def announce_tracker(tracker: TrackerChoice, console: Console) -> None:

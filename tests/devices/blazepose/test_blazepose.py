@@ -112,6 +112,22 @@ def test_when_the_followed_person_vanishes_another_one_is_not_taken_at_once(trac
     assert np.nanmedian(errors(found_within_three(tracker, [other], 2 * 10**9), other)) < 0.05
 
 
+def test_a_person_who_passes_behind_another_one_is_followed_again_on_the_other_side():
+    """They pass at 2.4 and 3.1 m. For half a second only the one in front is visible, who is not taken."""
+    followed = []
+    with BlazePose(BlazePoseSettings(models=need_networks(), person="right")) as tracker:
+        for k in range(0, 60, 2):
+            marks = landmarks_at("walk", 2.0 + k / 30)
+            marks = marks - marks.mean(axis=0) * (1.0, 0.0, 1.0)
+            across = -1.1 + 2.2 * k / 59
+            people = marks + (across, 0.0, 2.4), marks + (-across, 0.0, 3.1)
+            for skeleton in tracker.track(*images_of(people, seed=k), CAMERA, k * FRAME_NS).values():
+                off = [np.nanmedian(errors(skeleton, person)) for person in people]
+                followed.append(int(np.argmin(off)))
+    assert set(followed) == {1}
+    assert len(followed) > 20
+
+
 def test_a_person_of_impossible_size_is_no_person(tracker):
     """A doll of 25 cm fills the image as a person at 2.6 m does. The depth tells them apart."""
     marks = landmarks_at("startup", 1.0)

@@ -92,6 +92,20 @@ def test_only_images_with_depth_in_its_place_give_people():
         assert [frame.people for frame in sensor.frames()] == [{}]
 
 
+def test_another_person_is_reported_once_live_and_with_all_times_in_a_recording():
+    here, empty = images_of([landmarks_at("startup", 1.0)]), images_of([])
+    times = (0, 1, 50, 51, 52)  # frames; between 1 and 50 nobody is seen for more than a second
+    frames = [SensorFrame(FRAME_NS * k, depth=here[1], ir=here[0]) for k in times]
+    frames.insert(2, SensorFrame(2 * FRAME_NS, depth=empty[1], ir=empty[0]))
+    news = []
+    with tracked(Images(*frames)) as sensor:
+        for _ in sensor.frames():
+            news += sensor.take_news()
+        said = "prepared: another person is followed, or the same one after a second out of sight"
+        assert news == [f"{said}."]
+        assert list(sensor.warnings) == ["a warning", f"{said}, from 1.7 s on."]
+
+
 def test_a_source_without_a_known_camera_is_reported():
     source = Images(frame_of(*images_of([])))
     source.intrinsics = None

@@ -141,7 +141,7 @@ def test_two_programs_under_one_key_are_reported_and_the_first_goes_on(address):
         def reported():
             second.publish(frame_at(0, people=True))
             frames_through(published, thread, 1)
-            said.extend(thread.sensor.take_link_news())
+            said.extend(thread.sensor.take_news())
             return bool(said)
 
         assert eventually(reported)

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import rerun as rr
 
 from devices.azure.mkv import MkvRecording
@@ -21,10 +22,23 @@ from tests.helpers.machine import need_networks
 from tests.helpers.mkv_writer import INTERVAL_US, write_simulated
 from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import calibration_of
+from viewer_app.errors import UsageError
+from viewer_app.options.shared import TrackerOptions
+from viewer_app.sensors.tracker import tracker_of
 from viewer_app.viewer.blueprint import session_blueprint
 
 START_NS = 336_277_000
 SECONDS = 2.5
+
+
+@pytest.mark.parametrize("wanted", ["nearest", "left", "right", "middle"])
+def test_the_option_names_the_person_to_follow(wanted):
+    assert tracker_of(TrackerOptions(tracker="blazepose", person=wanted)).blazepose.person == wanted
+
+
+def test_the_person_of_another_tracker_cannot_be_named():
+    with pytest.raises(UsageError, match="add --tracker blazepose"):
+        tracker_of(TrackerOptions(tracker="k4abt", person="left"))
 
 
 def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_for_bit(tmp_path, capsys):
