@@ -19,6 +19,8 @@ from devices.orbbec.playback import SUFFIX as BAG
 from devices.orbbec.playback import OrbbecRecording
 from devices.pairing import FramePair, Pairing, median_interval, pair_views
 from devices.people import RecordedPeople, one_person
+from devices.realsense.sensors import SUFFIX as DB3
+from devices.realsense.sensors import RealSenseRecording, is_realsense_bag
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.conventions import Unit
 from devices.skeletons.file_sensor import SkeletonRecording
@@ -49,11 +51,12 @@ def open_source(
 ) -> Sensor:
     """Creates the sensor for a recording; opens nothing.
 
-    An ``.mkv`` or ``.bag`` holds images, so its people come from a body tracker; an ``.mkv``'s may come from
-    skeletons saved before.
+    An ``.mkv``, ``.bag`` or ``.db3`` holds images, so its people come from a body tracker; an ``.mkv``'s may
+    come from skeletons saved before.
 
     Args:
-        path: Recorded skeletons, an Azure Kinect recording, or a recording of Orbbec's SDK v2.
+        path: Recorded skeletons, or a recording of an Azure Kinect, of Orbbec's SDK v2 or of a RealSense
+            sensor.
         skeletons: The skeletons of an Azure Kinect recording, saved before.
         tracker: The body tracker, where one is needed. None: chosen for this machine.
         option: What the option that gives ``skeletons`` is called, for the message.
@@ -83,24 +86,27 @@ def open_source(
 
 def has_images(path: Path) -> bool:
     """Whether a recording holds images, by its suffix; else it holds skeletons."""
-    return path.suffix.lower() in (MKV, BAG)
+    return path.suffix.lower() in (MKV, BAG, DB3)
 
 
 def not_of_libk4a(*paths: Path) -> list[str]:
     """The names of those recordings whose images are not libk4a's."""
-    return [path.name for path in paths if path.suffix.lower() == BAG]
+    return [path.name for path in paths if path.suffix.lower() in (BAG, DB3)]
 
 
-def open_images(path: Path) -> MkvRecording | OrbbecRecording:
+def open_images(path: Path) -> MkvRecording | OrbbecRecording | RealSenseRecording:
     """Creates the sensor for a recording's images, without people; opens nothing."""
-    return OrbbecRecording(path) if path.suffix.lower() == BAG else MkvRecording(path)
+    suffix = path.suffix.lower()
+    if suffix == DB3 or (suffix == BAG and is_realsense_bag(path)):
+        return RealSenseRecording(path)
+    return OrbbecRecording(path) if suffix == BAG else MkvRecording(path)
 
 
 def frame_count(source: Sensor) -> int | None:
     """About how many frames an open recording has, for a progress bar; None where it does not say."""
     images = _images_of(source)
     info = images.info if isinstance(images, MkvRecording) else images
-    if not isinstance(info, MkvInfo | OrbbecRecording) or not info.duration_ns:
+    if not isinstance(info, MkvInfo | OrbbecRecording | RealSenseRecording) or not info.duration_ns:
         return None
     return info.duration_ns // info.interval_ns + 1
 
@@ -174,7 +180,7 @@ class RecordingChoice:
     """One of the two recordings.
 
     Attributes:
-        path: Recorded skeletons, an Azure Kinect recording, or a recording of Orbbec's SDK v2.
+        path: Recorded skeletons, or a recording with images.
         skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
         person: Id of the person; the one seen longest where None.
         stated: What is stated about a ``.csv``: unit, axes, names of the joints.

@@ -22,6 +22,10 @@ from devices.orbbec.checks import sdk_check as orbbec_sdk_check
 from devices.orbbec.checks import sensor_check as orbbec_sensor_check
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.orbbec.sensor import OrbbecSensor
+from devices.realsense.sdk_access import connected_realsenses
+from devices.realsense.sdk_access import sdk_check as realsense_sdk_check
+from devices.realsense.sdk_access import sensor_check as realsense_sensor_check
+from devices.realsense.sensors import RealSenseSensor
 from devices.sensor import DeviceError, Sensor
 from devices.tracker_choice import TrackerChoice
 
@@ -46,6 +50,10 @@ VENDORS = {
     "freenect": Vendor(
         *("a Kinect v1", connected_freenects, FreenectSensor),
         *(freenect_library_check, freenect_sensor_check),
+    ),
+    "realsense": Vendor(
+        *("RealSense sensors", connected_realsenses, RealSenseSensor),
+        *(realsense_sdk_check, realsense_sensor_check),
     ),
 }
 """All vendors but Microsoft, by :attr:`ConnectedSensor.sdk`."""

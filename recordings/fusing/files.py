@@ -65,7 +65,8 @@ def fuse(
 
     Args:
         a, b: Recordings of the principal sensor K_A, in whose frame S* is, and of the secondary one K_B:
-            ``.csv``, ``.json``, ``.skeleton``, ``.mkv`` of an Azure Kinect, or ``.bag`` of Orbbec's SDK v2.
+            ``.csv``, ``.json``, ``.skeleton``, ``.mkv`` of an Azure Kinect, ``.bag`` of Orbbec's SDK v2,
+            ``.db3`` or ``.bag`` of a RealSense.
         calibration: An earlier calibration. None: calibrate on the start-up pose of the recordings, or on
             their calmest window if there is no such pose.
         settings: Settings of the method, except ``hindsight``.

@@ -7,12 +7,13 @@ from pathlib import Path
 
 from devices.files import MKV
 from devices.orbbec.playback import SUFFIX as BAG
+from devices.realsense.sensors import SUFFIX as DB3
 from devices.skeletons.file_sensor import READERS
 from viewer_app.errors import UsageError
 
 PAGE, TABLE = "summary.html", "summary.parquet"
 """The summary, which lies beside the sessions' folders; no session can have these names."""
-SUFFIXES = (MKV, BAG, *READERS)
+SUFFIXES = (MKV, BAG, DB3, *READERS)
 """Formats of recordings; if a pair exists in several, the first is taken."""
 
 

@@ -37,7 +37,7 @@ class FuseOptions(
 
     Recordings are .csv (time_us,body,joint,x,y,z[,state]), .json (Microsoft's offline_processor),
     .skeleton (NTU RGB+D); or images, on which a body tracker is run: .mkv of an Azure Kinect, .bag of
-    Orbbec's SDK v2.
+    Orbbec's SDK v2, .db3 and .bag of a RealSense.
     """
 
     a: Annotated[Path, ARGUMENT] = field(kw_only=False)

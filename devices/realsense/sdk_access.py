@@ -1,0 +1,156 @@
+"""RealSense sensors through pyrealsense2: finding, opening, sync modes, checks. The library is imported on
+demand."""
+
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+from devices.capture.sensor_choice import ConnectedSensor
+from devices.capture.settings import CaptureSettings
+from devices.capture.usb import usb_kinects, why_not_open
+from devices.check import Check, failed, installed_version
+from devices.sensor import AbsentError, DeviceError
+
+SDK_NAME = "pyrealsense2"
+COMMAND = "pip install '.[realsense]'"
+_SYNC_MODES = {"standalone": 0, "master": 1, "subordinate": 2}
+"""``inter_cam_sync_mode`` of the D400 series: default, master, slave (``ds-private.h`` of librealsense)."""
+
+
+def load_sdk() -> ModuleType:
+    """The module pyrealsense2; raises a DeviceError if it is not installed."""
+    try:
+        import pyrealsense2
+    except (ImportError, OSError) as fault:
+        raise DeviceError(
+            f"RealSense sensors need pyrealsense2, which cannot be imported ({fault}). {COMMAND}; on macOS "
+            f"build it from librealsense."
+        ) from fault
+    return pyrealsense2  # type: ignore[no-any-return]
+
+
+@cache
+def context_of(sdk: ModuleType) -> Any:
+    """The process's one ``context``. Each one watches the buses with threads of its own."""
+    return sdk.context()
+
+
+def connected_realsenses() -> list[ConnectedSensor]:
+    """All connected RealSense sensors. One that another program uses has a fault.
+
+    Raises:
+        DeviceError: pyrealsense2 is not installed, or it cannot search for sensors.
+    """
+    sdk = load_sdk()
+    try:
+        devices = context_of(sdk).query_devices()
+        return [_described(sdk, devices, index) for index in range(len(devices))]
+    except RuntimeError as fault:
+        raise DeviceError(
+            f"pyrealsense2 cannot search for sensors ({fault}). Unplug them, try again."
+        ) from fault
+
+
+def _described(sdk: Any, devices: Any, index: int) -> ConnectedSensor:
+    info = sdk.camera_info
+    try:
+        device = devices[index]
+        serial, model, usb, firmware, wanted = (
+            device.get_info(kind) if device.supports(kind) else ""
+            for kind in (
+                *(info.serial_number, info.name, info.usb_type_descriptor, info.firmware_version),
+                info.recommended_firmware_version,
+            )
+        )
+    except RuntimeError as fault:
+        why = why_not_open(fault, usb_kinects(), "realsense-viewer")
+        return ConnectedSensor(index, None, fault=why, sdk="realsense")
+    details = (model, usb and f"USB {usb}", firmware and f"firmware {firmware}")
+    advice = ""
+    if usb.startswith("2"):
+        advice = f"Plug {serial} into a USB 3 port, with its own cable."
+    elif firmware and wanted and _numbers(firmware) < _numbers(wanted):
+        advice = f"RealSense recommends firmware {wanted} for {serial}: update it with realsense-viewer."
+    return ConnectedSensor(
+        *(index, serial or None, False, False),
+        sdk="realsense",
+        description=", ".join(filter(None, details)),
+        advice=advice,
+        tells_jacks=False,
+    )
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(number) for number in version.split(".") if number.isdigit())
+
+
+def open_realsense(sdk: Any, serial: str) -> Any:
+    """The ``device`` with a serial number. Its cameras are opened when they start.
+
+    Raises:
+        AbsentError: It is not connected.
+        DeviceError: It cannot be opened.
+    """
+    there = connected_realsenses()
+    if serial not in [one.serial for one in there]:
+        listed = ", ".join(one.serial or one.fault for one in there) or "none"
+        raise AbsentError(
+            f"No RealSense sensor with serial {serial}. Connected: {listed}. Check its USB 3 port and cable."
+        )
+    try:
+        devices = context_of(sdk).query_devices()
+        return next(one for one in devices if one.get_info(sdk.camera_info.serial_number) == serial)
+    except (RuntimeError, StopIteration) as fault:
+        why = why_not_open(fault, usb_kinects(), "realsense-viewer")
+        raise DeviceError(f"RealSense {serial} cannot be opened: {why}") from fault
+
+
+def is_connected(device: Any, serial: str) -> bool:
+    """Whether an opened sensor is still plugged in. Call it when frames stop."""
+    try:
+        there = connected_realsenses() if device.is_connected() else []
+    except (RuntimeError, DeviceError):
+        return False
+    return any(one.serial in (serial, None) for one in there)  # a sensor in use may hide its serial number
+
+
+def set_sync_role(sdk: Any, device: Any, serial: str, settings: CaptureSettings) -> None:
+    """Gives a sensor its place on the sync cable, before its cameras are opened.
+
+    Raises:
+        DeviceError: It cannot take that place: D405 and D421 have no sync modes, those of the D500 series
+            mean something else.
+    """
+    option, line = sdk.option.inter_cam_sync_mode, sdk.camera_info.product_line
+    sensor = next((one for one in device.query_sensors() if one.supports(option)), None)
+    if sensor is not None and device.supports(line) and device.get_info(line) == "D500":
+        sensor = None
+    if sensor is None:
+        if settings.sync == "standalone":
+            return
+        raise DeviceError(f"RealSense {serial} has no modes master and slave. Leave --sync-master out.")
+    try:
+        sensor.set_option(option, _SYNC_MODES[settings.sync])
+    except RuntimeError as fault:
+        if settings.sync == "standalone":
+            return
+        raise DeviceError(
+            f"RealSense {serial} does not become a {settings.sync} ({fault}). Leave --sync-master out."
+        ) from fault
+
+
+def sdk_check() -> Check:
+    """Whether pyrealsense2 is installed."""
+    try:
+        load_sdk()
+    except DeviceError as fault:
+        return failed(SDK_NAME, fault)
+    return Check(SDK_NAME, True, installed_version(SDK_NAME) or "installed")
+
+
+def sensor_check(sensor: ConnectedSensor) -> Check:
+    """A sensor that the library lists: its connection and firmware."""
+    if sensor.serial is None:
+        return failed(f"RealSense at place {sensor.index}", DeviceError(sensor.fault), needed=False)
+    detail = f"{sensor.description}, sync cable not known"
+    return Check(f"RealSense {sensor.serial}", not sensor.advice, detail, sensor.advice, needed=False)

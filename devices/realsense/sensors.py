@@ -1,0 +1,219 @@
+"""RealSense sensors live, and their recordings (``.db3``, ``.bag``), by pyrealsense2."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from queue import Empty, Full, Queue
+from threading import Event
+from typing import Any
+
+from devices.capture.capture_stream import CaptureStream, LiveSensor
+from devices.capture.causes import Cause, in_brackets
+from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.settings import CaptureSettings
+from devices.realsense.images import MomentJoiner, RealSenseMoment, Streams, choose_streams, intrinsics_of
+from devices.realsense.sdk_access import is_connected, load_sdk, open_realsense, set_sync_role
+from devices.sensor import DeviceError, Sensor, SensorFrame
+from fusion.body import BLAZEPOSE
+from fusion.intrinsics import Intrinsics
+
+SUFFIX = ".db3"
+_QUEUE = 16  # frames, of two streams
+_CONNECTIONS = 1 << 20  # bytes, which hold them all
+_WAIT_S, _SILENT_S = 0.2, 10.0
+_TIMELESS = (
+    "{label} gives no times of its own clock, so frames are timed when they arrive: on Linux the kernel "
+    "passes on no metadata, on Windows they are not registered. See the installation pages of librealsense."
+)
+
+
+class _RealSenseStream(CaptureStream[RealSenseMoment]):
+    """The moments of running cameras."""
+
+    def __init__(self, sensor: RealSenseSensor, device: Any, queue: Any, joiner: MomentJoiner) -> None:
+        super().__init__(f"RealSense {sensor.name}", sensor.settings, sensor)
+        self._device, self._queue, self._joiner = device, queue, joiner
+
+    def poll(self, timeout_ms: int) -> RealSenseMoment | None:
+        """The moment that the next frame completes, if it does."""
+        came, frame = self._queue.try_wait_for_frame(timeout_ms)
+        if not came:
+            raise TimeoutError
+        return self._joiner.add(frame, self.sensor.clock())
+
+    def is_connected(self) -> bool:
+        """Whether the library still lists the sensor; frames of one that is unplugged stop without an
+        error."""
+        return is_connected(self._device, self.sensor.name)
+
+
+class RealSenseSensor(LiveSensor):
+    """One RealSense sensor: a :class:`~devices.sensor.Sensor` whose frames have depth and infrared.
+
+    With a colour mode they have colour in place of infrared, registered to depth. There are no people:
+    :class:`~devices.blazepose.tracked_images.TrackedImages` finds them. Times are those of the sensor's own
+    clock. The library's global times, which each new fit moves, are switched off.
+    """
+
+    def __init__(
+        self,
+        serial: str,
+        settings: CaptureSettings | None = None,
+        decimation: FrameDecimation | None = None,
+        clock: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        self.settings = settings or CaptureSettings()
+        super().__init__(serial, self.settings, decimation, clock)
+        self.body = BLAZEPOSE
+        self._opened: tuple[Streams, _RealSenseStream, MomentJoiner] | None = None
+
+    def __enter__(self) -> RealSenseSensor:
+        """Opens the sensor, gives it its place on the sync cable, starts its cameras."""
+        self.__exit__()
+        self._interrupted.clear()
+        label, settings = f"RealSense {self.name}", self.settings
+        if settings.depth_mode != CaptureSettings.depth_mode:
+            raise DeviceError(f"{label} has no depth mode {settings.depth_mode}; leave --depth-mode out.")
+        sdk = load_sdk()
+        device = open_realsense(sdk, self.name)
+        set_sync_role(sdk, device, self.name, settings)
+        try:
+            streams = choose_streams(sdk, device, label, settings.fps, settings.color)
+            self.intrinsics, warning = intrinsics_of(streams.depth, label)
+            self._warn(warning)
+            joiner, queue = MomentJoiner(sdk, streams, self.intrinsics), sdk.frame_queue(_QUEUE, True)
+            self._opened = streams, _RealSenseStream(self, device, queue, joiner), joiner
+            for camera, _ in streams.opened:
+                if camera.supports(sdk.option.global_time_enabled):
+                    camera.set_option(sdk.option.global_time_enabled, 0)
+            streams.start(queue)
+        except RuntimeError as fault:
+            self.__exit__()
+            if not is_connected(device, self.name):
+                raise Cause.UNPLUGGED.error(label=label) from fault
+            fields = {"said": in_brackets(fault), "advice": "", "programs": "realsense-viewer"}
+            raise Cause.CAMERAS_NOT_STARTED.error(
+                label=label, what="did not start its cameras", **fields
+            ) from fault
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Stops and closes the sensor, even if it is no longer connected."""
+        opened, self._opened = self._opened, None
+        if opened is not None:
+            opened[0].stop()
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """Frames as they arrive, until interrupted."""
+        if self._opened is None:
+            raise DeviceError(f"RealSense {self.name} is not open: use it in a with statement.")
+        self.decimation.restart(self.name)
+        _, stream, joiner = self._opened
+        while not self._interrupted.is_set():
+            moment = self._take(stream)
+            if moment is None:
+                continue
+            if joiner.timeless:
+                self._warn(_TIMELESS.format(label=f"RealSense {self.name}"))
+            yield joiner.frame_of(moment, moment.host_ns)
+
+
+class RealSenseRecording(Sensor):
+    """A recording's depth and infrared or colour: a :class:`~devices.sensor.Sensor` without people.
+
+    It is read as fast as its frames are taken; none is dropped.
+
+    Attributes:
+        duration_ns: How long it is, as the file says; 0 before opening.
+        interval_ns: Time between two frames; 0 before opening.
+    """
+
+    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self.path, self.name, self.body = path, path.name, BLAZEPOSE
+        self.intrinsics: Intrinsics | None = None
+        self.warnings: list[str] = []
+        self.duration_ns = self.interval_ns = 0
+        self._clock = clock
+        self._opened: tuple[Any, Any, Any, Streams] | None = None
+
+    def __enter__(self) -> RealSenseRecording:
+        self.__exit__()
+        if not self.path.is_file():
+            raise DeviceError(f"No file {self.path}.")
+        sdk = load_sdk()
+        try:
+            context = sdk.context()  # of its own: the file is not to be listed as a sensor
+            device = context.load_device(str(self.path))
+            device.set_real_time(False)
+            streams = choose_streams(sdk, device, self.name)
+            self.intrinsics, warning = intrinsics_of(streams.depth, self.name)
+            self.duration_ns = round(1e9 * device.get_duration().total_seconds())
+        except RuntimeError as fault:
+            raise DeviceError(
+                f"{self.name} cannot be read ({fault}). It is not a recording of a RealSense sensor, or it "
+                f"is damaged: play it in realsense-viewer."
+            ) from fault
+        self.warnings = [warning] if warning else []
+        self.interval_ns = round(1e9 / streams.depth.fps())
+        self._opened = sdk, context, device, streams
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._opened = None
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """The frames in capture order."""
+        if self._opened is None or self.intrinsics is None:
+            raise DeviceError(f"{self.name} is not open: use it in a with statement.")
+        sdk, _, device, streams = self._opened
+        joiner = MomentJoiner(sdk, streams, self.intrinsics)
+        queue: Queue[Any] = Queue(_QUEUE)
+        closing = Event()
+
+        def take(frame: Any) -> None:
+            frame.keep()
+            while not closing.is_set():  # the library waits for this function: nothing is dropped
+                try:
+                    queue.put(frame, timeout=_WAIT_S)
+                except Full:
+                    continue
+                return
+
+        last_ns, heard_s = -1, self._clock()
+        try:
+            device.pause()  # else it plays while the second camera starts, whose frames it then drops
+            streams.start(take)
+            device.resume()
+            while True:
+                # Asked before waiting: what came until the end is in the queue by then.
+                ended = device.current_status() == sdk.playback_status.stopped
+                try:
+                    frame = queue.get(timeout=_WAIT_S)
+                except Empty:
+                    if ended or self._clock() - heard_s > _SILENT_S:
+                        return
+                    continue
+                heard_s = self._clock()
+                moment = joiner.add(frame, 0)
+                if moment is not None and moment.time_ns > last_ns:
+                    last_ns = moment.time_ns
+                    yield joiner.frame_of(moment, None)
+        except RuntimeError as fault:
+            raise DeviceError(f"{self.name} is damaged ({fault}). Play it in realsense-viewer.") from fault
+        finally:
+            closing.set()
+            streams.stop()
+
+
+def is_realsense_bag(path: Path) -> bool:
+    """Whether a ``.bag``, which Orbbec's SDK writes, too, is of a RealSense sensor, by its message types."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(4096)
+            at = head.find(b"index_pos=")  # of the list of connections, at the end of a ROS bag 2.0
+            file.seek(int.from_bytes(head[at + 10 : at + 18], "little"))
+            return at >= 0 and b"realsense_msgs/" in file.read(_CONNECTIONS)
+    except (OSError, ValueError):
+        return False

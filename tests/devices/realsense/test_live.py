@@ -1,0 +1,151 @@
+"""Live RealSense sensors: the real pyrealsense2, with its software devices and recordings as sensors."""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+
+import pytest
+
+from devices.capture.sensor_choice import cable_unknown, sync_master
+from devices.capture.sensor_pair import TwoSensors
+from devices.capture.sensor_state import TimeLimits
+from devices.capture.settings import CaptureSettings
+from devices.live_sensors import VENDORS, connected_sensors
+from devices.realsense.sdk_access import (
+    connected_realsenses,
+    context_of,
+    open_realsense,
+    sdk_check,
+    sensor_check,
+    set_sync_role,
+)
+from devices.realsense.sensors import RealSenseSensor
+from devices.sensor import AbsentError, DeviceError
+from devices.tracker_choice import TrackerChoice
+from tests.helpers.realsense import LENS, Software, numbered, plugged, record
+from tests.helpers.waiting import eventually
+
+OURS = TrackerChoice("blazepose", "a test")
+
+
+@pytest.fixture(scope="module")
+def two(rs, tmp_path_factory):
+    """Recordings of three seconds of the sensors 1001 and 1002."""
+    folder = tmp_path_factory.mktemp("realsense")
+    with ThreadPoolExecutor() as pool:
+        recorded = [
+            pool.submit(record, rs, folder / f"{serial}.db3", numbered(90), serial=serial, pause_s=0.033)
+            for serial in ("1001", "1002")
+        ]
+    return [one.result() for one in recorded]
+
+
+def _sensor(serial="1001", **settings):
+    return RealSenseSensor(serial, CaptureSettings(**settings))
+
+
+def test_sensors_are_listed_and_opened_by_serial(rs, two):
+    assert connected_realsenses() == []
+    with plugged(rs, *two):
+        listed = [one for one in connected_sensors(OURS) if one.sdk == "realsense"]
+        assert sorted(one.serial for one in listed) == ["1001", "1002"]
+        assert listed[0].description == "Software D455, USB 3.2"
+        assert sync_master(*listed, "1002") == "1002", "the library does not tell of cables"
+        assert "1001" in cable_unknown(*listed)
+        check = sensor_check(listed[0])
+        assert (check.ok, check.needed) == (True, False)
+        with _sensor("1002") as sensor:
+            assert sensor.intrinsics == LENS
+            frames = sensor.frames()
+            first, second = next(frames), next(frames)
+    assert second.time_ns - first.time_ns == pytest.approx(33_333_333, abs=1000)
+    number = int(first.depth[0, 0]) - 2001
+    assert (first.depth == 2001 + number).all()
+    assert (first.ir == number % 251).all()
+    assert first.host_ns is not None
+    assert VENDORS["realsense"].sensor is RealSenseSensor
+
+
+def test_a_sensor_that_is_not_there_is_absent(rs, two):
+    with pytest.raises(AbsentError, match=r"No RealSense sensor with serial 1001\. Connected: none"):
+        _sensor().__enter__()
+    with plugged(rs, two[1]), pytest.raises(AbsentError, match=r"1001\. Connected: 1002\."):
+        _sensor().__enter__()
+
+
+def test_unplugged_mid_stream(rs, two):
+    with plugged(rs, two[0]), _sensor(timeout_ms=200) as sensor:
+        frames = sensor.frames()
+        next(frames)
+        context_of(rs).unload_device(str(two[0]))
+        with pytest.raises(DeviceError, match=r"RealSense 1001 was unplugged or lost its power\. Plug it"):
+            list(frames)
+
+
+def test_a_sensor_without_frames_stalls(rs, tmp_path):
+    short = record(rs, tmp_path / "short.db3", numbered(30), serial="1001")
+    with plugged(rs, short), _sensor(timeout_ms=100, stall_s=0.3) as sensor:
+        frames = sensor.frames()
+        with pytest.raises(DeviceError, match="RealSense 1001 stalls: no depth"):
+            list(frames)
+
+
+def test_a_lost_sensor_is_taken_back(rs, two):
+    told = []
+    sensors = [_sensor(serial, timeout_ms=50, stall_s=0.5) for serial in ("1001", "1002")]
+    pairs = TwoSensors(*sensors, limits=TimeLimits(retry_s=0.05), tell=lambda event: told.append(event.text))
+
+    def paired_now():
+        return any(pair.a is not None and pair.b is not None for pair in pairs.poll())
+
+    def told_now(words):
+        pairs.poll()
+        return any(words in text for text in told)
+
+    with ExitStack() as first:
+        first.enter_context(plugged(rs, two[1]))
+        with plugged(rs, two[0]), pairs:
+            assert eventually(paired_now)
+            first.close()
+            assert eventually(lambda: told_now("RealSense 1002 was unplugged or lost its power"))
+            with plugged(rs, two[1]):
+                assert eventually(lambda: told_now("1002 is back"))
+                assert eventually(paired_now)
+
+
+@pytest.mark.parametrize(("role", "mode"), [("standalone", 0), ("master", 1), ("subordinate", 2)])
+def test_a_place_on_the_sync_cable_is_the_librarys_mode(rs, role, mode):
+    software = Software(rs)
+    software.stereo.set_option(rs.option.inter_cam_sync_mode, 3)
+    set_sync_role(rs, software.device, "1001", CaptureSettings(sync=role))
+    assert software.stereo.get_option(rs.option.inter_cam_sync_mode) == mode
+
+
+@pytest.mark.parametrize("of", [{"sync": False}, {"line": "D500"}])
+def test_a_model_without_master_and_slave_runs_alone_only(rs, of):
+    """D405 and D421 have no sync modes; those of the D500 series have other meanings."""
+    software = Software(rs, **of)
+    set_sync_role(rs, software.device, "1001", CaptureSettings())
+    with pytest.raises(DeviceError, match=r"1001 has no modes master and slave\. Leave --sync-master out"):
+        set_sync_role(rs, software.device, "1001", CaptureSettings(sync="master"))
+
+
+def test_modes_that_it_does_not_have_are_refused(rs, two):
+    with plugged(rs, two[0]):
+        for settings, why in (
+            ({"fps": 5}, "has no depth at 5 fps"),
+            ({"depth_mode": "WFOV_2X2BINNED"}, "leave --depth-mode out"),
+            ({"color": "2160P"}, "no colour 2160P: 720P, 1080P"),
+            ({"color": "720P"}, "has no colour 720P at 30 fps"),
+        ):
+            with pytest.raises(DeviceError, match=why):
+                _sensor(**settings).__enter__()
+        assert open_realsense(rs, "1001").is_connected()
+
+
+def test_the_doctor_knows_the_library(rs, monkeypatch):
+    assert sdk_check().ok
+    assert sdk_check().detail.startswith(rs.__version__)
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    assert not sdk_check().ok
+    assert "pip install '.[realsense]'" in sdk_check().advice
