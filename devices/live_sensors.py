@@ -48,12 +48,14 @@ VENDORS = {
         "Orbbec's sensors", connected_orbbecs, OrbbecSensor, orbbec_sdk_check, orbbec_sensor_check
     ),
     "freenect": Vendor(
-        *("a Kinect v1", connected_freenects, FreenectSensor),
-        *(freenect_library_check, freenect_sensor_check),
+        "a Kinect v1", connected_freenects, FreenectSensor, freenect_library_check, freenect_sensor_check
     ),
     "realsense": Vendor(
-        *("RealSense sensors", connected_realsenses, RealSenseSensor),
-        *(realsense_sdk_check, realsense_sensor_check),
+        "RealSense sensors",
+        connected_realsenses,
+        RealSenseSensor,
+        realsense_sdk_check,
+        realsense_sensor_check,
     ),
 }
 """All vendors but Microsoft, by :attr:`ConnectedSensor.sdk`."""
