@@ -27,7 +27,7 @@ INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 it. 525 is the focal length that ROS's driver assumes."""
 _QUEUE = 4  # moments that wait for the reader
 _EVENTS_S = 0.1  # longest wait for events of USB
-_JPEG_QUALITY = 95
+_JPEG_QUALITY = 90
 
 
 class _Camera:
@@ -202,12 +202,16 @@ class FreenectSensor(LiveSensor):
             if moment is None:
                 continue
             self.rgb = moment.rgb
-            yield SensorFrame(
-                time_ns=moment.time_ns,
-                depth=moment.depth,
-                color=None if self.settings.color is None else compressed(moment.rgb),
-                host_ns=moment.host_ns,
-            )
+            yield self.frame_of(moment, colored=self.settings.color is not None)
+
+    def frame_of(self, moment: FreenectMoment, *, colored: bool = True) -> SensorFrame:
+        """The images of a moment, for a recording always with colour, in which people are found later."""
+        return SensorFrame(
+            time_ns=moment.time_ns,
+            depth=moment.depth,
+            color=compressed(moment.rgb) if colored else None,
+            host_ns=moment.host_ns,
+        )
 
 
 def check_modes(serial: str, settings: CaptureSettings) -> None:
