@@ -37,11 +37,15 @@ class _RealSenseStream(CaptureStream[RealSenseMoment]):
         self._device, self._queue, self._joiner = device, queue, joiner
 
     def poll(self, timeout_ms: int) -> RealSenseMoment | None:
-        """The moment that the next frame completes, if it does."""
-        came, frame = self._queue.try_wait_for_frame(timeout_ms)
-        if not came:
-            raise TimeoutError
-        return self._joiner.add(frame, self.sensor.clock())
+        """The next moment; None if the frames of one stream have no partners in the other."""
+        for _ in range(_QUEUE):
+            came, frame = self._queue.try_wait_for_frame(timeout_ms)
+            if not came:
+                raise TimeoutError
+            moment = self._joiner.add(frame, self.sensor.clock())
+            if moment is not None:
+                return moment
+        return None
 
     def is_connected(self) -> bool:
         """Whether the library still lists the sensor; frames of one that is unplugged stop without an

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from recordings import fuse
 from tests.helpers.machine import need_networks
 from tests.helpers.realsense import BASELINE, LENS, as_exposed, numbered, record
 
+DATA = Path(__file__).resolve().parents[2] / "data"
 OURS = TrackerChoice("blazepose", "a test")
 
 
@@ -116,6 +118,18 @@ def test_without_the_library_one_line_names_the_extra(monkeypatch, tmp_path):
     with pytest.raises(DeviceError, match=r"pip install '\.\[realsense\]'") as fault:
         open_images(tmp_path / "a.db3").__enter__()
     assert "\n" not in str(fault.value)
+
+
+@pytest.mark.usefixtures("rs")
+def test_a_bag_of_an_earlier_version_is_read():
+    """pyrealsense2 2.55.1 wrote it; see ``tests/data/README.md``."""
+    with open_images(DATA / "realsense_2.55.bag") as recording:
+        assert isinstance(recording, RealSenseRecording)
+        frames = list(recording.frames())
+    assert [(int(frame.depth[0, 0]), int(frame.ir[0, 0])) for frame in frames] == [
+        (2001 + k, k) for k in range(6)
+    ]
+    np.testing.assert_allclose(np.diff([frame.time_ns for frame in frames]), 33_333_000, atol=1)
 
 
 def test_a_bag_is_of_realsense_or_of_orbbec(tmp_path):

@@ -1,0 +1,122 @@
+"""One contract for the sensors of all vendors, and the example of CONTRIBUTING.md, which is one more."""
+
+import re
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from devices import live_sensors
+from devices.capture.capture_stream import LiveSensor
+from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.settings import CaptureSettings
+from devices.live_checks import device_checks
+from devices.live_sensors import VENDORS, Vendor, connected_sensors
+from devices.sensor import AbsentError, DeviceError
+from devices.tracker_choice import TrackerChoice
+from fusion.body import BLAZEPOSE
+
+OURS = TrackerChoice("blazepose", "a test")
+PAGE = Path(__file__).resolve().parents[2] / "CONTRIBUTING.md"
+
+
+class Acme(SimpleNamespace):
+    """The library of the example: one sensor, three shots."""
+
+    def __init__(self):
+        super().__init__(there=["7"], opened=[])
+
+    def serials(self):
+        return self.there
+
+    def open(self, serial):
+        shots = [
+            SimpleNamespace(
+                time_ns=k * 33_333_333,
+                depth=np.full((3, 4), k, np.uint16),
+                infrared=np.ones((3, 4), np.uint16),
+            )
+            for k in range(3)
+        ]
+        self.opened.append(serial)
+        return SimpleNamespace(
+            lens=(4, 3, 2.0, 2.0, 2.0, 1.5),
+            wait=lambda _: shots.pop(0) if shots else None,
+            close=lambda: self.opened.remove(serial),
+        )
+
+
+@pytest.fixture
+def example(monkeypatch):
+    """The names of the example, with its library."""
+    monkeypatch.setitem(sys.modules, "acme", Acme())
+    source = re.search(r"```python\n(import time\n.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[1]
+    assert source.count("\n") < 200
+    names = {"__name__": "acme_sensor"}
+    exec(compile(source, PAGE.name, "exec"), names)
+    return SimpleNamespace(**names)
+
+
+@pytest.fixture
+def vendor(request, example):
+    """A row of the table; the example is one, too."""
+    row = Vendor(
+        "Acme sensors", example.connected_acmes, example.AcmeSensor, example.sdk_check, example.sensor_check
+    )
+    return {**VENDORS, "acme": row}[request.param]
+
+
+EVERY = pytest.mark.parametrize("vendor", [*VENDORS, "acme"], indirect=True)
+
+
+@EVERY
+def test_a_missing_library_is_one_line_with_the_way_out(vendor, monkeypatch):
+    for module in ("pyk4a", "pyorbbecsdk", "pyrealsense2", "acme"):
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(DeviceError) as fault:
+        vendor.connected()
+    assert "\n" not in str(fault.value)
+    check = vendor.sdk_check()
+    assert not check.ok
+    assert check.advice
+    with pytest.raises(DeviceError), vendor.sensor("1", CaptureSettings(), FrameDecimation(30)):
+        pass
+
+
+@EVERY
+def test_building_a_sensor_opens_nothing(vendor):
+    decimation = FrameDecimation(30)
+    sensor = vendor.sensor("1", CaptureSettings(), decimation)
+    assert isinstance(sensor, LiveSensor)
+    assert (sensor.name, sensor.body, sensor.decimation) == ("1", BLAZEPOSE, decimation)
+    with pytest.raises(DeviceError, match="is not open: use it in a with statement"):
+        next(sensor.frames())
+    sensor.__exit__()
+
+
+def test_the_example_of_the_page_is_a_sensor(example, monkeypatch):
+    acme = sys.modules["acme"]
+    row = Vendor(
+        "Acme sensors", example.connected_acmes, example.AcmeSensor, example.sdk_check, example.sensor_check
+    )
+    monkeypatch.setitem(live_sensors.VENDORS, "acme", row)
+    assert [one.serial for one in connected_sensors(OURS)] == ["7"]
+    named = {check.name: check for check in device_checks(OURS)}
+    assert named["acme"].ok
+    assert named["Acme 7"].ok
+    with example.AcmeSensor("7", CaptureSettings(timeout_ms=1, stall_s=0.01)) as sensor:
+        frames = sensor.frames()
+        frame = next(frames)
+        assert (frame.time_ns, int(frame.depth[0, 0]), sensor.missed) == (66_666_666, 2, 0), (
+            "the newest moment"
+        )
+        with pytest.raises(DeviceError, match="Acme 7 stalls"):
+            next(frames)
+        acme.there = []
+        with pytest.raises(DeviceError, match="Acme 7 was unplugged"):
+            next(sensor.frames())
+    assert acme.opened == []
+    with pytest.raises(AbsentError, match="No Acme sensor with serial 7"):
+        sensor.__enter__()
