@@ -70,14 +70,16 @@ def choose_streams(
         if profile.is_video_stream_profile() and fps in (None, profile.fps())
     ]
 
-    def of(kind: Any, *formats: Any) -> list[tuple[Any, Any]]:
-        return [one for one in found if one[1].stream_type() == kind and one[1].format() in formats]
+    def of(kind: Any, image_format: Any) -> list[tuple[Any, Any]]:
+        return [one for one in found if (one[1].stream_type(), one[1].format()) == (kind, image_format)]
 
     at = "" if fps is None else f" at {fps} fps"
     depths = of(stream.depth, form.z16)
     if not depths:
         raise DeviceError(f"{label} has no depth{at}. Choose another --fps, or record depth.")
-    infrareds = {_size(one[1]): one for one in reversed(of(stream.infrared, form.y8, form.y16))}
+    # Depth is of the left camera's pixels, which is the first infrared stream. Y16 is not rectified.
+    lefts = sorted(of(stream.infrared, form.y8), key=lambda one: -one[1].stream_index())
+    infrareds = {_size(one[1]): one for one in lefts}
     colors = of(stream.color, form.rgb8)
     if color is not None:
         colors = [one for one in colors if _size(one[1]) == COLOR_SIZES[color]]

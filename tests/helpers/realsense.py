@@ -62,24 +62,25 @@ class Software:
             modes = rs.option_range()
             modes.min, modes.max, modes.step, modes.default = 0, 260, 1, 0
             self.stereo.add_option(rs.option.inter_cam_sync_mode, modes, True)
-        self.depth = self._add(self.stereo, rs.stream.depth, rs.format.z16, 2, lens, fps)
+        self.depth = self.add(self.stereo, rs.stream.depth, rs.format.z16, 2, lens, fps)
         if color:
             self.camera = device.add_sensor("RGB Camera")
-            self.image = self._add(self.camera, rs.stream.color, rs.format.rgb8, 3, lens, fps)
+            self.image = self.add(self.camera, rs.stream.color, rs.format.rgb8, 3, lens, fps)
             beside = rs.extrinsics()
             beside.rotation, beside.translation = np.eye(3).ravel().tolist(), [-baseline, 0.0, 0.0]
             self.depth.register_extrinsics_to(self.image, beside)
         else:
             self.camera = self.stereo
-            self.image = self._add(self.camera, rs.stream.infrared, rs.format.y8, 1, lens, fps)
+            self.image = self.add(self.camera, rs.stream.infrared, rs.format.y8, 1, lens, fps)
 
-    def _add(self, sensor, kind, form, size, lens, fps):
+    def add(self, sensor, kind, form, size, lens, fps, index=1):
         stream, lenses = self.rs.video_stream(), self.rs.intrinsics()
         lenses.width, lenses.height, lenses.fx, lenses.fy = lens.width, lens.height, lens.fx, lens.fy
         lenses.ppx, lenses.ppy, lenses.model = lens.cx, lens.cy, self.rs.distortion.brown_conrady
         lenses.coeffs = [0.0] * 5
         stream.type, stream.fmt, stream.bpp, stream.fps = kind, form, size, fps
-        stream.index, stream.uid = int(kind == self.rs.stream.infrared), int(kind != self.rs.stream.depth)
+        stream.index = index * int(kind == self.rs.stream.infrared)
+        stream.uid = 10 * index + int(kind != self.rs.stream.depth)
         stream.width, stream.height, stream.intrinsics = lens.width, lens.height, lenses
         return sensor.add_video_stream(stream).as_video_stream_profile()
 

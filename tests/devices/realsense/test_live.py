@@ -1,16 +1,21 @@
 """Live RealSense sensors: the real pyrealsense2, with its software devices and recordings as sensors."""
 
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from devices.blazepose.tracked_images import registered_color
 from devices.capture.sensor_choice import cable_unknown, sync_master
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import CaptureSettings
 from devices.live_sensors import VENDORS, connected_sensors
+from devices.realsense.images import MomentJoiner, choose_streams
 from devices.realsense.sdk_access import (
     connected_realsenses,
     context_of,
@@ -64,6 +69,49 @@ def test_sensors_are_listed_and_opened_by_serial(rs, two):
     assert (first.ir == number % 251).all()
     assert first.host_ns is not None
     assert VENDORS["realsense"].sensor is RealSenseSensor
+
+
+def test_infrared_is_that_of_the_depth_images_pixels(rs):
+    """Of the left camera, which is the first infrared stream, and rectified: Y8."""
+    software = Software(rs)
+    for index, form, size in ((2, rs.format.y8, 1), (3, rs.format.y16, 2)):
+        software.add(software.stereo, rs.stream.infrared, form, size, LENS, 30, index)
+    wide = replace(LENS, width=848, height=480)
+    for kind, form, size in ((rs.stream.depth, rs.format.z16, 2), (rs.stream.infrared, rs.format.y8, 1)):
+        software.add(software.stereo, kind, form, size, wide, 30, 5)
+    streams = choose_streams(rs, software.device, "a test", 30)
+    assert (streams.image.stream_index(), streams.image.format()) == (5, rs.format.y8), (
+        "nearest to 640 pixels"
+    )
+    assert (streams.depth.width(), streams.image.width()) == (848, 848)
+    narrow = Software(rs)
+    narrow.add(narrow.stereo, rs.stream.infrared, rs.format.y8, 1, LENS, 30, 2)
+    assert choose_streams(rs, narrow.device, "a test", 30).image.stream_index() == 1
+
+
+def test_a_frame_arrived_when_the_library_says(rs):
+    """Not when the reader had time for it: a late reader is no late sensor."""
+    software = Software(rs)
+    streams, queue = choose_streams(rs, software.device, "a test"), rs.frame_queue(4, True)
+    joiner = MomentJoiner(rs, streams, LENS)
+    streams.start(queue)
+    arrived_ms = time.time_ns() // 1_000_000 - 50
+    software.stereo.set_metadata(rs.frame_metadata_value.time_of_arrival, arrived_ms)
+    software.put(0, *next(numbered(1)))
+    first, moment = (joiner.add(queue.wait_for_frame(1000), 10**12) for _ in range(2))
+    streams.stop()
+    assert first is None
+    assert 49_000_000 <= 10**12 - moment.host_ns < 4_000_000_000
+
+
+def test_colour_comes_registered_where_there_is_no_infrared(rs, tmp_path):
+    color = np.full((LENS.height, LENS.width, 3), (200, 100, 50), np.uint8)
+    exposed = [(k * 33_333_333, depth, color) for k, (_, depth, _) in enumerate(numbered(30), 1)]
+    path = record(rs, tmp_path / "a.db3", exposed, pause_s=0.033, serial="1001", color=True)
+    with plugged(rs, path), _sensor() as sensor:
+        frame = next(sensor.frames())
+    assert frame.ir is None
+    np.testing.assert_allclose(registered_color(frame)[120, 200], (200, 100, 50), atol=3)
 
 
 def test_a_sensor_that_is_not_there_is_absent(rs, two):
