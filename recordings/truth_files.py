@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.csv
 from numpy.typing import NDArray
 
+from devices.sensor import DeviceError
+from devices.skeletons.conventions import find_time_unit
+from devices.skeletons.csv_text import codes, refuse_cut_off, text_rows
 from recordings.errors import RecordingError
 
 SUFFIXES = (".c3d", ".trc", ".csv")
@@ -26,12 +28,14 @@ class TruthFile:
         labels: Names of the M points.
         seconds: (N,) times in order.
         points: (N, M, 3) in the file's unit and axes; NaN where a point is missing.
+        warning: What the user should know about the file, if anything.
     """
 
     name: str
     labels: tuple[str, ...]
     seconds: NDArray[np.float64]
     points: NDArray[np.float64]
+    warning: str = ""
 
 
 def read_truth(path: Path) -> TruthFile:
@@ -41,18 +45,20 @@ def read_truth(path: Path) -> TruthFile:
         RecordingError: The file cannot be read, is not complete, or has no points or times.
     """
     try:
-        labels, seconds, points = _READERS[path.suffix.lower()](path)
+        labels, seconds, points, warning = _READERS[path.suffix.lower()](path)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from None
+    except DeviceError as error:
+        raise RecordingError(str(error)) from None
     points[~np.isfinite(points).all(axis=2)] = np.nan
     if len(labels) == 0 or not np.isfinite(points).any():
         raise RecordingError(f"{path} has no points.")
     if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all():  # false where NaN
         raise RecordingError(f"{path} needs at least two frames, with times that increase.")
-    return TruthFile(str(path), tuple(labels), seconds, points)
+    return TruthFile(str(path), tuple(labels), seconds, points, warning)
 
 
-_Read = tuple[list[str], NDArray[np.float64], NDArray[np.float64]]
+_Read = tuple[list[str], NDArray[np.float64], NDArray[np.float64], str]
 
 
 def _read_c3d(path: Path) -> _Read:
@@ -79,8 +85,8 @@ def _read_c3d(path: Path) -> _Read:
     stated = header[4] - header[3] + 1  # last and first frame; long files have more
     if len(points) < stated:  # ezc3d reads what is there
         raise RecordingError(f"{path} is cut off: it states {stated} frames and has {len(points)}.")
-    points[(residuals < 0.0) | (points == 0.0).all(axis=2)] = np.nan
-    return labels[: points.shape[1]], np.arange(len(points)) / rate, points
+    points[residuals < 0.0] = np.nan
+    return labels[: points.shape[1]], np.arange(len(points)) / rate, _without_origin(points), ""
 
 
 def _read_trc(path: Path) -> _Read:
@@ -89,59 +95,70 @@ def _read_trc(path: Path) -> _Read:
         raise RecordingError(f"{path} is not a .trc: its fourth line does not begin with Frame#.")
     labels = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
     width = 2 + 3 * len(labels)
+    heads, values = (line.split("\t") for line in lines[1:3])
+    stated = dict(zip(heads, values, strict=False)).get("NumFrames", "").strip()
     rows = []
     for number, line in enumerate(lines[_TRC_HEAD:], start=_TRC_HEAD + 1):
         if not line.strip():
             continue
-        cells = line.rstrip("\n").split("\t")
-        cells = (cells + [""] * width)[:width]
+        cells = line.split("\t")
+        if len(cells) < width:
+            raise RecordingError(
+                f"{path}, line {number} is cut off: {len(labels)} points need {width} columns, and it has "
+                f"{len(cells)}."
+            )
         try:
-            rows.append([float(cell) if cell.strip() else math.nan for cell in cells])
+            rows.append([float(cell) if cell.strip() else math.nan for cell in cells[:width]])
         except ValueError:
             raise RecordingError(f"{path}, line {number}: not a row of numbers separated by tabs.") from None
-    values = np.array(rows).reshape(-1, width)
-    return labels, values[:, 1], values[:, 2:].reshape(len(values), -1, 3)
+    if stated.isdecimal() and len(rows) < int(stated):
+        raise RecordingError(f"{path} is cut off: it states {stated} frames and has {len(rows)}.")
+    table = np.array(rows).reshape(-1, width)
+    return labels, table[:, 1], _without_origin(table[:, 2:].reshape(len(table), -1, 3)), ""
+
+
+def _without_origin(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points at exactly 0, 0, 0 are missing."""
+    return np.where((points == 0.0).all(axis=2, keepdims=True), np.nan, points)
 
 
 def _read_csv(path: Path) -> _Read:
-    try:
-        table = pyarrow.csv.read_csv(path)
-        return _of_long(table) if "joint" in table.column_names else _of_wide(table)
-    except (pa.ArrowInvalid, KeyError, ValueError) as error:
+    """A row for each joint and frame, or for each frame with columns such as HEAD_x, HEAD_y and HEAD_z."""
+    text = next(text_rows(path, -1, required=()))
+    times, frame = np.unique(text.times(), return_inverse=True)
+    us, warning = find_time_unit(path, text.time, times)
+    refuse_cut_off(text, None, frame)
+    names = text.table.column_names
+    wide = [name[:-2] for name in names if name.endswith("_x")]
+    columns = [f"{label}_{axis}" for label in wide for axis in "xyz"] or ["joint", *"xyz"]
+    if missing := [name for name in columns if name not in names]:
         raise RecordingError(
-            f"{path} is no .csv of motion ({str(error).splitlines()[0]}). Its columns must be those of "
+            f"{path} is no .csv of motion: it has no column {missing[0]}. Its columns must be those of "
             "duplex export, or time_us,body,joint,x,y,z."
-        ) from None
-
-
-def _times(table: pa.Table) -> NDArray[np.float64]:
-    if "time_us" in table.column_names:
-        return np.asarray(table["time_us"].cast(pa.float64()).to_numpy() * 1e-6)
-    return np.asarray(table["time_s"].cast(pa.float64()).to_numpy())
-
-
-def _of_long(table: pa.Table) -> _Read:
-    """A row for each joint and frame."""
-    if "skeleton" in table.column_names:  # of duplex export: a, b and S*
-        table = table.filter(pc.equal(table["skeleton"], "fused"))
-    elif "body" in table.column_names and len(bodies := pc.unique(table["body"])) > 1:
-        raise ValueError(f"it has {len(bodies)} bodies, and one is compared")
-    joint = table["joint"].combine_chunks().dictionary_encode()
-    seconds, t = np.unique(_times(table), return_inverse=True)
-    labels = [str(name) for name in joint.dictionary.to_pylist()]
-    points = np.full((len(seconds), len(labels), 3), np.nan)
-    for axis, name in enumerate("xyz"):
-        points[t, joint.indices.to_numpy(), axis] = table[name].cast(pa.float64()).to_numpy()
-    return labels, seconds, points
-
-
-def _of_wide(table: pa.Table) -> _Read:
-    """A row for each frame, with columns such as HEAD_x, HEAD_y and HEAD_z."""
-    labels = [name[:-2] for name in table.column_names if name.endswith("_x")]
-    columns = [table[f"{label}_{axis}"].cast(pa.float64()).to_numpy() for label in labels for axis in "xyz"]
-    if not columns:
-        raise ValueError("it has neither a column joint nor columns that end in _x, _y, _z")
-    return labels, _times(table), np.stack(columns, axis=1).reshape(table.num_rows, -1, 3)
+        )
+    if wide:
+        labels, joint = wide, np.tile(np.arange(len(wide)), len(frame))
+        row = np.repeat(np.arange(len(frame)), len(wide))
+        values = np.stack([text.numbers(name, pa.float64()) for name in columns], axis=1).reshape(-1, 3)
+    else:
+        labels, joint = codes(text.table, "joint")
+        row = np.arange(len(frame))
+        if "skeleton" in names:  # of duplex export: a, b and S*
+            row = np.flatnonzero(pc.equal(text.table["skeleton"], "fused").to_numpy())
+        elif "body" in names and len(bodies := codes(text.table, "body")[0]) > 1:
+            raise RecordingError(f"{path} has {len(bodies)} bodies, and one is compared.")
+        joint = joint[row]
+        values = np.stack([text.numbers(axis, pa.float64()) for axis in "xyz"], axis=1)[row]
+    slot = frame[row] * len(labels) + joint
+    order = np.argsort(slot, kind="stable")
+    if len(again := order[1:][np.diff(slot[order]) == 0]):
+        first = int(again.min())
+        raise RecordingError(
+            f"{path}, line {text.line(int(row[first]))}: {labels[joint[first]]} has a second row at one time."
+        )
+    points = np.full((len(times) * len(labels), 3), np.nan)
+    points[slot] = values
+    return labels, 1e-6 * us * times, points.reshape(len(times), -1, 3), warning
 
 
 _READERS = {".c3d": _read_c3d, ".trc": _read_trc, ".csv": _read_csv}

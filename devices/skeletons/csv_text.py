@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
@@ -82,14 +82,18 @@ class TextRows:
         )
 
 
-def text_rows(path: Path, size: int) -> Iterator[TextRows]:
-    """The rows of a file in blocks of this many bytes, at least one."""
+def text_rows(path: Path, size: int, required: Collection[str] = COLUMNS) -> Iterator[TextRows]:
+    """The rows of a file in blocks of this many bytes, at least one.
+
+    Raises:
+        DeviceError: There is no row, no time, or one of the required columns is missing.
+    """
     columns: list[str] = []
     separator, first = ",", 0
     for raw in text_blocks(path, size):
         header = not columns
         if header:
-            columns, separator = _columns(path, raw)
+            columns, separator = _columns(path, raw, required)
         elif not raw.strip():
             continue
         table = _table(path, raw, columns, separator, header)
@@ -101,14 +105,14 @@ def text_rows(path: Path, size: int) -> Iterator[TextRows]:
         raise DeviceError(f"{path} has a header and no rows.")
 
 
-def _columns(path: Path, raw: bytes) -> tuple[list[str], str]:
+def _columns(path: Path, raw: bytes, required: Collection[str]) -> tuple[list[str], str]:
     """The names of the columns in the first line, and what separates them."""
     header = raw[:_LONGEST_HEADER].splitlines()[0].decode("utf-8-sig", "replace")
     separator = max(_SEPARATORS, key=header.count)
     columns = [name.strip() for name in next(csv.reader([header], delimiter=separator), [])]
-    if not set(COLUMNS) <= set(columns) or not TIME_COLUMNS.keys() & set(columns):
+    if not set(required) <= set(columns) or not TIME_COLUMNS.keys() & set(columns):
         columns = [name.lower() for name in columns]  # X beside x is a column of its own
-    missing = [name for name in COLUMNS if name not in columns]
+    missing = [name for name in required if name not in columns]
     if not TIME_COLUMNS.keys() & set(columns):
         missing.insert(0, next(iter(TIME_COLUMNS)))
     if missing:

@@ -55,10 +55,19 @@ def test_what_this_program_exports_is_read(fused_run, tmp_path, name, table):
         ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t1\t2\t3\n2\tx\t1\t2\t3\n", "line 7: not a row of numbers"),
         ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t1\t2\t3\n2\t0\t1\t2\t3\n", "times that increase"),
         ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t\t\t\n2\t1\t\t\t\n", "has no points"),
-        ("t.csv", "a,b\n1,2\n", "neither a column joint nor columns that end in _x"),
+        ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t1\t2\t3\n2\t1\t1\t2\n", "line 7 is cut off"),
+        ("t.csv", "a,b\n1,2\n", "no column time_us"),
+        ("t.csv", "time_s,HEAD_x,HEAD_y\n0,1,2\n", "it has no column HEAD_z"),
+        ("t.csv", "time_s,joint,x,y,z\n0,HEAD,1,2,3\n0,HEAD,1,2,3\n", "line 3: HEAD has a second row"),
+        ("t.csv", "time_s,joint,x,y,z\n0,HEAD,1,2,3\n1,HEAD,1,two,3\n", "line 3: y must be a number"),
+        ("t.csv", "time_s,joint,x,y,z\n0,HEAD,1,2,3\n1,HEAD,1,2\n", "does not have 5 columns"),
         ("t.csv", "time_s,joint,x,y\n0,HEAD,1,2\n", "Its columns must be those of duplex export"),
-        ("t.csv", "time_us,body,joint,x,y,z\n0,1,HEAD,1,2,3\n0,2,HEAD,1,2,3\n", "it has 2 bodies"),
-        ("t.csv", "", "is no .csv of motion"),
+        (
+            "t.csv",
+            "time_us,body,joint,x,y,z\n0,1,HEAD,1,2,3\n0,2,HEAD,1,2,3\n",
+            "has 2 bodies, and one is compared",
+        ),
+        ("t.csv", "", "is empty"),
     ],
 )
 def test_a_file_that_cannot_be_read_says_why(name, text, message, tmp_path):
@@ -73,6 +82,36 @@ def test_a_c3d_that_is_cut_off_says_so(tmp_path):
     path.write_bytes(path.read_bytes()[:8000])
     with pytest.raises(RecordingError, match=r"cut off: it states 500 frames and has 134"):
         read_truth(path)
+
+
+def test_a_trc_that_is_cut_off_says_so(tmp_path):
+    path = write_trc(tmp_path / "t.trc", LABELS, *points_of(50))
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:30]))
+    with pytest.raises(RecordingError, match=r"cut off: it states 50 frames and has 24"):
+        read_truth(path)
+
+
+def test_points_at_the_origin_are_missing(tmp_path):
+    times, points = points_of(50)
+    expected = read_truth(write_trc(tmp_path / "t.trc", LABELS, times, points)).points
+    read = read_truth(write_trc(tmp_path / "t.trc", LABELS, times, np.nan_to_num(points)))
+    np.testing.assert_array_equal(read.points, expected)
+
+
+def test_a_csv_may_have_semicolons_decimal_commas_and_other_units_of_time(tmp_path):
+    (tmp_path / "a.csv").write_text("time_us,body,joint,x,y,z\n" + "".join(
+        f"{50_000 * t},1,{joint},{t}.5,-1.25,{k}\n" for t in range(9) for k, joint in enumerate(LABELS)
+    ))  # fmt: skip
+    (tmp_path / "b.csv").write_text("time_us;joint;x;y;z\n" + "".join(
+        f"{50 * t};{joint};{t},5;-1,25;{k}\n" for t in range(9) for k, joint in enumerate(LABELS)
+    ))  # fmt: skip
+    first, second = (read_truth(tmp_path / f"{name}.csv") for name in "ab")
+    np.testing.assert_allclose(first.seconds, 0.05 * np.arange(9), atol=1e-12)
+    np.testing.assert_allclose(second.seconds, first.seconds, atol=1e-12)
+    np.testing.assert_array_equal(second.points, first.points)
+    assert first.points[4].tolist() == [[4.5, -1.25, k] for k in range(3)]
+    assert first.warning == ""
+    assert "time_us is taken as milliseconds" in second.warning
 
 
 def test_a_missing_file_is_named(tmp_path):
