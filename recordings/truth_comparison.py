@@ -99,11 +99,18 @@ class TruthComparison:
             "fused": Joints(seconds, rows.fused),
         }
         views = found["a"], found["b"]
-        offset = find_offset(body, views, found["fused"], path) if offset_s is None else TimeOffset(offset_s)
+        offset = find_offset(body, views, found["fused"], path)
+        if offset_s is not None:
+            offset = offset.given(offset_s) if offset else TimeOffset(offset_s)
+        elif offset is not None and not offset.sure:
+            raise RecordingError(
+                f"{truth.name} and {session}: the person moves too little to find the offset; give --offset."
+            )
         if offset is None:
             raise RecordingError(
                 f"{truth.name} and {session}: no offset in time makes the movements match. Do they show the "
-                f"same movement, and is the table of names, {table.name}, right? --offset gives an offset."
+                "same movement of a person who moves enough, and is the table of names, "
+                f"{table.name}, right? --offset gives an offset."
             )
         true = {key: path.at(view.seconds - offset.seconds) for key, view in found.items()}
         both = np.isfinite(rows.fused + true["fused"]).any(axis=(1, 2))

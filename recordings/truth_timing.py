@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from fusion.body import Body
+from fusion.errors import CalibrationError
 from fusion.pair_arrays import View
-from fusion.registration.clock_search import find_part_offsets
+from fusion.registration.clock_search import best_offsets, part_offsets
 from fusion.registration.rigid_fit import fit_recording
 from fusion.skeleton import TRACKED
 
@@ -23,8 +25,12 @@ _LONGEST_GAP = 0.1  # seconds without a point that are interpolated
 _SEARCH_RATE = 60.0  # Hz of the truth in the search of the offset, at most
 _HALF_SPAN = 0.1  # seconds before and after, between which a displacement is measured
 _STEPS = 5
+_FITTED = 250  # frames that the rotation is fitted to
 _PARTS = 8  # of the session, for the jackknife
 _LEAST_CORRELATION = 0.6  # of displacements; other movements reached 0.5, the right one 0.8 at least
+_LARGEST_SD, _LARGEST_LAG = 0.015, 0.050  # seconds: the person moves too little to tell
+_CONTRADICTS = 0.020  # seconds between a given offset and one by the motion
+_CORRELATED = 2.0  # standard errors are larger by this factor, because neighbouring frames are alike
 _LEAST_SD = 0.001  # seconds: the RMS error on eight simulated sessions was 0.8 ms
 
 
@@ -36,7 +42,18 @@ class TimeOffset:
     sd_seconds: float = float("nan")  # by the jackknife; NaN where the offset was given
     correlation: float = float("nan")  # of the displacements of S* and of the truth
     lag_seconds: float = float("nan")  # by which S* is behind S_A and S_B, which decide
-    others: tuple[float, ...] = ()  # that match as well, because the movement repeats itself
+    others: tuple[float, ...] = ()  # that match about as well, because the movement repeats itself
+    instead_of: float = float("nan")  # the offset by the motion, where the given one contradicts it
+
+    @property
+    def sure(self) -> bool:
+        """Whether the person moves enough to tell the offset."""
+        return self.sd_seconds <= _LARGEST_SD and abs(self.lag_seconds) <= _LARGEST_LAG
+
+    def given(self, seconds: float) -> TimeOffset:
+        """An offset that is given instead of this one."""
+        near = min(abs(seconds - each) for each in (self.seconds, *self.others)) < _CONTRADICTS
+        return TimeOffset(seconds, instead_of=self.seconds if self.sure and not near else float("nan"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,16 +101,26 @@ def find_offset(body: Body, views: Sequence[Joints], fused: Joints, truth: Joint
     even = truth.seconds[0] + np.arange(int(true_span * rate) + 1) / rate
     own, true = _view(fused), _view(Joints(even, truth.at(even)))
     shorter = true_span < span  # the frames of the first view are compared
-    offsets = find_part_offsets(body, *((true, own) if shorter else (own, true)))
-    if not offsets:
+    pair, sign = ((true, own), -1) if shorter else ((own, true), 1)
+    refined = list[TimeOffset]()
+    for coarse in part_offsets(body, *pair):
+        found = _refined(views, truth, 1e-9 * sign * coarse)
+        if found and all(abs(found.seconds - other.seconds) > _HALF_SPAN for other in refined):
+            refined.append(found)
+    equal = best_offsets(*pair, [sign * round(1e9 * found.seconds) for found in refined])
+    if not equal:
         return None
-    coarse, *others = (1e-9 * (-offset if shorter else offset) for offset in offsets)
-    found = _refined(views, truth, coarse)
+    found, *others = (refined[k] for k in equal)
     of_fused = _refined([fused], truth, found.seconds)
-    if of_fused.correlation < _LEAST_CORRELATION:
+    if of_fused is None or of_fused.correlation < _LEAST_CORRELATION:
         return None
     lag = of_fused.seconds - found.seconds
-    return replace(found, correlation=of_fused.correlation, lag_seconds=lag, others=tuple(others))
+    return replace(
+        found,
+        correlation=of_fused.correlation,
+        lag_seconds=lag,
+        others=tuple(other.seconds for other in others),
+    )
 
 
 def _view(joints: Joints) -> View:
@@ -104,13 +131,19 @@ def _view(joints: Joints) -> View:
     return View(times, joints.positions[seen].astype(np.float32), states)
 
 
-def _refined(views: Sequence[Joints], truth: JointPath, offset: float) -> TimeOffset:
-    """The offset, its standard deviation and the correlation by re-weighted Gauss-Newton steps."""
+def _refined(views: Sequence[Joints], truth: JointPath, offset: float) -> TimeOffset | None:
+    """The offset, its standard deviation and the correlation by re-weighted Gauss-Newton steps.
+
+    None where the joints that each view has in common with the truth determine no rotation.
+    """
     for _ in range(_STEPS):
-        moved, expected, slopes, part = (
-            np.concatenate(each)
-            for each in zip(*(_displacements(view, truth, offset) for view in views), strict=True)
-        )
+        of_views = []
+        for view in views:
+            with suppress(CalibrationError):
+                of_views.append(_displacements(view, truth, offset))
+        if not any(len(moved) for moved, *_ in of_views):
+            return None
+        moved, expected, slopes, part = (np.concatenate(each) for each in zip(*of_views, strict=True))
         errors = moved - expected
         apart = np.linalg.norm(errors, axis=1)
         weights = 1.0 / (1.0 + (apart / max(1.5 * float(np.median(apart)), 1e-9)) ** 2) ** 2
@@ -121,7 +154,7 @@ def _refined(views: Sequence[Joints], truth: JointPath, offset: float) -> TimeOf
         if abs(change) < 1e-5:
             break
     others = (top.sum() - top) / np.maximum(bottom.sum() - bottom, 1e-12)
-    sd = float(np.sqrt((_PARTS - 1) * np.mean((others - change) ** 2)))
+    sd = _CORRELATED * float(np.sqrt((_PARTS - 1) * np.mean((others - change) ** 2)))
     correlation = float(np.sum(moved * expected) / np.sqrt(np.sum(moved**2) * np.sum(expected**2)))
     return TimeOffset(offset, max(sd, _LEAST_SD), correlation=correlation)
 
@@ -129,13 +162,18 @@ def _refined(views: Sequence[Joints], truth: JointPath, offset: float) -> TimeOf
 def _displacements(view: Joints, truth: JointPath, offset: float) -> tuple[Array, Array, Array, Ints]:
     """(N, 3) displacements of a view and of the truth, derivatives of the latter by the offset, and (N,) the
     part of the session."""
-    times, at = view.seconds, view.positions
-    rotation = fit_recording(at, truth.at(times - offset)).rotation
-    step = max(1, round(_HALF_SPAN / max(float(np.median(np.diff(times))), 1e-3)))
+    step = max(1, round(_HALF_SPAN / max(float(np.median(np.diff(view.seconds))), 1e-3)))
+    first, last = truth.seconds[[0, -1]] + offset
+    inside = (view.seconds >= first) & (view.seconds <= last)
+    times, at = view.seconds[inside], view.positions[inside]
+    true = truth.at(times - offset)
+    common = np.flatnonzero(np.isfinite(at + true).any(axis=(1, 2)))
+    chosen = common[:: max(1, len(common) // _FITTED)]
+    rotation = fit_recording(at[chosen], true[chosen]).rotation
     early, late = times[: -2 * step] - offset, times[2 * step :] - offset
     expected, slope = ((truth.at(late, d) - truth.at(early, d)) @ rotation.T for d in (0, 1))
     moved = at[2 * step :] - at[: -2 * step]
     known = np.isfinite(moved + expected).all(axis=2) & (late - early < 6.0 * _HALF_SPAN)[:, None]
     count = np.cumsum(known.any(axis=1))
-    part = np.minimum(count * _PARTS // max(int(count[-1]), 1), _PARTS - 1)
+    part = np.minimum(count * _PARTS // max(int(count.max(initial=0)), 1), _PARTS - 1)
     return moved[known], expected[known], -slope[known], np.broadcast_to(part[:, None], known.shape)[known]

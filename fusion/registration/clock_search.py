@@ -5,6 +5,7 @@ are correlated at all offsets. The largest peaks are candidates; a rigid registr
 tells which one puts the person in the same place.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,6 +33,8 @@ _PART_OVERLAP = 0.1  # where one may be a calm part of the other
 _EQUAL = 2.0  # times the least cost: a larger one is of other places
 _AS_MANY = 0.9  # of the most frames that two views have in common
 _CANDIDATES = 6
+_PART_CANDIDATES = 32  # a walk repeats itself twice a second
+_COARSE = 2.5  # cost at an offset that is not refined: a larger one is of other places
 _LEAST_CORRELATION = 0.2
 _AMBIGUOUS = 1.6  # a candidate whose 1 - r is smaller by this factor is right where the places do not tell
 _STEP_NS, _STEPS = 16_666_667, 8
@@ -68,7 +71,7 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     times, reach = b.time_ns + base, _REACH_NS + 1_000_000_000
     within = np.flatnonzero((times > a.time_ns[0] - reach) & (times < a.time_ns[-1] + reach))
     shifted = b.chosen(within)._replace(time_ns=times[within])
-    peaks = _peaks(body, a, shifted, () if apart else (0,), _REACH_NS, _OVERLAP)
+    peaks = _peaks(body, a, shifted, () if apart else (0,))
     if len(peaks) == (not apart):
         return None
     offsets = [offset for offset, _ in peaks]
@@ -90,31 +93,51 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     return None if found is None or abs(found.offset_ns - base) < least_ns else found
 
 
-def find_part_offsets(body: Body, a: View, b: View) -> list[int]:
-    """The times to add to B's clock, ns, at which one view may be a part of the other.
+def part_offsets(body: Body, a: View, b: View) -> list[int]:
+    """The times to add to B's clock, ns, at which one view may be a part of the other: candidates.
 
-    All offsets at which the views overlap are searched.
-
-    Returns:
-        Those that match equally well, as where a movement repeats itself, most frames in common first.
+    All offsets at which the views overlap are searched; the largest correlation is first.
     """
     if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
         return []
     base = int(a.time_ns[0] - b.time_ns[0])
     shifted = b._replace(time_ns=b.time_ns + base)
     reach_ns = int(max(np.ptp(a.time_ns), np.ptp(b.time_ns)))
-    peaks = _peaks(body, a, shifted, (), reach_ns, _PART_OVERLAP)
-    costs = [_costs(a, shifted, offset) for offset, _ in peaks]
+    x, y, reach = _signals(body, a, shifted, reach_ns)
+    known_x, known_y = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
+    x, y = np.nan_to_num(x), np.nan_to_num(y)
+    # speeds about their means in what the views have in common, which may be a calm part of one
+    count = np.maximum(_correlate(known_x, known_y), 1.0)
+    mean_x, mean_y = _correlate(x, known_y) / count, _correlate(known_x, y) / count
+    product = (_correlate(x, y) - count * mean_x * mean_y).sum(axis=1)
+    power_x = (_correlate(x * x, known_y) - count * mean_x**2).sum(axis=1)
+    power_y = (_correlate(known_x, y * y) - count * mean_y**2).sum(axis=1)
+    r = _coefficients(product, power_x, power_y, _PART_OVERLAP)
+    offsets = [offset for offset, _ in _largest(r, reach, _PART_CANDIDATES)]
+    mean = _means(np.array([_costs(a, shifted, offset) for offset in offsets]))
+    most = max(_COARSE, min(mean, default=0.0))
+    return [base + offset for offset, cost in zip(offsets, mean, strict=True) if cost <= most]
+
+
+def best_offsets(a: View, b: View, offsets: Sequence[int]) -> list[int]:
+    """The offsets at which the registered views match best.
+
+    Returns:
+        The indices of those that match about as well as the best one, as where a movement repeats itself.
+        Those that are not certainly worse are first, and of them those with most frames in common.
+    """
+    costs = [_costs(a, b, offset) for offset in offsets]
     frames = [int(np.isfinite(cost).sum()) for cost in costs]
     if not (known := [k for k, count in enumerate(frames) if count >= _FEWEST]):
         return []
     mean = _means(np.array(costs))
     best = min(known, key=mean.__getitem__)
-    near = [k for k in known if k != best and mean[k] < _EQUAL * mean[best]]
-    equal = [best, *(k for k in near if not _better(costs[best], costs[k]))]
-    enough = _AS_MANY * max(frames[k] for k in equal)
-    equal.sort(key=lambda k: (frames[k] < enough, mean[k]))
-    return [base + peaks[k][0] for k in equal]
+    near = [k for k in known if mean[k] < _EQUAL * mean[best]]
+    worse = {k: k != best and _better(costs[best], costs[k]) for k in near}
+    enough = _AS_MANY * max(frames[k] for k in near if not worse[k])
+    # the views' errors may make a repetition certainly worse; one so near to the best offset is none
+    equal = [k for k in near if not worse[k] or abs(offsets[k] - offsets[best]) > _APART * _GRID_NS]
+    return sorted(equal, key=lambda k: (worse[k], frames[k] < enough, mean[k]))
 
 
 def find_clock_skew(a: View, b: View, middle: ClockOffset) -> ClockOffset:
@@ -187,21 +210,39 @@ def _minimum(costs: Array) -> float:
     return k + _vertex(-means[max(k - 1, 0) : k + 2])
 
 
-def _peaks(
-    body: Body, a: View, b: View, besides: tuple[int, ...], reach_ns: int, overlap: float
-) -> list[tuple[int, float]]:
+def _peaks(body: Body, a: View, b: View, besides: tuple[int, ...]) -> list[tuple[int, float]]:
     """The largest correlations of the speeds: offset in ns, and r; and those at the offsets ``besides``."""
+    x, y, reach = _signals(body, a, b, _REACH_NS)
+    known_x, known_y = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
+    x, y = np.nan_to_num(x), np.nan_to_num(y)
+    product, power_x, power_y = (
+        _correlate(first, second).sum(axis=1)
+        for first, second in ((x, y), (x * x, known_y), (known_x, y * y))
+    )
+    r = _coefficients(product, power_x, power_y, _OVERLAP)
+    return [(offset, float(r[reach - offset // _GRID_NS])) for offset in besides] + _largest(
+        r, reach, _CANDIDATES
+    )
+
+
+def _signals(body: Body, a: View, b: View, reach_ns: int) -> tuple[Array, Array, int]:
+    """The speeds of A, and of B from ``reach`` steps before to ``reach`` after."""
     reach = reach_ns // _GRID_NS
     count = int((a.time_ns[-1] - a.time_ns[0]) // _GRID_NS) + 1
     grid = a.time_ns[0] + _GRID_NS * np.arange(-reach, count + reach)
-    x, y = _speeds(body, a, grid[reach : reach + count]), _speeds(body, b, grid)
-    known_x, known_y = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
-    x, y = np.nan_to_num(x), np.nan_to_num(y)
-    product, power_x, power_y = _correlate(x, y), _correlate(x * x, known_y), _correlate(known_x, y * y)
+    return _speeds(body, a, grid[reach : reach + count]), _speeds(body, b, grid), reach
+
+
+def _coefficients(product: Array, power_x: Array, power_y: Array, overlap: float) -> Array:
+    """The correlation at each offset; -inf where less than a share of either motion is in common."""
     enough = (power_x > overlap * power_x.max()) & (power_y > overlap * power_y.max())
-    r = np.where(enough, product / np.sqrt(np.where(enough, power_x * power_y, 1.0)), -np.inf)
-    peaks = [(offset, float(r[reach - offset // _GRID_NS])) for offset in besides]
-    for _ in range(_CANDIDATES):
+    return np.where(enough, product / np.sqrt(np.where(enough, power_x * power_y, 1.0)), -np.inf)
+
+
+def _largest(r: Array, reach: int, count: int) -> list[tuple[int, float]]:
+    """The offsets in ns of the largest peaks, and r."""
+    peaks, r = [], r.copy()
+    for _ in range(count):
         k = int(np.argmax(r))
         if r[k] < _LEAST_CORRELATION:
             break
@@ -219,10 +260,10 @@ def _vertex(r: Array) -> float:
 
 
 def _correlate(x: Array, y: Array) -> Array:
-    """Σ x_n y_{n+k} over all signals, for each k at which x lies within y."""
+    """Σ x_n y_{n+k} of each signal, for each k at which x lies within y."""
     size = len(x) + len(y)
-    spectrum = (np.conj(np.fft.rfft(x, size, axis=0)) * np.fft.rfft(y, size, axis=0)).sum(axis=1)
-    return np.asarray(np.fft.irfft(spectrum, size)[: len(y) - len(x) + 1])
+    spectrum = np.conj(np.fft.rfft(x, size, axis=0)) * np.fft.rfft(y, size, axis=0)
+    return np.asarray(np.fft.irfft(spectrum, size, axis=0)[: len(y) - len(x) + 1])
 
 
 def _speeds(body: Body, view: View, grid: NDArray[np.int64]) -> Array:

@@ -10,7 +10,7 @@ from devices.skeletons.name_tables import name_table
 from fusion.body import AZURE_KINECT
 from fusion.joint_rotations import rotations_of
 from fusion.pair_arrays import View
-from fusion.registration.clock_search import find_part_offsets
+from fusion.registration.clock_search import best_offsets, part_offsets
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED
@@ -55,6 +55,33 @@ def test_offset_and_distance_are_those_of_the_benchmark(
     truth = fit_recording(rows.fused, truth).apply(truth)
     expected = accuracy(AZURE_KINECT, rows.fused, truth, rows.states_a, rows.states_b, 1 / 30)["mpjpe"]
     assert np.nanmean(found.distance["fused"]) == pytest.approx(expected, abs=0.0005)
+
+
+@pytest.mark.parametrize(("offset", "seconds"), [(9.2, 1.5), (11.1, 1.5), (12.7, 2.5), (18.7, 1.5)])
+def test_the_offset_of_a_few_steps_is_found_or_listed(walk, offset, seconds):
+    file = truth_of(walk, offset_s=offset, seconds=seconds, missing=0.1)
+    found = TruthComparison.of(walk.session, file).offset
+    nearest = min((found.seconds, *found.others), key=lambda each: abs(each - offset))
+    assert nearest == pytest.approx(offset, abs=0.003)
+    if nearest != found.seconds:  # the simulated walk repeats itself
+        assert abs(found.seconds - offset) == pytest.approx(11.5, abs=0.003)
+
+
+@pytest.mark.parametrize(("sd", "lag"), [(0.05, 0.0), (0.001, -0.2)])
+def test_an_offset_that_is_not_certain_is_refused(walk, sd, lag, monkeypatch):
+    monkeypatch.setattr(
+        "recordings.truth_comparison.find_offset",
+        lambda *_: TimeOffset(3.7, sd_seconds=sd, correlation=0.9, lag_seconds=lag),
+    )
+    file = truth_of(walk, offset_s=3.7, seconds=12.0)
+    with pytest.raises(RecordingError, match="moves too little to find the offset; give --offset"):
+        TruthComparison.of(walk.session, file)
+    assert TruthComparison.of(walk.session, file, offset_s=3.7).offset.seconds == 3.7
+
+
+def test_a_truth_of_somebody_who_stands_is_refused(walk):
+    with pytest.raises(RecordingError, match="of a person who moves enough"):
+        TruthComparison.of(walk.session, truth_of(walk, offset_s=0.3, seconds=2.0))
 
 
 def test_gaps_of_half_a_second_stay_gaps(walk):
@@ -147,8 +174,9 @@ def test_standing_before_a_movement_that_repeats_itself_is_no_part_of_it():
         return View(np.rint(1e9 * seconds).astype(np.int64), at.astype(np.float32), states)
 
     truth, session = view(660, -3.7, 0.001), view(900, 0.0, 0.03)  # at 8 s more, all of the truth is covered
-    first, *_ = find_part_offsets(AZURE_KINECT, truth, session)
-    assert first == pytest.approx(3.7e9, abs=3e7)
+    offsets = part_offsets(AZURE_KINECT, truth, session)
+    first, *_ = best_offsets(truth, session, offsets)
+    assert offsets[first] == pytest.approx(3.7e9, abs=3e7)
 
 
 @pytest.mark.parametrize("motion", ["squat", "steps", "turn"])
