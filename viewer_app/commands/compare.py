@@ -1,5 +1,6 @@
 """``duplex compare``: compares a session with motion capture, or with another fusion of the same capture."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -44,17 +45,22 @@ from viewer_app.viewer.file_window import written_and_shown
 
 _APPLICATION_ID = f"{layout.APPLICATION_ID}_compare"
 _EYE = np.array([-1.1, -0.4, -2.4])  # metres, from the person in K_A's frame
+_WORST = 5  # moments in which two sessions differ most
 _OF_TRUTH = ("names", "offset", "html", "report")  # options for motion capture only
 
 
 def run(options: CompareOptions) -> None:
     """Runs the command."""
     console = Console(highlight=False)
-    if options.worst < 0:
+    if options.worst is not None and options.worst < 0:
         raise UsageError(f"--worst {options.worst}: how many moments to list, 0 or more.")
+    if options.offset is not None and not math.isfinite(options.offset):
+        raise UsageError(f"--offset {options.offset}: must be a number of seconds.")
     inputs = [options.first, options.second]
     check_outputs([options.html, options.report], inputs, options.force, options.save)
     if options.second.suffix.lower() in SUFFIXES:
+        if options.worst is not None:
+            raise UsageError(f"--worst is for two sessions; {options.second} is motion capture.")
         _compare_with_truth(options, console)
     elif given := [name for name in _OF_TRUTH if getattr(options, name) is not None]:
         known = ", ".join(SUFFIXES)
@@ -67,6 +73,8 @@ def _compare_with_truth(options: CompareOptions, console: Console) -> None:
     table = None if options.names is None else name_table(options.names)
     session, truth = Session.open(options.first), read_truth(options.second)
     print_damage(console, session)
+    if truth.warning:
+        print_lines(console, [Line("", truth.warning, True)])
     comparison = TruthComparison.of(session, truth, table, options.offset)
     figures = truth_figures(comparison)
     if options.html is not None:
@@ -87,7 +95,7 @@ def _compare_with_truth(options: CompareOptions, console: Console) -> None:
     console.print(f"{frames} compared: {names}.", soft_wrap=True)
     print_lines(console, truth_lines(figures))
     console.print(figure_table("", ALL_HEAD, all_rows(figures)))
-    head = "Angles, degrees: RMSE and correlation; range of the truth: of each"
+    head = "Angles, degrees: RMSE and correlation; range of motion"
     console.print(figure_table(head, ANGLE_HEAD, angle_rows(figures)))
     if options.verbose:
         head = "Joints, mm: mean distance, its constant part, mean of the rest"
@@ -103,7 +111,7 @@ def _compare_sessions(options: CompareOptions, console: Console) -> None:
     for session in sessions:
         print_damage(console, session)
     comparison = Comparison.of(*sessions)
-    worst = comparison.worst(options.worst)
+    worst = comparison.worst(_WORST if options.worst is None else options.worst)
     window = not options.no_viewer and has_display()
     with written_and_shown(options.save, window) as path:
         if path is not None:

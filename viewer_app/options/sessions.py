@@ -97,8 +97,8 @@ class CompareOptions(SummaryOptions):
     """Write all figures as JSON."""
     save: Annotated[Path | None, OUTPUTS] = None
     """Keep the skeletons and their difference as an .rrd file."""
-    worst: Annotated[int, WHOLE_NUMBER] = 5
-    """Of two sessions: how many of the moments in which they differ most to list."""
+    worst: Annotated[int | None, WHOLE_NUMBER] = None
+    """Of two sessions: how many of the moments in which they differ most to list; 5 if not given."""
     no_viewer: Annotated[bool, VIEWER] = False
     """Do not open the viewer."""
     force: Annotated[bool, OUTPUTS] = False

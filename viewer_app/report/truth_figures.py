@@ -17,7 +17,7 @@ ALL_HEAD = ("distance to the truth, mm", *NAMES)
 """The columns of :func:`all_rows`."""
 JOINT_HEAD = ("joint", *NAMES)
 """The columns of :func:`joint_rows`."""
-ANGLE_HEAD = ("angle", *NAMES, "range")
+ANGLE_HEAD = ("angle", *NAMES, "range: truth / A / B / S*")
 """The columns of :func:`angle_rows`."""
 _RANGE = 1.0, 99.0  # percentiles that a range of motion lies between
 _LEAST_RANGE = 1.0  # degrees: the correlation of an angle that moves less says nothing
@@ -36,6 +36,7 @@ def truth_figures(comparison: TruthComparison) -> Figures:
         "offset_s": offset.seconds,
         "offset_sd_ms": known_or_none(1e3 * offset.sd_seconds),
         "equal_offsets_s": list(offset.others),
+        "offset_by_motion_s": known_or_none(offset.instead_of),
         "lag_ms": known_or_none(1e3 * offset.lag_seconds),
         "a_from_truth": {
             "rotation": transform.rotation.tolist(),
@@ -59,11 +60,15 @@ def truth_lines(figures: Figures) -> Iterator[Line]:
     sd, lag, others = figures["offset_sd_ms"], figures["lag_ms"], figures["equal_offsets_s"]
     certain = "as given" if sd is None else f"± {sd:.1f} ms"
     yield Line("Offset", f"{figures['offset_s']:.4f} s to add to the truth's times, {certain}.")
+    if (motion := figures["offset_by_motion_s"]) is not None:
+        yield Line("", f"The motion contradicts it: by the motion, the offset is {motion:.4f} s.", True)
     if others:
         equal = ", ".join(f"{other:.2f} s" for other in others)
-        yield Line("", f"The movement repeats itself: {equal} match as well. State one with --offset.", True)
+        yield Line(
+            "", f"The movement repeats itself: {equal} match about as well. State one with --offset.", True
+        )
     if lag is not None:
-        yield Line("Lag", f"S* is {lag:.1f} ms behind the two views.")
+        yield Line("Lag", f"S* is {abs(lag):.1f} ms {'behind' if lag >= 0.0 else 'ahead of'} the two views.")
 
 
 _OF_ALL = {
@@ -100,11 +105,11 @@ _PARTS_OF_DISTANCE = "mean", "constant_length", "rest_mean"
 def angle_rows(figures: Figures) -> Iterator[list[str]]:
     """Of each angle and skeleton: RMSE in degrees and correlation; ranges of motion, the truth's first."""
     for name, of in figures["angles"].items():
-        ranges = [_digits(of[key]["range_deg"], 0) for key in SKELETONS]
+        ranges = [of["fused"]["true_range_deg"], *(of[key]["range_deg"] for key in SKELETONS)]
         yield [
             name.replace("_", " "),
             *(f"{_digits(of[key]['rmse_deg'], 1)} {_digits(of[key]['correlation'], 2)}" for key in SKELETONS),
-            f"{_digits(of['fused']['true_range_deg'], 0)}: {' '.join(ranges)}",
+            " / ".join(_digits(degrees, 0) for degrees in ranges),
         ]
 
 

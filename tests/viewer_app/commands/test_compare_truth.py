@@ -76,9 +76,20 @@ def test_names_of_ones_own_take_a_table(walk, tmp_path, capsys):
     assert "25 joints by the table" in capsys.readouterr().out.replace("\n", " ")
     assert duplex("compare", *files) == 2
     assert "0 of the joints of kinect_v2 are found" in one_line(capsys)
-    table.write_text("\n".join(["[joints]", *lines, 'THUMB_LEFT = "m99"']))
+    table.write_text("\n".join(["[joints]", *lines[:-1], f'{KINECT_V2.joints[-1]} = "m99"']))
     assert duplex("compare", *files, "--names", table) == 2
     assert "'m99'; the file has m0, m1, m2" in one_line(capsys)
+
+
+def test_an_offset_that_the_motion_contradicts_is_kept_with_a_warning(walk, capsys):
+    warning = "The motion contradicts it: by the motion, the offset is 3.70"
+    files = walk / "walk.rrd", walk / "walk.c3d", "--no-viewer"
+    assert duplex("compare", *files, "--offset", "3.75") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "3.7500 s to add to the truth's times, as given" in said
+    assert warning in said
+    assert duplex("compare", *files, "--offset", "3.705") == 0
+    assert warning not in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(
@@ -88,6 +99,8 @@ def test_names_of_ones_own_take_a_table(walk, tmp_path, capsys):
         ("walk.c3d walk.c3d", "walk.c3d"),
         ("walk.rrd walk.c3d --names vicon", "No table of names 'vicon'"),
         ("walk.rrd walk.c3d --offset 100", "covers 0 frames"),
+        ("walk.rrd walk.c3d --offset nan", "--offset nan: must be a number of seconds"),
+        ("walk.rrd walk.c3d --worst 3", "--worst is for two sessions"),
         ("walk.rrd walk.rrd --html c.html", "--html is for motion capture"),
         ("walk.rrd walk.c3d --html walk.c3d", "is also read"),
     ],
