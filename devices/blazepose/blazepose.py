@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from devices.blazepose.grey_image import compressed, evened
 from devices.blazepose.joints import joints_of
 from devices.blazepose.landmark_kinds import TRUNK
-from devices.blazepose.lifting import BodyLandmarks, lift
+from devices.blazepose.lifting import BodyLandmarks, lift, rays
+from devices.blazepose.limbs import LimbLengths, with_lengths
 from devices.blazepose.networks.files import LANDMARKS as LANDMARK_FILES
 from devices.blazepose.networks.files import cache_folder, checked_content, files_of
 from devices.blazepose.networks.inference import (
@@ -106,6 +107,7 @@ class BlazePose:
         self._networks: tuple[Detector, LandmarkNetwork] | None = None
         self._last: _Sighting | None = None
         self._person = 0
+        self._limbs = LimbLengths()  # of the person
         self._searched = 0  # images without the person in a row: every other one is searched closer
 
     def __enter__(self) -> BlazePose:
@@ -235,10 +237,16 @@ class BlazePose:
         middle = lifted.positions[TRUNK].mean(axis=0)
         if self._last is None:
             self._person += 1
+            self._limbs = LimbLengths()
         elif not self._last.may_be(middle, time_ns, depth, intrinsics):
             return None
         self._searched = 0
         self.region = Region.around(pixels[CENTRE], pixels[RIM])
         still = _Sighting(self.region, middle, np.zeros(3), time_ns)
         self._last = still if self._last is None else self._last.next(self.region, middle, time_ns)
-        return Skeleton.of(BLAZEPOSE, *joints_of(lifted, pixels[:LANDMARKS], depth), time_ns)
+        pixels = pixels[:LANDMARKS]
+        self._limbs.observe(lifted.positions, lifted.seen)
+        at = rays(pixels, intrinsics)
+        moved, seen = with_lengths(lifted.positions, lifted.seen, at, self._limbs.lengths())
+        lifted = replace(lifted, positions=moved, seen=seen)
+        return Skeleton.of(BLAZEPOSE, *joints_of(lifted, pixels, depth), time_ns)

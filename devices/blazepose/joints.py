@@ -11,7 +11,8 @@ from fusion.skeleton import TrackingState
 Array = NDArray[np.float64]
 
 _SEEN_SHARE = 0.35  # of a joint's landmarks, by weight, that must be seen: one hip, or one ear
-_DEEPEST = 0.25  # metres of a joint of the trunk or the head beneath the skin; what is nearer covers it
+_DEEPEST = {"PELVIS": 0.25, "SPINE_NAVEL": 0.25, "NECK": 0.15, "HEAD": 0.25}
+"""Metres of a derived joint beneath the skin of a person of size 1; what is nearer covers it."""
 _WINDOW = 2  # pixels to each side of such a joint that are read
 
 
@@ -63,7 +64,7 @@ JOINT_WEIGHTS = _weights()
 """(J, 33) each joint of the body as an affine combination of landmarks; each row sums to 1."""
 
 _MAGNITUDES = np.abs(JOINT_WEIGHTS) / np.abs(JOINT_WEIGHTS).sum(axis=1, keepdims=True)
-_DERIVED = np.array([BLAZEPOSE.joint(name) for name in ("PELVIS", "SPINE_NAVEL", "NECK", "HEAD")])
+_DERIVED = np.array([BLAZEPOSE.joint(name) for name in _DEEPEST])
 _PARTS: NDArray[np.bool_] = JOINT_WEIGHTS >= 0.3  # the landmarks of a joint, not those that it is moved along
 _PARTS[_DERIVED] = JOINT_WEIGHTS[_DERIVED] != 0.0
 
@@ -84,13 +85,15 @@ def joints_of(lifted: Lifted, pixels: Array, depth: NDArray[np.uint16]) -> tuple
     states[known] = TrackingState.INFERRED
     states[known & ~(_PARTS & ~lifted.seen).any(axis=1)] = TrackingState.TRACKED
     seen_share = _MAGNITUDES @ lifted.seen
-    for j in _DERIVED[known[_DERIVED]]:
+    for j, deepest in zip(_DERIVED, _DEEPEST.values(), strict=True):
+        if not known[j]:
+            continue
         u, v = np.rint(JOINT_WEIGHTS[j] @ pixels).astype(int)
         window = depth[
             max(0, v - _WINDOW) : max(0, v + _WINDOW + 1), max(0, u - _WINDOW) : max(0, u + _WINDOW + 1)
         ]
         readings = window[window > 0]
         above = positions[j, 2] - 0.001 * float(np.median(readings)) if readings.size else np.inf
-        tracked = seen_share[j] >= _SEEN_SHARE and 0.0 < above < _DEEPEST * lifted.size
+        tracked = seen_share[j] >= _SEEN_SHARE and 0.0 < above < deepest * lifted.size
         states[j] = TrackingState.TRACKED if tracked else TrackingState.INFERRED
     return positions, states

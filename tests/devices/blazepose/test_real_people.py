@@ -10,6 +10,7 @@ from tests.helpers.machine import need_networks
 from tests.helpers.real_people import CAMERA, clip, marks
 
 STATURE = 1.70  # metres; the men's is unknown. Their error in pixels is stated as a share of it.
+LENGTHS_VARY = 0.12  # standard deviation of a bone's length over a clip, as a share of its mean
 GOAL = 0.04  # of the stature: the project's
 
 
@@ -53,3 +54,18 @@ def test_joints_are_within_a_twenty_fifth_of_the_height_of_marks_made_by_hand(na
     assert len(found) == marked
     assert found.mean() < 0.025
     assert (found < GOAL).mean() > 0.8
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [("pointing", "middle"), ("standing_and_seated", "left"), ("standing_and_seated", "right")],
+)
+def test_bones_of_a_person_keep_their_lengths(name, wanted):
+    """Without learned lengths an upper arm that points at the sensor varies by 25 %."""
+    positions = np.array([skeleton.positions for _, skeleton in tracked(name, wanted)])
+    joint = BLAZEPOSE.joint
+    for near, far in (("SHOULDER", "ELBOW"), ("ELBOW", "WRIST"), ("HIP", "KNEE"), ("KNEE", "ANKLE")):
+        for side in ("LEFT", "RIGHT"):
+            bones = positions[:, joint(f"{far}_{side}")] - positions[:, joint(f"{near}_{side}")]
+            lengths = np.linalg.norm(bones, axis=1)
+            assert lengths.std() < LENGTHS_VARY * lengths.mean(), (near, side)
