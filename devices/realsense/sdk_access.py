@@ -23,8 +23,8 @@ def load_sdk() -> ModuleType:
         import pyrealsense2
     except (ImportError, OSError) as fault:
         raise DeviceError(
-            f"RealSense sensors need pyrealsense2, which cannot be imported ({fault}). {COMMAND}; on macOS "
-            f"build it from librealsense."
+            f"RealSense sensors need pyrealsense2, which cannot be imported ({fault}). {COMMAND}; on Linux "
+            f"it needs libusb (Debian: apt install libusb-1.0-0), on macOS build it from librealsense."
         ) from fault
     return pyrealsense2  # type: ignore[no-any-return]
 
