@@ -136,7 +136,7 @@ def _moments(
             "They must be of the same capture, on one clock."
         )
     alone_a, alone_b = (
-        np.setdiff1d(np.arange(len(times)) if every_frame else _in_gaps(times, others), paired)
+        _without(len(times), paired) if every_frame else np.setdiff1d(_in_gaps(times, others), paired)
         for times, others, paired in ((time_a, time_b, chosen), (time_b, time_a, nearest_b[chosen]))
     )
     moments = np.concatenate(
@@ -147,6 +147,13 @@ def _moments(
         ]
     )
     return moments[np.argsort(moments[:, 0], kind="stable")]
+
+
+def _without(count: int, some: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The other numbers below a count."""
+    others = np.ones(count, dtype=np.bool_)
+    others[some] = False
+    return np.flatnonzero(others)
 
 
 def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ from fusion.facing.filter import FORGET_SECONDS, decide, update_facing
 from fusion.facing.labels import Labels
 from fusion.facing.model import HEADINGS, FacingModel, FacingState, ReportedPair, new_facing_model
 from fusion.facing.whole_body import retrodict, set_headings, set_turning
+from fusion.large_arrays import parts
 
 Floats = NDArray[np.float64]
 
@@ -71,14 +72,13 @@ def reported_pairs(
         sensor_b: (3,) position of K_B in K_A's frame.
         up: (3,) against gravity; learned from the person where None.
     """
+    stale = np.stack([np.isnan(view).all(axis=(1, 2)) for view in map(np.asarray, views)], axis=1)
+    for of_view, view in zip(stale.T, map(np.asarray, views), strict=True):
+        seen = np.flatnonzero(~of_view)  # not where there is no person, or no frame
+        for part in parts(max(len(seen) - 1, 0)):
+            later, before = view[seen[1:][part]], view[seen[:-1][part]]
+            of_view[seen[1:][part]] = ((later == before) | np.isnan(later)).all(axis=(1, 2))
     positions = np.stack([np.asarray(view, dtype=np.float64) for view in views], axis=1)
-    stale: NDArray[np.bool_] = np.asarray(
-        np.isnan(positions).all(axis=(2, 3))
-    )  # a view without a person, or without a frame
-    for view in range(2):
-        seen = np.flatnonzero(~stale[:, view])
-        later, before = positions[seen[1:], view], positions[seen[:-1], view]
-        stale[seen[1:], view] = ((later == before) | np.isnan(later)).all(axis=(1, 2))
     if up is None:
         up = upright_direction(body, positions[:, 0], positions[:, 1])
     return ReportedPair(
