@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from devices.azure.mkv import MkvInfo, MkvRecording
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
 from devices.blazepose.tracked_images import TrackedImages
+from devices.capture.host_clock import offset_by_arrival
 from devices.depth.image_thinning import Depth, thinned, thinned_camera
 from devices.depth.witness import with_witness
 from devices.orbbec.playback import SUFFIX as BAG
@@ -244,9 +245,11 @@ def read_two(
             f"{a.name} has the {len(a.body)} joints of {a.body.name}, {b.name} the {len(b.body)} of "
             f"{b.body.name}. Both sensors must be of one family."
         )
-    clock = None
+    clock = by_arrival = None
     if offset_ns is None:
-        clock = _clock_correction(a.body, read_a.seen, read_b.seen)
+        read_arrivals = read_a.arrivals, read_b.arrivals
+        by_arrival = None if _synced(read_a.info, read_b.info) else offset_by_arrival(*read_arrivals)
+        clock = by_arrival or _clock_correction(a.body, read_a.seen, read_b.seen)
         give_back()
     # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
     tolerance_ns = None if clock is None else median_interval(read_a.seen.time_ns)
@@ -259,7 +262,11 @@ def read_two(
         every_frame=every_frame,
     )
     about_clocks = clock_warnings(read_a.info, read_b.info, pairing.pairs)
-    if clock is not None:
+    if by_arrival is not None:
+        about_clocks = [
+            "B's times were put on A's clock by the frames' arrival on the PC that recorded them."
+        ]
+    elif clock is not None:
         about_clocks = [
             f"The clocks differ: {clock.offset_ns * 1e-6:+.0f} ± {clock.sd_ns * 1e-6:.0f} ms"
             f"{_skew_in_words(clock)} were added to B's times, so that both views show one motion. "
@@ -304,8 +311,7 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
     """
     if a is None or b is None:
         return []
-    roles = {a.sync_mode, b.sync_mode}
-    if roles != {"MASTER", "SUBORDINATE"}:
+    if not _synced(a, b):
         return [
             f"The sensors ran without a common clock ({a.sync_mode.lower()}, {b.sync_mode.lower()}): frames "
             f"are paired as if both had been started at the same moment. Record with a sync cable."
@@ -319,6 +325,10 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
         f"{(off_ns + delay_ns) / 1e6:.1f} ms apart: the subordinate's clock was not set by its master, and "
         f"frames may be paired with their neighbours. Start the subordinate first, the master last."
     ]
+
+
+def _synced(a: MkvInfo | None, b: MkvInfo | None) -> bool:
+    return a is not None and b is not None and {a.sync_mode, b.sync_mode} == {"MASTER", "SUBORDINATE"}
 
 
 def _refuse_same(a: Path, b: Path) -> None:
@@ -340,6 +350,8 @@ class _Read:
     person: View
     info: MkvInfo | None
     warnings: list[str]
+    arrivals: NDArray[np.int64]
+    """(T, 2) capture and arrival times, where they were recorded."""
 
     @property
     def seen(self) -> View:
@@ -350,7 +362,7 @@ class _Read:
 
 def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
     with source:
-        info = None
+        info, arrivals = None, []
         if isinstance(source, SkeletonRecording):
             people = source.people
         else:
@@ -361,7 +373,8 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
             read = progress(frames, f"{work} {source.name}", frame_count(source))
             people = RecordedPeople.of(source.body, read)
             images = _images_of(source)
-            info = images.info if isinstance(images, MkvRecording) else None
+            if isinstance(images, MkvRecording):
+                info, arrivals = images.info, images.arrivals
         warnings = list(source.warnings)
     person = people.choose_person(choice.person, source.name, choice.person_option)
     others = () if choice.person is not None else people.successors(person)
@@ -372,4 +385,5 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
             f"{choice.person_option} {person} follows {person!r} alone."
         )
     give_back()
-    return _Read(people.view((person, *others)), info, warnings)
+    times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
+    return _Read(people.view((person, *others)), info, warnings, times)

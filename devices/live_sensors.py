@@ -61,7 +61,7 @@ VENDORS = {
 """All vendors but Microsoft, by :attr:`ConnectedSensor.sdk`."""
 
 
-def connected_sensors(tracker: TrackerChoice) -> list[ConnectedSensor]:
+def connected_sensors(tracker: TrackerChoice | None) -> list[ConnectedSensor]:
     """Connected Azure Kinects and sensors of the other vendors.
 
     A Femto Bolt or Mega may be listed twice, by Orbbec's SDK v2 and by its K4A wrapper. It is taken from the
@@ -87,7 +87,7 @@ def connected_sensors(tracker: TrackerChoice) -> list[ConnectedSensor]:
         raise DeviceError(" Or: ".join(faults))
     if broken and not others:
         raise DeviceError(faults[0])  # else it would read as if nothing were connected
-    if tracker.name == "k4abt":
+    if tracker is not None and tracker.name == "k4abt":
         by_wrapper = {kinect.serial for kinect in kinects if kinect.serial is not None}
         others = [other for other in others if other.serial not in by_wrapper]
     else:
@@ -96,24 +96,31 @@ def connected_sensors(tracker: TrackerChoice) -> list[ConnectedSensor]:
     return [replace(found, index=index) for index, found in enumerate((*kinects, *others))]
 
 
-def decimation_of(tracker: TrackerChoice, fps: float) -> FrameDecimation:
+def decimation_of(tracker: TrackerChoice | None, fps: float) -> FrameDecimation:
     """The frame decimation that two sensors with this tracker share.
 
     With the program's own tracker it also changes to the lighter network if a tracker stays too slow.
     """
-    return TrackingPace(fps, tracker.blazepose) if tracker.name == "blazepose" else FrameDecimation(fps)
+    if tracker is None or tracker.name != "blazepose":
+        return FrameDecimation(fps)
+    return TrackingPace(fps, tracker.blazepose)
 
 
 def live_sensor(
-    connected: ConnectedSensor, settings: KinectSettings, tracker: TrackerChoice, decimation: FrameDecimation
+    connected: ConnectedSensor,
+    settings: KinectSettings,
+    tracker: TrackerChoice | None,
+    decimation: FrameDecimation,
 ) -> Sensor:
-    """The sensor with its body tracker; opens nothing."""
+    """The sensor with its body tracker, or without one; opens nothing."""
     serial = str(connected.serial)
-    if not isinstance(decimation, TrackingPace):
+    if tracker is not None and not isinstance(decimation, TrackingPace):
         return KinectSensor(serial, settings, tracker.k4abt, decimation=decimation)
     images: LiveSensor
     if connected.sdk in VENDORS:
         images = VENDORS[connected.sdk].sensor(serial, settings, decimation)
     else:
         images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=decimation)
+    if not isinstance(decimation, TrackingPace):
+        return images
     return TrackedImages(images, decimation.settings, registered=images.registered, pace=decimation)

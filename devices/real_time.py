@@ -32,20 +32,27 @@ class Beat:
 
     Args:
         begins_s: When they start, seconds of the clock; None: as soon as all are there.
+        one_clock: Whether the times of recordings are of one clock; else each starts with its first frame.
     """
 
-    def __init__(self, sensors: int = 1, begins_s: float | None = None) -> None:
-        self._awaited, self._begins_s = sensors, begins_s
+    def __init__(self, sensors: int = 1, begins_s: float | None = None, one_clock: bool = False) -> None:
+        self._awaited, self._begins_s, self.one_clock = sensors, begins_s, one_clock
         self._came = threading.Condition()
         self._latest = 0.0
+        self.first_ns: int | None = None
 
-    def begin(self, clock: Callable[[], float], stopping: threading.Event) -> float:
-        """Waits up to a second for the other sensors; returns the common start time, seconds of the clock."""
+    def begin(self, clock: Callable[[], float], stopping: threading.Event, first_ns: int = 0) -> float:
+        """Waits up to a second for the other sensors; returns the common start time, seconds of the clock.
+
+        Args:
+            first_ns: Time of the sensor's first frame; :attr:`first_ns` is the earliest of all afterwards.
+        """
         if self._begins_s is not None:
             return self._begins_s
         with self._came:
             self._awaited -= 1
             self._latest = clock()
+            self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
             self._came.notify_all()
             all_here = self._came.wait_for(lambda: self._awaited <= 0 or stopping.is_set(), timeout=_TOGETHER)
             return self._latest if all_here else clock()
@@ -61,7 +68,8 @@ class PacedSensor(SensorWrapper):
 
     A real sensor makes its frames outside of this process. Making a frame therefore starts in the second
     half of the interval before it is due, so that it does not compete with the processing of the previous
-    frame. It starts earlier if making takes longer. The first frame of a recording is due at once.
+    frame. It starts earlier if making takes longer. The first frame of a recording is due at once. A frame
+    whose arrival was recorded comes, and arrives, as it did then.
 
     Args:
         sensor: The sensor. A simulated one leaves out images while it is slower than real time.
@@ -108,15 +116,18 @@ class PacedSensor(SensorWrapper):
                 return
             took = self._clock() - started
             longest, self.making_ns = max(took, _FORGETTING * longest), round(took * 1e9)
+            moment_ns = frame.time_ns if frame.host_ns is None else frame.host_ns
             if begun is None:
-                begun = self._beat.begin(self._clock, self._stopping)
-                start_ns = frame.time_ns if simulated is None else start_ns
-            due = begun + (frame.time_ns - start_ns) * 1e-9
+                begun = self._beat.begin(self._clock, self._stopping, moment_ns)
+                if simulated is None:
+                    start_ns = self._beat.first_ns or 0 if self._beat.one_clock else moment_ns
+            due = begun + (moment_ns - start_ns) * 1e-9
             if simulated is not None:
                 simulated.skips_depth = due - self._clock() < -_FRAME
             if self._stops_before(due):
                 return
-            frame = replace(frame, host_ns=round(self._clock() * 1e9))
+            came_s = self._clock() if frame.host_ns is None else due
+            frame = replace(frame, host_ns=round(came_s * 1e9))
             if self._is_wanted(frame):
                 yield frame
             if self._stops_before(due + _FRAME - max(_FRAME / 2.0, _MARGIN * longest)):

@@ -133,6 +133,9 @@ class KinectSensor(LiveSensor):
             advice = "" if self.settings.sync == "standalone" else _SYNC_ADVICE
             self._call(self._device.start, "did not start its cameras", advice)
             calibration = self._call(lambda: self._device.calibration, "gives no calibration")
+            if self.on_capture is not None:
+                raw = self._call(lambda: self._device.calibration_raw, "gives no calibration")
+                self.calibration_json = raw.encode()
             cameras, mode = self._sdk.CalibrationType, depth_mode(self.settings.depth_mode)
             self.intrinsics = _intrinsics(calibration, cameras.DEPTH, (mode.width, mode.height))
             self._color = None
@@ -174,27 +177,28 @@ class KinectSensor(LiveSensor):
         if self._tracker is None:
             while not self._interrupted.is_set():
                 if (taken := self._take(stream)) is not None:
-                    yield self._frame(taken)
+                    yield self.frame_of(taken, self.settings.infrared)
             return
         # Waiting at most three quarters of a frame for the tracker leaves time to fetch the next capture.
         took = partial(self.decimation.tracked, self.name)
         queue = TrackerQueue(self._tracker, 0.75 / self.settings.fps, took, self.clock)
         while not self._interrupted.is_set():
             if not queue.full and (taken := self._take(stream, wait=queue.empty)) is not None:
-                queue.put(self._frame(taken), capture_pointer(taken.capture))
+                frame = self.frame_of(taken, self.settings.infrared)
+                queue.put(frame, capture_pointer(taken.capture))
             self.waits_for = stream.waits_for if queue.empty else "its body tracker's result"
             yield from queue.done()
 
-    def _frame(self, taken: _Captured) -> SensorFrame:
+    def frame_of(self, moment: _Captured, infrared: bool = True) -> SensorFrame:
         """The capture's images, copied so that the SDK has its memory back."""
-        capture = taken.capture
+        capture = moment.capture
         jpeg = None if self._color is None else image_of(capture, "color")
         return SensorFrame(
-            time_ns=taken.time_ns,
+            time_ns=moment.time_ns,
             depth=np.array(capture.depth, dtype=np.uint16),
-            ir=np.array(capture.ir, dtype=np.uint16) if self.settings.infrared else None,
+            ir=np.array(capture.ir, dtype=np.uint16) if infrared else None,
             color=None if jpeg is None or self._color is None else ColorImage.of(jpeg.tobytes(), self._color),
-            host_ns=taken.host_ns,
+            host_ns=moment.host_ns,
         )
 
     def _check_jack(self) -> None:

@@ -1,8 +1,9 @@
 """Reads Azure Kinect recordings (.mkv) without an SDK.
 
-A recording is a Matroska file with the streams DEPTH and IR (raw 16 bit, big-endian); those of colour and
+A recording is a Matroska file with the streams DEPTH and IR (raw 16 bit, big-endian; of this program also
+compressed). The stream COLOR is read where there is no infrared and colour is of the depth camera's pixels;
 inertial measurements are not read. The factory calibration is an attachment. Device time is the packet's time
-plus the start offset in the file's metadata.
+plus the start offset in the file's metadata. Recordings of this program have the arrival of each frame, too.
 """
 
 from __future__ import annotations
@@ -14,12 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from devices.azure.calibration import depth_intrinsics, depth_mode
-from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
 from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
+
+_RAW = ("DEPTH", "IR")
+_READ = (*_RAW, "COLOR", "HOST")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +44,9 @@ class MkvInfo:
 class MkvRecording(Sensor):
     """A recording of an Azure Kinect: a :class:`~devices.sensor.Sensor` whose frames have no people.
 
-    Its ``warnings`` are faults of a file that is still readable: cut off, damaged frames.
+    Attributes:
+        warnings: Faults of a file that is still readable: cut off, damaged frames.
+        arrivals: Capture time and arrival of the frames given so far, where the file has arrivals.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -51,12 +57,13 @@ class MkvRecording(Sensor):
         self.info: MkvInfo | None = None
         self.warnings: list[str] = []
         self._container: Any = None
+        self.arrivals: list[tuple[int, int]] = []
         self._begun, self._described = False, 0
 
     def __enter__(self) -> MkvRecording:
         self.__exit__()
         self._container, self._begun = self._open(), False
-        self.warnings = []
+        self.warnings, self.arrivals = [], []
         try:
             self.info = self._describe(self._container)
         except BaseException:
@@ -80,17 +87,27 @@ class MkvRecording(Sensor):
             raise DeviceError(f"{self.name} is not open: use it in a with statement.")
         if self._begun:  # an iterator that is still in use keeps its own open file
             self._container = self._open()
+            self.arrivals.clear()
             del self.warnings[self._described :]
         self._begun = True
-        info, mode = self.info, depth_mode(self.info.depth_mode)
+        info = self.info
         given = missing = last_ns = 0
-        for last_ns, depth, infrared in _exposures(self._images(info), info.interval_ns // 2):
+        with_infrared = "IR" in _streams(self._container)
+        camera = ColorCamera(info.intrinsics, RigidTransform.identity())
+        for last_ns, images in _exposures(self._images(info), info.interval_ns // 2):
             given += 1
-            missing += infrared is None
+            depth, infrared, color, host = (images.get(title) for title in _READ)
+            missing += with_infrared and infrared is None
+            time_ns = info.start_offset_ns + last_ns
+            host_ns = None if host is None else int.from_bytes(host[:8], "little", signed=True)
+            if host_ns is not None:
+                self.arrivals.append((time_ns, host_ns))
             yield SensorFrame(
-                time_ns=info.start_offset_ns + last_ns,
-                depth=_image16(depth, mode.width, mode.height),
-                ir=None if infrared is None else _image16(infrared, mode.width, mode.height),
+                time_ns=time_ns,
+                depth=depth,
+                ir=infrared,
+                color=None if color is None else ColorImage.of(color, camera),
+                host_ns=host_ns,
             )
         self._judge(given, last_ns, missing, info)
 
@@ -108,7 +125,7 @@ class MkvRecording(Sensor):
             ) from fault
 
     def _describe(self, container: Any) -> MkvInfo:
-        streams = {stream.metadata.get("title", ""): stream for stream in container.streams}
+        streams = _streams(container)
         tags: dict[str, str] = dict(container.metadata)
         for stream in container.streams:
             tags.update({key: value for key, value in stream.metadata.items() if key.startswith("K4A_")})
@@ -121,8 +138,7 @@ class MkvRecording(Sensor):
         depth = tags["K4A_DEPTH_MODE"]
         mode = depth_mode(depth)
         stream = streams["DEPTH"]
-        # A stream with a damaged header has no size.
-        width, height = getattr(stream, "width", 0), getattr(stream, "height", 0)
+        width, height = _size(stream)
         if (width, height) != (mode.width, mode.height):
             raise DeviceError(
                 f"{self.name} says depth mode {depth}, {mode.width} x {mode.height}, but its images are "
@@ -151,19 +167,39 @@ class MkvRecording(Sensor):
             f"before it, or copied by a program that drops attachments; use the original file."
         )
 
-    def _images(self, info: MkvInfo) -> Iterator[tuple[str, int, bytes]]:
-        """Yields (DEPTH or IR, ns from the file's start, content) of whole images, to the first fault."""
+    def _images(self, info: MkvInfo) -> Iterator[tuple[str, int, Any]]:
+        """Yields (title, ns from the file's start, content) of whole images, to the first fault.
+
+        Depth and infrared are arrays; colour and arrival are bytes.
+        """
         import av
 
         mode = depth_mode(info.depth_mode)
-        whole = 2 * mode.width * mode.height
+        size = mode.width, mode.height
         container = self._container
-        streams = [stream for stream in container.streams if stream.metadata.get("title") in ("DEPTH", "IR")]
+        streams = _streams(container)
+        color = streams.get("COLOR")
+        read = [streams[title] for title in _READ if title in streams and title != "COLOR"]
+        if "IR" not in streams and _size(color) == size:
+            read.append(color)
         try:
-            for packet in container.demux(streams):
-                if packet.pts is not None and packet.size == whole and not packet.is_corrupt:
-                    at_ns = int(packet.pts * packet.time_base * 1_000_000_000)
-                    yield packet.stream.metadata["title"], at_ns, bytes(packet)
+            for packet in container.demux(read):
+                if packet.pts is None or packet.is_corrupt or not packet.size:
+                    continue
+                title = packet.stream.metadata["title"]
+                content: Any = None
+                at_ns = int(packet.pts * packet.time_base * 1_000_000_000)
+                if title not in _RAW:
+                    content = bytes(packet)
+                elif getattr(packet.stream.codec_context, "name", "") == "ffvhuff":
+                    for picture in packet.decode():
+                        if _size(picture) == size:
+                            content = picture.to_ndarray(format="gray16le")
+                elif packet.size == 2 * mode.width * mode.height:
+                    image = np.frombuffer(packet, dtype=">u2")
+                    content = image.reshape(mode.height, mode.width).astype(np.uint16)
+                if content is not None:
+                    yield title, at_ns, content
         except (av.FFmpegError, OSError) as fault:
             self.warnings.append(f"{self.name} cannot be read to its end ({fault}).")
 
@@ -183,8 +219,13 @@ class MkvRecording(Sensor):
             )
 
 
-def _image16(data: bytes, width: int, height: int) -> NDArray[np.uint16]:
-    return np.frombuffer(data, dtype=">u2").reshape(height, width).astype(np.uint16)
+def _streams(container: Any) -> dict[str, Any]:
+    return {stream.metadata.get("title", ""): stream for stream in container.streams}
+
+
+def _size(stream: Any) -> tuple[int, int]:
+    """Width and height; 0 of a stream with a damaged header."""
+    return getattr(stream, "width", 0), getattr(stream, "height", 0)
 
 
 def _whole(text: str | None) -> int:
@@ -194,20 +235,25 @@ def _whole(text: str | None) -> int:
         return 0
 
 
-def _exposures(
-    images: Iterator[tuple[str, int, bytes]], reach_ns: int
-) -> Iterator[tuple[int, bytes, bytes | None]]:
-    """Joins each depth image with the infrared image at most ``reach_ns`` away, in any order in the file."""
-    waiting: dict[str, dict[int, bytes]] = {"DEPTH": {}, "IR": {}}
-    depths, infrareds = waiting.values()
+def _exposures(images: Iterator[tuple[str, int, Any]], reach_ns: int) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Joins each depth image with the nearest of each other stream at most ``reach_ns`` away, in any order in
+    the file.
+    """
+    waiting: dict[str, dict[int, Any]] = {title: {} for title in _READ}
+    depths = waiting["DEPTH"]
+    others = {title: kept for title, kept in waiting.items() if title != "DEPTH"}
 
-    def complete(until_ns: float) -> Iterator[tuple[int, bytes, bytes | None]]:
+    def complete(until_ns: float) -> Iterator[tuple[int, dict[str, Any]]]:
         for depth_ns in sorted(time_ns for time_ns in depths if time_ns < until_ns):
-            nearest_ns = min(infrareds, key=lambda time_ns: abs(time_ns - depth_ns), default=math.inf)
-            joined = abs(nearest_ns - depth_ns) <= reach_ns
-            yield depth_ns, depths.pop(depth_ns), infrareds.pop(int(nearest_ns)) if joined else None
-        for old_ns in [time_ns for time_ns in infrareds if time_ns < until_ns - reach_ns]:
-            del infrareds[old_ns]
+            joined = {"DEPTH": depths.pop(depth_ns)}
+            for title, kept in others.items():
+                nearest_ns = min(kept, key=lambda time_ns: abs(time_ns - depth_ns), default=None)
+                if nearest_ns is not None and abs(nearest_ns - depth_ns) <= reach_ns:
+                    joined[title] = kept.pop(nearest_ns)
+            yield depth_ns, joined
+        for kept in others.values():
+            for old_ns in [time_ns for time_ns in kept if time_ns < until_ns - reach_ns]:
+                del kept[old_ns]
 
     newest_ns = 0
     for title, time_ns, data in images:

@@ -110,7 +110,10 @@ class CaptureStream(ABC, Generic[M]):
             if moment is None:
                 self._patience_s = self.settings.stall_s  # the cameras run: no master is waited for
                 self._stay_silent(1 / self.settings.fps, without_depth=True)
-            elif self._is_wanted(moment):
+                continue
+            if self.sensor.on_capture is not None:
+                self.sensor.on_capture(self.sensor.frame_of(moment))
+            if self._is_wanted(moment):
                 if newest is not None and not self._delayed and self.comes_late(newest):
                     self._delayed.append(newest)
                 else:
@@ -169,9 +172,12 @@ class LiveSensor(Sensor):
         decimation: Which moments are given. Those skipped on purpose do not count as missed.
         registered: Gives the RGB image on the depth's pixels of the frame given last, for sensors whose
             frames have no infrared; else None.
+        on_capture: Gets every frame of the SDK's queue, wanted or not, with all images, for a recording.
+        calibration_json: What an Azure Kinect stores, once it is open; empty for other sensors.
     """
 
     registered: Callable[[SensorFrame], NDArray[np.uint8] | None] | None = None
+    calibration_json: bytes = b""
 
     def __init__(
         self,
@@ -186,12 +192,17 @@ class LiveSensor(Sensor):
         self.missed = self.lost = 0
         self.decimation = decimation or FrameDecimation(settings.fps)
         self.clock = clock
+        self.on_capture: Callable[[SensorFrame], object] | None = None
         self._color: ColorCamera | None = None
         self._sdk: Any = None
         self._interrupted = threading.Event()
 
     def interrupt(self) -> None:
         self._interrupted.set()
+
+    def frame_of(self, moment: Any) -> SensorFrame:
+        """All images of a capture, copied so that the SDK has its memory back."""
+        raise NotImplementedError
 
     def _warn(self, warning: str) -> None:
         if warning and warning not in self.warnings:

@@ -127,13 +127,17 @@ class OrbbecSensor(LiveSensor):
                 continue
             if stream.joiner.timeless:
                 self._warn(_TIMELESS.format(name=f"Orbbec {self.name}"))
-            yield SensorFrame(
-                time_ns=moment.time_ns,
-                depth=depth_image(moment.depth),
-                ir=infrared_image(moment.infrared),
-                color=color_image(moment.color, self._color),
-                host_ns=moment.host_ns,
-            )
+            yield self.frame_of(moment)
+
+    def frame_of(self, moment: OrbbecMoment) -> SensorFrame:
+        """The images of a moment, copied from the SDK's memory."""
+        return SensorFrame(
+            time_ns=moment.time_ns,
+            depth=depth_image(moment.depth),
+            ir=infrared_image(moment.infrared),
+            color=color_image(moment.color, self._color),
+            host_ns=moment.host_ns,
+        )
 
     def _read_calibration(self, streams: Streams) -> None:
         self.intrinsics, warning = intrinsics_of(self._sdk, streams.depth, self.name)

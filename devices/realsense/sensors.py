@@ -121,7 +121,12 @@ class RealSenseSensor(LiveSensor):
                 continue
             if joiner.timeless:
                 self._warn(_TIMELESS.format(label=f"RealSense {self.name}"))
-            yield joiner.frame_of(moment, moment.host_ns)
+            yield self.frame_of(moment)
+
+    def frame_of(self, moment: RealSenseMoment) -> SensorFrame:
+        """The images of a moment, copied from the library's memory."""
+        assert self._opened is not None
+        return self._opened[2].frame_of(moment, moment.host_ns)
 
 
 class RealSenseRecording(Sensor):

@@ -40,6 +40,7 @@ from viewer_app.report.words import Line
 from viewer_app.running.interruption import CtrlC
 from viewer_app.running.loop import run_live, warm_up
 from viewer_app.running.runner import Runner
+from viewer_app.sensors.raw_files import RawFiles
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.viewer_choice import stay_for_visitors
@@ -72,11 +73,14 @@ def run(options: DemoOptions) -> None:
         Scene(demonstrated(options.motion), body, seconds=options.seconds, seed=options.seed),
         angle_deg=options.angle,
         depth=options.depth,
-        infrared=own_tracker,
+        infrared=own_tracker or options.record is not None,
         bad_setup=options.bad_setup,
     )
     pace = _own_tracker(options, console) if own_tracker else None
-    _show(options, shown, pace, runner, console)
+    raw = None
+    if options.record is not None:
+        raw = RawFiles(options.record, console, force=options.force, compress=False)
+    _show(options, shown, pace, runner, raw, console)
 
 
 def _check(options: DemoOptions) -> None:
@@ -89,12 +93,19 @@ def _check(options: DemoOptions) -> None:
     if not own_tracker and (options.tracker_model is not None or options.tracker_network != "full"):
         given = "--tracker-network" if options.tracker_model is None else "--tracker-model"
         raise UsageError(f"{given} is of the program's own tracker: add --tracker blazepose.")
+    if options.record is not None and options.depth == "none":
+        raise UsageError("--record records images: give --depth half or full.")
     if options.bad_setup and options.angle != DemoOptions.angle:
         raise UsageError(f"--bad-setup has an angle of its own, {BAD_ANGLE_DEG:.0f}°: leave --angle out.")
 
 
 def _show(
-    options: DemoOptions, shown: Demonstration, pace: TrackingPace | None, runner: Runner, console: Console
+    options: DemoOptions,
+    shown: Demonstration,
+    pace: TrackingPace | None,
+    runner: Runner,
+    raw: RawFiles | None,
+    console: Console,
 ) -> None:
     """Fuses the simulated sensors until they end or Ctrl-C is pressed; saves and prints the summary."""
     a, b, truth = shown.a, shown.b, shown.truth
@@ -109,6 +120,8 @@ def _show(
     sensors = _together(a, b, pace)
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
+            if raw is not None:
+                stack.enter_context(raw).attach(sensors)
             runner.open_outputs(stack, nominal, _FPS)
             coach = Coach(a.body, nominal.intrinsics, simulated=True)
             active = "setup" if options.bad_setup else options.layout
@@ -135,11 +148,15 @@ def _show(
         if frames:
             _print_truth(console, setup, frames, truth, options.verbose)
         runner.print_end()
+        if raw is not None:
+            raw.print_end()
         if not options.quiet:
             other = "the demo without --bad-setup" if options.bad_setup else "--bad-setup"
             walk = "" if options.motion == "walk" else "--motion walk, "
             console.print(_NEXT.format(walk=walk, other=other))
         runner.check_saved()
+        if raw is not None:
+            raw.check_whole()
 
 
 def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMoment]) -> None:

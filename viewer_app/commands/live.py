@@ -29,6 +29,7 @@ from viewer_app.running.interruption import CtrlC, call_after
 from viewer_app.running.loop import Status, run_live, warm_up
 from viewer_app.running.runner import Runner
 from viewer_app.sensors.local import capture_settings, one_of_live, two_connected_sensors
+from viewer_app.sensors.raw_files import RawFiles, two_played_sensors
 from viewer_app.sensors.remote import names_remote, sensors_by_network
 from viewer_app.viewer.blueprint import session_blueprint
 
@@ -41,11 +42,17 @@ def run(options: LiveOptions) -> None:
     remote = names_remote(options)
     runner = Runner(options, console, options.save, remote)
     settings = _check(options)
+    raw = None
+    if options.record is not None:
+        raw = RawFiles(options.record, console, force=options.force, compress=False)
     if remote:
         with sensors_by_network(options, console, partial(one_of_live, options, console)) as sensors:
-            _show(options, settings, sensors, runner, console)
+            _show(options, settings, sensors, runner, raw, console)
+    elif options.a is not None and options.b is not None:
+        played = two_played_sensors(options, options.a, options.b, console)
+        _show(options, settings, played, runner, raw, console)
     else:
-        _show(options, settings, two_connected_sensors(options, console), runner, console)
+        _show(options, settings, two_connected_sensors(options, console), runner, raw, console)
 
 
 def _check(options: LiveOptions) -> FuserSettings:
@@ -56,6 +63,8 @@ def _check(options: LiveOptions) -> FuserSettings:
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
     check_outputs((options.report, options.save_calibration), read, options.force, options.save)
     check_seconds(options.seconds)
+    if options.a is not None and (options.b is None or names_remote(options)):
+        raise UsageError("duplex live plays two recordings: name both, and no sensor on another PC.")
     if options.calibrate != "auto" and not Path(options.calibrate).exists():
         raise UsageError(
             f"--calibrate {options.calibrate}: neither auto nor an existing file. Make one with "
@@ -65,7 +74,12 @@ def _check(options: LiveOptions) -> FuserSettings:
 
 
 def _show(
-    options: LiveOptions, settings: FuserSettings, sensors: TwoSensors, runner: Runner, console: Console
+    options: LiveOptions,
+    settings: FuserSettings,
+    sensors: TwoSensors,
+    runner: Runner,
+    raw: RawFiles | None,
+    console: Console,
 ) -> None:
     """Fuses two sensors until they end, Ctrl-C is pressed or the time is up; saves and prints the summary."""
     a, b = sensors.a.sensor, sensors.b.sensor
@@ -75,6 +89,8 @@ def _show(
     watch = _Watch(console)
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
+            if raw is not None:
+                stack.enter_context(raw).attach(sensors, options.fps)
             runner.open_outputs(stack, nominal, options.fps)
             console.print(f"Opening {a.name} (A) and {b.name} (B) …", markup=False)
             with ctrl_c.raising():  # a body tracker may take minutes to load its network
@@ -103,9 +119,13 @@ def _show(
             console.print(warning, style="yellow", markup=False)
         runner.summarise(setup, frames, sensors)
         runner.print_end()
+        if raw is not None:
+            raw.print_end()
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.final)
         runner.check_saved()
+        if raw is not None:
+            raw.check_whole()
 
 
 class _Watch:

@@ -24,6 +24,7 @@ from viewer_app.options.sensing import (
     FuseOptions,
     LiveOptions,
     PublishOptions,
+    RecordOptions,
     TrackerFetchOptions,
 )
 from viewer_app.options.sessions import (
@@ -38,6 +39,7 @@ from viewer_app.options.sessions import (
 COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "demo": (DemoOptions, "viewer_app.commands.demo"),
     "live": (LiveOptions, "viewer_app.commands.live"),
+    "record": (RecordOptions, "viewer_app.commands.record"),
     "sensor": (PublishOptions, "viewer_app.commands.sensor"),
     "fuse": (FuseOptions, "viewer_app.commands.fuse"),
     "batch": (BatchOptions, "viewer_app.batch.command"),

@@ -90,6 +90,8 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptio
     full, images are dropped, skeletons never."""
     save: Annotated[Path | None, OUTPUTS] = None
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
+    record: Annotated[Path | None, OUTPUTS] = None
+    """Record the simulated depth and infrared images to this folder, as duplex record does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,9 +106,16 @@ class LiveOptions(
 ):
     """Fuse two sensors live: Azure Kinect, Orbbec Femto Bolt, Femto Mega, Gemini 2 and their kin.
 
-    Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks.
+    Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks. Two recordings
+    of images play as if they were live.
     """
 
+    a: Annotated[Path | None, ARGUMENT] = field(default=None, kw_only=False)
+    """Play this recording, .mkv or .bag, instead of sensor K_A."""
+    b: Annotated[Path | None, ARGUMENT] = field(default=None, kw_only=False)
+    """The recording of K_B."""
+    record: Annotated[Path | None, OUTPUTS] = None
+    """Record the images of both sensors to this folder, as duplex record does."""
     layout: Annotated[Literal["setup", "inspect", "report", "angles"], VIEWER] = "setup"
     """Which of the viewer's tabs is open at first."""
     seconds: float | None = None
@@ -119,6 +128,33 @@ class LiveOptions(
     """Frames per second."""
     color: Annotated[Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"], SENSORS] = "off"
     """Colour images, and at which resolution."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions(SensorOptions):
+    """Record depth and infrared of two sensors, without loss, as FOLDER/a.mkv and FOLDER/b.mkv.
+
+    Later: duplex fuse FOLDER/a.mkv FOLDER/b.mkv, or duplex live with both. What was recorded before a crash
+    or on a full disk can be read.
+    """
+
+    folder: Annotated[Path, ARGUMENT] = field(kw_only=False)
+    """Where to record; made if it is not there."""
+    seconds: float | None = None
+    """End after this many seconds; if not given, end with Ctrl-C."""
+    compress: Annotated[bool, OUTPUTS] = False
+    """Compress depth and infrared, also without loss: a third of the size. Microsoft's tools read only
+    recordings without it."""
+    depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
+    """Narrow and far, or wide and near."""
+    fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
+    """Frames per second."""
+    color: Annotated[Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"], SENSORS] = "off"
+    """Record colour images, too, at this resolution."""
+    force: Annotated[bool, OUTPUTS] = False
+    """Overwrite recordings that exist."""
+    quiet: bool = False
+    """Print only warnings."""
 
 
 @dataclass(frozen=True, kw_only=True)

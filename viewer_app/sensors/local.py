@@ -21,18 +21,19 @@ from devices.capture.stream_pairing import LivePairing
 from devices.live_sensors import connected_sensors, decimation_of, live_sensor
 from devices.sensor import Sensor
 from devices.tracker_choice import TrackerChoice
-from viewer_app.options.sensing import LiveOptions
+from viewer_app.options.sensing import LiveOptions, RecordOptions
+from viewer_app.options.shared import SensorOptions
 from viewer_app.sensors.remote import teller
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
 
 
-def two_connected_sensors(options: LiveOptions, console: Console) -> TwoSensors:
+def two_connected_sensors(options: LiveOptions | RecordOptions, console: Console) -> TwoSensors:
     """Chooses the two sensors from the options, the sync cable and the user's answers; opens neither.
 
     Raises:
         DeviceError: Fewer than two usable Kinects, no SDK, or a wrongly connected sync cable.
     """
-    tracker = tracker_of(options)
+    tracker = tracker_of(options) if isinstance(options, LiveOptions) else None
     connected = connected_sensors(tracker)
     serials = _choose(connected, options, console)
     kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
@@ -45,16 +46,17 @@ def two_connected_sensors(options: LiveOptions, console: Console) -> TwoSensors:
             f"Sync cable: {leads} leads, {follows} captures at its pulses and is started first, to be there "
             f"at the first one."
         )
-    tracker = tracker.for_images_of([k.serial or "" for k in (kinect_a, kinect_b) if k.sdk != "k4a"])
-    announce_tracker(tracker, console)
-    if options.processing == "cpu" and tracker.name == "k4abt":
-        console.print(
-            "A CPU tracks only about one frame per second of both sensors. To fuse every frame, "
-            "record with k4arecorder, then run duplex fuse a.mkv b.mkv.",
-            style="yellow",
-        )
-    if options.processing == "tensorrt" and tracker.name == "k4abt":
-        console.print("TensorRT builds its engine; minutes the first time.")
+    if tracker is not None and isinstance(options, LiveOptions):
+        tracker = tracker.for_images_of([k.serial or "" for k in (kinect_a, kinect_b) if k.sdk != "k4a"])
+        announce_tracker(tracker, console)
+        if options.processing == "cpu" and tracker.name == "k4abt":
+            console.print(
+                "A CPU tracks only about one frame per second of both sensors. To fuse every frame, run "
+                "duplex record, then duplex fuse a.mkv b.mkv.",
+                style="yellow",
+            )
+        if options.processing == "tensorrt" and tracker.name == "k4abt":
+            console.print("TensorRT builds its engine; minutes the first time.")
     decimation = decimation_of(tracker, options.fps)
     a, b = (
         live_sensor(kinect, capture_settings(options, str(kinect.serial), master), tracker, decimation)
@@ -95,7 +97,9 @@ def one_sensor(
     return live_sensor(kinect, settings, tracker, decimation_of(tracker, settings.fps))
 
 
-def _choose(connected: Sequence[ConnectedSensor], options: LiveOptions, console: Console) -> tuple[str, str]:
+def _choose(
+    connected: Sequence[ConnectedSensor], options: SensorOptions, console: Console
+) -> tuple[str, str]:
     try:
         return choose_two(connected, options.kinect_a, options.kinect_b, options.principal)
     except NeedsChoiceError as choice:
@@ -121,7 +125,7 @@ def _ask(choice: NeedsChoiceError, console: Console) -> str:
             return two
 
 
-def capture_settings(options: LiveOptions, serial: str, master: str | None) -> KinectSettings:
+def capture_settings(options: LiveOptions | RecordOptions, serial: str, master: str | None) -> KinectSettings:
     """The settings of a libk4a sensor, which has its place on the cable that leads out of ``master``."""
     return KinectSettings(
         depth_mode=options.depth_mode,
@@ -133,6 +137,6 @@ def capture_settings(options: LiveOptions, serial: str, master: str | None) -> K
     )
 
 
-def opens_within(options: LiveOptions) -> float:
+def opens_within(options: LiveOptions | RecordOptions) -> float:
     """The time limit for opening a sensor and its body tracker, seconds."""
-    return 900.0 if options.processing == "tensorrt" else 120.0
+    return 900.0 if isinstance(options, LiveOptions) and options.processing == "tensorrt" else 120.0

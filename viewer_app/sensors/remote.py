@@ -14,9 +14,10 @@ from devices.sensor import Sensor
 from viewer_app.addresses import zenoh_warning
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import LiveOptions
+from viewer_app.options.shared import SensorOptions
 
 
-def names_remote(options: LiveOptions) -> bool:
+def names_remote(options: SensorOptions) -> bool:
     """Whether a sensor is named ``zenoh:KEY``."""
     return any((name or "").startswith(PREFIX) for name in (options.kinect_a, options.kinect_b))
 

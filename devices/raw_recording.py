@@ -1,0 +1,196 @@
+"""Records the images of sensors while they run: a bounded queue and a thread per sensor."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from devices.azure.mkv_writer import MkvWriter
+from devices.blazepose.tracked_images import TrackedImages
+from devices.capture.capture_stream import LiveSensor
+from devices.capture.settings import CaptureSettings
+from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
+
+_KEEP, _KEEP_WITH_IMAGES = 120, 60
+"""Most queued frames; from the second number on, frames wait without infrared and colour: 130 MB at most, of
+640 × 576 pixels."""
+
+
+class RawRecorder:
+    """Writes a sensor's depth, infrared and colour to an ``.mkv``; :meth:`add` never waits.
+
+    Every second frame of a disk that stands still would be lost with the first: while the queue is long, new
+    frames lose colour and infrared, and when it is full, themselves. A full disk ends the recording; the file
+    keeps the frames before. All frames but the last one survive a kill of the program.
+
+    Attributes:
+        failure: Why the recording ended early, in a sentence; None where it did not.
+        written: Frames in the file.
+        lost: Frames with depth that are not.
+        without_images: Frames of the file whose infrared and colour were left out.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        sensor: Sensor,
+        settings: CaptureSettings | None = None,
+        *,
+        compress: bool = False,
+        on_failure: Callable[[str], object] = lambda _: None,
+        open_writer: Callable[..., MkvWriter] = MkvWriter,
+    ) -> None:
+        """Starts the thread; the file is made with the first frame.
+
+        Args:
+            sensor: Gives serial number, camera and calibration once it is open.
+            on_failure: Called on the thread with the reason when the recording ends early.
+        """
+        self.path, self.sensor = path, sensor
+        self.failure: str | None = None
+        self.written = self.lost = self.without_images = 0
+        self._settings, self._compress = settings or CaptureSettings(), compress
+        self._on_failure, self._open_writer = on_failure, open_writer
+        self._queue: deque[SensorFrame] = deque()
+        self._more = threading.Condition()
+        self._ending = False
+        self._fault: BaseException | None = None
+        self._shift_ns, self._last = 0, (-1, 0)
+        self._thread = threading.Thread(target=self._run, name=f"recording {path.name}", daemon=False)
+        self._thread.start()
+
+    def add(self, frame: SensorFrame) -> None:
+        """Queues a frame; one without depth is left out."""
+        with self._more:
+            if frame.depth is None or self._ending:
+                return
+            if len(self._queue) >= _KEEP:
+                self.lost += 1
+                return
+            if len(self._queue) >= _KEEP_WITH_IMAGES:
+                frame = replace(frame, ir=None, color=None)
+                self.without_images += 1
+            self._queue.append(frame)
+            self._more.notify()
+
+    @property
+    def written_bytes(self) -> int:
+        """The file's size so far."""
+        try:
+            return self.path.stat().st_size if self.written else 0
+        except OSError:
+            return 0
+
+    def close(self) -> None:
+        """Writes what is queued and closes the file. Closing twice has no effect."""
+        with self._more:
+            self._ending = True
+            self._more.notify()
+        self._thread.join()
+        fault, self._fault = self._fault, None
+        if fault is not None:
+            raise fault
+
+    def __enter__(self) -> RawRecorder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        try:
+            self._write()
+        except OSError as fault:
+            self._fail(f"{fault.strerror or fault}")
+        except DeviceError as fault:
+            self._fail(str(fault))
+        except BaseException as fault:
+            self._fault = fault
+        finally:
+            with self._more:
+                self._ending = True
+                self.lost += len(self._queue)
+                self._queue.clear()
+
+    def _write(self) -> None:
+        frame = self._take()
+        if frame is None:
+            return
+        sensor = self.sensor
+        if sensor.intrinsics is None:
+            raise DeviceError(f"{sensor.name} does not know its depth camera, which a recording needs.")
+        frame = self._in_order(frame)
+        calibration = getattr(sensor, "calibration_json", b"")
+        given = sensor.name, self._settings, sensor.intrinsics, frame
+        with self._open_writer(self.path, *given, calibration=calibration, compress=self._compress) as writer:
+            following: SensorFrame | None = frame
+            while following is not None:
+                try:
+                    writer.write(following)
+                except OSError:
+                    self.lost += 1
+                    raise
+                self.written += 1
+                following = self._take()
+                following = None if following is None else self._in_order(following)
+
+    def _take(self) -> SensorFrame | None:
+        """The next frame; None at the end."""
+        with self._more:
+            self._more.wait_for(lambda: self._queue or self._ending)
+            return self._queue.popleft() if self._queue else None
+
+    def _in_order(self, frame: SensorFrame) -> SensorFrame:
+        """The frame at a time after the last one's. A sensor that was plugged in again starts its clock anew:
+        its times then go on by this machine's clock.
+        """
+        time_ns, host_ns = frame.time_ns + self._shift_ns, frame.host_ns or 0
+        last_ns, last_host_ns = self._last
+        if time_ns <= last_ns:
+            interval_ns = 1_000_000_000 // self._settings.fps
+            shift_ns = last_ns + max(host_ns - last_host_ns, interval_ns) - time_ns
+            self._shift_ns += shift_ns
+            time_ns += shift_ns
+        self._last = time_ns, host_ns
+        return replace(frame, time_ns=time_ns)
+
+    def _fail(self, why: str) -> None:
+        rest = f" from frame {self.written} on: {why}. What is before that can be read."
+        self.failure = f"{self.path} is not recorded{rest}" if self.written else f"{self.path}: {why}."
+        self._on_failure(self.failure)
+
+
+class _Recorded(SensorWrapper):
+    """A sensor whose frames go to a recorder, too."""
+
+    def __init__(self, source: Sensor, recorder: RawRecorder) -> None:
+        super().__init__(source)
+        self._recorder = recorder
+
+    @property
+    def making_ns(self) -> int:
+        """How long a simulated source took for its last frame."""
+        return int(getattr(self.source, "making_ns", 0))
+
+    def frames(self) -> Iterator[SensorFrame]:
+        for frame in self.source.frames():
+            self._recorder.add(frame)
+            yield frame
+
+
+def recorded(sensor: Sensor, recorder: RawRecorder) -> Sensor:
+    """The sensor, whose images the recorder gets from now on, before a body tracker has them.
+
+    Of a live sensor it gets every capture, also those that the body tracker is too slow for.
+    """
+    images = sensor.source if isinstance(sensor, TrackedImages) else sensor
+    if isinstance(images, LiveSensor):
+        images.on_capture = recorder.add
+    elif isinstance(sensor, TrackedImages):
+        sensor.source = _Recorded(images, recorder)
+    else:
+        return _Recorded(sensor, recorder)
+    return sensor

@@ -1,0 +1,140 @@
+"""Raw recordings of two sensors: written beside what else a command does, and played as live sensors."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from devices.azure.mkv import MkvInfo, MkvRecording
+from devices.blazepose.tracked_images import TrackedImages
+from devices.capture.host_clock import ONE_RUN_NS
+from devices.capture.sensor_pair import TwoSensors
+from devices.capture.settings import CaptureSettings
+from devices.capture.stream_pairing import LivePairing
+from devices.files import has_images, not_of_libk4a, open_images, open_source
+from devices.live_sensors import decimation_of
+from devices.network.remote_sensor import RemoteSensor
+from devices.raw_recording import RawRecorder, recorded
+from devices.real_time import Beat, PacedSensor
+from devices.sensor import Sensor
+from viewer_app.errors import UsageError
+from viewer_app.options.sensing import LiveOptions
+from viewer_app.output_files import check_writable, warn_of_little_room
+from viewer_app.sensors.remote import teller
+from viewer_app.sensors.tracker import announce_tracker, tracker_of
+
+_NAMES = ("a.mkv", "b.mkv")
+
+
+class RawFiles(ExitStack):
+    """The recordings a.mkv and b.mkv of a folder. Enter it before the sensors, so that it closes after them.
+
+    Raises:
+        UsageError: The folder cannot be made, or has such files and `force` is not set.
+    """
+
+    def __init__(self, folder: Path, console: Console, *, force: bool, compress: bool) -> None:
+        super().__init__()
+        self.folder, self._console, self._compress = folder, console, compress
+        self.recorders: list[RawRecorder] = []
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as fault:
+            raise UsageError(f"The folder {folder} cannot be made: {fault.strerror or fault}.") from None
+        for name in _NAMES:
+            check_writable(folder / name, force)
+        warn_of_little_room(folder / _NAMES[0], console)
+
+    def attach(self, sensors: TwoSensors, fps: int = 30) -> None:
+        """Records both sensors from their opening on; they are not open yet."""
+        for name, thread in zip(_NAMES, (sensors.a, sensors.b), strict=True):
+            sensor = thread.sensor
+            if isinstance(sensor, RemoteSensor):
+                raise UsageError(
+                    f"{sensor.name} is on another PC, from which no infrared comes: record it there."
+                )
+            images = sensor.source if isinstance(sensor, TrackedImages) else sensor
+            settings = getattr(images, "settings", None) or CaptureSettings(fps=fps)  # type: ignore[arg-type]
+            recorder = RawRecorder(
+                self.folder / name, images, settings, compress=self._compress, on_failure=self._tell
+            )
+            self.recorders.append(self.enter_context(recorder))
+            thread.sensor = recorded(sensor, recorder)
+
+    @property
+    def failure(self) -> str | None:
+        """Why a recording ended early; None where none did."""
+        return next((recorder.failure for recorder in self.recorders if recorder.failure), None)
+
+    def print_end(self) -> None:
+        """Prints what was recorded, and what is missing."""
+        for recorder in self.recorders:
+            if not recorder.written:
+                self._console.print(f"{recorder.path} was not written: no frame came.", markup=False)
+                continue
+            said = f"{recorder.path}: {recorder.written} frames, {recorder.written_bytes / 1e6:.0f} MB"
+            self._console.print(said, markup=False, soft_wrap=True)
+            for count, what in (
+                (recorder.lost, "not recorded: the disk was too slow or full"),
+                (recorder.without_images, "recorded without infrared and colour: the disk was too slow"),
+            ):
+                if count:
+                    self._console.print(f"[yellow]{count} frames are {what}.[/]")
+
+    def check_whole(self) -> None:
+        """Reports a recording that ended early as a usage error: one line and exit code 2."""
+        if self.failure is not None:
+            raise UsageError(self.failure)
+
+    def _tell(self, failure: str) -> None:
+        self._console.print(f"[bold red]{escape(failure)}[/]", soft_wrap=True)
+
+
+def two_played_sensors(options: LiveOptions, a: Path, b: Path, console: Console) -> TwoSensors:
+    """Two recordings of images as live sensors, at the pace at which they were recorded; opens neither.
+
+    Raises:
+        UsageError: One has no images.
+        DeviceError: One cannot be read.
+    """
+    for path in (a, b):
+        if not has_images(path):
+            raise UsageError(f"{path} has no images: duplex live plays .mkv and .bag. Use duplex fuse.")
+    tracker = tracker_of(options).for_images_of(not_of_libk4a(a, b))
+    announce_tracker(tracker, console)
+    infos: list[MkvInfo | None] = []
+    arrivals: list[int] = []  # of the first frames, where they were recorded
+    for path in (a, b):
+        with open_images(path) as images:
+            infos.append(images.info if isinstance(images, MkvRecording) else None)
+            if isinstance(images, MkvRecording):
+                arrivals += filter(None, [next(images.frames()).host_ns])
+    by_arrival = len(arrivals) == 2
+    one_run = by_arrival and abs(arrivals[1] - arrivals[0]) < ONE_RUN_NS
+    delay_ns = _cable_delay_ns(*infos)
+    intervals = [1e9 / options.fps if info is None else info.interval_ns for info in infos]
+    decimation = decimation_of(tracker, 1e9 / min(intervals))
+    beat = Beat(2, one_clock=one_run or (delay_ns is not None and not by_arrival))
+    played: list[Sensor] = []
+    for path in (a, b):
+        if tracker.name == "k4abt":
+            played.append(PacedSensor(open_source(path, tracker=tracker), beat))
+        else:
+            paced = PacedSensor(open_images(path), beat, decimation)
+            played.append(TrackedImages(paced, tracker.blazepose, pace=decimation))  # type: ignore[arg-type]
+    return TwoSensors(
+        *played,
+        pairing=LivePairing(round(min(intervals)), sync_delay_ns=delay_ns),
+        decimation=decimation,
+        tell=teller(console),
+    )
+
+
+def _cable_delay_ns(a: MkvInfo | None, b: MkvInfo | None) -> int | None:
+    """How much later B captures than A by their cable; None without one."""
+    if a is None or b is None or {a.sync_mode, b.sync_mode} != {"MASTER", "SUBORDINATE"}:
+        return None
+    return b.subordinate_delay_ns if b.sync_mode == "SUBORDINATE" else -a.subordinate_delay_ns
