@@ -65,9 +65,9 @@ class RawRecorder:
     def add(self, frame: SensorFrame) -> None:
         """Queues a frame; one without depth is left out."""
         with self._more:
-            if frame.depth is None or self._ending:
+            if frame.depth is None:
                 return
-            if len(self._queue) >= _KEEP:
+            if self._ending or len(self._queue) >= _KEEP:
                 self.lost += 1
                 return
             if len(self._queue) >= _KEEP_WITH_IMAGES:

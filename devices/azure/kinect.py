@@ -182,10 +182,18 @@ class KinectSensor(LiveSensor):
         # Waiting at most three quarters of a frame for the tracker leaves time to fetch the next capture.
         took = partial(self.decimation.tracked, self.name)
         queue = TrackerQueue(self._tracker, 0.75 / self.settings.fps, took, self.clock)
+        newest: _Captured | None = None
         while not self._interrupted.is_set():
-            if not queue.full and (taken := self._take(stream, wait=queue.empty)) is not None:
-                frame = self.frame_of(taken, self.settings.infrared)
-                queue.put(frame, capture_pointer(taken.capture))
+            # a recording takes captures from the SDK's queue while the tracker is busy, too
+            if (not queue.full or self.on_capture is not None) and (
+                taken := self._take(stream, wait=queue.empty)
+            ):
+                self.missed += newest is not None
+                newest = taken
+            if newest is not None and not queue.full:
+                frame = self.frame_of(newest, self.settings.infrared)
+                queue.put(frame, capture_pointer(newest.capture))
+                newest = None
             self.waits_for = stream.waits_for if queue.empty else "its body tracker's result"
             yield from queue.done()
 

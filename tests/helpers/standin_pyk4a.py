@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from devices.azure import pyk4a_internals
-from devices.azure.calibration import DEPTH_MODES
+from devices.azure.calibration import DEPTH_MODES, calibration_json
+from fusion.intrinsics import Intrinsics
 from tests.helpers.standin_camera import Device, refused
 from tests.helpers.standin_values import (
     DEVICE_NAME,
@@ -165,6 +166,13 @@ def make_module(bus):
         def calibration(self):
             self._present()
             return Calibration(self._config.depth_mode, self._config.color_resolution, self._number.value - 1)
+
+        @property
+        def calibration_raw(self):
+            name = list(DEPTH_MODES)[int(self._config.depth_mode) - 1]
+            *camera, distortion = self.calibration._lens(0)
+            mode = DEPTH_MODES[name]
+            return calibration_json(Intrinsics(mode.width, mode.height, *camera, distortion), name).decode()
 
         def get_capture(self, timeout=-1):
             if self._device is None:

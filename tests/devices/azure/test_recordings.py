@@ -121,7 +121,8 @@ def test_passive_infrared_is_refused_by_name(tmp_path):
 
 
 def test_a_mode_that_its_images_contradict_is_refused(tmp_path):
-    path = write_mkv(tmp_path / "odd.mkv", 1, mode="NFOV_UNBINNED", size=(320, 288))
+    path = write_mkv(tmp_path / "odd.mkv", 1, mode="NFOV_2X2BINNED")
+    path.write_bytes(path.read_bytes().replace(b"NFOV_2X2BINNED", b"NFOV_UNBINNED\0"))
     with pytest.raises(DeviceError, match="640 x 576, but its images are 320 x 288"):
         MkvRecording(path).__enter__()
 

@@ -1,0 +1,251 @@
+"""Raw recordings: what is in them, and what becomes of them when disk, sensor or program fail."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import tracemalloc
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from devices import raw_recording
+from devices.azure.mkv import MkvRecording
+from devices.azure.mkv_writer import MkvWriter
+from devices.blazepose.tracked_images import registered_color
+from devices.capture.host_clock import offset_by_arrival
+from devices.capture.settings import CaptureSettings
+from devices.raw_recording import RawRecorder
+from devices.sensor import ColorCamera, ColorImage, Sensor, SensorFrame
+from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
+from fusion.rigid import RigidTransform
+from tests.helpers.machine import small_disk
+from tests.helpers.mkv_writer import depth_image, grey_color, lens_of, write_mkv
+from tests.helpers.real_libraries import PYK4A
+from tests.helpers.waiting import eventually
+
+ROOT = Path(__file__).resolve().parents[2]
+LENS = NOMINAL_INTRINSICS["azure_kinect"]
+PERIOD_NS = 33_333_000
+
+
+class Camera(Sensor):
+    name, intrinsics = "000123", LENS
+
+
+def frame(number, lens=LENS):
+    random = np.random.default_rng(number)
+    depth, ir = (random.integers(0, 4000, (lens.height, lens.width), dtype=np.uint16) for _ in range(2))
+    time_ns = 336_277_000 + number * PERIOD_NS
+    return SensorFrame(time_ns, depth=depth, ir=ir, host_ns=10**15 + number * PERIOD_NS)
+
+
+def read(path):
+    with MkvRecording(path) as recording:
+        return list(recording.frames()), recording
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_what_was_recorded_is_read_bit_for_bit(compress, tmp_path):
+    lens = replace(
+        LENS, cx=321.1234567, cy=280.7, fx=503.3, distortion=(0.5, -2.6, 1e-4, -2e-4, 1.4, 0.4, -2.4, 1.3)
+    )
+    frames = [frame(number) for number in range(5)]
+    settings = CaptureSettings(sync="subordinate")
+    with MkvWriter(tmp_path / "a.mkv", "000123", settings, lens, frames[0], compress=compress) as writer:
+        for each in frames:
+            writer.write(each)
+    found, recording = read(tmp_path / "a.mkv")
+    info = recording.info
+    assert recording.warnings == []
+    assert [each.time_ns for each in found] == [each.time_ns for each in frames], "to the microsecond"
+    assert [each.host_ns for each in found] == [each.host_ns for each in frames]
+    for wanted, got in zip(frames, found, strict=True):
+        np.testing.assert_array_equal(got.depth, wanted.depth)
+        np.testing.assert_array_equal(got.ir, wanted.ir)
+    assert (info.serial, info.depth_mode, info.sync_mode) == ("000123", "NFOV_UNBINNED", "SUBORDINATE")
+    assert info.subordinate_delay_ns == 160_000
+    assert info.duration_ns == frames[-1].time_ns - frames[0].time_ns + 33_333_000
+    for name in ("fx", "fy", "cx", "cy", "distortion"):
+        assert getattr(info.intrinsics, name) == pytest.approx(getattr(lens, name), rel=1e-12), name
+
+
+def test_a_camera_of_another_size_with_registered_colour_keeps_both(tmp_path):
+    lens = Intrinsics(640, 480, 571.26, 571.26, 319.5, 239.5)
+    jpeg = cv2.imencode(".jpg", np.full((480, 640, 3), (40, 120, 200), np.uint8))[1].tobytes()
+    color = ColorImage(jpeg, ColorCamera(lens, RigidTransform.identity()))
+    frames = [replace(frame(number, lens), ir=None, color=color) for number in range(3)]
+    with MkvWriter(tmp_path / "a.mkv", "x", CaptureSettings(), lens, frames[0]) as writer:
+        for each in frames:
+            writer.write(each)
+    found, recording = read(tmp_path / "a.mkv")
+    assert recording.info.depth_mode == "640X480"
+    assert recording.info.intrinsics == replace(lens, distortion=(0.0,) * 8)
+    assert [each.color.jpeg for each in found] == [jpeg] * 3
+    assert all((got.depth == wanted.depth).all() for got, wanted in zip(found, frames, strict=True))
+    np.testing.assert_allclose(registered_color(found[0])[240, 320], (200, 120, 40), atol=3)
+
+
+_PLAYBACK = """
+import json, sys
+import pyk4a
+playback = pyk4a.PyK4APlayback(sys.argv[1])
+playback.open()
+found = []
+while True:
+    try:
+        capture = playback.get_next_capture()
+    except EOFError:
+        break
+    sums = [int(image.astype("u8").sum()) for image in (capture.depth, capture.ir)]
+    color = None if capture.color is None else len(capture.color)
+    found.append([capture.depth_timestamp_usec, capture.ir_timestamp_usec, *sums, color])
+lens = playback.calibration.get_camera_matrix(pyk4a.CalibrationType.DEPTH).ravel().tolist()
+told = playback.configuration
+roles = [int(told[key]) for key in ("wired_sync_mode", "subordinate_delay_off_master_usec", "depth_mode")]
+print(json.dumps({"frames": found, "lens": lens, "roles": roles}))
+"""
+
+
+@pytest.mark.parametrize("color", [False, True])
+def test_the_library_of_microsofts_tools_reads_it(color, tmp_path):
+    path, script = tmp_path / "a.mkv", tmp_path / "playback.py"
+    write_mkv(path, 6, mode="NFOV_UNBINNED", color=color)
+    script.write_text(_PLAYBACK, encoding="utf-8")
+    said = PYK4A.run(str(script), str(path))
+    jpeg = len(grey_color().jpeg) if color else None
+    sums = [int(depth_image(k, "NFOV_UNBINNED").astype(np.uint64).sum()) for k in range(6)]
+    pixels = 640 * 576
+    assert said["frames"] == [
+        [336_277 + 33_000 * k, 336_277 + 33_000 * k, sums[k], sums[k] + pixels, jpeg] for k in range(6)
+    ]
+    lens = lens_of("NFOV_UNBINNED")
+    wanted = [lens.fx, 0.0, lens.cx, 0.0, lens.fy, lens.cy, 0.0, 0.0, 1.0]
+    np.testing.assert_allclose(said["lens"], wanted, atol=1e-4)  # the SDK's are float32
+    assert said["roles"] == [2, 160, 2]
+
+
+class Stuck(MkvWriter):
+    """A disk that stands still until the test lets it go."""
+
+    go = threading.Event()
+
+    def write(self, frame):
+        self.go.wait(20.0)
+        super().write(frame)
+
+
+def test_a_disk_that_stands_still_costs_images_first_and_bounded_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(raw_recording, "_KEEP", 12)
+    monkeypatch.setattr(raw_recording, "_KEEP_WITH_IMAGES", 6)
+    monkeypatch.setattr(Stuck, "go", threading.Event())
+    first = frame(0)
+    with RawRecorder(tmp_path / "a.mkv", Camera(), open_writer=Stuck) as recorder:
+        recorder.add(first)
+        assert eventually(lambda: not recorder._queue), "the thread has it"
+        tracemalloc.start()
+        for number in range(1, 31):
+            recorder.add(frame(number))
+        size, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert size < 14 * first.depth.nbytes * 1.5, "6 pairs of images, 6 depth images"
+        Stuck.go.set()
+    assert (recorder.lost, recorder.without_images) == (18, 6)
+    found, _ = read(recorder.path)
+    assert [each.time_ns for each in found] == [frame(number).time_ns for number in range(13)]
+    assert [each.ir is not None for each in found] == [True] * 7 + [False] * 6
+    assert recorder.written == 13
+
+
+def test_a_full_disk_ends_it_in_a_sentence_and_leaves_what_was_written(tmp_path):
+    with small_disk(tmp_path / "small", 20_000) as disk:
+        said = []
+        with RawRecorder(disk / "a.mkv", Camera(), on_failure=said.append) as recorder:
+            for number in range(40):
+                recorder.add(frame(number))
+        assert said == [recorder.failure]
+        assert recorder.failure == (
+            f"{disk}/a.mkv is not recorded from frame {recorder.written} on: No space left on device. "
+            f"What is before that can be read."
+        )
+        found, recording = read(disk / "a.mkv")
+        assert len(found) == recorder.written == 20_000 * 1024 // (4 * 640 * 576)
+        assert recorder.lost + recorder.written == 40
+        assert ["is cut off" in warning for warning in recording.warnings] == [True]
+
+
+def test_a_folder_that_is_gone_is_told(tmp_path):
+    with RawRecorder(tmp_path / "none" / "a.mkv", Camera()) as recorder:
+        recorder.add(frame(0))
+    assert recorder.failure == f"{tmp_path}/none/a.mkv: No such file or directory."
+
+
+def test_a_sensor_that_starts_its_clock_anew_goes_on(tmp_path):
+    with RawRecorder(tmp_path / "a.mkv", Camera()) as recorder:
+        for number in (0, 1, 2):
+            recorder.add(frame(number))
+        for number in (0, 1):  # plugged in again, two seconds later
+            again = frame(number)
+            recorder.add(replace(again, host_ns=again.host_ns + 2_000_000_000))
+    times = np.array([each.time_ns for each in read(recorder.path)[0]])
+    assert np.diff(times).tolist() == [PERIOD_NS, PERIOD_NS, 2_000_000_000 - 2 * PERIOD_NS, PERIOD_NS]
+
+
+_RECORDS = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from devices.raw_recording import RawRecorder
+from devices.sensor import Sensor, SensorFrame
+from fusion.intrinsics import NOMINAL_INTRINSICS
+class Camera(Sensor):
+    name, intrinsics = "000123", NOMINAL_INTRINSICS["azure_kinect"]
+recorder = RawRecorder(Path(sys.argv[1]), Camera(), compress=sys.argv[2] == "True")
+number = 0
+while True:
+    depth = np.full((576, 640), 1 + number, np.uint16)
+    recorder.add(SensorFrame(33_333_000 * number, depth=depth, ir=depth))
+    number += 1
+    while recorder.written < number:
+        time.sleep(0.0005)
+    sys.stdout.write(".")
+    sys.stdout.flush()
+"""
+
+
+@pytest.mark.parametrize(("seed", "compress"), [(1, False), (2, False), (3, False), (4, True)])
+def test_a_kill_at_any_moment_leaves_every_frame_that_was_written(seed, compress, tmp_path):
+    moments = random.Random(seed)
+    path = tmp_path / "a.mkv"
+    command = [sys.executable, "-c", _RECORDS, str(path), str(compress)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE) as program:
+        told = program.stdout.read(1 + moments.randrange(40))
+        threading.Event().wait(moments.random() * 0.02)  # anywhere within a frame
+        os.kill(program.pid, signal.SIGKILL)
+        told += program.stdout.read()
+    found, recording = read(path)
+    assert len(found) - len(told) in (0, 1), "not one that was told is missing"
+    assert any("is cut off" in warning for warning in recording.warnings)
+    assert all((each.depth == 1 + k).all() for k, each in enumerate(found))
+    assert all((each.ir == 1 + k).all() for k, each in enumerate(found[: len(told)]))
+
+
+def test_clocks_are_related_by_arrival():
+    times = np.arange(0, 40_000_000_000, PERIOD_NS)
+    late = np.random.default_rng(1).exponential(3e6, (2, len(times))).astype(np.int64)
+    a = np.stack([times + 7_000, times + 10**15 + late[0]], axis=1)
+    # B's clock was 5 s ahead and runs 40 ppm faster
+    b_times = np.round(5_000_000_000 + times * (1 + 40e-6)).astype(np.int64)
+    b = np.stack([b_times, times + 10**15 + late[1]], axis=1)
+    found = offset_by_arrival(a, b)
+    wrong = b_times + found.at(b_times) - a[:, 0]
+    assert np.abs(wrong).max() < 200_000, "a fifth of a millisecond, where arrivals scatter by three"
+    elsewhere = b + np.array([0, 10**14])
+    assert offset_by_arrival(a, elsewhere) is None, "another machine's clock"
+    assert offset_by_arrival(a, b[:0]) is None

@@ -1,0 +1,135 @@
+"""``duplex record``, ``--record`` and ``duplex live a.mkv b.mkv``, on stand-ins for two Kinects."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from devices.azure.mkv import MkvRecording
+from fusion.body import AZURE_KINECT
+from fusion.calibration.calibration import nominal_calibration
+from recordings.calibration_file import calibration_to_json
+from recordings.session import Session
+from tests.helpers.command_line import duplex
+from tests.helpers.machine import small_disk
+from tests.helpers.mkv_writer import write_mkv
+from tests.helpers.session_text import rows_of
+
+SENSORS = ("--kinect-a", "000123", "--kinect-b", "000456")
+
+
+def read(path):
+    with MkvRecording(path) as recording:
+        frames = list(recording.frames())
+    return recording, frames
+
+
+@pytest.mark.parametrize("more", [(), ("--compress",), ("--color", "720P")])
+def test_two_sensors_become_two_recordings(more, kinects, tmp_path, capsys):
+    folder = tmp_path / "made" / "here"
+    assert duplex("record", folder, *SENSORS, "--seconds", 1, *more) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Sync cable: B leads" in said
+    assert sorted(path.name for path in folder.iterdir()) == ["a.mkv", "b.mkv"]
+    for name, serial, sync in (("a", "000123", "SUBORDINATE"), ("b", "000456", "MASTER")):
+        recording, frames = read(folder / f"{name}.mkv")
+        assert (recording.info.serial, recording.info.sync_mode) == (serial, sync)
+        assert recording.info.intrinsics.cx == pytest.approx(332.0), "the sensor's own calibration"
+        assert recording.warnings == []
+        assert f"{name}.mkv: {len(frames)} frames" in said
+        assert len(frames) >= 10
+        # the stand-in's images name their capture
+        numbers = [int(frame.depth[0, 0]) for frame in frames]
+        assert numbers == [*range(numbers[0], numbers[0] + len(frames))]
+        assert all((frame.ir == 900).all() and frame.host_ns for frame in frames)
+    assert kinects.open_serials == []
+
+
+@pytest.mark.usefixtures("kinects")
+def test_recordings_are_not_overwritten_unless_asked(tmp_path, capsys):
+    (tmp_path / "b.mkv").write_bytes(b"dear")
+    assert duplex("record", tmp_path, *SENSORS, "--seconds", 1) == 2
+    assert "b.mkv exists already" in capsys.readouterr().err
+    assert (tmp_path / "b.mkv").read_bytes() == b"dear"
+    assert not (tmp_path / "a.mkv").exists()
+    assert duplex("record", tmp_path, *SENSORS, "--seconds", 0.5, "--force") == 0
+    assert len(read(tmp_path / "b.mkv")[1]) > 5
+    file = tmp_path / "a.mkv" / "x"
+    assert duplex("record", file, *SENSORS) == 2
+    assert "cannot be made" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("kinects")
+def test_a_full_disk_ends_it_with_one_line(tmp_path, capsys):
+    with small_disk(tmp_path / "small", 30_000) as disk:
+        assert duplex("record", disk, *SENSORS, "--seconds", 20) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert "No space left on device. What is before that can be read." in error
+        assert sum(len(read(disk / name)[1]) for name in ("a.mkv", "b.mkv")) >= 18
+
+
+def test_a_slow_tracker_loses_no_recorded_frame(kinects, live, standin, tmp_path):
+    standin.tracking_ms = 90  # it gets a third of the frames
+    live("--record", tmp_path / "raw", seconds=2.0)
+    for name, device in zip("ab", kinects.devices, strict=True):
+        _, frames = read(tmp_path / "raw" / f"{name}.mkv")
+        assert len(frames) == device.captures, "every capture of the SDK"
+        assert len(frames) > 1.5 * rows_of(live.saved, "/fused/skeleton")
+    assert kinects.open_serials == []
+
+
+@pytest.mark.usefixtures("kinects")
+def test_recordings_give_the_same_s_as_live_did(live, standin, tmp_path):
+    raw, calibration = tmp_path / "raw", tmp_path / "c.json"
+    calibration.write_text(calibration_to_json(nominal_calibration(AZURE_KINECT)), encoding="utf-8")
+    live("--record", raw, "--calibrate", calibration, seconds=2.0)
+    was = Session.open(live.saved)
+    for library in ("libk4a.so", "libk4abt.so"):  # one library for both, as the loader sees it
+        (tmp_path / library).symlink_to(standin.path)
+    files, tracker = (raw / "a.mkv", raw / "b.mkv"), ("--k4abt", tmp_path / "libk4abt.so")
+    given = (*tracker, "--no-viewer", "--calibrate", calibration, "--save")
+    assert duplex("live", *files, *given, tmp_path / "l.rrd") == 0
+    assert duplex("fuse", *files, *given, tmp_path / "f.rrd", "--no-refine") == 0
+    for again in (tmp_path / "l.rrd", tmp_path / "f.rrd"):
+        now = Session.open(again)
+        off, common = _apart(was, now)
+        assert common > 40, again
+        assert (np.median(off) if again.stem == "f" else np.max(off)) < 1e-4, again
+
+
+def _apart(one, other):
+    """Distances of the joints of S* at the moments that both sessions have, metres; the number of moments."""
+    times = [session.rows.clock_a for session in (one, other)]
+    _, i, j = np.intersect1d(*times, return_indices=True)
+    return np.linalg.norm(one.fused[i] - other.fused[j], axis=2), len(i)
+
+
+def test_what_cannot_be_played_is_told(tmp_path, capsys):
+    path = write_mkv(tmp_path / "a.mkv", 3)
+    table = tmp_path / "b.csv"
+    table.touch()
+    assert duplex("live", path, table, "--no-viewer") == 2
+    assert "b.csv has no images: duplex live plays .mkv and .bag" in capsys.readouterr().err
+    assert duplex("live", path, "--no-viewer") == 2
+    assert "duplex live plays two recordings" in capsys.readouterr().err
+    assert duplex("record", tmp_path, "--kinect-a", "zenoh:lab/a") == 2
+    assert "run it on the sensor's own PC" in capsys.readouterr().err
+
+
+def test_what_the_simulator_saw_is_recorded(tmp_path, capsys):
+    report = tmp_path / "r.json"
+    begun = time.perf_counter_ns()
+    options = ("--no-viewer", "--seconds", 2, "--record", tmp_path, "--save", tmp_path / "s.rrd")
+    assert duplex("demo", *options, "--report", report) == 0
+    frames = json.loads(report.read_text())["frames"]
+    for name in ("a", "b"):
+        recording, images = read(tmp_path / f"{name}.mkv")
+        assert (recording.info.depth_mode, recording.warnings) == ("NFOV_2X2BINNED", [])
+        assert 30 <= len(images) <= frames[name]
+        assert all(begun < image.host_ns < time.perf_counter_ns() for image in images)
+        assert images[0].depth.max() > 1000
+        assert images[0].ir.max() > 20
+    assert duplex("demo", "--no-viewer", "--record", tmp_path / "no", "--depth", "none") == 2
+    assert "--record records images" in capsys.readouterr().err
