@@ -49,9 +49,8 @@ def main():
             share = (time.process_time() - cpu) / (time.perf_counter() - begun)
             size = sum(recorder.written_bytes for recorder in recorders) / 2e6 / _SECONDS
             lost = sum(recorder.lost + recorder.without_images for recorder in recorders)
-            print(
-                f"{'--compress' if compress else 'raw'}: {size:.1f} MB/s each, {share:.0%} of a core, lost {lost}"
-            )
+            kind = "--compress" if compress else "raw"
+            print(f"{kind}: {size:.1f} MB/s each, {share:.0%} of a core, lost {lost}")
 
 
 if __name__ == "__main__":
