@@ -180,7 +180,7 @@ def _speed(document):
     ]  # fmt: skip
     commands = figures["commands"]
     batch = figures["update"]["kinect_v2"]["duplex"]["batch_per_s"]
-    rows.append(("a whole recording at once, Kinect v2", f"{batch:,.0f} pairs/s", ""))
+    rows.append(("whole recording, Kinect v2", f"{batch:,.0f} pairs/s", ""))
     timed = [
         ("`duplex fuse --save`, after its start", f"{commands['fuse_pairs_per_s']:,.0f} pairs/s", ""),
         ("start of `duplex fuse`", f"{commands['fuse_start_up_s']:.1f} s", ""),

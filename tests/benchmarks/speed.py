@@ -134,7 +134,7 @@ def main(arguments=None):
     for body in BODIES.values():
         walk = simulated_walk(body)
         figures["update"][body.name] = {method: time_update(walk, body, method) for method in methods}
-        figures["update"][body.name]["duplex, frames of A alone"] = time_update(
+        figures["update"][body.name]["duplex, A alone"] = time_update(
             walk, body, "duplex", alone=True
         )
     figures["solver"]["exact"] = time_solver(solver_of(KINECT_V1))
