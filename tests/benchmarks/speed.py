@@ -134,9 +134,7 @@ def main(arguments=None):
     for body in BODIES.values():
         walk = simulated_walk(body)
         figures["update"][body.name] = {method: time_update(walk, body, method) for method in methods}
-        figures["update"][body.name]["duplex, A alone"] = time_update(
-            walk, body, "duplex", alone=True
-        )
+        figures["update"][body.name]["duplex, A alone"] = time_update(walk, body, "duplex", alone=True)
     figures["solver"]["exact"] = time_solver(solver_of(KINECT_V1))
     figures["solver"]["published"] = time_solver(PaperSolver(KINECT_V1.parent_indices))
     figures["commands"] = time_commands(KINECT_V2, simulated_walk(KINECT_V2))
