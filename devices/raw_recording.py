@@ -22,8 +22,8 @@ _KEEP, _KEEP_WITH_IMAGES = 120, 60
 class RawRecorder:
     """Writes a sensor's depth, infrared and colour to an ``.mkv``; :meth:`add` never waits.
 
-    Every second frame of a disk that stands still would be lost with the first: while the queue is long, new
-    frames lose colour and infrared, and when it is full, themselves. A full disk ends the recording; the file
+    While the queue is long, because the disk is slow, new frames lose colour and infrared; when it is full, they
+    are lost. A full disk ends the recording; the file
     keeps the frames before. All frames but the last one survive a kill of the program.
 
     Attributes:
