@@ -22,9 +22,9 @@ _KEEP, _KEEP_WITH_IMAGES = 120, 60
 class RawRecorder:
     """Writes a sensor's depth, infrared and colour to an ``.mkv``; :meth:`add` never waits.
 
-    While the queue is long, because the disk is slow, new frames lose colour and infrared; when it is full, they
-    are lost. A full disk ends the recording; the file
-    keeps the frames before. All frames but the last one survive a kill of the program.
+    While the queue is long, because the disk is slow, new frames lose colour and infrared; when it is full,
+    they are lost. A full disk ends the recording; the file keeps the frames before. All frames but the last
+    one survive a kill of the program.
 
     Attributes:
         failure: Why the recording ended early, in a sentence; None where it did not.
