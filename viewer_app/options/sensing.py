@@ -104,7 +104,7 @@ class LiveOptions(
     OutputOptions,
     SensorOptions,
 ):
-    """Fuse two sensors live: Azure Kinect, Orbbec Femto Bolt, Femto Mega, Gemini 2 and their kin.
+    """Fuse two sensors live: Azure Kinect, Orbbec, RealSense or Kinect v1.
 
     Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks. Two recordings
     of images play as if they were live.

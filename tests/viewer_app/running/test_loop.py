@@ -151,11 +151,11 @@ def test_nothing_is_compiled_after_the_first_frame(monkeypatch):
 
 def compiled():
     """How many versions each kernel of the method and of the devices has."""
-    modules = list(sys.modules.values())
+    packages = "fusion", "devices.depth.witness", "devices.depth.rvl"
     return {
-        f"{module.__name__}.{name}": len(kernel.overloads)
-        for module in modules
-        if module.__name__.startswith(("fusion", "devices.depth.witness", "devices.depth.rvl"))
+        f"{title}.{name}": len(kernel.overloads)
+        for title, module in list(sys.modules.items())
+        if title.startswith(packages)
         for name, kernel in vars(module).items()
         if hasattr(kernel, "overloads")
     }

@@ -85,7 +85,8 @@ def test_the_help_describes_every_option(command, capsys):
 def test_the_help_has_the_options_of_experts_last(capsys):
     assert duplex("live", "--help") == 0
     titles = re.findall(r"╭─ (.+?) ─", capsys.readouterr().out)
-    assert titles == ["Options", "Sensors", "Body tracker", "Method", "Viewer", "Outputs", "For experts"]
+    groups = ["Sensors", "Body tracker", "Method", "Viewer", "Outputs", "For experts"]
+    assert titles == ["Arguments", "Options", *groups]
 
 
 def test_an_option_given_twice_has_its_last_value(parsed):
