@@ -23,6 +23,9 @@ class AbsentError(DeviceError):
     """The source is not connected. Checking again is cheap, so it may be done often."""
 
 
+_JPEG_QUALITY = 90
+
+
 @dataclass(frozen=True, eq=False)
 class ColorCamera:
     """The colour camera beside a depth camera."""
@@ -34,7 +37,7 @@ class ColorCamera:
 
 @dataclass(frozen=True, eq=False)
 class ColorImage:
-    """A colour image as the camera compressed it."""
+    """A compressed colour image."""
 
     jpeg: bytes  # the file; it begins and ends as one does
     camera: ColorCamera  # which camera took it
@@ -44,6 +47,14 @@ class ColorImage:
         """An image of what a camera gave; None where that was cut off."""
         whole = jpeg.startswith(b"\xff\xd8") and jpeg.rstrip(b"\0").endswith(b"\xff\xd9")
         return ColorImage(jpeg, camera) if whole else None
+
+    @staticmethod
+    def of_rgb(rgb: NDArray[np.uint8], camera: ColorCamera) -> ColorImage:
+        """An image of (height, width, 3) RGB pixels, from a sensor that does not compress them."""
+        import cv2  # it changes the environment; importing this package must not
+
+        _, jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        return ColorImage(jpeg.tobytes(), camera)
 
 
 @dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)

@@ -15,7 +15,7 @@ from devices.skeletons.csv_text import codes, refuse_cut_off, text_rows
 from recordings.errors import RecordingError
 
 SUFFIXES = (".c3d", ".trc", ".csv")
-"""Of files that are read here."""
+"""Suffixes of files of motion capture."""
 _TRC_HEAD = 5  # lines before the first frame; an empty one may follow
 
 

@@ -25,9 +25,9 @@ from fusion.rigid import RigidTransform
 INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 """The colour camera's nominal lens, on whose pixels registered depth is: the sensor stores no calibration of
 it. 525 is the focal length that ROS's driver assumes."""
+CAMERA = ColorCamera(INTRINSICS, RigidTransform.identity())
 _QUEUE = 4  # moments that wait for the reader
 _EVENTS_S = 0.1  # longest wait for events of USB
-_JPEG_QUALITY = 90
 
 
 class _Camera:
@@ -209,7 +209,7 @@ class FreenectSensor(LiveSensor):
         return SensorFrame(
             time_ns=moment.time_ns,
             depth=moment.depth,
-            color=compressed(moment.rgb) if colored else None,
+            color=ColorImage.of_rgb(moment.rgb, CAMERA) if colored and moment.rgb is not None else None,
             host_ns=moment.host_ns,
         )
 
@@ -226,13 +226,3 @@ def check_modes(serial: str, settings: CaptureSettings) -> None:
         raise DeviceError(f"Kinect v1 {serial} runs at {FPS} fps, not {settings.fps}. Leave --fps out.")
     if settings.sync != "standalone":
         raise DeviceError(f"Kinect v1 {serial} has no port for a sync cable. Leave --sync-master out.")
-
-
-def compressed(rgb: NDArray[np.uint8] | None) -> ColorImage | None:
-    """The colour image as a session records it; None without one."""
-    if rgb is None:
-        return None
-    import cv2  # it changes the environment; importing this package must not
-
-    _, jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    return ColorImage.of(jpeg.tobytes(), ColorCamera(INTRINSICS, RigidTransform.identity()))

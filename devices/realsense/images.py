@@ -19,7 +19,6 @@ _USUAL_WIDTH = 640
 _WAITING = 16  # frames of one stream that wait for the other's
 _WRAP_NS = 1000 * 2**32  # the sensors' clocks are 32-bit microseconds: 72 minutes
 _OLDEST_NS = 5_000_000_000
-_JPEG_QUALITY = 95
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,14 +168,10 @@ class MomentJoiner:
         if kind != self._sdk.stream.color:
             infrared = _pixels(moment.image).astype(np.uint16)
             return SensorFrame(moment.time_ns, depth=depth, ir=infrared, host_ns=host_ns)
-        import cv2
-
         self._parts[:] = moment.depth, moment.image
         self._join.invoke(moment.depth)
         registered = _pixels(self._align.process(self._sets.pop().as_frameset()).get_color_frame())
-        options = (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY)
-        jpeg = cv2.imencode(".jpg", cv2.cvtColor(registered, cv2.COLOR_RGB2BGR), options)[1].tobytes()
-        color = ColorImage.of(jpeg, self._camera)
+        color = ColorImage.of_rgb(registered, self._camera)
         return SensorFrame(moment.time_ns, depth=depth, color=color, host_ns=host_ns)
 
     def _time_ns(self, frame: Any) -> int:

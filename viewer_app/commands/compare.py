@@ -192,7 +192,7 @@ def _mm(value: float | np.float64) -> str:
 
 
 def _blueprint(scene: str, entity: str, plot: str, whereabouts: NDArray[np.float64]) -> rrb.Blueprint:
-    """A scene, a plot of an entity, and that of each joint."""
+    """The layout: the scene above, below it the plots of an entity and of all joints' differences."""
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Spatial3DView(
