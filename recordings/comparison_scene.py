@@ -37,6 +37,7 @@ def record_comparison(
     times = _times(first.frame, first.time_ns)
     for entity, number, _, color, rows in both:
         _log_skeleton(stream, entity, times, rows.fused, number, color, _RADIUS)
+    _log_pelvis(stream, first.frame, first.time_ns, first.fused[:, body.root])
     _log_lines(stream, DIFFERENCE, times, 1e3 * comparison.apart, body.joints)
     _log_lines(stream, LARGEST, times, 1e3 * largest(comparison.apart, axis=1)[:, None], ["largest (mm)"])
     for t, j in worst:
@@ -55,6 +56,7 @@ def record_truth_comparison(stream: rr.RecordingStream, comparison: TruthCompari
     for key, entity in (entities | {"truth": layout.TRUTH_SKELETON}).items():
         color, radius = SKELETON_COLORS[key], JOINT_RADII[key]
         _log_skeleton(stream, entity, times, joints[key], layout.CLASS_IDS[key], color, radius)
+    _log_pelvis(stream, comparison.frame, comparison.time_ns, joints["fused"][:, body.root])
     means = np.stack([comparison.mean_distance(key) for key in SKELETONS], axis=1)
     colors = [SKELETON_COLORS[key] for key in SKELETONS]
     _log_lines(stream, MEANS, times, 1e3 * means, [layout.SKELETON_NAMES[key] for key in SKELETONS], colors)
@@ -87,6 +89,15 @@ def _log_skeleton(
     stream.log(entity, look, static=True)
     points = rr.Points3D.columns(positions=joints.astype(np.float32).reshape(-1, 3))
     stream.send_columns(entity, times, points.partition([J] * T))
+
+
+def _log_pelvis(
+    stream: rr.RecordingStream, frame: NDArray[np.int64], time_ns: NDArray[np.int64], pelvis: Array
+) -> None:
+    """Logs (T, 3) positions of the pelvis, where they are known: the eye follows them."""
+    known = np.isfinite(pelvis).all(axis=1)
+    moves = rr.Transform3D.columns(translation=pelvis[known].astype(np.float32))
+    stream.send_columns(layout.PELVIS, _times(frame[known], time_ns[known]), moves)
 
 
 def _log_lines(

@@ -122,6 +122,15 @@ TRUST_LANES = rr.StateConfiguration(values=SOURCES, labels=SOURCES, colors=SOURC
 STATE_LANES = rr.StateConfiguration(values=layout.STATE_NAMES, labels=layout.STATE_NAMES, colors=STATE_COLORS)
 
 
+def followed(distance: float) -> Visualizer:
+    """Invisible points above and below an entity's place, so that an eye which tracks it stays so far away.
+
+    Rerun follows an entity that has a size, from a distance in proportion to it.
+    """
+    far = distance / 3.0
+    return rr.Points3D([(0.0, -far, 0.0), (0.0, far, 0.0)], colors=(0, 0, 0, 0), radii=0.0).visualizer()
+
+
 def bone_lines(bone: str, *, mirrored: bool = False) -> Visualizer:
     """Plot lines of a bone's length, as in the paper's fig. 5; those of a mirrored bone are darker."""
     keys = ("a", "b", "fused")

@@ -70,11 +70,16 @@ def frame_columns(
             of_entity.add_data(component, spec.in_arrow(rows.body, stored))
     if colors is not None:
         entities[layout.FUSED_SKELETON].add_argument("Points3D:colors", colors)
+    posed = np.isfinite(rows.fused[:, rows.body.root]).all(axis=1)
+    with_pose = rows if posed.all() else rows[np.flatnonzero(posed)]
     for shown in SHOWN_FIGURES:
-        derived = shown.values(rows) if (plotted if shown.entity in PLOTTED else drawn) else None
+        # In other frames the pelvis keeps its place, and the eye that follows it stays.
+        of = with_pose if shown.entity == layout.PELVIS else rows
+        wanted = len(of) > 0 and (plotted if shown.entity in PLOTTED else drawn)
+        derived = shown.values(of) if wanted else None
         if derived is None:
             continue
-        of_entity = entities.setdefault(shown.entity, _EntityColumns(rows))
+        of_entity = entities.setdefault(shown.entity, _EntityColumns(of))
         if ":" in shown.component:
             of_entity.add_argument(shown.component, derived)
         else:
@@ -83,7 +88,7 @@ def frame_columns(
         for component, values in _checks(rows, checks).items():
             entities[layout.QUALITY].add_data(component, values)
     for entity, of_entity in entities.items():
-        yield entity, rows, of_entity.columns()
+        yield entity, of_entity.rows, of_entity.columns()
     chosen = np.flatnonzero(rows.frame % _EVERY == 0)
     if plotted and len(chosen):
         every = rows if len(chosen) == len(rows) else rows[chosen]
@@ -95,14 +100,14 @@ class _EntityColumns:
     """Collects the columns of one entity; data named ``struct.field`` become fields of one struct."""
 
     def __init__(self, rows: SessionArrays) -> None:
-        self._rows = rows
+        self.rows = rows
         self._columns: list[Column] = []
         self._structs: dict[str, dict[str, pa.Array]] = {}
 
     def add_argument(self, component: str, values: NDArray[Any]) -> None:
         """Adds ``archetype:argument``, (T, …) values, or (T, J, …) of the archetype ``Points3D``."""
         archetype, _, argument = component.partition(":")
-        each, frames = len(self._rows.body) if archetype == "Points3D" else 1, len(self._rows)
+        each, frames = len(self.rows.body) if archetype == "Points3D" else 1, len(self.rows)
         component_of = converted(getattr(rr, archetype), argument, values, frames * each)
         self._columns.append(Column(*component_of, frames))
 
@@ -112,7 +117,7 @@ class _EntityColumns:
         if dot:
             self._structs.setdefault(struct, {})[member] = values
         else:
-            self._columns.append(Column.of_data(component, values, len(self._rows)))
+            self._columns.append(Column.of_data(component, values, len(self.rows)))
 
     def columns(self) -> list[Column]:
         """All columns."""
@@ -120,7 +125,7 @@ class _EntityColumns:
             name: pa.StructArray.from_arrays(list(members.values()), names=list(members))
             for name, members in self._structs.items()
         }
-        return self._columns + [Column.of_data(name, of, len(self._rows)) for name, of in structs.items()]
+        return self._columns + [Column.of_data(name, of, len(self.rows)) for name, of in structs.items()]
 
 
 def _bones(rows: SessionArrays) -> pa.Array:

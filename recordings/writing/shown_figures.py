@@ -98,9 +98,7 @@ SHOWN_FIGURES = (
     ShownFigure(_S, layout.SIGMA_SPHERES, _sigma_spheres),
     ShownFigure(_S, "view_difference_mm", lambda rows: np.round(rows.view_difference * 1e3), np.float16),
     ShownFigure(_PELVIS, "Transform3D:mat3x3", lambda rows: pelvis_rotations(rows.body, rows.fused)),
-    ShownFigure(
-        _PELVIS, "Transform3D:translation", lambda rows: np.nan_to_num(rows.fused[:, rows.body.root])
-    ),
+    ShownFigure(_PELVIS, "Transform3D:translation", lambda rows: rows.fused[:, rows.body.root]),
     ShownFigure(layout.QUALITY, "figures.bone_error_mm", lambda rows: rows.bone_error * 1e3),
     ShownFigure(layout.QUALITY, "figures.disagreement_mm", lambda rows: rows.disagreement * 1e3),
     ShownFigure(

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from devices.skeletons.name_tables import name_table
 from recordings import layout
+from recordings.appearance import entity_styles
 from recordings.comparison_scene import (
     DIFFERENCE,
     LARGEST,
@@ -44,7 +45,7 @@ from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
 
 _APPLICATION_ID = f"{layout.APPLICATION_ID}_compare"
-_EYE = np.array([-1.1, -0.4, -2.4])  # metres, from the person in K_A's frame
+_EYE = np.array([-0.9, -0.3, -2.0])  # metres, from the person in K_A's frame
 _WORST = 5  # moments in which two sessions differ most
 _OF_TRUTH = ("names", "offset", "html", "report")  # options for motion capture only
 
@@ -199,8 +200,12 @@ def _blueprint(scene: str, entity: str, plot: str, whereabouts: NDArray[np.float
                 origin=layout.ROOT,
                 name=scene,
                 eye_controls=rrb.EyeControls3D(
-                    position=whereabouts + _EYE, look_target=whereabouts, eye_up=(0.0, -1.0, 0.0)
+                    position=whereabouts + _EYE,
+                    look_target=whereabouts,
+                    eye_up=(0.0, -1.0, 0.0),
+                    tracking_entity=layout.PELVIS,
                 ),
+                overrides={layout.PELVIS: entity_styles.followed(float(np.linalg.norm(_EYE)))},
                 line_grid=rrb.LineGrid3D(visible=False),
             ),
             rrb.Horizontal(

@@ -335,6 +335,7 @@ def _scene(
                 layout.depth(side): rr.Pinhole.from_fields(image_plane_distance=frustum).visualizer()
                 for side in layout.SIDES
             },
+            **({layout.PELVIS: entity_styles.followed(_AWAY)} if follow else {}),
             **{
                 layout.skeleton(side): [entity_styles.lone_joints(), entity_styles.thin_bones()]
                 for side in layout.SIDES

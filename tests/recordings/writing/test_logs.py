@@ -1,5 +1,6 @@
 """Quality and places in a session: jitter is noise and not motion; a recalibration is one message."""
 
+from dataclasses import replace
 from uuid import uuid4
 
 import numpy as np
@@ -115,6 +116,19 @@ def test_live_and_saved_sessions_log_the_same_poses(tmp_path):
     assert poses(live, layout.PELVIS) == poses(again, layout.PELVIS) == list(range(40))
     assert poses(again, layout.FLOOR)[-1] == 0  # found in the whole recording, shown from its beginning
     assert len(poses(live, layout.FLOOR)) == 2  # assumed, then found
+
+
+def test_the_pelvis_keeps_its_place_while_nobody_is_seen(tmp_path):
+    made = frames(fuser := known_fuser(), 20)
+    for nobody in ([3, 4], range(20)):
+        for number in nobody:
+            gone = np.full_like(made[number].fused.positions, np.nan)
+            made[number] = replace(made[number], fused=replace(made[number].fused, positions=gone))
+        file = tmp_path / f"{len(nobody)}.rrd"
+        with session(fuser, file) as live:
+            for frame in made:
+                live.write(frame)
+        assert poses(file, layout.PELVIS) == sorted({*range(20)} - {*nobody})
 
 
 def test_a_viewer_s_stream_gets_the_poses_again_and_again(tmp_path, monkeypatch):

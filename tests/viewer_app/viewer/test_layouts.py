@@ -93,6 +93,36 @@ def test_no_view_of_a_layout_complains_or_is_empty(active, seen, tmp_path):
         assert [log.message for log in logs if not any(known in log.message for known in _NO_DEFECT)] == []
 
 
+def test_the_eye_follows_the_person(seen, tmp_path):
+    fuser, made = seen
+    offsets = {0.5: (0.0, 0.0, 0.0), 1.5: (1.5, 0.0, 1.0)}  # metres, by seconds
+    file = tmp_path / "s.rrd"
+    for number, frame in enumerate(made):
+        joints = frame.fused.positions + offsets[0.5 if number < 30 else 1.5]
+        made[number] = replace(frame, fused=replace(frame.fused, positions=joints))
+    saved(file, fuser, made, "inspect")
+    middles = {}
+    with headless_viewer(str(file)) as viewer:
+        assert eventually(lambda: len(viewer.get_state().views) > 20)
+        scene = next(view.view_id for view in viewer.get_state().views if view.name == SCENE)
+
+        def drawn(moment):
+            viewer.set_time(layout.TIME, duration=moment, play_state="paused")
+            if ink_of(viewer, scene, tmp_path) > 0.002:
+                picture = cv2.imread(str(tmp_path / "view.png")).astype(int)
+                red_over_green = np.abs(picture[..., 2] - picture[..., 1])  # the floor is grey
+                there = np.argwhere(red_over_green > _INK)
+                middle = np.median(there, axis=0) / picture.shape[:2] if len(there) else np.zeros(2)
+                middles.setdefault(moment, []).append(middle)
+            found = middles.get(moment, [])
+            return len(found) > 3 and np.allclose(found[-3:], found[-1], atol=1e-3)
+
+        for moment in offsets:
+            assert eventually(lambda moment=moment: drawn(moment), 60.0)
+    for moment in offsets:
+        np.testing.assert_allclose(middles[moment][-1], 0.5, atol=0.06, err_msg=f"at {moment} s")
+
+
 def ink_of(viewer, view_id, folder):
     """Of one view; 0 where it is not on the screen."""
     path = folder / "view.png"
