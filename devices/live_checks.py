@@ -1,5 +1,6 @@
 """Checks of live capture on this machine, for the sensors of all vendors and both body trackers."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from devices.capture.sensor_choice import (
 )
 from devices.check import Check, failed
 from devices.live_sensors import VENDORS, connected_sensors
+from devices.realsense import sdk_access as realsense
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice, choose_tracker
 
@@ -29,6 +31,14 @@ _CABLE_ADVICE = (
     "A 3.5 mm cable from one's sync out to the other's sync in makes them capture together, without "
     "disturbing each other."
 )
+
+
+def log_libraries_to(folder: Path) -> None:
+    """Has the sensors' libraries log to files of a folder; call it before the first of them is loaded."""
+    for name in ("K4A", "K4ABT"):
+        os.environ[f"{name}_ENABLE_LOG_TO_A_FILE"] = str(folder / f"{name}.log")
+        os.environ.setdefault(f"{name}_LOG_LEVEL", "i")
+    realsense.log_to(folder / "librealsense.log")
 
 
 def device_checks(
@@ -73,7 +83,7 @@ def device_checks(
             False,
             "live capture of every sensor and both body trackers have met stand-ins and "
             "simulations only, never a real sensor; .mkv recordings have",
-            "Report what happens with yours.",
+            "Send what it finds with yours: duplex doctor --bundle FILE.zip.",
             needed=False,
         ),
     ]

@@ -40,6 +40,7 @@ class RawRecorder:
         settings: CaptureSettings | None = None,
         *,
         compress: bool = False,
+        hide: Callable[[str], str] = str,
         on_failure: Callable[[str], object] = lambda _: None,
         open_writer: Callable[..., MkvWriter] = MkvWriter,
     ) -> None:
@@ -47,12 +48,13 @@ class RawRecorder:
 
         Args:
             sensor: Gives serial number, camera and calibration once it is open.
+            hide: What becomes of the serial number and of the calibration's text, before they are written.
             on_failure: Called on the thread with the reason when the recording ends early.
         """
         self.path, self.sensor = path, sensor
         self.failure: str | None = None
         self.written = self.lost = self.without_images = 0
-        self._settings, self._compress = settings or CaptureSettings(), compress
+        self._settings, self._compress, self._hide = settings or CaptureSettings(), compress, hide
         self._on_failure, self._open_writer = on_failure, open_writer
         self._queue: deque[SensorFrame] = deque()
         self._more = threading.Condition()
@@ -123,8 +125,8 @@ class RawRecorder:
         if sensor.intrinsics is None:
             raise DeviceError(f"{sensor.name} does not know its depth camera, which a recording needs.")
         frame = self._in_order(frame)
-        calibration = getattr(sensor, "calibration_json", b"")
-        given = sensor.name, self._settings, sensor.intrinsics, frame
+        calibration = self._hide(getattr(sensor, "calibration_json", b"").decode("latin-1")).encode("latin-1")
+        given = self._hide(sensor.name), self._settings, sensor.intrinsics, frame
         with self._open_writer(self.path, *given, calibration=calibration, compress=self._compress) as writer:
             following: SensorFrame | None = frame
             while following is not None:

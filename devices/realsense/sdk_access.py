@@ -1,7 +1,9 @@
 """RealSense sensors through pyrealsense2: finding, opening, sync modes, checks. The library is imported on
 demand."""
 
+from contextlib import suppress
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -27,6 +29,13 @@ def load_sdk() -> ModuleType:
             f"it needs libusb (Debian: apt install libusb-1.0-0), on macOS build it from librealsense."
         ) from fault
     return pyrealsense2  # type: ignore[no-any-return]
+
+
+def log_to(path: Path) -> None:
+    """Has the library, where it is installed, log to a file, which it makes with its first line."""
+    with suppress(DeviceError):
+        sdk = load_sdk()
+        sdk.log_to_file(sdk.log_severity.info, str(path))
 
 
 @cache

@@ -5,15 +5,25 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import fields
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
+from devices.capture.sensor_choice import NeedsChoiceError, choose_two
 from devices.check import Check
 from devices.live_checks import device_checks
-from viewer_app.options.sensing import DoctorOptions
+from devices.live_sensors import connected_sensors
+from viewer_app.commands.record import record
+from viewer_app.errors import UsageError
+from viewer_app.options.sensing import DoctorOptions, RecordOptions
+from viewer_app.options.shared import SensorOptions
+from viewer_app.sensors.bundle import SECONDS, collecting
+from viewer_app.sensors.raw_files import RawFiles
 from viewer_app.sensors.tracker import tracker_of
 from viewer_app.viewer.display import why_no_window, why_no_x
 
@@ -23,6 +33,24 @@ _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program fr
 def run(options: DoctorOptions) -> None:
     """Runs the command; exits with code 1 if ``duplex live`` could not start."""
     console = Console(highlight=False)
+    if options.bundle is None:
+        if options.recording is not None:
+            raise UsageError("--recording and --no-recording say what is in a bundle: add --bundle FILE.zip.")
+        checks = _examine(options, console)
+    else:
+        serials = options.kinect_a, options.kinect_b, options.principal, options.sync_master
+        paths = options.k4abt, options.tracker_model
+        with collecting(options.bundle, console, force=options.force, serials=serials, paths=paths) as bundle:
+            checks = _examine(options, console)
+            if bundle.may_record(options.recording):
+                bundle.record(partial(_record, options))
+            bundle.write(checks, "\n".join([*(line(check).plain for check in checks), _verdict(checks)]))
+    if lacks(checks):
+        sys.exit(1)
+
+
+def _examine(options: DoctorOptions, console: Console) -> list[Check]:
+    """Checks everything, and prints the results."""
     tracker = tracker_of(options)
     choice = options.kinect_a, options.kinect_b, options.principal
     devices = device_checks(
@@ -31,11 +59,27 @@ def run(options: DoctorOptions) -> None:
     checks = [*devices, *program_checks()]
     for check in checks:
         console.print(line(check), soft_wrap=True)
+    console.print(_verdict(checks), soft_wrap=True)
+    return checks
+
+
+def _verdict(checks: list[Check]) -> str:
     missing = lacks(checks)
-    if missing:
-        console.print(f"duplex live cannot start: {', '.join(missing)}.", soft_wrap=True)
-        sys.exit(1)
-    console.print("duplex live can start.")
+    return f"duplex live cannot start: {', '.join(missing)}." if missing else "duplex live can start."
+
+
+def _record(options: DoctorOptions, folder: Path, console: Console, hide: Callable[[str], str]) -> None:
+    """Records both sensors to a folder; of two that are connected, which one is A does not matter."""
+    chosen = {each.name: getattr(options, each.name) for each in fields(SensorOptions)}
+    try:
+        choose_two(connected_sensors(None), options.kinect_a, options.kinect_b, options.principal)
+    except NeedsChoiceError as question:
+        chosen["principal"] = question.serials[0]
+    record(
+        RecordOptions(folder=folder, seconds=SECONDS, quiet=True, **chosen),
+        console,
+        RawFiles(folder, console, force=False, compress=True, hide=hide),
+    )
 
 
 def lacks(checks: list[Check]) -> list[str]:

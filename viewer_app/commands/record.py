@@ -19,7 +19,13 @@ def run(options: RecordOptions) -> None:
     check_seconds(options.seconds)
     if names_remote(options):
         raise UsageError("duplex record records sensors of this PC: run it on the sensor's own PC.")
-    files = RawFiles(options.folder, console, force=options.force, compress=options.compress)
+    record(
+        options, console, RawFiles(options.folder, console, force=options.force, compress=options.compress)
+    )
+
+
+def record(options: RecordOptions, console: Console, files: RawFiles) -> None:
+    """Records until a sensor's end, the time's, a failure or Ctrl-C."""
     sensors = two_connected_sensors(options, console)
     with CtrlC() as ctrl_c, files:
         files.attach(sensors)
@@ -27,7 +33,8 @@ def run(options: RecordOptions) -> None:
         with ctrl_c.raising():  # a subordinate waits for its master
             files.enter_context(sensors)
         ctrl_c.calls(sensors.stop)
-        console.print(f"Recording to {options.folder}. Press Ctrl-C to end.", markup=False)
+        if not options.quiet:
+            console.print(f"Recording to {options.folder}. Press Ctrl-C to end.", markup=False)
         with call_after(options.seconds, sensors.stop), console.status("") as line:
             for number, _ in enumerate(sensors.pairs()):
                 if files.failure is not None:

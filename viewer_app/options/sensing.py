@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
+from cyclopts import Parameter
+
 from fusion.setup import FuserSettings, Hindsight
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import (
@@ -163,6 +165,15 @@ class DoctorOptions(TrackerOptions, SensorOptions):
 
     The exit code is 0 if duplex live could start, 1 if not.
     """
+
+    bundle: Annotated[Path | None, OUTPUTS] = None
+    """Write a .zip to send to the maintainers: all results, versions, logs. Names of user and machine, paths
+    and serial numbers are replaced."""
+    recording: Annotated[bool | None, OUTPUTS, Parameter(negative="--no-recording")] = None
+    """With --bundle: add ten seconds of depth and infrared, on which you and the room can be seen, or not;
+    asks if not given."""
+    force: Annotated[bool, OUTPUTS] = False
+    """Overwrite a .zip that exists."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -32,13 +33,24 @@ _NAMES = ("a.mkv", "b.mkv")
 class RawFiles(ExitStack):
     """The recordings a.mkv and b.mkv of a folder. Enter it before the sensors, so that it closes after them.
 
+    Args:
+        hide: As for :class:`~devices.raw_recording.RawRecorder`.
+
     Raises:
         UsageError: The folder cannot be made, or has such files and `force` is not set.
     """
 
-    def __init__(self, folder: Path, console: Console, *, force: bool, compress: bool) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        console: Console,
+        *,
+        force: bool,
+        compress: bool,
+        hide: Callable[[str], str] = str,
+    ) -> None:
         super().__init__()
-        self.folder, self._console, self._compress = folder, console, compress
+        self.folder, self._console, self._compress, self._hide = folder, console, compress, hide
         self.recorders: list[RawRecorder] = []
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -59,7 +71,10 @@ class RawFiles(ExitStack):
             images = sensor.source if isinstance(sensor, TrackedImages) else sensor
             settings = getattr(images, "settings", None) or CaptureSettings(fps=fps)  # type: ignore[arg-type]
             recorder = RawRecorder(
-                self.folder / name, images, settings, compress=self._compress, on_failure=self._tell
+                *(self.folder / name, images, settings),
+                compress=self._compress,
+                hide=self._hide,
+                on_failure=self._tell,
             )
             self.recorders.append(self.enter_context(recorder))
             thread.sensor = recorded(sensor, recorder)

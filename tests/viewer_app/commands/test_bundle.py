@@ -1,0 +1,192 @@
+"""``duplex doctor --bundle``: all that a maintainer needs, and nothing that tells whose it is."""
+
+import io
+import json
+import os
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from devices.azure.calibration import depth_intrinsics
+from devices.azure.mkv import MkvRecording
+from devices.check import Check
+from tests.helpers import standin_pyk4a
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.machine import small_disk
+from viewer_app.commands import doctor
+from viewer_app.sensors.anonymity import Anonymity
+
+USER, HOST, FOLDER = "quillon", "lab-zorba-7", "Xanadu"
+PLANTED = (USER, HOST, "Quillon Q. Quex", FOLDER, "000123", "000456", "778899001122", "AB12CD34EF")
+
+
+@pytest.fixture
+def traces(monkeypatch, tmp_path):
+    """Plants the person's traces wherever the program may look; gives a sentence with all of them."""
+    home = tmp_path / "home of" / USER
+    secret = home / FOLDER
+    (secret / "models").mkdir(parents=True)
+    for name, value in (
+        *(("HOME", home), ("USER", USER), ("LOGNAME", USER), ("USERNAME", USER), ("HOSTNAME", HOST)),
+        *(("DISPLAY", f"{HOST}:0"), ("XAUTHORITY", secret / "X authority"), ("SUDO_USER", USER)),
+    ):
+        monkeypatch.setenv(name, str(value))
+    monkeypatch.setattr("socket.gethostname", lambda: f"{HOST}.example.org")
+    monkeypatch.setattr("platform.node", lambda: HOST)
+    if sys.platform != "win32":
+        monkeypatch.setattr("pwd.getpwuid", lambda _: type("Entry", (), {"pw_gecos": "Quillon Q. Quex,,,"}))
+    monkeypatch.chdir(secret)
+    return (
+        f"{USER}@{HOST}: Kinect 000123 and 000456 of Quillon Q. Quex ({secret}/libk4a.so.1.4), "
+        f"{secret / 'X authority'}; /srv/{FOLDER}/a b/{USER}/x.bin, D:\\{FOLDER}\\depth engine.dll, "
+        f'\\\\{HOST}\\{FOLDER}; Serial number: 778899001122, "SerialId":"AB12CD34EF"\n'
+    )
+
+
+@pytest.fixture
+def planted(traces, kinects, standin, monkeypatch):
+    """A run of ``duplex doctor`` on two sensors, with the traces in findings, logs and calibrations."""
+
+    def device_checks(*_, **__):
+        os.write(2, f"from a library: {traces}".encode())
+        print("from Python:", traces, file=sys.stderr)
+        Path(os.environ["K4A_ENABLE_LOG_TO_A_FILE"]).write_text(f"from libk4a: {traces}", encoding="utf-8")
+        return [Check(f"a check of {traces}", False, traces, f"advice: {traces}", needed=False)]
+
+    def calibration_json(*given):
+        inside = json.loads(calibration(*given))
+        inside["CalibrationInformation"]["Metadata"] = {"SerialId": "AB12CD34EF"}
+        return json.dumps(inside).encode() + b"\0"
+
+    calibration = standin_pyk4a.calibration_json
+    monkeypatch.setattr(standin_pyk4a, "calibration_json", calibration_json)
+    monkeypatch.setattr(doctor, "device_checks", device_checks)
+    monkeypatch.setattr(doctor, "program_checks", list)
+    monkeypatch.setattr(doctor, "SECONDS", 1.0)
+    for library in ("K4A", "K4ABT"):
+        monkeypatch.setenv(f"{library}_ENABLE_LOG_TO_A_FILE", "")
+        monkeypatch.setenv(f"{library}_LOG_LEVEL", "")
+    assert len(kinects.devices) == 2
+    return lambda *given: duplex("doctor", "--k4abt", standin.path, *given)
+
+
+def contents(path):
+    with zipfile.ZipFile(path) as file:
+        assert file.testzip() is None
+        return {name: file.read(name) for name in file.namelist()}
+
+
+def test_nothing_in_it_tells_whose_it_is(planted, tmp_path, capfd):
+    path = tmp_path / "b.zip"
+    assert planted("--bundle", path, "--recording") == 0
+    said = capfd.readouterr()
+    assert "000123" in said.out, "the person may see it"
+    assert said.err == ""
+    members = contents(path)
+    assert sorted(members) == ["a.mkv", "b.mkv", "doctor.json", "doctor.txt", "log.txt"]
+    for name, content in members.items():
+        for trace in (*PLANTED, str(tmp_path)):
+            for coded in (trace.encode(), trace.encode("utf-16-le")):
+                assert coded.lower() not in content.lower(), (name, trace)
+    text, log = members["doctor.txt"].decode(), members["log.txt"].decode()
+    for words in ("from a library:", "from Python:", "from libk4a:", "a.mkv: ", "Sync cable: B leads"):
+        assert words in log
+    assert "libk4a.so.1.4" in text, "which library it was"
+    assert text.endswith("duplex live can start.")
+    assert not [each for each in tmp_path.iterdir() if each.name.startswith(".duplex")]
+
+
+def test_a_recording_in_it_is_one_with_hashed_serials(planted, tmp_path):
+    path = tmp_path / "b.zip"
+    assert planted("--bundle", path, "--recording") == 0
+    members = contents(path)
+    serials = []
+    for name in ("a.mkv", "b.mkv"):
+        (tmp_path / name).write_bytes(members[name])
+        with MkvRecording(tmp_path / name) as recording:
+            assert len(list(recording.frames())) > 5
+            assert recording.warnings == []
+            assert recording.info.intrinsics.cx == pytest.approx(332.0), "the sensor's own calibration"
+            assert b"sensor-" in recording.info.calibration_json
+            serials.append(recording.info.serial)
+    assert len(set(serials)) == 2
+    findings = json.loads(members["doctor.json"])
+    assert all(serial in findings["checks"][0]["detail"] for serial in serials), "the same hash everywhere"
+    versions = findings["versions"]
+    assert {"duplex-kinects", "numpy", "av"} <= set(versions["packages"])
+    assert sys.version.split()[0] in versions["python"]
+    assert planted("--bundle", path, "--force") == 0
+    assert serials[0] not in contents(path)["doctor.txt"].decode(), "another bundle has other hashes"
+
+
+def test_nothing_is_recorded_unasked(planted, tmp_path, monkeypatch, capsys):
+    path, answers = tmp_path / "b.zip", iter(["y", "n", ""])
+    assert planted("--bundle", path) == 0
+    assert "up to 350 MB, on which you and the room can be seen" in " ".join(capsys.readouterr().out.split())
+    assert "a.mkv" not in contents(path)
+    monkeypatch.setattr("sys.stdin", type("Terminal", (io.StringIO,), {"isatty": lambda _: True})())
+    monkeypatch.setattr("builtins.input", lambda *_: next(answers))
+    for wanted in (True, False, False):
+        assert planted("--bundle", path, "--force") == 0
+        assert ("a.mkv" in contents(path)) is wanted
+    assert planted("--bundle", path, "--force", "--no-recording") == 0, "and is not asked"
+
+
+def test_sensors_that_do_not_record_are_a_finding(planted, kinects, tmp_path):
+    kinects.devices.pop()
+    assert planted("--bundle", tmp_path / "b.zip", "--recording") == 0
+    members = contents(tmp_path / "b.zip")
+    assert sorted(members) == ["doctor.json", "doctor.txt", "log.txt"]
+    assert "Only one Kinect is connected, sensor-" in members["log.txt"].decode()
+
+
+def test_where_it_cannot_be_written(planted, tmp_path, capsys):
+    path = tmp_path / "b.zip"
+    path.write_bytes(b"dear")
+    for given, why in (
+        (("--bundle", path), "exists already"),
+        (("--bundle", tmp_path / "none" / "b.zip"), "No folder"),
+        (("--bundle", tmp_path), "is a folder"),
+        (("--bundle", tmp_path / "b.tar"), "must end in .zip"),
+        (("--recording",), "add --bundle FILE.zip"),
+    ):
+        assert planted(*given) == 2
+        assert why in one_line(capsys)
+    assert path.read_bytes() == b"dear"
+
+
+def test_a_full_disk_leaves_nothing(planted, tmp_path, capsys):
+    with small_disk(tmp_path / "small", 400) as disk:
+        assert planted("--bundle", disk / "b.zip", "--recording") == 2
+        assert "b.zip could not be written: No space left on device" in one_line(capsys)
+        assert list(disk.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "hidden"),
+    [
+        ("udev rule in /etc/udev/rules.d/99-k4a.rules.", "udev rule in <path>/99-k4a.rules."),
+        ("/dev/bus/usb/002/007 (denied). Unplug it and/or wait", "<path> (denied). Unplug it and/or wait"),
+        ("300/300 frames, 640 × 480 / 30 fps, 1.5 m/s", "300/300 frames, 640 × 480 / 30 fps, 1.5 m/s"),
+        ("https://github.com/orbbec/x/issues/38", "https://github.com/orbbec/x/issues/38"),
+        ("file:///srv/me/a.so; C:\\Users\\Me You\\a.dll: no", "<path>/a.so; <path>/a.dll: no"),
+        ("/srv/Jane Doe.txt was found, /srv/me too", "<path> was found, <path> too"),
+        ("serial numbers differ; serial number of one", "serial numbers differ; serial number of one"),
+        ("LD_LIBRARY_PATH=/srv/me:/srv/you", "LD_LIBRARY_PATH=<path>:<path>"),
+    ],
+)
+def test_what_tells_nothing_stays(text, hidden):
+    assert Anonymity([])(text) == hidden
+
+
+def test_a_real_calibration_keeps_its_lens(shared):
+    with MkvRecording(shared / "azure" / "recording.mkv") as recording:
+        info = recording.info
+    text = info.calibration_json.decode("latin-1")
+    assert '"SerialId":"001514394512"' in text
+    hidden = Anonymity([info.serial])(text)
+    assert "001514394512" not in hidden
+    was, now = (depth_intrinsics(each.encode("latin-1"), info.depth_mode) for each in (text, hidden))
+    assert was == now

@@ -1,0 +1,80 @@
+"""Takes out of a text what tells whose it is: names, paths, serial numbers."""
+
+import getpass
+import hashlib
+import os
+import platform
+import re
+import secrets
+import socket
+import sys
+import tempfile
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+_LIBRARY = re.compile(r"\S*\.(so[\d.]*|dll|dylib|pyd?|onnx|tflite|rules)")
+_KNOWN = "\1"  # begins the name that a known folder has until its whole path is replaced
+_PART = r"""(?:(?!\. )[^\\/\n"'<>|;,:()])"""
+_PATH = re.compile(
+    rf"(?:/(?={_KNOWN})|(?<![\w<.\\/])(?:[A-Za-z]:[\\/]|\\\\(?=\w)|/(?=[^\s/])))(?:{_PART}*[\\/])*"
+    rf"(?:{_PART}*?\.[A-Za-z]\w{{0,7}}[\d.]*(?!\w)|(?:(?!\s){_PART})*)"
+)
+_SERIAL = re.compile(r"""(serial[ _-]?(?:number|no|id)?["']?\W{1,4})((?=\w*\d)\w{4,})""", re.IGNORECASE)
+
+
+class Anonymity:
+    """Replaces serial numbers, names of user and machine, and absolute paths in texts.
+
+    A serial number becomes the same hash each time. The hash has a key that is forgotten: without one, all
+    serial numbers of twelve digits could be tried. Of a path, the name of a library's file stays.
+
+    Args:
+        serials: Serial numbers of the sensors; others are found where the text says that they are such.
+        paths: Paths as the user gave them, relative ones too.
+    """
+
+    def __init__(self, serials: Iterable[str], paths: Iterable[Path] = ()) -> None:
+        self._key = secrets.token_bytes(16)
+        self._serials = _any_of(serials)
+        variables = (path for value in os.environ.values() for path in value.split(os.pathsep))
+        others = [*filter(os.path.isabs, variables), *map(str, paths), str(Path.cwd())]
+        named = {str(Path.home()): "home", sys.prefix: "python", tempfile.gettempdir(): "temporary"}
+        self._folders = dict.fromkeys(filter(re.compile(r".+[\\/]").match, others), "path") | named
+        self._known = _any_of((path for path in self._folders if len(path) > 1), end=r"(?![^\W_])")
+        names = {os.environ.get(key, "") for key in ("USER", "LOGNAME", "USERNAME", "SUDO_USER")}
+        names |= {os.environ.get(key, "") for key in ("HOSTNAME", "COMPUTERNAME", "USERDOMAIN")}
+        for host in (socket.gethostname(), platform.node()):
+            names |= {host, host.partition(".")[0]}
+        with suppress(KeyError, OSError, ImportError):
+            names.add(getpass.getuser())
+            if sys.platform != "win32":
+                import pwd
+
+                names.add(pwd.getpwuid(os.getuid()).pw_gecos.split(",")[0])
+        names -= {"root", "localhost"}  # nobody's
+        self._names = _any_of((name for name in names if len(name) > 1), r"(?<![^\W_])", r"(?![^\W_])")
+
+    def __call__(self, text: str) -> str:
+        """The text without them."""
+        text = self._serials.sub(lambda found: self._hash(found[0]), text)
+        text = _SERIAL.sub(lambda found: found[1] + self._hash(found[2]), text).replace("file://", "")
+        text = self._known.sub(lambda found: f"/{_KNOWN}{self._folders.get(found[0], 'path')}", text)
+        return self._names.sub("<name>", _PATH.sub(_shortened, text))
+
+    def _hash(self, serial: str) -> str:
+        return "sensor-" + hashlib.blake2s(serial.upper().encode(), key=self._key, digest_size=4).hexdigest()
+
+
+def _shortened(found: re.Match[str]) -> str:
+    """A path's known folder, and its last part where that is a library's name."""
+    parts = re.split(r"[\\/]", found[0])
+    last = parts[-1].rstrip(".")
+    folder = parts[1][1:] if parts[1].startswith(_KNOWN) else "path"
+    return f"<{folder}>{'/' + last if _LIBRARY.fullmatch(last) else ''}{parts[-1][len(last) :]}"
+
+
+def _any_of(texts: Iterable[str], start: str = "", end: str = "") -> re.Pattern[str]:
+    """Any of the texts, the longest first; of none, a pattern that is nowhere."""
+    ordered = sorted(filter(None, texts), key=len, reverse=True)
+    return re.compile(rf"{start}(?:{'|'.join(map(re.escape, ordered)) or '(?!)'}){end}", re.IGNORECASE)
