@@ -56,6 +56,13 @@ class ColorImage:
         _, jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         return ColorImage(jpeg.tobytes(), camera)
 
+    def rgb(self) -> NDArray[np.uint8] | None:
+        """(height, width, 3) RGB pixels; None where the file is damaged."""
+        import cv2
+
+        image = cv2.imdecode(np.frombuffer(self.jpeg, np.uint8), cv2.IMREAD_COLOR)
+        return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
+
 
 @dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class SensorFrame:

@@ -140,7 +140,4 @@ def registered_color(frame: SensorFrame) -> NDArray[np.uint8] | None:
     same_place = np.array_equal(move.rotation, np.eye(3)) and not np.any(move.translation)
     if not same_place or (lens.height, lens.width) != depth.shape:
         return None
-    import cv2
-
-    image = cv2.imdecode(np.frombuffer(color.jpeg, np.uint8), cv2.IMREAD_COLOR)
-    return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
+    return color.rgb()

@@ -202,6 +202,9 @@ class FreenectSensor(LiveSensor):
             if moment is None:
                 continue
             self.rgb = moment.rgb
+            if self.on_capture is not None and moment.rgb is not None:
+                # the tracker finds the same in the image that a recording keeps
+                self.rgb = ColorImage.of_rgb(moment.rgb, CAMERA).rgb()
             yield self.frame_of(moment, colored=self.settings.color is not None)
 
     def frame_of(self, moment: FreenectMoment, *, colored: bool = True) -> SensorFrame:

@@ -40,7 +40,7 @@ from viewer_app.report.words import Line
 from viewer_app.running.interruption import CtrlC
 from viewer_app.running.loop import run_live, warm_up
 from viewer_app.running.runner import Runner
-from viewer_app.sensors.raw_files import RawFiles
+from viewer_app.sensors.raw_files import RawFiles, raw_files
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.viewer_choice import stay_for_visitors
@@ -77,10 +77,7 @@ def run(options: DemoOptions) -> None:
         bad_setup=options.bad_setup,
     )
     pace = _own_tracker(options, console) if own_tracker else None
-    raw = None
-    if options.record is not None:
-        raw = RawFiles(options.record, console, force=options.force, compress=False)
-    _show(options, shown, pace, runner, raw, console)
+    _show(options, shown, pace, runner, raw_files(options, console), console)
 
 
 def _check(options: DemoOptions) -> None:

@@ -29,7 +29,7 @@ from viewer_app.running.interruption import CtrlC, call_after
 from viewer_app.running.loop import Status, run_live, warm_up
 from viewer_app.running.runner import Runner
 from viewer_app.sensors.local import capture_settings, one_of_live, two_connected_sensors
-from viewer_app.sensors.raw_files import RawFiles, two_played_sensors
+from viewer_app.sensors.raw_files import RawFiles, raw_files, two_played_sensors
 from viewer_app.sensors.remote import names_remote, sensors_by_network
 from viewer_app.viewer.blueprint import session_blueprint
 
@@ -42,9 +42,7 @@ def run(options: LiveOptions) -> None:
     remote = names_remote(options)
     runner = Runner(options, console, options.save, remote)
     settings = _check(options)
-    raw = None
-    if options.record is not None:
-        raw = RawFiles(options.record, console, force=options.force, compress=False)
+    raw = raw_files(options, console)
     if remote:
         with sensors_by_network(options, console, partial(one_of_live, options, console)) as sensors:
             _show(options, settings, sensors, runner, raw, console)

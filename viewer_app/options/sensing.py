@@ -94,6 +94,8 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptio
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
     record: Annotated[Path | None, OUTPUTS] = None
     """Record the simulated depth and infrared images to this folder, as duplex record does."""
+    compress: Annotated[bool, OUTPUTS] = False
+    """With --record: compress the images without loss. Microsoft's tools read only recordings without it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +120,8 @@ class LiveOptions(
     """The recording of K_B."""
     record: Annotated[Path | None, OUTPUTS] = None
     """Record the images of both sensors to this folder, as duplex record does."""
+    compress: Annotated[bool, OUTPUTS] = False
+    """With --record: compress the images without loss. Microsoft's tools read only recordings without it."""
     layout: Annotated[Literal["setup", "inspect", "report", "angles"], VIEWER] = "setup"
     """Which of the viewer's tabs is open at first."""
     seconds: float | None = None

@@ -22,7 +22,7 @@ from devices.raw_recording import RawRecorder, recorded
 from devices.real_time import Beat, PacedSensor
 from devices.sensor import Sensor
 from viewer_app.errors import UsageError
-from viewer_app.options.sensing import LiveOptions
+from viewer_app.options.sensing import DemoOptions, LiveOptions
 from viewer_app.output_files import check_writable, warn_of_little_room
 from viewer_app.sensors.remote import teller
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
@@ -106,6 +106,19 @@ class RawFiles(ExitStack):
 
     def _tell(self, failure: str) -> None:
         self._console.print(f"[bold red]{escape(failure)}[/]", soft_wrap=True)
+
+
+def raw_files(options: LiveOptions | DemoOptions, console: Console) -> RawFiles | None:
+    """The recordings that ``--record`` asks for; None without it.
+
+    Raises:
+        UsageError: As for :class:`RawFiles`; or ``--compress`` without ``--record``.
+    """
+    if options.record is not None:
+        return RawFiles(options.record, console, force=options.force, compress=options.compress)
+    if options.compress:
+        raise UsageError("--compress is of a recording: add --record FOLDER.")
+    return None
 
 
 def two_played_sensors(options: LiveOptions, a: Path, b: Path, console: Console) -> TwoSensors:

@@ -72,9 +72,11 @@ def test_a_full_disk_ends_it_with_one_line(tmp_path, capsys):
 
 def test_a_slow_tracker_loses_no_recorded_frame(kinects, live, standin, tmp_path):
     standin.tracking_ms = 90  # it gets a third of the frames
-    live("--record", tmp_path / "raw", seconds=2.0)
+    live("--record", tmp_path / "raw", "--compress", seconds=2.0)
     for name, device in zip("ab", kinects.devices, strict=True):
-        _, frames = read(tmp_path / "raw" / f"{name}.mkv")
+        path = tmp_path / "raw" / f"{name}.mkv"
+        assert b"FFVH" in path.read_bytes()[:10_000]
+        _, frames = read(path)
         assert len(frames) == device.captures, "every capture of the SDK"
         assert len(frames) > 1.5 * rows_of(live.saved, "/fused/skeleton")
     assert kinects.open_serials == []
@@ -122,10 +124,11 @@ def test_what_the_simulator_saw_is_recorded(tmp_path, capsys):
     report = tmp_path / "r.json"
     begun = time.perf_counter_ns()
     options = ("--no-viewer", "--seconds", 2, "--record", tmp_path, "--save", tmp_path / "s.rrd")
-    assert duplex("demo", *options, "--report", report) == 0
+    assert duplex("demo", *options, "--compress", "--report", report) == 0
     frames = json.loads(report.read_text())["frames"]
     for name in ("a", "b"):
-        recording, images = read(tmp_path / f"{name}.mkv")
+        recording, images = read(path := tmp_path / f"{name}.mkv")
+        assert b"FFVH" in path.read_bytes()[:10_000]
         assert (recording.info.depth_mode, recording.warnings) == ("NFOV_2X2BINNED", [])
         assert 30 <= len(images) <= frames[name]
         assert all(begun < image.host_ns < time.perf_counter_ns() for image in images)
@@ -133,3 +136,6 @@ def test_what_the_simulator_saw_is_recorded(tmp_path, capsys):
         assert images[0].ir.max() > 20
     assert duplex("demo", "--no-viewer", "--record", tmp_path / "no", "--depth", "none") == 2
     assert "--record records images" in capsys.readouterr().err
+    for command in ("demo", "live"):
+        assert duplex(command, "--no-viewer", "--compress") == 2
+        assert "--compress is of a recording: add --record FOLDER" in capsys.readouterr().err
