@@ -2,11 +2,11 @@
 
 import hashlib
 import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from devices.blazepose.settings import NetworkName
+from devices.cache import user_cache
 from devices.sensor import DeviceError
 
 _FETCH = "duplex tracker fetch"
@@ -61,13 +61,7 @@ def cache_folder() -> Path:
     named = os.environ.get("DUPLEX_TRACKER_MODELS")
     if named:
         return Path(named)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "duplex-kinects" / "blazepose"
+    return user_cache("blazepose")
 
 
 def fetch_command(network: NetworkName, folder: Path) -> str:
