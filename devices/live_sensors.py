@@ -18,6 +18,10 @@ from devices.freenect.libfreenect import connected_freenects
 from devices.freenect.libfreenect import library_check as freenect_library_check
 from devices.freenect.libfreenect import sensor_check as freenect_sensor_check
 from devices.freenect.sensor import FreenectSensor
+from devices.freenect2.library import connected_freenect2s
+from devices.freenect2.library import library_check as freenect2_library_check
+from devices.freenect2.library import sensor_check as freenect2_sensor_check
+from devices.freenect2.sensor import Freenect2Sensor
 from devices.orbbec.checks import sdk_check as orbbec_sdk_check
 from devices.orbbec.checks import sensor_check as orbbec_sensor_check
 from devices.orbbec.sdk_access import connected_orbbecs
@@ -49,6 +53,9 @@ VENDORS = {
     ),
     "freenect": Vendor(
         "a Kinect v1", connected_freenects, FreenectSensor, freenect_library_check, freenect_sensor_check
+    ),
+    "freenect2": Vendor(
+        "a Kinect v2", connected_freenect2s, Freenect2Sensor, freenect2_library_check, freenect2_sensor_check
     ),
     "realsense": Vendor(
         "RealSense sensors",

@@ -21,6 +21,7 @@ pytest_plugins = (
     "tests.helpers.real_libraries",
     "tests.helpers.orbbec.standin",
     "tests.helpers.freenect",
+    "tests.helpers.freenect2.standin",
     "tests.helpers.realsense",
 )
 

@@ -13,15 +13,17 @@ from pathlib import Path
 from devices.capture.causes import Cause, in_brackets
 from devices.check import Check
 
-# The depth camera of each: Azure Kinect DK; Kinect v1 of the Xbox 360 and for Windows; Orbbec Femto Mega,
-# Femto Bolt, Gemini 2, 2 L and the Gemini 330 series; RealSense D415, D435, D435i, D436, D455, D405, D421,
-# D555 and D585 (ids as in libfreenect's, OrbbecSDK's and librealsense's sources; none was seen on a bus of
-# ours). A Femto Mega I has no USB.
+# The depth camera of each: Azure Kinect DK; Kinect v1 of the Xbox 360 and for Windows; Kinect v2; Orbbec
+# Femto Mega, Femto Bolt, Gemini 2, 2 L and the Gemini 330 series; RealSense D415, D435, D435i, D436, D455,
+# D405, D421, D555 and D585 (ids as in libfreenect's, libfreenect2's, OrbbecSDK's and librealsense's sources;
+# none was seen on a bus of ours). A Femto Mega I has no USB.
 _ORBBECS = ("0669", "066b", "0670", "0673", "0800", "0801", "0803", "0804", "0805", "0807")
 _USB2_CAMERAS = {("045e", "02ae"), ("045e", "02bf")}
 _REALSENSES = ("0ad3", "0b07", "0b3a", "1156", "0b5c", "0b5b", "1155", "0b56", "0b6a")
 _DEPTH_CAMERAS = {
     ("045e", "097c"),
+    ("045e", "02c4"),
+    ("045e", "02d8"),
     *_USB2_CAMERAS,
     *(("2bc5", product) for product in _ORBBECS),
     *(("8086", product) for product in _REALSENSES),
@@ -32,8 +34,9 @@ _USB3_MEGABITS = 5000
 UDEV_ADVICE = (
     "Copy 99-k4a.rules of the Azure Kinect Sensor SDK (scripts/), for an Orbbec 99-obsensor-libusb.rules "
     "(in pyorbbecsdk2: shared/), for a Kinect v1 51-kinect.rules (libfreenect: platform/linux/udev/), for a "
-    "RealSense 99-realsense-libusb.rules (librealsense: config/), to /etc/udev/rules.d, then unplug the "
-    "sensor and plug it in again."
+    "Kinect v2 90-kinect2.rules (libfreenect2: platform/linux/udev/), for a RealSense "
+    "99-realsense-libusb.rules (librealsense: config/), to /etc/udev/rules.d, then unplug the sensor and "
+    "plug it in again."
 )
 
 
@@ -93,7 +96,7 @@ def permission_check(root: Path) -> Check:
     rules = [
         rule
         for folder in ("etc", "lib", "usr/lib")
-        for of in ("k4a", "obsensor", "libfreenect", "realsense")
+        for of in ("k4a", "obsensor", "libfreenect", "kinect2", "realsense")
         for rule in (root / folder / "udev/rules.d").glob(f"*{of}*.rules")
     ]
     if rules or os.geteuid() == 0:

@@ -6,7 +6,7 @@ import pytest
 
 from tests.helpers.documents import PACKAGES, ROOT, documents
 
-FOLDER = re.compile(r"`((?:fusion|devices|recordings|viewer_app)/[a-z_/]+)`")
+FOLDER = re.compile(r"`((?:fusion|devices|recordings|viewer_app)/[a-z_0-9/]+)`")
 NAMED = re.compile(r"`((?:fusion|devices|recordings|viewer_app|tests)(?:[./][a-z_0-9]+)+(?:\.py)?)`")
 
 

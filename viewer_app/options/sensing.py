@@ -108,7 +108,7 @@ class LiveOptions(
     OutputOptions,
     SensorOptions,
 ):
-    """Fuse two sensors live: Azure Kinect, Orbbec, RealSense or Kinect v1.
+    """Fuse two sensors live: Azure Kinect, Orbbec, RealSense, Kinect v1 or v2.
 
     Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks. Two recordings
     of images play as if they were live.

@@ -19,7 +19,7 @@ def test_the_doctor_of_a_bare_machine_fails(monkeypatch, tmp_path, capsys):
     assert any(line.startswith("✓ viewer: rerun 0.") for line in said)
     assert said[-1].startswith(
         "duplex live cannot start: pyk4a and the Sensor SDK or pyorbbecsdk2 (Orbbec's SDK v2) or "
-        "libfreenect 0.5 (Kinect v1) or pyrealsense2, "
+        "libfreenect 0.5 (Kinect v1) or libfreenect2 (Kinect v2) or pyrealsense2, "
     )
     assert said[-1].count("pyorbbecsdk2") == 1, "one of them is enough"
     assert "depth engine" not in said[-1], "which of them needs it is not known yet"

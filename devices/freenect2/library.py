@@ -1,0 +1,252 @@
+"""Access to Kinects v2 through libfreenect2, by the C functions of ``binding.cpp``, which this file calls."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from ctypes import POINTER, c_char_p, c_float, c_int, c_int64, c_uint32, c_void_p
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.cache import user_cache
+from devices.capture.causes import Cause, in_brackets
+from devices.capture.sensor_choice import ConnectedSensor
+from devices.capture.usb import usb_kinects, why_not_open
+from devices.check import Check, failed
+from devices.sensor import AbsentError, DeviceError
+
+LIBRARY_NAME = "libfreenect2 (Kinect v2)"
+PREFIX = "LIBFREENECT2_INSTALL_PREFIX"
+PROGRAMS = "Protonect, KinectService"
+SHAPE = (424, 512)
+_FOLDERS = ("/usr/local", "/opt/homebrew", "/usr", "C:/vcpkg/installed/x64-windows")
+_SOURCES = (Path(__file__).with_name("binding.cpp"), Path(__file__).with_name("CMakeLists.txt"))
+_DRIVER = " Windows: give it the driver UsbDk, or libusbK by Zadig, in place of Microsoft's."
+_CHECK = "Check its USB 3 port and power supply."
+_MEMORY = "Give USB more memory: echo 128 | sudo tee /sys/module/usbcore/parameters/usbfs_memory_mb. "
+
+SIGNATURES: dict[str, tuple[Any, ...]] = {  # the result, then the arguments; binding.cpp
+    "k2_context": (c_void_p,),
+    "k2_count": (c_int, c_void_p),
+    "k2_serial": (c_char_p, c_void_p, c_int),
+    "k2_open": (c_void_p, c_void_p, c_char_p),
+    "k2_start": (c_int, c_void_p, POINTER(c_float)),
+    "k2_take": (c_int, c_void_p, c_int, c_void_p, c_void_p, POINTER(c_uint32), POINTER(c_int64)),
+    "k2_close": (None, c_void_p),
+    "k2_said": (c_char_p,),
+}
+_one_at_a_time = threading.RLock()  # a context is not made for several threads
+_opened: set[str] = set()  # serial numbers
+
+
+def installed_prefix() -> Path | None:
+    """The folder that libfreenect2 was installed into; None if there is none."""
+    named = os.environ.get(PREFIX)
+    folders = [Path(named)] if named else [Path.home() / "freenect2", *map(Path, _FOLDERS)]
+    return next((one for one in folders if (one / "include/libfreenect2/libfreenect2.hpp").is_file()), None)
+
+
+@cache
+def load_library() -> Any:
+    """The binding to the library, with the types of its functions; compiled at the first call.
+
+    Raises:
+        DeviceError: libfreenect2 is not installed, or the binding cannot be compiled or loaded.
+    """
+    prefix = installed_prefix()
+    if prefix is None:
+        raise DeviceError(
+            f"A Kinect v2 needs libfreenect2, which is not installed. Build it as docs/sensors.md says "
+            f"(Windows: vcpkg install libfreenect2); {PREFIX} names its folder where it is not found."
+        )
+    try:
+        with _one_at_a_time:
+            binding = _compiled(prefix)
+        if sys.platform == "win32":
+            os.add_dll_directory(str(prefix / "bin"))
+        library = ctypes.CDLL(str(binding))
+    except (OSError, subprocess.SubprocessError) as fault:
+        lines = [line.strip() for line in (getattr(fault, "stdout", None) or str(fault)).split("\n") if line]
+        first = next((k for k, line in enumerate(lines) if "error" in line.lower()), 0)
+        raise DeviceError(
+            f"The binding to libfreenect2 in {prefix} cannot be compiled or loaded "
+            f"({' '.join(lines[first : first + 2])}). It needs CMake and a C++ compiler, as libfreenect2 did."
+        ) from fault
+    for name, (result, *arguments) in SIGNATURES.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+def _compiled(prefix: Path) -> Path:
+    """The compiled binding, in the cache folder; compiled anew for another library or source."""
+    libraries = [one for folder in ("lib*", "lib/*", "bin") for one in prefix.glob(f"{folder}/*freenect2.*")]
+    states = [f"{one} {one.stat().st_mtime_ns}".encode() for one in sorted(libraries)]
+    key = hashlib.sha256(b"\n".join((*(one.read_bytes() for one in _SOURCES), *states))).hexdigest()
+    file = user_cache("freenect2") / f"{key[:16]}.module"
+    if not file.is_file():
+        with tempfile.TemporaryDirectory() as folder:
+            configure = ("-S", str(_SOURCES[0].parent), "-B", folder, "-DCMAKE_BUILD_TYPE=Release")
+            build = ("--build", folder, "--config", "Release")
+            for arguments in ((*configure, f"-DCMAKE_PREFIX_PATH={prefix}"), build):
+                subprocess.run(
+                    ["cmake", *arguments],
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
+                    text=True,
+                    check=True,
+                )
+            file.parent.mkdir(parents=True, exist_ok=True)
+            ready = shutil.copy(Path(folder) / "binding.module", file.with_suffix(f".{os.getpid()}"))
+            Path(ready).replace(file)
+    return file
+
+
+@cache
+def _context_of(library: Any) -> Any:
+    """The process's one context: it knows the sensors that it opened, which no other one may open."""
+    return library.k2_context()
+
+
+def _found(library: Any) -> tuple[list[str], list[str]]:
+    """The serial numbers of the connected sensors, and what the library says of those it cannot open."""
+    with _one_at_a_time:
+        context = _context_of(library)
+        library.k2_said()
+        count = library.k2_count(context)
+        serials = [library.k2_serial(context, index).decode("ascii", "replace") for index in range(count)]
+        return serials, [line for line in _said(library).splitlines() if "failed to" in line]
+
+
+def _said(library: Any) -> str:
+    return str(library.k2_said().decode("utf-8", "replace").strip())
+
+
+class Images(NamedTuple):
+    """Images of one moment as the library gives them: mirrored, of numbers that may be NaN or infinite."""
+
+    ticks: int  # of 0.125 ms, 32 bits
+    age_ns: int  # since they arrived
+    depth: NDArray[np.float32]  # millimetres
+    infrared: NDArray[np.float32]
+
+
+class Camera:
+    """A running depth camera.
+
+    Attributes:
+        lens: fx, fy, cx, cy, k1, k2, p1, p2, k3 that the sensor stores, of the mirrored image.
+        warning: What the library said while it started; empty if all went well.
+    """
+
+    def __init__(self, serial: str) -> None:
+        """Opens and starts it.
+
+        Raises:
+            AbsentError: It is not connected.
+            DeviceError: It cannot be opened or started.
+        """
+        self._library, self.serial = load_library(), serial
+        with _one_at_a_time:
+            there, faults = _found(self._library)
+            if serial not in there:
+                listed = f"Connected: {', '.join(sorted(there))}." if there else "No other is connected."
+                why = f"Another cannot be opened: {_why(faults[0])}" if faults else _CHECK
+                raise AbsentError(f"No Kinect v2 with serial {serial}. {listed} {why}")
+            if serial in _opened:  # the library would give the same device once more
+                raise DeviceError(f"Kinect v2 {serial} is already open in this program.")
+            self._handle = self._library.k2_open(_context_of(self._library), serial.encode())
+            said = _said(self._library)
+            if self._handle:
+                _opened.add(serial)
+        if not self._handle:
+            raise DeviceError(f"Kinect v2 {serial} cannot be opened: {_why(said)}")
+        values = (c_float * 9)()
+        started = self._library.k2_start(self._handle, values)
+        self.lens, said = tuple(values), _said(self._library)
+        self.warning = _MEMORY if "NO_MEM" in said else ""
+        if not started:
+            self.close()
+            raise Cause.CAMERAS_NOT_STARTED.error(
+                label=f"Kinect v2 {serial}",
+                what="did not start its camera",
+                said=in_brackets(_first(said)),
+                advice=self.warning,
+                programs=PROGRAMS,
+            )
+
+    def take(self, timeout_ms: int) -> Images | None:
+        """The oldest images that wait; None if none come."""
+        depth, infrared = np.empty(SHAPE, np.float32), np.empty(SHAPE, np.float32)
+        ticks, age_ns = c_uint32(), c_int64()
+        into = depth.ctypes.data, infrared.ctypes.data, ticks, age_ns
+        if not self._library.k2_take(self._handle, timeout_ms, *into):
+            return None
+        return Images(ticks.value, age_ns.value, depth, infrared)
+
+    def is_connected(self) -> bool:
+        """Whether the library still lists it."""
+        return self.serial in _found(self._library)[0]
+
+    def close(self) -> None:
+        """Stops and closes it, even if it is no longer connected."""
+        with _one_at_a_time:
+            self._library.k2_close(self._handle)
+            _opened.discard(self.serial)
+
+
+def _first(said: str) -> Exception:
+    """The first logged error, without its place in the sources."""
+    line = next(iter(said.splitlines()), "")
+    return Exception(re.sub(r"^\[.*?\] |[. ]*Try debugging .*", "", line))
+
+
+def _why(said: str) -> str:
+    """Why a connected sensor does not open."""
+    why = why_not_open(_first(said), usb_kinects(), PROGRAMS)
+    return why + (_DRIVER if "NOT_SUPPORTED" in said or "NOT_FOUND" in said else "")
+
+
+def connected_freenect2s() -> list[ConnectedSensor]:
+    """The Kinects v2 on the buses.
+
+    Raises:
+        DeviceError: The library is not installed.
+    """
+    serials, faults = _found(load_library())
+    found = [
+        ConnectedSensor(*(k, serial, False, False), sdk="freenect2", description="Kinect v2", has_port=False)
+        for k, serial in enumerate(serials)
+    ]
+    for index, said in enumerate(faults, len(serials)):
+        fault = f"Kinect v2 at place {index} cannot be opened: {_why(said)}"
+        found.append(ConnectedSensor(index, None, fault=fault, sdk="freenect2"))
+    return found
+
+
+def library_check() -> Check:
+    """Whether libfreenect2 is installed, and its binding can be compiled."""
+    try:
+        load_library()
+    except DeviceError as fault:
+        return failed(LIBRARY_NAME, fault)
+    return Check(LIBRARY_NAME, True, str(installed_prefix()))
+
+
+def sensor_check(sensor: ConnectedSensor) -> Check:
+    """A sensor that libfreenect2 lists. It has no port for a sync cable."""
+    if sensor.serial is None:
+        what, _, advice = sensor.fault.partition(". ")
+        return Check("Kinect v2", False, what, advice, needed=False)
+    return Check(f"Kinect v2 {sensor.serial}", True, "no sync port", needed=False)

@@ -1,0 +1,246 @@
+"""Kinects v2, on the stand-in for libfreenect2."""
+
+import itertools
+import shutil
+import subprocess
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from devices.blazepose.pace import TrackingPace
+from devices.blazepose.settings import BlazePoseSettings
+from devices.blazepose.tracked_images import TrackedImages
+from devices.capture.sensor_choice import cable_notes, sync_master
+from devices.capture.settings import CaptureSettings
+from devices.freenect2 import library
+from devices.freenect2.library import connected_freenect2s
+from devices.freenect2.sensor import Freenect2Sensor, unmirrored, unmirrored_lens
+from devices.live_checks import device_checks
+from devices.live_sensors import connected_sensors, live_sensor
+from devices.sensor import AbsentError, DeviceError
+from devices.tracker_choice import choose_tracker
+from tests.helpers.freenect2.contract import DEPTH, INFRARED
+from tests.helpers.freenect2.standin import give
+from tests.helpers.machine import need_networks
+from tests.helpers.rendered_people import images_of, landmarks_at, share_seen, true_joints
+from tests.helpers.usb_tree import plug_in
+
+A, B = "012345670", "012345671"
+PERIOD_NS = 33_333_333
+
+
+def _sensor(serial=A, **settings):
+    return Freenect2Sensor(serial, CaptureSettings(**settings))
+
+
+def _flat(value):
+    return np.full((424, 512), value, np.float32)
+
+
+def _numbered(standin, *numbers, **fields):
+    for number in numbers:
+        assert give(standin, number, _flat(1000 + number), _flat(100 + number), **fields)
+
+
+def test_frames_carry_depth_and_infrared_and_the_sensors_own_time(freenect2):
+    begun_ns = time.perf_counter_ns()
+    with _sensor() as sensor:
+        frames = sensor.frames()
+        for number in range(3):
+            _numbered(freenect2, number)
+            frame = next(frames)
+            assert (frame.depth.dtype, frame.depth.shape) == (np.uint16, (424, 512))
+            assert (frame.ir.dtype, frame.ir.shape) == (np.uint16, (424, 512))
+            assert (np.unique(frame.depth), np.unique(frame.ir)) == ([1000 + number], [100 + number])
+            assert frame.time_ns == pytest.approx(1000 * 125_000 + number * PERIOD_NS, abs=125_000)
+            assert begun_ns < frame.host_ns < time.perf_counter_ns()
+            assert (frame.people, frame.color) == ({}, None)
+    assert (sensor.missed, sensor.lost) == (0, 0)
+
+
+def test_numbers_that_are_no_reading_are_0_and_left_and_right_are_exchanged():
+    image = np.array([[1.4, 1.6, np.nan, -3.0], [np.inf, -np.inf, 65535.0, 65536.0]], np.float32)
+    assert unmirrored(image).tolist() == [[0, 0, 2, 1], [0, 65535, 0, 0]]
+
+
+@given(
+    st.tuples(*[st.floats(-1.2, 1.2)] * 2, st.floats(0.5, 4.5)).map(np.array),
+    st.tuples(*[st.floats(-0.3, 0.3)] * 3),
+    st.tuples(*[st.floats(-0.01, 0.01)] * 2),
+)
+def test_the_lens_shows_a_point_where_the_mirrored_image_has_it(point, radial, tangential):
+    """By the formulas of registration.cpp: pixels count from the corner of the first."""
+    fx, fy, cx, cy = 365.0, 367.0, 260.5, 205.25
+    (k1, k2, k3), (p1, p2) = radial, tangential
+    x, y = -point[0] / point[2], point[1] / point[2]
+    r2 = x * x + y * y
+    along = 1 + ((k3 * r2 + k2) * r2 + k1) * r2
+    column = fx * (x * along + p2 * (r2 + 2 * x * x) + p1 * 2 * x * y) + cx - 0.5
+    row = fy * (y * along + p1 * (r2 + 2 * y * y) + p2 * 2 * x * y) + cy - 0.5
+    camera = unmirrored_lens((fx, fy, cx, cy, k1, k2, p1, p2, k3))
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    shown, _ = cv2.projectPoints(point[None], np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion))
+    assert shown.ravel() == pytest.approx([511 - column, row], abs=1e-6)
+
+
+def test_times_go_on_where_the_32_bit_clock_wraps(freenect2):
+    with _sensor() as sensor:
+        frames, times = sensor.frames(), []
+        for number, ticks in enumerate((2**32 - 300, 2**32 - 33, 234, 500)):
+            give(freenect2, number, _flat(1), _flat(1), ticks=ticks)
+            times.append(next(frames).time_ns)
+    assert np.diff(times).tolist() == [267 * 125_000, 267 * 125_000, 266 * 125_000]
+
+
+def test_a_slow_reader_gets_the_newest_frame_and_the_rest_are_counted(freenect2):
+    captured = []
+    with _sensor() as sensor:
+        sensor.on_capture = captured.append
+        frames = sensor.frames()
+        _numbered(freenect2, 0)
+        next(frames)
+        _numbered(freenect2, *range(1, 11))
+        assert np.unique(next(frames).depth) == [1010]
+    assert [int(frame.depth[0, 0]) for frame in captured] == [1000, 1007, 1008, 1009, 1010], "four wait"
+    assert sensor.missed + sensor.lost == 9
+
+
+def test_images_of_different_packets_and_damaged_ones_are_left_out(freenect2):
+    with _sensor(timeout_ms=1, stall_s=0.01) as sensor:
+        frames = sensor.frames()
+        freenect2.give(0, INFRARED, 1, _flat(1))
+        freenect2.give(0, DEPTH, 2, _flat(1))
+        freenect2.give(0, INFRARED, 3, _flat(1))
+        freenect2.give(0, DEPTH, 3, _flat(1), status=1)
+        freenect2.give(0, DEPTH, 4, _flat(1))
+        _numbered(freenect2, 5)
+        assert np.unique(next(frames).depth) == [1005]
+        with pytest.raises(DeviceError, match=rf"Kinect v2 {A} stalls: no depth for 0 s"):
+            next(frames)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"depth_mode": "WFOV_2X2BINNED"}, r"has one depth mode, 512 × 424\. Leave --depth-mode out"),
+        ({"fps": 15}, r"runs at 30 fps, not 15\. Leave --fps out"),
+        ({"sync": "master"}, r"no port for a sync cable\. Leave --sync-master out"),
+        ({"color": "720P"}, r"colour is not read\. Leave --color out"),
+    ],
+)
+def test_a_mode_the_sensor_lacks_is_refused(freenect2, settings, message):
+    with pytest.raises(DeviceError, match=message):
+        _sensor(**settings).__enter__()
+    assert freenect2.counts() == [0]
+
+
+# ------------------------------------------------------------------ faults
+
+
+def test_unplugged_mid_stream(freenect2):
+    with _sensor(timeout_ms=1) as sensor:
+        frames = sensor.frames()
+        _numbered(freenect2, 0)
+        next(frames)
+        freenect2.set("gone", 1, 0)
+        with pytest.raises(AbsentError, match=rf"Kinect v2 {A} was unplugged or lost its power\. Plug it"):
+            next(frames)
+    assert freenect2.counts() == [0]
+    assert [one.serial for one in connected_freenect2s()] == [B]
+
+
+def test_interrupting_ends_the_frames(freenect2):
+    with _sensor() as sensor:
+        _numbered(freenect2, 0)
+        for _ in sensor.frames():
+            sensor.interrupt()
+
+
+def test_no_device(freenect2):
+    for kinect in (0, 1):
+        freenect2.set("gone", 1, kinect)
+    assert connected_freenect2s() == []
+    with pytest.raises(AbsentError, match=rf"No Kinect v2 with serial {A}\. No other is connected\. Check"):
+        _sensor().__enter__()
+
+
+def test_on_windows_microsofts_driver_is_named():
+    advice = library._why("[Freenect2Impl] failed to open Kinect v2: @1:5 LIBUSB_ERROR_NOT_SUPPORTED")
+    assert "(failed to open Kinect v2: @1:5 LIBUSB_ERROR_NOT_SUPPORTED)" in advice
+    assert advice.endswith("in place of Microsoft's.")
+
+
+def test_a_binding_that_cannot_be_compiled_says_why(standin_prefix, tmp_path, monkeypatch):
+    shutil.copytree(standin_prefix / "include", tmp_path / "include")
+    monkeypatch.setattr(library, "installed_prefix", lambda: tmp_path)
+    monkeypatch.setattr(library, "user_cache", lambda name: tmp_path / name)
+    with pytest.raises(
+        DeviceError, match=r"cannot be compiled or loaded \(.*LIBRARY.*\)\. It needs CMake and"
+    ):
+        library.load_library()
+    monkeypatch.setenv("PATH", "")
+    check = library.library_check()
+    assert (check.ok, "cmake" in check.detail) == (False, True)
+
+
+@pytest.mark.usefixtures("freenect2")
+def test_the_binding_is_compiled_once(monkeypatch):
+    library.load_library()
+    library.load_library.cache_clear()
+    monkeypatch.setattr(subprocess, "run", None)
+    library.load_library()
+
+
+# ------------------------------------------------------------------ beside other vendors
+
+
+@pytest.mark.usefixtures("freenect2")
+def test_they_are_listed_beside_the_others_and_have_no_sync_port():
+    a, b = connected_sensors(choose_tracker("blazepose"))
+    assert [(one.index, one.serial, one.sdk) for one in (a, b)] == [(0, A, "freenect2"), (1, B, "freenect2")]
+    assert sync_master(a, b) is None
+    assert cable_notes(a, b, None)[0].startswith(f"No sync cable fits into {A} and {B}.")
+    with pytest.raises(DeviceError, match=r"Leave --sync-master out"):
+        sync_master(a, b, A)
+
+
+@pytest.mark.usefixtures("freenect2")
+def test_the_doctor_knows_them(standin_prefix, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
+    for number, serial in enumerate((A, B)):
+        plug_in(tmp_path, serial, "02c4", number=number, vendor="045e", speed=480 if number else 5000)
+    checks = device_checks(choose_tracker("blazepose"), tmp_path)
+    named = {check.name: check for check in checks}
+    assert named["libfreenect2 (Kinect v2)"].detail == str(standin_prefix)
+    assert named["two Kinects"].detail == "2 connected, 2 usable"
+    assert named[f"Kinect v2 {A}"].detail == "no sync port"
+    assert named["USB speed"].detail == f"{B} runs at 480 Mbit/s"
+    assert "never a real sensor" in named["proven on hardware"].detail
+
+
+def test_our_tracker_finds_a_simulated_person_in_its_mirrored_images(freenect2):
+    folder, count = need_networks(), 4
+    marks = landmarks_at("arms", 1.0)
+    camera = unmirrored_lens(freenect2.lens())
+    tracker = choose_tracker("blazepose", blazepose=BlazePoseSettings(models=folder))
+    listed, _ = connected_sensors(tracker)
+    sensor = live_sensor(listed, CaptureSettings(), tracker, TrackingPace(30.0, tracker.blazepose))
+    assert isinstance(sensor, TrackedImages)
+    skeletons = []
+    with sensor:
+        frames = sensor.frames()
+        for number in range(count):
+            infrared, depth = images_of([marks], number, camera=camera)
+            mirrored = [image[:, ::-1].astype(np.float32) for image in (depth, infrared)]
+            give(freenect2, number * 10, *mirrored)
+            skeletons += [frame.people for frame in itertools.islice(frames, 1)]
+    (found,) = skeletons[-1].values()
+    seen = share_seen(marks, camera) > 0.9
+    errors = np.linalg.norm(found.positions - true_joints(marks), axis=1)[seen]
+    assert np.median(errors) < 0.035, "the goal of the project"
