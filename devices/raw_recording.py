@@ -118,6 +118,7 @@ class RawRecorder:
                 self._queue.clear()
 
     def _write(self) -> None:
+        images = self._first_whole()
         frame = self._take()
         if frame is None:
             return
@@ -126,7 +127,8 @@ class RawRecorder:
             raise DeviceError(f"{sensor.name} does not know its depth camera, which a recording needs.")
         frame = self._in_order(frame)
         calibration = self._hide(getattr(sensor, "calibration_json", b"").decode("latin-1")).encode("latin-1")
-        given = self._hide(sensor.name), self._settings, sensor.intrinsics, frame
+        first = replace(images or frame, time_ns=frame.time_ns)
+        given = self._hide(sensor.name), self._settings, sensor.intrinsics, first
         with self._open_writer(self.path, *given, calibration=calibration, compress=self._compress) as writer:
             following: SensorFrame | None = frame
             while following is not None:
@@ -138,6 +140,23 @@ class RawRecorder:
                 self.written += 1
                 following = self._take()
                 following = None if following is None else self._in_order(following)
+
+    def _first_whole(self) -> SensorFrame | None:
+        """The first frame with all the images that the sensor gives, which name the file's tracks.
+
+        Cameras start one after the other, and depth may come first. A second of frames is waited for.
+        """
+        with_color = self._settings.color is not None
+
+        def whole(frame: SensorFrame) -> bool:
+            return frame.color is not None or (frame.ir is not None and not with_color)
+
+        def found() -> SensorFrame | None:
+            return next(filter(whole, self._queue), None)
+
+        with self._more:
+            self._more.wait_for(lambda: self._ending or found() or len(self._queue) >= self._settings.fps)
+            return found()
 
     def _take(self) -> SensorFrame | None:
         """The next frame; None at the end."""

@@ -162,6 +162,29 @@ def test_a_disk_that_stands_still_costs_images_first_and_bounded_memory(tmp_path
     assert recorder.written == 13
 
 
+@pytest.mark.parametrize("late", [1, 12])
+def test_depth_that_comes_before_the_first_colour_image_does_not_leave_colour_out(late, tmp_path):
+    """A Kinect v1 starts its depth camera first. Without colour nobody would be found in its recording."""
+    color = ColorImage(b"\xff\xd8colour\xff\xd9", ColorCamera(LENS, RigidTransform.identity()))
+    frames = [
+        replace(frame(number), ir=None, color=color if number >= late else None) for number in range(15)
+    ]
+    with RawRecorder(tmp_path / "a.mkv", Camera()) as recorder:
+        for each in frames:
+            recorder.add(each)
+    found, _ = read(recorder.path)
+    assert [each.time_ns for each in found] == [each.time_ns for each in frames]
+    assert [each.color is not None for each in found] == [False] * late + [True] * (15 - late)
+
+
+def test_a_sensor_without_an_image_is_recorded_after_a_second(tmp_path):
+    with RawRecorder(tmp_path / "a.mkv", Camera()) as recorder:
+        for number in range(31):
+            recorder.add(replace(frame(number), ir=None))
+        assert eventually(lambda: recorder.written == 31)
+    assert recorder.lost == 0
+
+
 def test_a_full_disk_ends_it_in_a_sentence_and_leaves_what_was_written(tmp_path):
     with small_disk(tmp_path / "small", 20_000) as disk:
         said = []
