@@ -224,7 +224,7 @@ def read_two(
         DeviceError: A recording cannot be read or tracked, both are the same recording, the bodies differ,
             or the two never overlap.
     """
-    _refuse_same(choice_a.path, choice_b.path)
+    refuse_same(choice_a.path, choice_b.path)
     tracked = any(choice.is_tracked for choice in (choice_a, choice_b))
     if tracked:
         tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(choice_a.path, choice_b.path))
@@ -331,7 +331,8 @@ def _synced(a: MkvInfo | None, b: MkvInfo | None) -> bool:
     return a is not None and b is not None and {a.sync_mode, b.sync_mode} == {"MASTER", "SUBORDINATE"}
 
 
-def _refuse_same(a: Path, b: Path) -> None:
+def refuse_same(a: Path, b: Path) -> None:
+    """Raises a DeviceError if two recordings are one."""
     try:
         same = a.samefile(b)
         compared = a.is_file() and a.stat().st_size > 0 and b.is_file()

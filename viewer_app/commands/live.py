@@ -42,15 +42,21 @@ def run(options: LiveOptions) -> None:
     remote = names_remote(options)
     runner = Runner(options, console, options.save, remote)
     settings = _check(options)
-    raw = raw_files(options, console)
+    raw = raw_files(options, console, _played(options))
     if remote:
         with sensors_by_network(options, console, partial(one_of_live, options, console)) as sensors:
             _show(options, settings, sensors, runner, raw, console)
-    elif options.a is not None and options.b is not None:
-        played = two_played_sensors(options, options.a, options.b, console)
-        _show(options, settings, played, runner, raw, console)
+        return
+    played = _played(options)
+    if played:
+        _show(options, settings, two_played_sensors(options, played, console), runner, raw, console)
     else:
         _show(options, settings, two_connected_sensors(options, console), runner, raw, console)
+
+
+def _played(options: LiveOptions) -> list[Path]:
+    """The recordings that are played; none where sensors run."""
+    return [path for path in (options.a, options.b) if path is not None]
 
 
 def _check(options: LiveOptions) -> FuserSettings:
@@ -58,11 +64,12 @@ def _check(options: LiveOptions) -> FuserSettings:
     check_modes(capture_settings(options, "", None))
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
     check_paper_options(settings)
-    read = () if options.calibrate == "auto" else (Path(options.calibrate),)
+    read = _played(options) + ([] if options.calibrate == "auto" else [Path(options.calibrate)])
     check_outputs((options.report, options.save_calibration), read, options.force, options.save)
     check_seconds(options.seconds)
-    if options.a is not None and (options.b is None or names_remote(options)):
-        raise UsageError("duplex live plays two recordings: name both, and no sensor on another PC.")
+    sensors = (options.kinect_a, options.kinect_b, options.principal, options.sync_master)
+    if _played(options) and (options.b is None or any(sensors)):
+        raise UsageError("duplex live plays two recordings: name both, and no sensor.")
     if options.calibrate != "auto" and not Path(options.calibrate).exists():
         raise UsageError(
             f"--calibrate {options.calibrate}: neither auto nor an existing file. Make one with "

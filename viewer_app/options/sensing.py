@@ -115,7 +115,7 @@ class LiveOptions(
     """
 
     a: Annotated[Path | None, ARGUMENT] = field(default=None, kw_only=False)
-    """Play this recording, .mkv or .bag, instead of sensor K_A."""
+    """Play this recording, .mkv, .db3 or .bag, instead of sensor K_A."""
     b: Annotated[Path | None, ARGUMENT] = field(default=None, kw_only=False)
     """The recording of K_B."""
     record: Annotated[Path | None, OUTPUTS] = None
@@ -193,7 +193,7 @@ class PublishOptions(ZenohOptions, TrackerOptions, OwnFileOptions):
     kinect: Annotated[str | None, SENSORS] = None
     """Serial number of the sensor; the only one connected if not given."""
     recording: Annotated[Path | None, SENSORS] = None
-    """Play a recording in real time instead of a sensor: .csv, .json, .skeleton or .mkv."""
+    """Play a recording in real time instead of a sensor: .csv, .json, .skeleton, .mkv, .db3 or .bag."""
     simulate: Annotated[Literal["a", "b"] | None, SENSORS] = None
     """Simulate sensor a or b instead; two programs see the same person, by the clocks of their PCs."""
     motion: Annotated[str, SENSORS] = "walk"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from devices.capture.host_clock import ONE_RUN_NS
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.settings import CaptureSettings
 from devices.capture.stream_pairing import LivePairing
-from devices.files import has_images, not_of_libk4a, open_images, open_source
+from devices.files import has_images, not_of_libk4a, open_images, open_source, refuse_same
 from devices.live_sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
 from devices.raw_recording import RawRecorder, recorded
@@ -23,7 +23,7 @@ from devices.real_time import Beat, PacedSensor
 from devices.sensor import Sensor
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions
-from viewer_app.output_files import check_writable, warn_of_little_room
+from viewer_app.output_files import check_outputs, warn_of_little_room
 from viewer_app.sensors.remote import teller
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
 
@@ -37,7 +37,8 @@ class RawFiles(ExitStack):
         hide: As for :class:`~devices.raw_recording.RawRecorder`.
 
     Raises:
-        UsageError: The folder cannot be made, or has such files and `force` is not set.
+        UsageError: The folder cannot be made, or has such files and `force` is not set, or one of them is
+            played.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class RawFiles(ExitStack):
         force: bool,
         compress: bool,
         hide: Callable[[str], str] = str,
+        played: Iterable[Path] = (),
     ) -> None:
         super().__init__()
         self.folder, self._console, self._compress, self._hide = folder, console, compress, hide
@@ -56,8 +58,7 @@ class RawFiles(ExitStack):
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as fault:
             raise UsageError(f"The folder {folder} cannot be made: {fault.strerror or fault}.") from None
-        for name in _NAMES:
-            check_writable(folder / name, force)
+        check_outputs([folder / name for name in _NAMES], played, force)
         warn_of_little_room(folder / _NAMES[0], console)
 
     def attach(self, sensors: TwoSensors, fps: int = 30) -> None:
@@ -108,34 +109,39 @@ class RawFiles(ExitStack):
         self._console.print(f"[bold red]{escape(failure)}[/]", soft_wrap=True)
 
 
-def raw_files(options: LiveOptions | DemoOptions, console: Console) -> RawFiles | None:
+def raw_files(
+    options: LiveOptions | DemoOptions, console: Console, played: Iterable[Path] = ()
+) -> RawFiles | None:
     """The recordings that ``--record`` asks for; None without it.
 
     Raises:
         UsageError: As for :class:`RawFiles`; or ``--compress`` without ``--record``.
     """
     if options.record is not None:
-        return RawFiles(options.record, console, force=options.force, compress=options.compress)
+        return RawFiles(
+            options.record, console, force=options.force, compress=options.compress, played=played
+        )
     if options.compress:
         raise UsageError("--compress is of a recording: add --record FOLDER.")
     return None
 
 
-def two_played_sensors(options: LiveOptions, a: Path, b: Path, console: Console) -> TwoSensors:
+def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Console) -> TwoSensors:
     """Two recordings of images as live sensors, at the pace at which they were recorded; opens neither.
 
     Raises:
         UsageError: One has no images.
-        DeviceError: One cannot be read.
+        DeviceError: One cannot be read, or both are the same.
     """
-    for path in (a, b):
+    for path in paths:
         if not has_images(path):
-            raise UsageError(f"{path} has no images: duplex live plays .mkv and .bag. Use duplex fuse.")
-    tracker = tracker_of(options).for_images_of(not_of_libk4a(a, b))
+            raise UsageError(f"{path} has no images: duplex live plays .mkv, .db3 and .bag. Use duplex fuse.")
+    refuse_same(*paths)
+    tracker = tracker_of(options).for_images_of(not_of_libk4a(*paths))
     announce_tracker(tracker, console)
     infos: list[MkvInfo | None] = []
     arrivals: list[int] = []  # of the first frames, where they were recorded
-    for path in (a, b):
+    for path in paths:
         with open_images(path) as images:
             infos.append(images.info if isinstance(images, MkvRecording) else None)
             if isinstance(images, MkvRecording):
@@ -147,7 +153,7 @@ def two_played_sensors(options: LiveOptions, a: Path, b: Path, console: Console)
     decimation = decimation_of(tracker, 1e9 / min(intervals))
     beat = Beat(2, one_clock=one_run or (delay_ns is not None and not by_arrival))
     played: list[Sensor] = []
-    for path in (a, b):
+    for path in paths:
         if tracker.name == "k4abt":
             played.append(PacedSensor(open_source(path, tracker=tracker), beat))
         else:

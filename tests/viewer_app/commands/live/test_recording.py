@@ -113,9 +113,20 @@ def test_what_cannot_be_played_is_told(tmp_path, capsys):
     table = tmp_path / "b.csv"
     table.touch()
     assert duplex("live", path, table, "--no-viewer") == 2
-    assert "b.csv has no images: duplex live plays .mkv and .bag" in capsys.readouterr().err
+    assert "b.csv has no images: duplex live plays .mkv, .db3 and .bag" in capsys.readouterr().err
     assert duplex("live", path, "--no-viewer") == 2
     assert "duplex live plays two recordings" in capsys.readouterr().err
+    assert duplex("live", path, path, "--no-viewer") == 2
+    assert "are the same recording" in capsys.readouterr().err
+    other = write_mkv(tmp_path / "b.mkv", 3)
+    for option in ("--kinect-a", "--principal", "--sync-master"):
+        assert duplex("live", path, other, option, "000123", "--no-viewer") == 2
+        assert "name both, and no sensor." in capsys.readouterr().err
+    before = path.read_bytes()
+    for output in (("--record", tmp_path), ("--report", path)):
+        assert duplex("live", path, other, *output, "--force", "--no-viewer") == 2
+        assert "a.mkv cannot be written: it is also read" in capsys.readouterr().err
+    assert path.read_bytes() == before, "what is played is not overwritten"
     assert duplex("record", tmp_path, "--kinect-a", "zenoh:lab/a") == 2
     assert "run it on the sensor's own PC" in capsys.readouterr().err
 
