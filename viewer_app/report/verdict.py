@@ -119,12 +119,9 @@ def _distance(side: str, live: bool, median: float | None, near: float, far: flo
 
 def _unpaired_share(figures: Figures) -> float:
     """Of the slower sensor: one that is faster by itself has frames that nobody can pair."""
-    shares = [
-        ((figures["dropped"][side] or 0) + figures["alone"][side]) / figures["frames"][side]
-        for side in "ab"
-        if figures["frames"][side]
-    ]
-    return min(shares, default=0.0)
+    unpaired: int = min((figures["dropped"][side] or 0) + figures["alone"][side] for side in "ab")
+    paired: int = figures["paired"]
+    return unpaired / max(1, unpaired + paired)  # a live sensor's dropped ones are no frames of it
 
 
 def _beyond(value: float, *limits: float) -> str:

@@ -108,7 +108,8 @@ def test_a_verdict_is_a_word_and_says_what_to_do_where_it_is_poor(figures, media
             {"mirrored": {"a": 0.0, "b": 0.97}},
             "poor: B is the mirror image of a person. Change the sign of x",
         ),
-        ({"dropped": {"a": 20, "b": 22}}, "poor: 33 % of the frames have no partner"),
+        ({"dropped": {"a": 20, "b": 22}, "paired": 40}, "poor: 33 % of the frames have no partner"),
+        ({"dropped": {"a": 90, "b": 92}, "paired": 60}, "poor: 60 % of the frames have no partner"),
         (
             seen_at(0.9),
             "poor: the person is 0.9 m from B; good is 1.8 to 3.9 m. Record with the person further",
