@@ -68,14 +68,20 @@ class PacedSensor(SensorWrapper):
 
     A real sensor makes its frames outside of this process. Making a frame therefore starts in the second
     half of the interval before it is due, so that it does not compete with the processing of the previous
-    frame. It starts earlier if making takes longer. The first frame of a recording is due at once. A frame
-    whose arrival was recorded comes, and arrives, as it did then.
+    frame. It starts earlier if making takes longer. The first frame of a recording is due at once, and each
+    arrives when it is due: as it did then, where that was recorded.
 
     Args:
         sensor: The sensor. A simulated one leaves out images while it is slower than real time.
         decimation: Which moments a body tracker that works on the images wants; shared by the sensors. Frames
-            of other moments and frames without an image are not given. None: every frame.
+            of other moments and frames without an image are not given, nor those of a recording that a
+            slow tracker has a newer one for. None: every frame.
+
+    Attributes:
+        missed: Frames that the tracker was too late for.
     """
+
+    missed = 0
 
     def __init__(
         self,
@@ -122,25 +128,30 @@ class PacedSensor(SensorWrapper):
                 if simulated is None:
                     start_ns = self._beat.first_ns or 0 if self._beat.one_clock else moment_ns
             due = begun + (moment_ns - start_ns) * 1e-9
+            late_s = self._clock() - due
             if simulated is not None:
-                simulated.skips_depth = due - self._clock() < -_FRAME
+                simulated.skips_depth = late_s > _FRAME
             if self._stops_before(due):
                 return
-            came_s = self._clock() if frame.host_ns is None else due
+            came_s = due if simulated is None else self._clock()
             frame = replace(frame, host_ns=round(came_s * 1e9))
-            if self._is_wanted(frame):
+            if self._is_wanted(frame, late_s):
                 yield frame
             if self._stops_before(due + _FRAME - max(_FRAME / 2.0, _MARGIN * longest)):
                 return
 
-    def _is_wanted(self, frame: SensorFrame) -> bool:
+    def _is_wanted(self, frame: SensorFrame, late_s: float) -> bool:
         """Whether a tracker wants the frame; the next one then has images only if it wants that."""
         if self._decimation is None or frame.host_ns is None:
             return True
         moment = self._decimation.moment(self.name, frame.time_ns, frame.host_ns)
+        kept = self._decimation.keeps(moment) and frame.depth is not None
         if self._simulated is not None:
             self._simulated.imaging = self._decimation.keeps(moment + 1)
-        return self._decimation.keeps(moment) and frame.depth is not None
+        elif kept and late_s > self._decimation.interval_ns * 1e-9:  # a newer one has come
+            self.missed += 1
+            return False
+        return kept
 
     def _stops_before(self, moment: float) -> bool:
         """Waits until a time; returns whether the wait was interrupted."""

@@ -8,6 +8,7 @@ import pytest
 
 from devices.capture.frame_decimation import FrameDecimation
 from devices.real_time import PacedSensor, paced_together
+from devices.sensor import Sensor, SensorFrame
 from devices.simulated.kinect import simulated_pair
 from fusion.body import KINECT_V1
 
@@ -116,6 +117,28 @@ def test_images_are_made_and_given_of_the_kept_moments_only(clock, images_take, 
     # The first image is made before the sensor knows its moment.
     assert len(frames) <= len(made) <= len(frames) + 1
     assert source.images_left_out == 0, "they were not wanted"
+
+
+class Recording(Sensor):
+    """Frames without an arrival, such as those of a RealSense recording."""
+
+    name, body = "a.db3", KINECT_V1
+
+    def frames(self):
+        return iter([SensorFrame(7 + k * 33_333_333, depth=np.ones((2, 2), np.uint16)) for k in range(60)])
+
+
+def test_a_recording_leaves_out_what_a_slow_tracker_is_too_late_for(clock):
+    """As a live sensor does: else the sensors of two slow trackers drift apart, and nothing is paired."""
+    sensor, begun, taken = paced(Recording(), clock, FrameDecimation(30.0)), clock.now, []
+    for frame in sensor.frames():
+        taken.append(frame)
+        due = begun + (frame.time_ns - 7) * 1e-9
+        assert frame.host_ns == round(due * 1e9), "it arrived in time; the tracker is late"
+        assert clock.now - due < 1.0 / 30.0 + 1e-9
+        clock.now += 0.09
+    assert len(taken) + sensor.missed == 60
+    assert len(taken) == pytest.approx(2.0 / 0.09, abs=2)
 
 
 def test_sensors_begin_together():
