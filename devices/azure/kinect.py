@@ -96,6 +96,8 @@ class _KinectStream(CaptureStream[_Captured]):
 class KinectSensor(LiveSensor):
     """One Azure Kinect with its body tracker."""
 
+    settings: KinectSettings
+
     def __init__(
         self,
         serial: str,
@@ -112,8 +114,7 @@ class KinectSensor(LiveSensor):
             decimation: Which moments go to the tracker; share it between two sensors. None: its own.
             clock: Nanoseconds, of ``host_ns`` and of the tracker's times; tests inject their own.
         """
-        self.settings = settings or KinectSettings()
-        super().__init__(serial, self.settings, decimation, clock)
+        super().__init__(serial, settings or KinectSettings(), decimation, clock)
         self.body = AZURE_KINECT
         self.waits_for = ""
         self._tracker = BodyTracker(tracker) if track else None

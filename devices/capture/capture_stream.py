@@ -16,6 +16,7 @@ from devices.capture.causes import Cause, in_brackets
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
 from devices.sensor import AbsentError, ColorCamera, DeviceError, Sensor, SensorFrame
+from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 
 _SAME_CLOCK_NS = 5_000_000_000
@@ -166,9 +167,10 @@ class CaptureStream(ABC, Generic[M]):
 
 
 class LiveSensor(Sensor):
-    """A sensor of this machine.
+    """A sensor of this machine. Building one opens nothing.
 
     Attributes:
+        settings: How it runs; a vendor's own where it has more of them.
         decimation: Which moments are given. Those skipped on purpose do not count as missed.
         registered: Gives the RGB image on the depth's pixels of the frame given last, for sensors whose
             frames have no infrared; else None.
@@ -176,21 +178,22 @@ class LiveSensor(Sensor):
         calibration_json: What an Azure Kinect stores, once it is open; empty for other sensors.
     """
 
+    body = BLAZEPOSE
     registered: Callable[[SensorFrame], NDArray[np.uint8] | None] | None = None
     calibration_json: bytes = b""
 
     def __init__(
         self,
         serial: str,
-        settings: CaptureSettings,
-        decimation: FrameDecimation | None,
+        settings: CaptureSettings | None = None,
+        decimation: FrameDecimation | None = None,
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
-        self.name = serial
+        self.name, self.settings = serial, settings or CaptureSettings()
         self.intrinsics: Intrinsics | None = None
         self.warnings: list[str] = []
         self.missed = self.lost = 0
-        self.decimation = decimation or FrameDecimation(settings.fps)
+        self.decimation = decimation or FrameDecimation(self.settings.fps)
         self.clock = clock
         self.on_capture: Callable[[SensorFrame], object] | None = None
         self._color: ColorCamera | None = None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 
@@ -13,12 +12,10 @@ from numpy.typing import NDArray
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause, in_brackets
-from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
 from devices.freenect.libfreenect import PROGRAMS, Context
 from devices.freenect.moments import FPS, FreenectMoment, MomentJoiner
 from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
-from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 
@@ -152,18 +149,8 @@ class FreenectSensor(LiveSensor):
         rgb: (480, 640, 3) the colour image of the frame given last; None without one.
     """
 
-    def __init__(
-        self,
-        serial: str,
-        settings: CaptureSettings | None = None,
-        decimation: FrameDecimation | None = None,
-        clock: Callable[[], int] = time.perf_counter_ns,
-    ) -> None:
-        self.settings = settings or CaptureSettings()
-        super().__init__(serial, self.settings, decimation, clock)
-        self.body = BLAZEPOSE
-        self.rgb: NDArray[np.uint8] | None = None
-        self._camera: _Camera | None = None
+    rgb: NDArray[np.uint8] | None = None
+    _camera: _Camera | None = None
 
     def __enter__(self) -> FreenectSensor:
         """Opens the sensor, starts its cameras."""

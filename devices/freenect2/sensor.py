@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor, Moment
-from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
 from devices.freenect2.library import SHAPE, Camera, Images
 from devices.sensor import DeviceError, SensorFrame
-from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 
 _FPS = 30
@@ -56,17 +53,7 @@ class Freenect2Sensor(LiveSensor):
     own clock. There is no sync cable: two sensors capture up to half a frame apart.
     """
 
-    def __init__(
-        self,
-        serial: str,
-        settings: CaptureSettings | None = None,
-        decimation: FrameDecimation | None = None,
-        clock: Callable[[], int] = time.perf_counter_ns,
-    ) -> None:
-        self.settings = settings or CaptureSettings()
-        super().__init__(serial, self.settings, decimation, clock)
-        self.body = BLAZEPOSE
-        self._camera: Camera | None = None
+    _camera: Camera | None = None
 
     def __enter__(self) -> Freenect2Sensor:
         """Opens the sensor, starts its camera."""

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause, in_brackets
-from devices.capture.frame_decimation import FrameDecimation
-from devices.capture.settings import CaptureSettings
 from devices.orbbec.images import MomentJoiner, OrbbecMoment, color_image, depth_image, infrared_image
 from devices.orbbec.sdk_access import faults_of, is_connected, load_sdk, open_orbbec, set_sync_role
 from devices.orbbec.streams import Streams, check_modes, choose_streams, color_camera, intrinsics_of
 from devices.sensor import DeviceError, SensorFrame
-from fusion.body import BLAZEPOSE
 
 _TIMELESS = (
     "{name} gives no times of its own clock, so frames are timed when they arrive. On Windows, run "
@@ -61,17 +57,7 @@ class OrbbecSensor(LiveSensor):
     A sensor without the sizes of Femto Bolt and Mega runs in that nearest to 640 pixels wide.
     """
 
-    def __init__(
-        self,
-        serial: str,
-        settings: CaptureSettings | None = None,
-        decimation: FrameDecimation | None = None,
-        clock: Callable[[], int] = time.perf_counter_ns,
-    ) -> None:
-        self.settings = settings or CaptureSettings()
-        super().__init__(serial, self.settings, decimation, clock)
-        self.body = BLAZEPOSE
-        self._pipeline: Any = None
+    _pipeline: Any = None
 
     def __enter__(self) -> OrbbecSensor:
         """Opens the sensor, gives it its place on the sync cable, starts its cameras."""

@@ -11,7 +11,6 @@ from typing import Any
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause, in_brackets
-from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
 from devices.realsense.images import MomentJoiner, RealSenseMoment, Streams, choose_streams, intrinsics_of
 from devices.realsense.sdk_access import is_connected, load_sdk, open_realsense, set_sync_role
@@ -61,17 +60,7 @@ class RealSenseSensor(LiveSensor):
     clock. The library's global times, which each new fit moves, are switched off.
     """
 
-    def __init__(
-        self,
-        serial: str,
-        settings: CaptureSettings | None = None,
-        decimation: FrameDecimation | None = None,
-        clock: Callable[[], int] = time.perf_counter_ns,
-    ) -> None:
-        self.settings = settings or CaptureSettings()
-        super().__init__(serial, self.settings, decimation, clock)
-        self.body = BLAZEPOSE
-        self._opened: tuple[Streams, _RealSenseStream, MomentJoiner] | None = None
+    _opened: tuple[Streams, _RealSenseStream, MomentJoiner] | None = None
 
     def __enter__(self) -> RealSenseSensor:
         """Opens the sensor, gives it its place on the sync cable, starts its cameras."""

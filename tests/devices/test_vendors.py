@@ -52,7 +52,9 @@ class Acme(SimpleNamespace):
 def example(monkeypatch):
     """The names of the example, with its library."""
     monkeypatch.setitem(sys.modules, "acme", Acme())
-    source = re.search(r"```python\n(import time\n.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[1]
+    source = re.search(
+        r"```python\n(from dataclasses import .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL
+    )[1]
     assert source.count("\n") < 200
     names = {"__name__": "acme_sensor"}
     exec(compile(source, PAGE.name, "exec"), names)
