@@ -248,7 +248,10 @@ def read_two(
     clock = by_arrival = None
     if offset_ns is None:
         read_arrivals = read_a.arrivals, read_b.arrivals
-        by_arrival = None if _synced(read_a.info, read_b.info) else offset_by_arrival(*read_arrivals)
+        by_arrival = offset_by_arrival(*read_arrivals)
+        delay_ns = cable_delay_ns(read_a.info, read_b.info)
+        if by_arrival is not None and delay_ns is not None:
+            by_arrival = _by_cable(by_arrival, delay_ns, read_a.person.time_ns, read_b.person.time_ns)
         clock = by_arrival or _clock_correction(a.body, read_a.seen, read_b.seen)
         give_back()
     # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
@@ -296,6 +299,23 @@ def _clock_correction(body: Body, a: View, b: View) -> ClockOffset | None:
     return found if at_ends >= 2 * interval / 3 and (grows or found.significant) else None
 
 
+def _by_cable(
+    arrival: ClockOffset, delay_ns: int, a_ns: NDArray[np.int64], b_ns: NDArray[np.int64]
+) -> ClockOffset | None:
+    """The offset by which B's captures lie the cable's delay after A's, near that of their arrival.
+
+    None where it is within half a frame of none: the master has then set the subordinate's clock.
+    """
+    interval = median_interval(a_ns)
+    if np.abs(arrival.at(b_ns)).max() < interval / 2:
+        return None
+    on_a = b_ns + arrival.at(b_ns) - delay_ns
+    after = np.clip(np.searchsorted(a_ns, on_a), 1, max(1, len(a_ns) - 1))
+    around = on_a[:, None] - a_ns[np.minimum(np.stack([after - 1, after], axis=1), len(a_ns) - 1)]
+    off_ns = np.median(around[np.arange(len(around)), np.abs(around).argmin(axis=1)])
+    return replace(arrival, offset_ns=arrival.offset_ns - float(off_ns))
+
+
 def _skew_in_words(clock: ClockOffset) -> str:
     return f", growing by {clock.skew_ppm:+.1f} millionths of the time," if clock.skew_ppm else ""
 
@@ -311,12 +331,12 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
     """
     if a is None or b is None:
         return []
-    if not _synced(a, b):
+    delay_ns = cable_delay_ns(a, b)
+    if delay_ns is None:
         return [
             f"The sensors ran without a common clock ({a.sync_mode.lower()}, {b.sync_mode.lower()}): frames "
             f"are paired as if both had been started at the same moment. Record with a sync cable."
         ]
-    delay_ns = b.subordinate_delay_ns if b.sync_mode == "SUBORDINATE" else -a.subordinate_delay_ns
     off_ns = int(np.median([pair.skew_ns for pair in pairs])) - delay_ns
     if abs(off_ns) <= _CLOCKS_AGREE_NS:
         return []
@@ -327,8 +347,11 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
     ]
 
 
-def _synced(a: MkvInfo | None, b: MkvInfo | None) -> bool:
-    return a is not None and b is not None and {a.sync_mode, b.sync_mode} == {"MASTER", "SUBORDINATE"}
+def cable_delay_ns(a: MkvInfo | None, b: MkvInfo | None) -> int | None:
+    """How much later B captures than A by their sync cable; None without one."""
+    if a is None or b is None or {a.sync_mode, b.sync_mode} != {"MASTER", "SUBORDINATE"}:
+        return None
+    return b.subordinate_delay_ns if b.sync_mode == "SUBORDINATE" else -a.subordinate_delay_ns
 
 
 def refuse_same(a: Path, b: Path) -> None:

@@ -1,4 +1,14 @@
-"""The option of the scenarios."""
+"""The option of the scenarios, and what they run on."""
+
+import pytest
+
+from tests.helpers.rig import built_rig
+
+
+@pytest.fixture(params=["standin", pytest.param("rig", marks=pytest.mark.rig)])
+def rig(request):
+    """Where the rig is built; None for the stand-in."""
+    return built_rig(request.getfixturevalue("shared")) if request.param == "rig" else None
 
 
 def pytest_addoption(parser):

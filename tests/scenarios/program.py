@@ -81,6 +81,8 @@ def run(arguments, folder, conf, events, rig):
         if rig is not None and os.environ.get("LD_LIBRARY_PATH") != str(rig / "lib"):
             os.environ["LD_LIBRARY_PATH"] = str(rig / "lib")  # read where a process starts: the server
             import_module("multiprocessing.forkserver")._forkserver._stop()
+    for file in [] if rig is None else (rig / "bus").iterdir():
+        (folder / file.name).symlink_to(file)
     conf = {"a.jack": 0, "b.jack": 0, "t0": time.monotonic() + 1.0, **conf}
     _write(folder, conf)
     (folder / "out.txt").touch()

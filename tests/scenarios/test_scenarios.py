@@ -11,7 +11,6 @@ import pytest
 
 from devices.capture.causes import Cause
 from recordings.session import Session
-from tests.helpers.rig import built_rig
 from tests.scenarios import program
 from tests.scenarios.table import SCENARIOS
 
@@ -39,12 +38,6 @@ _ELSEWHERE = {
 """Causes that no scenario shows: where they are tested, and why."""
 
 
-@pytest.fixture(params=["standin", pytest.param("rig", marks=pytest.mark.rig)])
-def rig(request):
-    """Where the rig is built; None for the stand-in."""
-    return built_rig(request.getfixturevalue("shared")) if request.param == "rig" else None
-
-
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=[each.name.replace(" ", "_") for each in SCENARIOS])
 def test_scenario(scenario, rig, tmp_path, request):
     if scenario.xfail:
@@ -65,11 +58,7 @@ def test_every_cause_is_shown_by_a_scenario_or_tested_elsewhere():
 
 def _run(scenario, rig, folder):
     conf = dict(pair.split("=", 1) for pair in scenario.conf.split())
-    library = "libk4abt.so.1.1"
-    if rig is not None:
-        for file in (rig / "bus").iterdir():
-            (folder / file.name).symlink_to(file)
-        library = str(rig / "lib" / library)
+    library = "libk4abt.so.1.1" if rig is None else str(rig / "lib" / "libk4abt.so.1.1")
     options = ["live", "--no-viewer", "--k4abt", library, "--principal", "000001111111"]
     options += ["--save", str(folder / "s.rrd"), "--report", str(folder / "r.json")]
     options += scenario.options.split()

@@ -15,7 +15,14 @@ from devices.capture.host_clock import ONE_RUN_NS
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.settings import CaptureSettings
 from devices.capture.stream_pairing import LivePairing
-from devices.files import has_images, not_of_libk4a, open_images, open_source, refuse_same
+from devices.files import (
+    cable_delay_ns,
+    has_images,
+    not_of_libk4a,
+    open_images,
+    open_source,
+    refuse_same,
+)
 from devices.live_sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
 from devices.raw_recording import RawRecorder, recorded
@@ -148,7 +155,7 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
                 arrivals += filter(None, [next(images.frames()).host_ns])
     by_arrival = len(arrivals) == 2
     one_run = by_arrival and abs(arrivals[1] - arrivals[0]) < ONE_RUN_NS
-    delay_ns = _cable_delay_ns(*infos)
+    delay_ns = cable_delay_ns(*infos)
     intervals = [1e9 / options.fps if info is None else info.interval_ns for info in infos]
     decimation = decimation_of(tracker, 1e9 / min(intervals))
     beat = Beat(2, one_clock=one_run or (delay_ns is not None and not by_arrival))
@@ -165,10 +172,3 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
         decimation=decimation,
         tell=teller(console),
     )
-
-
-def _cable_delay_ns(a: MkvInfo | None, b: MkvInfo | None) -> int | None:
-    """How much later B captures than A by their cable; None without one."""
-    if a is None or b is None or {a.sync_mode, b.sync_mode} != {"MASTER", "SUBORDINATE"}:
-        return None
-    return b.subordinate_delay_ns if b.sync_mode == "SUBORDINATE" else -a.subordinate_delay_ns

@@ -1,0 +1,52 @@
+"""``duplex record`` in a process of its own that is killed, on the stand-in and on the real libk4a."""
+
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from devices.azure.mkv import MkvRecording
+from fusion.body import AZURE_KINECT
+from fusion.calibration.calibration import nominal_calibration
+from recordings.calibration_file import calibration_to_json
+from recordings.session import Session
+from tests.helpers.command_line import duplex
+from tests.scenarios import program
+
+_UNTIL_S = 1.0  # before the kill: what the project promises
+
+
+@pytest.mark.parametrize("after_s", [0.7, 1.33, 2.9])
+def test_what_was_recorded_before_a_kill_is_fused(after_s, rig, standin, tmp_path):
+    raw, run = tmp_path / "raw", tmp_path / "run"
+    run.mkdir()
+    command = ["record", str(raw), "--principal", "000001111111"]
+    events = (("Recording to", {}), (after_s, signal.SIGKILL))
+    done = program.run(command, run, {"a.jack": 2, "b.jack": 1}, events, rig)
+    killed_ns = 1e9 * (time.perf_counter() - done.ended_s)
+    assert done.code == -signal.SIGKILL
+    counts = []
+    for name in ("a.mkv", "b.mkv"):
+        with MkvRecording(raw / name) as recording:
+            frames = list(recording.frames())
+        assert ["is cut off" in warning for warning in recording.warnings] == [True]
+        assert killed_ns - frames[-1].host_ns < 1e9 * _UNTIL_S
+        assert all(frame.ir is not None for frame in frames)
+        counts.append(len(frames))
+    calibration = tmp_path / "c.json"
+    calibration.write_text(calibration_to_json(nominal_calibration(AZURE_KINECT)), encoding="utf-8")
+    fuse = ["fuse", str(raw / "a.mkv"), str(raw / "b.mkv"), "--no-viewer", "--save", str(tmp_path / "s.rrd")]
+    if rig is not None:
+        fuse += ["--k4abt", str(rig / "lib" / "libk4abt.so.1.1")]
+        (tmp_path / "fuse").mkdir()
+        done = program.run(fuse, tmp_path / "fuse", {}, (), rig)
+        assert done.code == 0, done.said
+    else:
+        for library in ("libk4a.so", "libk4abt.so"):  # one library for both, as the loader sees it
+            (tmp_path / library).symlink_to(standin.path)
+        options = ("--k4abt", tmp_path / "libk4abt.so", "--calibrate", calibration, "--no-refine")
+        assert duplex(*fuse, *options) == 0
+    rows = Session.open(tmp_path / "s.rrd").rows
+    assert len(rows) >= max(counts)
+    assert np.abs(rows.skew_ns).max() < 165_000, "the cable's 160 µs, though the rig's clocks are not one"
