@@ -60,9 +60,8 @@ class Bundle:
                 record(raw, Console(file=printed, highlight=False, width=200), self._hide)
             except (DeviceError, UsageError) as fault:
                 print(fault, file=printed)
-        self._log = printed.getvalue()
-        said = self._log.replace(f"{raw}{os.sep}", "")
-        self._console.print(said, markup=False, soft_wrap=True, end="")
+        self._log = printed.getvalue().replace(f"{raw}{os.sep}", "")
+        self._console.print(self._log, markup=False, soft_wrap=True, end="")
 
     def write(self, checks: Sequence[Check], text: str) -> None:
         """Writes the file: what doctor found, as data and as the text that it printed, and the rest.
