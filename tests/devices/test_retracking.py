@@ -1,5 +1,7 @@
 """What a sensor shows the body tracker while it is recorded is what its recording shows it later."""
 
+import itertools
+import threading
 from contextlib import contextmanager
 from itertools import islice
 
@@ -12,6 +14,7 @@ from devices.azure.settings import KinectSettings
 from devices.blazepose.tracked_images import TrackedImages, registered_color
 from devices.capture.settings import CaptureSettings
 from devices.freenect.sensor import INTRINSICS, FreenectSensor
+from devices.freenect2.sensor import Freenect2Sensor
 from devices.orbbec.sensor import OrbbecSensor
 from devices.raw_recording import RawRecorder, recorded
 from devices.realsense.sensors import RealSenseSensor
@@ -23,6 +26,7 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from tests.helpers.freenect import PERIOD, film, write_dump
+from tests.helpers.freenect2.standin import give
 from tests.helpers.machine import need_networks
 from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.realsense import LENS, plugged, record
@@ -53,6 +57,29 @@ def freenect(request, folder):
 
 
 @contextmanager
+def freenect2(request, _):
+    standin, closing = request.getfixturevalue("freenect2"), threading.Event()
+    pairs = [
+        (depth.astype(np.float32) + 0.3, image[..., 0] * np.float32(7.7))
+        for depth, image in zip(*noise((424, 512)), strict=True)
+    ]
+
+    def expose():
+        for number in itertools.count():
+            if closing.wait(0.02):
+                return
+            give(standin, number, *pairs[number % COUNT])
+
+    exposing = threading.Thread(target=expose)
+    exposing.start()
+    try:
+        yield Freenect2Sensor("012345670")
+    finally:
+        closing.set()
+        exposing.join()
+
+
+@contextmanager
 def realsense(rs, folder, color):
     shots = [
         (k * 33_333_333, depth, image if color else image[..., 0])
@@ -70,7 +97,7 @@ def noise(shape):
     return depths, [random.integers(0, 256, (*shape, 3), dtype=np.uint8) for _ in range(COUNT)]
 
 
-@pytest.mark.parametrize("vendor", [azure, orbbec, freenect])
+@pytest.mark.parametrize("vendor", [azure, orbbec, freenect, freenect2])
 def test_the_tracker_gets_the_images_that_are_recorded(vendor, request, tmp_path):
     with vendor(request, tmp_path) as sensor:
         check_images(sensor, tmp_path / "a.mkv")
