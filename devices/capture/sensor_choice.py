@@ -82,7 +82,7 @@ def choose_two(
     if a is not None and b is not None:
         return a, b
     if not there:
-        raise DeviceError("No Kinect is connected. Plug in two: USB 3 and a power supply each.")
+        raise DeviceError(f"No sensor is connected. Plug in two: USB 3 and a power supply each. {_LIBRARIES}")
     if len(there) == 1:
         raise DeviceError(
             f"Only one Kinect is connected, {there[0]}; fusion needs two. Check the other one's USB and "
@@ -107,6 +107,7 @@ def _serials(connected: Sequence[ConnectedSensor], *named: str | None) -> list[s
     for serial in named:
         if serial is not None and serial not in there:
             why = f"Another cannot be opened: {faults[0]}" if faults else "Check its USB and power."
+            why += "" if there or faults else f" {_LIBRARIES}"
             raise DeviceError(f"No Kinect with serial {serial}. Connected: {listed}. {why}")
     if faults and None in named:
         raise DeviceError(f"A Kinect cannot be opened: {faults[0]} Connected: {listed}.")
@@ -186,5 +187,6 @@ def cable_notes(a: ConnectedSensor, b: ConnectedSensor, master: str | None) -> l
     return [sensor.advice for sensor in (a, b) if sensor.advice]
 
 
+_LIBRARIES = "duplex doctor names the sensor libraries that are missing."
 _APART = "Pairs are up to half a frame apart, and the sensors' lasers disturb each other where both shine."
 _CABLE_HELPS = "A 3.5 mm cable from one's sync out to the other's sync in helps both."

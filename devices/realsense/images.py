@@ -83,11 +83,13 @@ def choose_streams(
     if color is not None:
         colors = [one for one in colors if _size(one[1]) == COLOR_SIZES[color]]
     usable = [] if color is not None else [one for one in depths if _size(one[1]) in infrareds]
+    if color is not None and not colors:
+        raise DeviceError(f"{label} has no colour {color} (RGB8){at}. Leave --color out.")
     if not usable and not colors:
-        wanted = (
-            "infrared image of its depth's size and no colour (RGB8)" if color is None else f"colour {color}"
+        raise DeviceError(
+            f"{label} has no infrared image of its depth's size and no colour (RGB8){at}. The body tracker "
+            f"needs one of them."
         )
-        raise DeviceError(f"{label} has no {wanted}{at}. The body tracker needs one of them.")
     depth = min(usable or depths, key=lambda one: (abs(one[1].width() - _USUAL_WIDTH), -one[1].height()))
     image = infrareds[_size(depth[1])] if usable else min(colors, key=lambda one: _size(one[1]))
     if depth[0] is image[0]:

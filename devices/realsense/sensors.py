@@ -71,8 +71,8 @@ class RealSenseSensor(LiveSensor):
             raise DeviceError(f"{label} has no depth mode {settings.depth_mode}; leave --depth-mode out.")
         sdk = load_sdk()
         device = open_realsense(sdk, self.name)
-        set_sync_role(sdk, device, self.name, settings)
         try:
+            set_sync_role(sdk, device, self.name, settings)
             streams = choose_streams(sdk, device, label, settings.fps, settings.color)
             self.intrinsics, warning = intrinsics_of(streams.depth, label)
             self._warn(warning)

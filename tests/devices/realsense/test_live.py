@@ -15,6 +15,7 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import CaptureSettings
 from devices.live_sensors import VENDORS, connected_sensors
+from devices.realsense import sensors
 from devices.realsense.images import MomentJoiner, choose_streams
 from devices.realsense.sdk_access import (
     connected_realsenses,
@@ -138,10 +139,20 @@ def test_a_sensor_without_frames_stalls(rs, tmp_path):
             list(frames)
 
 
+def test_a_sensor_that_is_unplugged_while_it_opens_is_told(rs, two, monkeypatch):
+    def unplugged(*_):
+        context_of(rs).unload_device(str(two[0]))
+        raise RuntimeError("failed to set option")
+
+    monkeypatch.setattr(sensors, "set_sync_role", unplugged)
+    with plugged(rs, two[0]), pytest.raises(DeviceError, match="RealSense 1001 was unplugged"):
+        _sensor().__enter__()
+
+
 def test_a_lost_sensor_is_taken_back(rs, two):
     told = []
-    sensors = [_sensor(serial, timeout_ms=50, stall_s=0.5) for serial in ("1001", "1002")]
-    pairs = TwoSensors(*sensors, limits=TimeLimits(retry_s=0.05), tell=lambda event: told.append(event.text))
+    both = [_sensor(serial, timeout_ms=50, stall_s=0.5) for serial in ("1001", "1002")]
+    pairs = TwoSensors(*both, limits=TimeLimits(retry_s=0.05), tell=lambda event: told.append(event.text))
 
     def paired_now():
         return any(pair.a is not None and pair.b is not None for pair in pairs.poll())
@@ -184,7 +195,7 @@ def test_modes_that_it_does_not_have_are_refused(rs, two):
             ({"fps": 5}, "has no depth at 5 fps"),
             ({"depth_mode": "WFOV_2X2BINNED"}, "leave --depth-mode out"),
             ({"color": "2160P"}, "no colour 2160P: 720P, 1080P"),
-            ({"color": "720P"}, "has no colour 720P at 30 fps"),
+            ({"color": "720P"}, r"has no colour 720P \(RGB8\) at 30 fps\. Leave --color out\.$"),
         ):
             with pytest.raises(DeviceError, match=why):
                 _sensor(**settings).__enter__()
