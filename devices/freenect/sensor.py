@@ -23,7 +23,7 @@ INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 """The colour camera's nominal lens, on whose pixels registered depth is: the sensor stores no calibration of
 it. 525 is the focal length that ROS's driver assumes."""
 CAMERA = ColorCamera(INTRINSICS, RigidTransform.identity())
-_QUEUE = 4  # moments that wait for the reader
+_QUEUE = 16  # moments that wait for the reader: half a second, more than a body tracker takes
 _EVENTS_S = 0.1  # longest wait for events of USB
 
 

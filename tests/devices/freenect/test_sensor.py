@@ -122,7 +122,7 @@ def test_each_depth_image_gets_the_colour_image_within_half_a_period(late):
 def test_no_depth_image_is_lost_where_colour_is_missing(fakenect, tmp_path):
     depths, rgbs = numbered(6)
     rgbs[2] = rgbs[3] = None
-    fakenect.dumps[A] = write_dump(tmp_path / "dump", film(depths, rgbs), pace=4.0)  # the queue holds four
+    fakenect.dumps[A] = write_dump(tmp_path / "dump", film(depths, rgbs), pace=4.0)
     with _sensor() as sensor:
         found = list(iter(lambda: sensor._camera.take(20.0), None))
     assert [int(moment.depth[0, 0]) for moment in found] == [1000, 1001, 1002, 1003, 1004, 1005]
@@ -131,13 +131,24 @@ def test_no_depth_image_is_lost_where_colour_is_missing(fakenect, tmp_path):
 
 
 def test_a_slow_reader_gets_the_newest_frame_and_the_rest_are_counted(dump):
-    with _sensor(dump(count=20)) as sensor:
+    with _sensor(dump(count=40)) as sensor:
         frames = sensor.frames()
         first = int(next(frames).depth[0, 0])
-        eventually(lambda: sensor._camera.lost)
-        assert len(sensor._camera._moments) == 4, "memory is bounded"
-        assert int(next(frames).depth[0, 0]) == 1019
-    assert (sensor.missed, sensor.lost) == (1019 - first - 1, 0)
+        assert eventually(lambda: sensor._camera.lost)
+        assert len(sensor._camera._moments) == 16, "memory is bounded"
+        assert int(next(frames).depth[0, 0]) == 1039
+    assert (sensor.missed, sensor.lost) == (1039 - first - 1, 0)
+
+
+def test_a_recording_gets_what_comes_while_the_tracker_is_busy_for_a_third_of_a_second(dump):
+    recorded = []
+    with _sensor(dump(count=12)) as sensor:
+        sensor.on_capture = recorded.append
+        frames = sensor.frames()
+        next(frames)
+        assert eventually(lambda: sensor._camera.lost)
+        next(frames)
+    assert [int(frame.depth[0, 0]) for frame in recorded] == [*range(1000, 1012)]
 
 
 def test_colour_is_compressed_only_if_asked_for(dump):
