@@ -43,7 +43,7 @@ _FOLLOWERS = _followers()
 class LimbLengths:
     """The lengths of one person's upper arms, forearms, thighs and shanks, learned from seen landmarks.
 
-    A length is the weighted median of those seen so far. The weight is the fourth power of the sine of the
+    A length is the weighted median of the 600 seen last. The weight is the fourth power of the sine of the
     angle between the bone and the line of sight.
     """
 
