@@ -60,7 +60,7 @@ def open_source(
             sensor.
         skeletons: The skeletons of an Azure Kinect recording, saved before.
         tracker: The body tracker, where one is needed. None: chosen for this machine.
-        option: What the option that gives ``skeletons`` is called, for the message.
+        option: What the option that gives ``skeletons`` is called, for messages; empty without one.
         unit, axes, names: Of a ``.csv``; see :class:`devices.skeletons.stated_format.StatedFormat`.
         progress: Shows how far reading a ``.csv`` is.
 
@@ -81,7 +81,7 @@ def open_source(
     tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(path))
     if tracker.name == "blazepose" or not isinstance(images, MkvRecording):
         return TrackedImages(images, tracker.blazepose)
-    otherwise = f" Or give its skeletons, saved before, with {option} FILE."
+    otherwise = f" Or give its skeletons, saved before, with {option} FILE." if option else ""
     return TrackedRecording(images, tracker.k4abt, otherwise=otherwise)
 
 

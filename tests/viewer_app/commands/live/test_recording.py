@@ -149,6 +149,10 @@ def test_what_cannot_be_played_is_told(tmp_path, capsys):
     for option in ("--kinect-a", "--principal", "--sync-master"):
         assert duplex("live", path, other, option, "000123", "--no-viewer") == 2
         assert "name both, and no sensor." in capsys.readouterr().err
+    tracker = ("--tracker", "k4abt", "--k4abt", tmp_path / "none.so", "--no-viewer")
+    for command, advised in (("live", False), ("fuse", True)):  # live has no such option
+        assert duplex(command, path, other, *tracker) == 2
+        assert ("saved before, with " in capsys.readouterr().err) is advised
     before = path.read_bytes()
     for output in (("--record", tmp_path), ("--report", path)):
         assert duplex("live", path, other, *output, "--force", "--no-viewer") == 2
