@@ -1,4 +1,5 @@
 // What library.py needs of libfreenect2, a C++ library, as C functions. It is compiled on the user's machine.
+#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
@@ -89,13 +90,60 @@ class Listener : public libfreenect2::FrameListener {
 };
 
 struct Camera {
-  Freenect2Device *device;
+  Freenect2Device *device = nullptr;
+  std::atomic<bool> closing{false};
   Listener listener;
 };
+
+// Closing a device takes the listener from the thread that computes depth, which may be about to call it. This pipeline
+// hides that thread's processor then; the thread ends when the pipeline is deleted.
+template <class Pipeline>
+struct Kept : Pipeline {
+  explicit Kept(const Camera &camera) : camera(camera) {}
+  libfreenect2::DepthPacketProcessor *getDepthPacketProcessor() const override {
+    return camera.closing ? nullptr : Pipeline::getDepthPacketProcessor();
+  }
+  const Camera &camera;
+};
+
+static libfreenect2::PacketPipeline *pipeline_of(const std::string &name, const Camera &camera) {
+#ifdef LIBFREENECT2_WITH_OPENGL_SUPPORT
+  if (name == "gl") return new Kept<libfreenect2::OpenGLPacketPipeline>(camera);
+#endif
+#ifdef LIBFREENECT2_WITH_CUDA_SUPPORT
+  if (name == "cuda") return new Kept<libfreenect2::CudaPacketPipeline>(camera);
+#endif
+#ifdef LIBFREENECT2_WITH_OPENCL_SUPPORT
+  if (name == "cl") return new Kept<libfreenect2::OpenCLPacketPipeline>(camera);
+#endif
+  return new Kept<libfreenect2::CpuPacketPipeline>(camera);
+}
 
 EXPORT Freenect2 *k2_context() {
   libfreenect2::setGlobalLogger(new ErrorLogger);
   return new Freenect2;
+}
+
+// The pipelines that compute depth, in the library's order of preference.
+EXPORT const char *k2_pipelines() {
+  return ""
+#ifdef LIBFREENECT2_WITH_OPENGL_SUPPORT
+         "gl "
+#endif
+#ifdef LIBFREENECT2_WITH_CUDA_SUPPORT
+         "cuda "
+#endif
+#ifdef LIBFREENECT2_WITH_OPENCL_SUPPORT
+         "cl "
+#endif
+         "cpu";
+}
+
+// Where OpenGL does not work, the library ends the process here.
+EXPORT void k2_try_opengl() {
+#ifdef LIBFREENECT2_WITH_OPENGL_SUPPORT
+  delete new libfreenect2::OpenGLPacketPipeline;
+#endif
 }
 
 // Looks for sensors; returns how many may be opened.
@@ -109,12 +157,14 @@ EXPORT const char *k2_serial(Freenect2 *context, int index) {
 }
 
 // NULL if it does not open.
-EXPORT Camera *k2_open(Freenect2 *context, const char *serial) {
-  Freenect2Device *device = context->openDevice(std::string(serial));
-  if (device == nullptr) return nullptr;
+EXPORT Camera *k2_open(Freenect2 *context, const char *serial, const char *pipeline) {
   Camera *camera = new Camera;
-  camera->device = device;
-  device->setIrAndDepthFrameListener(&camera->listener);
+  camera->device = context->openDevice(std::string(serial), pipeline_of(pipeline, *camera));
+  if (camera->device == nullptr) {
+    delete camera;
+    return nullptr;
+  }
+  camera->device->setIrAndDepthFrameListener(&camera->listener);
   return camera;
 }
 
@@ -140,6 +190,7 @@ EXPORT int k2_take(Camera *camera, int milliseconds, float *depth, float *infrar
 
 // Deleting the device ends the threads that call the listener.
 EXPORT void k2_close(Camera *camera) {
+  camera->closing = true;
   camera->device->close();
   delete camera->device;
   delete camera;

@@ -27,20 +27,26 @@ from devices.check import Check, failed
 from devices.sensor import AbsentError, DeviceError
 
 LIBRARY_NAME = "libfreenect2 (Kinect v2)"
-PREFIX = "LIBFREENECT2_INSTALL_PREFIX"
+PREFIX, PIPELINE = "LIBFREENECT2_INSTALL_PREFIX", "LIBFREENECT2_PIPELINE"
 PROGRAMS = "Protonect, KinectService"
 SHAPE = (424, 512)
 _FOLDERS = ("/usr/local", "/opt/homebrew", "/usr", "C:/vcpkg/installed/x64-windows")
 _SOURCES = (Path(__file__).with_name("binding.cpp"), Path(__file__).with_name("CMakeLists.txt"))
 _DRIVER = " Windows: give it the driver UsbDk, or libusbK by Zadig, in place of Microsoft's."
 _CHECK = "Check its USB 3 port and power supply."
-_MEMORY = "Give USB more memory: echo 128 | sudo tee /sys/module/usbcore/parameters/usbfs_memory_mb. "
+_OPENGL_S = 20.0
+_CPU = (
+    "libfreenect2 computes depth on the CPU, too slowly for 30 fps. OpenGL (on Linux with an X display), "
+    "CUDA or OpenCL must be there when it is built and when it runs."
+)
+_MEMORY = "Give USB more memory: echo 128 | sudo tee /sys/module/usbcore/parameters/usbfs_memory_mb."
 
 SIGNATURES: dict[str, tuple[Any, ...]] = {  # the result, then the arguments; binding.cpp
     "k2_context": (c_void_p,),
+    "k2_pipelines": (c_char_p,),
     "k2_count": (c_int, c_void_p),
     "k2_serial": (c_char_p, c_void_p, c_int),
-    "k2_open": (c_void_p, c_void_p, c_char_p),
+    "k2_open": (c_void_p, c_void_p, c_char_p, c_char_p),
     "k2_start": (c_int, c_void_p, POINTER(c_float)),
     "k2_take": (c_int, c_void_p, c_int, c_void_p, c_void_p, POINTER(c_uint32), POINTER(c_int64)),
     "k2_close": (None, c_void_p),
@@ -119,6 +125,23 @@ def _context_of(library: Any) -> Any:
     return library.k2_context()
 
 
+@cache
+def _pipeline(library: Any) -> str:
+    """What computes depth: the library's first choice that works here.
+
+    Where OpenGL fails, the library ends the process, so another one tries. On macOS it wants the main thread.
+    """
+    choices = str(library.k2_pipelines().decode()).split()
+    if "gl" in choices and sys.platform != "win32":
+        code = "import ctypes, sys; ctypes.CDLL(sys.argv[1]).k2_try_opengl()"
+        command = [sys.executable, "-c", code, library._name]
+        try:
+            subprocess.run(command, capture_output=True, check=True, timeout=_OPENGL_S)
+        except subprocess.SubprocessError:
+            choices.remove("gl")
+    return next(name for name in choices if name != "gl" or sys.platform != "darwin")
+
+
 def _found(library: Any) -> tuple[list[str], list[str]]:
     """The serial numbers of the connected sensors, and what the library says of those it cannot open."""
     with _one_at_a_time:
@@ -147,7 +170,7 @@ class Camera:
 
     Attributes:
         lens: fx, fy, cx, cy, k1, k2, p1, p2, k3 that the sensor stores, of the mirrored image.
-        warning: What the library said while it started; empty if all went well.
+        warnings: What makes it lose frames.
     """
 
     def __init__(self, serial: str) -> None:
@@ -164,9 +187,11 @@ class Camera:
                 listed = f"Connected: {', '.join(sorted(there))}." if there else "No other is connected."
                 why = f"Another cannot be opened: {_why(faults[0])}" if faults else _CHECK
                 raise AbsentError(f"No Kinect v2 with serial {serial}. {listed} {why}")
+            pipeline = os.environ.get(PIPELINE) or _pipeline(self._library)
             if serial in _opened:  # the library would give the same device once more
                 raise DeviceError(f"Kinect v2 {serial} is already open in this program.")
-            self._handle = self._library.k2_open(_context_of(self._library), serial.encode())
+            context = _context_of(self._library)
+            self._handle = self._library.k2_open(context, serial.encode(), pipeline.encode())
             said = _said(self._library)
             if self._handle:
                 _opened.add(serial)
@@ -175,14 +200,15 @@ class Camera:
         values = (c_float * 9)()
         started = self._library.k2_start(self._handle, values)
         self.lens, said = tuple(values), _said(self._library)
-        self.warning = _MEMORY if "NO_MEM" in said else ""
+        memory = _MEMORY if "NO_MEM" in said else ""
+        self.warnings = [memory, _CPU if pipeline == "cpu" else ""]
         if not started:
             self.close()
             raise Cause.CAMERAS_NOT_STARTED.error(
                 label=f"Kinect v2 {serial}",
                 what="did not start its camera",
                 said=in_brackets(_first(said)),
-                advice=self.warning,
+                advice=f"{memory} " if memory else "",
                 programs=PROGRAMS,
             )
 

@@ -61,7 +61,8 @@ class Freenect2Sensor(LiveSensor):
         self._interrupted.clear()
         check_modes(self.name, self.settings)
         self._camera = Camera(self.name)
-        self._warn(self._camera.warning)
+        for warning in self._camera.warnings:
+            self._warn(warning)
         self.intrinsics = unmirrored_lens(self._camera.lens)
         return self
 

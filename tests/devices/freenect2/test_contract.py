@@ -54,7 +54,7 @@ def test_a_sensor_that_another_program_uses_is_listed_but_does_not_open(found):
 def test_too_little_memory_for_usb_is_told_with_the_command(found):
     assert f"Kinect v2 {A} did not start its camera (failed to submit transfer: LIBUSB" in found["no memory"]
     assert "usbcore/parameters/usbfs_memory_mb. Check that" in found["no memory"]
-    (warning,) = found["little memory"]
+    warning, _ = found["little memory"]
     assert warning.startswith("Give USB more memory: ")
     assert found["left after faults"][0] == 0
 
@@ -71,7 +71,8 @@ def test_both_at_once_give_images_that_are_no_longer_mirrored(found, sensor):
     assert middle == pytest.approx(FAR, rel=0.001)
     assert images["seen"] > 0.98
     assert images["infrared"] == pytest.approx(6300, rel=0.01)
-    assert images["warnings"] == []
+    (warning,) = images["warnings"]
+    assert warning.startswith("libfreenect2 computes depth on the CPU, too slowly for 30 fps. OpenGL")
     assert images["twice"].endswith("is already open in this program.")
 
 

@@ -111,15 +111,19 @@ def test_a_slow_reader_gets_the_newest_frame_and_the_rest_are_counted(freenect2)
 
 
 def test_images_of_different_packets_and_damaged_ones_are_left_out(freenect2):
+    captured = []
     with _sensor(timeout_ms=1, stall_s=0.01) as sensor:
+        sensor.on_capture = captured.append
         frames = sensor.frames()
+        freenect2.give(0, DEPTH, 0, _flat(1))
         freenect2.give(0, INFRARED, 1, _flat(1))
         freenect2.give(0, DEPTH, 2, _flat(1))
         freenect2.give(0, INFRARED, 3, _flat(1))
         freenect2.give(0, DEPTH, 3, _flat(1), status=1)
         freenect2.give(0, DEPTH, 4, _flat(1))
         _numbered(freenect2, 5)
-        assert np.unique(next(frames).depth) == [1005]
+        next(frames)
+        assert [int(frame.depth[0, 0]) for frame in captured] == [1005]
         with pytest.raises(DeviceError, match=rf"Kinect v2 {A} stalls: no depth for 0 s"):
             next(frames)
 
@@ -154,6 +158,13 @@ def test_unplugged_mid_stream(freenect2):
     assert [one.serial for one in connected_freenect2s()] == [B]
 
 
+def test_closing_waits_for_the_thread_that_computes_depth(freenect2):
+    """Else it calls a listener that the library has set to NULL: seen with OpenGL on the real library."""
+    with _sensor():
+        freenect2.set("computing", 1, 0)
+    assert freenect2.counts() == [0]
+
+
 def test_interrupting_ends_the_frames(freenect2):
     with _sensor() as sensor:
         _numbered(freenect2, 0)
@@ -186,6 +197,29 @@ def test_a_binding_that_cannot_be_compiled_says_why(standin_prefix, tmp_path, mo
     monkeypatch.setenv("PATH", "")
     check = library.library_check()
     assert (check.ok, "cmake" in check.detail) == (False, True)
+
+
+@pytest.mark.usefixtures("freenect2")
+@pytest.mark.parametrize(("display", "chosen"), [(":77", "gl"), (None, "cpu")])
+def test_opengl_is_tried_first_by_a_process_that_the_library_may_end(display, chosen, monkeypatch):
+    monkeypatch.delenv(library.PIPELINE)
+    if display is None:
+        monkeypatch.delenv("DISPLAY")
+    assert library._pipeline(library.load_library()) == chosen
+    with _sensor() as sensor:
+        pass
+    assert any("computes depth on the CPU" in warning for warning in sensor.warnings) == (chosen == "cpu")
+
+
+def test_opengl_that_hangs_or_wants_the_main_thread_is_not_chosen(freenect2, monkeypatch):
+    loaded = library.load_library()
+    with monkeypatch.context() as patch:
+        patch.setattr(library, "_OPENGL_S", 0.0)
+        assert library._pipeline.__wrapped__(loaded) == "cpu"
+    assert library._pipeline.__wrapped__(loaded) == "gl"
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert library._pipeline.__wrapped__(loaded) == "cpu"
+    assert freenect2.counts() == [0]
 
 
 @pytest.mark.usefixtures("freenect2")

@@ -45,12 +45,14 @@ def standin_prefix(tmp_path_factory):
 def freenect2(standin_prefix, monkeypatch):
     """Two Kinects v2 in this process, which a test sets and whose frames it gives."""
     monkeypatch.setenv(library.PREFIX, str(standin_prefix))
+    monkeypatch.setenv(library.PIPELINE, "gl")
+    monkeypatch.setenv("DISPLAY", ":77")  # the stand-in for OpenGL wants one
     monkeypatch.setattr(library, "installed_prefix", _installed)
     monkeypatch.setattr(library, "user_cache", lambda name: standin_prefix / "cache" / name)
     standin = Library()
     yield standin
     assert standin.counts() == [0], "all sensors are closed"
-    for name in ("gone", "forbidden", "busy", "replugged"):
+    for name in ("gone", "forbidden", "busy", "replugged", "computing"):
         for kinect in (0, 1):
             standin.set(name, 0, kinect)
     standin.set("submissions", -1)
@@ -78,8 +80,7 @@ def real_freenect2(tmp_path_factory):
 
 def run(prefix, cache, *arguments, usb=None):
     """Runs Python on a libfreenect2; returns what it prints."""
-    # The real library would choose OpenGL, which needs a screen.
-    environment = {**os.environ, library.PREFIX: str(prefix), "LIBFREENECT2_PIPELINE": "cpu"}
+    environment = {**os.environ, library.PREFIX: str(prefix), library.PIPELINE: "cpu"}
     environment |= {"XDG_CACHE_HOME": str(cache)} | ({"LD_PRELOAD": str(usb)} if usb else {})
     done = subprocess.run(
         [sys.executable, *arguments],

@@ -30,11 +30,26 @@ struct Freenect2Device {
   virtual bool close() = 0;
 };
 
+struct DepthPacketProcessor {
+  FrameListener *listener = nullptr;
+};
+
+#define LIBFREENECT2_WITH_OPENGL_SUPPORT
+struct PacketPipeline {
+  virtual ~PacketPipeline() {}
+  virtual DepthPacketProcessor *getDepthPacketProcessor() const;
+  mutable DepthPacketProcessor processor;
+};
+struct CpuPacketPipeline : PacketPipeline {};
+struct OpenGLPacketPipeline : PacketPipeline {
+  OpenGLPacketPipeline();
+};
+
 struct Freenect2 {
   Freenect2(void *usb_context = 0);
   int enumerateDevices();
   std::string getDeviceSerialNumber(int index);
-  Freenect2Device *openDevice(const std::string &serial);
+  Freenect2Device *openDevice(const std::string &serial, const PacketPipeline *pipeline);
 };
 
 class Logger {
