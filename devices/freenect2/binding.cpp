@@ -24,7 +24,8 @@ using libfreenect2::Freenect2Device;
 using libfreenect2::Logger;
 typedef std::chrono::steady_clock Clock;
 
-static const size_t WIDTH = 512, HEIGHT = 424, QUEUE = 4, LONGEST_LOG = 4000;
+static const size_t WIDTH = 512, HEIGHT = 424, LONGEST_LOG = 4000;
+static const size_t QUEUE = 16;  // images that wait for the reader: half a second, more than a body tracker takes
 
 // Errors that the library logged, a line each. They are never freed: its threads log until the process ends.
 struct Errors {
