@@ -1,7 +1,8 @@
-"""``duplex record`` in a process of its own that is killed, on the stand-in and on the real libk4a."""
+"""``duplex record`` that is killed, and ``doctor --bundle``, in processes of their own, on the rig, too."""
 
 import signal
 import time
+import zipfile
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from fusion.calibration.calibration import nominal_calibration
 from recordings.calibration_file import calibration_to_json
 from recordings.session import Session
 from tests.helpers.command_line import duplex
+from tests.helpers.rig import built_rig
 from tests.scenarios import program
 
 _UNTIL_S = 1.0  # before the kill: what the project promises
@@ -50,3 +52,17 @@ def test_what_was_recorded_before_a_kill_is_fused(after_s, rig, standin, tmp_pat
     rows = Session.open(tmp_path / "s.rrd").rows
     assert len(rows) >= max(counts)
     assert np.abs(rows.skew_ns).max() < 165_000, "the cable's 160 µs, though the rig's clocks are not one"
+
+
+@pytest.mark.rig
+def test_what_the_real_libk4a_logs_tells_no_serial_in_a_bundle(shared, tmp_path):
+    path = tmp_path / "b.zip"
+    done = program.run(["doctor", "--bundle", str(path), "--recording"], tmp_path, {}, (), built_rig(shared))
+    assert done.code == 1, "no display"
+    with zipfile.ZipFile(path) as file:
+        members = {name: file.read(name) for name in file.namelist()}
+    assert sorted(members) == ["a.mkv", "b.mkv", "doctor.json", "doctor.txt", "log.txt"]
+    assert b"Serial Number found sensor-" in members["log.txt"]
+    for content in members.values():
+        for trace in (b"000001111111", b"000002222222", b"00000077-0000-", str(tmp_path).encode()):
+            assert trace not in content

@@ -21,6 +21,8 @@ _PATH = re.compile(
     rf"(?:{_PART}*?\.[A-Za-z]\w{{0,7}}[\d.]*(?!\w)|(?:(?!\s){_PART})*)"
 )
 _SERIAL = re.compile(r"""(serial[ _-]?(?:number|no|id)?["']?\W{1,4})((?=\w*\d)\w{4,})""", re.IGNORECASE)
+_UNIQUE = re.compile(r"\b[\da-f]{8}(?:-[\da-f]{4}){3}-[\da-f]{12}\b", re.IGNORECASE)
+"""A UUID: libk4a logs the one that USB knows a sensor by."""
 
 
 class Anonymity:
@@ -30,7 +32,8 @@ class Anonymity:
     serial numbers of twelve digits could be tried. Of a path, the name of a library's file stays.
 
     Args:
-        serials: Serial numbers of the sensors; others are found where the text says that they are such.
+        serials: Serial numbers of the sensors; others are found where the text says that they are such, and
+            UUIDs count as serial numbers.
         paths: Paths as the user gave them, relative ones too.
     """
 
@@ -57,7 +60,8 @@ class Anonymity:
 
     def __call__(self, text: str) -> str:
         """The text without them."""
-        text = self._serials.sub(lambda found: self._hash(found[0]), text)
+        for unique in (self._serials, _UNIQUE):
+            text = unique.sub(lambda found: self._hash(found[0]), text)
         text = _SERIAL.sub(lambda found: found[1] + self._hash(found[2]), text).replace("file://", "")
         text = self._known.sub(lambda found: f"/{_KNOWN}{self._folders.get(found[0], 'path')}", text)
         return self._names.sub("<name>", _PATH.sub(_shortened, text))

@@ -20,6 +20,7 @@ from viewer_app.sensors.anonymity import Anonymity
 
 USER, HOST, FOLDER = "quillon", "lab-zorba-7", "Xanadu"
 PLANTED = (USER, HOST, "Quillon Q. Quex", FOLDER, "000123", "000456", "778899001122", "AB12CD34EF")
+UUID = "6fe10177-90d1-4b6e-93a1-1f0000a1b2c3"
 
 
 @pytest.fixture
@@ -41,7 +42,7 @@ def traces(monkeypatch, tmp_path):
     return (
         f"{USER}@{HOST}: Kinect 000123 and 000456 of Quillon Q. Quex ({secret}/libk4a.so.1.4), "
         f"{secret / 'X authority'}; /srv/{FOLDER}/a b/{USER}/x.bin, D:\\{FOLDER}\\depth engine.dll, "
-        f'\\\\{HOST}\\{FOLDER}; Serial number: 778899001122, "SerialId":"AB12CD34EF"\n'
+        f'\\\\{HOST}\\{FOLDER}; Serial number: 778899001122, "SerialId":"AB12CD34EF", {{{UUID}}}\n'
     )
 
 
@@ -87,7 +88,7 @@ def test_nothing_in_it_tells_whose_it_is(planted, tmp_path, capfd):
     members = contents(path)
     assert sorted(members) == ["a.mkv", "b.mkv", "doctor.json", "doctor.txt", "log.txt"]
     for name, content in members.items():
-        for trace in (*PLANTED, str(tmp_path)):
+        for trace in (*PLANTED, UUID, str(tmp_path)):
             for coded in (trace.encode(), trace.encode("utf-16-le")):
                 assert coded.lower() not in content.lower(), (name, trace)
     text, log = members["doctor.txt"].decode(), members["log.txt"].decode()
