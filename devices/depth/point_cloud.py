@@ -52,7 +52,8 @@ def depth_to_points(depth: NDArray[np.uint16], rays: NDArray[np.float32]) -> NDA
             f"The depth image is {depth.shape}, the ray table {rays.shape[:2]}: make the table from the "
             f"intrinsics of this image's depth mode."
         )
-    metres = depth.astype(np.float32)[..., np.newaxis] * np.float32(0.001)
-    seen = (depth > 0) & np.isfinite(rays[..., 0])
-    points: NDArray[np.float32] = rays[seen] * metres[seen]
+    flat, table = depth.ravel(), rays.reshape(-1, 3)
+    seen = np.flatnonzero((flat > 0) & np.isfinite(table[:, 0]))
+    points: NDArray[np.float32] = table.take(seen, axis=0)
+    points *= (flat.take(seen) * np.float32(0.001))[:, np.newaxis]
     return points

@@ -37,8 +37,8 @@ class Recorder:
         depth_every: Keep the depth images of every n-th pair; 0 for none.
         start_ns: Start time of the session; None: the time of the first recorded frame.
         points: Whether to log depth images as point clouds too.
-        plots_every: Of how many frames the figures that are plotted are logged together; those that are drawn
-            into the scene are logged with each frame. Each message costs as much as many numbers.
+        plots_later: Whether :meth:`plot` logs what is plotted, for many frames together: each message costs
+            as much as many numbers. What is drawn into the scene is logged with each frame.
         pause: Called between two messages of a block of frames, so that threads in a hurry go first.
     """
 
@@ -52,14 +52,14 @@ class Recorder:
         *,
         start_ns: int | None = None,
         points: bool = False,
-        plots_every: int = 1,
+        plots_later: bool = False,
         pause: Callable[[], object] | None = None,
     ) -> None:
         self._stream = stream
         self._calibration = setup.calibration
         self._frames, self._start_ns = 0, start_ns
         self._pause = pause or (lambda: None)
-        self._plots_every, self._unplotted = plots_every, list[tuple[SessionFrame, int]]()
+        self._plots_later, self._unplotted = plots_later, list[tuple[SessionFrame, int]]()
         self._like: SessionArrays | None = None
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
@@ -108,11 +108,9 @@ class Recorder:
             numbers: Frame numbers, if frames were left out. None: consecutive numbers.
         """
         rows = self._stack(frames, numbers)
-        if self._plots_every > 1:
+        if self._plots_later:
             self._draw(rows)
             self._unplotted += zip(frames, rows.frame.tolist(), strict=True)
-            if len(self._unplotted) >= self._plots_every:
-                self.plot()
         else:
             self.record_rows(rows)
         for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
@@ -132,6 +130,11 @@ class Recorder:
         self._explain(rows)
         self._frames = max(self._frames, int(rows.frame[-1]) + 1)
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
+
+    @property
+    def unplotted(self) -> int:
+        """How many frames are drawn and not yet plotted."""
+        return len(self._unplotted)
 
     def plot(self) -> None:
         """Logs the figures of frames that are drawn and not yet plotted, if there are any."""
@@ -251,7 +254,7 @@ class Recorder:
     ) -> None:
         self._pause()
         t, state = changes[0]
-        few = len(rows) == 1 or self._plots_every > 1
+        few = len(rows) == 1 or self._plots_later
         if few and len(changes) == 1 and t is not None:
             # columns would take three times as long
             set_time(self._stream, rows.frame[t], rows.time_ns[t])

@@ -91,4 +91,4 @@ def prepare_points(*cameras: Intrinsics) -> None:
 @lru_cache(maxsize=4)
 def _thin_rays(camera: Intrinsics) -> tuple[int, NDArray[np.float32]]:
     step = max(1, round(math.sqrt(camera.width * camera.height / _POINTS)))
-    return step, ray_table(camera)[::step, ::step]
+    return step, np.ascontiguousarray(ray_table(camera)[::step, ::step])

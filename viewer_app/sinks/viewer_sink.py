@@ -29,7 +29,7 @@ from viewer_app.viewer.viewer_choice import Viewing
 _KEEP = 60
 """Maximum number of queued frames: two seconds; older frames are dropped."""
 _BEGINS_WITHIN = 1.0  # seconds
-_PLOTS_EVERY = 5  # frames, a sixth of a second
+_PLOTTED_TOGETHER = 5  # frames, a sixth of a second
 _DEPTH_HZ = 10.0  # depth images per sensor; limited by the viewer's memory for images
 _EARLY = 0.9  # share of the interval: a frame that arrives slightly early still counts
 _HALF_NS = 16_000_000
@@ -117,6 +117,9 @@ class ViewerFeed(QueuedSink):
         recorder = self._begin(self._stream)
         try:
             while self._send(process, encoded.read() or b""):
+                if recorder.unplotted >= _PLOTTED_TOGETHER:  # after the frames have been sent
+                    recorder.plot()
+                    continue
                 self._turn_over.set()
                 with self._more:
                     if not self._queue:
@@ -236,7 +239,7 @@ class ViewerSink(ViewerFeed):
             depth_every=1,
             start_ns=self._start_ns,
             points=True,
-            plots_every=_PLOTS_EVERY,
+            plots_later=True,
         )
         # Sent after the timeline that it names exists, and as the active one; otherwise a viewer restores a
         # layout that it remembers.

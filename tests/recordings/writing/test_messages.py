@@ -14,24 +14,27 @@ from recordings.writing.frame_columns import PLOTTED
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, known_fuser
 
-COUNT, PLOTS_EVERY = 40, 5
+COUNT, PLOTTED_TOGETHER = 40, 5
 
 
-def written(path, plots_every):
-    """A session of which each frame is recorded as it comes, as a viewer's."""
+def written(path, plotted_together):
+    """A session of which each frame is recorded as it comes, as a viewer's; with 1, as a file's."""
     fuser = known_fuser()
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
     stream.save(path)
-    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1, plots_every=plots_every)
+    later = plotted_together > 1
+    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1, plots_later=later)
     for frame in frames(fuser, COUNT):
         recorder.record_all([frame])
+        if recorder.unplotted >= plotted_together:
+            recorder.plot()
     recorder.finish()
     stream.disconnect()
     return path
 
 
 def test_plots_in_blocks_lose_nothing(tmp_path):
-    one, blocks = (Session.open(written(tmp_path / f"{n}.rrd", n)) for n in (1, PLOTS_EVERY + 2))
+    one, blocks = (Session.open(written(tmp_path / f"{n}.rrd", n)) for n in (1, PLOTTED_TOGETHER + 2))
     assert blocks.damage is None
     assert len(one) == len(blocks) == COUNT
     for name, _, values in one.rows.figures():
@@ -58,10 +61,10 @@ def test_a_frame_costs_a_viewer_few_messages(tmp_path, monkeypatch):
 
     counted("log")
     counted("send_columns")
-    written(tmp_path / "s.rrd", PLOTS_EVERY)
+    written(tmp_path / "s.rrd", PLOTTED_TOGETHER)
     each = {layout.skeleton("a"), layout.skeleton("b"), layout.FUSED_SKELETON, layout.PELVIS}
     assert {entity for entity, count in sent.items() if count >= COUNT} == each
-    assert all(sent[entity] <= COUNT // PLOTS_EVERY + 1 for entity in PLOTTED)
+    assert all(sent[entity] <= COUNT // PLOTTED_TOGETHER + 1 for entity in PLOTTED)
     assert sum(sent.values()) / COUNT < 6.0
 
 
