@@ -22,6 +22,7 @@ SUFFIX = ".db3"
 _QUEUE = 16  # frames, of two streams
 _CONNECTIONS = 1 << 20  # bytes, which hold them all
 _WAIT_S, _SILENT_S = 0.2, 10.0
+_ENDS = 5  # frames by which a stream may end before the recording
 _TIMELESS = (
     "{label} gives no times of its own clock, so frames are timed when they arrive: on Linux the kernel "
     "passes on no metadata, on Windows they are not registered. See the installation pages of librealsense."
@@ -121,7 +122,8 @@ class RealSenseSensor(LiveSensor):
 class RealSenseRecording(Sensor):
     """A recording's depth and infrared or colour: a :class:`~devices.sensor.Sensor` without people.
 
-    It is read as fast as its frames are taken; none is dropped.
+    It is read as fast as its frames are taken; none is dropped. The library plays a damaged file to its first
+    fault; a warning then says what is missing.
 
     Attributes:
         duration_ns: How long it is, as the file says; 0 before opening.
@@ -179,7 +181,7 @@ class RealSenseRecording(Sensor):
                     continue
                 return
 
-        last_ns, heard_s = -1, self._clock()
+        given, last_ns, played_ns, heard_s = 0, -1, 0, self._clock()
         try:
             device.pause()  # else it plays while the second camera starts, whose frames it then drops
             streams.start(take)
@@ -191,18 +193,26 @@ class RealSenseRecording(Sensor):
                     frame = queue.get(timeout=_WAIT_S)
                 except Empty:
                     if ended or self._clock() - heard_s > _SILENT_S:
-                        return
+                        break
                     continue
-                heard_s = self._clock()
+                heard_s, played_ns = self._clock(), max(played_ns, int(device.get_position()))
                 moment = joiner.add(frame, 0)
                 if moment is not None and moment.time_ns > last_ns:
-                    last_ns = moment.time_ns
+                    given, last_ns = given + 1, moment.time_ns
                     yield joiner.frame_of(moment, None)
         except RuntimeError as fault:
             raise DeviceError(f"{self.name} is damaged ({fault}). Play it in realsense-viewer.") from fault
         finally:
             closing.set()
             streams.stop()
+        if not given:
+            raise DeviceError(f"{self.name} holds no complete frame. Play it in realsense-viewer.")
+        if self.duration_ns - played_ns > _ENDS * self.interval_ns:
+            said = (
+                f"{self.name} is damaged, or depth ended early: {given} frames of the first "
+                f"{1e-9 * played_ns:.1f} of {1e-9 * self.duration_ns:.1f} s could be read."
+            )
+            self.warnings = [*dict.fromkeys((*self.warnings, said))]
 
 
 def is_realsense_bag(path: Path) -> bool:

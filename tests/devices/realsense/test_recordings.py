@@ -1,7 +1,10 @@
 """Recordings that the real pyrealsense2 wrote, through the same path as all others."""
 
+import re
+import sqlite3
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +113,32 @@ def test_what_is_no_recording_is_refused_in_one_line(rs, tmp_path):
         assert "\n" not in str(fault.value)
     with pytest.raises(DeviceError, match="No file"):
         RealSenseRecording(tmp_path / "none.db3").__enter__()
+
+
+def test_a_recording_that_is_damaged_in_its_middle_gives_what_is_before_and_says_so(rs, tmp_path):
+    path = record(rs, tmp_path / "a.db3", numbered(40), pause_s=0.033)
+    with closing(sqlite3.connect(path)) as database:
+        (last,) = database.execute("select max(id) from messages").fetchone()
+        database.execute("update messages set data = zeroblob(8) where id > ?", (last // 2,))
+        database.commit()
+    with RealSenseRecording(path) as recording:
+        for _ in range(2):
+            read = list(recording.frames())
+    assert [int(frame.depth[0, 0]) for frame in read] == [2001 + k for k in range(len(read))]
+    assert 10 <= len(read) <= 25
+    (said,) = recording.warnings
+    words = rf"damaged, or depth ended early: {len(read)} frames of the first 0\.\d of 1\.\d s could"
+    assert re.search(words, said)
+
+
+def test_a_recording_without_a_complete_frame_is_refused(rs, tmp_path):
+    path = record(rs, tmp_path / "a.db3", numbered(5))
+    with closing(sqlite3.connect(path)) as database:
+        of_depth = "select id from topics where name like '%/compressedDepth'"
+        database.execute(f"delete from messages where topic_id = ({of_depth})")
+        database.commit()
+    with RealSenseRecording(path) as recording, pytest.raises(DeviceError, match="holds no complete frame"):
+        list(recording.frames())
 
 
 def test_without_the_library_one_line_names_the_extra(monkeypatch, tmp_path):
