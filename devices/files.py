@@ -1,43 +1,27 @@
-"""Recordings on disk: a sensor for a path, and the two recordings of one capture, paired."""
+"""Recordings on disk: the sensor for a path."""
 
 from __future__ import annotations
 
-import filecmp
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from devices.azure.mkv import MkvInfo, MkvRecording
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
 from devices.blazepose.tracked_images import TrackedImages
-from devices.capture.host_clock import offset_by_arrival
-from devices.depth.image_thinning import Depth, thinned, thinned_camera
 from devices.depth.witness import with_witness
 from devices.orbbec.playback import SUFFIX as BAG
 from devices.orbbec.playback import OrbbecRecording
-from devices.pairing import FramePair, Pairing, median_interval, pair_views
-from devices.people import RecordedPeople, one_person
 from devices.realsense.sensors import SUFFIX as DB3
 from devices.realsense.sensors import RealSenseRecording, is_realsense_bag
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.conventions import Unit
 from devices.skeletons.file_sensor import SkeletonRecording
-from devices.skeletons.stated_format import UNSTATED, StatedFormat
+from devices.skeletons.stated_format import StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
-from fusion.body import Body
-from fusion.intrinsics import Intrinsics
-from fusion.large_arrays import give_back
-from fusion.pair_arrays import View
 from fusion.progress import Progress, quietly
-from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.clock_search import find_clock_offset, find_clock_skew
 
 MKV = ".mkv"
-_CLOCKS_AGREE_NS = 1_000_000
-"""Tolerance between the measured and the configured sync delay; the sensors are accurate to 0.1 ms."""
 
 
 def open_source(
@@ -105,14 +89,15 @@ def open_images(path: Path) -> MkvRecording | OrbbecRecording | RealSenseRecordi
 
 def frame_count(source: Sensor) -> int | None:
     """About how many frames an open recording has, for a progress bar; None where it does not say."""
-    images = _images_of(source)
+    images = images_of(source)
     info = images.info if isinstance(images, MkvRecording) else images
     if not isinstance(info, MkvInfo | OrbbecRecording | RealSenseRecording) or not info.duration_ns:
         return None
     return info.duration_ns // info.interval_ns + 1
 
 
-def _images_of(source: Sensor) -> object:
+def images_of(source: Sensor) -> object:
+    """The recording behind a body tracker or behind saved skeletons; None without one."""
     return source.source if isinstance(source, TrackedImages) else getattr(source, "recording", None)
 
 
@@ -125,289 +110,3 @@ def without_images(source: Sensor) -> Iterator[SensorFrame]:
         if source.intrinsics is not None:
             frame = with_witness(frame, source.intrinsics)
         yield replace(frame, depth=None, ir=None, color=None)
-
-
-@dataclass(frozen=True, eq=False)
-class TwoRecordings:
-    """The content of two recordings without their images.
-
-    Attributes:
-        body: Of both.
-        pairing: Their frames, paired.
-        intrinsics: Of the depth cameras, where the recordings say.
-        warnings: What a person should know about them, a line each.
-        images: The files that hold depth images, A's and B's; None for skeletons alone.
-        tracker: The body tracker that found the people; empty where the files had skeletons.
-        clock: The offset by which B's times were corrected; None where they are as recorded.
-        stated: What was stated about the files.
-    """
-
-    body: Body
-    pairing: Pairing
-    intrinsics: tuple[Intrinsics | None, Intrinsics | None]
-    warnings: tuple[str, ...]
-    images: tuple[Path | None, Path | None] = (None, None)
-    tracker: str = ""
-    clock: ClockOffset | None = None
-    stated: StatedFormat = UNSTATED
-
-    def cameras(self, depth: Depth) -> tuple[Intrinsics | None, Intrinsics | None]:
-        """The intrinsics, for depth images as they are logged."""
-        a, b = (None if camera is None else thinned_camera(camera, depth) for camera in self.intrinsics)
-        return a, b
-
-    def depth_images(
-        self, side: str, depth: Depth, progress: Progress = quietly
-    ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
-        """A sensor's depth images and the numbers of their pairs, in a pass of its own over the file.
-
-        One image is in memory at a time, however long the recordings are.
-        """
-        pairs = self.pairing.pairs
-        path = self.images["ab".index(side)]
-        if path is None or depth == "none":
-            return
-        frames = enumerate(getattr(pair, side) for pair in pairs)
-        number = {frame.time_ns: k for k, frame in frames if frame is not None}
-        with open_images(path) as recording:
-            for frame in progress(recording.frames(), f"depth of {recording.name}", len(pairs)):
-                k = number.get(frame.time_ns)
-                if k is not None and frame.depth is not None:
-                    yield k, thinned(frame.depth, depth)
-
-
-@dataclass(frozen=True)
-class RecordingChoice:
-    """One of the two recordings.
-
-    Attributes:
-        path: Recorded skeletons, or a recording with images.
-        skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
-        person: Id of the person; the one seen longest where None.
-        stated: What is stated about a ``.csv``: unit, axes, names of the joints.
-        skeletons_option, person_option: What the caller's user knows these two as, for messages.
-    """
-
-    path: Path
-    skeletons: Path | None = None
-    person: str | None = None
-    stated: StatedFormat = UNSTATED
-    skeletons_option: str = "skeletons"
-    person_option: str = "person"
-
-    @property
-    def is_tracked(self) -> bool:
-        """Whether its people come from a body tracker."""
-        return has_images(self.path) and self.skeletons is None
-
-
-def read_two(
-    choice_a: RecordingChoice,
-    choice_b: RecordingChoice,
-    tracker: TrackerChoice | None = None,
-    progress: Progress = quietly,
-    *,
-    offset_ns: int | None = None,
-    every_frame: bool = True,
-) -> TwoRecordings:
-    """Reads both recordings, one after the other: only one body tracker is in the GPU's memory at once.
-
-    Where B's clock is off by two thirds of a frame or more and the motion tells by how much, its times are
-    corrected.
-
-    Args:
-        tracker: The body tracker, where one is needed. None: chosen for this machine.
-        offset_ns: Added to the times of B; found from the motion where None.
-        every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_views`.
-
-    Raises:
-        DeviceError: A recording cannot be read or tracked, both are the same recording, the bodies differ,
-            or the two never overlap.
-    """
-    refuse_same(choice_a.path, choice_b.path)
-    tracked = any(choice.is_tracked for choice in (choice_a, choice_b))
-    if tracked:
-        tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(choice_a.path, choice_b.path))
-    a, b = (
-        open_source(
-            choice.path,
-            choice.skeletons,
-            tracker,
-            choice.skeletons_option,
-            progress=progress,
-            **asdict(choice.stated),
-        )
-        for choice in (choice_a, choice_b)
-    )
-    read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
-    if a.body is not b.body:
-        raise DeviceError(
-            f"{a.name} has the {len(a.body)} joints of {a.body.name}, {b.name} the {len(b.body)} of "
-            f"{b.body.name}. Both sensors must be of one family."
-        )
-    clock = by_arrival = None
-    if offset_ns is None:
-        read_arrivals = read_a.arrivals, read_b.arrivals
-        by_arrival = offset_by_arrival(*read_arrivals)
-        delay_ns = cable_delay_ns(read_a.info, read_b.info)
-        if by_arrival is not None and delay_ns is not None:
-            by_arrival = _by_cable(by_arrival, delay_ns, read_a.person.time_ns, read_b.person.time_ns)
-        clock = by_arrival or _clock_correction(a.body, read_a.seen, read_b.seen)
-        give_back()
-    # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
-    tolerance_ns = None if clock is None else median_interval(read_a.seen.time_ns)
-    pairing = pair_views(
-        a.body,
-        read_a.person,
-        read_b.person,
-        tolerance_ns,
-        offset_ns=clock.at(read_b.person.time_ns) if clock is not None else offset_ns or 0,
-        every_frame=every_frame,
-    )
-    about_clocks = clock_warnings(read_a.info, read_b.info, pairing.pairs)
-    if by_arrival is not None:
-        about_clocks = [
-            "B's times were put on A's clock by the frames' arrival on the PC that recorded them."
-        ]
-    elif clock is not None:
-        about_clocks = [
-            f"The clocks differ: {clock.offset_ns * 1e-6:+.0f} ± {clock.sd_ns * 1e-6:.0f} ms"
-            f"{_skew_in_words(clock)} were added to B's times, so that both views show one motion. "
-            "--offset MS sets another correction."
-        ]
-    warnings = *read_a.warnings, *read_b.warnings, *about_clocks
-    path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
-    name = tracker.full_name if tracked and tracker is not None else ""
-    cameras, paths = (a.intrinsics, b.intrinsics), (path_a, path_b)
-    return TwoRecordings(a.body, pairing, cameras, warnings, paths, name, clock, choice_a.stated)
-
-
-def _clock_correction(body: Body, a: View, b: View) -> ClockOffset | None:
-    """The offset of B's clock, where the motion shows one of two thirds of a frame or more, certain to two.
-
-    It may be that large at the ends of the recording only.
-    """
-    found = find_clock_offset(body, a, b)
-    interval = median_interval(a.time_ns)
-    if found is None or found.sd_ns > 2.0 * interval:
-        return None
-    found = find_clock_skew(a, b, found)
-    if not abs(found.skew_ppm) > 3.0 * found.skew_sd_ppm:
-        found = replace(found, skew_ppm=0.0)
-    at_ends = np.abs(found.at(b.time_ns[[0, -1]])).max()
-    grows = found.skew_ppm != 0.0
-    return found if at_ends >= 2 * interval / 3 and (grows or found.significant) else None
-
-
-def _by_cable(
-    arrival: ClockOffset, delay_ns: int, a_ns: NDArray[np.int64], b_ns: NDArray[np.int64]
-) -> ClockOffset | None:
-    """The offset by which B's captures lie the cable's delay after A's, near that of their arrival.
-
-    None where it is within half a frame of none: the master has then set the subordinate's clock.
-    """
-    interval = median_interval(a_ns)
-    if np.abs(arrival.at(b_ns)).max() < interval / 2:
-        return None
-    on_a = b_ns + arrival.at(b_ns) - delay_ns
-    after = np.clip(np.searchsorted(a_ns, on_a), 1, max(1, len(a_ns) - 1))
-    around = on_a[:, None] - a_ns[np.minimum(np.stack([after - 1, after], axis=1), len(a_ns) - 1)]
-    off_ns = np.median(around[np.arange(len(around)), np.abs(around).argmin(axis=1)])
-    return replace(arrival, offset_ns=arrival.offset_ns - float(off_ns))
-
-
-def _skew_in_words(clock: ClockOffset) -> str:
-    return f", growing by {clock.skew_ppm:+.1f} millionths of the time," if clock.skew_ppm else ""
-
-
-def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:
-    """Warnings about the two clocks; none for recordings without information about their origin.
-
-    On a sync cable the master's first pulse starts the subordinate's clock at the master's time, and device
-    times (start offset + time in the file) are of one clock, on which B lags A by the delay set: pairs are
-    then right as they are, and their skew is that delay. Firmware 1.6.107 and later may not restart the
-    clock: it then has a constant offset. The skew shows that there is one, but not by how many whole frames,
-    so the function warns and corrects nothing. Without a cable each clock starts with its sensor.
-    """
-    if a is None or b is None:
-        return []
-    delay_ns = cable_delay_ns(a, b)
-    if delay_ns is None:
-        return [
-            f"The sensors ran without a common clock ({a.sync_mode.lower()}, {b.sync_mode.lower()}): frames "
-            f"are paired as if both had been started at the same moment. Record with a sync cable."
-        ]
-    off_ns = int(np.median([pair.skew_ns for pair in pairs])) - delay_ns
-    if abs(off_ns) <= _CLOCKS_AGREE_NS:
-        return []
-    return [
-        f"The sensors captured {delay_ns / 1e6:.2f} ms apart by their cable, but their times lie "
-        f"{(off_ns + delay_ns) / 1e6:.1f} ms apart: the subordinate's clock was not set by its master, and "
-        f"frames may be paired with their neighbours. Start the subordinate first, the master last."
-    ]
-
-
-def cable_delay_ns(a: MkvInfo | None, b: MkvInfo | None) -> int | None:
-    """How much later B captures than A by their sync cable; None without one."""
-    if a is None or b is None or {a.sync_mode, b.sync_mode} != {"MASTER", "SUBORDINATE"}:
-        return None
-    return b.subordinate_delay_ns if b.sync_mode == "SUBORDINATE" else -a.subordinate_delay_ns
-
-
-def refuse_same(a: Path, b: Path) -> None:
-    """Raises a DeviceError if two recordings are one."""
-    try:
-        same = a.samefile(b)
-        compared = a.is_file() and a.stat().st_size > 0 and b.is_file()
-        if not same and compared and not (has_images(a) or has_images(b)):
-            same = filecmp.cmp(a, b, shallow=False)
-    except OSError:
-        return  # the readers say what is wrong with the files
-    if same:
-        raise DeviceError(f"{a} and {b} are the same recording. Fusion needs one recording of each sensor.")
-
-
-@dataclass(frozen=True, eq=False)
-class _Read:
-    """One recording without images, and the person to fuse."""
-
-    person: View
-    info: MkvInfo | None
-    warnings: list[str]
-    arrivals: NDArray[np.int64]
-    """(T, 2) capture and arrival times, where they were recorded."""
-
-    @property
-    def seen(self) -> View:
-        """The frames in which the person is seen."""
-        seen = self.person.states.any(axis=1)
-        return self.person if seen.all() else self.person.chosen_whole(np.flatnonzero(seen))
-
-
-def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
-    with source:
-        info, arrivals = None, []
-        if isinstance(source, SkeletonRecording):
-            people = source.people
-        else:
-            frames = without_images(source)
-            if choice.person is None:
-                frames = one_person(frames)  # a body tracker gives one person several ids
-            work = "tracking" if choice.is_tracked else "reading"
-            read = progress(frames, f"{work} {source.name}", frame_count(source))
-            people = RecordedPeople.of(source.body, read)
-            images = _images_of(source)
-            if isinstance(images, MkvRecording):
-                info, arrivals = images.info, images.arrivals
-        warnings = list(source.warnings)
-    person = people.choose_person(choice.person, source.name, choice.person_option)
-    others = () if choice.person is not None else people.successors(person)
-    if others:
-        named = ", ".join(map(repr, others[:5])) + (" …" if len(others) > 5 else "")
-        warnings.append(
-            f"{source.name}: person {named} is followed while {person!r} is not seen. "
-            f"{choice.person_option} {person} follows {person!r} alone."
-        )
-    give_back()
-    times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
-    return _Read(people.view((person, *others)), info, warnings, times)

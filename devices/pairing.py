@@ -1,8 +1,8 @@
-"""Pairs two recorded streams by capture time."""
+"""Puts two recorded streams on one clock, and pairs them by capture time."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,8 @@ from devices.sensor import DeviceError, SensorFrame
 from fusion.body import Body
 from fusion.large_arrays import Rows, stored
 from fusion.pair_arrays import Pairs, View
+from fusion.registration.clock_offset import ClockOffset
+from fusion.registration.clock_search import find_clock_offset, find_clock_skew
 from fusion.skeleton import SkeletonPair
 
 PERSON = "0"
@@ -178,3 +180,36 @@ def median_interval(times: NDArray[np.int64]) -> int:
 
 def _span(times: NDArray[np.int64]) -> str:
     return f"{times[0] * 1e-9:.3f} s to {times[-1] * 1e-9:.3f} s"
+
+
+def clock_by_motion(body: Body, a: View, b: View) -> ClockOffset | None:
+    """The offset of B's clock, where the motion shows one of two thirds of a frame or more, certain to two.
+
+    It may be that large at the ends of the recording only.
+    """
+    found = find_clock_offset(body, a, b)
+    interval = median_interval(a.time_ns)
+    if found is None or found.sd_ns > 2.0 * interval:
+        return None
+    found = find_clock_skew(a, b, found)
+    if not abs(found.skew_ppm) > 3.0 * found.skew_sd_ppm:
+        found = replace(found, skew_ppm=0.0)
+    at_ends = np.abs(found.at(b.time_ns[[0, -1]])).max()
+    grows = found.skew_ppm != 0.0
+    return found if at_ends >= 2 * interval / 3 and (grows or found.significant) else None
+
+
+def clock_by_cable(
+    arrival: ClockOffset, delay_ns: int, a_ns: NDArray[np.int64], b_ns: NDArray[np.int64]
+) -> ClockOffset | None:
+    """The offset by which B's captures lie the cable's delay after A's, near that of their arrival.
+
+    None where it is within two frames of none: the master has then set the subordinate's clock.
+    """
+    if np.abs(arrival.at(b_ns)).max() < 2 * median_interval(a_ns):
+        return None
+    on_a = b_ns + arrival.at(b_ns) - delay_ns
+    after = np.clip(np.searchsorted(a_ns, on_a), 1, max(1, len(a_ns) - 1))
+    around = on_a[:, None] - a_ns[np.minimum(np.stack([after - 1, after], axis=1), len(a_ns) - 1)]
+    off_ns = np.median(around[np.arange(len(around)), np.abs(around).argmin(axis=1)])
+    return replace(arrival, offset_ns=arrival.offset_ns - float(off_ns))

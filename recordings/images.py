@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth
-from devices.files import TwoRecordings
 from devices.sensor import ColorImage
+from devices.two_recordings import TwoRecordings
 from fusion.progress import Progress, quietly
 
 T = TypeVar("T")

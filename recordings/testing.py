@@ -114,10 +114,10 @@ def simulated_session(
     """
     from dataclasses import replace
 
-    from devices.files import TwoRecordings
     from devices.pairing import pair_views
     from devices.people import RecordedPeople
     from devices.simulated.kinect import simulated_pair
+    from devices.two_recordings import TwoRecordings
     from fusion.body import BODIES
     from fusion.setup import FuserSettings
     from recordings.fusing.files import fuse_read

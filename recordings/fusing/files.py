@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth
 from devices.events import Event
-from devices.files import RecordingChoice, TwoRecordings, read_two
 from devices.skeletons.conventions import Unit
 from devices.skeletons.stated_format import StatedFormat
 from devices.tracker_choice import TrackerChoice, WantedTracker, choose_tracker
+from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
 from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
 from fusion.handedness import mirrored_share
@@ -133,7 +133,7 @@ def read_for(
     """Reads two recordings as a method takes them: ``duplex`` every frame, the paper's methods pairs.
 
     Args:
-        choices, tracker, progress: As for :func:`devices.files.read_two`.
+        choices, tracker, progress: As for :func:`devices.two_recordings.read_two`.
         offset_ms: Added to the times of B. None: the method ``duplex`` finds it from the motion.
 
     Raises:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.files import RecordingChoice, read_two
 from devices.pairing import RecordedPairs
+from devices.two_recordings import RecordingChoice, read_two
 from fusion.pair_arrays import Pairs
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings

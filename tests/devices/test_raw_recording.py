@@ -20,7 +20,7 @@ from devices.azure.mkv_writer import MkvWriter
 from devices.blazepose.tracked_images import registered_color
 from devices.capture.host_clock import offset_by_arrival
 from devices.capture.settings import CaptureSettings
-from devices.files import _by_cable
+from devices.pairing import clock_by_cable
 from devices.raw_recording import RawRecorder
 from devices.sensor import ColorCamera, ColorImage, Sensor, SensorFrame
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
@@ -275,7 +275,7 @@ def test_clocks_are_related_by_arrival():
         captured = times + start_ns
         on_a = times + 160_000
         rough = replace(found, offset_ns=start_ns + 2_900_000.0, skew_ppm=0.0)
-        exact = _by_cable(rough, 160_000, captured, on_a)
+        exact = clock_by_cable(rough, 160_000, captured, on_a)
         assert (exact is not None) is corrected
         if exact is not None:
             assert np.abs(on_a + exact.at(on_a) - captured - 160_000).max() < 1000

@@ -12,7 +12,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from devices.files import RecordingChoice, TwoRecordings, not_of_libk4a
+from devices.files import not_of_libk4a
+from devices.two_recordings import RecordingChoice, TwoRecordings
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.fuser import Fuser

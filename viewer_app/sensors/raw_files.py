@@ -15,19 +15,13 @@ from devices.capture.host_clock import ONE_RUN_NS
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.settings import CaptureSettings
 from devices.capture.stream_pairing import LivePairing
-from devices.files import (
-    cable_delay_ns,
-    has_images,
-    not_of_libk4a,
-    open_images,
-    open_source,
-    refuse_same,
-)
+from devices.files import has_images, not_of_libk4a, open_images, open_source
 from devices.live_sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
 from devices.raw_recording import RawRecorder, recorded
 from devices.real_time import Beat, PacedSensor
 from devices.sensor import Sensor
+from devices.two_recordings import cable_delay_ns, refuse_same
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room

@@ -146,7 +146,7 @@ def test_people_who_hardly_move_tell_no_offset():
 
 
 def test_two_people_with_different_movements_have_no_certain_offset():
-    """An offset is applied if it is certain to two frames (:mod:`devices.files`)."""
+    """An offset is applied if it is certain to two frames (:mod:`devices.pairing`)."""
     a, b = views_of("arms", 64)[0], views_of("walk", 65)[1]
     found = find_clock_offset(AZURE_KINECT, a, b)
     assert found is None or found.sd_ns > 4 * FRAME_NS

@@ -9,10 +9,10 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from devices.files import RecordingChoice, read_two
 from devices.sensor import DeviceError
 from devices.skeletons import csv_file
 from devices.skeletons.csv_file import read_csv
+from devices.two_recordings import RecordingChoice, read_two
 from fusion import large_arrays, plan
 from fusion.body import KINECT_V2
 from fusion.errors import FusionError
