@@ -40,10 +40,10 @@ def check_writable(path: Path, force: bool) -> None:
         raise UsageError(f"The folder {path.parent} is not writable.")
 
 
-def warn_of_little_room(path: Path, console: Console) -> None:
-    """Warns if a session of unknown length may fill the disk."""
+def warn_of_little_room(path: Path, console: Console, little: int = _LITTLE_FREE) -> None:
+    """Warns if what is saved there, of unknown length, may fill the disk: if few bytes are free."""
     free = shutil.disk_usage(path.parent).free
-    if free < _LITTLE_FREE:
+    if free < little:
         console.print(
             f"[yellow]Only {free / 1e6:.0f} MB are free where {escape(str(path))} is saved.[/] When that is "
             "full, saving stops and everything else goes on."

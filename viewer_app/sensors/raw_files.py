@@ -29,6 +29,7 @@ from viewer_app.sensors.remote import teller
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
 
 _NAMES = ("a.mkv", "b.mkv")
+_MINUTE = 5_300_000_000  # bytes, of two sensors
 
 
 class RawFiles(ExitStack):
@@ -60,7 +61,7 @@ class RawFiles(ExitStack):
         except OSError as fault:
             raise UsageError(f"The folder {folder} cannot be made: {fault.strerror or fault}.") from None
         check_outputs([folder / name for name in _NAMES], played, force)
-        warn_of_little_room(folder / _NAMES[0], console)
+        warn_of_little_room(folder / _NAMES[0], console, _MINUTE)
 
     def attach(self, sensors: TwoSensors, fps: int = 30) -> None:
         """Records both sensors from their opening on; they are not open yet."""

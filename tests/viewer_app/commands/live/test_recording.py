@@ -97,6 +97,13 @@ def test_realsenses_of_the_real_library_are_recorded(rs, tmp_path, capsys):
         assert [int(frame.ir[0, 0]) for frame in frames] == numbers
 
 
+def test_a_disk_with_room_for_less_than_a_minute_is_told_before(tmp_path, capsys):
+    """Two sensors write 88 MB per second."""
+    with small_disk(tmp_path / "small", 4_000_000) as disk:
+        assert duplex("demo", "--no-viewer", "--seconds", 0.2, "--record", disk) == 0
+        assert "Only 4096 MB are free" in capsys.readouterr().out
+
+
 def test_a_slow_tracker_loses_no_recorded_frame(kinects, live, standin, tmp_path):
     standin.tracking_ms = 90  # it gets a third of the frames
     live("--record", tmp_path / "raw", "--compress", seconds=2.0)
