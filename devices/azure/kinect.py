@@ -173,13 +173,12 @@ class KinectSensor(LiveSensor):
         """Frames as they arrive, until interrupted."""
         if self._device is None:
             raise DeviceError(f"Kinect {self.name} is not open: use it in a with statement.")
-        self.decimation.restart(self.name)
         stream = _KinectStream(self._device, self._sdk, self)
         if self._tracker is None:
-            while not self._interrupted.is_set():
-                if (taken := self._take(stream)) is not None:
-                    yield self.frame_of(taken, self.settings.infrared)
+            for moment in self._moments(stream):
+                yield self.frame_of(moment, self.settings.infrared)
             return
+        self.decimation.restart(self.name)
         # Waiting at most three quarters of a frame for the tracker leaves time to fetch the next capture.
         took = partial(self.decimation.tracked, self.name)
         queue = TrackerQueue(self._tracker, 0.75 / self.settings.fps, took, self.clock)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -210,6 +210,14 @@ class LiveSensor(Sensor):
     def _warn(self, warning: str) -> None:
         if warning and warning not in self.warnings:
             self.warnings.append(warning)
+
+    def _moments(self, stream: CaptureStream[M]) -> Iterator[M]:
+        """The newest moments of a stream as they come, until interrupted."""
+        self.decimation.restart(self.name)
+        while not self._interrupted.is_set():
+            moment = self._take(stream)
+            if moment is not None:
+                yield moment
 
     def _take(self, stream: CaptureStream[M], wait: bool = True) -> M | None:
         """The newest moment of a stream; counts what it missed."""

@@ -182,12 +182,7 @@ class FreenectSensor(LiveSensor):
         """Frames as they arrive, until interrupted."""
         if self._camera is None:
             raise DeviceError(f"Kinect v1 {self.name} is not open: use it in a with statement.")
-        self.decimation.restart(self.name)
-        stream = _FreenectStream(self._camera, self)
-        while not self._interrupted.is_set():
-            moment = self._take(stream)
-            if moment is None:
-                continue
+        for moment in self._moments(_FreenectStream(self._camera, self)):
             self.rgb = moment.rgb
             if self.on_capture is not None and moment.rgb is not None:
                 # the tracker finds the same in the image that a recording keeps

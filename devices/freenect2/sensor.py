@@ -76,12 +76,7 @@ class Freenect2Sensor(LiveSensor):
         """Frames as they arrive, until interrupted."""
         if self._camera is None:
             raise DeviceError(f"Kinect v2 {self.name} is not open: use it in a with statement.")
-        self.decimation.restart(self.name)
-        stream = _Freenect2Stream(self._camera, self)
-        while not self._interrupted.is_set():
-            moment = self._take(stream)
-            if moment is not None:
-                yield self.frame_of(moment)
+        yield from map(self.frame_of, self._moments(_Freenect2Stream(self._camera, self)))
 
     def frame_of(self, moment: Freenect2Moment) -> SensorFrame:
         """The images of a moment, no longer mirrored."""

@@ -105,12 +105,8 @@ class OrbbecSensor(LiveSensor):
         """Frames as they arrive, until interrupted."""
         if self._pipeline is None:
             raise DeviceError(f"Orbbec {self.name} is not open: use it in a with statement.")
-        self.decimation.restart(self.name)
         stream = _OrbbecStream(self._pipeline, self._sdk, self)
-        while not self._interrupted.is_set():
-            moment = self._take(stream)
-            if moment is None:
-                continue
+        for moment in self._moments(stream):
             if stream.joiner.timeless:
                 self._warn(_TIMELESS.format(name=f"Orbbec {self.name}"))
             yield self.frame_of(moment)

@@ -103,12 +103,8 @@ class RealSenseSensor(LiveSensor):
         """Frames as they arrive, until interrupted."""
         if self._opened is None:
             raise DeviceError(f"RealSense {self.name} is not open: use it in a with statement.")
-        self.decimation.restart(self.name)
         _, stream, joiner = self._opened
-        while not self._interrupted.is_set():
-            moment = self._take(stream)
-            if moment is None:
-                continue
+        for moment in self._moments(stream):
             if joiner.timeless:
                 self._warn(_TIMELESS.format(label=f"RealSense {self.name}"))
             yield self.frame_of(moment)

@@ -93,6 +93,7 @@ def test_building_a_sensor_opens_nothing(vendor):
     sensor = vendor.sensor("1", CaptureSettings(), decimation)
     assert isinstance(sensor, LiveSensor)
     assert (sensor.name, sensor.body, sensor.decimation) == ("1", BLAZEPOSE, decimation)
+    assert type(sensor).frame_of is not LiveSensor.frame_of, "a recording needs it"
     with pytest.raises(DeviceError, match="is not open: use it in a with statement"):
         next(sensor.frames())
     sensor.__exit__()
@@ -109,8 +110,11 @@ def test_the_example_of_the_page_is_a_sensor(example, monkeypatch):
     assert named["acme"].ok
     assert named["Acme 7"].ok
     with example.AcmeSensor("7", CaptureSettings(timeout_ms=1, stall_s=0.01)) as sensor:
+        recorded = []
+        sensor.on_capture = recorded.append
         frames = sensor.frames()
         frame = next(frames)
+        assert [int(each.depth[0, 0]) for each in recorded] == [0, 1, 2]
         assert (frame.time_ns, int(frame.depth[0, 0]), sensor.missed) == (66_666_666, 2, 0), (
             "the newest moment"
         )
