@@ -142,16 +142,18 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
     tracker = tracker_of(options).for_images_of(not_of_libk4a(*paths))
     announce_tracker(tracker, console)
     infos: list[MkvInfo | None] = []
+    intervals: list[int] = []
     arrivals: list[int] = []  # of the first frames, where they were recorded
     for path in paths:
         with open_images(path) as images:
-            infos.append(images.info if isinstance(images, MkvRecording) else None)
+            info = images.info if isinstance(images, MkvRecording) else None
+            infos.append(info)
+            intervals.append((info or images).interval_ns)  # type: ignore[union-attr]
             if isinstance(images, MkvRecording):
                 arrivals += filter(None, [next(images.frames()).host_ns])
     by_arrival = len(arrivals) == 2
     one_run = by_arrival and abs(arrivals[1] - arrivals[0]) < ONE_RUN_NS
     delay_ns = cable_delay_ns(*infos)
-    intervals = [1e9 / options.fps if info is None else info.interval_ns for info in infos]
     decimation = decimation_of(tracker, 1e9 / min(intervals))
     beat = Beat(2, one_clock=one_run or (delay_ns is not None and not by_arrival))
     played: list[Sensor] = []
@@ -163,7 +165,7 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
             played.append(TrackedImages(paced, tracker.blazepose, pace=decimation))  # type: ignore[arg-type]
     return TwoSensors(
         *played,
-        pairing=LivePairing(round(min(intervals)), sync_delay_ns=delay_ns),
+        pairing=LivePairing(min(intervals), sync_delay_ns=delay_ns),
         decimation=decimation,
         tell=teller(console),
     )

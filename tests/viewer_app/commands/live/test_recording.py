@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from devices.azure.mkv import MkvRecording
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
+from fusion.intrinsics import Intrinsics
 from recordings.calibration_file import calibration_to_json
 from recordings.session import Session
 from tests.helpers.command_line import duplex
@@ -19,6 +21,8 @@ from tests.helpers.mkv_writer import write_mkv
 from tests.helpers.realsense import LENS, numbered, plugged
 from tests.helpers.realsense import record as record_bag
 from tests.helpers.session_text import rows_of
+from viewer_app.options.sensing import LiveOptions
+from viewer_app.sensors.raw_files import two_played_sensors
 
 SENSORS = ("--kinect-a", "000123", "--kinect-b", "000456")
 
@@ -167,6 +171,17 @@ def test_what_cannot_be_played_is_told(tmp_path, capsys):
     assert path.read_bytes() == before, "what is played is not overwritten"
     assert duplex("record", tmp_path, "--kinect-a", "zenoh:lab/a") == 2
     assert "run it on the sensor's own PC" in capsys.readouterr().err
+
+
+def test_the_rate_of_what_is_played_is_that_of_its_file(rs, tmp_path):
+    """With another one, every second moment would have no frames."""
+    lens = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+    paths = [
+        record_bag(rs, tmp_path / name, numbered(4, lens, fps=15), lens=lens, fps=15)
+        for name in ("a.db3", "b.db3")
+    ]
+    played = two_played_sensors(LiveOptions(tracker="blazepose"), paths, Console())
+    assert played._decimation.period_ns == pytest.approx(1e9 / 15, abs=1)
 
 
 def test_what_the_simulator_saw_is_recorded(tmp_path, capsys):
