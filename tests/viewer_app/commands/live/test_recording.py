@@ -132,18 +132,31 @@ def test_recordings_give_the_same_s_as_live_did(live, standin, tmp_path):
     given = (*tracker, "--no-viewer", "--calibrate", calibration, "--save")
     assert duplex("live", *files, *given, tmp_path / "l.rrd") == 0
     assert duplex("fuse", *files, *given, tmp_path / "f.rrd", "--no-refine") == 0
-    for again in (tmp_path / "l.rrd", tmp_path / "f.rrd"):
-        now = Session.open(again)
-        off, common = _apart(was, now)
-        assert common > 40, again
-        assert (np.median(off) if again.stem == "f" else np.max(off)) < 1e-4, again
+    for name, whole in (("l", np.max), ("f", np.median)):  # fuse knows later frames, too
+        now = Session.open(tmp_path / f"{name}.rrd")
+        for side in "ab":
+            _, i, j = np.intersect1d(
+                *(_column(each, f"clock_{side}") for each in (was, now)), return_indices=True
+            )
+            assert len(i) > 40, name
+            views = _column(was, f"positions_{side}")[i], _column(now, f"positions_{side}")[j]
+            np.testing.assert_allclose(*views, atol=1e-5, err_msg=name)
+        # on a busy machine live loses frames, and S* of what follows is another
+        same = _same_pairs(was, now)
+        off = np.linalg.norm(was.fused[:same] - now.fused[:same], axis=2)
+        assert same == 0 or whole(off) < 1e-4, name
 
 
-def _apart(one, other):
-    """Distances of the joints of S* at the moments that both sessions have, metres; the number of moments."""
-    times = [session.rows.clock_a for session in (one, other)]
-    _, i, j = np.intersect1d(*times, return_indices=True)
-    return np.linalg.norm(one.fused[i] - other.fused[j], axis=2), len(i)
+def _column(session, name):
+    return getattr(session.rows, name)
+
+
+def _same_pairs(one, other):
+    """How many pairs at the beginning of both sessions are of the same frames."""
+    pairs = [
+        list(zip(_column(each, "clock_a"), _column(each, "clock_b"), strict=True)) for each in (one, other)
+    ]
+    return next((k for k, (a, b) in enumerate(zip(*pairs, strict=False)) if a != b), min(map(len, pairs)))
 
 
 def test_what_cannot_be_played_is_told(tmp_path, capsys):
