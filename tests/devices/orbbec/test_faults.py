@@ -148,11 +148,11 @@ def test_a_lost_sensor_is_taken_back(orbbecs):
         def paired_now():
             return any(pair.a is not None and pair.b is not None for pair in two.poll())
 
-        eventually(paired_now)
+        assert eventually(paired_now)
         lost.plugged = False
-        eventually(alone_now)
+        assert eventually(alone_now)
         lost.plugged, lost.clock_us = True, 0  # its clock starts anew
-        eventually(paired_now)
+        assert eventually(paired_now)
         told = " ".join(event.text for event in two.events())
     assert f"Orbbec {B} was unplugged" in told
     assert f"{B} is back" in told
