@@ -90,6 +90,8 @@ def _read(options: FuseOptions, settings: FuserSettings, console: Console) -> Tw
     if any(choice.is_tracked for choice in choices):
         tracker = tracker_of(options).for_images_of(not_of_libk4a(options.a, options.b))
         announce_tracker(tracker, console)
+    elif options.person != "middle":
+        raise UsageError("--person is of images; these files have skeletons: use --person-a and --person-b.")
     read = read_for(settings, choices, tracker, options.offset, _progress(console))
     for warning in read.warnings:
         console.print(warning, style="yellow", markup=False)

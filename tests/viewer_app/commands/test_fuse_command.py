@@ -98,6 +98,11 @@ def test_real_recordings_fuse_with_exact_bones_and_replay(name, shared, tmp_path
     assert 0.03 <= figures["stale"]["b"] / figures["paired"] <= 0.10
 
 
+def test_a_place_in_the_image_chooses_no_person_of_recorded_skeletons(recordings, capsys):
+    assert duplex("fuse", *recordings, "--no-viewer", "--person", "left") == 2
+    assert "use --person-a and --person-b" in one_line(capsys)
+
+
 def test_a_calibration_can_be_kept_and_used_again(recordings, tmp_path):
     kept, first, again = tmp_path / "c.json", tmp_path / "1.json", tmp_path / "2.json"
     assert duplex("fuse", *recordings, "--no-viewer", "--save-calibration", kept, "--report", first) == 0
