@@ -18,8 +18,9 @@ from tests.helpers.machine import small_disk
 from viewer_app.commands import doctor
 from viewer_app.sensors.anonymity import Anonymity
 
-USER, HOST, FOLDER = "quillon", "lab-zorba-7", "Xanadu"
-PLANTED = (USER, HOST, "Quillon Q. Quex", FOLDER, "000123", "000456", "778899001122", "AB12CD34EF")
+USER, HOST, OTHER, FOLDER = "quillon", "lab-zorba-7", "mesa-kirk-3", "Xanadu"
+NUMBERS = ("000123", "000456", "778899001122", "AB12CD34EF")
+PLANTED = (USER, HOST, OTHER, "Zaphira", "Quex", FOLDER, "Lagash", *NUMBERS)
 UUID = "6fe10177-90d1-4b6e-93a1-1f0000a1b2c3"
 
 
@@ -34,15 +35,18 @@ def traces(monkeypatch, tmp_path):
         *(("DISPLAY", f"{HOST}:0"), ("XAUTHORITY", secret / "X authority"), ("SUDO_USER", USER)),
     ):
         monkeypatch.setenv(name, str(value))
-    monkeypatch.setattr("socket.gethostname", lambda: f"{HOST}.example.org")
-    monkeypatch.setattr("platform.node", lambda: HOST)
+    monkeypatch.setattr("socket.gethostname", lambda: f"{OTHER}.example.org")
+    monkeypatch.setattr("platform.node", lambda: OTHER)
+    monkeypatch.setenv("LD_LIBRARY_PATH", f"/srv/{FOLDER} (of Lagash)/lib:/opt")
     if sys.platform != "win32":
-        monkeypatch.setattr("pwd.getpwuid", lambda _: type("Entry", (), {"pw_gecos": "Quillon Q. Quex,,,"}))
+        monkeypatch.setattr("pwd.getpwuid", lambda _: type("Entry", (), {"pw_gecos": "Zaphira B. Quex,,,"}))
     monkeypatch.chdir(secret)
     return (
-        f"{USER}@{HOST}: Kinect 000123 and 000456 of Quillon Q. Quex ({secret}/libk4a.so.1.4), "
-        f"{secret / 'X authority'}; /srv/{FOLDER}/a b/{USER}/x.bin, D:\\{FOLDER}\\depth engine.dll, "
-        f'\\\\{HOST}\\{FOLDER}; Serial number: 778899001122, "SerialId":"AB12CD34EF", {{{UUID}}}\n'
+        f"{USER}@{HOST}: Kinect 000123 and 000456 of Zaphira B. Quex on {OTHER} "
+        f"({secret}/libk4a.so.1.4), "
+        f"{secret / 'X authority'}; /srv/{FOLDER}/a b/{USER}/x.bin, /srv/{FOLDER} (of Lagash)/lib/y.so, "
+        f"D:\\{FOLDER}\\depth engine.dll, \\\\{HOST}\\{FOLDER}; "
+        f'Serial number: 778899001122, "SerialId":"AB12CD34EF", {{{UUID}}}\n'
     )
 
 
