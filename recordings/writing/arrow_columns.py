@@ -7,6 +7,7 @@ made directly.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache, lru_cache
 from typing import Any
 
@@ -96,6 +97,11 @@ def depth_image(blob: bytes, media_type: str, meter: float) -> list[Any]:
     return [Batch(descriptor, values), *same]
 
 
+def state_changes(states: Sequence[str]) -> list[Any]:
+    """What ``rr.StateChange.columns`` makes of states at as many times, which takes it 0.2 ms."""
+    return [Column(_state(), pa.array(states), len(states))]
+
+
 def converted(
     archetype: Any, argument: str, values: NDArray[Any], count: int
 ) -> tuple[rr.ComponentDescriptor, pa.Array]:
@@ -126,6 +132,12 @@ def _depth_image(media_type: str, meter: float) -> tuple[rr.ComponentDescriptor,
     by_name = {batch.component_descriptor().component: batch for batch in batches}
     blob = by_name.pop("EncodedDepthImage:blob")
     return blob.component_descriptor(), blob.as_arrow_array().type, list(by_name.values())
+
+
+@cache
+def _state() -> rr.ComponentDescriptor:
+    (batch,) = rr.StateChange(state="").as_component_batches()
+    return batch.component_descriptor()
 
 
 @cache

@@ -17,7 +17,7 @@ from recordings.appearance import entity_styles
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources, TrustColors
 from recordings.session_arrays import SessionArrays, SessionFrame
-from recordings.writing.arrow_columns import Times, depth_image, points
+from recordings.writing.arrow_columns import Times, depth_image, points, state_changes
 from recordings.writing.changes import Lanes, PlacementLog, QualityLog, StreamFiguresLog, set_time
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_columns import frame_columns
@@ -253,24 +253,11 @@ class Recorder:
         look: rr.StateConfiguration,
     ) -> None:
         self._pause()
-        t, state = changes[0]
-        few = len(rows) == 1 or self._plots_later
-        if few and len(changes) == 1 and t is not None:
-            # columns would take three times as long
-            set_time(self._stream, rows.frame[t], rows.time_ns[t])
-            self._stream.log(lane, rr.StateChange(state=names[state]))
-            return
         places = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
-        times = np.array([ns for _, ns in places], "timedelta64[ns]")
-        self._stream.send_columns(
-            lane,
-            [
-                rr.TimeColumn(layout.FRAME, sequence=[frame for frame, _ in places]),
-                rr.TimeColumn(layout.TIME, duration=times),
-            ],
-            rr.StateChange.columns(state=[names[state] for _, state in changes]),
-        )
-        if t is None:
+        frames, times = np.array(places).T
+        states = state_changes([names[state] for _, state in changes])
+        self._stream.send_columns(lane, Times.of_frames(frames, times), states)
+        if changes[0][0] is None:
             self._stream.log(lane, look, static=True)
 
     def _log_static(self, setup: FusionSetup) -> None:

@@ -117,9 +117,8 @@ class ViewerFeed(QueuedSink):
         recorder = self._begin(self._stream)
         try:
             while self._send(process, encoded.read() or b""):
-                if recorder.unplotted >= _PLOTTED_TOGETHER:  # after the frames have been sent
+                if recorder.unplotted >= _PLOTTED_TOGETHER:  # sent with the next frame
                     recorder.plot()
-                    continue
                 self._turn_over.set()
                 with self._more:
                     if not self._queue:

@@ -9,7 +9,7 @@ import rerun as rr
 
 from recordings import layout
 from recordings.session import Session
-from recordings.writing.arrow_columns import Column, Times, converted, depth_image, points
+from recordings.writing.arrow_columns import Column, Times, converted, depth_image, points, state_changes
 from recordings.writing.frame_columns import PLOTTED
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, known_fuser
@@ -108,6 +108,14 @@ def test_an_image_becomes_what_rerun_makes_of_it():
         assert mine.component_descriptor() == their.component_descriptor()
         assert mine.as_arrow_array().equals(their.as_arrow_array())
         assert mine.as_arrow_array().type == their.as_arrow_array().type
+
+
+def test_states_become_what_rerun_makes_of_them():
+    states = ["from A", "from both", "from A"]
+    (ours,), (theirs,) = state_changes(states), rr.StateChange.columns(state=states)
+    assert ours.component_descriptor() == theirs.component_descriptor()
+    assert ours.as_arrow_array().equals(theirs.as_arrow_array())
+    assert ours.as_arrow_array().type == theirs.as_arrow_array().type
 
 
 def test_times_become_what_rerun_makes_of_them():
