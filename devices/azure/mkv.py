@@ -121,7 +121,7 @@ class MkvRecording(Sensor):
         except (av.FFmpegError, OSError) as fault:
             raise DeviceError(
                 f"{self.name} cannot be opened as an .mkv recording ({fault}): it was cut off within its "
-                f"first bytes, or is another kind of file. Record it again with k4arecorder."
+                f"first bytes, or is another kind of file. Record it again."
             ) from fault
 
     def _describe(self, container: Any) -> MkvInfo:

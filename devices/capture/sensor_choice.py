@@ -34,11 +34,11 @@ class ConnectedSensor:
 
 
 class NeedsChoiceError(DeviceError):
-    """Two Kinects are connected and the principal one is not named: ask the user, or use ``--principal``."""
+    """Two sensors are connected and the principal one is not named: ask the user, or use ``--principal``."""
 
     def __init__(self, serials: tuple[str, str]) -> None:
         super().__init__(
-            f"Two Kinects are connected, {serials[0]} and {serials[1]}. Say which one the person faces: "
+            f"Two sensors are connected, {serials[0]} and {serials[1]}. Say which one the person faces: "
             f"--principal {serials[0]} or --principal {serials[1]}."
         )
         self.serials = serials
@@ -55,7 +55,7 @@ def choose_one(connected: Sequence[ConnectedSensor], serial: str | None, option:
         return serial
     if len(there) != 1:
         advice = f"Name one with {option}." if there else "Plug it in: USB 3 and its power supply."
-        raise DeviceError(f"Connected Kinects: {', '.join(there) or 'none'}. {advice}")
+        raise DeviceError(f"Connected sensors: {', '.join(there) or 'none'}. {advice}")
     return there[0]
 
 
@@ -78,20 +78,20 @@ def choose_two(
     there = _serials(connected, a, b)
     listed = ", ".join(there)
     if a is not None and a == b:
-        raise DeviceError(f"Kinect A and B are both {a}. Name two different sensors. Connected: {listed}.")
+        raise DeviceError(f"Sensors A and B are both {a}. Name two different sensors. Connected: {listed}.")
     if a is not None and b is not None:
         return a, b
     if not there:
         raise DeviceError(f"No sensor is connected. Plug in two: USB 3 and a power supply each. {_LIBRARIES}")
     if len(there) == 1:
         raise DeviceError(
-            f"Only one Kinect is connected, {there[0]}; fusion needs two. Check the other one's USB and "
+            f"Only one sensor is connected, {there[0]}; fusion needs two. Check the other one's USB and "
             f"power (its light is white when ready), or record with one and fuse later."
         )
     named = a or b
     if len(there) > 2:
         raise DeviceError(
-            f"{len(there)} Kinects are connected: {listed}. Choose two: --kinect-a, --kinect-b."
+            f"{len(there)} sensors are connected: {listed}. Choose two: --kinect-a, --kinect-b."
         )
     if named is None:
         raise NeedsChoiceError((there[0], there[1]))
@@ -108,9 +108,9 @@ def _serials(connected: Sequence[ConnectedSensor], *named: str | None) -> list[s
         if serial is not None and serial not in there:
             why = f"Another cannot be opened: {faults[0]}" if faults else "Check its USB and power."
             why += "" if there or faults else f" {_LIBRARIES}"
-            raise DeviceError(f"No Kinect with serial {serial}. Connected: {listed}. {why}")
+            raise DeviceError(f"No sensor with serial {serial}. Connected: {listed}. {why}")
     if faults and None in named:
-        raise DeviceError(f"A Kinect cannot be opened: {faults[0]} Connected: {listed}.")
+        raise DeviceError(f"A sensor cannot be opened: {faults[0]} Connected: {listed}.")
     return there
 
 
@@ -130,7 +130,7 @@ def sync_master(a: ConnectedSensor, b: ConnectedSensor, named: str | None = None
     if named is not None:
         if named not in (a.serial, b.serial):
             raise DeviceError(
-                f"--sync-master {named} is neither of the two Kinects chosen, {a.serial} and {b.serial}."
+                f"--sync-master {named} is neither of the two sensors chosen, {a.serial} and {b.serial}."
             )
         if not (a.has_port and b.has_port):
             raise DeviceError(f"--sync-master {named}: {no_port(a, b)} Leave --sync-master out.")

@@ -130,9 +130,9 @@ def test_one_name_leaves_the_other_to_what_is_connected(names, chosen):
 @pytest.mark.parametrize(
     ("connected", "names", "message"),
     [
-        ([A, B], {"a": "000999"}, r"No Kinect with serial 000999\. Connected: 000123, 000456"),
+        ([A, B], {"a": "000999"}, r"No sensor with serial 000999\. Connected: 000123, 000456"),
         ([A, B], {"a": "000123", "b": "000123"}, "both 000123"),
-        ([A, B, C], {}, "3 Kinects are connected"),
+        ([A, B, C], {}, "3 sensors are connected"),
         ([A, B], {"a": "000123", "principal": "000456"}, "--kinect-a 000123 and --principal 000456 both"),
     ],
 )

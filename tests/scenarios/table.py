@@ -117,8 +117,8 @@ SCENARIOS = (
         age_ms=115.0),
     # Refused before the first frame
     _refused("both jacks out", "a.jack=2 b.jack=2", words="joins no sync out to a sync in"),
-    _refused("no Kinect", "a.present=0 b.present=0", words="No Kinect with serial 000001111111"),
-    _refused("one Kinect", "b.present=0", words="Only one Kinect is connected"),
+    _refused("no Kinect", "a.present=0 b.present=0", words="No (Kinect|sensor) with serial 000001111111"),
+    _refused("one Kinect", "b.present=0", words="Only one sensor is connected"),
     _refused("busy", "b.busy=1", Cause.BUSY),
     _refused("colour camera busy", "b.uvc_busy=1", Cause.BUSY),
     _refused("firmware 1.5.60", f"{CABLE} a.fw=1.5.60", Cause.OLD_FIRMWARE, words=r"1\.5\.60"),

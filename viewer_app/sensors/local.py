@@ -112,7 +112,7 @@ def _choose(
 
 def _ask(choice: NeedsChoiceError, console: Console) -> str:
     one, two = choice.serials
-    console.print(f"Two Kinects are connected: [bold]1[/] {one}, [bold]2[/] {two}.")
+    console.print(f"Two sensors are connected: [bold]1[/] {one}, [bold]2[/] {two}.")
     console.print("Their serial numbers are on the labels beneath. S* will be in the principal one's frame.")
     while True:
         try:

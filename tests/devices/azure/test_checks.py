@@ -125,7 +125,7 @@ def test_two_of_three_kinects_must_be_chosen_as_for_live(bus, tmp_path):
     named = _by_name(device_checks(root=tmp_path))
     assert (named["two Kinects"].ok, named["two Kinects"].needed) == (False, True)
     assert (
-        named["two Kinects"].advice == "3 Kinects are connected: 1, 2, 3. Choose two: --kinect-a, --kinect-b."
+        named["two Kinects"].advice == "3 sensors are connected: 1, 2, 3. Choose two: --kinect-a, --kinect-b."
     )
     named = _by_name(device_checks(root=tmp_path, choice=("3", "2", None)))
     assert named["two Kinects"].ok
@@ -133,7 +133,7 @@ def test_two_of_three_kinects_must_be_chosen_as_for_live(bus, tmp_path):
     named = _by_name(device_checks(root=tmp_path, choice=(None, "1", "2")))
     assert (named["sync cable"].ok, named["sync cable"].needed) == (False, True)
     named = _by_name(device_checks(root=tmp_path, choice=("9", "2", None)))
-    assert "No Kinect with serial 9" in named["two Kinects"].advice
+    assert "No sensor with serial 9" in named["two Kinects"].advice
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux restricts USB devices")

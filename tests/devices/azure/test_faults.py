@@ -44,7 +44,7 @@ def test_no_device(bus):
 
 def test_one_device(bus):
     bus.devices = [Device("000456")]
-    with pytest.raises(DeviceError, match="Only one Kinect is connected, 000456; fusion needs two"):
+    with pytest.raises(DeviceError, match="Only one sensor is connected, 000456; fusion needs two"):
         choose_two(connected_kinects())
     with pytest.raises(DeviceError, match=r"No Kinect with serial 000123\. Connected: 000456"):
         _kinect().__enter__()

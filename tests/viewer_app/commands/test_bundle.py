@@ -144,7 +144,7 @@ def test_sensors_that_do_not_record_are_a_finding(planted, kinects, tmp_path):
     assert planted("--bundle", tmp_path / "b.zip", "--recording") == 0
     members = contents(tmp_path / "b.zip")
     assert sorted(members) == ["doctor.json", "doctor.txt", "log.txt"]
-    assert "Only one Kinect is connected, sensor-" in members["log.txt"].decode()
+    assert "Only one sensor is connected, sensor-" in members["log.txt"].decode()
 
 
 def test_where_it_cannot_be_written(planted, tmp_path, capsys):
