@@ -39,7 +39,8 @@ class Anonymity:
 
     def __init__(self, serials: Iterable[str], paths: Iterable[Path] = ()) -> None:
         self._key = secrets.token_bytes(16)
-        self._serials = _any_of(serials)
+        self._known_serials = set(serials)
+        self._serials = _any_of(self._known_serials)
         variables = (path for value in os.environ.values() for path in value.split(os.pathsep))
         others = [*filter(os.path.isabs, variables), *map(str, paths), str(Path.cwd())]
         named = {str(Path.home()): "home", sys.prefix: "python", tempfile.gettempdir(): "temporary"}
@@ -57,6 +58,11 @@ class Anonymity:
                 names.add(pwd.getpwuid(os.getuid()).pw_gecos.split(",")[0])
         names -= {"root", "localhost"}  # nobody's
         self._names = _any_of((name for name in names if len(name) > 1), r"(?<![^\W_])", r"(?![^\W_])")
+
+    def learn(self, serials: Iterable[str]) -> None:
+        """Serial numbers of sensors that came later."""
+        self._known_serials.update(serials)
+        self._serials = _any_of(self._known_serials)
 
     def __call__(self, text: str) -> str:
         """The text without them."""

@@ -5,8 +5,10 @@ import json
 import os
 import platform
 import re
+import signal
 import sys
 import tempfile
+import threading
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, suppress
@@ -54,6 +56,7 @@ class Bundle:
 
     def record(self, record: Callable[[Path, Console, Callable[[str], str]], object]) -> None:
         """Records to a folder, and prints how that went; a failure is a finding, too."""
+        self._hide.learn(_connected_serials())  # also of those plugged in meanwhile
         printed, raw = io.StringIO(), self._folder / "raw"
         with self._console.status(f"recording {SECONDS:g} seconds …"):
             try:
@@ -69,6 +72,7 @@ class Bundle:
         Raises:
             UsageError: It could not be written.
         """
+        self._hide.learn(_connected_serials())
         findings = [
             {name: self._hide(value) if isinstance(value, str) else value for name, value in found.items()}
             for found in map(asdict, checks)
@@ -112,12 +116,33 @@ def collecting(
         )
     except OSError as fault:
         raise UsageError(f"{path} could not be written: {fault.strerror or fault}.") from None
-    with folder as name, _standard_error_to(Path(name) / "stderr.log"):
+    with _ending_in_order(), folder as name, _standard_error_to(Path(name) / "stderr.log"):
         log_libraries_to(Path(name))
-        known = {*serials, *(device.serial for device in usb_kinects())}
-        with suppress(DeviceError):
-            known |= {sensor.serial for sensor in connected_sensors(None)}
-        yield Bundle(path, Path(name), Anonymity(filter(None, known), named), console)
+        hide = Anonymity([*filter(None, serials), *_connected_serials()], named)
+        yield Bundle(path, Path(name), hide, console)
+
+
+def _connected_serials() -> set[str]:
+    serials = {device.serial for device in usb_kinects()}
+    with suppress(DeviceError):
+        serials |= {sensor.serial or "" for sensor in connected_sensors(None)}
+    return serials - {""}
+
+
+@contextmanager
+def _ending_in_order() -> Iterator[None]:
+    """A closed terminal or a plain kill ends the block as Ctrl-C does, so that no images are left behind."""
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # not below nohup
+                before[number] = signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

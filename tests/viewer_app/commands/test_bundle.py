@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import signal
 import sys
 import zipfile
 from pathlib import Path
@@ -137,6 +138,38 @@ def test_nothing_is_recorded_unasked(planted, tmp_path, monkeypatch, capsys):
         assert planted("--bundle", path, "--force") == 0
         assert ("a.mkv" in contents(path)) is wanted
     assert planted("--bundle", path, "--force", "--no-recording") == 0, "and is not asked"
+
+
+def test_a_sensor_that_is_plugged_in_later_is_hidden_too(planted, kinects, monkeypatch, tmp_path):
+    path, later = tmp_path / "b.zip", list(kinects.devices)
+    kinects.devices.clear()
+    examine = doctor.device_checks
+
+    def device_checks(*given, **named):
+        kinects.devices.extend(later)
+        return examine(*given, **named)
+
+    monkeypatch.setattr(doctor, "device_checks", device_checks)
+    assert planted("--bundle", path, "--recording") == 0
+    for name, content in contents(path).items():
+        assert not [serial for serial in (b"000123", b"000456") if serial in content], name
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has neither signal")
+@pytest.mark.parametrize("name", ["SIGHUP", "SIGTERM"])
+def test_a_closed_terminal_leaves_nothing(planted, monkeypatch, tmp_path, name):
+    number, folder = getattr(signal, name), tmp_path / "to"
+    folder.mkdir()
+
+    def die():
+        assert signal.getsignal(number) is not signal.SIG_DFL, "it would end here"
+        os.kill(os.getpid(), number)
+        return []
+
+    monkeypatch.setattr(doctor, "program_checks", die)
+    assert planted("--bundle", folder / "b.zip") == 130
+    assert signal.getsignal(number) is signal.SIG_DFL
+    assert list(folder.iterdir()) == []
 
 
 def test_sensors_that_do_not_record_are_a_finding(planted, kinects, tmp_path):
