@@ -77,22 +77,32 @@ def load_library() -> Any:
             f"(Windows: vcpkg install libfreenect2); {PREFIX} names its folder where it is not found."
         )
     try:
-        with _one_at_a_time:
-            binding = _compiled(prefix)
         if sys.platform == "win32":
             os.add_dll_directory(str(prefix / "bin"))
-        library = ctypes.CDLL(str(binding))
+        with _one_at_a_time:
+            library = _loaded(prefix)
     except (OSError, subprocess.SubprocessError) as fault:
         lines = [line.strip() for line in (getattr(fault, "stdout", None) or str(fault)).split("\n") if line]
         first = next((k for k, line in enumerate(lines) if "error" in line.lower()), 0)
         raise DeviceError(
             f"The binding to libfreenect2 in {prefix} cannot be compiled or loaded "
-            f"({' '.join(lines[first : first + 2])}). It needs CMake and a C++ compiler, as libfreenect2 did."
+            f"({' '.join(lines[first : first + 2])}). It needs CMake and a C++ compiler, as libfreenect2 "
+            f"did, and writes to the folder {user_cache('freenect2')}."
         ) from fault
     for name, (result, *arguments) in SIGNATURES.items():
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
     return library
+
+
+def _loaded(prefix: Path) -> Any:
+    """The binding; a file in the cache that does not load, as after a loss of power, is compiled anew."""
+    file = _compiled(prefix)
+    try:
+        return ctypes.CDLL(str(file))
+    except OSError:
+        file.unlink(missing_ok=True)
+        return ctypes.CDLL(str(_compiled(prefix)))
 
 
 def _compiled(prefix: Path) -> Path:
@@ -105,13 +115,9 @@ def _compiled(prefix: Path) -> Path:
         with tempfile.TemporaryDirectory() as folder:
             configure = ("-S", str(_SOURCES[0].parent), "-B", folder, "-DCMAKE_BUILD_TYPE=Release")
             build = ("--build", folder, "--config", "Release")
-            for arguments in ((*configure, f"-DCMAKE_PREFIX_PATH={prefix}"), build):
+            for given in ((*configure, f"-DCMAKE_PREFIX_PATH={prefix}"), build):
                 subprocess.run(
-                    ["cmake", *arguments],
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.STDOUT,
-                    text=True,
-                    check=True,
+                    ["cmake", *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True
                 )
             file.parent.mkdir(parents=True, exist_ok=True)
             ready = shutil.copy(Path(folder) / "binding.module", file.with_suffix(f".{os.getpid()}"))
@@ -140,6 +146,18 @@ def _pipeline(library: Any) -> str:
         except subprocess.SubprocessError:
             choices.remove("gl")
     return next(name for name in choices if name != "gl" or sys.platform != "darwin")
+
+
+def _named_pipeline(library: Any) -> str:
+    """What the user wants to compute depth; empty if they leave it open.
+
+    Raises:
+        DeviceError: The library has no such thing.
+    """
+    name, has = os.environ.get(PIPELINE, ""), str(library.k2_pipelines().decode()).split()
+    if name and name not in has:
+        raise DeviceError(f"{PIPELINE} is {name}, but libfreenect2 was built with {', '.join(has)}.")
+    return name
 
 
 def _found(library: Any) -> tuple[list[str], list[str]]:
@@ -187,7 +205,7 @@ class Camera:
                 listed = f"Connected: {', '.join(sorted(there))}." if there else "No other is connected."
                 why = f"Another cannot be opened: {_why(faults[0])}" if faults else _CHECK
                 raise AbsentError(f"No Kinect v2 with serial {serial}. {listed} {why}")
-            pipeline = os.environ.get(PIPELINE) or _pipeline(self._library)
+            pipeline = _named_pipeline(self._library) or _pipeline(self._library)
             if serial in _opened:  # the library would give the same device once more
                 raise DeviceError(f"Kinect v2 {serial} is already open in this program.")
             context = _context_of(self._library)
@@ -264,10 +282,13 @@ def connected_freenect2s() -> list[ConnectedSensor]:
 def library_check() -> Check:
     """Whether libfreenect2 is installed, and its binding can be compiled."""
     try:
-        load_library()
+        library = load_library()
+        named = _named_pipeline(library)
     except DeviceError as fault:
         return failed(LIBRARY_NAME, fault)
-    return Check(LIBRARY_NAME, True, str(installed_prefix()))
+    computes = named or " or ".join(str(library.k2_pipelines().decode()).split())
+    advice = _CPU if computes == "cpu" else ""
+    return Check(LIBRARY_NAME, True, f"{installed_prefix()}, depth by {computes}", advice)
 
 
 def sensor_check(sensor: ConnectedSensor) -> Check:

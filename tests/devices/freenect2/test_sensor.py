@@ -230,6 +230,41 @@ def test_the_binding_is_compiled_once(monkeypatch):
     library.load_library()
 
 
+@pytest.mark.usefixtures("freenect2")
+@pytest.mark.parametrize("content", [b"", b"no library"])
+def test_a_damaged_binding_is_compiled_anew(standin_prefix, monkeypatch, tmp_path, content):
+    cache = tmp_path / "freenect2"
+    monkeypatch.setattr(library, "user_cache", lambda _: cache)
+    file = library._compiled(standin_prefix)
+    file.write_bytes(content)
+    library.load_library.cache_clear()
+    assert library.load_library().k2_pipelines()
+    assert list(cache.iterdir()) == [file]
+
+
+@pytest.mark.usefixtures("freenect2")
+def test_a_cache_folder_that_cannot_be_written_is_named(monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(library, "user_cache", lambda name: tmp_path / "file" / name)
+    with pytest.raises(DeviceError, match=r"and writes to the folder \S+/file/freenect2\."):
+        library.load_library()
+
+
+def test_a_pipeline_that_the_library_lacks_is_refused(freenect2, monkeypatch):
+    """It would compute on the CPU without a word."""
+    monkeypatch.setenv(library.PIPELINE, "opengl")
+    why = "LIBFREENECT2_PIPELINE is opengl, but libfreenect2 was built with gl, "
+    with pytest.raises(DeviceError, match=why):
+        _sensor().__enter__()
+    check = library.library_check()
+    assert (check.ok, check.detail.startswith(why)) == (False, True)
+    assert freenect2.counts() == [0]
+    monkeypatch.setenv(library.PIPELINE, "cpu")
+    check = library.library_check()
+    assert check.ok
+    assert "on the CPU, too slowly for 30 fps" in check.advice
+
+
 # ------------------------------------------------------------------ beside other vendors
 
 
@@ -251,7 +286,7 @@ def test_the_doctor_knows_them(standin_prefix, monkeypatch, tmp_path):
         plug_in(tmp_path, serial, "02c4", number=number, vendor="045e", speed=480 if number else 5000)
     checks = device_checks(choose_tracker("blazepose"), tmp_path)
     named = {check.name: check for check in checks}
-    assert named["libfreenect2 (Kinect v2)"].detail == str(standin_prefix)
+    assert named["libfreenect2 (Kinect v2)"].detail == f"{standin_prefix}, depth by gl"
     assert named["two Kinects"].detail == "2 connected, 2 usable"
     assert named[f"Kinect v2 {A}"].detail == "no sync port"
     assert named["USB speed"].detail == f"{B} runs at 480 Mbit/s"
