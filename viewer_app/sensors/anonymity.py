@@ -17,9 +17,10 @@ _LIBRARY = re.compile(r"\S*\.(so[\d.]*|dll|dylib|pyd?|onnx|tflite|rules)")
 _KNOWN = "\1"  # begins the name that a known folder has until its whole path is replaced
 _PART = r"""(?:(?!\. )[^\\/\n"'<>|;,:()])"""
 _PATH = re.compile(
-    rf"(?:/(?={_KNOWN})|(?<![\w<.\\/])(?:[A-Za-z]:[\\/]|\\\\(?=\w)|/(?=[^\s/])))(?:{_PART}*[\\/])*"
+    rf"(?:/(?={_KNOWN})|(?<![\w<.\\/])(?:[A-Za-z]:[\\/]|\\\\(?=\w)|(?<!:)//(?=\w)|/(?=[^\s/])))(?:{_PART}*[\\/])*"
     rf"(?:{_PART}*?\.[A-Za-z]\w{{0,7}}[\d.]*(?!\w)|(?:(?!\s){_PART})*)"
 )
+_MARKS = re.compile(r"\x1b\[[\d;]*m|file://|\\\\\?\\")  # colours, and what may stand before a path
 _SERIAL = re.compile(r"""(serial[ _-]?(?:number|no|id)?["']?\W{1,4})((?=\w*\d)\w{4,})""", re.IGNORECASE)
 _UNIQUE = re.compile(r"\b[\da-f]{8}(?:-[\da-f]{4}){3}-[\da-f]{12}\b", re.IGNORECASE)
 """A UUID: libk4a logs the one that USB knows a sensor by."""
@@ -66,9 +67,10 @@ class Anonymity:
 
     def __call__(self, text: str) -> str:
         """The text without them."""
+        text = _MARKS.sub("", text)
         for unique in (self._serials, _UNIQUE):
             text = unique.sub(lambda found: self._hash(found[0]), text)
-        text = _SERIAL.sub(lambda found: found[1] + self._hash(found[2]), text).replace("file://", "")
+        text = _SERIAL.sub(lambda found: found[1] + self._hash(found[2]), text)
         text = self._known.sub(lambda found: f"/{_KNOWN}{self._folders.get(found[0], 'path')}", text)
         return self._names.sub("<name>", _PATH.sub(_shortened, text))
 

@@ -210,6 +210,8 @@ def test_a_full_disk_leaves_nothing(planted, tmp_path, capsys):
         ("300/300 frames, 640 × 480 / 30 fps, 1.5 m/s", "300/300 frames, 640 × 480 / 30 fps, 1.5 m/s"),
         ("https://github.com/orbbec/x/issues/38", "https://github.com/orbbec/x/issues/38"),
         ("file:///srv/me/a.so; C:\\Users\\Me You\\a.dll: no", "<path>/a.so; <path>/a.dll: no"),
+        ("//server/share/Jane/x.txt, \x1b[1m/srv/me\x1b[0m", "<path>, <path>"),
+        ("\\\\?\\C:\\Users\\Jane\\a.dll: no", "<path>/a.dll: no"),
         ("/srv/Jane Doe.txt was found, /srv/me too", "<path> was found, <path> too"),
         ("serial numbers differ; serial number of one", "serial numbers differ; serial number of one"),
         ("LD_LIBRARY_PATH=/srv/me:/srv/you", "LD_LIBRARY_PATH=<path>:<path>"),
