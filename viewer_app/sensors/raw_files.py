@@ -91,7 +91,8 @@ class RawFiles(ExitStack):
         """Prints what was recorded, and what is missing."""
         for recorder in self.recorders:
             if not recorder.written:
-                self._console.print(f"{recorder.path} was not written: no frame came.", markup=False)
+                if recorder.failure is None:
+                    self._console.print(f"{recorder.path} was not written: no frame came.", markup=False)
                 continue
             said = f"{recorder.path}: {recorder.written} frames, {recorder.written_bytes / 1e6:.0f} MB"
             self._console.print(said, markup=False, soft_wrap=True)

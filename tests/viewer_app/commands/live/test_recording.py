@@ -78,6 +78,15 @@ def test_a_full_disk_ends_it_with_one_line(tmp_path, capsys):
         assert sum(len(read(disk / name)[1]) for name in ("a.mkv", "b.mkv")) >= 18
 
 
+@pytest.mark.usefixtures("kinects")
+def test_a_disk_without_room_for_a_frame_is_the_only_reason_told(tmp_path, capsys):
+    with small_disk(tmp_path / "small", 200) as disk:
+        assert duplex("record", disk, *SENSORS, "--seconds", 2) == 2
+        said = capsys.readouterr()
+        assert "No space left on device" in said.err
+        assert "no frame came" not in said.out
+
+
 def test_realsenses_of_the_real_library_are_recorded(rs, tmp_path, capsys):
     with ThreadPoolExecutor() as pool:
         made = [
