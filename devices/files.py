@@ -1,4 +1,4 @@
-"""Recordings on disk: the sensor for a path."""
+"""Opens a recording on disk as a sensor."""
 
 from __future__ import annotations
 

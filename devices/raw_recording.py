@@ -44,7 +44,7 @@ class RawRecorder:
         on_failure: Callable[[str], object] = lambda _: None,
         open_writer: Callable[..., MkvWriter] = MkvWriter,
     ) -> None:
-        """Starts the thread; the file is made with the first frame.
+        """Starts the thread, which makes the file with the first frame.
 
         Args:
             sensor: Gives serial number, camera and calibration once it is open.

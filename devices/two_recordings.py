@@ -1,4 +1,4 @@
-"""Two recordings of one capture: both read, put on one clock, and paired."""
+"""Reads two recordings of one capture, puts them on one clock, and pairs their frames."""
 
 from __future__ import annotations
 

@@ -168,7 +168,7 @@ class MkvRecording(Sensor):
         )
 
     def _images(self, info: MkvInfo) -> Iterator[tuple[str, int, Any]]:
-        """Yields (title, ns from the file's start, content) of whole images, to the first fault.
+        """Yields (title, ns from the file's start, content) of each whole image, until the first damaged one.
 
         Depth and infrared are arrays; colour and arrival are bytes.
         """

@@ -239,7 +239,7 @@ def _tags(
 
 
 def _seek_head(places: dict[int, int]) -> bytes:
-    """Where in the segment its parts are; Microsoft's reader needs it."""
+    """The SeekHead: the positions of the segment's parts, which Microsoft's reader needs."""
     return _element(
         0x114D9B74,
         *(

@@ -133,7 +133,7 @@ def _context_of(library: Any) -> Any:
 
 @cache
 def _pipeline(library: Any) -> str:
-    """What computes depth: the library's first choice that works here.
+    """The name of the pipeline that computes depth: the library's first choice that works here.
 
     Where OpenGL fails, the library ends the process, so another one tries. On macOS it wants the main thread.
     """
@@ -149,10 +149,10 @@ def _pipeline(library: Any) -> str:
 
 
 def _named_pipeline(library: Any) -> str:
-    """What the user wants to compute depth; empty if they leave it open.
+    """The pipeline that the user names; empty if they name none.
 
     Raises:
-        DeviceError: The library has no such thing.
+        DeviceError: The library was built without it.
     """
     name, has = os.environ.get(PIPELINE, ""), str(library.k2_pipelines().decode()).split()
     if name and name not in has:

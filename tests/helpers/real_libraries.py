@@ -15,11 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from devices.cache import user_cache
 from tests.helpers import pyk4a_contract
 from tests.helpers.machine import lacks
 
 _ROOT = Path(__file__).resolve().parents[2]
-CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "duplex-kinects"
+CACHE = user_cache("")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Takes out of a text what tells whose it is: names, paths, serial numbers."""
+"""Replaces names, paths and serial numbers in texts."""
 
 import getpass
 import hashlib
@@ -87,6 +87,6 @@ def _shortened(found: re.Match[str]) -> str:
 
 
 def _any_of(texts: Iterable[str], start: str = "", end: str = "") -> re.Pattern[str]:
-    """Any of the texts, the longest first; of none, a pattern that is nowhere."""
+    """A pattern that matches any of the texts, the longest first; without texts it matches nothing."""
     ordered = sorted(filter(None, texts), key=len, reverse=True)
     return re.compile(rf"{start}(?:{'|'.join(map(re.escape, ordered)) or '(?!)'}){end}", re.IGNORECASE)

@@ -159,7 +159,7 @@ def test_unplugged_mid_stream(freenect2):
 
 
 def test_closing_waits_for_the_thread_that_computes_depth(freenect2):
-    """Else it calls a listener that the library has set to NULL: seen with OpenGL on the real library."""
+    """Otherwise the library calls a listener that it has set to NULL, as the real one did with OpenGL."""
     with _sensor():
         freenect2.set("computing", 1, 0)
     assert freenect2.counts() == [0]
