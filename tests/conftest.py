@@ -19,6 +19,7 @@ pytest_plugins = (
     "tests.helpers.standin_library",
     "tests.helpers.standin_pyk4a",
     "tests.helpers.real_libraries",
+    "tests.helpers.real_people",
     "tests.helpers.orbbec.standin",
     "tests.helpers.freenect",
     "tests.helpers.freenect2.standin",

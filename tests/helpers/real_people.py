@@ -1,4 +1,7 @@
-"""Real people before a real depth camera, with joints marked by hand; see ``tests/data/README.md``."""
+"""Real people before a real depth camera, with joints marked by hand; see ``tests/data/README.md``.
+
+The images are those of ``../shared/real_images``; the marks belong to the project.
+"""
 
 import csv
 from dataclasses import dataclass
@@ -6,12 +9,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from fusion.intrinsics import Intrinsics
 from tests.helpers.rendered_people import FRAME_NS
 
-FOLDER = Path(__file__).parents[1] / "data" / "real_people"
+_MARKS = Path(__file__).parents[1] / "data" / "real_people" / "marks.csv"
 CAMERA = Intrinsics(640, 480, 617.25, 617.5486, 317.3921, 245.9802)
 """Of the colour camera, to which the depth is registered."""
 
@@ -30,9 +34,20 @@ class RealImage:
         return int(self.frame) * FRAME_NS
 
 
-def clip(name):
+@pytest.fixture(scope="session")
+def real_images(shared):
+    """The folder of the clips; without it the test is skipped."""
+    folder = shared / "real_images"
+    if not folder.is_dir():
+        pytest.skip(f"no images of real people at {folder}")
+    return folder
+
+
+def clip(folder):
     """The images of a clip, in order."""
-    for file in sorted((FOLDER / name).glob("color_*.jpg")):
+    files = sorted(folder.glob("color_*.png"))
+    assert files, f"no images in {folder}"
+    for file in files:
         frame = file.stem.removeprefix("color_")
         depth = cv2.imread(str(file.with_name(f"depth_{frame}.png")), cv2.IMREAD_UNCHANGED)
         yield RealImage(frame, cv2.cvtColor(cv2.imread(str(file)), cv2.COLOR_BGR2RGB), depth)
@@ -41,9 +56,10 @@ def clip(name):
 def marks(name, person):
     """The marks of a person: ``{frame: {joint: ((u, v), whether it is visible)}}``, in pixels."""
     found = {}
-    with (FOLDER / "marks.csv").open(newline="") as file:
+    with _MARKS.open(newline="") as file:
         for row in csv.DictReader(file):
             if (row["clip"], row["person"]) == (name, person):
+                frame = row["frame"].zfill(5)  # as in the images' names
                 at = np.array((row["u"], row["v"]), dtype=float)
-                found.setdefault(row["frame"], {})[row["joint"]] = at, row["surface"] == "visible"
+                found.setdefault(frame, {})[row["joint"]] = at, row["surface"] == "visible"
     return found
