@@ -5,6 +5,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from packaging.version import Version
 
 from tests.benchmarks import page as benchmarks_page
 from tests.benchmarks import results
@@ -59,14 +60,25 @@ def test_both_sensors_see_the_person_where_the_picture_says(angle):
     np.testing.assert_allclose(np.degrees(np.arccos(cosine)), angle, atol=1e-6)
 
 
-def test_the_version_and_its_date_are_the_same_everywhere():
+def test_the_newest_release_and_its_date_are_the_same_everywhere():
+    """Between releases the program's version is the coming one, and CHANGELOG lists what is unreleased."""
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert re.findall(r"^version: (.*)$", citation, re.MULTILINE) == [version]
-    released = re.findall(r'^date-released: "(.*)"$', citation, re.MULTILINE)
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    newest = re.search(r"^## (\d\S*) \((.*)\)$", changes, re.MULTILINE)
-    assert newest.groups() == (version, *released)
+    newest, date = re.search(r"^## (\d\S*) \((.*)\)$", changes, re.MULTILINE).groups()
+    assert re.findall(r"^version: (.*)$", citation, re.MULTILINE) == [newest]
+    assert re.findall(r'^date-released: "(.*)"$', citation, re.MULTILINE) == [date]
+    unreleased = "## Unreleased" in changes
+    assert Version(version).is_devrelease == unreleased
+    assert (Version(version) > Version(newest)) == unreleased
+
+
+def test_unreleased_changes_are_in_the_sections_of_keep_a_changelog():
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    unreleased = re.search(r"^## Unreleased$(.*?)^## \d", changes, re.MULTILINE | re.DOTALL)
+    sections = re.findall(r"^### (.*)$", unreleased[1], re.MULTILINE) if unreleased else []
+    order = ["Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"]
+    assert sections == [name for name in order if name in sections]
 
 
 def test_the_page_has_the_figures_of_the_files():
