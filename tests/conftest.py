@@ -1,6 +1,7 @@
 """Fixtures of all tests: the reference recordings, and stand-ins for the sensors' libraries."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,10 @@ settings.register_profile(
     "duplex", deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 settings.load_profile("duplex")
+
+# A shell without job control starts background jobs with SIGINT ignored, and child processes inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 pytest_plugins = (
     "tests.helpers.compiled_kernels",

@@ -102,6 +102,15 @@ def ended(process, presses=1, number=signal.SIGINT):
     return process.returncode, len(said) - len(words), words.decode()
 
 
+def test_the_suite_hears_ctrl_c_also_in_the_background():
+    """A shell without job control starts background jobs with SIGINT ignored."""
+    ignored = "import signal, subprocess, sys; signal.signal(signal.SIGINT, signal.SIG_IGN);"
+    shown = "import signal; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
+    inner = f"subprocess.run([sys.executable, '-c', {shown!r}])"
+    ended = python("-c", f"{ignored} import tests.conftest; {inner}")
+    assert (ended.returncode, ended.stdout) == (0, "True\n")
+
+
 def test_ctrl_c_before_the_first_frame(tmp_path):
     process = demo(tmp_path / "demo.rrd")
     while b"A simulated person" not in process.stdout.readline():
