@@ -1,6 +1,5 @@
 """``duplex record``, ``--record`` and ``duplex live a.mkv b.mkv``, on stand-ins for two Kinects."""
 
-import json
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -10,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from devices.azure.mkv import MkvRecording
+from devices.real_time import PacedSensor
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.intrinsics import Intrinsics
@@ -206,17 +206,27 @@ def test_the_rate_of_what_is_played_is_that_of_its_file(rs, tmp_path):
     assert played._decimation.period_ns == pytest.approx(1e9 / 15, abs=1)
 
 
-def test_what_the_simulator_saw_is_recorded(tmp_path, capsys):
-    report = tmp_path / "r.json"
+def test_what_the_simulator_saw_is_recorded(monkeypatch, tmp_path, capsys):
+    """On a busy machine it sees less: the first image of each sensor, at least."""
+    seen = {}
+    frames_of = PacedSensor.frames
+
+    def noted(sensor):
+        seen[sensor.name] = times = []
+        for frame in frames_of(sensor):
+            if frame.depth is not None:
+                times.append(frame.time_ns // 1000 * 1000)  # a file has microseconds
+            yield frame
+
+    monkeypatch.setattr(PacedSensor, "frames", noted)
     begun = time.perf_counter_ns()
     options = ("--no-viewer", "--seconds", 2, "--record", tmp_path, "--save", tmp_path / "s.rrd")
-    assert duplex("demo", *options, "--compress", "--report", report) == 0
-    frames = json.loads(report.read_text())["frames"]
+    assert duplex("demo", *options, "--compress") == 0
     for name in ("a", "b"):
         recording, images = read(path := tmp_path / f"{name}.mkv")
         assert b"FFVH" in path.read_bytes()[:10_000]
         assert (recording.info.depth_mode, recording.warnings) == ("NFOV_2X2BINNED", [])
-        assert 30 <= len(images) <= frames[name]
+        assert [image.time_ns for image in images] == seen[f"simulated {name}"]
         assert all(begun < image.host_ns < time.perf_counter_ns() for image in images)
         assert images[0].depth.max() > 1000
         assert images[0].ir.max() > 20
