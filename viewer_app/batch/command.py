@@ -68,7 +68,7 @@ def plan_work(jobs: Sequence[Job], force: bool) -> tuple[list[Row], list[Job]]:
 
     Raises:
         UsageError: A session's folder holds other files; or its session was fused from other recordings, with
-            other options or by another version, and `force` is not set.
+            other options, by another version or revision of the method, and `force` is not set.
     """
     done: list[Row] = []
     left: list[Job] = []
@@ -115,6 +115,8 @@ def _difference(before: dict[str, object], now: dict[str, object]) -> str:
         assert isinstance(new, dict)
         changed = [name for name in new if not isinstance(old, dict) or old.get(name) != new[name]]
         return f"with another --{(changed or ['option'])[0].replace('_', '-')}"
+    if before.get("method_revision") != now["method_revision"]:
+        return f"by revision {before.get('method_revision')} of its method; this is {now['method_revision']}"
     return "from other recordings" if before.get("files") != now["files"] else "with other persons"
 
 

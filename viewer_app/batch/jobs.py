@@ -14,6 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from fusion.setup import REVISIONS
 from viewer_app.batch.finding import Pair
 from viewer_app.options.sensing import BatchOptions, FuseOptions, calibration_source
 
@@ -86,7 +87,7 @@ class Job:
         )
 
     def identity(self) -> Record:
-        """Everything that the session depends on: contents of the input files, options, program version.
+        """Everything that the session depends on: input files' contents, options, version, method's revision.
 
         Raises:
             OSError: An input file or the calibration cannot be read.
@@ -95,6 +96,7 @@ class Job:
         files = {"a": pair.a, "b": pair.b, "skeletons_a": pair.skeletons_a, "skeletons_b": pair.skeletons_b}
         return {
             "program": program_version(),
+            "method_revision": REVISIONS[self.options.method],
             "files": {side: None if path is None else checksum(path) for side, path in files.items()},
             "persons": [pair.person_a, pair.person_b],
             "options": {name: _value(name, getattr(self.options, name)) for name in _SHARED},

@@ -9,6 +9,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from fusion.setup import REVISIONS
 from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.machine import small_disk
@@ -126,6 +127,21 @@ def test_only_what_is_not_done_is_fused(tmp_path, in_this_process, capsys):
     (out / "one" / "one.bvh").touch()
     assert duplex("batch", pairs, "--out", out, "--force") == 2
     assert "one holds files that duplex batch did not write (one.bvh)" in one_line(capsys)
+
+
+def test_sessions_of_another_revision_are_fused_again(tmp_path, in_this_process, monkeypatch, capsys):
+    write_pair(tmp_path / "pairs" / "p")
+    given = ("batch", tmp_path / "pairs", "--out", tmp_path / "out", "--method", "paper")
+    assert duplex(*given) == 0
+    monkeypatch.setitem(REVISIONS, "duplex", REVISIONS["duplex"] + 1)
+    assert duplex(*given) == 0
+    assert in_this_process == ["p"], "another method has changed"
+    monkeypatch.setitem(REVISIONS, "paper", 2)
+    assert duplex(*given) == 2
+    assert "was fused by revision 1 of its method; this is 2." in one_line(capsys)
+    assert duplex(*given, "--force") == 0
+    assert duplex(*given) == 0
+    assert in_this_process == ["p", "p"]
 
 
 def test_a_replacement_that_fails_keeps_the_old_session(tmp_path, in_this_process):
