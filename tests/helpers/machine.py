@@ -1,4 +1,4 @@
-"""What a test needs from the machine: a Vulkan driver, a browser, a C compiler, the sensors' real libraries.
+"""What a test needs from the machine: a Vulkan driver, a display, a browser, a compiler, sensors' libraries.
 
 A machine without one of them skips the test, with the reason and what helps. Two options
 let ``.ci/run`` prove that such skips hide nothing: ``--list-machine-skips FILE`` writes the identifiers of
@@ -49,6 +49,11 @@ def need_browser():
 def need_compiler():
     """The path of a C compiler; skips the running test where there is none."""
     return _first_of(_COMPILERS) or lacks("a C compiler", "Debian: apt install gcc libc6-dev")
+
+
+def need_program(name, *, package):
+    """The path of a program; skips the running test where it is missing."""
+    return shutil.which(name) or lacks(name, f"Debian: apt install {package}")
 
 
 def need_networks(network="full"):

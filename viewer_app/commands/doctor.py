@@ -25,7 +25,7 @@ from viewer_app.options.shared import SensorOptions
 from viewer_app.sensors.bundle import SECONDS, collecting
 from viewer_app.sensors.raw_files import RawFiles
 from viewer_app.sensors.tracker import tracker_of
-from viewer_app.viewer.display import why_no_window, why_no_x
+from viewer_app.viewer.display import environment_of_window, why_no_window, why_no_x
 
 _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program from a slow disk
 
@@ -111,7 +111,8 @@ def program_checks(root: Path = Path("/")) -> list[Check]:
 def _display() -> Check:
     why_not = why_no_window()
     if why_not is None:
-        return Check("display", True, os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY") or "yes")
+        named = environment_of_window()
+        return Check("display", True, named.get("WAYLAND_DISPLAY") or named.get("DISPLAY") or "yes")
     advice = "Use duplex live --save FILE.rrd --no-viewer and look at the file on another machine."
     # duplex live can save without a display; the depth engine's own check covers what sensors need
     return Check("display", False, why_not, advice, needed=False)

@@ -29,6 +29,7 @@ from urllib.parse import quote
 
 from viewer_app.addresses import LOOPBACK, reached_at
 from viewer_app.errors import UsageError
+from viewer_app.viewer.display import environment_of_window
 
 _STARTS_WITHIN = 20.0  # seconds
 _HUB_MEMORY, _FILE_MEMORY = "512MiB", "75%"
@@ -203,7 +204,7 @@ def _start(
         command = [sys.executable, "-I", "-S", "-c", _DIES_WITH_ITS_PARENT, str(os.getpid()), *command]
     process = subprocess.Popen(
         command,
-        env={**os.environ, "RERUN_ANALYTICS": "0"},
+        env={**environment_of_window(), "RERUN_ANALYTICS": "0"},
         stdin=stdin,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -4,6 +4,7 @@ import sys
 
 from devices import live_checks as device_doctor
 from tests.helpers.command_line import duplex
+from tests.helpers.displays import x_server
 from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish, plug_in
 from viewer_app.viewer import display
@@ -40,7 +41,7 @@ def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch
         monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")  # windows use Wayland; the depth engine uses X
         assert duplex("doctor", "--k4abt", standin.path) == 1
         assert "cannot start: depth engine.\n" in capsys.readouterr().out
-    monkeypatch.setattr(display, "_answers", lambda name, within: name == ":77" and within > 0.0)
+    monkeypatch.setattr(display, "_asks_x", lambda name: name == ":77")
     assert duplex("doctor", "--k4abt", standin.path) == 0
     said = capsys.readouterr().out
     assert "✓ two Kinects: 2 connected, 2 usable" in said
@@ -57,3 +58,15 @@ def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch
     assert duplex("doctor", "--k4abt", standin.path) == 1
     assert "joins no sync out to a sync in" in capsys.readouterr().out
     live("--force", seconds=0.2, codes=(2,))
+
+
+def test_a_display_that_answers_is_a_tick_for_the_window_and_for_the_depth_engine(
+    monkeypatch, tmp_path, capsys
+):
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with x_server() as name:
+        monkeypatch.setenv("DISPLAY", name)
+        duplex("doctor", "--k4abt", tmp_path / "none.so")
+        said = capsys.readouterr().out
+    assert f"✓ display: {name}\n" in said
+    assert "does not answer" not in said
