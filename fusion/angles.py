@@ -51,8 +51,11 @@ def joint_angles(body: Body, positions: ArrayLike, up: ArrayLike = UP) -> NDArra
 
     Returns:
         (..., K) degrees; NaN where a joint that the angle needs is unknown.
+
+    Raises:
+        BodyError: The positions are of another body.
     """
-    shape, joints, direction = _prepared(positions, up)
+    shape, joints, direction = _prepared(body, positions, up)
     angles = np.empty((len(joints), len(ANGLES)))
     _angles_of_frames(joints, _joints_of(body), direction, angles)
     return angles.reshape(*shape, len(ANGLES))
@@ -72,7 +75,7 @@ def angle_sigma(
     Returns:
         (..., K) degrees, one standard deviation; NaN where the angle or a joint's sigma is unknown.
     """
-    shape, joints, direction = _prepared(positions, up)
+    shape, joints, direction = _prepared(body, positions, up)
     deviations = np.ascontiguousarray(sigma, dtype=np.float64).reshape(joints.shape[:2])
     sigmas = np.empty((len(joints), len(ANGLES)))
     _sigmas_of_frames(joints, deviations, _joints_of(body), direction, sigmas)
@@ -87,9 +90,10 @@ def warm_up(body: Body) -> None:
 
 
 def _prepared(
-    positions: ArrayLike, up: ArrayLike
+    body: Body, positions: ArrayLike, up: ArrayLike
 ) -> tuple[tuple[int, ...], NDArray[np.float64], NDArray[np.float64]]:
     joints = np.ascontiguousarray(positions, dtype=np.float64)
+    body.require_shape(joints.shape, joints.shape[:-2])
     direction = np.array(up, dtype=np.float64)
     return joints.shape[:-2], joints.reshape(-1, *joints.shape[-2:]), direction / np.linalg.norm(direction)
 

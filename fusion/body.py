@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.errors import FusionError
+from fusion.errors import BodyError, FusionError
 
 # Directions in a sensor frame (x right, y down, z forward) of a person who faces the sensor:
 # the person's left is then on the sensor's right.
@@ -134,6 +134,27 @@ class Body:
         raise FusionError(
             f"{self.name} has no bone {name!r}. Its bones: {', '.join(filter(None, self.bones))}."
         )
+
+    def require(self, other: "Body", whose: str = "A skeleton") -> None:
+        """Checks that another object describes these joints: a kernel takes its arrays' lengths from here.
+
+        Raises:
+            BodyError: The joints are others. ``whose`` begins the sentence.
+        """
+        if other is not self and other.joints != self.joints:  # a body that was pickled is the same body
+            raise BodyError(
+                f"{whose} has the {len(other)} joints of {other.name}, not the {len(self)} of {self.name}, "
+                f"which were described."
+            )
+
+    def require_shape(self, shape: tuple[int, ...], frames: tuple[int, ...] = (), columns: int = 3) -> None:
+        """Checks the shape (frames, J, columns) of an array of these joints.
+
+        Raises:
+            BodyError: It is another.
+        """
+        if shape != (*frames, len(self), columns):
+            raise BodyError(f"{self.name} has {len(self)} joints; an array of them has shape {shape}.")
 
     @cached_property
     def _index_by_plain_name(self) -> dict[str, int]:

@@ -80,6 +80,9 @@ class Fuser:
             pair: Both skeletons in their own sensors' frames, of the calibration's body. A sensor that sees
                 no one gives None, and S* comes from the other alone; with neither there is no S*.
             labels: One row, where something is known beforehand about sides and heading.
+
+        Raises:
+            BodyError: A skeleton is of another body.
         """
         return self._fusion.run(self._stacker.of_pair(pair, labels))[0]
 

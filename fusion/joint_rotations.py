@@ -142,6 +142,7 @@ class JointRotations:
             (J, 4) unit quaternions x, y, z, w in K_A's frame: the rotation from rest of the bone that ends in
             a joint; at the root, of the pelvis. Signs are continuous in time. NaN where there is no person.
         """
+        self.body.require_shape(positions.shape)
         rotations = np.full((len(self.body), 4), np.nan)
         if not np.isfinite(positions).all():
             return rotations

@@ -86,7 +86,11 @@ def joined_views(blocks: Iterable[View]) -> View:
 
 
 def view_of(body: Body, skeletons: Iterable[Skeleton]) -> View:
-    """Skeletons as arrays; a single one without joints if there are none."""
+    """Skeletons as arrays; a single one without joints if there are none.
+
+    Raises:
+        BodyError: One is of another body.
+    """
     rest = iter(skeletons)
     first = list(islice(rest, PART)) or [nobody(body)]
     blocks = chain([first], iter(lambda: list(islice(rest, PART)), []))
@@ -94,6 +98,8 @@ def view_of(body: Body, skeletons: Iterable[Skeleton]) -> View:
 
 
 def _block_of(body: Body, skeletons: list[Skeleton]) -> View:
+    for skeleton in skeletons:
+        body.require(skeleton.body)
     nothing = _no_images(1, len(body))[0]
     witness = [nothing if skeleton.witness is None else skeleton.witness for skeleton in skeletons]
     return View(
@@ -118,10 +124,24 @@ class Pairs(Sequence[SkeletonPair]):
     skew_ns: NDArray[np.int64]
     frames: NDArray[np.int64]  # (T, 2) which frames of the views are paired; -1 for none
 
+    def __post_init__(self) -> None:
+        """Checks the views' shapes; raises BodyError."""
+        for view in self.views:
+            frames = view.states.shape[:1]
+            self.body.require_shape(view.positions.shape, frames)
+            self.body.require_shape((*view.states.shape, 3), frames)
+            if view.witness is not None:
+                self.body.require_shape(view.witness.shape, frames, 4)
+
     @staticmethod
     def of(body: Body, pairs: Sequence[SkeletonPair]) -> Pairs:
-        """Any pairs of a body; the same object if they are of this class."""
+        """Any pairs of a body; the same object if they are of this class.
+
+        Raises:
+            BodyError: A skeleton is of another body.
+        """
         if isinstance(pairs, Pairs):
+            body.require(pairs.body, "A recording")
             return pairs
         frames = np.full((len(pairs), 2), -1, dtype=np.int64)
         views = []
@@ -157,12 +177,16 @@ class Pairs(Sequence[SkeletonPair]):
         return np.asarray(a & b)
 
     def arrays(self, labels: Labels | None = None) -> PairArrays:
-        """The pairs as arrays of their own, which is what the kernels take, with labels as far as known."""
+        """The pairs as arrays of their own, which is what the kernels take, with labels as far as known.
+
+        Raises:
+            FusionError: The labels are not of so many pairs.
+        """
         a, b = (view.chosen(self.frames[:, side]) for side, view in enumerate(self.views))
         return PairArrays(
             np.array(self.time_ns),
             np.array(self.skew_ns),
-            labels or Labels.unknown(len(self)),
+            Labels.unknown(len(self)) if labels is None else labels.of_pairs(len(self)),
             *(_read_only(values) for values in (a.positions, b.positions, a.states, b.states)),
             *(_no_images(*v.states.shape) if v.witness is None else v.witness for v in (a, b)),
         )
@@ -172,16 +196,23 @@ class PairStacker:
     """Makes arrays of one pair at a time, always of the types for which the kernels are compiled."""
 
     def __init__(self, body: Body) -> None:
+        self._body = body
         self._nobody, self._unknown = nobody(body), Labels.unknown(1)
         self._no_image: NDArray[np.float32] = _no_images(1, len(body))[0]
 
     def of_pair(self, pair: SkeletonPair, labels: Labels | None = None) -> PairArrays:
-        """One pair; see :meth:`Pairs.arrays`. It copies no positions."""
+        """One pair; see :meth:`Pairs.arrays`. It copies no positions.
+
+        Raises:
+            BodyError: A skeleton is of another body.
+            FusionError: The labels are not one row.
+        """
+        pair.require(self._body)
         a, b = pair.a or self._nobody, pair.b or self._nobody
         return PairArrays(
             np.array([pair.time_ns], dtype=np.int64),
             np.array([pair.skew_ns], dtype=np.int64),
-            labels or self._unknown,
+            self._unknown if labels is None else labels.of_pairs(1),
             a.positions[None],
             b.positions[None],
             a.states[None],

@@ -7,7 +7,7 @@ import numpy as np
 
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.errors import FusionError
+from fusion.errors import BodyError, FusionError
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 
 Method = Literal["duplex", "paper", "published"]
@@ -77,9 +77,13 @@ class FusionSetup:
         """Takes the default settings and the sensor family's nominal cameras where None.
 
         Raises:
+            BodyError: The bone lengths are not those of the body's joints.
             FusionError: A bone has no positive length.
         """
         body = calibration.body
+        if calibration.bone_lengths.shape != (len(body),):
+            shape = calibration.bone_lengths.shape
+            raise BodyError(f"{body.name} has {len(body)} joints; bone lengths have shape {shape}.")
         bones = calibration.bone_lengths[body.bone_joints]
         if not (np.isfinite(bones).all() and (bones > 0.0).all()):
             raise FusionError(f"Every bone needs a length of more than 0 m; the shortest is {bones.min()} m.")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
-from fusion.errors import FusionError
+from fusion.errors import BodyError, FusionError
 
 
 class TrackingState(IntEnum):
@@ -44,7 +44,8 @@ class Skeleton:
         witness: (J, 4) float32, evidence of the depth image on each joint, see :mod:`fusion.witness`; None
             without an image.
 
-    The constructor checks nothing; :meth:`of` does. Arrays that are writable or of another type are copied.
+    The constructor checks the shapes (BodyError); :meth:`of` checks the values, too. Arrays that are
+    writable or of another type are copied.
     """
 
     body: Body
@@ -58,6 +59,15 @@ class Skeleton:
         # again in the middle of a session.
         object.__setattr__(self, "positions", _read_only(self.positions, np.float32))
         object.__setattr__(self, "states", _read_only(self.states, np.uint8))
+        # The kernels trust the body.
+        joints = (len(self.body),)
+        if self.states.shape != joints or self.positions.shape != (*joints, 3):
+            self.body.require_shape(self.positions.shape)
+            raise BodyError(
+                f"{self.body.name} has {joints[0]} joints; states have shape {self.states.shape}."
+            )
+        if self.witness is not None:
+            self.body.require_shape(self.witness.shape, columns=4)
 
     @staticmethod
     def of(body: Body, positions: ArrayLike, states: ArrayLike | None = None, time_ns: int = 0) -> Skeleton:
@@ -81,12 +91,8 @@ class Skeleton:
         """The same skeleton with the evidence of a depth image.
 
         Raises:
-            FusionError: The witness is not (J, 4).
+            BodyError: The witness is not (J, 4).
         """
-        if witness is not None and witness.shape != (len(self.states), 4):
-            raise FusionError(
-                f"A witness of {self.body.name} has shape ({len(self.states)}, 4); got {witness.shape}."
-            )
         return replace(self, witness=witness)
 
     @property
@@ -119,8 +125,7 @@ def checked_joints(
     """Read-only positions (frames, J, 3) and states (frames, J), checked as :meth:`Skeleton.of` does."""
     with np.errstate(over="ignore"):  # values beyond float32 become infinite and count as not tracked
         at = np.array(positions, dtype=np.float32)
-    if at.shape != (*frames, len(body), 3):
-        raise FusionError(f"{body.name} has {len(body)} joints; positions have shape {at.shape}.")
+    body.require_shape(at.shape, frames)
     if states is None:
         state = np.full(at.shape[:-1], TrackingState.TRACKED, dtype=np.uint8)
     else:
@@ -162,3 +167,14 @@ class SkeletonPair:
     b: Skeleton | None
     time_ns: int
     skew_ns: int = 0
+
+    def require(self, body: Body) -> None:
+        """Checks that both skeletons are of this body.
+
+        Raises:
+            BodyError: One is of another.
+        """
+        if self.a is not None:
+            body.require(self.a.body, "S_A")
+        if self.b is not None:
+            body.require(self.b.body, "S_B")

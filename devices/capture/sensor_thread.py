@@ -23,6 +23,7 @@ from devices.capture.sensor_state import (
 from devices.depth.witness import with_witness
 from devices.events import Event
 from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
+from fusion.errors import BodyError
 
 _EVENTS_KEPT = 100
 
@@ -187,6 +188,7 @@ class SensorThread:
         """The frames that came since the last call, oldest first, ``keep`` at most; does not wait.
 
         Raises:
+            BodyError: It gave a skeleton of another body than its own.
             DeviceError: The sensor raised something else: a fault of the program or of a driver, which no
                 opening anew mends.
         """
@@ -223,7 +225,7 @@ class SensorThread:
         if self._fault is None:
             return
         self.close()
-        if not isinstance(self._fault, Exception) or isinstance(self._fault, DeviceError):
+        if not isinstance(self._fault, Exception) or isinstance(self._fault, DeviceError | BodyError):
             raise self._fault
         raise failed_within(self.sensor.name, self._fault) from self._fault
 
@@ -265,6 +267,8 @@ class SensorThread:
             for frame in frames:
                 if stopping.is_set():
                     return
+                for person in frame.people.values():
+                    self.sensor.body.require(person.body, f"A skeleton of {self.sensor.name}")
                 if self.sensor.intrinsics is not None:
                     frame = with_witness(frame, self.sensor.intrinsics)
                 self._deliver(frame)

@@ -27,7 +27,8 @@ _TIMES = struct.Struct("<qqq")
 _SIZE = struct.Struct("<I")
 _RVL_SIZE = struct.Struct("<12xii")  # place of width and height in an RVL image
 _CAMERA = struct.Struct("<II4dB")
-_MOST_PEOPLE = 16
+MOST_PEOPLE = 16
+"""In one frame; further ones are not sent."""
 _MOST_PIXELS = 1 << 21
 _MOST_DISTORTION = 8
 _LATEST_NS = 1 << 62
@@ -35,6 +36,13 @@ _LATEST_NS = 1 << 62
 
 class MalformedError(DeviceError):
     """A message that is damaged, cut off, of another version, or not of this program."""
+
+
+class ForeignError(MalformedError):
+    """A message that this program will not understand later either: of another version, or another body.
+
+    The message completes the sentence "the sensor sends …".
+    """
 
 
 class Kind(IntEnum):
@@ -77,17 +85,21 @@ class ClockMessage:
 
 
 def encode_frame(message: FrameMessage) -> bytes:
-    """Encodes a frame: people with their witness, and its depth image if it has one."""
+    """Encodes a frame: its first 16 people with their witness, and its depth image if it has one.
+
+    An id of more than 255 bytes is shortened to another one, the same in every frame.
+    """
     frame = message.frame
-    body = next((person.body.name for person in frame.people.values()), "")
+    people = list(frame.people.items())[:MOST_PEOPLE]
+    body = people[0][1].body.name if people else ""
     parts = [
         _TIMES.pack(frame.time_ns, frame.host_ns or 0, message.sent_ns),
         _text(body),
-        bytes((min(len(frame.people), _MOST_PEOPLE),)),
+        bytes((len(people),)),
     ]
-    for name, person in list(frame.people.items())[:_MOST_PEOPLE]:
+    for name, person in people:
         parts += [
-            _text(name),
+            _identity(name),
             bytes((person.witness is not None,)),
             person.states.tobytes(),
             person.positions.astype("<f4").tobytes(),
@@ -98,29 +110,33 @@ def encode_frame(message: FrameMessage) -> bytes:
     return _whole(Kind.FRAME, message.session, message.sequence, *parts, _SIZE.pack(len(image)), image)
 
 
-def decode_frame(data: bytes) -> FrameMessage:
+def decode_frame(data: bytes, body: Body) -> FrameMessage:
     """Decodes a frame.
 
+    Args:
+        body: That of the sensor, as it described itself.
+
     Raises:
-        MalformedError: It is not a whole frame of this version.
+        ForeignError: It is of another version, or its people are of another body.
+        MalformedError: It is not a whole frame.
     """
     session, sequence, rest = _opened(data, Kind.FRAME)
     time_ns, host_ns, sent_ns = rest.times()
     body_name = rest.text()
     count = rest.byte()
-    if count > _MOST_PEOPLE:
+    if count > MOST_PEOPLE:
         raise MalformedError(f"A frame with {count} people.")
-    body = BODIES.get(body_name)
-    if body is None and (count or body_name):
-        raise MalformedError(f"The body {body_name[:40]!r} is unknown here.")
-    people = {}
+    if body_name != body.name and (count or body_name):
+        raise ForeignError(
+            f"skeletons of {body_name[:40]!r}, not of {body.name!r} as described (start duplex sensor again)"
+        )
+    people: dict[str, Skeleton] = {}
     for _ in range(count):
-        assert body is not None
         name, flags, joints = rest.text(), rest.byte(), len(body)
         states = np.frombuffer(rest.take(joints), dtype=np.uint8)
         positions = np.frombuffer(rest.take(12 * joints), dtype="<f4").reshape(joints, 3)
-        if flags > 1:
-            raise MalformedError(f"A person with flags {flags}.")
+        if flags > 1 or name in people:
+            raise MalformedError(f"A person with flags {flags}, or two of one id.")
         try:
             person = Skeleton.of(body, positions, states, time_ns)
         except FusionError as fault:
@@ -154,7 +170,8 @@ def decode_sensor(data: bytes) -> SensorMessage:
     """Decodes the description of a sensor.
 
     Raises:
-        MalformedError: It is not a whole description of this version, or its body is unknown here.
+        ForeignError: It is of another version, or its body is unknown here.
+        MalformedError: It is not a whole description.
     """
     session, _, rest = _opened(data, Kind.SENSOR)
     name, body_name = rest.text(), rest.text()
@@ -165,7 +182,7 @@ def decode_sensor(data: bytes) -> SensorMessage:
     lens = struct.unpack(f"<{count}d", rest.take(8 * count))
     rest.end()
     if body_name not in BODIES:
-        raise MalformedError(f"The body {body_name[:40]!r} is unknown here.")
+        raise ForeignError(f"skeletons of {body_name[:40]!r}, unknown here (run the same duplex on both PCs)")
     if not 1_000_000 <= interval_ns <= 10_000_000_000:
         raise MalformedError(f"Frames every {interval_ns} ns.")
     camera = None
@@ -241,7 +258,7 @@ def _opened(data: bytes, kind: Kind) -> tuple[int, int, _Rest]:
         raise MalformedError(f"{len(data)} bytes that are no message of this program.")
     _, version, got, reserved, length, session, sequence = _HEADER.unpack_from(data)
     if version != VERSION:
-        raise MalformedError(f"A message of version {version}; this program speaks version {VERSION}.")
+        raise ForeignError(f"messages of version {version}, not {VERSION} (run the same duplex on both PCs)")
     if got != kind or reserved or length != len(data):
         raise MalformedError("A message of another kind or length.")
     if zlib.crc32(data[:-4]) != _SIZE.unpack(data[-4:])[0]:
@@ -258,6 +275,12 @@ def _depth(image: memoryview) -> NDArray[np.uint16]:
         return decode_depth(bytes(image))
     except DeviceError as fault:
         raise MalformedError(str(fault)) from fault
+
+
+def _identity(name: str) -> bytes:
+    """The id of a person; a long one ends with a checksum, so that two long ones remain two."""
+    coded = name.encode("utf-8", "replace")
+    return _text(name if len(coded) <= 255 else f"{name[:50]}…{zlib.crc32(coded):08x}")
 
 
 def _text(text: str) -> bytes:

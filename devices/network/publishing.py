@@ -14,6 +14,7 @@ from devices.capture.sensor_state import SensorState
 from devices.capture.sensor_thread import SensorThread
 from devices.events import Event
 from devices.network.messages import (
+    MOST_PEOPLE,
     ClockMessage,
     FrameMessage,
     MalformedError,
@@ -40,6 +41,7 @@ class FramePublisher:
         bytes_sent: Bytes so far.
         requests: Clock requests that were answered.
         malformed: Requests that were left out.
+        most_people: The largest number of people in a frame; 16 of them are sent.
     """
 
     def __init__(
@@ -53,7 +55,7 @@ class FramePublisher:
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         self.session = secrets.randbits(64)
-        self.published = self.bytes_sent = self.requests = self.malformed = 0
+        self.published = self.bytes_sent = self.requests = self.malformed = self.most_people = 0
         self._key, self._addresses, self._depth, self._clock = checked_key(key), addresses, depth, clock
         self._description = encode_sensor(
             SensorMessage(self.session, sensor.name, sensor.body, sensor.intrinsics, interval_ns)
@@ -96,6 +98,7 @@ class FramePublisher:
         except load_zenoh().ZError as fault:
             raise DeviceError(f"Zenoh cannot send under {self._key!r}: {first_words(str(fault))}.") from fault
         self.published += 1
+        self.most_people = max(self.most_people, len(frame.people))
         self.bytes_sent += len(message)
 
     def _describe(self, query: Any) -> None:
@@ -129,6 +132,7 @@ def publish_until(
     Raises:
         DeviceError: A fault of the program or of a driver inside the sensor.
     """
+    told = False
     while not stopped.is_set():
         ended = thread.state is SensorState.ENDED
         thread.arrival.wait(0.0 if ended else _POLL_S)
@@ -137,5 +141,11 @@ def publish_until(
             publisher.publish(arrival.frame)
         for event in thread.events():
             tell(event)
+        if publisher.most_people > MOST_PEOPLE and not told:
+            told = True
+            text = (
+                f"{thread.sensor.name} sees {publisher.most_people} people; {MOST_PEOPLE} of them are sent."
+            )
+            tell(Event(text, "WARN", time_ns=time.perf_counter_ns()))
         if ended:
             return

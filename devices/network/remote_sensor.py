@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
-from devices.network.messages import MalformedError, decode_sensor
+from devices.network.messages import ForeignError, MalformedError, decode_sensor
 from devices.network.remote_stream import RemoteStream
 from devices.network.zenoh_session import (
     LARGEST_MESSAGE,
@@ -45,7 +45,7 @@ class RemoteSensor(Sensor):
         appear_s: How long opening waits for it, seconds; later openings wait 2 s.
 
     Attributes:
-        waits_for: What opening waits for; else empty.
+        waits_for: What opening waits for, or what comes instead of frames; else empty.
         body, intrinsics, interval_ns: As it described itself; known once it has been open.
     """
 
@@ -91,7 +91,7 @@ class RemoteSensor(Sensor):
         """Waits for the sensor's program and relates its clock to this machine's.
 
         Raises:
-            AbsentError: It is not there.
+            AbsentError: It is not there, or of another version.
             DeviceError: Zenoh is missing or an address is busy, or it reports another body than before.
         """
         self.__exit__()
@@ -137,7 +137,10 @@ class RemoteSensor(Sensor):
                     heard = frame is not None
                     if frame is not None:
                         yield frame
-                silent_ns = 0 if heard else silent_ns
+                # What is not understood is no silence: the reason is told once, as what it waits for.
+                foreign = self._stream.foreign
+                self.waits_for = f"frames that it understands: it gets {foreign}" if foreign else ""
+                silent_ns = 0 if heard or foreign else silent_ns
             now_ns = self._clock()
             # A pause of this thread or of the whole program is no silence of the other one.
             silent_ns += min(now_ns - before_ns, 2 * _POLL_NS)
@@ -159,7 +162,8 @@ class RemoteSensor(Sensor):
                 asked_ns = now_ns
                 self._stream.strange = False
                 self._ask_clock()
-            self._told += self._reports.observe(self._stream.figures, now_ns)
+            told = self._reports.observe(self._stream.figures, now_ns)
+            self._told += [] if self._stream.foreign else told
 
     def _arrived(self, wait_s: float) -> list[tuple[str, bytes, int]]:
         """Waits for messages and returns those that have come: kind, content, and time of arrival."""
@@ -184,6 +188,8 @@ class RemoteSensor(Sensor):
                     continue
                 try:
                     described = decode_sensor(reply.ok.payload.to_bytes()[:LARGEST_MESSAGE])
+                except ForeignError as foreign:
+                    raise AbsentError(f"{self.name} sends {foreign}.") from foreign
                 except MalformedError as malformed:
                     fault = f" Its answer was not understood: {malformed}"
                     continue

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 from devices.network.messages import (
     ClockMessage,
+    ForeignError,
     MalformedError,
     SensorMessage,
     decode_clock,
@@ -24,8 +25,8 @@ from devices.network.messages import (
 from devices.sensor import LinkFigures, SensorFrame
 
 _KEPT = 64
-_DRIFT = 50e-6
-"""How fast the bound of an old reply grows: two quartz clocks drift apart by at most some 50 ppm."""
+_DRIFT = 100e-6
+"""How fast the bound of an old reply grows: each of the two quartz clocks is off by at most some 50 ppm."""
 _ASKED = 64
 """Requests whose replies are still known: more than are sent while Zenoh waits for a reply."""
 _SETTLED_NS = 100_000_000
@@ -82,6 +83,8 @@ class RemoteStream:
     Attributes:
         doubled: How many requests were answered by two programs: both publish under this key.
         strange: Whether a frame came from another run, so that a clock request is useful now.
+        foreign: What comes instead of frames of this version and of the body described; empty if nothing
+            does.
     """
 
     def __init__(self) -> None:
@@ -95,6 +98,7 @@ class RemoteStream:
         self._other_since_ns: int | None = None
         self.doubled = 0
         self.strange = False
+        self.foreign = ""
 
     @property
     def figures(self) -> LinkFigures:
@@ -123,24 +127,24 @@ class RemoteStream:
         if sensor.session != self._session:
             self._restarts += self._session is not None
             self._expected, self._clock = None, RemoteClock()
-        self._session = sensor.session
+        self._session, self._body = sensor.session, sensor.body
         self._other_since_ns = None
-        self.strange = False
+        self.strange, self.foreign = False, ""
 
     def receive(self, data: bytes, now_ns: int) -> SensorFrame | None:
         """Takes a message that arrived at ``now_ns``; None if it is no frame of the current run."""
         self._now_ns = now_ns
         try:
-            message = decode_frame(data)
-        except MalformedError:
-            self._malformed += 1
+            message = decode_frame(data, self._body)
+        except MalformedError as fault:
+            self._refuse(fault)
             return None
         if message.session != self._session:
             self.strange = True  # of a past run, or of a new one: a reply will tell
             return None
         if self._expected is not None:
             self._lost += max(0, message.sequence - self._expected)
-        self._expected = message.sequence + 1
+        self._expected, self.foreign = message.sequence + 1, ""
         self._received += 1
         offset_ns = self._clock.offset_ns(now_ns)
         captured_ns = message.frame.host_ns or message.sent_ns
@@ -157,8 +161,8 @@ class RemoteStream:
         self._now_ns = now_ns
         try:
             reply = decode_clock(data)
-        except MalformedError:
-            self._malformed += 1
+        except MalformedError as fault:
+            self._refuse(fault)
             return False
         sessions = {session for asked_ns, session in self._answered if asked_ns == reply.asked_ns}
         if reply.asked_ns not in self._asked or reply.session in sessions:
@@ -173,3 +177,8 @@ class RemoteStream:
             return False
         self._other_since_ns = None
         return self._clock.add(reply.asked_ns, reply.received_ns, reply.answered_ns, now_ns)
+
+    def _refuse(self, fault: MalformedError) -> None:
+        self._malformed += 1
+        if isinstance(fault, ForeignError):
+            self.foreign = str(fault)

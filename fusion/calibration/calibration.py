@@ -62,8 +62,11 @@ def calibrate(body: Body, pairs: Sequence[SkeletonPair], how: str) -> Calibratio
     """Registration (eq. (12)) and bone lengths (eq. (13)) from the given pairs.
 
     Raises:
+        BodyError: A skeleton is of another body.
         CalibrationError: See :func:`fusion.registration.rigid_fit.register`.
     """
+    for pair in pairs:
+        pair.require(body)
     registration = register(pairs)
     lengths = measure_bone_lengths(body, pairs, registration.a_from_b)
     return Calibration(body, registration.a_from_b, lengths, how, registration)

@@ -166,7 +166,12 @@ class Calibrator:
         return self._pose.held
 
     def watch(self, pair: SkeletonPair) -> Calibration | None:
-        """The new calibration where the next pair completes one, else None."""
+        """The new calibration where the next pair completes one, else None.
+
+        Raises:
+            BodyError: A skeleton is of another body.
+        """
+        pair.require(self._body)
         if self._final or pair.a is None or pair.b is None:
             return None
         found = self._from_pose(pair) or self._from_movement(pair)

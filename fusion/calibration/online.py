@@ -92,7 +92,11 @@ class CalibrationLearner:
 
         Returns:
             The changes, in order; usually none.
+
+        Raises:
+            BodyError: A skeleton is of another body.
         """
+        pair.require(self._body)
         if pair.a is None or pair.b is None or any(stale):
             return []
         self._first_ns = pair.time_ns if self._first_ns is None else self._first_ns

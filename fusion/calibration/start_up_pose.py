@@ -54,7 +54,12 @@ class StartUpPose:
         return (self._held[-1].time_ns - self._held[0].time_ns) * 1e-9
 
     def watch(self, pair: SkeletonPair) -> list[SkeletonPair] | None:
-        """The pairs of the held pose once it ends after a second or more, or lasts three; else None."""
+        """The pairs of the held pose once it ends after a second or more, or lasts three; else None.
+
+        Raises:
+            BodyError: A skeleton is of another body.
+        """
+        pair.require(self._body)
         if not self._holds(pair):
             return self.end()
         self._held.append(pair)

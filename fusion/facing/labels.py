@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.array_fields import new_arrays
+from fusion.errors import FusionError
 
 DOUBT_STEPS, HEADING_STEPS = 255, 1024
 """Sessions store doubt and heading in steps of 1/255 and 1/1024."""
@@ -44,6 +45,16 @@ class Labels(NamedTuple):
         """Those of consecutive pairs."""
         each: Any = zip(Labels.unknown(0), *parts, strict=True)
         return Labels(*map(np.concatenate, each))
+
+    def of_pairs(self, pairs: int) -> Labels:
+        """These labels, which a kernel reads by the number of the pair.
+
+        Raises:
+            FusionError: They are not of T = ``pairs`` pairs.
+        """
+        if any(len(values) != pairs for values in self):
+            raise FusionError(f"Labels of {len(self.codes)} pairs are given for {pairs}.")
+        return self
 
     def rows(self, pairs: slice) -> Labels:
         """Those of some of the pairs."""

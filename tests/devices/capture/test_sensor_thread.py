@@ -5,12 +5,15 @@ import signal
 import threading
 import weakref
 
+import numpy as np
 import pytest
 
 from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
-from devices.sensor import DeviceError
-from fusion.body import AZURE_KINECT
+from devices.sensor import DeviceError, SensorFrame
+from fusion.body import AZURE_KINECT, KINECT_V2
+from fusion.errors import BodyError
+from fusion.skeleton import Skeleton
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from tests.helpers.waiting import eventually
 
@@ -58,6 +61,18 @@ def test_every_arrival_wakes_the_reader(sensor, thread):
         thread.arrival.clear()
         sensor.put(frame_at(index))
         assert thread.arrival.wait(PATIENCE_S)
+
+
+def test_a_skeleton_of_another_body_ends_the_sensor_with_one_line(sensor, thread):
+    """As of a class of a user; opening it anew mends nothing."""
+    other = SensorFrame(2, {"1": Skeleton.of(KINECT_V2, np.ones((25, 3)))})
+    sensor.put(frame_at(1, people=True), other)
+    assert eventually(lambda: thread.state is SensorState.ENDED)
+    with pytest.raises(
+        BodyError, match=r"^A skeleton of 000123 has the 25 joints of kinect_v2, not the 32 of"
+    ):
+        thread.take()
+    assert thread.received == 1
 
 
 def test_frames_get_their_time_of_arrival(sensor):

@@ -1,6 +1,7 @@
 """A remote sensor over real Zenoh sessions: frames, clocks, absence, restarts, hostile input."""
 
 import threading
+import time
 from contextlib import ExitStack, contextmanager, suppress
 
 import numpy as np
@@ -8,12 +9,15 @@ import pytest
 
 from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
+from devices.network import messages
+from devices.network.messages import FrameMessage, encode_frame
 from devices.network.publishing import FramePublisher, publish_until
 from devices.network.remote_sensor import CLOCK, RemoteSensor
 from devices.network.zenoh_session import ZenohAddresses, zenoh_session
 from devices.sensor import AbsentError, DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.intrinsics import Intrinsics
+from fusion.skeleton import Skeleton
 from tests.helpers.network import free_address
 from tests.helpers.scripted_sensor import ScriptedSensor, frame_at
 from tests.helpers.waiting import eventually
@@ -38,6 +42,15 @@ def publisher(address, sensor=None, **more):
 
 def remote(address, appear_s=20.0):
     return RemoteSensor(KEY, ZenohAddresses(listen=(address,)), appear_s=appear_s)
+
+
+class Ticking:
+    """A clock that a test moves on, added to the real one."""
+
+    now = 0.0
+
+    def __call__(self):
+        return time.perf_counter() + self.now
 
 
 def frames_through(published, thread, wanted):
@@ -162,6 +175,47 @@ def test_another_body_after_a_restart_gives_one_line(address):
         pytest.raises(DeviceError, match="reports kinect_v2 now and reported azure"),
     ):
         far.__enter__()
+
+
+@pytest.mark.parametrize("change", ["body", "version"])
+def test_what_is_not_understood_is_named_once_and_is_no_silence(address, change, monkeypatch):
+    """Another body than described, as after its driver was started anew; another version of the program."""
+    second = [SensorFrame(k, {"1": Skeleton.of(KINECT_V2, np.ones((25, 3)))}) for k in range(60)]
+    seconds, said, came = Ticking(), [], []
+    thread = SensorThread(remote(address), keep=64, clock=seconds)
+    with publisher(address) as published, thread:
+        frames_through(published, thread, 3)
+        if change == "version":
+            monkeypatch.setattr(messages, "VERSION", 2)
+        encoded = [encode_frame(FrameMessage(published.session, 10 + k, f, 0)) for k, f in enumerate(second)]
+        monkeypatch.undo()
+
+        def refused():
+            published._publisher.put(encoded[len(encoded) // 2])
+            came.extend(frame for _, frame in thread.take())
+            said.extend(event.text for event in thread.events())
+            seconds.now += 0.2
+            return len(said) > 0 and thread.sensor.link.malformed > 50
+
+        assert eventually(refused)
+        assert all(frame.people["1"].body is AZURE_KINECT for frame in came)  # sent before
+        named = "'kinect_v2', not of 'azure_kinect'" if change == "body" else "messages of version 2, not 1"
+        assert len(said) == 1
+        assert said[0].startswith("zenoh:lab/a stalls")
+        assert named in said[0]
+        assert thread.returns == 0
+        frames_through(published, thread, 3)
+        assert thread.sensor.waits_for == ""
+
+
+def test_a_sensor_of_another_version_is_named_at_once(address, monkeypatch):
+    monkeypatch.setattr(messages, "VERSION", 2)
+    with publisher(address):
+        monkeypatch.undo()
+        with pytest.raises(
+            AbsentError, match=r"^zenoh:lab/a sends messages of version 2, not 1 \(run the same"
+        ):
+            remote(address).__enter__()
 
 
 def test_publishing_ends_with_its_sensor_and_keeps_the_order(address):
