@@ -1,6 +1,7 @@
 """Real displays without a screen: an X server (Xvfb) and a Wayland compositor (Weston)."""
 
 import os
+import re
 import secrets
 import subprocess
 from contextlib import contextmanager
@@ -27,6 +28,13 @@ def x_server(*options):
     finally:
         process.terminate()
         process.wait()
+
+
+def titles(display):
+    """The titles of the windows on an X display, as a window manager would list them."""
+    program = need_program("xwininfo", package="x11-utils")
+    said = subprocess.run([program, "-display", display, "-root", "-tree"], capture_output=True, text=True)
+    return re.findall(r'^ +0x\w+ "(.+)": \(', said.stdout, re.MULTILINE)
 
 
 @contextmanager

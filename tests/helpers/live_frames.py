@@ -34,9 +34,9 @@ def frames(fuser, count, depth=False):
     return made
 
 
-def session(fuser, file=None, hub=None, window=False, active="inspect"):
+def session(fuser, file=None, hub=None, window=False, active="inspect", headless=True):
     """A session into a file, a hub or both."""
-    viewing = Viewing(window=window, hub=hub, headless=True)
+    viewing = Viewing(window=window, hub=hub, headless=headless)
     blueprint = session_blueprint(fuser.setup, np.array([0.0, 0.0, 2.6]), active)
     return LiveSession(fuser.setup, ("a", "b"), blueprint, file=file, viewing=viewing)
 

@@ -53,7 +53,7 @@ class LiveDisplay:
         self._printed: dict[str, int] = {}  # by topic: when, ns
         self._scene = CoachScene(coach.body, coach.intrinsics)
         self._page: CoachPage | None = None
-        self._failure_told = False
+        self._failures_told: set[str] = set()
         self._frames: deque[Status] = deque()
         self._next = -np.inf
 
@@ -74,11 +74,11 @@ class LiveDisplay:
         self._advise(status)
         for event in status.events:
             self._console.print(event.text, style="yellow", markup=False, soft_wrap=True)
-        file = self._session.file
-        failure = None if file is None else file.failure
-        if failure is not None and not self._failure_told:
-            self._failure_told = True
-            self._console.print(f"[bold red]{escape(failure)}[/] The fusion goes on.")
+        file, viewer = self._session.file, self._session.viewer
+        for failure in (file and file.failure, viewer and viewer.window_failure):
+            if failure and failure not in self._failures_told:
+                self._failures_told.add(failure)
+                self._console.print(f"[bold red]{escape(failure)}[/] The fusion goes on.", soft_wrap=True)
         now = self._clock()
         if now >= self._next:
             self._next = now + _EVERY

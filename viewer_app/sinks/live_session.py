@@ -48,7 +48,7 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
         identity = uuid4()
         self.viewer: ViewerSink | None = None
         if viewing is not None and viewing.hub is not None:
-            self.viewer = ViewerSink(setup, sources, blueprint, viewing, identity)
+            self.viewer = ViewerSink(setup, sources, blueprint, viewing, identity, file is None)
         self.file: SessionFile | None = None
         viewer = self.viewer
 

@@ -179,7 +179,14 @@ class ImageTurns:
 
 
 class ViewerSink(ViewerFeed):
-    """Shows a session in a viewer."""
+    """Shows a session in a viewer.
+
+    Args:
+        alone: Whether the session has no file: a window that does not open is an error then.
+
+    Raises:
+        UsageError: The hub does not start, or the only window.
+    """
 
     def __init__(
         self,
@@ -188,12 +195,14 @@ class ViewerSink(ViewerFeed):
         blueprint: rrb.Blueprint,
         viewing: Viewing,
         identity: UUID,
+        alone: bool = True,
     ) -> None:
         assert viewing.hub is not None
         self.hub = hub = viewing.hub
         self._setup, self._sources, self._blueprint = setup, sources, blueprint
         self._turns = ImageTurns(_DEPTH_HZ)
         self.window: ViewerWindow | None = None
+        self._no_window = ""
         super().__init__(
             hub.start,
             rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
@@ -207,7 +216,18 @@ class ViewerSink(ViewerFeed):
         # While a hub takes the static data, it would hold up the first frames.
         self.wait_until_free(_BEGINS_WITHIN)
         if viewing.window:
-            self.window = ViewerWindow(lambda: start_window(hub, viewing.headless))
+            try:
+                self.window = ViewerWindow(lambda: start_window(hub, viewing.headless))
+            except UsageError as error:
+                if alone:
+                    super().close()
+                    raise
+                self._no_window = str(error)
+
+    @property
+    def window_failure(self) -> str:
+        """Why no window opens, or none again; empty as long as one does."""
+        return self._no_window if self.window is None else self.window.failure
 
     @property
     def window_closed(self) -> bool:

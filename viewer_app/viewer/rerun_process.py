@@ -15,6 +15,7 @@ import errno
 import importlib.util
 import os
 import platform
+import re
 import signal
 import socket
 import subprocess
@@ -31,7 +32,8 @@ from viewer_app.addresses import LOOPBACK, reached_at
 from viewer_app.errors import UsageError
 from viewer_app.viewer.display import environment_of_window
 
-_STARTS_WITHIN = 20.0  # seconds
+_STARTS_WITHIN, _ENDS_WITHIN = 20.0, 1.0  # seconds
+_STARTS_TRIED = 3  # in a row
 _HUB_MEMORY, _FILE_MEMORY = "512MiB", "75%"
 _VIEWER_MEMORY = "2GiB"
 _LOOKED_AFTER_EVERY = 0.5  # seconds
@@ -108,12 +110,59 @@ def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
 def start_viewer(
     arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL
 ) -> tuple[subprocess.Popen[bytes], int]:
-    """Starts a viewer with a bounded memory that listens on a port of the loopback address; returns both."""
+    """Starts a viewer with a bounded memory that listens on a port of the loopback address; returns both.
+
+    A viewer listens first, and then opens its window: it runs when it answers a request.
+
+    Raises:
+        UsageError: It does not start, or it cannot open its window; with its own last words.
+    """
     port = free_port()
     own = ["--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY]
     viewer = _start([*own, *arguments], stdin)
     _wait_for(viewer, LOOPBACK, port, "Rerun's viewer")
+    _wait_until_it_answers(viewer, port)
+    if viewer.poll():  # a user who closes the window at once ends it with 0
+        raise _not_started("Rerun's viewer", _last_words([*own, *(set(arguments) & {"--headless"})]))
     return viewer, port
+
+
+def _wait_until_it_answers(viewer: subprocess.Popen[bytes], port: int) -> None:
+    """Waits until a viewer answers a request, has ended, or takes long."""
+    answered, runs = threading.Event(), []
+
+    def ask() -> None:
+        from rerun.experimental import ViewerClient
+
+        # the interface is experimental: whatever fails in it must not end a viewer that runs
+        with contextlib.suppress(Exception):
+            ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy").get_state()
+            runs.append(True)
+        answered.set()
+
+    threading.Thread(target=ask, name="viewer's first answer", daemon=True).start()
+    deadline = time.monotonic() + _STARTS_WITHIN
+    while viewer.poll() is None and time.monotonic() < deadline and not answered.wait(0.05):
+        pass
+    if not runs:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            viewer.wait(_ENDS_WITHIN)  # one that cannot open its window answers with an error first
+
+
+def _last_words(arguments: Sequence[str]) -> str:
+    """Why a viewer ends at once, in its own words: it is started once more, with nothing to show."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        said = subprocess.run(
+            [*rerun_program(), *arguments],
+            env={**environment_of_window(), "RERUN_ANALYTICS": "0", "RUST_LOG": "off"},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_STARTS_WITHIN,
+            check=False,
+        ).stderr.decode(errors="replace")
+        words = [line.removeprefix("Error: ") for line in said.splitlines() if line.startswith("Error: ")]
+        return re.sub(r"os error at \S+ ", "", words[-1]).rstrip(".") if words else ""
+    return ""
 
 
 def stop(process: subprocess.Popen[bytes]) -> None:
@@ -129,14 +178,18 @@ def stop(process: subprocess.Popen[bytes]) -> None:
 
 
 class ViewerWindow:
-    """A viewer window that reopens after a crash, and stays closed when the user closes it."""
+    """A viewer window that reopens after a crash, and stays closed when the user closes it.
+
+    Attributes:
+        failure: Why it is not opened again; empty as long as it is.
+    """
 
     def __init__(self, start: Callable[[], subprocess.Popen[bytes]]) -> None:
         self._start = start
         self._leaving = threading.Event()
         self.process = start()
         self.starts = 1
-        self.closed = False
+        self.closed, self.failure = False, ""
         self._thread = threading.Thread(target=self._look_after, name="viewer window", daemon=True)
         self._thread.start()
 
@@ -146,6 +199,7 @@ class ViewerWindow:
         self._thread.join(timeout=1.0)
 
     def _look_after(self) -> None:
+        failed = 0
         while not self._leaving.wait(_LOOKED_AFTER_EVERY):
             if self.process.poll() is None:
                 continue
@@ -154,8 +208,12 @@ class ViewerWindow:
                 return
             try:
                 self.process = self._start()
-                self.starts += 1
-            except UsageError:
+                self.starts, failed = self.starts + 1, 0
+            except UsageError as error:
+                failed += 1
+                if failed == _STARTS_TRIED:
+                    self.failure = str(error)
+                    return
                 continue
             if self._leaving.is_set():
                 stop(self.process)
@@ -235,7 +293,11 @@ def _wait_for(process: subprocess.Popen[bytes], host: str, port: int, what: str)
         except OSError:
             time.sleep(0.05)
     stop(process)
-    raise UsageError(
-        f"{what} does not start here. Use --save FILE.rrd --no-viewer, and open the file with "
-        "`rerun FILE.rrd` where there is a display."
+    raise _not_started(what)
+
+
+def _not_started(what: str, why: str = "") -> UsageError:
+    return UsageError(
+        f"{what} does not start here{f' ({why})' if why else ''}. Use --save FILE.rrd --no-viewer, and open "
+        "the file with `rerun FILE.rrd` where there is a display."
     )

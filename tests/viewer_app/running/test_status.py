@@ -49,7 +49,7 @@ class Shown:
         self.printed = io.StringIO()
         self.session = MagicMock(
             file=MagicMock(failure=None, saves=True, saved_bytes=12_340_000, lost=0),
-            viewer=MagicMock(dropped=0, window_closed=False),
+            viewer=MagicMock(dropped=0, window_closed=False, window_failure=""),
         )
         self.coach = MagicMock(body=BODY, intrinsics=(MagicMock(), MagicMock()))
         self.coach.watch.return_value = []
@@ -86,6 +86,14 @@ def test_the_status_line_says_what_goes_wrong(statuses):
     assert shown.display.line().split(" · ")[-4:] == [
         "SAVING STOPPED", "5 not shown", "2 NOT SAVED", "viewer closed",
     ]  # fmt: skip
+
+
+def test_a_window_that_is_given_up_is_said_once(statuses):
+    shown = Shown()
+    shown.session.viewer.configure_mock(window_failure="No window.")
+    for status in statuses:
+        shown.display(status)
+    assert shown.printed.getvalue().count("No window. The fusion goes on.") == 1
 
 
 @pytest.mark.parametrize("quiet", [False, True])
