@@ -104,7 +104,7 @@ def load_pylsl(others: bool) -> Any:
     """The module ``pylsl``, with discovery limited to this machine unless `others`."""
     try:
         import pylsl
-    except (ImportError, RuntimeError, OSError) as fault:
+    except Exception as fault:
         raise UsageError("--lsl needs pylsl: pip install 'duplex-kinects[lsl]'.") from fault
     if not others:
         pylsl.set_config_content(_THIS_MACHINE)

@@ -1,7 +1,8 @@
 """Chooses the viewer that a command opens, and announces it."""
 
+import subprocess
+import sys
 import threading
-import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO, cast
@@ -11,7 +12,7 @@ from rich.console import Console
 from viewer_app.addresses import is_loopback
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import WebOptions
-from viewer_app.viewer.display import has_display, why_no_window
+from viewer_app.viewer.display import environment_of_window, has_display, why_no_window
 from viewer_app.viewer.rerun_process import DATA_PORT, PAGE_PORT, Hub
 
 
@@ -94,7 +95,25 @@ def announce(viewing: Viewing | None, console: Console, live: bool = False) -> N
     if live:  # Rerun's server does not say how far a browser is behind
         console.print("Seconds of latency at its top: a slow browser shows the past. Try --depth none.")
     if has_display():
-        webbrowser.open(hub.page)
+        _open_in_browser(hub.page)
+
+
+def _open_in_browser(page: str) -> None:
+    """Opens a page in the user's browser, from a process of its own.
+
+    A browser that the standard library does not know, or one for the terminal, is waited for until it is
+    closed; the latter is not tried where no terminal is named.
+    """
+    environment = environment_of_window()
+    environment.pop("TERM", None)
+    subprocess.Popen(
+        [sys.executable, "-I", "-m", "webbrowser", page],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def stay_for_visitors(

@@ -212,3 +212,20 @@ def test_a_session_that_is_saved_goes_on_without_a_window(monkeypatch, tmp_path)
     assert ":48731" in viewing.why_not
     with pytest.raises(UsageError, match=r":48731 .* does not answer.* --save FILE.rrd"):
         chosen(None)
+
+
+def test_a_browser_is_not_waited_for(monkeypatch, tmp_path):
+    """``BROWSER`` may name a program that lasts as long as its page."""
+    opened, closed, ended = (tmp_path / name for name in ("opened", "closed", "ended"))
+    browser = tmp_path / "browser"
+    wait = f"for k in $(seq 100); do [ -e {closed} ] && break; sleep 0.1; done"
+    browser.write_text(f'#!/bin/sh\necho "$1" > {opened}\n{wait}\ntouch {ended}\n')
+    browser.chmod(0o755)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: True)
+    hub = Hub(DATA_PORT, PAGE_PORT)
+    announce(Viewing(hub=hub), Console(file=io.StringIO()))
+    assert not ended.exists()
+    assert eventually(lambda: opened.exists() and opened.read_text().strip() == hub.page)
+    closed.touch()
+    assert eventually(ended.exists)
