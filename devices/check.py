@@ -24,6 +24,11 @@ def failed(name: str, fault: DeviceError, needed: bool = True) -> Check:
     return Check(name, False, what, advice, needed)
 
 
+def words_of(fault: Exception) -> str:
+    """What an exception of another library says, in one line."""
+    return " ".join(str(fault).split()) or type(fault).__name__
+
+
 def installed_version(package: str) -> str:
     """The version of a Python package; empty if it is not installed."""
     try:

@@ -15,7 +15,7 @@ from devices.capture import usb
 from devices.capture.causes import Cause, in_brackets
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.usb import usb_kinects
-from devices.check import installed_version
+from devices.check import installed_version, words_of
 from devices.sensor import AbsentError, DeviceError
 
 _EXTRA = "pip install '.[kinect]' (after make: .venv/bin/pip install -e '.[kinect]')"
@@ -72,9 +72,9 @@ def load_sdk() -> ModuleType:
     os.environ.setdefault("K4A_ENABLE_LOG_TO_STDOUT", "0")
     try:
         import pyk4a
-    except (ImportError, OSError) as fault:
+    except Exception as fault:  # a damaged library raises what it likes
         raise DeviceError(
-            f"Live sensors need pyk4a, which cannot be imported ({fault}). {how_to_install()}"
+            f"Live sensors need pyk4a, which cannot be imported ({words_of(fault)}). {how_to_install()}"
         ) from fault
     return pyk4a  # type: ignore[no-any-return]
 

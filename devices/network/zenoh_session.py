@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from devices.check import words_of
 from devices.sensor import DeviceError
 
 LOOPBACK = "tcp/127.0.0.1:7447"
@@ -110,8 +111,11 @@ def load_zenoh() -> Any:
     """The module ``zenoh``."""
     try:
         import zenoh
-    except ImportError as fault:
+    except ModuleNotFoundError as fault:
         raise DeviceError("Zenoh is not installed: pip install 'duplex-kinects[zenoh]'.") from fault
+    except Exception as fault:  # a damaged library raises what it likes
+        why = f"Zenoh cannot be imported ({words_of(fault)}): pip install --force-reinstall eclipse-zenoh."
+        raise DeviceError(why) from fault
     return zenoh
 
 

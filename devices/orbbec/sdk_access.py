@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.capture.usb import UDEV_ADVICE, usb_kinects, why_not_open
-from devices.check import installed_version
+from devices.check import installed_version, words_of
 from devices.sensor import AbsentError, DeviceError
 
 COMMAND = "pip install --no-deps pyorbbecsdk2"
@@ -33,9 +33,10 @@ def load_sdk() -> ModuleType:
     try:
         with _without_its_greeting():
             import pyorbbecsdk
-    except (ImportError, OSError) as fault:
+    except Exception as fault:  # a damaged library raises what it likes
         raise DeviceError(
-            f"Orbbec's sensors need pyorbbecsdk2, which cannot be imported ({fault}). {how_to_install()}"
+            f"Orbbec's sensors need pyorbbecsdk2, which cannot be imported ({words_of(fault)}). "
+            f"{how_to_install()}"
         ) from fault
     if not hasattr(pyorbbecsdk, "PlaybackDevice"):
         raise DeviceError(

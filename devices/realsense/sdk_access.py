@@ -10,7 +10,7 @@ from typing import Any
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.capture.usb import usb_kinects, why_not_open
-from devices.check import Check, failed, installed_version
+from devices.check import Check, failed, installed_version, words_of
 from devices.sensor import AbsentError, DeviceError
 
 SDK_NAME = "pyrealsense2"
@@ -23,10 +23,11 @@ def load_sdk() -> ModuleType:
     """The module pyrealsense2; raises a DeviceError if it is not installed."""
     try:
         import pyrealsense2
-    except (ImportError, OSError) as fault:
+    except Exception as fault:  # a damaged library raises what it likes
         raise DeviceError(
-            f"RealSense sensors need pyrealsense2, which cannot be imported ({fault}). {COMMAND}; on Linux "
-            f"it needs libusb (Debian: apt install libusb-1.0-0), on macOS build it from librealsense."
+            f"RealSense sensors need pyrealsense2, which cannot be imported ({words_of(fault)}). "
+            f"{COMMAND}; on Linux it needs libusb (Debian: apt install libusb-1.0-0), on macOS build it from "
+            f"librealsense."
         ) from fault
     return pyrealsense2  # type: ignore[no-any-return]
 

@@ -1,5 +1,7 @@
 """One contract for the sensors of all vendors, and the example of CONTRIBUTING.md, which is one more."""
 
+import importlib.abc
+import importlib.machinery
 import re
 import sys
 from pathlib import Path
@@ -9,11 +11,15 @@ import numpy as np
 import pytest
 
 from devices import live_sensors
+from devices.azure.pyk4a_access import load_sdk as azure_sdk
 from devices.capture.capture_stream import LiveSensor
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
 from devices.live_checks import device_checks
 from devices.live_sensors import VENDORS, Vendor, connected_sensors
+from devices.network.zenoh_session import load_zenoh
+from devices.orbbec.sdk_access import load_sdk as orbbec_sdk
+from devices.realsense.sdk_access import load_sdk as realsense_sdk
 from devices.sensor import AbsentError, DeviceError
 from devices.tracker_choice import TrackerChoice
 from fusion.body import BLAZEPOSE
@@ -126,3 +132,36 @@ def test_the_example_of_the_page_is_a_sensor(example, monkeypatch):
     assert acme.opened == []
     with pytest.raises(AbsentError, match="No Acme sensor with serial 7"):
         sensor.__enter__()
+
+
+class Damaged(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Makes the import of a module raise an exception, as extensions built for other libraries do."""
+
+    def __init__(self, name, fault):
+        self._name, self._fault = name, fault
+
+    def find_spec(self, name, *_):
+        return importlib.machinery.ModuleSpec(name, self) if name == self._name else None
+
+    def exec_module(self, *_):
+        raise self._fault
+
+
+LOADERS = {
+    "pyk4a": azure_sdk,
+    "pyorbbecsdk": orbbec_sdk,
+    "pyrealsense2": realsense_sdk,
+    "zenoh": load_zenoh,
+}
+FAULTS = (ImportError, OSError, RuntimeError, SystemError, AttributeError, TypeError, ValueError)
+
+
+@pytest.mark.parametrize("name", LOADERS)
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_library_that_is_damaged_is_one_line(name, kind, monkeypatch):
+    """numpy's ABI, a missing symbol, another Python: each binding has its own exception."""
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Damaged(name, kind("built for\n\nanother numpy")), *sys.meta_path])
+    with pytest.raises(DeviceError, match=r"built for another numpy") as fault:
+        LOADERS[name]()
+    assert "\n" not in str(fault.value)

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.check import words_of
 from devices.sensor import DeviceError
 
 Array = NDArray[np.float64]
@@ -62,9 +63,9 @@ class _Network:
     def __init__(self, content: bytes, threads: int = 1) -> None:
         try:
             from ai_edge_litert.interpreter import Interpreter
-        except ImportError as fault:
+        except Exception as fault:  # a damaged library raises what it likes
             raise DeviceError(
-                f"The body tracker's runtime ai-edge-litert cannot be imported ({fault}). "
+                f"The body tracker's runtime ai-edge-litert cannot be imported ({words_of(fault)}). "
                 "Run pip install ai-edge-litert; it has no wheel for macOS on Intel."
             ) from None
         try:
