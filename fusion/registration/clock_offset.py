@@ -17,22 +17,23 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.pair_arrays import Pairs
 from fusion.registration.error_model import relative_noise
+from fusion.registration.sampled_motion import Sampling, interpolated
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED, SkeletonPair
 
 Array = NDArray[np.float64]
 
-_WINDOW_NS = 1_000_000_000
+_WINDOW_NS, _WINDOW_FRAMES = 1_000_000_000, 12  # a window is a second; below 12 frames per second, so many
 _WINDOWS = 120  # stored by the online estimator
 _FEWEST_WINDOWS = 10
 _SLOWEST = 0.08  # m/s, RMS about the one-second mean; below this, changes of the biases dominate
 _SCATTER = 1.5  # factor on the windows' scatter, so that it covers the error on the simulator
 _LEAST_SD_NS = 2_000_000.0
-_SLOPE = 2  # frames before and after, between which a velocity is measured
 _FAR = 2.5  # robust deviations above which a residual counts less
 _CERTAIN_NS = 5_000_000  # standard deviation below which an offset is reported
 _CHANGED = 3.0  # standard deviations
 _MOST = 18_000  # pairs of a recording
+_FEWEST_FRAMES = 8  # of a window
 
 
 @dataclass(frozen=True)
@@ -94,12 +95,18 @@ class ClockOffsetEstimator:
 
         The pair is neither stale nor one-sided.
         """
-        if self._pending and pair.time_ns - self._pending[0].time_ns >= _WINDOW_NS:
+        if self._pending and pair.time_ns - self._pending[0].time_ns >= self._window_ns():
             self._windows.extend(_windows(self._points, *self._points.of(self._pending, a_from_b), 0.0))
             self._pending = [pair]
             return self._news()
         self._pending.append(pair)
         return None
+
+    def _window_ns(self) -> float:
+        """How long the window that is collected lasts."""
+        if len(self._pending) >= _WINDOW_FRAMES:
+            return float(_WINDOW_NS)
+        return _window_of(Sampling.of(np.array([pair.time_ns for pair in self._pending])))
 
     def _news(self) -> ClockOffset | None:
         now = self.estimate
@@ -125,7 +132,7 @@ def clock_offset_of(
     Args:
         pairs: In order, without stale ones and with both views.
     """
-    if len(pairs) < 4 * _SLOPE + 2:
+    if len(pairs) < _FEWEST_WINDOWS * _FEWEST_FRAMES:
         return None
     points, pairs = _Points(body), Pairs.of(body, pairs)
     minute = (pairs.time_ns - pairs.time_ns[0]) // 60_000_000_000
@@ -176,12 +183,13 @@ def _windows(
     offset_ns: float,
 ) -> list[_Window]:
     """The regression of each second, for what remains of the offset beyond ``offset_ns``."""
-    if len(times) < 2 * _SLOPE + 3:
+    if len(times) < _FEWEST_FRAMES:
         return []
-    residual, velocity = _residuals(views, times, skews_ns, offset_ns)
+    sampling = Sampling.of(times)
+    residual, velocity = _residuals(views, times, skews_ns, offset_ns, sampling)
     windows = []
-    for inside in _seconds(times):
-        if inside.stop - inside.start < 8:
+    for inside in _slices(times, _window_of(sampling)):
+        if inside.stop - inside.start < _FEWEST_FRAMES:
             continue
         r, v, weight = _centred(points, residual[inside], velocity[inside])
         moment, power = float(np.sum(weight * r * v)), float(np.sum(weight * v * v))
@@ -191,30 +199,30 @@ def _windows(
     return windows
 
 
-def _seconds(times: Array) -> Iterator[slice]:
-    """The frames of each second since the first."""
-    number = (times - times[0]) // _WINDOW_NS
+def _window_of(sampling: Sampling) -> float:
+    return max(float(_WINDOW_NS), _WINDOW_FRAMES * sampling.interval_ns)
+
+
+def _slices(times: Array, window_ns: float) -> Iterator[slice]:
+    """The frames of each window since the first frame."""
+    number = (times - times[0]) // window_ns
     ends = np.searchsorted(number, np.arange(number[-1] + 1.0), side="right").tolist()
     return itertools.starmap(slice, itertools.pairwise([0, *ends]))
 
 
 def _residuals(
-    views: tuple[Array, Array], times: Array, skews_ns: Array, offset_ns: float
+    views: tuple[Array, Array], times: Array, skews_ns: Array, offset_ns: float, sampling: Sampling
 ) -> tuple[Array, Array]:
     """p − q' (T, M, 3) with B taken at A's times, and the velocity (T, M, 3) in m/s."""
     a, b = views
-    at_b = times + skews_ns + offset_ns  # when B's points were truly captured
-    index = np.clip(np.searchsorted(at_b, times), 1, len(times) - 1)
-    gap = at_b[index] - at_b[index - 1]
-    share = (times - at_b[index - 1]) / np.maximum(gap, 1.0)
-    inside = (share >= -1.0) & (share <= 2.0) & (gap < 2.0e8)
-    share = np.where(inside, share, np.nan)[:, None, None]
-    b = (1.0 - share) * b[index - 1] + share * b[index]
+    # when B's points were truly captured
+    b = interpolated(times + skews_ns + offset_ns, b, times, sampling.gap_ns)
     middle = 0.5 * (a + b)
-    velocity = np.full_like(middle, np.nan)
-    elapsed = (times[2 * _SLOPE :] - times[: -2 * _SLOPE]) * 1e-9
-    velocity[_SLOPE:-_SLOPE] = (middle[2 * _SLOPE :] - middle[: -2 * _SLOPE]) / elapsed[:, None, None]
-    velocity[_SLOPE:-_SLOPE][elapsed > 0.3] = np.nan  # across a gap
+    velocity, reach = np.full_like(middle, np.nan), sampling.reach
+    elapsed = times[2 * reach :] - times[: -2 * reach]
+    moved = middle[2 * reach :] - middle[: -2 * reach]
+    velocity[reach:-reach] = moved / (1e-9 * elapsed)[:, None, None]
+    velocity[reach:-reach][elapsed > sampling.span_ns] = np.nan
     return a - b, velocity
 
 

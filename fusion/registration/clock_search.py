@@ -17,6 +17,7 @@ from fusion.errors import CalibrationError
 from fusion.pair_arrays import View
 from fusion.registration.clock_offset import ClockOffset
 from fusion.registration.rigid_fit import fit_recording
+from fusion.registration.sampled_motion import Sampling, interpolated
 from fusion.skeleton import TRACKED
 
 Array = NDArray[np.float64]
@@ -24,8 +25,6 @@ Array = NDArray[np.float64]
 _REACH_NS = 30_000_000_000
 _GRID_NS = 33_333_333
 _LONGEST_SPAN_NS = 1_200_000_000_000
-_SLOPE = 2  # frames before and after, between which a speed is measured
-_LONGEST_NS = 300_000_000  # a longer interval is a gap
 _FASTEST = 8.0  # m/s: a faster joint has jumped
 _STILL = 0.1  # m/s: slower motion is mostly noise
 _OVERLAP = 0.35  # least share of either view's motion that a peak is based on
@@ -37,7 +36,8 @@ _PART_CANDIDATES = 32  # a walk repeats itself twice a second
 _COARSE = 2.5  # cost at an offset that is not refined: a larger one is of other places
 _LEAST_CORRELATION = 0.2
 _AMBIGUOUS = 1.6  # a candidate whose 1 - r is smaller by this factor is right where the places do not tell
-_STEP_NS, _STEPS = 16_666_667, 8
+_STEP_NS, _STEPS = 16_666_667, 8  # of the fine search, down to 15 frames per second
+_STEP = 0.25  # usual intervals: the same below that
 _PARTS = 8  # of the recording
 _LEAST_SD_NS = 2_000_000.0
 _APART = 9  # grid steps between two peaks
@@ -192,7 +192,8 @@ def _usual_times(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _refined(a: View, b: View, near_ns: int, base_ns: int, steps: int = _STEPS) -> ClockOffset | None:
     """The offset nearby at which the registered views differ least, its deviation by the jackknife."""
-    offsets = near_ns + _STEP_NS * np.arange(-steps, steps + 1)
+    step_ns = max(_STEP_NS, round(_STEP * max(Sampling.of(view.time_ns).interval_ns for view in (a, b))))
+    offsets = near_ns + step_ns * np.arange(-steps, steps + 1)
     costs = np.array([_costs(a, b, int(offset)) for offset in offsets])
     part = np.arange(_COMPARED) * _PARTS // _COMPARED
     best = _minimum(costs)
@@ -200,12 +201,17 @@ def _refined(a: View, b: View, near_ns: int, base_ns: int, steps: int = _STEPS) 
     if not 0.0 < best < 2.0 * steps:
         return None  # no offset nearby is better than all others
     sd = np.sqrt((_PARTS - 1) * np.mean((others - best) ** 2))
-    return ClockOffset(base_ns + float(offsets[0] + best * _STEP_NS), max(float(sd * _STEP_NS), _LEAST_SD_NS))
+    return ClockOffset(base_ns + float(offsets[0] + best * step_ns), max(float(sd * step_ns), _LEAST_SD_NS))
 
 
 def _minimum(costs: Array) -> float:
-    """The row at which the mean cost is least, between rows by a parabola."""
-    means = _means(costs)
+    """The row at which the mean cost is least, between rows by a parabola.
+
+    The noise of interpolated frames depends on how far their neighbours are. At 30 and 90 frames per second
+    it alternates from row to row, which the mean of neighbouring rows takes away.
+    """
+    rows = np.pad(_means(costs), 1, mode="edge")
+    means = 0.25 * (rows[:-2] + 2.0 * rows[1:-1] + rows[2:])
     k = int(np.argmin(means))
     return k + _vertex(-means[max(k - 1, 0) : k + 2])
 
@@ -275,8 +281,8 @@ def _speeds(body: Body, view: View, grid: NDArray[np.int64]) -> Array:
     fresh = np.append(True, ((at[1:] != at[:-1]) & np.isfinite(at[1:])).any(axis=(1, 2)))
     at, time_ns = at[fresh], view.time_ns[fresh]
     own, other = body.midpoints
-    lateral = own != other
-    middle, each = _speed(time_ns, 0.5 * (at[:, own] + at[:, other])), _speed(time_ns, at)
+    lateral, sampling = own != other, Sampling.of(time_ns)
+    middle, each = (_speed(time_ns, points, sampling) for points in (0.5 * (at[:, own] + at[:, other]), at))
     mean = 0.5 * (each[:, own] + each[:, other])
     speeds = np.log(_STILL + np.concatenate([middle, mean[:, lateral]], axis=1))
     signals = np.full((len(grid), speeds.shape[1]), np.nan)
@@ -286,19 +292,20 @@ def _speeds(body: Body, view: View, grid: NDArray[np.int64]) -> Array:
             continue
         times = time_ns[known]
         after = np.clip(np.searchsorted(times, grid), 1, len(times) - 1)
-        inside = (grid >= times[0]) & (grid <= times[-1]) & (times[after] - times[after - 1] < _LONGEST_NS)
+        inside = (grid >= times[0]) & (grid <= times[-1])
+        inside &= times[after] - times[after - 1] < sampling.gap_ns
         signal[inside] = np.interp(grid[inside], times, speed[known])
         signal -= np.nanmean(signal) if inside.any() else 0.0
     return signals
 
 
-def _speed(time_ns: NDArray[np.int64], at: Array) -> Array:
+def _speed(time_ns: NDArray[np.int64], at: Array, sampling: Sampling) -> Array:
     """(T, N) m/s of (T, N, 3)."""
-    speed = np.full(at.shape[:2], np.nan)
-    elapsed = time_ns[2 * _SLOPE :] - time_ns[: -2 * _SLOPE]
-    moved = np.linalg.norm(at[2 * _SLOPE :] - at[: -2 * _SLOPE], axis=2)
-    speed[_SLOPE:-_SLOPE] = moved / (1e-9 * np.maximum(elapsed, 1))[:, None]
-    speed[_SLOPE:-_SLOPE][elapsed > _LONGEST_NS] = np.nan
+    speed, reach = np.full(at.shape[:2], np.nan), sampling.reach
+    elapsed = time_ns[2 * reach :] - time_ns[: -2 * reach]
+    moved = np.linalg.norm(at[2 * reach :] - at[: -2 * reach], axis=2)
+    speed[reach:-reach] = moved / (1e-9 * np.maximum(elapsed, 1))[:, None]
+    speed[reach:-reach][elapsed > sampling.span_ns] = np.nan
     speed[speed > _FASTEST] = np.nan
     return speed
 
@@ -306,16 +313,9 @@ def _speed(time_ns: NDArray[np.int64], at: Array) -> Array:
 def _costs(a: View, b: View, offset_ns: int) -> Array:
     """(_COMPARED,) mean robust penalty of the joints of registered views, by frames of A; NaN without B."""
     chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
-    times, wanted = b.time_ns + offset_ns, a.time_ns[chosen]
-    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
-    gap = times[after] - times[after - 1]
-    share = (wanted - times[after - 1]) / np.maximum(gap, 1)
-    inside = (share >= 0.0) & (share <= 1.0) & (gap < _LONGEST_NS)
-    tracked = (a.states[chosen] == TRACKED) & inside[:, None]
-    tracked &= (b.states[after] == TRACKED) & (b.states[after - 1] == TRACKED)
-    p = np.where(tracked[..., None], a.positions[chosen], 0.0).astype(np.float64)
-    q = (1.0 - share)[:, None, None] * b.positions[after - 1] + share[:, None, None] * b.positions[after]
-    q = np.where(tracked[..., None], q, 0.0)
+    p, q = _tracked(a, chosen), _at_times(b, a.time_ns[chosen] - offset_ns)
+    tracked = np.isfinite(p).all(axis=2) & np.isfinite(q).all(axis=2)
+    p, q = (np.where(tracked[..., None], view, 0.0) for view in (p, q))
     costs = np.full(_COMPARED, np.nan)
     seen = tracked.sum(axis=1) >= _FEWEST_JOINTS
     try:
@@ -325,6 +325,22 @@ def _costs(a: View, b: View, offset_ns: int) -> Array:
     penalty = np.log1p(np.sum((p - fit.apply(q)) ** 2, axis=2) / _FAR**2)
     costs[seen] = np.nanmean(np.where(tracked, penalty, np.nan)[seen], axis=1)
     return costs
+
+
+def _tracked(view: View, index: NDArray[np.int64]) -> Array:
+    """(N, J, 3) positions in some frames; NaN where not tracked."""
+    tracked = (view.states[index] == TRACKED)[..., None]
+    return np.where(tracked, view.positions[index], np.nan).astype(np.float64)
+
+
+def _at_times(view: View, wanted_ns: NDArray[np.int64]) -> Array:
+    """(N, J, 3) positions at other times; NaN before the first frame, after the last and across gaps."""
+    last = len(view.time_ns) - 1
+    near = np.clip(np.searchsorted(view.time_ns, wanted_ns)[:, None] + np.arange(-2, 2), 0, last)
+    few = np.unique(near)  # the frames that interpolation needs: a long recording lies in a file
+    at = interpolated(view.time_ns[few], _tracked(view, few), wanted_ns, Sampling.of(view.time_ns).gap_ns)
+    at[(wanted_ns < view.time_ns[0]) | (wanted_ns > view.time_ns[last])] = np.nan
+    return at
 
 
 def _means(costs: Array) -> Array:

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import AZURE_KINECT, KINECT_V2
@@ -11,6 +13,7 @@ from fusion.registration import clock_search
 from fusion.registration.clock_offset import ClockOffsetEstimator, clock_offset_of
 from fusion.registration.clock_search import View, find_clock_offset, find_clock_skew
 from fusion.skeleton import Skeleton, SkeletonPair
+from tests.helpers.continuous_motion import RATES, as_pairs, as_view, views_at
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, standing
 
 
@@ -42,6 +45,44 @@ def test_the_delay_of_a_recording_is_found_to_a_fraction_of_a_frame(delay):
     # sd of the regression is 0.1 ms here; interpolation and the slope over five frames add about 1 ms
     assert found.offset_ns * 1e-9 == pytest.approx(delay, abs=0.002)
     assert found.significant == (abs(delay) > 0.0)
+
+
+@pytest.mark.parametrize("rate", RATES)
+@settings(max_examples=2)
+@given(
+    delay=st.floats(-0.12, 0.12),
+    phase=st.sampled_from([0.0, 0.3, 0.5]),
+    lost=st.sampled_from([0.0, 0.1]),
+    seed=st.integers(0, 99),
+)
+def test_a_delay_is_found_at_any_frame_rate(rate, delay, phase, lost, seed):
+    """Live and in a recording, whatever part of a frame B is known to be later, with lost frames."""
+    seconds = np.arange(40 * rate) / rate
+    seconds = seconds[np.random.default_rng(seed).random(len(seconds)) >= lost]
+    skew = phase / rate
+    pairs = as_pairs(*views_at(seconds, seconds + skew + delay, seed), seconds, skew)
+    found = clock_offset_of(KINECT_V2, pairs, A_FROM_B)
+    assert found is not None
+    assert found.offset_ns * 1e-9 == pytest.approx(delay, abs=0.005)
+    live = ClockOffsetEstimator(KINECT_V2)
+    for pair in pairs:
+        live.observe(pair, A_FROM_B)
+    # It is not iterated: noise of the velocities of such calm motion takes away up to a quarter.
+    assert live.estimate is not None
+    assert live.estimate.offset_ns * 1e-9 == pytest.approx(delay, abs=0.005 + 0.25 * abs(delay))
+
+
+@settings(max_examples=4)
+@given(rate=st.sampled_from(RATES), offset=st.floats(-20.0, 20.0), seed=st.integers(0, 99))
+@example(rate=5, offset=0.5, seed=0)
+@example(rate=13, offset=-0.7, seed=1)
+def test_an_offset_of_seconds_is_found_at_any_frame_rate(rate, offset, seed):
+    seconds = 30.0 + np.arange(60 * rate) / rate
+    seconds_b = seconds + 0.4 / rate
+    a, b = views_at(seconds, seconds_b, seed)
+    found = find_clock_offset(KINECT_V2, as_view(a, seconds), as_view(b, seconds_b - offset))
+    assert found is not None
+    assert found.offset_ns * 1e-9 == pytest.approx(offset, abs=0.005)
 
 
 def test_known_skew_is_not_counted_again():
