@@ -22,6 +22,7 @@ from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 _SHORTEST_NS = 1_000_000_000
 _SHORTEST_PARTLY_NS = 2_000_000_000
 _LONGEST_NS = 3_000_000_000
+_GAP_NS = 1_000_000_000  # between two pairs of both views: a longer one ends the pose
 _CALM_NS = 2_000_000_000  # of the window where no pose is held
 _FEWEST_SHARED = 4  # main joints that both sensors track, of a pose that each sees in part
 _STILL = 0.040  # metres RMS about the window's mean; real still poses tremble by 1–20 mm a joint
@@ -32,6 +33,9 @@ _LEG_ANGLE = np.radians(12.0)  # hips' centre → one ankle against the other
 
 class StartUpPose:
     """Detects when the start-up pose has been held long enough.
+
+    Pairs that one sensor has no skeleton in tell nothing: a lost frame does not end the pose, but a second
+    without both views does.
 
     Args:
         partly: Whether a pose counts that each sensor sees in part: at least four main joints are tracked by
@@ -56,16 +60,27 @@ class StartUpPose:
     def watch(self, pair: SkeletonPair) -> list[SkeletonPair] | None:
         """The pairs of the held pose once it ends after a second or more, or lasts three; else None.
 
+        It needs fifteen pairs besides: at five frames per second it must last for three seconds.
+
         Raises:
             BodyError: A skeleton is of another body.
         """
         pair.require(self._body)
+        if pair.a is None or pair.b is None:
+            return None
+        gap = bool(self._held) and not 0 <= pair.time_ns - self._held[-1].time_ns <= _GAP_NS
+        ended = self.end() if gap else None
+        now = self._hold(pair)
+        return now if ended is None else ended
+
+    def _hold(self, pair: SkeletonPair) -> list[SkeletonPair] | None:
         if not self._holds(pair):
             return self.end()
         self._held.append(pair)
         if not self._still():
             return self.end(but_last=1)
-        return self.end() if pair.time_ns - self._held[0].time_ns >= _LONGEST_NS else None
+        lasts = len(self._held) >= FEWEST_PAIRS and pair.time_ns - self._held[0].time_ns >= _LONGEST_NS
+        return self.end() if lasts else None
 
     def end(self, but_last: int = 0) -> list[SkeletonPair] | None:
         """Ends the pose, without some last pairs; its pairs if it was held long enough, else None."""
@@ -123,18 +138,25 @@ def _worth_watching(pairs: Pairs) -> Iterator[SkeletonPair | None]:
 
     This is vectorised, so that only the candidates of a long recording are examined one by one.
     """
-    main = main_joints(pairs.body)
-    holds = np.zeros(len(pairs) + 1, dtype=bool)  # the last one does not hold
-    for part in parts(len(pairs)):
-        of = pairs[part].arrays()
+    main, seen = main_joints(pairs.body), _seen_by_both(pairs)
+    holds = np.zeros(len(seen), dtype=bool)
+    for part in parts(len(seen)):
+        of = pairs[seen[part]].arrays()
         tracked = (of.states_a == TrackingState.TRACKED) & (of.states_b == TrackingState.TRACKED)
         apart = _limbs_apart(pairs.body, of.a) | _limbs_apart(pairs.body, of.b)
         holds[part] = tracked[:, main].all(axis=1) & apart
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds)).astype(np.int8)))
-    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if end - first >= FEWEST_PAIRS:
-            yield from pairs[first:end]
+    steps = np.diff(pairs.time_ns[seen])
+    breaks = np.flatnonzero((holds[1:] != holds[:-1]) | (steps < 0) | (steps > _GAP_NS)) + 1
+    for run in np.split(np.arange(len(seen)), breaks):
+        if len(run) >= FEWEST_PAIRS and holds[run[0]]:
+            yield from pairs[seen[run]]
             yield None
+
+
+def _seen_by_both(pairs: Pairs) -> NDArray[np.int64]:
+    """Indices of the pairs in which both sensors see the person."""
+    each = (part.start + np.flatnonzero(pairs[part].seen_by_both) for part in parts(len(pairs)))
+    return np.concatenate([np.zeros(0, dtype=np.int64), *each])
 
 
 def main_joints(body: Body) -> NDArray[np.int64]:
@@ -166,8 +188,7 @@ def _limbs_apart(body: Body, positions: NDArray[np.float32]) -> NDArray[np.bool_
 
 def _calmest(pairs: Pairs) -> Sequence[SkeletonPair]:
     """The calmest window; of a long recording, windows within parts of ten minutes count."""
-    both = [part.start + np.flatnonzero(pairs[part].seen_by_both) for part in parts(len(pairs))]
-    seen = np.concatenate([np.zeros(0, dtype=np.int64), *both])
+    seen = _seen_by_both(pairs)
     if len(seen) == 0:
         raise CalibrationError(NOBODY_IN_BOTH)
     each = (_calm_windows(pairs[seen[part]]) for part in parts(len(seen), _LONG))

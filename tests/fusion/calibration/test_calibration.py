@@ -1,9 +1,12 @@
 import numpy as np
 import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
 
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V1
 from fusion.calibration.bone_lengths import measure_bone_lengths
 from fusion.calibration.calibration import calibrate
+from fusion.calibration.calibrator import Calibrator
 from fusion.calibration.start_up_pose import (
     StartUpPose,
     _tremble,
@@ -28,6 +31,72 @@ def test_the_start_up_pose_is_recognised_where_it_is_held(body):
     # still for 1.5 s, then the first 40 mm (RMS) of movement still count as still
     assert 1.4e9 < held[-1].time_ns < 2.2e9
     assert how.startswith("start-up pose at 0.0 s")
+
+
+@settings(max_examples=6)
+@given(
+    rate=st.sampled_from([5, 10, 15, 30, 60]),
+    lost=st.sampled_from([0.0, 0.05, 0.2]),
+    every=st.sampled_from([1, 2]),
+    shift_ns=st.sampled_from([0, -(10**15), 2**61]),
+    swap=st.booleans(),
+    held=st.floats(0.5, 4.0),
+    seed=st.integers(0, 999),
+)
+@example(rate=30, lost=0.05, every=1, shift_ns=0, swap=False, held=3.0, seed=0)
+@example(rate=30, lost=0.0, every=2, shift_ns=0, swap=True, held=3.0, seed=0)
+@example(rate=30, lost=0.0, every=1, shift_ns=0, swap=False, held=0.5, seed=0)
+def test_a_recording_and_a_live_session_take_the_same_start_up_pose(
+    rate, lost, every, shift_ns, swap, held, seed
+):
+    """Also where frames of a view are lost, at half the rate, exchanged, or at other times.
+
+    The person stands, holds the pose, and stands again, with and without it moving on.
+    """
+    rng, apart = np.random.default_rng(seed), standing(KINECT_V1)
+    pairs: list[SkeletonPair] = []
+    for t in range(round(6.5 * rate)):
+        posing = 1.0 <= t / rate < 1.0 + held
+        at = (apart if posing else standing(KINECT_V1, arms_out=5.0)) + rng.normal(0.0, 0.003, (20, 3))
+        pair = pair_of(KINECT_V1, at, shift_ns + round(t * 1e9 / rate))
+        a, b = (pair.b, pair.a) if swap else (pair.a, pair.b)
+        gone = rng.random(2) < lost
+        a, b = None if gone[0] else a, None if gone[1] or t % every else b
+        pairs.append(SkeletonPair(a, b, pair.time_ns))
+    both = [pair for pair in pairs if pair.a is not None and pair.b is not None]
+    start_ns, end_ns = (shift_ns + round(second * 1e9) for second in (1.0, 1.0 + held))
+    posed = [pair for pair in both if start_ns <= pair.time_ns < end_ns]
+    assume(np.diff([pair.time_ns for pair in posed]).max(initial=0) <= 10**9)
+    found, how = find_start_up_pose(KINECT_V1, pairs)
+    calibrator = Calibrator(KINECT_V1)
+    told = [calibration for pair in pairs if (calibration := calibrator.watch(pair)) is not None]
+    live = next((calibration for calibration in told if not calibration.provisional), None)
+    if len(posed) < 15 or posed[-1].time_ns - posed[0].time_ns < 10**9:
+        assert how.startswith("no start-up pose found")
+        assert live is None or not live.how.startswith("start-up pose, ")
+        return
+    assert (
+        how == f"start-up pose at {(found[0].time_ns - pairs[0].time_ns) * 1e-9:.1f} s, {len(found)} frames"
+    )
+    assert [pair.time_ns for pair in found] == [pair.time_ns for pair in posed[: len(found)]]
+    lasts = posed[len(found) - 1].time_ns - posed[0].time_ns
+    assert len(found) == len(posed) or (lasts >= 3 * 10**9 and len(found) >= 15)
+    assert live is not None
+    assert live.how == f"start-up pose, {len(found)} frames"
+    a_from_b = A_FROM_B.inverse() if swap else A_FROM_B
+    assert np.degrees(live.a_from_b.angle_to(a_from_b)) < 0.5
+
+
+def test_a_second_without_both_views_ends_the_pose():
+    pairs = pairs_of(np.array([standing(KINECT_V1)] * 60))
+    late = [pair_of(KINECT_V1, standing(KINECT_V1), pair.time_ns + 3 * 10**9) for pair in pairs]
+    alone = SkeletonPair(pairs[0].a, None, 61 * FRAME_NS)
+    for tail in ([*late], [alone, *late]):
+        found, _ = find_start_up_pose(KINECT_V1, [*pairs[:14], *tail])
+        assert found[0].time_ns == late[0].time_ns, "fourteen pairs are too few"
+        watcher = StartUpPose(KINECT_V1)
+        held = [pose for pair in [*pairs, *tail] if (pose := watcher.watch(pair)) is not None]
+        assert [pair.time_ns for pair in held[0]] == [pair.time_ns for pair in pairs]
 
 
 def test_a_pose_held_for_less_than_a_second_is_not_taken():
