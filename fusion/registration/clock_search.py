@@ -314,7 +314,7 @@ def _costs(a: View, b: View, offset_ns: int) -> Array:
     """(_COMPARED,) mean robust penalty of the joints of registered views, by frames of A; NaN without B."""
     chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
     p, q = _tracked(a, chosen), _at_times(b, a.time_ns[chosen] - offset_ns)
-    tracked = np.isfinite(p).all(axis=2) & np.isfinite(q).all(axis=2)
+    tracked = np.asarray(np.isfinite(p + q).all(axis=2))
     p, q = (np.where(tracked[..., None], view, 0.0) for view in (p, q))
     costs = np.full(_COMPARED, np.nan)
     seen = tracked.sum(axis=1) >= _FEWEST_JOINTS
