@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from typing import Literal
 
 from devices.sensor import DeviceError
 
@@ -15,13 +16,22 @@ class Check:
     detail: str  # what was found
     advice: str = ""  # what to do if it fails; empty if it works
     needed: bool = True  # whether live capture requires it
-    one_of: str = ""  # a group of checks of which one must be ok; empty for a check on its own
+    about: Literal["sensor", "library", "machine"] = "machine"  # of a library, one of all is enough
+    missing: bool = False  # whether it fails because something is not installed, rather than broken
+    serves: str = ""  # of a library: its sensors
+    install: str = ""  # of a library: how it is installed, in a few words
 
 
 def failed(name: str, fault: DeviceError, needed: bool = True) -> Check:
     """A failed check from an error: its first sentence is the detail, the rest is the advice."""
     what, _, advice = str(fault).partition(". ")
-    return Check(name, False, what, advice, needed)
+    return Check(name, False, what, advice, needed, missing=is_missing(fault))
+
+
+def is_missing(fault: DeviceError) -> bool:
+    """Whether a library's loader fails because it is not installed, rather than because it is broken."""
+    cause = fault.__cause__
+    return isinstance(cause, ModuleNotFoundError) or (cause is None and "is not installed" in str(fault))
 
 
 def words_of(fault: Exception) -> str:

@@ -16,16 +16,25 @@ from devices.capture.sensor_choice import (
     sync_master,
 )
 from devices.check import Check, failed
-from devices.live_sensors import VENDORS, connected_sensors
+from devices.live_sensors import (
+    VENDORS,
+    NoLibraryError,
+    connected_sensors,
+    library_for,
+    sdks_on_usb,
+    software,
+)
 from devices.realsense import sdk_access as realsense
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice, choose_tracker
 
-_NO_SDK = Check(
-    "two Kinects",
+_TWO = "two sensors"
+_PROVEN = Check(
+    "proven on hardware",
     False,
-    "cannot be looked for without a sensor library",
-    "Install one of them first, as said above.",
+    "live capture has met stand-ins and simulations only, never a real sensor",
+    "Send what it finds with yours: duplex doctor --bundle FILE.zip.",
+    needed=False,
 )
 _CABLE_ADVICE = (
     "A 3.5 mm cable from one's sync out to the other's sync in makes them capture together, without "
@@ -51,8 +60,7 @@ def device_checks(
 ) -> list[Check]:
     """Checks the devices and libraries that live capture needs, in the order of repair.
 
-    One vendor's software is enough, and one body tracker. What another would need is reported, too, and is
-    not needed.
+    One vendor's software is enough, and one body tracker. What only another would need is left out.
 
     Args:
         tracker: The tracker that is to run, and the settings of both. None: chosen for this machine.
@@ -61,57 +69,81 @@ def device_checks(
         named_master: Serial number of the master on the sync cable, if named by the user.
     """
     tracker = tracker or choose_tracker(root=root)
-    sdks = [azure.sdk_check(), *(vendor.sdk_check() for vendor in VENDORS.values())]
-    usable = any(sdk.ok for sdk in sdks)
-    kinects = _kinects(tracker, choice, named_master) if usable else [_NO_SDK]
+    sdks = _libraries()
+    of_azure, k4abt = sdks["k4a"], azure.tracker_library_check(tracker.k4abt)
     with_k4abt = tracker.name == "k4abt"
-    k4abt = [azure.tracker_library_check(tracker.k4abt)]
-    if with_k4abt or k4abt[0].ok:
-        k4abt += [azure.tracker_network_check(tracker.k4abt, root), azure.gpu_check(tracker.k4abt, root)]
-    k4abt = [_needed_if(with_k4abt, check) for check in k4abt]
-    return [
-        *(replace(sdk, needed=not usable, one_of="sensor library") for sdk in sdks),
-        _needed_if(sdks[0].ok, azure.depth_engine_check(root, x_answers)),
-        Check("body tracker in use", True, f"{tracker.full_name} ({tracker.reason})", needed=False),
-        *k4abt,
-        _needed_if(not with_k4abt, networks_check(tracker.blazepose)),
-        usb.permission_check(root),
-        usb.speed_check(root),
-        *kinects,
-        Check(
-            "proven on hardware",
-            False,
-            "live capture of every sensor and both body trackers have met stand-ins and "
-            "simulations only, never a real sensor; .mkv recordings have",
-            "Send what it finds with yours: duplex doctor --bundle FILE.zip.",
-            needed=False,
-        ),
-    ]
+    checks = [*sdks.values()]
+    if of_azure.ok:
+        checks.append(azure.depth_engine_check(root, x_answers))
+    checks.append(Check("body tracker in use", True, f"{tracker.full_name} ({tracker.reason})"))
+    if with_k4abt or k4abt.ok:
+        of_k4abt = azure.tracker_network_check(tracker.k4abt, root), azure.gpu_check(tracker.k4abt, root)
+        checks += [_needed_if(with_k4abt, check) for check in (k4abt, *of_k4abt)]
+    checks.append(_needed_if(not with_k4abt, networks_check(tracker.blazepose)))
+    checks.append(usb.permission_check(root))
+    if usb.usb_kinects(root):
+        checks.append(usb.speed_check(root))
+    sensors = _sensors(sdks, tracker, root, choice, named_master)
+    return checks + [replace(check, about="sensor") for check in sensors]
+
+
+def _libraries() -> dict[str, Check]:
+    """The library of every vendor, by :attr:`ConnectedSensor.sdk`; none alone is needed."""
+    checks = {"k4a": azure.sdk_check(), **{name: vendor.sdk_check() for name, vendor in VENDORS.items()}}
+    return {
+        name: replace(checks[name], needed=False, about="library", serves=sensors, install=install)
+        for name, (sensors, install) in software().items()
+    }
 
 
 def _needed_if(used: bool, check: Check) -> Check:
     return replace(check, needed=check.needed and used)
 
 
-def _kinects(
-    tracker: TrackerChoice, choice: tuple[str | None, str | None, str | None], named_master: str | None
+def _sensors(
+    sdks: dict[str, Check],
+    tracker: TrackerChoice,
+    root: Path,
+    choice: tuple[str | None, str | None, str | None],
+    named_master: str | None,
 ) -> list[Check]:
+    """Checks that there are two sensors, each of them, and the cable between them."""
     try:
-        there = connected_sensors(tracker)
+        there = connected_sensors(tracker, root)
+    except NoLibraryError:
+        detail = "none found: the library for them is not installed"
+        return [Check(_TWO, False, detail, _what_to_do([], sdks, root))]
     except DeviceError as fault:
-        return [failed("two Kinects", fault)]
-    usable = sum(kinect.serial is not None for kinect in there)
-    counted, each = f"{len(there)} connected, {usable} usable", [_sensor(sensor) for sensor in there]
-    if usable < 2:
-        advice = "Plug in two: USB 3 and a power supply each, on two USB controllers."
-        return [Check("two Kinects", False, counted, advice), *each]
+        return [failed(_TWO, fault)]
+    count = sum(sensor.serial is not None for sensor in there)
+    counted, each = f"{len(there)} connected, {count} usable", [_sensor(sensor) for sensor in there]
+    if count < 2:
+        advice = _what_to_do(there, sdks, root)
+        return [Check(_TWO, False, counted if there else "none found", advice), *each]
     try:
         chosen = choose_two(there, *choice)
     except NeedsChoiceError as question:  # duplex live asks the user
         chosen = question.serials
     except DeviceError as fault:
-        return [Check("two Kinects", False, counted, str(fault)), *each]
-    return [Check("two Kinects", True, counted), *each, _sync_cable(there, chosen, named_master)]
+        return [Check(_TWO, False, counted, str(fault)), *each]
+    return [Check(_TWO, True, counted), *each, _sync_cable(there, chosen, named_master), _PROVEN]
+
+
+def _what_to_do(there: list[ConnectedSensor], sdks: dict[str, Check], root: Path) -> str:
+    """The next step towards two sensors."""
+    for sensor in there:
+        if sensor.serial is None:
+            check = _sensor(sensor)
+            return f"{check.name}: {check.advice}"
+    without_library = sorted(name for name in sdks_on_usb(root) if not sdks[name].ok)
+    if without_library:
+        return library_for(without_library[0])
+    if there:
+        return "Plug in two: USB 3 and a power supply each, on two USB controllers."
+    ready = " or ".join(sdk.serves for sdk in sdks.values() if sdk.ok)
+    if ready:
+        return f"Plug in two of {ready}; others need their library, as its line above says."
+    return "Install the library of your sensors as its line above says."
 
 
 def _sync_cable(there: list[ConnectedSensor], chosen: tuple[str, str], named_master: str | None) -> Check:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
+from pathlib import Path
 
 from devices.azure.kinect import KinectSensor
 from devices.azure.pyk4a_access import connected_kinects
@@ -13,8 +13,10 @@ from devices.capture.capture_stream import LiveSensor
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
-from devices.check import Check
+from devices.capture.usb import usb_kinects
+from devices.check import Check, is_missing
 from devices.freenect.libfreenect import connected_freenects
+from devices.freenect.libfreenect import how_to_install as how_to_install_freenect
 from devices.freenect.libfreenect import library_check as freenect_library_check
 from devices.freenect.libfreenect import sensor_check as freenect_sensor_check
 from devices.freenect.sensor import FreenectSensor
@@ -24,8 +26,10 @@ from devices.freenect2.library import sensor_check as freenect2_sensor_check
 from devices.freenect2.sensor import Freenect2Sensor
 from devices.orbbec.checks import sdk_check as orbbec_sdk_check
 from devices.orbbec.checks import sensor_check as orbbec_sensor_check
+from devices.orbbec.sdk_access import COMMAND as ORBBEC_COMMAND
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.orbbec.sensor import OrbbecSensor
+from devices.realsense.sdk_access import COMMAND as REALSENSE_COMMAND
 from devices.realsense.sdk_access import connected_realsenses
 from devices.realsense.sdk_access import sdk_check as realsense_sdk_check
 from devices.realsense.sdk_access import sensor_check as realsense_sensor_check
@@ -39,6 +43,7 @@ class Vendor:
     """Sensors whose people the program's own tracker finds, and the software that gives their images."""
 
     sensors: str  # what they are called in messages
+    install: str  # how their software is installed, in a few words
     connected: Callable[[], list[ConnectedSensor]]
     """Those that are connected; raises a DeviceError if the software is not installed."""
     sensor: Callable[[str, CaptureSettings, FrameDecimation], LiveSensor]
@@ -49,16 +54,32 @@ class Vendor:
 
 VENDORS = {
     "orbbec": Vendor(
-        "Orbbec's sensors", connected_orbbecs, OrbbecSensor, orbbec_sdk_check, orbbec_sensor_check
+        "Orbbec (Femto, Gemini)",
+        ORBBEC_COMMAND,
+        connected_orbbecs,
+        OrbbecSensor,
+        orbbec_sdk_check,
+        orbbec_sensor_check,
     ),
     "freenect": Vendor(
-        "a Kinect v1", connected_freenects, FreenectSensor, freenect_library_check, freenect_sensor_check
+        "Kinect v1 (Xbox 360)",
+        how_to_install_freenect().removeprefix("Install it: ").partition(" (")[0],
+        connected_freenects,
+        FreenectSensor,
+        freenect_library_check,
+        freenect_sensor_check,
     ),
     "freenect2": Vendor(
-        "a Kinect v2", connected_freenect2s, Freenect2Sensor, freenect2_library_check, freenect2_sensor_check
+        "Kinect v2 (Xbox One)",
+        "build libfreenect2 as docs/sensors.md says",
+        connected_freenect2s,
+        Freenect2Sensor,
+        freenect2_library_check,
+        freenect2_sensor_check,
     ),
     "realsense": Vendor(
-        "RealSense sensors",
+        "RealSense (D400, D500)",
+        REALSENSE_COMMAND,
         connected_realsenses,
         RealSenseSensor,
         realsense_sdk_check,
@@ -68,32 +89,62 @@ VENDORS = {
 """All vendors but Microsoft, by :attr:`ConnectedSensor.sdk`."""
 
 
-def connected_sensors(tracker: TrackerChoice | None) -> list[ConnectedSensor]:
+class NoLibraryError(DeviceError):
+    """No vendor's software is installed, or not that of the sensors on USB."""
+
+
+def software() -> dict[str, tuple[str, str]]:
+    """Of every vendor, by :attr:`ConnectedSensor.sdk`: its sensors, and how their software is installed."""
+    azure = "Azure Kinect", "Sensor SDK 1.4 and pip install '.[kinect]' (docs/sensors.md)"
+    return {"k4a": azure, **{name: (vendor.sensors, vendor.install) for name, vendor in VENDORS.items()}}
+
+
+def sdks_on_usb(root: Path = Path("/")) -> set[str]:
+    """Whose software the sensors on USB need, as far as Linux tells."""
+    return {device.sdk for device in usb_kinects(root)}
+
+
+def library_for(sdk: str) -> str:
+    """Says how to install the software of a sensor that is on USB."""
+    sensors, install = software()[sdk]
+    return f"A sensor on USB needs the library of {sensors}, which is not installed: {install}."
+
+
+def connected_sensors(tracker: TrackerChoice | None, root: Path = Path("/")) -> list[ConnectedSensor]:
     """Connected Azure Kinects and sensors of the other vendors.
 
     A Femto Bolt or Mega may be listed twice, by Orbbec's SDK v2 and by its K4A wrapper. It is taken from the
     wrapper where libk4abt tracks, which needs the wrapper's captures, else from SDK v2.
 
     Raises:
-        DeviceError: No vendor's software is installed.
+        NoLibraryError: No sensor is found, and no software is installed, or not that of a sensor on USB.
+        DeviceError: No sensor is found, and software that is installed is broken.
     """
-    faults: list[str] = []
+    faults: dict[str, DeviceError] = {}
     others: list[ConnectedSensor] = []
     kinects: list[ConnectedSensor] = []
     try:
         kinects = connected_kinects()
     except DeviceError as fault:
-        faults.append(str(fault))
-    broken = bool(faults) and find_spec("pyk4a") is not None  # installed, but it cannot be imported
-    for vendor in VENDORS.values():
+        faults["k4a"] = fault
+    for name, vendor in VENDORS.items():
         try:
             others += vendor.connected()
         except DeviceError as fault:
-            faults.append(f"For {vendor.sensors}: {fault}")
-    if len(faults) == len(VENDORS) + 1:
-        raise DeviceError(" Or: ".join(faults))
-    if broken and not others:
-        raise DeviceError(faults[0])  # else it would read as if nothing were connected
+            faults[name] = fault
+    if not kinects and not others:
+        broken = [fault for fault in faults.values() if not is_missing(fault)]
+        if broken:
+            raise broken[0]  # else it would read as if nothing were connected
+        if on_usb := sdks_on_usb(root) & faults.keys():
+            raise NoLibraryError(f"{library_for(min(on_usb))} Next: duplex doctor checks the rest.")
+        if len(faults) == len(VENDORS) + 1:
+            *names, last = (sensors.partition(" (")[0] for sensors, _ in software().values())
+            raise NoLibraryError(
+                "No sensor library is installed. One is enough, that of your two sensors:\n"
+                f"{', '.join(names)} or {last}.\n"
+                "Next: duplex doctor says how to install each. Without sensors: duplex demo."
+            )
     if tracker is not None and tracker.name == "k4abt":
         by_wrapper = {kinect.serial for kinect in kinects if kinect.serial is not None}
         others = [other for other in others if other.serial not in by_wrapper]

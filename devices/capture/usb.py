@@ -17,27 +17,40 @@ from devices.check import Check
 # Femto Mega, Femto Bolt, Gemini 2, 2 L and the Gemini 330 series; RealSense D415, D435, D435i, D436, D455,
 # D405, D421, D555 and D585 (ids as in libfreenect's, libfreenect2's, OrbbecSDK's and librealsense's sources;
 # none was seen on a bus of ours). A Femto Mega I has no USB.
-_ORBBECS = ("0669", "066b", "0670", "0673", "0800", "0801", "0803", "0804", "0805", "0807")
-_USB2_CAMERAS = {("045e", "02ae"), ("045e", "02bf")}
-_REALSENSES = ("0ad3", "0b07", "0b3a", "1156", "0b5c", "0b5b", "1155", "0b56", "0b6a")
-_DEPTH_CAMERAS = {
-    ("045e", "097c"),
-    ("045e", "02c4"),
-    ("045e", "02d8"),
-    *_USB2_CAMERAS,
-    *(("2bc5", product) for product in _ORBBECS),
-    *(("8086", product) for product in _REALSENSES),
+_SDK_OF = {
+    ("045e", "097c"): "k4a",
+    ("045e", "02ae"): "freenect",
+    ("045e", "02bf"): "freenect",
+    ("045e", "02c4"): "freenect2",
+    ("045e", "02d8"): "freenect2",
+    **{
+        ("2bc5", product): "orbbec"
+        for product in ("0669", "066b", "0670", "0673", "0800", "0801", "0803", "0804", "0805", "0807")
+    },
+    **{
+        ("8086", product): "realsense"
+        for product in ("0ad3", "0b07", "0b3a", "1156", "0b5c", "0b5b", "1155", "0b56", "0b6a")
+    },
 }
+"""Whose software a depth camera needs (``ConnectedSensor.sdk``), by vendor and product."""
 
 _USB3_MEGABITS = 5000
 
-UDEV_ADVICE = (
-    "Copy 99-k4a.rules of the Azure Kinect Sensor SDK (scripts/), for an Orbbec 99-obsensor-libusb.rules "
-    "(in pyorbbecsdk2: shared/), for a Kinect v1 51-kinect.rules (libfreenect: platform/linux/udev/), for a "
-    "Kinect v2 90-kinect2.rules (libfreenect2: platform/linux/udev/), for a RealSense "
-    "99-realsense-libusb.rules (librealsense: config/), to /etc/udev/rules.d, then unplug the sensor and "
-    "plug it in again."
-)
+_RULES = {
+    "k4a": "99-k4a.rules (Azure Kinect Sensor SDK: scripts/)",
+    "orbbec": "99-obsensor-libusb.rules (pyorbbecsdk2: shared/)",
+    "freenect": "51-kinect.rules (libfreenect: platform/linux/udev/)",
+    "freenect2": "90-kinect2.rules (libfreenect2: platform/linux/udev/)",
+    "realsense": "99-realsense-libusb.rules (librealsense: config/)",
+}
+
+
+def udev_advice(sdk: str) -> str:
+    """How a user gets permission for the sensors of one software."""
+    return f"Copy {_RULES[sdk]} to /etc/udev/rules.d, then unplug the sensor and plug it in again."
+
+
+UDEV_ADVICE = udev_advice("orbbec")
 
 
 @dataclass(frozen=True)
@@ -49,15 +62,20 @@ class UsbKinect:
     allowed: bool  # whether this user may open it
     megabits: int
     """Speed of its connection, Mbit/s; 0 if unknown. USB 3 has 5000."""
-    usb3: bool = True  # whether it needs USB 3
+    sdk: str = "k4a"  # whose software it needs, as in ``ConnectedSensor``
+
+    @property
+    def usb3(self) -> bool:
+        """Whether it needs USB 3."""
+        return self.sdk != "freenect"
 
 
 def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:
     """The Kinects plugged in, by Linux's own list; empty on other systems."""
     found = []
     for device in sorted((root / "sys/bus/usb/devices").glob("*")):
-        camera = (_read(device / "idVendor"), _read(device / "idProduct"))
-        if camera not in _DEPTH_CAMERAS:
+        sdk = _SDK_OF.get((_read(device / "idVendor"), _read(device / "idProduct")))
+        if sdk is None:
             continue
         bus, number = _read(device / "busnum"), _read(device / "devnum")
         node = root / "dev/bus/usb" / bus.zfill(3) / number.zfill(3)
@@ -68,7 +86,7 @@ def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:
                 node=node,
                 allowed=os.access(node, os.R_OK | os.W_OK),
                 megabits=int(speed) if speed.isdigit() else 0,
-                usb3=camera not in _USB2_CAMERAS,
+                sdk=sdk,
             )
         )
     return found
@@ -78,7 +96,8 @@ def why_not_open(fault: Exception, bus: Sequence[UsbKinect], programs: str) -> s
     """Why a connected device does not open; the SDKs give no reason."""
     said, forbidden = in_brackets(fault), [device for device in bus if not device.allowed]
     if forbidden:
-        return Cause.FORBIDDEN.says(node=forbidden[0].node, said=said, advice=UDEV_ADVICE)
+        advice = udev_advice(forbidden[0].sdk)
+        return Cause.FORBIDDEN.says(node=forbidden[0].node, said=said, advice=advice)
     return Cause.BUSY.says(said=said, programs=programs)
 
 
@@ -90,18 +109,20 @@ def permission_check(root: Path) -> Check:
     there = usb_kinects(root)
     forbidden = [device for device in there if not device.allowed]
     if forbidden:
-        return Check(name, False, f"this user may not open {forbidden[0].node}", UDEV_ADVICE)
+        advice = udev_advice(forbidden[0].sdk)
+        return Check(name, False, f"this user may not open {forbidden[0].node}", advice)
     if there:
-        return Check(name, True, f"{len(there)} Kinect(s) on the bus may be opened")
+        return Check(name, True, f"of {len(there)} connected")
     rules = [
         rule
         for folder in ("etc", "lib", "usr/lib")
-        for of in ("k4a", "obsensor", "libfreenect", "kinect2", "realsense")
+        for of in ("k4a", "obsensor", "libfreenect", "kinect", "realsense")
         for rule in (root / folder / "udev/rules.d").glob(f"*{of}*.rules")
     ]
     if rules or os.geteuid() == 0:
         return Check(name, True, f"udev rule {rules[0].name}" if rules else "running as root")
-    return Check(name, False, "no udev rule for the Kinect", UDEV_ADVICE)
+    advice = "Plug a sensor in: duplex doctor then names the rule that it needs."
+    return Check(name, False, "no udev rule of a sensor", advice, needed=False)
 
 
 def speed_check(root: Path) -> Check:
@@ -111,7 +132,7 @@ def speed_check(root: Path) -> Check:
     if slow:
         detail = f"{slow[0].serial or slow[0].node} runs at {slow[0].megabits} Mbit/s"
         return Check("USB speed", False, detail, "Plug it into a USB 3 port, with its own cable.")
-    return Check("USB speed", True, f"{len(there)} Kinect(s) at USB 3" if there else "no Kinect on the bus")
+    return Check("USB speed", True, f"USB 3, of {len(there)}" if there else "no sensor that needs USB 3")
 
 
 def _read(path: Path) -> str:

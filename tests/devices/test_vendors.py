@@ -71,7 +71,8 @@ def example(monkeypatch):
 def vendor(request, example):
     """A row of the table; the example is one, too."""
     row = Vendor(
-        "Acme sensors", example.connected_acmes, example.AcmeSensor, example.sdk_check, example.sensor_check
+        *("Acme sensors", "pip install acme", example.connected_acmes, example.AcmeSensor),
+        *(example.sdk_check, example.sensor_check),
     )
     return {**VENDORS, "acme": row}[request.param]
 
@@ -108,7 +109,8 @@ def test_building_a_sensor_opens_nothing(vendor):
 def test_the_example_of_the_page_is_a_sensor(example, monkeypatch):
     acme = sys.modules["acme"]
     row = Vendor(
-        "Acme sensors", example.connected_acmes, example.AcmeSensor, example.sdk_check, example.sensor_check
+        *("Acme sensors", "pip install acme", example.connected_acmes, example.AcmeSensor),
+        *(example.sdk_check, example.sensor_check),
     )
     monkeypatch.setitem(live_sensors.VENDORS, "acme", row)
     assert [one.serial for one in connected_sensors(OURS)] == ["7"]

@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 
 from devices.cache import user_cache
+from devices.freenect import libfreenect
+from devices.freenect2 import library
 from tests.helpers import pyk4a_contract
 from tests.helpers.machine import lacks
 
@@ -124,3 +126,14 @@ def real_orbbec():
 if __name__ == "__main__":
     for library in (PYK4A, ORBBEC):
         library.install()
+
+
+@pytest.fixture
+def no_libraries(monkeypatch):
+    """A machine without any library of sensors."""
+    for module in ("pyk4a", "pyorbbecsdk", "pyrealsense2"):
+        monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setattr(libfreenect, "find_library", lambda _: None)
+    monkeypatch.setattr(library, "installed_prefix", lambda: None)
+    for each in (libfreenect, library):
+        monkeypatch.setattr(each, "load_library", each.load_library.__wrapped__)  # without its cache

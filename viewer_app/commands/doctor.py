@@ -27,6 +27,7 @@ from viewer_app.sensors.raw_files import RawFiles
 from viewer_app.sensors.tracker import tracker_of
 from viewer_app.viewer.display import environment_of_window, why_no_window, why_no_x
 
+_GREY = "bright_black"
 _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program from a slow disk
 
 
@@ -44,7 +45,7 @@ def run(options: DoctorOptions) -> None:
             checks = _examine(options, console)
             if bundle.may_record(options.recording):
                 bundle.record(partial(_record, options))
-            bundle.write(checks, "\n".join([*(line(check).plain for check in checks), _verdict(checks)]))
+            bundle.write(checks, "\n".join(line.plain for line in report_lines(checks)))
     if lacks(checks):
         sys.exit(1)
 
@@ -57,15 +58,34 @@ def _examine(options: DoctorOptions, console: Console) -> list[Check]:
         tracker, choice=choice, named_master=options.sync_master, x_answers=why_no_x() is None
     )
     checks = [*devices, *program_checks()]
-    for check in checks:
-        console.print(line(check), soft_wrap=True)
-    console.print(_verdict(checks), soft_wrap=True)
+    for line in report_lines(checks):
+        console.print(line, soft_wrap=True)
     return checks
 
 
-def _verdict(checks: list[Check]) -> str:
-    missing = lacks(checks)
-    return f"duplex live cannot start: {', '.join(missing)}." if missing else "duplex live can start."
+def report_lines(checks: list[Check]) -> list[Text]:
+    """The report: sensors, what works, faults, what is not installed, what works now and the next step."""
+    step = _next_step(checks)
+    absent = [check for check in checks if check.about == "library" and check.missing]
+    ranked = sorted((check for check in checks if check not in absent), key=_rank)
+    lines = [_line(check, advised=check is not step) for check in ranked]
+    if absent:
+        lines.append(Text("Not installed; the library of your sensors is enough:", style=_GREY))
+    lines += [Text(f"– {check.serves}: {check.install}", style=_GREY) for check in absent]
+    lacking = lacks(checks)
+    if lacking:
+        lines.append(Text(f"duplex live cannot start: {', '.join(lacking)}."))
+        works = "duplex demo, and duplex fuse with recordings"
+        return [*lines, Text(f"Works now: {works}. Next: {step.advice if step is not None else ''}")]
+    return [*lines, Text("duplex live can start. Next: duplex live --save s.rrd")]
+
+
+def _next_step(checks: list[Check]) -> Check | None:
+    """The check whose advice comes first: without any library, that for sensors."""
+    failing = [check for check in checks if check.needed and not check.ok]
+    if not any(check.ok for check in checks if check.about == "library"):
+        failing.sort(key=lambda check: check.about != "sensor")
+    return failing[0] if failing else None
 
 
 def _record(options: DoctorOptions, folder: Path, console: Console, hide: Callable[[str], str]) -> None:
@@ -83,23 +103,32 @@ def _record(options: DoctorOptions, folder: Path, console: Console, hide: Callab
 
 
 def lacks(checks: list[Check]) -> list[str]:
-    """What ``duplex live`` lacks, in words; of checks of which one is enough, one item."""
-    names: dict[str, list[str]] = {}
-    for check in checks:
-        if check.needed and not check.ok:
-            names.setdefault(check.one_of or check.name, []).append(check.name)
-    return [" or ".join(group) for group in names.values()]
+    """What ``duplex live`` lacks, in words."""
+    return [check.name for check in checks if check.needed and not check.ok]
 
 
-def line(check: Check) -> Text:
-    """A check as one line: a mark, its name, the result, the advice."""
-    mark, style = ("✓", "green") if check.ok else ("✗", "bold red") if check.needed else ("–", "yellow")
+def _rank(check: Check) -> int:
+    """The place of a check in the report: sensors, libraries that work, the rest that works, faults."""
+    if check.about == "sensor":
+        return 0
+    if check.ok:
+        return 1 if check.about == "library" else 2
+    return 3 if check.needed else 4
+
+
+def _line(check: Check, advised: bool) -> Text:
+    """A check as one line: a mark, its name, the result, the advice if wanted."""
+    if not check.ok and not check.needed:
+        mark, style = "–", _GREY if check.about == "machine" else "yellow"
+    else:
+        mark, style = ("✓", "green") if check.ok else ("✗", "bold red")
     text = Text(f"{mark} ", style=style)
-    text.append(check.name, style="bold")
-    text.append(f": {check.detail}", style="default")
-    if check.advice:
-        separator = " " if check.detail.endswith(".") else ". "
-        text.append(f"{separator}{check.advice}", style="default")
+    runs = f", runs {check.serves}" if check.about == "library" and check.ok else ""
+    advice = check.advice if advised else ""
+    separator = "" if not advice else " " if check.detail.endswith(".") else ". "
+    rest = _GREY if style == _GREY else "default"
+    text.append(check.name, style=_GREY if style == _GREY else "bold")
+    text.append(" ".join(f": {check.detail}{runs}{separator}{advice}".split()), style=rest)
     return text
 
 
@@ -113,7 +142,7 @@ def _display() -> Check:
     if why_not is None:
         named = environment_of_window()
         return Check("display", True, named.get("WAYLAND_DISPLAY") or named.get("DISPLAY") or "yes")
-    advice = "Use duplex live --save FILE.rrd --no-viewer and look at the file on another machine."
+    advice = "Use --save or --web."
     # duplex live can save without a display; the depth engine's own check covers what sensors need
     return Check("display", False, why_not, advice, needed=False)
 

@@ -13,6 +13,7 @@ from devices.azure.settings import check_modes
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth.image_thinning import thinned_camera
+from devices.files import has_images
 from devices.network.remote_sensor import RemoteSensor
 from devices.sensor import Sensor
 from fusion.calibration.calibration import Calibration, nominal_calibration
@@ -40,8 +41,8 @@ def run(options: LiveOptions) -> None:
     """Runs the command."""
     console = Console(highlight=False)
     remote = names_remote(options)
-    runner = Runner(options, console, options.save, remote)
     settings = _check(options)
+    runner = Runner(options, console, options.save, remote)
     raw = raw_files(options, console, _played(options))
     if remote:
         with sensors_by_network(options, console, partial(one_of_live, options, console)) as sensors:
@@ -70,6 +71,9 @@ def _check(options: LiveOptions) -> FuserSettings:
     sensors = (options.kinect_a, options.kinect_b, options.principal, options.sync_master)
     if _played(options) and (options.b is None or any(sensors)):
         raise UsageError("duplex live plays two recordings: name both, and no sensor.")
+    for path in _played(options):
+        if not has_images(path):
+            raise UsageError(f"{path} has no images: duplex live plays .mkv, .db3 and .bag. Use duplex fuse.")
     if options.calibrate != "auto" and not Path(options.calibrate).exists():
         raise UsageError(
             f"--calibrate {options.calibrate}: neither auto nor an existing file. Make one with "

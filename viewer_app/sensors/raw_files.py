@@ -15,7 +15,7 @@ from devices.capture.host_clock import ONE_RUN_NS
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.settings import CaptureSettings
 from devices.capture.stream_pairing import LivePairing
-from devices.files import has_images, not_of_libk4a, open_images, open_source
+from devices.files import not_of_libk4a, open_images, open_source
 from devices.live_sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
 from devices.raw_recording import RawRecorder, recorded
@@ -133,12 +133,8 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
     """Two recordings of images as live sensors, at the pace at which they were recorded; opens neither.
 
     Raises:
-        UsageError: One has no images.
         DeviceError: One cannot be read, or both are the same.
     """
-    for path in paths:
-        if not has_images(path):
-            raise UsageError(f"{path} has no images: duplex live plays .mkv, .db3 and .bag. Use duplex fuse.")
     refuse_same(*paths)
     tracker = tracker_of(options).for_images_of(not_of_libk4a(*paths))
     announce_tracker(tracker, console)

@@ -1,6 +1,7 @@
 """Checks of ``duplex doctor`` on made-up machines."""
 
 import os
+import re
 import shutil
 import sys
 
@@ -10,10 +11,12 @@ from devices.azure import pyk4a_access
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.checks import networks_check
 from devices.blazepose.settings import BlazePoseSettings
-from devices.capture.usb import usb_kinects
+from devices.capture.usb import permission_check, usb_kinects
 from devices.live_checks import device_checks
+from devices.live_sensors import NoLibraryError, connected_sensors, software
 from devices.orbbec.checks import sdk_check, sensor_check
 from devices.orbbec.sdk_access import connected_orbbecs
+from devices.sensor import DeviceError
 from devices.tracker_choice import choose_tracker
 from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.standin_pyk4a import Device
@@ -26,15 +29,8 @@ def _by_name(checks):
     return named
 
 
-@pytest.fixture
-def forbidden(monkeypatch):
-    """Every device file refused, also to root."""
-    monkeypatch.setattr(os, "access", lambda *_: False)
-
-
+@pytest.mark.usefixtures("no_libraries")
 def test_a_bare_machine_needs_everything_and_every_failure_has_advice(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "pyk4a", None)
-    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr(shutil, "which", lambda _: None)
     monkeypatch.delenv("DISPLAY", raising=False)
@@ -42,17 +38,15 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(monkeypatc
         choose_tracker("k4abt", TrackerSettings(library=tmp_path / "libk4abt.so")), tmp_path
     )
     named = _by_name(checks)
-    lacking = {"pyk4a and the Sensor SDK", "pyorbbecsdk2 (Orbbec's SDK v2)", "libfreenect 0.5 (Kinect v1)"}
-    lacking |= {"USB permission", "two Kinects", "k4abt", "k4abt's network", "GPU"}
+    lacking = {"two sensors", "k4abt", "k4abt's network", "GPU"}
     assert {name for name, check in named.items() if check.needed and not check.ok} >= lacking
-    assert not named["depth engine"].needed, "only libk4a needs it"
+    assert "depth engine" not in named, "only libk4a needs it"
+    libraries = [check for check in checks if check.about == "library"]
+    assert len(libraries) == 5
+    assert all(check.missing and check.serves and check.install and not check.needed for check in libraries)
     assert all(check.advice for check in checks if not check.ok)
     assert "pip install '.[kinect]'" in named["pyk4a and the Sensor SDK"].advice
-    assert named["two Kinects"].detail == "cannot be looked for without a sensor library"
-    rules = tmp_path / "etc/udev/rules.d"
-    rules.mkdir(parents=True)
-    (rules / "99-obsensor-libusb.rules").touch()
-    assert _by_name(device_checks(root=tmp_path))["USB permission"].ok, "Orbbec's udev rule counts too"
+    assert named["two sensors"].detail == "none found: the library for them is not installed"
 
 
 def test_a_machine_with_all_of_it_can_start(bus, standin, monkeypatch, tmp_path):
@@ -114,8 +108,8 @@ def test_the_azure_kinect_and_its_successors_are_known(tmp_path, vendor, product
 def test_one_kinect_is_not_enough(bus, tmp_path):
     bus.devices = [Device("000123"), Device("000456", busy=True)]
     named = _by_name(device_checks(root=tmp_path))
-    assert not named["two Kinects"].ok
-    assert named["two Kinects"].detail == "2 connected, 1 usable"
+    assert not named["two sensors"].ok
+    assert named["two sensors"].detail == "2 connected, 1 usable"
     assert "busy" in named["Kinect at place 1"].detail
     assert "k4aviewer" in named["Kinect at place 1"].advice
 
@@ -123,27 +117,66 @@ def test_one_kinect_is_not_enough(bus, tmp_path):
 def test_two_of_three_kinects_must_be_chosen_as_for_live(bus, tmp_path):
     bus.devices = [Device("1"), Device("2", jacks=(False, True)), Device("3", jacks=(True, False))]
     named = _by_name(device_checks(root=tmp_path))
-    assert (named["two Kinects"].ok, named["two Kinects"].needed) == (False, True)
+    assert (named["two sensors"].ok, named["two sensors"].needed) == (False, True)
     assert (
-        named["two Kinects"].advice == "3 sensors are connected: 1, 2, 3. Choose two: --kinect-a, --kinect-b."
+        named["two sensors"].advice == "3 sensors are connected: 1, 2, 3. Choose two: --kinect-a, --kinect-b."
     )
     named = _by_name(device_checks(root=tmp_path, choice=("3", "2", None)))
-    assert named["two Kinects"].ok
+    assert named["two sensors"].ok
     assert named["sync cable"].detail == "from 2 to 3"
     named = _by_name(device_checks(root=tmp_path, choice=(None, "1", "2")))
     assert (named["sync cable"].ok, named["sync cable"].needed) == (False, True)
     named = _by_name(device_checks(root=tmp_path, choice=("9", "2", None)))
-    assert "No sensor with serial 9" in named["two Kinects"].advice
+    assert "No sensor with serial 9" in named["two sensors"].advice
+
+
+ONE_OF_EACH = {
+    ("045e", "097c"): "k4a",
+    ("2bc5", "066b"): "orbbec",
+    ("045e", "02ae"): "freenect",
+    ("045e", "02c4"): "freenect2",
+    ("8086", "0b07"): "realsense",
+}
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux restricts USB devices")
-@pytest.mark.usefixtures("forbidden")
-def test_missing_usb_permission_names_the_rule(tmp_path):
-    node = plug_in(tmp_path)
-    check = _by_name(device_checks(root=tmp_path))["USB permission"]
-    assert not check.ok
+@pytest.mark.parametrize("camera", ONE_OF_EACH)
+def test_the_rule_that_is_named_for_a_sensor_is_a_rule_that_counts(monkeypatch, tmp_path, camera):
+    monkeypatch.setattr(os, "access", lambda *_: False)  # also root's
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    bare, plugged = tmp_path / "bare", tmp_path / "plugged"
+    node = plug_in(plugged, vendor=camera[0], product=camera[1])
+    check = permission_check(plugged)
+    assert (check.ok, check.needed) == (False, True)
     assert str(node) in check.detail
-    assert "99-k4a.rules" in check.advice
+    (rule,) = re.findall(r"\S+\.rules", check.advice)
+    assert not permission_check(bare).ok
+    (bare / "etc/udev/rules.d").mkdir(parents=True)
+    (bare / "etc/udev/rules.d" / rule).touch()
+    assert permission_check(bare).ok
+
+
+@pytest.mark.usefixtures("no_libraries")
+@pytest.mark.parametrize(("camera", "sdk"), ONE_OF_EACH.items())
+def test_a_sensor_on_usb_names_its_library_first(tmp_path, camera, sdk):
+    plug_in(tmp_path, vendor=camera[0], product=camera[1])
+    sensors, install = software()[sdk]
+    with pytest.raises(NoLibraryError) as fault:
+        connected_sensors(choose_tracker("blazepose"), tmp_path)
+    for said in (str(fault.value), _by_name(device_checks(root=tmp_path))["two sensors"].advice):
+        assert f"the library of {sensors}, which is not installed: {install}." in said
+
+
+def test_a_broken_library_is_told_where_no_sensor_is_found(monkeypatch, no_libraries, tmp_path):
+    del no_libraries
+    (tmp_path / "pyrealsense2.py").write_text("raise ImportError('libusb-1.0.so.0: cannot open')")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "pyrealsense2")
+    with pytest.raises(DeviceError, match=r"pyrealsense2, which cannot be imported \(libusb"):
+        connected_sensors(choose_tracker("blazepose"))
+    named = _by_name(device_checks(root=tmp_path))
+    assert "libusb" in named["two sensors"].detail
+    assert not named["pyrealsense2"].missing
 
 
 def test_a_usb_2_port_is_reported(tmp_path):
@@ -152,8 +185,8 @@ def test_a_usb_2_port_is_reported(tmp_path):
     assert (check.ok, check.detail) == (False, "000123 runs at 480 Mbit/s")
 
 
+@pytest.mark.usefixtures("bus")
 def test_the_depth_engine_beside_a_wheels_library_is_found(monkeypatch, wheel_library, tmp_path):
-    monkeypatch.setitem(sys.modules, "pyk4a", None)
     monkeypatch.setenv("DISPLAY", ":0")
     engine = wheel_library.with_name("libdepthengine.so.2.0")
     engine.touch()

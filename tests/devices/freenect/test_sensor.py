@@ -305,7 +305,7 @@ def test_the_doctor_knows_them(dump, monkeypatch, tmp_path):
     assert [c.name for c in checks if c.needed and not c.ok and c.name != "blazepose"] == []
     named = {check.name: check for check in checks}
     assert named["libfreenect 0.5 (Kinect v1)"].detail == "libfreenect.so.0.5"
-    assert named["two Kinects"].detail == "2 connected, 2 usable"
+    assert named["two sensors"].detail == "2 connected, 2 usable"
     assert named[f"Kinect v1 {A}"].ok
     assert named["sync cable"].detail == f"No sync cable fits into {A} and {B}."
     assert named["USB speed"].ok, "they are made for USB 2"

@@ -287,7 +287,7 @@ def test_the_doctor_knows_them(standin_prefix, monkeypatch, tmp_path):
     checks = device_checks(choose_tracker("blazepose"), tmp_path)
     named = {check.name: check for check in checks}
     assert named["libfreenect2 (Kinect v2)"].detail == f"{standin_prefix}, depth by gl"
-    assert named["two Kinects"].detail == "2 connected, 2 usable"
+    assert named["two sensors"].detail == "2 connected, 2 usable"
     assert named[f"Kinect v2 {A}"].detail == "no sync port"
     assert named["USB speed"].detail == f"{B} runs at 480 Mbit/s"
     assert "never a real sensor" in named["proven on hardware"].detail

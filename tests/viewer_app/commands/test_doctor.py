@@ -1,31 +1,94 @@
 """``duplex doctor`` on a bare machine and where ``duplex live`` can start."""
 
+import re
 import sys
 
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from devices import live_checks as device_doctor
+from devices.check import Check
 from tests.helpers.command_line import duplex
 from tests.helpers.displays import x_server
 from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish, plug_in
+from viewer_app.commands.doctor import report_lines
 from viewer_app.viewer import display
 
 
-def test_the_doctor_of_a_bare_machine_fails(monkeypatch, tmp_path, capsys):
-    monkeypatch.setitem(sys.modules, "pyk4a", None)
-    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
+@st.composite
+def checks(draw):
+    """Checks of any machine: names differ, and a failure that is needed has advice."""
+    words = st.text("abc .\n", min_size=1, max_size=8)
+    made = []
+    for number in range(draw(st.integers(1, 8))):
+        about, ok = draw(st.sampled_from(["sensor", "library", "machine"])), draw(st.booleans())
+        missing = not ok and about == "library" and draw(st.booleans())
+        needed = about != "library" and draw(st.booleans())
+        made.append(
+            Check(
+                *(f"name {number}", ok, draw(words), "" if ok else f"Do {number}.", needed),
+                *(about, missing, f"sensors {number}", f"install {number}"),
+            )
+        )
+    return made
+
+
+@given(checks())
+def test_a_report_has_sensors_first_then_what_works_then_what_is_missing(made):
+    lines = report_lines(made)
+    plain = [line.plain for line in lines]
+    assert not any("\n" in line for line in plain)
+    assert sum("Next: " in line for line in plain) == 1
+    failing = [check for check in made if check.needed and not check.ok]
+    assert ("cannot start" in " ".join(plain)) is bool(failing)
+    if failing:
+        assert plain[-1].startswith("Works now: ")
+        assert any(plain[-1].endswith(f"Next: {check.advice}") for check in failing)
+    else:
+        assert plain[-1].startswith("duplex live can start. Next: duplex live ")
+
+    def place(check):
+        begins = f"– {check.serves}: {check.install}" if check.missing else f" {check.name}:"
+        (found,) = (k for k, line in enumerate(plain) if begins in line)
+        return found
+
+    order = [lambda c: c.about == "sensor", lambda c: c.ok and c.about == "library", lambda c: not c.missing]
+    rank = {c.name: next((k for k, holds in enumerate(order) if holds(c)), len(order)) for c in made}
+    by_place = sorted(made, key=place)
+    assert [rank[check.name] for check in by_place] == sorted(rank.values())
+    for check in made:
+        mark = "✓" if check.ok else "✗" if check.needed else "–"
+        assert plain[place(check)].startswith(mark)
+        grey = "bright_black" in str(lines[place(check)].markup)
+        assert grey or not (check.missing or (mark == "–" and check.about == "machine"))
+
+
+@pytest.mark.usefixtures("no_libraries")
+def test_a_first_run_without_sensors_is_short_and_leads_to_the_doctor(tmp_path, capsys):
+    """At most three lines of a terminal's width."""
+    for command in (("live", "--no-viewer"), ("record", tmp_path / "raw")):
+        assert duplex(*command) == 2
+        said = capsys.readouterr().err.splitlines()
+        assert len(said) <= 3
+        assert max(map(len, said)) <= 80
+        assert {"Azure Kinect", "Orbbec", "Kinect v1", "Kinect v2", "RealSense"} <= set(
+            re.split(", | or |\\.", said[1])
+        )
+        assert "Next: duplex doctor" in said[2]
+
+
+@pytest.mark.usefixtures("no_libraries")
+def test_the_doctor_of_a_bare_machine_fails(tmp_path, capsys):
     assert duplex("doctor", "--k4abt", tmp_path / "none.so") == 1
     said = capsys.readouterr().out.splitlines()
-    assert said[0].startswith("✗ pyk4a and the Sensor SDK: ")
+    assert said[0].startswith("✗ two sensors: none found")
     assert any(line.startswith(f"✗ k4abt: No library at {tmp_path}") for line in said)
     assert any(line.startswith("✓ viewer: rerun 0.") for line in said)
-    assert said[-1].startswith(
-        "duplex live cannot start: pyk4a and the Sensor SDK or pyorbbecsdk2 (Orbbec's SDK v2) or "
-        "libfreenect 0.5 (Kinect v1) or libfreenect2 (Kinect v2) or pyrealsense2, "
-    )
-    assert said[-1].count("pyorbbecsdk2") == 1, "one of them is enough"
-    assert "depth engine" not in said[-1], "which of them needs it is not known yet"
-    assert ", k4abt, " in said[-1]
-    assert all(line[:2] in ("✓ ", "✗ ", "– ") for line in said[:-1]), "one line each"
+    assert said[-2] == "duplex live cannot start: k4abt, k4abt's network, GPU, two sensors."
+    assert said[-1].endswith("Next: Install the library of your sensors as its line above says.")
+    assert sum(line.startswith("✗") for line in said) == 4, "one library is enough: none of them is a fault"
 
 
 def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch, tmp_path, capsys):
@@ -44,14 +107,14 @@ def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch
     monkeypatch.setattr(display, "_asks_x", lambda name: name == ":77")
     assert duplex("doctor", "--k4abt", standin.path) == 0
     said = capsys.readouterr().out
-    assert "✓ two Kinects: 2 connected, 2 usable" in said
+    assert "✓ two sensors: 2 connected, 2 usable" in said
     assert "✓ sync cable: from 000456 to 000123" in said
     assert "never a real sensor" in said
-    assert said.endswith("duplex live can start.\n")
+    assert said.endswith("duplex live can start. Next: duplex live --save s.rrd\n")
     live(seconds=0.2)
     kinects.devices.append(Device("000789"))
     assert duplex("doctor", "--k4abt", standin.path) == 1
-    assert "cannot start: two Kinects.\n" in capsys.readouterr().out
+    assert "cannot start: two sensors.\n" in capsys.readouterr().out
     assert duplex("doctor", "--k4abt", standin.path, "--kinect-a", "000123", "--kinect-b", "000456") == 0
     kinects.devices.pop().plugged = False
     kinects.devices[0].jacks = (False, False)
