@@ -87,6 +87,15 @@ def open_images(path: Path) -> MkvRecording | OrbbecRecording | RealSenseRecordi
     return OrbbecRecording(path) if suffix == BAG else MkvRecording(path)
 
 
+def distinct_names(a: Path, b: Path) -> tuple[str, str]:
+    """The names of two files, with as many of their folders as tell them apart."""
+    for parts in range(1, max(len(a.parts), len(b.parts)) + 1):
+        names = Path(*a.parts[-parts:]), Path(*b.parts[-parts:])
+        if names[0] != names[1]:
+            break
+    return str(names[0]), str(names[1])
+
+
 def frame_count(source: Sensor) -> int | None:
     """About how many frames an open recording has, for a progress bar; None where it does not say."""
     images = images_of(source)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -11,12 +12,36 @@ from pathlib import Path
 from devices.azure.mkv_writer import MkvWriter
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.capture_stream import LiveSensor
+from devices.capture.host_clock import ContinuousTime, HostClock, Timing
 from devices.capture.settings import CaptureSettings
 from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
 
 _KEEP, _KEEP_WITH_IMAGES = 120, 60
 """Most queued frames; from the second number on, frames wait without infrared and colour: 130 MB at most, of
 640 × 576 pixels."""
+
+
+class _FileTimes:
+    """A sensor's times in a file: those of its clock, continued by this machine's where it starts anew."""
+
+    def __init__(self) -> None:
+        self._clock, self._time = HostClock(), ContinuousTime()
+        self._last_ns: int | None = None
+
+    def of(self, frame: SensorFrame) -> int | None:
+        """The time of a frame; None where it came before, or a later one did."""
+        sensor_ns, host_ns = frame.time_ns, frame.host_ns or 0
+        timing = self._clock.observe(sensor_ns, host_ns)
+        passed = self._last_ns is not None and sensor_ns <= self._last_ns
+        if sensor_ns == self._last_ns or (passed and timing is Timing.IN_TIME):
+            return None
+        if passed and timing is Timing.LATE:  # frames come in order, so the clock is another one
+            self._clock.restart()
+            self._clock.observe(sensor_ns, host_ns)
+        if passed or timing is Timing.RESET:
+            self._time.restart()
+        self._last_ns = sensor_ns
+        return self._time.of_sensor(sensor_ns, sensor_ns + (self._clock.offset_ns or 0))
 
 
 class RawRecorder:
@@ -29,7 +54,7 @@ class RawRecorder:
     Attributes:
         failure: Why the recording ended early, in a sentence; None where it did not.
         written: Frames in the file.
-        lost: Frames with depth that are not.
+        lost: Frames with depth that are not; one that the sensor gave twice does not count.
         without_images: Frames of the file whose infrared and colour were left out.
     """
 
@@ -60,7 +85,7 @@ class RawRecorder:
         self._more = threading.Condition()
         self._ending = False
         self._fault: BaseException | None = None
-        self._shift_ns, self._last = 0, (-1, 0)
+        self._times = _FileTimes()
         self._thread = threading.Thread(target=self._run, name=f"recording {path.name}", daemon=False)
         self._thread.start()
 
@@ -75,6 +100,8 @@ class RawRecorder:
             if len(self._queue) >= _KEEP_WITH_IMAGES:
                 frame = replace(frame, ir=None, color=None)
                 self.without_images += 1
+            if frame.host_ns is None:
+                frame = replace(frame, host_ns=time.perf_counter_ns())
             self._queue.append(frame)
             self._more.notify()
 
@@ -119,13 +146,12 @@ class RawRecorder:
 
     def _write(self) -> None:
         images = self._first_whole()
-        frame = self._take()
+        frame = self._next()
         if frame is None:
             return
         sensor = self.sensor
         if sensor.intrinsics is None:
             raise DeviceError(f"{sensor.name} does not know its depth camera, which a recording needs.")
-        frame = self._in_order(frame)
         calibration = self._hide(getattr(sensor, "calibration_json", b"").decode("latin-1")).encode("latin-1")
         first = replace(images or frame, time_ns=frame.time_ns)
         given = self._hide(sensor.name), self._settings, sensor.intrinsics, first
@@ -138,8 +164,7 @@ class RawRecorder:
                     self.lost += 1
                     raise
                 self.written += 1
-                following = self._take()
-                following = None if following is None else self._in_order(following)
+                following = self._next()
 
     def _first_whole(self) -> SensorFrame | None:
         """The first frame with all the images that the sensor gives, which name the file's tracks.
@@ -158,25 +183,17 @@ class RawRecorder:
             self._more.wait_for(lambda: self._ending or found() or len(self._queue) >= self._settings.fps)
             return found()
 
-    def _take(self) -> SensorFrame | None:
-        """The next frame; None at the end."""
-        with self._more:
-            self._more.wait_for(lambda: self._queue or self._ending)
-            return self._queue.popleft() if self._queue else None
-
-    def _in_order(self, frame: SensorFrame) -> SensorFrame:
-        """The frame at a time after the last one's. A sensor that was plugged in again starts its clock anew:
-        its times then go on by this machine's clock.
-        """
-        time_ns, host_ns = frame.time_ns + self._shift_ns, frame.host_ns or 0
-        last_ns, last_host_ns = self._last
-        if time_ns <= last_ns:
-            interval_ns = 1_000_000_000 // self._settings.fps
-            shift_ns = last_ns + max(host_ns - last_host_ns, interval_ns) - time_ns
-            self._shift_ns += shift_ns
-            time_ns += shift_ns
-        self._last = time_ns, host_ns
-        return replace(frame, time_ns=time_ns)
+    def _next(self) -> SensorFrame | None:
+        """The next frame, at its time in the file; None at the end."""
+        while True:
+            with self._more:
+                self._more.wait_for(lambda: self._queue or self._ending)
+                frame = self._queue.popleft() if self._queue else None
+            if frame is None:
+                return None
+            time_ns = self._times.of(frame)
+            if time_ns is not None:
+                return replace(frame, time_ns=time_ns)
 
     def _fail(self, why: str) -> None:
         rest = f" from frame {self.written} on: {why}. What is before that can be read."

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,11 +33,18 @@ class Beat:
 
     Args:
         begins_s: When they start, seconds of the clock; None: as soon as all are there.
-        one_clock: Whether the times of recordings are of one clock; else each starts with its first frame.
+        common: Which times of all the recordings are of one clock: those of the frames' arrival, as one run
+            of the program recorded them, or of their capture, on a sync cable. None: each recording starts
+            with its first frame.
     """
 
-    def __init__(self, sensors: int = 1, begins_s: float | None = None, one_clock: bool = False) -> None:
-        self._awaited, self._begins_s, self.one_clock = sensors, begins_s, one_clock
+    def __init__(
+        self,
+        sensors: int = 1,
+        begins_s: float | None = None,
+        common: Literal["arrival", "capture"] | None = None,
+    ) -> None:
+        self._awaited, self._begins_s, self.common = sensors, begins_s, common
         self._came = threading.Condition()
         self._latest = 0.0
         self.first_ns: int | None = None
@@ -101,11 +109,22 @@ class PacedSensor(SensorWrapper):
         self.making_ns = 0
         """How long making the last frame took."""
 
+    @property
+    def recorded(self) -> bool:  # type: ignore[override]
+        """Whether it is no simulated sensor."""
+        return self._simulated is None
+
+    @property
+    def key(self) -> Hashable:
+        """Itself: recordings in two folders may have one name."""
+        return self
+
     def __enter__(self) -> PacedSensor:
         self._stopping.clear()
         return super().__enter__()
 
     def interrupt(self) -> None:
+        super().interrupt()
         self._stopping.set()
         self._beat.wake()
 
@@ -114,7 +133,7 @@ class PacedSensor(SensorWrapper):
         start_ns = 0 if simulated is None else simulated.clock_at_start_ns
         frames = self.source.frames()
         if self._decimation is not None:
-            self._decimation.restart(self.name)
+            self._decimation.restart(self.key)
         while True:
             started = self._clock()
             frame = next(frames, None)
@@ -122,11 +141,13 @@ class PacedSensor(SensorWrapper):
                 return
             took = self._clock() - started
             longest, self.making_ns = max(took, _FORGETTING * longest), round(took * 1e9)
-            moment_ns = frame.time_ns if frame.host_ns is None else frame.host_ns
+            moment_ns = frame.time_ns
+            if frame.host_ns is not None and self._beat.common != "capture":
+                moment_ns = frame.host_ns
             if begun is None:
                 begun = self._beat.begin(self._clock, self._stopping, moment_ns)
                 if simulated is None:
-                    start_ns = self._beat.first_ns or 0 if self._beat.one_clock else moment_ns
+                    start_ns = moment_ns if self._beat.common is None else self._beat.first_ns or 0
             due = begun + (moment_ns - start_ns) * 1e-9
             late_s = self._clock() - due
             if simulated is not None:
@@ -144,7 +165,7 @@ class PacedSensor(SensorWrapper):
         """Whether a tracker wants the frame; the next one then has images only if it wants that."""
         if self._decimation is None or frame.host_ns is None:
             return True
-        moment = self._decimation.moment(self.name, frame.time_ns, frame.host_ns)
+        moment = self._decimation.moment(self.key, frame.time_ns, frame.host_ns)
         kept = self._decimation.keeps(moment) and frame.depth is not None
         if self._simulated is not None:
             self._simulated.imaging = self._decimation.keeps(moment + 1)

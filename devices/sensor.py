@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -113,6 +113,7 @@ class Sensor:
         waits_for: What opening, the first frame or closing waits for if that may take minutes, such as "its
             body tracker, which loads its network"; else empty.
         link: How the messages of a sensor on another machine arrive; None for one of this machine.
+        recorded: Whether it plays a recording. A failure is its end then, and no cable or power is at fault.
     """
 
     name: str
@@ -123,6 +124,12 @@ class Sensor:
     lost: int = 0
     waits_for: str = ""
     link: LinkFigures | None = None
+    recorded: bool = False
+
+    @property
+    def key(self) -> Hashable:
+        """What tells it from the other sensors of a session, where a name may not."""
+        return self.name
 
     def __enter__(self) -> Self:
         """Opens the source.
@@ -178,6 +185,13 @@ class SensorWrapper(Sensor):
     missed = _of_source("missed")
     lost = _of_source("lost")
     waits_for = _of_source("waits_for")
+    link = _of_source("link")
+    recorded = _of_source("recorded")
+
+    @property
+    def key(self) -> Hashable:
+        key: Hashable = getattr(self.source, "key", self.name)
+        return key
 
     def __enter__(self) -> Self:
         self.source.__enter__()
@@ -192,3 +206,6 @@ class SensorWrapper(Sensor):
     def interrupt(self) -> None:
         """Interrupts the source, if it can be."""
         getattr(self.source, "interrupt", lambda: None)()
+
+    def take_news(self) -> list[str]:
+        return list(getattr(self.source, "take_news", list)())

@@ -1,15 +1,16 @@
 """Keeps two trackers on one processor in time: first with fewer frames, then with the lighter network."""
 
+import time
+from collections.abc import Callable
+
 from devices.blazepose.networks.files import cache_folder, fetch_command, missing
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
 from devices.capture.frame_decimation import FrameDecimation
 from devices.sensor import DeviceError
 
-_PATIENCE = 60
-"""Results of both sensors together, with fewer frames than the cameras give, after which ``lite`` is used.
-
-At half the rate it is two seconds. A viewer that starts, or another program, may slow the trackers for a
-moment. That costs frames, but no accuracy."""
+_PATIENCE_NS = 2_000_000_000
+"""After so long with fewer frames than the cameras give, ``lite`` is used. A viewer that starts, or another
+program, may slow the trackers for a moment. That costs frames, but no accuracy."""
 
 
 class TrackingPace(FrameDecimation):
@@ -25,9 +26,14 @@ class TrackingPace(FrameDecimation):
     """
 
     def __init__(
-        self, fps: float, settings: BlazePoseSettings | None = None, *, simulated: bool = False
+        self,
+        fps: float,
+        settings: BlazePoseSettings | None = None,
+        clock: Callable[[], int] = time.perf_counter_ns,
+        *,
+        simulated: bool = False,
     ) -> None:
-        super().__init__(fps)
+        super().__init__(fps, clock)
         settings = settings or BlazePoseSettings()
         self.settings, self._simulated = settings, simulated
         self._network: NetworkName = settings.network
@@ -35,7 +41,7 @@ class TrackingPace(FrameDecimation):
         wants_lighter, lacks_lite = settings.network == "full", bool(missing("lite", folder))
         self._has_lighter = wants_lighter and not lacks_lite
         self._fetch_lighter = fetch_command("lite", folder) if wants_lighter and lacks_lite else ""
-        self._slow_results = 0
+        self._slow_ns: int | None = None  # since when fewer frames are needed
         self._news: list[str] = []
 
     @property
@@ -50,14 +56,14 @@ class TrackingPace(FrameDecimation):
         text = f"It is the tracker, which needs a faster processor, not USB or light. {lighter}{later}"
         return text.rstrip()
 
-    def tracked(self, sensor: str, time_ns: int) -> None:
-        super().tracked(sensor, time_ns)
-        self._slow_results = self._slow_results + 1 if self.step > 1 and not self._easy_ns else 0
-        if self._has_lighter and (self.taken_back or self._slow_results >= _PATIENCE):
+    def _chosen(self, now_ns: int) -> None:
+        slow = self.step > 1 and self.choice.easy_ns is None
+        self._slow_ns = (self._slow_ns or now_ns) if slow else None
+        lasts = self._slow_ns is not None and now_ns - self._slow_ns >= _PATIENCE_NS
+        if self._has_lighter and (self.choice.taken_back or lasts):
             self._has_lighter = False
             self._network = "lite"
-            self._hold_ns = 0
-            self._forget_times()
+            self.choice.learn_anew()
             self._news.append(
                 "The body tracker goes on with its network lite, which is faster and less accurate than full."
             )

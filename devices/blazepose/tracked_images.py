@@ -76,8 +76,8 @@ class TrackedImages(SensorWrapper):
         ]
 
     def take_news(self) -> list[str]:
-        """That another person is followed."""
-        return [self._news.popleft() for _ in range(len(self._news))]
+        """The source's, and that another person is followed."""
+        return [*super().take_news(), *(self._news.popleft() for _ in range(len(self._news)))]
 
     def __enter__(self) -> TrackedImages:
         """Loads the networks, then opens the source."""
@@ -112,7 +112,7 @@ class TrackedImages(SensorWrapper):
             self._took(spent_ns)
             if self._pace is not None:
                 # A simulated sensor makes its images on this thread, within the same budget.
-                self._pace.tracked(self.name, spent_ns + int(getattr(self.source, "making_ns", 0)))
+                self._pace.tracked(self.key, spent_ns + int(getattr(self.source, "making_ns", 0)))
             for person in people:
                 if person != self._person and self._person:
                     self._changes.append(frame.time_ns - first_ns)

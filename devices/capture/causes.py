@@ -59,6 +59,8 @@ class Cause(Enum):
     STOPPED = "{label} stopped giving frames{said}. Unplug it and plug it in again."
     # No frame, and nothing that it is known to wait for.
     SILENT = "{label} stalls: no frame for {seconds:g} s. Check its cable and power."
+    # The same of a recording that is played.
+    NO_MORE_RECORDED = "{label} gives no frame for {seconds:g} s: it has a gap, or its disk is slow."
     # No frame, while the tracker has images to work on, or a subordinate's cameras no pulse.
     WAITING = "{label} stalls: no frame for {seconds:g} s, because it waits for {waits_for}."
     # --- The body tracker
@@ -103,6 +105,8 @@ class Cause(Enum):
     CLOSES_LATER = "{label} does not close yet: it waits for {waits_for}. It closes by itself after that."
     # Closing takes long, and nothing explains it.
     LEFT_BEHIND = "{label} does not close; it is left behind. Unplug it before using it again."
+    # The same of a recording that is played.
+    RECORDING_LEFT_BEHIND = "{label} does not close; it is left behind. Its disk or its body tracker hangs."
 
     def says(self, **fields: object) -> str:
         """The message with its fields filled in."""

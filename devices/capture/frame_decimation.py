@@ -6,7 +6,9 @@ different moments, and few pairs form. Here both count moments on a common grid 
 
 import math
 import threading
+import time
 from collections import deque
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from statistics import fmean, median
 
@@ -17,45 +19,164 @@ _ENOUGH, _RECENT = 5, 15  # results
 _USED_TO_SLOW = 0.95  # of the time between two kept moments: a tracker busier than this falls behind
 _USED_TO_SPEED = 0.8
 _HOLD_NS, _LONGEST_HOLD_NS = 5_000_000_000, 80_000_000_000
+_SILENT_NS = 2_000_000_000
 _REGRID = 0.6  # of a period: beyond half of one, so that a sensor midway between the other's does not swing
 _SAME_STREAM_NS = 1_000_000_000
 
 
 @dataclass(eq=False)
-class _Sensor:
-    """What is known of one sensor: its place on the grid of moments, and its tracker's times."""
+class _Place:
+    """A sensor's newest moment, by its own clock, by this machine's, and by its number."""
 
     clock: HostClock = field(default_factory=HostClock)
     time_ns: int | None = None
-    moment: int = 0
+    moment_ns: int | None = None
+    number: int = 0
+
+
+class MomentGrid:
+    """Numbers the moments at which two sensors capture, so that equal numbers mean the same moment.
+
+    Moments are counted on by the sensor's own clock. Where a sensor's grid begins, and whether the second
+    sensor's still fits the first's, is told by this machine's clock.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._places: dict[Hashable, _Place] = {}
+
+    def restart(self, sensor: Hashable) -> None:
+        """Forgets a sensor, because its clock restarts."""
+        self._places[sensor] = _Place()
+
+    def number(self, sensor: Hashable, time_ns: int, host_ns: int) -> int:
+        """The number of the moment that a sensor captured at ``time_ns`` and that arrived at ``host_ns``."""
+        mine = self._places.setdefault(sensor, _Place())
+        timing = mine.clock.observe(time_ns, host_ns)
+        gap_ns = -1 if mine.time_ns is None or timing is Timing.RESET else time_ns - mine.time_ns
+        follows, mine.time_ns = 0 <= gap_ns < _SAME_STREAM_NS, time_ns
+        if follows:
+            mine.number += round(gap_ns / self._period_ns)
+        if timing is Timing.LATE:  # held up, or the first of a new clock: its arrival tells nothing
+            return mine.number
+        mine.moment_ns = time_ns + (mine.clock.offset_ns or 0)
+        leads = follows and mine is next(iter(self._places.values()))
+        for other in self._places.values():
+            if other is not mine and other.moment_ns is not None and not leads:
+                ahead = (mine.moment_ns - other.moment_ns) / self._period_ns
+                off = ahead - (mine.number - other.number)
+                mine.number += 0 if follows and abs(off) <= _REGRID else round(off)
+        return mine.number
+
+
+@dataclass(eq=False)
+class _Tracker:
+    """How long a sensor's tracker took for its newest results."""
+
     results: int = 0
-    tracking_ns: deque[int] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    last_ns: int = 0
+    took_ns: deque[int] = field(default_factory=lambda: deque(maxlen=_RECENT))
+
+
+class StepChoice:
+    """How many moments the trackers keep up with: every one, or every second, third …
+
+    The slowest tracker decides. More are left out as soon as it falls behind; fewer, only after it was fast
+    enough for five seconds. If that was too many before as long a time is over, the next attempt waits twice
+    as long: a tracker may be fast only while it has fewer frames, because the two share a GPU. A tracker
+    that gives nothing for two seconds does not count.
+
+    Attributes:
+        step: Every which moment is kept; 1 keeps all.
+        slowest: The sensor whose tracker decided the step last; None before.
+        slowest_s: Seconds per frame that this tracker took then.
+        taken_back: Whether more frames were tried and were too many.
+        easy_ns: Since when fewer moments need be left out; None where they must be.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self.step = 1
+        self.slowest: Hashable | None = None
+        self.slowest_s = 0.0
+        self.taken_back = self._sped_up = False
+        self.easy_ns: int | None = None
+        self._period_ns, self._hold_ns, self._changed_ns = period_ns, _HOLD_NS, 0
+        self._trackers: dict[Hashable, _Tracker] = {}
+
+    def restart(self, sensor: Hashable) -> None:
+        """Forgets a sensor's tracker, because it restarts."""
+        self._trackers[sensor] = _Tracker()
+        self._sped_up = False
+
+    def tracked(self, sensor: Hashable, took_ns: int, now_ns: int) -> None:
+        """Records how long a sensor's tracker worked on one frame, and chooses the step."""
+        mine = self._trackers.setdefault(sensor, _Tracker())
+        mine.results, mine.last_ns = mine.results + 1, now_ns
+        if mine.results <= _FIRST_RESULTS:
+            return
+        mine.took_ns.append(took_ns)
+        for other in self._trackers.values():
+            if other.took_ns and now_ns - other.last_ns > _SILENT_NS + 2 * other.took_ns[-1]:
+                other.took_ns.clear()
+        times = {key: each.took_ns for key, each in self._trackers.items() if len(each.took_ns) >= _ENOUGH}
+        if not times:
+            return
+        slowest = max(times, key=lambda key: median(times[key]))
+        needed = self._needed(median(times[slowest]), _USED_TO_SLOW)
+        if needed > self.step:
+            self.taken_back = self._sped_up and now_ns - self._changed_ns < self._hold_ns
+            longer_ns = min(2 * self._hold_ns, _LONGEST_HOLD_NS) if self.taken_back else 0
+            self._hold_ns = max(_HOLD_NS, longer_ns)
+            self._change(needed, slowest, now_ns)
+            return
+        # The mean, because of two trackers on one GPU each waits for the other in turn.
+        needed = self._needed(max(map(fmean, times.values())), _USED_TO_SPEED)
+        if needed >= self.step:
+            self.easy_ns = None
+        elif self.easy_ns is None:
+            self.easy_ns = now_ns
+        elif now_ns - self.easy_ns > self._hold_ns:
+            self._change(needed, slowest, now_ns)
+
+    def learn_anew(self) -> None:
+        """Forgets all times and what had to be taken back, because the trackers are others from now on."""
+        self._hold_ns = 0
+        self._forget_times()
+
+    def _needed(self, took_ns: float, used: float) -> int:
+        return max(1, math.ceil(took_ns / (used * self._period_ns)))
+
+    def _change(self, step: int, slowest: Hashable, now_ns: int) -> None:
+        self._sped_up, self.step, self._changed_ns = step < self.step, step, now_ns
+        self.slowest, self.slowest_s = slowest, median(self._trackers[slowest].took_ns) * 1e-9
+        self._forget_times()
+
+    def _forget_times(self) -> None:
+        self.easy_ns = None
+        for tracker in self._trackers.values():
+            tracker.took_ns.clear()
 
 
 class FrameDecimation:
-    """Keeps the same moments of all sensors that share it: every one, or every second, third …
+    """Keeps the same moments of the two sensors that share it. Safe to use from several threads.
 
-    How many are left out follows from the slowest tracker. More are left out as soon as it falls behind;
-    fewer, only after it was fast enough for five seconds. Each time that such a step has to be taken back in
-    less time than was waited for it, the next one waits twice as long: a tracker may be fast only while it
-    has fewer frames, because the two share a GPU. Safe to use from several threads.
+    A sensor is told from the other by its :attr:`~devices.sensor.Sensor.key`.
 
     Attributes:
         period_ns: Time between two frames of the cameras.
-        step: Every which moment is kept; 1 keeps all.
-        slowest: The sensor whose tracker decided the step last; empty before.
-        slowest_s: Seconds per frame that this tracker took then.
-        taken_back: Whether more frames were tried and were too many.
+        choice: How many moments are kept.
     """
 
-    def __init__(self, fps: float) -> None:
+    def __init__(self, fps: float, clock: Callable[[], int] = time.perf_counter_ns) -> None:
         self.period_ns = round(1e9 / fps)
-        self.step = 1
-        self.slowest, self.slowest_s = "", 0.0
-        self.taken_back = self._sped_up = False
-        self._hold_ns, self._unchanged_ns, self._easy_ns = _HOLD_NS, 0, 0
-        self._sensors: dict[str, _Sensor] = {}
-        self._lock = threading.Lock()
+        self.choice = StepChoice(self.period_ns)
+        self._grid = MomentGrid(self.period_ns)
+        self._clock, self._lock = clock, threading.Lock()
+
+    @property
+    def step(self) -> int:
+        """Every which moment is kept; 1 keeps all."""
+        return self.choice.step
 
     @property
     def interval_ns(self) -> int:
@@ -74,38 +195,16 @@ class FrameDecimation:
         """What changed besides the frames that are kept, one line each; once."""
         return []
 
-    def restart(self, sensor: str) -> None:
+    def restart(self, sensor: Hashable) -> None:
         """Forgets a sensor that was reopened, because its clock and its tracker restart."""
         with self._lock:
-            self._sensors[sensor] = _Sensor()
+            self._grid.restart(sensor)
+            self.choice.restart(sensor)
 
-    def moment(self, sensor: str, time_ns: int, host_ns: int) -> int:
-        """The number of the moment at which a sensor captured, counted on a grid that all sensors share.
-
-        Moments are counted on by the sensor's own clock. Where a sensor's grid begins, and whether the
-        second sensor's still fits the first's, is told by this machine's clock.
-
-        Args:
-            time_ns: Capture time on the sensor's clock.
-            host_ns: When the images reached this machine.
-        """
+    def moment(self, sensor: Hashable, time_ns: int, host_ns: int) -> int:
+        """The number of a sensor's moment; see :meth:`MomentGrid.number`."""
         with self._lock:
-            mine = self._sensors.setdefault(sensor, _Sensor())
-            timing = mine.clock.observe(time_ns, host_ns)
-            gap_ns = None if mine.time_ns is None else time_ns - mine.time_ns
-            follows = gap_ns is not None and 0 <= gap_ns < _SAME_STREAM_NS and timing is not Timing.RESET
-            if follows and gap_ns is not None:
-                mine.moment += round(gap_ns / self.period_ns)
-            mine.time_ns = time_ns
-            first, *_ = self._sensors.values()
-            for other in self._sensors.values():
-                if other is mine or other.time_ns is None or (follows and mine is first):
-                    continue
-                off = self._ahead(mine, other) - (mine.moment - other.moment)
-                if not follows or abs(off) > _REGRID:
-                    mine.moment += round(off)
-                break
-            return mine.moment
+            return self._grid.number(sensor, time_ns, host_ns)
 
     def keeps(self, moment: int) -> bool:
         """Whether this moment's frames go to the trackers."""
@@ -115,48 +214,12 @@ class FrameDecimation:
         """How many of the ``count`` moments before one are kept."""
         return (moment - 1) // self.step - (moment - count - 1) // self.step
 
-    def tracked(self, sensor: str, time_ns: int) -> None:
+    def tracked(self, sensor: Hashable, time_ns: int) -> None:
         """Records how long a sensor's tracker worked on one frame."""
         with self._lock:
-            mine = self._sensors.setdefault(sensor, _Sensor())
-            mine.results += 1
-            if mine.results > _FIRST_RESULTS:
-                mine.tracking_ns.append(time_ns)
-                self._choose_step()
+            now_ns = self._clock()
+            self.choice.tracked(sensor, time_ns, now_ns)
+            self._chosen(now_ns)
 
-    def _ahead(self, mine: _Sensor, other: _Sensor) -> float:
-        """How many periods later one sensor captured last than the other, by this machine's clock."""
-        mine_ns = (mine.time_ns or 0) + (mine.clock.offset_ns or 0)
-        return (mine_ns - (other.time_ns or 0) - (other.clock.offset_ns or 0)) / self.period_ns
-
-    def _choose_step(self) -> None:
-        times = {name: sensor.tracking_ns for name, sensor in self._sensors.items() if sensor.tracking_ns}
-        enough = [name for name, recent in times.items() if len(recent) >= _ENOUGH]
-        if not enough:
-            return
-        shared_ns = self.interval_ns // len(times)  # the other sensors' results pass the rest of the time
-        self._unchanged_ns += shared_ns
-        slowest = max(enough, key=lambda name: median(times[name]))
-        needed = math.ceil(median(times[slowest]) / (_USED_TO_SLOW * self.period_ns))
-        if needed > self.step:
-            self.taken_back = self._sped_up and self._unchanged_ns < self._hold_ns
-            longer_ns = min(2 * self._hold_ns, _LONGEST_HOLD_NS) if self.taken_back else 0
-            self._hold_ns = max(_HOLD_NS, longer_ns)
-            self._change_step(needed, slowest)
-            return
-        # The mean, because of two trackers on one GPU each waits for the other in turn.
-        busiest_ns = max(fmean(times[name]) for name in enough)
-        needed = max(1, math.ceil(busiest_ns / (_USED_TO_SPEED * self.period_ns)))
-        self._easy_ns = self._easy_ns + shared_ns if needed < self.step else 0
-        if self._easy_ns > self._hold_ns:
-            self._change_step(needed, slowest)
-
-    def _change_step(self, step: int, slowest: str) -> None:
-        self._sped_up, self.step, self.slowest = step < self.step, step, slowest
-        self.slowest_s = median(self._sensors[slowest].tracking_ns) * 1e-9
-        self._forget_times()
-
-    def _forget_times(self) -> None:
-        self._unchanged_ns = self._easy_ns = 0
-        for sensor in self._sensors.values():
-            sensor.tracking_ns.clear()
+    def _chosen(self, now_ns: int) -> None:
+        """What else follows from a choice; called with the lock."""

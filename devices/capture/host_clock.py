@@ -14,7 +14,9 @@ _BLOCK_NS = 1_000_000_000
 _WINDOW_BLOCKS = 10
 _DRIFT_BLOCKS = 60
 _LATE_NS = 500_000_000
-_SAME_CLOCK_NS = 250_000_000
+_EQUAL_NS, _APART_NS = 10_000_000, 20_000_000
+"""Frames of a reset clock have offsets that are equal but for jitter, though they arrive one after the other.
+Frames that were held up arrive together, and the offset of each is an interval below that of the last one."""
 
 
 class Timing(Enum):
@@ -32,8 +34,8 @@ class HostClock:
 
     A frame arrives after its capture by the least delay there is plus some jitter, never earlier. So the
     offset is the least arrival − capture of the last ten seconds: jitter only adds and does not disturb it,
-    and a clock that drifts by 50 ppm moves 0.5 ms in that time. A jump by more than half a second, confirmed
-    by a second frame where it looks like lateness, is a reset.
+    and a clock that drifts by 50 ppm moves 0.5 ms in that time. A jump by more than half a second is a reset;
+    where it looks like lateness, only after a second frame with the same offset.
 
     Attributes:
         offset_ns: Host time minus sensor time, least delay included; None before the first frame.
@@ -41,7 +43,7 @@ class HostClock:
 
     def __init__(self) -> None:
         self._minima: deque[tuple[int, int]] = deque(maxlen=_DRIFT_BLOCKS)  # (block of host time, offset)
-        self._suspect: tuple[int, int] | None = None
+        self._suspect: tuple[int, int] | None = None  # arrival and offset of a frame that looks late
         self.offset_ns: int | None = None
         self._rate: tuple[int, float] = (0, 0.0)
 
@@ -49,23 +51,21 @@ class HostClock:
         """Adds a frame captured at ``sensor_ns`` that arrived at ``host_ns``."""
         offset_ns = host_ns - sensor_ns
         excess_ns = 0 if self.offset_ns is None else offset_ns - self.offset_ns
-        if -_LATE_NS <= excess_ns <= _LATE_NS:
+        if abs(excess_ns) <= _LATE_NS:
             self._suspect = None
             self._note(offset_ns, host_ns)
             return Timing.IN_TIME
-        # Nothing arrives before it was captured; lateness must be told from a reset by the next frame.
-        suspect, self._suspect = self._suspect, (sensor_ns, offset_ns)
-        follows = suspect is not None and sensor_ns > suspect[0]
-        if excess_ns < 0 or (follows and suspect and abs(offset_ns - suspect[1]) < _SAME_CLOCK_NS):
-            self.restart()
-            self._note(offset_ns, host_ns)
-            return Timing.RESET
-        return Timing.LATE
+        # Nothing arrives before it was captured.
+        if excess_ns > 0 and not self._is_confirmed(offset_ns, host_ns):
+            return Timing.LATE
+        self.restart()
+        self._note(offset_ns, host_ns)
+        return Timing.RESET
 
     def restart(self) -> None:
         """Forgets the offset: the next frame starts it anew."""
         self._minima.clear()
-        self.offset_ns, self._suspect = None, None
+        self.offset_ns, self._suspect, self._rate = None, None, (0, 0.0)
 
     @property
     def drift_ppm(self) -> float:
@@ -82,6 +82,12 @@ class HostClock:
             self._rate = newest, float(-1e6 * slope)
         return self._rate[1]
 
+    def _is_confirmed(self, offset_ns: int, host_ns: int) -> bool:
+        """Whether an earlier frame had the same offset; else this one is compared with from now on."""
+        if self._suspect is None or abs(offset_ns - self._suspect[1]) > _EQUAL_NS:
+            self._suspect = host_ns, offset_ns
+        return host_ns - self._suspect[0] >= _APART_NS
+
     def _note(self, offset_ns: int, host_ns: int) -> None:
         block = host_ns // _BLOCK_NS
         if self._minima and self._minima[-1][0] >= block:
@@ -91,6 +97,36 @@ class HostClock:
             self._minima.append((block, offset_ns))
         recent = [least for at, least in self._minima if at > block - _WINDOW_BLOCKS]
         self.offset_ns = min(recent)
+
+
+class ContinuousTime:
+    """A sensor's clock that goes on over its resets, by this machine's clock.
+
+    Each moment is given on both clocks as they stood when its frame arrived, so a reset in between changes
+    nothing.
+    """
+
+    def __init__(self) -> None:
+        self._from_sensor: int | None = None
+        self._from_host: int | None = None
+
+    def restart(self) -> None:
+        """Reports that the following moments are on a clock that was reset."""
+        self._from_sensor = None
+
+    def of_sensor(self, sensor_ns: int, host_ns: int) -> int:
+        """The time of a moment of the sensor: its own clock, moved by what its resets were."""
+        if self._from_sensor is None:
+            self._from_sensor = 0 if self._from_host is None else host_ns + self._from_host - sensor_ns
+        time_ns = sensor_ns + self._from_sensor
+        self._from_host = time_ns - host_ns
+        return time_ns
+
+    def of_host(self, host_ns: int, first_ns: int) -> int:
+        """The time of a moment without this sensor; ``first_ns`` where it is the very first one."""
+        if self._from_host is None:
+            self._from_host = first_ns - host_ns
+        return host_ns + self._from_host
 
 
 def offset_by_arrival(a: NDArray[np.int64], b: NDArray[np.int64]) -> ClockOffset | None:

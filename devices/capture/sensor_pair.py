@@ -61,7 +61,7 @@ class TwoSensors:
         self._decimation, self.step = decimation, 1
         self._clock, self._tell = clock, tell
         self._stopped, self._late_told = False, False
-        self._returns: dict[Side, int] = {"a": 0, "b": 0}
+        self._openings: dict[Side, int] = {"a": 0, "b": 0}  # of the newest frames
         self._events: list[Event] = []
 
     @property
@@ -140,17 +140,16 @@ class TwoSensors:
         self._arrival.clear()
         self._follow_decimation()
         self._name_late_sensor()
-        now_ns, pairs = _ns(self._clock()), []
+        now_ns, pairs = _ns(self._clock()), list[FramePair]()
         arrivals: list[tuple[Side, Arrival]] = []
         for side, thread in self._sides:
-            came_back, taken = thread.returns, thread.take()
-            if came_back != self._returns[side]:
-                self._returns[side] = came_back
-                pairs += self._pairing.restart(side)
-            arrivals += [(side, arrival) for arrival in taken]
+            arrivals += [(side, arrival) for arrival in thread.take()]
             self._take_events(thread)
         # Use the arrival times, so that a pause of this thread does not look like a pause of a sensor.
         for side, arrival in sorted(arrivals, key=lambda entry: entry[1].at_ns):
+            if arrival.opening != self._openings[side]:
+                self._openings[side] = arrival.opening
+                pairs += self._pairing.restart(side)
             pairs += self._pairing.add(side, arrival.frame, arrival.at_ns)
         for side, thread in self._sides:
             if thread.gone:
@@ -175,8 +174,10 @@ class TwoSensors:
         for _, thread in self._sides:
             thread.set_interval(decimation.interval_ns * 1e-9)
         full, kept = 1e9 / decimation.period_ns, 1e9 / decimation.interval_ns
+        slowest, sensors = decimation.choice, (self.a.sensor, self.b.sensor)
+        name = next((sensor.name for sensor in sensors if sensor.key == slowest.slowest), slowest.slowest)
         message = (
-            f"The body tracker of {decimation.slowest} takes {1000 * decimation.slowest_s:.0f} ms per frame: "
+            f"The body tracker of {name} takes {1000 * slowest.slowest_s:.0f} ms per frame: "
             f"both sensors go on with {kept:.3g} of {full:.3g} frames per second. {decimation.advice}"
             if self.step > 1
             else f"The body trackers keep up again: {full:.3g} frames per second."

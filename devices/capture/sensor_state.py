@@ -5,7 +5,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from devices.capture.causes import Cause
-from devices.sensor import AbsentError, DeviceError, SensorFrame
+from devices.sensor import AbsentError, DeviceError, Sensor, SensorFrame
 
 _LONGEST_S = 10.0
 
@@ -16,6 +16,8 @@ class Arrival(NamedTuple):
     at_ns: int
     """When it arrived, on the thread's clock: a reader that was busy learns what it would have seen."""
     frame: SensorFrame
+    opening: int = 0
+    """How often the sensor had come back before it: its clock may have started anew with each opening."""
 
 
 class SensorState(Enum):
@@ -67,19 +69,19 @@ class Retries:
         self._next_s = self._first_s
 
 
-def not_opened(sensor: str, within_s: float, waits_for: str) -> DeviceError:
-    """The error for a sensor that did not open in time; ``waits_for`` is empty if nothing explains it."""
-    cause = f"it waits for {waits_for}" if waits_for else "its driver hangs"
-    return DeviceError(
-        f"{sensor} did not open in {within_s:g} s: {cause}. Try again; if it is the same, unplug it and plug "
-        f"it in again first."
-    )
+def not_opened(sensor: Sensor, within_s: float) -> DeviceError:
+    """The error for a sensor that did not open in time."""
+    cause = f"it waits for {sensor.waits_for}" if sensor.waits_for else "its driver hangs"
+    cause = "its disk or its body tracker hangs" if sensor.recorded else cause
+    again = "" if sensor.recorded else "; if it is the same, unplug it and plug it in again first"
+    return DeviceError(f"{sensor.name} did not open in {within_s:g} s: {cause}. Try again{again}.")
 
 
-def not_closed(sensor: str, waits_for: str) -> str:
-    """Message for a sensor that does not close in time; ``waits_for`` is empty if nothing explains it."""
-    cause = Cause.CLOSES_LATER if waits_for else Cause.LEFT_BEHIND
-    return cause.says(label=sensor, waits_for=waits_for)
+def not_closed(sensor: Sensor) -> str:
+    """Message for a sensor that does not close in time."""
+    left = Cause.RECORDING_LEFT_BEHIND if sensor.recorded else Cause.LEFT_BEHIND
+    cause = Cause.CLOSES_LATER if sensor.waits_for else left
+    return cause.says(label=sensor.name, waits_for=sensor.waits_for)
 
 
 def failed_within(sensor: str, fault: Exception) -> DeviceError:

@@ -123,7 +123,7 @@ class SensorThread:
         """
         self.close()
         if self._left_behind is not None and self._left_behind.is_alive():
-            raise DeviceError(not_closed(self.sensor.name, self.sensor.waits_for))
+            raise DeviceError(not_closed(self.sensor))
         self._stopping, self._opened_or_failed = threading.Event(), threading.Event()
         self._fault, self._state = None, SensorState.OPENING
         self._thread = _Worker(self.sensor, self._run, self._stopping, self._opened_or_failed)
@@ -135,7 +135,7 @@ class SensorThread:
             raise
         if not opened:
             self.close(0.0)
-            raise not_opened(self.sensor.name, self._limits.open_s, self.sensor.waits_for)
+            raise not_opened(self.sensor, self._limits.open_s)
         self._raise_fault()
         return self
 
@@ -174,7 +174,7 @@ class SensorThread:
                 self._state = SensorState.CLOSED
         if thread.is_alive():
             self._left_behind = thread
-            self._tell(not_closed(self.sensor.name, self.sensor.waits_for))
+            self._tell(not_closed(self.sensor))
             return False
         return True
 
@@ -205,7 +205,8 @@ class SensorThread:
         if stalled and not self._stall_told:
             silent_s = self._limits.open_s if self._first else self._stall_s
             waits_for = self.sensor.waits_for
-            cause = Cause.WAITING if waits_for else Cause.SILENT
+            silent = Cause.NO_MORE_RECORDED if self.sensor.recorded else Cause.SILENT
+            cause = Cause.WAITING if waits_for else silent
             self._tell(cause.says(label=self.sensor.name, seconds=silent_s, waits_for=waits_for))
         elif self._stall_told and self.state is SensorState.RUNNING:
             self._tell(f"{self.sensor.name} gives frames again.")
@@ -248,6 +249,7 @@ class SensorThread:
             except DeviceError as fault:
                 if not ran:
                     self._fault = fault
+                if not ran or self.sensor.recorded:  # a recording is no better when it is opened anew
                     break
                 self._failed(str(fault))
                 self._wait(stopping, self._retries.after(fault))
@@ -295,7 +297,7 @@ class SensorThread:
         with self._lock:
             self._last_s, self._first = now_s, False
             self.received += 1
-            self._frames.append(Arrival(came_ns, frame))
+            self._frames.append(Arrival(came_ns, frame, self.returns))
             if len(self._frames) > self._keep:
                 self._frames.popleft()
                 self._dropped += 1
@@ -307,7 +309,8 @@ class SensorThread:
         # Retries repeat the same message: report it once.
         if message != self._told:
             self._told = message
-            self._tell(f"{message} Going on without it; it is taken back when it returns.")
+            back = "" if self.sensor.recorded else "; it is taken back when it returns"
+            self._tell(f"{message} Going on without it{back}.")
         self.arrival.set()
 
     def _tell(self, text: str) -> None:

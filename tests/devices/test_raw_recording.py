@@ -13,6 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from devices import raw_recording
 from devices.azure.mkv import MkvRecording
@@ -21,7 +23,7 @@ from devices.blazepose.tracked_images import registered_color
 from devices.capture.host_clock import offset_by_arrival
 from devices.capture.settings import CaptureSettings
 from devices.pairing import clock_by_cable
-from devices.raw_recording import RawRecorder
+from devices.raw_recording import RawRecorder, _FileTimes
 from devices.sensor import ColorCamera, ColorImage, Sensor, SensorFrame
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.rigid import RigidTransform
@@ -207,6 +209,40 @@ def test_a_folder_that_is_gone_is_told(tmp_path):
     with RawRecorder(tmp_path / "none" / "a.mkv", Camera()) as recorder:
         recorder.add(frame(0))
     assert recorder.failure == f"{tmp_path}/none/a.mkv: No such file or directory."
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    clocks=st.lists(
+        st.tuples(st.integers(-(10**15), 10**15), st.integers(2, 40), st.floats(0.7, 100.0)),
+        min_size=1,
+        max_size=4,
+    ),
+    held=st.sets(st.integers(5, 100), max_size=2),
+    twice=st.sets(st.integers(1, 100), max_size=5),
+    seed=st.integers(0, 1000),
+)
+def test_the_times_of_a_recording_are_true_whatever_its_clock_does(clocks, held, twice, seed):
+    """A clock that starts anew goes back or ahead; frames may be held up, or given twice."""
+    random, times = np.random.default_rng(seed), _FileTimes()
+    true_ns, errors, number, previous_ns = 10**18, [], 0, None
+    for clock_ns, frames, away_s in clocks:
+        true_ns += round(away_s * 1e9)
+        assume(previous_ns is None or abs(true_ns + clock_ns - previous_ns) > 10**9)  # else none can tell
+        held_until_ns = 0
+        for k in range(frames):
+            true_ns, number = true_ns + PERIOD_NS, number + 1
+            if number in held and k and true_ns > held_until_ns:
+                held_until_ns = true_ns + 700_000_000
+            came_ns = max(true_ns + 20_000_000 + int(random.exponential(1e6)), held_until_ns)
+            shot = SensorFrame(true_ns + clock_ns, host_ns=came_ns)
+            time_ns = times.of(shot)
+            errors.append(time_ns - true_ns)
+            if number in twice:
+                assert times.of(shot) is None
+        previous_ns = true_ns + clock_ns
+    # A new clock is found by one frame, to the jitter.
+    assert np.ptp(np.array(errors)) < 30_000_000
 
 
 def test_a_sensor_that_starts_its_clock_anew_goes_on(tmp_path):

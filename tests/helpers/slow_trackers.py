@@ -81,7 +81,7 @@ def run_slow_trackers(
             serials, ((False, cable), (cable, False)), times, (1_000_000, 777_000_123), strict=True
         )
     ]
-    decimation = FrameDecimation(30)
+    decimation = FrameDecimation(30, lambda: max(time.now_ns() for time in times))
     roles = ("master", "subordinate") if cable else ("standalone", "standalone")
     sensors = [
         KinectSensor(serial, KinectSettings(sync=role), decimation=decimation, clock=time.now_ns)

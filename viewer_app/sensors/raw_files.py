@@ -15,7 +15,7 @@ from devices.capture.host_clock import ONE_RUN_NS
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.settings import CaptureSettings
 from devices.capture.stream_pairing import LivePairing
-from devices.files import not_of_libk4a, open_images, open_source
+from devices.files import distinct_names, not_of_libk4a, open_images, open_source
 from devices.live_sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
 from devices.raw_recording import RawRecorder, recorded
@@ -148,17 +148,21 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
             intervals.append((info or images).interval_ns)  # type: ignore[union-attr]
             if isinstance(images, MkvRecording):
                 arrivals += filter(None, [next(images.frames()).host_ns])
-    by_arrival = len(arrivals) == 2
-    one_run = by_arrival and abs(arrivals[1] - arrivals[0]) < ONE_RUN_NS
+    one_run = len(arrivals) == 2 and abs(arrivals[1] - arrivals[0]) < ONE_RUN_NS
     delay_ns = cable_delay_ns(*infos)
     decimation = decimation_of(tracker, 1e9 / min(intervals))
-    beat = Beat(2, one_clock=one_run or (delay_ns is not None and not by_arrival))
+    on_cable = delay_ns is not None and len(arrivals) < 2
+    beat = Beat(2, common="arrival" if one_run else "capture" if on_cable else None)
     played: list[Sensor] = []
-    for path in paths:
+    for path, name in zip(paths, distinct_names(*paths), strict=True):
         if tracker.name == "k4abt":
-            played.append(PacedSensor(open_source(path, tracker=tracker), beat))
+            tracked = open_source(path, tracker=tracker)
+            tracked.recording.name = name  # type: ignore[attr-defined]
+            played.append(PacedSensor(tracked, beat))
         else:
-            paced = PacedSensor(open_images(path), beat, decimation)
+            images = open_images(path)
+            images.name = name
+            paced = PacedSensor(images, beat, decimation)
             played.append(TrackedImages(paced, tracker.blazepose, pace=decimation))  # type: ignore[arg-type]
     return TwoSensors(
         *played,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import threading
 from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import replace
@@ -42,9 +43,11 @@ class TrackedRecording(SensorWrapper):
         self._libk4a = libk4a or (_libk4a_beside(settings.library) if settings and settings.library else None)
         self._otherwise = otherwise
         self._maker: CaptureMaker | None = None
+        self._interrupted = threading.Event()
         self._calibration: ctypes.Array[ctypes.c_char] | None = None
 
     def __enter__(self) -> Self:
+        self._interrupted.clear()
         self.recording.__enter__()
         try:
             info = self.recording.info
@@ -65,11 +68,14 @@ class TrackedRecording(SensorWrapper):
         self._maker = self._calibration = None
         self.recording.__exit__(*exc_info)
 
+    def interrupt(self) -> None:
+        self._interrupted.set()
+
     def frames(self) -> Iterator[SensorFrame]:
         """Yields the frames of the recording with the people in them, in capture order."""
         if self._maker is None:
             raise DeviceError(f"{self.name} is not open: use it in a with statement.")
-        queue = TrackerQueue(self._tracker, wait_s=0.0)
+        queue = TrackerQueue(self._tracker, wait_s=0.0, interrupted=self._interrupted.is_set)
         for frame in self.recording.frames():
             if frame.ir is None:
                 yield from queue.flush()
@@ -78,6 +84,8 @@ class TrackedRecording(SensorWrapper):
             with self._maker.capture(frame) as capture:
                 queue.put(frame, capture)
             yield from queue.done()
+            if self._interrupted.is_set():
+                return
         yield from queue.flush()
 
 

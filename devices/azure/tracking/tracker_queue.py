@@ -6,8 +6,11 @@ from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
 from devices.azure.tracking.body_tracker import BodyTracker
+from devices.capture.causes import Cause
 from devices.sensor import SensorFrame
 
+_SLICE_S = 0.25
+_STOPPED_NS = 1_000_000_000  # a longer time between two looks is one in which this program stood still
 _AT_WORK = 2  # frames in the tracker: the network runs on one while skeletons are fitted to the other
 
 
@@ -15,7 +18,8 @@ class TrackerQueue:
     """Joins each frame with the people that the tracker finds in it.
 
     The tracker works on its own threads. If it needs longer than ``wait_s``, a frame is yielded one or two
-    captures later. All methods raise a DeviceError if the tracker has failed or stalls.
+    captures later. All methods raise a DeviceError if the tracker has failed, or gave no result for its
+    ``patience_s``.
     """
 
     def __init__(
@@ -24,19 +28,21 @@ class TrackerQueue:
         wait_s: float,
         took: Callable[[int], object] = lambda _: None,
         clock: Callable[[], int] = time.perf_counter_ns,
+        interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
         """Makes an empty queue for the frames of one sensor.
 
         Args:
             took: Called with the tracker's processing time of each frame, ns. It is counted from the frame's
                 entry or from the previous result, whichever is later.
+            interrupted: Ends all waiting within a quarter of a second.
         """
         self._tracker = tracker
         self._wait_s = wait_s
-        self._took, self._clock = took, clock
+        self._took, self._clock, self._interrupted = took, clock, interrupted
         self._inside: OrderedDict[int, tuple[SensorFrame, int]] = OrderedDict()  # frame and time of entry, ns
         self._result_ns: int | None = None
-        self._waited_s = 0.0  # total wait for the oldest frame without a result
+        self._looked_ns = self._waited_ns = 0  # newest look at the tracker; wait for the oldest result
 
     @property
     def empty(self) -> bool:
@@ -59,23 +65,26 @@ class TrackerQueue:
 
         It waits longer than ``wait_s`` only while the tracker holds more than two frames.
         """
-        while self._inside:
-            overdue = self._waited_s >= self._tracker.patience_s
-            yielded = yield from self._take(None if len(self._inside) > _AT_WORK or overdue else self._wait_s)
-            if not yielded:
+        while self._inside and not self._interrupted():
+            too_many = len(self._inside) > _AT_WORK
+            if not (yield from self._take(_SLICE_S if too_many else self._wait_s)) and not too_many:
                 return
 
     def flush(self) -> Iterator[SensorFrame]:
         """Yields the remaining frames and waits for each."""
-        while self._inside:
-            yield from self._take(None)
+        while self._inside and not self._interrupted():
+            yield from self._take(_SLICE_S)
 
-    def _take(self, wait_s: float | None) -> Generator[SensorFrame, None, bool]:
-        bodies = self._tracker.pop(wait_s)
+    def _take(self, wait_s: float) -> Generator[SensorFrame, None, bool]:
+        _, entered_ns = next(iter(self._inside.values()))
+        since_ns = max(entered_ns, self._looked_ns)
+        bodies, self._looked_ns = self._tracker.pop(wait_s), self._clock()
         if bodies is None:
-            self._waited_s += self._wait_s
+            self._waited_ns += min(self._looked_ns - since_ns, _STOPPED_NS)
+            if self._waited_ns >= 1e9 * self._tracker.patience_s:
+                raise Cause.TRACKER_STALLS.error(what="gave no result", seconds=self._tracker.patience_s)
             return False
-        self._waited_s = 0.0
+        self._waited_ns = 0
         time_us = bodies.time_ns // 1000
         if time_us not in self._inside:
             return True  # a result of a frame from before a restart

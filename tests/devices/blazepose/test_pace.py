@@ -1,5 +1,6 @@
 """Two trackers on one processor: they skip the same frames, then report a change to the lighter network."""
 
+import itertools
 from dataclasses import replace
 from itertools import pairwise
 
@@ -27,14 +28,26 @@ def networks(tmp_path):
     return BlazePoseSettings(models=tmp_path)
 
 
+class Clock:
+    now_ns = 10**12
+
+    def __call__(self):
+        return self.now_ns
+
+
+def paced(settings, **more):
+    return TrackingPace(30.0, settings, Clock(), **more)
+
+
 def work(pace, results, milliseconds):
     for _ in range(results):
+        pace._clock.now_ns += pace.interval_ns
         for sensor in ("a", "b"):
             pace.tracked(sensor, milliseconds * MS)
 
 
 def test_a_tracker_that_stays_slow_goes_on_with_lite_and_every_frame_again(networks):
-    pace = TrackingPace(30.0, networks)
+    pace = paced(networks)
     work(pace, 10, 50)
     assert (pace.step, pace.network) == (2, "full"), "fewer frames first"
     assert pace.take_news() == []
@@ -47,7 +60,7 @@ def test_a_tracker_that_stays_slow_goes_on_with_lite_and_every_frame_again(netwo
 
 
 def test_a_hitch_costs_no_accuracy(networks):
-    pace = TrackingPace(30.0, networks)
+    pace = paced(networks)
     work(pace, 10, 50)
     work(pace, 90, 15)
     assert (pace.step, pace.network) == (1, "full")
@@ -57,7 +70,7 @@ def test_a_hitch_costs_no_accuracy(networks):
 
 
 def test_trackers_that_are_fast_enough_only_at_half_the_rate_go_on_with_lite(networks):
-    pace, steps = TrackingPace(30.0, networks), []
+    pace, steps = paced(networks), []
     for _ in range(200):
         steps.append(pace.step)
         work(pace, 1, 15 if pace.step > 1 or pace.network == "lite" else 35)
@@ -71,7 +84,7 @@ def test_without_a_lighter_network_only_frames_are_left_out(networks, lacks):
         (networks.models / LANDMARKS["lite"].name).unlink()
     else:
         networks = replace(networks, network="lite")
-    pace = TrackingPace(30.0, networks)
+    pace = paced(networks)
     work(pace, 200, 50)
     assert (pace.step, pace.network) == (2, networks.network)
     assert ("fetch --network lite" in pace.advice) == (lacks == "the file")
@@ -79,14 +92,14 @@ def test_without_a_lighter_network_only_frames_are_left_out(networks, lacks):
 
 
 def test_who_simulates_sensors_is_not_told_to_record_them(networks):
-    assert "track later" in TrackingPace(30.0, networks).advice
-    advice = TrackingPace(30.0, networks, simulated=True).advice
+    assert "track later" in paced(networks).advice
+    advice = paced(networks, simulated=True).advice
     assert "track later" not in advice
     assert advice == advice.strip()
 
 
 def test_changes_and_advice_reach_the_reader_of_the_sensors(networks):
-    pace, told = TrackingPace(30.0, networks), []
+    pace, told = paced(networks), []
     a, b, _ = simulated_pair(motion="still", seconds=0.1)
     with TwoSensors(a, b, decimation=pace, tell=lambda event: told.append(event.text)) as sensors:
         work(pace, 60, 50)
@@ -116,7 +129,8 @@ class Source(Sensor):
 
 
 def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(networks, monkeypatch):
-    pace, used, told = TrackingPace(30.0, networks), [], []
+    moments = itertools.count(10**12, 2 * 33 * MS)
+    pace, used, told = TrackingPace(30.0, networks, lambda: next(moments)), [], []
     image = np.ones((288, 320), np.uint16)
     frames = [SensorFrame(k * 33 * MS, depth=image if k else None, ir=image) for k in range(80)]
     ticks = iter(range(0, 10**12, 40 * MS))
@@ -131,7 +145,7 @@ def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(networks
     given = list(tracked.frames())
     assert len(given) == len(frames)
     assert told == [40 * MS] * 79, "an image took one tick; a frame without one is not tracked"
-    assert pace.slowest_s == pytest.approx(0.050), "with the time that making the image took"
+    assert pace.choice.slowest_s == pytest.approx(0.050), "with the time that making the image took"
     assert used == ["lite"], "once"
 
 
@@ -139,7 +153,7 @@ def test_a_damaged_lighter_network_does_not_end_the_session(tmp_path):
     for file in (DETECTOR, LANDMARKS["full"]):
         (tmp_path / file.name).write_bytes((need_networks() / file.name).read_bytes())
     (tmp_path / LANDMARKS["lite"].name).write_bytes(b"damaged")
-    pace = TrackingPace(30.0, BlazePoseSettings(models=tmp_path))
+    pace = paced(BlazePoseSettings(models=tmp_path))
     work(pace, 60, 50)
     assert pace.network == "lite"
     with TrackedImages(simulated(0.1), pace.settings, pace=pace) as sensor:

@@ -13,6 +13,7 @@ from devices.capture.stream_pairing import LivePairing
 from devices.sensor import DeviceError, SensorFrame
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from tests.helpers.two_clocks import INTERVAL_NS
+from tests.helpers.waiting import eventually
 
 
 class _Bench:
@@ -73,6 +74,25 @@ def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back():
     assert "unplugged" in told
     assert "Going on without it" in told
     assert "000456 is back" in told
+
+
+def test_frames_of_two_openings_that_wait_for_the_reader_keep_their_times():
+    """The loop is held up; B is plugged in again meanwhile, with the clock of the epoch."""
+    bench = _Bench()
+    with bench.two as two:
+        for _ in range(3):
+            bench.put(bench.a, bench.b)
+            pairs = [bench.next_pair()]
+        bench.put(bench.b)  # it waits for A's
+        bench.b.put(unplugged("000456"))
+        bench.b_clock_ns = 10**18
+        for _ in range(3):
+            bench.put(bench.a, bench.b)
+        assert eventually(lambda: (two.a.received, two.b.received) == (6, 7), PATIENCE_S)
+        pairs += bench.until(lambda pairs: sum(pair.a is not None for pair in pairs) == 3)
+    first_ns, *times = [pair.time_ns for pair in pairs]
+    assert all(0 < time_ns - first_ns <= 4 * INTERVAL_NS for time_ns in times)
+    assert [pair.b is not None for pair in pairs][-3:] == [True] * 3
 
 
 def test_a_pause_of_the_reader_is_not_one_of_the_sensors():

@@ -10,7 +10,7 @@ import pytest
 
 from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError, SensorFrame, SensorWrapper
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.errors import BodyError
 from fusion.skeleton import Skeleton
@@ -39,7 +39,7 @@ def thread(sensor):
 def test_the_newest_frames_win_and_drops_are_counted(sensor, thread):
     sensor.put(*(frame_at(index) for index in range(100)))
     _after(sensor)
-    assert [frame.time_ns for _, frame in thread.take()] == [98, 99]
+    assert [arrival.frame.time_ns for arrival in thread.take()] == [98, 99]
     assert thread.take() == []
     assert (thread.received, thread.dropped) == (100, 98)
 
@@ -79,7 +79,7 @@ def test_frames_get_their_time_of_arrival(sensor):
     with SensorThread(sensor, clock=lambda: 42.5) as thread:
         sensor.put(frame_at(1), frame_at(2, host_ns=7))
         _after(sensor)
-        assert [frame.host_ns for _, frame in thread.take()] == [42_500_000_000, 7]
+        assert [arrival.frame.host_ns for arrival in thread.take()] == [42_500_000_000, 7]
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
@@ -118,7 +118,7 @@ def test_a_lost_sensor_is_reopened_until_it_is_back(sensor):
         sensor.put(unplugged())
         sensor.put(frame_at(2))
         _after(sensor)
-        assert [frame.time_ns for _, frame in thread.take()] == [1, 2]
+        assert [arrival.frame.time_ns for arrival in thread.take()] == [1, 2]
         assert pauses == [1.5, 3.0, 6.0, 10.0], "each opening that is refused leaks in pyk4a"
         assert thread.returns == 1
         assert thread.state is SensorState.RUNNING
@@ -203,8 +203,38 @@ def test_a_source_that_ends_is_ended_not_lost(sensor):
         sensor.put(None)
         assert thread.arrival.wait(PATIENCE_S)
         assert thread.state is SensorState.ENDED
-        assert [frame.time_ns for _, frame in thread.take()] == [1]
+        assert [arrival.frame.time_ns for arrival in thread.take()] == [1]
     assert sensor.opened == 1
+
+
+class DamagedRecording(ScriptedSensor):
+    recorded = True
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_damage_ends_a_recording_once_and_no_cable_is_blamed(wrapped):
+    recording = DamagedRecording("a.db3")
+    with SensorThread(SensorWrapper(recording) if wrapped else recording) as thread:
+        recording.put(frame_at(1), frame_at(2), DeviceError("a.db3 is damaged (…)."))
+        assert eventually(lambda: thread.state is SensorState.ENDED, PATIENCE_S)
+        assert [arrival.frame.time_ns for arrival in thread.take()] == [1, 2]
+        assert [event.text for event in thread.events()] == ["a.db3 is damaged (…). Going on without it."]
+        assert (recording.opened, recording.closed, thread.returns) == (1, 1, 0)
+
+
+def test_a_recording_that_stands_still_is_no_hardware():
+    recording, now, release = DamagedRecording("a.mkv"), [100.0], threading.Event()
+    thread = SensorThread(recording, clock=lambda: now[0]).open()
+    recording.put(frame_at(0))
+    _after(recording)
+    now[0] += 3.0
+    told = [event.text for event in thread.events()]
+    recording.put(lambda: release.wait(PATIENCE_S))
+    assert not thread.close(within_s=0.01)
+    told += [event.text for event in thread.events()]
+    release.set()
+    assert ["no frame for 2 s" in told[0], "left behind" in told[1], len(told)] == [True, True, 2]
+    assert not any(word in text for text in told for word in ("cable", "power", "nplug"))
 
 
 def test_a_fault_of_the_program_reaches_the_reader(sensor, thread):

@@ -29,7 +29,7 @@ def _every_frame_of_a_once(pairs, a):
     return [pair.a for pair in pairs if pair.a is not None] == [shot.frame for shot in a]
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(
     phase_ms=st.floats(-12, 12),
     clock_s=st.floats(-1000, 1000),
@@ -84,6 +84,16 @@ def test_a_constant_sync_delay_is_expected_and_found_to_the_microsecond():
     # By arrivals alone it would be 6 ms: B takes that much longer on its way.
     np.testing.assert_allclose(np.array(settled, dtype=np.float64), 160_000, atol=1000)
     assert pairing.figures.offset_ns == pytest.approx(123_456_789_000, abs=1000)
+
+
+def test_pairs_on_a_cable_that_arrivals_contradict_are_found_anew():
+    a, b = shots("a", 12), shots("b", 12)
+    for k in range(60):  # two seconds in which B's frames come two frames late: pairs of neighbours
+        late_ns = b[k].arrives_ns + 2 * INTERVAL_NS
+        b[k] = replace(b[k], arrives_ns=late_ns, frame=SensorFrame(b[k].frame.time_ns, host_ns=late_ns))
+    pairs = run(LivePairing(INTERVAL_NS, sync_delay_ns=160_000), a, b)
+    assert (true_skews(_both(pairs)[:30], a, b) != 0).all()
+    np.testing.assert_array_equal(true_skews(_both(pairs)[90:], a, b), 0)
 
 
 def test_a_subordinate_that_is_a_may_capture_later_than_b():
@@ -307,26 +317,3 @@ def test_a_sensor_opened_anew_starts_its_clock_anew():
         pairing.add("b", SensorFrame(index * INTERVAL_NS - 200_000_000), index * INTERVAL_NS)
     assert pairing.figures.pairs == 40
     assert pairing.figures.skew_ns == 0
-
-
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(data=st.data())
-def test_any_mixture_of_faults_keeps_order_and_loses_no_frame_unseen(data):
-    streams = []
-    for side in ("a", "b"):
-        stream = shots(side, 4, clock_ns=data.draw(st.integers(0, 10**12)))  # type: ignore[arg-type]
-        kept = []
-        for shot in stream:
-            fate = data.draw(st.sampled_from(["ok"] * 6 + ["lost", "twice", "held up"]))
-            if fate == "held up":
-                kept.append(replace(shot, arrives_ns=shot.arrives_ns + data.draw(st.integers(0, 3 * 10**8))))
-            elif fate != "lost":
-                kept += [shot] * (2 if fate == "twice" else 1)
-        streams.append(kept)
-    pairing = LivePairing(INTERVAL_NS)
-    pairs = run(pairing, *streams)
-    f = pairing.figures
-    assert _in_order(pairs)
-    given_in = sum(len(stream) for stream in streams)
-    assert given_in == 2 * f.pairs + f.alone_a + f.alone_b + f.unmatched_b + f.late + f.repeated
-    assert len(pairs) == f.pairs + f.alone_a + f.alone_b

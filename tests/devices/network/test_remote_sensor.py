@@ -59,7 +59,7 @@ def frames_through(published, thread, wanted):
 
     def more():
         published.publish(frame_at(1_000_000 * published.published, people=True))
-        came.extend(frame for _, frame in thread.take())
+        came.extend(arrival.frame for arrival in thread.take())
         return len(came) >= wanted
 
     assert eventually(more)
