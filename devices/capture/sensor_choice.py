@@ -147,17 +147,22 @@ def sync_master(a: ConnectedSensor, b: ConnectedSensor, named: str | None = None
             return master.serial
     if not any((a.sync_in, a.sync_out, b.sync_in, b.sync_out)):
         return None
+    lead = "Lead it from one sensor's sync out to the other's sync in, or unplug it to run without."
+    way_out = f"{no_port(a, b)} Unplug it to run without." if no_port(a, b) else lead
+    unknown = "" if no_port(a, b) else cable_unknown(a, b)
     raise DeviceError(
-        f"The sync cable joins no sync out to a sync in ({_jacks(a, b)}). Lead it from one sensor's sync out "
-        f"to the other's sync in, or unplug it to run without."
+        f"The sync cable joins no sync out to a sync in ({_jacks(a, b)}). {way_out} {unknown}".rstrip()
     )
 
 
-def _jacks(*kinects: ConnectedSensor) -> str:
+def _jacks(*sensors: ConnectedSensor) -> str:
+    def jack(sensor: ConnectedSensor, cable: bool | None) -> str:
+        return "unknown" if sensor.hides_jacks else "connected" if cable else "empty"
+
     return "; ".join(
-        f"{kinect.serial}: in {'connected' if kinect.sync_in else 'empty'}, "
-        f"out {'connected' if kinect.sync_out else 'empty'}"
-        for kinect in kinects
+        f"{sensor.serial}: in {jack(sensor, sensor.sync_in)}, out {jack(sensor, sensor.sync_out)}"
+        for sensor in sensors
+        if sensor.has_port
     )
 
 

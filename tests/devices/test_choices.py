@@ -1,9 +1,13 @@
 """Which tracker runs, which connected sensor is A, which is B, and which leads on the sync cable."""
 
 import sys
+from dataclasses import replace
+from itertools import product
 
 import pytest
+from rich.console import Console
 
+from devices import live_sensors
 from devices.azure import checks
 from devices.azure.kinect import KinectSensor
 from devices.azure.tracking.body_tracker import TrackerSettings
@@ -11,11 +15,13 @@ from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_choice import ConnectedSensor, NeedsChoiceError, choose_two, sync_master
 from devices.live_sensors import connected_sensors
-from devices.sensor import DeviceError
+from devices.sensor import DeviceError, Sensor
 from devices.tracker_choice import TrackerChoice, choose_tracker, tracker_name
 from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish
+from viewer_app.options.sensing import LiveOptions
+from viewer_app.sensors import local
 
 BOLT, SECOND = "CL8H741005K", "CL8H7410123"
 OURS, MICROSOFTS = TrackerChoice("blazepose", "a test"), TrackerChoice("k4abt", "a test")
@@ -151,6 +157,37 @@ def test_the_master_is_where_the_cable_leads_out():
     assert sync_master(A, B) is None, "without a cable nobody leads"
 
 
+@pytest.mark.parametrize(
+    ("other", "words", "not_said"),
+    [
+        ({"sdk": "orbbec", "tells_jacks": False}, "--sync-master 000123 or CL8F", "CL8F: in empty"),
+        ({"sdk": "freenect2", "has_port": False}, "No sync cable fits into CL8F. Unplug it", "Lead it"),
+    ],
+)
+def test_a_cable_that_seems_to_lead_nowhere_beside_a_sensor_of_another_vendor(other, words, not_said):
+    azure = ConnectedSensor(0, "000123", sync_in=False, sync_out=True)
+    with pytest.raises(DeviceError) as told:
+        sync_master(azure, ConnectedSensor(1, "CL8F", False, False, **other))
+    assert words in str(told.value)
+    assert not_said not in str(told.value)
+    assert "000123: in empty, out connected" in str(told.value)
+
+
+@pytest.mark.parametrize("jacks", list(product([False, True], repeat=4)))
+def test_a_cable_needs_both_of_its_ends(jacks):
+    in_a, out_a, in_b, out_b = jacks
+    a, b = _jacks("000123", in_a, out_a), _jacks("000456", in_b, out_b)
+    leads = {"000123": out_a and in_b, "000456": out_b and in_a}
+    for named in (None, *leads):
+        if named is None and not any(jacks):
+            assert sync_master(a, b) is None
+        elif leads[named] if named else any(leads.values()):
+            assert leads[sync_master(a, b, named)]
+        else:
+            with pytest.raises(DeviceError, match="sync out"):
+                sync_master(a, b, named)
+
+
 def test_a_cable_that_joins_no_out_to_an_in_is_explained():
     wrong = _jacks("000123", True, False), _jacks("000456", True, False)
     with pytest.raises(DeviceError, match="000123: in connected, out empty; 000456: in connected"):
@@ -164,3 +201,28 @@ def test_a_master_that_is_named_against_the_jacks_is_explained():
         with pytest.raises(DeviceError, match="--sync-master 000123: no cable leads from its sync out"):
             sync_master(*pair, "000123")
     assert sync_master(_jacks("CL1", False, False), _jacks("CL2", False, False), "CL2") == "CL2"
+
+
+def test_a_femto_is_opened_by_the_library_that_the_tracker_in_use_needs(monkeypatch):
+    """k4abt is installed, but a RealSense beside the Femto needs the program's own tracker."""
+    hidden = {"tells_jacks": False}
+    listed = {
+        "orbbec": [ConnectedSensor(0, "CL8F", False, False, sdk="orbbec", **hidden)],
+        "realsense": [ConnectedSensor(0, "1001", False, False, sdk="realsense", **hidden)],
+    }
+    vendors = {
+        name: replace(vendor, connected=lambda name=name: listed.get(name, []))
+        for name, vendor in live_sensors.VENDORS.items()
+    }
+    monkeypatch.setattr(live_sensors, "VENDORS", vendors)
+    monkeypatch.setattr(live_sensors, "connected_kinects", lambda: [ConnectedSensor(0, "CL8F", False, False)])
+    monkeypatch.setattr(local, "tracker_of", lambda _: MICROSOFTS)
+    opened = []
+    monkeypatch.setattr(local, "live_sensor", lambda sensor, *_: opened.append(sensor) or _Nothing())
+    console = Console(quiet=True)
+    local.two_connected_sensors(LiveOptions(kinect_a="CL8F", kinect_b="1001"), console)
+    assert [(sensor.serial, sensor.sdk) for sensor in opened] == [("CL8F", "orbbec"), ("1001", "realsense")]
+
+
+class _Nothing(Sensor):
+    name = "nothing"

@@ -225,10 +225,13 @@ def test_a_folder_that_is_gone_is_told(tmp_path):
 def test_the_times_of_a_recording_are_true_whatever_its_clock_does(clocks, held, twice, seed):
     """A clock that starts anew goes back or ahead; frames may be held up, or given twice."""
     random, times = np.random.default_rng(seed), _FileTimes()
-    true_ns, errors, number, previous_ns = 10**18, [], 0, None
+    true_ns, errors, number, previous_ns, was_ns = 10**18, [], 0, None, 0
     for clock_ns, frames, away_s in clocks:
         true_ns += round(away_s * 1e9)
-        assume(previous_ns is None or abs(true_ns + clock_ns - previous_ns) > 10**9)  # else none can tell
+        if previous_ns is not None:  # less than half a second is no new clock; nor is a gap to be told from
+            moved_ns, gap_ns = clock_ns - was_ns, true_ns + PERIOD_NS + clock_ns - previous_ns
+            assume(moved_ns > 600_000_000 or (moved_ns < -600_000_000 and gap_ns <= 0))
+        was_ns = clock_ns
         held_until_ns = 0
         for k in range(frames):
             true_ns, number = true_ns + PERIOD_NS, number + 1

@@ -2,12 +2,13 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from devices.capture.frame_decimation import FrameDecimation
-from devices.real_time import PacedSensor, paced_together
+from devices.real_time import Beat, PacedSensor, paced_together
 from devices.sensor import Sensor, SensorFrame
 from devices.simulated.kinect import simulated_pair
 from fusion.body import KINECT_V1
@@ -125,6 +126,14 @@ class Recording(Sensor):
         return iter([SensorFrame(7 + k * 33_333_333, depth=np.ones((2, 2), np.uint16)) for k in range(60)])
 
 
+class Listed(Recording):
+    def __init__(self, frames):
+        self._frames = frames
+
+    def frames(self):
+        return iter(self._frames)
+
+
 def test_a_recording_leaves_out_what_a_slow_tracker_is_too_late_for(clock):
     """As a live sensor does: else the sensors of two slow trackers drift apart, and nothing is paired."""
     sensor, begun, taken = paced(Recording(), clock, FrameDecimation(30.0)), clock.now, []
@@ -136,6 +145,25 @@ def test_a_recording_leaves_out_what_a_slow_tracker_is_too_late_for(clock):
         clock.now += 0.09
     assert len(taken) + sensor.missed == 60
     assert len(taken) == pytest.approx(2.0 / 0.09, abs=2)
+
+
+@pytest.mark.parametrize("common", ["capture", "arrival", None])
+def test_recordings_of_which_only_one_has_arrivals_begin_together(clock, common):
+    """One by this program, one by Microsoft's recorder, on a cable: B's first frame was 0.2 s after A's."""
+    beat, came = Beat(1, common=common), {}
+    for name, first_ns, host_ns in (("a", 5_000_000_000, 4_000_000_000_000), ("b", 5_200_000_000, None)):
+        frames = [
+            SensorFrame(first_ns + k * 33_333_333, host_ns=host_ns and host_ns + k * 33_333_333)
+            for k in range(3)
+        ]
+        if common == "arrival":  # one run of the program recorded both
+            frames = [replace(frame, host_ns=frame.time_ns + 10**12) for frame in frames]
+        clock.now = 100.0
+        sensor = PacedSensor(Listed(frames), beat, clock=clock, wait=clock.wait)
+        came[name] = [frame.host_ns - 100_000_000_000 for frame in sensor.frames()]
+    apart_ns = 0 if common is None else 200_000_000
+    assert came["b"][0] - came["a"][0] == pytest.approx(apart_ns, abs=1000)
+    assert came["a"] == pytest.approx([0, 33_333_333, 66_666_666], abs=1000)
 
 
 def test_sensors_begin_together():

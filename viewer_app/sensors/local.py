@@ -36,7 +36,7 @@ def two_connected_sensors(options: LiveOptions | RecordOptions, console: Console
     tracker = tracker_of(options) if isinstance(options, LiveOptions) else None
     connected = connected_sensors(tracker)
     serials = _choose(connected, options, console)
-    kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
+    (kinect_a, kinect_b), tracker = _for_tracker(connected, serials, tracker)
     master = sync_master(kinect_a, kinect_b, options.sync_master)
     for note in cable_notes(kinect_a, kinect_b, master):
         console.print(note, style="yellow", markup=False)
@@ -47,7 +47,6 @@ def two_connected_sensors(options: LiveOptions | RecordOptions, console: Console
             f"at the first one."
         )
     if tracker is not None and isinstance(options, LiveOptions):
-        tracker = tracker.for_images_of([k.serial or "" for k in (kinect_a, kinect_b) if k.sdk != "k4a"])
         announce_tracker(tracker, console)
         if options.processing == "cpu" and tracker.name == "k4abt":
             console.print(
@@ -91,10 +90,27 @@ def one_sensor(
     """
     connected = connected_sensors(tracker)
     chosen = choose_one(connected, serial, option)
-    kinect = next(kinect for kinect in connected if kinect.serial == chosen)
-    tracker = tracker.for_images_of([chosen] if kinect.sdk != "k4a" else [])
-    announce_tracker(tracker, console)
-    return live_sensor(kinect, settings, tracker, decimation_of(tracker, settings.fps))
+    (kinect,), fitting = _for_tracker(connected, [chosen], tracker)
+    announce_tracker(fitting or tracker, console)
+    return live_sensor(kinect, settings, fitting, decimation_of(fitting, settings.fps))
+
+
+def _for_tracker(
+    connected: Sequence[ConnectedSensor], serials: Sequence[str], tracker: TrackerChoice | None
+) -> tuple[list[ConnectedSensor], TrackerChoice | None]:
+    """The sensors chosen, and the tracker that takes the images of all of them.
+
+    Which library opens a Femto depends on the tracker, so the sensors are listed again for another one.
+    """
+    chosen = [next(sensor for sensor in connected if sensor.serial == serial) for serial in serials]
+    if tracker is None:
+        return chosen, None
+    fitting = tracker.for_images_of([str(sensor.serial) for sensor in chosen if sensor.sdk != "k4a"])
+    if fitting.name == tracker.name:
+        return chosen, fitting
+    again = connected_sensors(fitting)
+    found = [next((other for other in again if other.serial == one.serial), one) for one in chosen]
+    return found, fitting
 
 
 def _choose(

@@ -185,18 +185,66 @@ def test_queue_joins_each_frame_with_its_own_people(standin):
     np.testing.assert_allclose(depths, [2.0, 2.001, 2.002, 2.003, 2.004], rtol=1e-6)
 
 
-def test_queue_waits_only_while_more_than_two_are_at_work(standin):
-    with rig(standin, timeout_s=2.0) as r:
-        queue = TrackerQueue(r.tracker, wait_s=0.025)
-        standin.pop_status = 2
-        for index in range(2):
-            frame = _frame(TIME_NS + index * 33_333_000)
-            with r.maker.capture(frame) as capture:
-                queue.put(frame, capture)
+class Hanging:
+    """A tracker that gives nothing; time passes only while it is waited for."""
+
+    patience_s = 5.0
+
+    def __init__(self, results=()):
+        self.now_ns, self.results, self.waits = 10**12, list(results), []
+
+    def clock(self):
+        return self.now_ns
+
+    def enqueue(self, capture): ...
+
+    def pop(self, wait_s):
+        self.waits.append(wait_s)
+        self.now_ns += max(round(wait_s * 1e9), 1000)
+        return self.results.pop(0) if self.results else None
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+@pytest.mark.parametrize("elsewhere_s", [0.0, 0.005, 0.04])
+def test_a_hanging_tracker_is_told_after_the_time_that_is_named(frames, elsewhere_s):
+    tracker = Hanging([SensorFrame(1000)])
+    queue = TrackerQueue(tracker, 0.025, clock=tracker.clock)
+    queue.put(SensorFrame(1000), 1)
+    assert len(list(queue.done())) == 1
+    for k in range(frames):
+        queue.put(SensorFrame(2000 + 1000 * k), 1)
+    begun_ns = tracker.now_ns
+
+    def run():
+        while True:
             assert list(queue.done()) == []
-            assert standin.wait_ms == 25
-        frame = _frame(TIME_NS + 2 * 33_333_000)
-        with r.maker.capture(frame) as capture:
-            queue.put(frame, capture)
-        with pytest.raises(DeviceError, match="stalls"):
-            list(queue.done())
+            tracker.now_ns += round(elsewhere_s * 1e9)  # the next capture is fetched
+
+    with pytest.raises(DeviceError, match="gave no result for 5 s"):
+        run()
+    assert 5.0 <= (tracker.now_ns - begun_ns) * 1e-9 < 5.3
+    assert set(tracker.waits[1:]) == {0.25 if frames > 2 else 0.025}
+
+
+def test_a_program_that_was_stopped_does_not_blame_its_tracker():
+    tracker = Hanging()
+    queue = TrackerQueue(tracker, 0.025, clock=tracker.clock)
+    queue.put(SensorFrame(1000), 1)
+    assert list(queue.done()) == []
+    tracker.now_ns += 60 * 10**9
+    tracker.results = [SensorFrame(1000)]
+    tracker.pop, pop = lambda wait_s: tracker.waits.append(wait_s), tracker.pop
+    assert list(queue.done()) == []
+    tracker.pop = pop
+    assert len(list(queue.done())) == 1
+
+
+@pytest.mark.parametrize("ends", ["done", "flush"])
+def test_waiting_for_a_tracker_ends_when_it_is_interrupted(ends):
+    tracker = Hanging()
+    stops_ns = tracker.now_ns + 10**9
+    queue = TrackerQueue(tracker, 0.0, clock=tracker.clock, interrupted=lambda: tracker.now_ns >= stops_ns)
+    for k in range(3):
+        queue.put(SensorFrame(1000 + 1000 * k), 1)
+    assert list(getattr(queue, ends)()) == []
+    assert tracker.now_ns - stops_ns <= 0.25e9

@@ -8,9 +8,9 @@ import weakref
 import numpy as np
 import pytest
 
-from devices.capture.sensor_state import SensorState, TimeLimits
+from devices.capture.sensor_state import Retries, SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
-from devices.sensor import DeviceError, SensorFrame, SensorWrapper
+from devices.sensor import AbsentError, DeviceError, SensorFrame, SensorWrapper
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.errors import BodyError
 from fusion.skeleton import Skeleton
@@ -127,6 +127,14 @@ def test_a_lost_sensor_is_reopened_until_it_is_back(sensor):
     assert ["unplugged" in told[0], "No Kinect" in told[1], "back" in told[2]] == [True] * 3
     assert len(told) == 3
     assert (sensor.opened, sensor.closed) == (2, 2)
+
+
+def test_the_waits_between_openings_are_short_again_after_one_that_succeeded():
+    retries = Retries(1.5)
+    refused, absent = DeviceError("busy"), AbsentError("not there")
+    assert [retries.after(fault) for fault in (refused, absent, refused, refused)] == [1.5, 1.5, 3.0, 6.0]
+    retries.succeeded()
+    assert retries.after(refused) == 1.5
 
 
 def test_a_lost_sensor_is_reported_before_its_driver_has_closed_it(sensor):

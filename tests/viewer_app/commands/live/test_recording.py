@@ -9,7 +9,11 @@ import pytest
 from rich.console import Console
 
 from devices.azure.mkv import MkvRecording
+from devices.azure.mkv_writer import MkvWriter
+from devices.capture.settings import CaptureSettings
 from devices.real_time import PacedSensor
+from devices.sensor import SensorFrame
+from devices.tracker_choice import TrackerChoice
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.intrinsics import Intrinsics
@@ -17,11 +21,12 @@ from recordings.calibration_file import calibration_to_json
 from recordings.session import Session
 from tests.helpers.command_line import duplex
 from tests.helpers.machine import small_disk
-from tests.helpers.mkv_writer import write_mkv
+from tests.helpers.mkv_writer import lens_of, write_mkv
 from tests.helpers.realsense import LENS, numbered, plugged
 from tests.helpers.realsense import record as record_bag
 from tests.helpers.session_text import rows_of
 from viewer_app.options.sensing import LiveOptions
+from viewer_app.sensors import raw_files
 from viewer_app.sensors.raw_files import two_played_sensors
 
 SENSORS = ("--kinect-a", "000123", "--kinect-b", "000456")
@@ -166,6 +171,38 @@ def _same_pairs(one, other):
         list(zip(_column(each, "clock_a"), _column(each, "clock_b"), strict=True)) for each in (one, other)
     ]
     return next((k for k, (a, b) in enumerate(zip(*pairs, strict=False)) if a != b), min(map(len, pairs)))
+
+
+@pytest.mark.parametrize(
+    ("arrivals_s", "cable", "common"),
+    [
+        ((4000, 4001), True, "arrival"),
+        ((4000, 9000), True, None),  # two runs
+        ((4000, None), True, "capture"),
+        ((None, None), True, "capture"),
+        ((None, None), False, None),
+    ],
+)
+def test_two_recordings_of_one_name_are_told_apart_and_start_by_a_common_clock(
+    arrivals_s, cable, common, tmp_path, monkeypatch
+):
+    paths = []
+    for side, sync, host_s in zip("lr", ("master", "subordinate"), arrivals_s, strict=True):
+        (tmp_path / side).mkdir()
+        paths.append(tmp_path / side / "output.mkv")
+        image = np.ones((288, 320), np.uint16)
+        host_ns = None if host_s is None else host_s * 10**9
+        frame = SensorFrame(10**9, depth=image, ir=image, host_ns=host_ns)
+        settings = CaptureSettings(sync=sync if cable else "standalone")
+        with MkvWriter(paths[-1], side, settings, lens_of("NFOV_2X2BINNED"), frame) as writer:
+            writer.write(frame)
+    monkeypatch.setattr(raw_files, "tracker_of", lambda _: TrackerChoice("blazepose", "a test"))
+    played = two_played_sensors(LiveOptions(), paths, Console(quiet=True))
+    a, b = (thread.sensor for thread in (played.a, played.b))
+    assert [a.name, b.name] == ["l/output.mkv", "r/output.mkv"]
+    assert a.key != b.key
+    assert a.source._beat is b.source._beat
+    assert a.source._beat.common == common
 
 
 def test_what_cannot_be_played_is_told(tmp_path, capsys):
