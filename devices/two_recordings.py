@@ -242,8 +242,8 @@ def cable_delay_ns(a: MkvInfo | None, b: MkvInfo | None) -> int | None:
 def refuse_same(a: Path, b: Path) -> None:
     """Raises a DeviceError if two recordings are one."""
     try:
-        same = a.samefile(b)
-        compared = a.is_file() and a.stat().st_size > 0 and b.is_file()
+        files = a.is_file() and b.is_file()
+        same, compared = files and a.samefile(b), files and a.stat().st_size > 0
         if not same and compared and not (has_images(a) or has_images(b)):
             same = filecmp.cmp(a, b, shallow=False)
     except OSError:

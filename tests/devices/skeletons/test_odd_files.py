@@ -271,6 +271,8 @@ def test_one_recording_twice_is_refused(tmp_path, capsys):
         path.write_text("")
     with pytest.raises(DeviceError, match=r"empty_a\.csv is empty"):
         read_two(*map(RecordingChoice, empty))
+    with pytest.raises(DeviceError, match="is a folder, not a recording"):
+        read_two(RecordingChoice(tmp_path), RecordingChoice(tmp_path))
     assert duplex("fuse", a, copy, "--no-viewer") == 2
     assert "Fusion needs one recording of each sensor" in one_line(capsys)
 
