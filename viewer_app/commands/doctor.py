@@ -1,6 +1,5 @@
 """``duplex doctor``: checks live capture on this machine, and states how to fix what does not work."""
 
-import ctypes.util
 import os
 import platform
 import subprocess
@@ -26,6 +25,7 @@ from viewer_app.sensors.bundle import SECONDS, collecting
 from viewer_app.sensors.raw_files import RawFiles
 from viewer_app.sensors.tracker import tracker_of
 from viewer_app.viewer.display import environment_of_window, why_no_window, why_no_x
+from viewer_app.viewer.rerun_process import why_nothing_is_drawn
 
 _GREY = "bright_black"
 _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program from a slow disk
@@ -148,15 +148,17 @@ def _display() -> Check:
 
 
 def _graphics(root: Path) -> Check:
-    if platform.system() != "Linux":
-        return Check("graphics", True, f"the system's own on {platform.system()}", needed=False)
-    libraries = [name for name in ("vulkan", "EGL", "GL") if ctypes.util.find_library(name)]
-    if not libraries:
+    """Whether a viewer draws here; one is started, without a window."""
+    why_not = why_nothing_is_drawn()
+    if why_not:
         advice = "Install the graphics driver, or for software rendering mesa-vulkan-drivers."
-        return Check("graphics", False, "neither Vulkan nor OpenGL is installed", advice, needed=False)
+        return Check("graphics", False, why_not, advice, needed=False)
     devices = sorted(path.name for path in (root / "dev/dri").glob("render*"))
-    by = f"device {devices[0]}" if devices else "no graphics device: drawn in software, slowly"
-    return Check("graphics", True, f"{', '.join(libraries)}; {by}", needed=False)
+    if devices or platform.system() != "Linux":
+        by = f"by device {devices[0]}" if devices else "by the system's own driver"
+    else:
+        by = "in software, slowly: there is no graphics device"
+    return Check("graphics", True, f"the viewer draws {by}", needed=False)
 
 
 def _viewer() -> Check:

@@ -160,8 +160,17 @@ def _last_words(arguments: Sequence[str]) -> str:
             timeout=_STARTS_WITHIN,
             check=False,
         ).stderr.decode(errors="replace")
-        words = [line.removeprefix("Error: ") for line in said.splitlines() if line.startswith("Error: ")]
-        return re.sub(r"os error at \S+ ", "", words[-1]).rstrip(".") if words else ""
+        words = re.findall(r"^(?:Error: |thread .* panicked at )(.*)$", said, re.MULTILINE)
+        return re.sub(r"os error at \S+ ", "", words[-1]).strip("'.") if words else ""
+    return ""
+
+
+def why_nothing_is_drawn() -> str:
+    """Why no viewer can draw on this machine, as text; empty if one can. It starts one, without a window."""
+    try:
+        stop(start_viewer(["--headless"])[0])
+    except UsageError as error:
+        return str(error).partition(". Use ")[0]
     return ""
 
 

@@ -1,7 +1,9 @@
 """``duplex doctor`` on a bare machine and where ``duplex live`` can start."""
 
+import os
 import re
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -11,9 +13,10 @@ from devices import live_checks as device_doctor
 from devices.check import Check
 from tests.helpers.command_line import duplex
 from tests.helpers.displays import x_server
+from tests.helpers.machine import need_viewer
 from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish, plug_in
-from viewer_app.commands.doctor import report_lines
+from viewer_app.commands.doctor import _graphics, report_lines
 from viewer_app.viewer import display
 
 
@@ -133,3 +136,13 @@ def test_a_display_that_answers_is_a_tick_for_the_window_and_for_the_depth_engin
         said = capsys.readouterr().out
     assert f"✓ display: {name}\n" in said
     assert "does not answer" not in said
+
+
+def test_graphics_are_what_the_viewer_draws_with(monkeypatch):
+    need_viewer()
+    assert _graphics(Path("/")).ok
+    monkeypatch.setenv("VK_DRIVER_FILES", os.devnull)
+    monkeypatch.setenv("WGPU_BACKEND", "vulkan")
+    check = _graphics(Path("/"))
+    assert (check.ok, check.needed) == (False, False)
+    assert "does not start here (" in check.detail, "in the viewer's own words"
