@@ -38,14 +38,14 @@ def titles(display):
 
 
 @contextmanager
-def wayland_compositor(folder):
+def wayland_compositor(folder, *options):
     """The name of a real Wayland display, with its socket in a folder; the test is skipped without Weston."""
     program = need_program("weston", package="weston")
     folder.chmod(0o700)
     name = f"wayland-{secrets.token_hex(4)}"
     size = f"--width={SIZE[0]}", f"--height={SIZE[1]}"
     process = subprocess.Popen(
-        [program, "--backend=headless-backend.so", f"--socket={name}", "--idle-time=0", *size],
+        [program, "--backend=headless-backend.so", f"--socket={name}", "--idle-time=0", *size, *options],
         env={**os.environ, "XDG_RUNTIME_DIR": str(folder)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

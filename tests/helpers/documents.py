@@ -17,13 +17,17 @@ def documents():
     return [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 
 
-def commands_of(document):
-    """The command lines of ``duplex`` in a document's shell blocks, without comments."""
+def lines_of(document):
+    """The lines of a document's shell blocks, without comments."""
     for block in _FENCE.findall(document.read_text(encoding="utf-8")):
         for line in block.replace("\\\n", " ").splitlines():
-            command = line.partition(" #")[0].strip()
-            if command.startswith("duplex "):
-                yield command
+            if typed := line.partition(" #")[0].strip():
+                yield typed
+
+
+def commands_of(document):
+    """The command lines of ``duplex`` in a document's shell blocks."""
+    return (line for line in lines_of(document) if line.startswith("duplex "))
 
 
 def python_of(document):

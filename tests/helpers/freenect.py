@@ -44,17 +44,17 @@ def real_freenect(monkeypatch):
 @pytest.fixture
 def fakenect(real_freenect, tmp_path, monkeypatch):
     """Kinects v1, which a test puts into ``dumps`` by serial number."""
-    files = [*Path("/usr/lib").glob("*/fakenect/libfreenect.so.0.5"), *_installed_by_hand()]
-    if not files:
-        lacks("fakenect", _REMEDY)
-    made = Fakenect(files[0], real_freenect, tmp_path / "fakenect")
+    made = Fakenect(fakenect_file(), real_freenect, tmp_path / "fakenect")
     monkeypatch.setenv("FAKENECT_PATH", "")
     monkeypatch.setattr(libfreenect, "load_library", lambda: made)
     return made
 
 
-def _installed_by_hand():
-    return Path("/usr/local/lib/fakenect").glob("libfreenect.so*")
+def fakenect_file():
+    """The library fakenect; skips the running test where it is not installed."""
+    debian = Path("/usr/lib").glob("*/fakenect/libfreenect.so.0.5")
+    by_hand = Path("/usr/local/lib/fakenect").glob("libfreenect.so*")
+    return next((file for files in (debian, by_hand) for file in files), None) or lacks("fakenect", _REMEDY)
 
 
 def typed(library):

@@ -5,6 +5,8 @@ import contextlib
 import numpy as np
 from rerun.experimental import ViewerClient
 
+from recordings import layout
+from recordings.appearance.colors import SKELETON_COLORS
 from tests.helpers.machine import need_viewer
 from viewer_app.addresses import LOOPBACK
 from viewer_app.viewer.rerun_process import start_viewer, stop
@@ -24,3 +26,11 @@ def headless_viewer(*arguments):
 def pixels_near(picture, color, within=24):
     """How many pixels have nearly this colour."""
     return int((np.abs(picture.astype(int) - color).max(axis=2) <= within).sum())
+
+
+def shows_skeletons(picture):
+    """Whether a picture has S_A and S_B as lines and S* as a body, which has shades; none: it has not."""
+    if picture is None:
+        return False
+    lines = all(pixels_near(picture, SKELETON_COLORS[side]) > 50 for side in layout.SIDES)
+    return lines and pixels_near(picture, SKELETON_COLORS["fused"], 70) > 50

@@ -11,6 +11,10 @@ from pathlib import Path
 from tests.helpers.waiting import eventually
 
 ROOT = Path(__file__).resolve().parents[2]
+_DUPLEX = (sys.executable, "-u", "-m", "viewer_app.cli")
+_SHELL = ("bash", "-ec")
+NO_DISPLAY = {"DISPLAY": None, "WAYLAND_DISPLAY": None}
+"""The environment of a machine without a screen; None: the variable is not set."""
 
 
 def python(*arguments, cwd=ROOT, timeout=600.0, **environment):
@@ -21,16 +25,19 @@ def python(*arguments, cwd=ROOT, timeout=600.0, **environment):
 
 
 class Program:
-    """A running command."""
+    """A running command of ``duplex``, or another command."""
 
-    def __init__(self, *arguments):
+    def __init__(self, *arguments, command=_DUPLEX, cwd=ROOT, **environment):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "300", **environment}
         self._process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "viewer_app.cli", *map(str, arguments)],
-            cwd=ROOT,
-            env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "300"},
+            [*command, *map(str, arguments)],
+            cwd=cwd,
+            env={name: value for name, value in environment.items() if value is not None},
+            stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
+            start_new_session=True,  # a group of processes, as a terminal makes one for a line
         )
         self._lines = []
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -50,15 +57,23 @@ class Program:
 
     def kill(self):
         """Kills it without notice, like a power cut."""
-        self._process.kill()
+        self._signal(signal.SIGKILL)
         self._process.wait(20.0)
 
     def end(self, within=60.0):
         """Sends Ctrl-C and returns the exit code."""
-        self._process.send_signal(signal.SIGINT)
+        self._signal(signal.SIGINT)
+        return self.code(within)
+
+    def code(self, within=600.0):
+        """The exit code, once it has ended by itself."""
         code = self._process.wait(within)
         self._reader.join(10.0)
         return code
+
+    def _signal(self, number):
+        if self._process.poll() is None:
+            os.killpg(self._process.pid, number)
 
     def _read(self):
         for line in self._process.stdout:
@@ -66,10 +81,17 @@ class Program:
 
 
 @contextmanager
-def running(*arguments):
+def running(*arguments, **how):
     """A running command, which is killed at the end of the block if it has not ended."""
-    program = Program(*arguments)
+    program = Program(*arguments, **how)
     try:
         yield program
     finally:
         program.kill()
+
+
+def typed(line, folder, **environment):
+    """A line that a user types in a folder, in the environment of this Python: see :func:`running`."""
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    how = {"PYTHONPATH": None, "PYTHONUNBUFFERED": "1", "PATH": path, **environment}
+    return running(line, command=_SHELL, cwd=folder, **how)
