@@ -20,9 +20,6 @@ from viewer_app.options.command_line import COMMANDS
 __all__ = ["parsed"]  # a fixture
 
 NAMES = [document.relative_to(ROOT).as_posix() for document in documents()]
-RUN = ("demo", "fuse", "review", "info", "export", "trim", "replay", "compare")
-"""Commands of the start page that are run; the others need sensors."""
-WITH_VIEWER = ("demo", "fuse", "review", "replay", "compare")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -44,21 +41,6 @@ def test_commands_in_sentences_exist():
         for mention in mentions_of(document):
             words = mention.split()
             assert {words[1], " ".join(words[1:3])} & known, f"{document.name}: {mention}"
-
-
-def test_the_start_page_works_from_top_to_bottom(tmp_path, monkeypatch):
-    write_recordings(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    for command in commands_of(ROOT / "docs" / "start.md"):
-        _, name, *rest = shlex.split(command)
-        if name not in RUN:
-            continue
-        rest += ["--no-viewer"] if name in WITH_VIEWER else []
-        rest += ["--seconds", "1", "--depth", "none"] if name == "demo" else []  # the last --seconds counts
-        assert duplex(name, *rest) == 0, command
-    assert len(Session.open(tmp_path / "walk.rrd")) == 70
-    assert (tmp_path / "demo.html").stat().st_size > 10_000
-    assert (tmp_path / "walk.bvh").exists()
 
 
 START = ROOT / "docs" / "start.md"

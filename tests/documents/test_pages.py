@@ -10,7 +10,6 @@ from packaging.version import Version
 from tests.benchmarks import page as benchmarks_page
 from tests.benchmarks import results
 from tests.experiments.placement_picture import PERSON_AT, a_from_b, seen_by_both
-from tests.helpers.command_line import duplex
 from tests.helpers.documents import ROOT, documents, message_templates
 
 MARKUP = re.compile(r"\[(/|bold|yellow|bold yellow)\]")
@@ -107,15 +106,3 @@ def test_every_file_names_its_command_and_its_machine():
         assert document["command"].startswith("python -m tests.benchmarks."), file
         assert document["machine"]["processors"] >= 1
         assert document["figures"]
-
-
-def test_the_summary_on_the_start_page_is_that_of_the_real_walk(shared, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "200")
-    page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
-    shown = re.search(r"such as this one of a walk.*?```text\n(.*?)```", page, re.DOTALL)
-    folder = shared / "real" / "kinect_v2_90deg_walk"
-    assert duplex("fuse", folder / "a.csv", folder / "b.csv", "--no-viewer") == 0
-    printed = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
-    begin = next(k for k, line in enumerate(printed) if line.startswith("Verdict"))
-    lines = shown[1].splitlines()
-    assert printed[begin : begin + len(lines)] == lines

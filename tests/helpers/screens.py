@@ -68,13 +68,13 @@ class Window:
 
     def state(self):
         """What it shows; None while it starts."""
-        with contextlib.suppress(ConnectionError, RuntimeError):
+        with contextlib.suppress(OSError, RuntimeError):
             return ViewerClient.connect(self._url).get_state()
         return None
 
     def picture(self):
         """Its picture as the viewer draws it, (height, width, 3) uint8; None while it starts."""
-        with contextlib.suppress(ConnectionError, RuntimeError):
+        with contextlib.suppress(OSError, RuntimeError):
             return _pixels(ViewerClient.connect(self._url).take_screenshot())
         return None
 
@@ -136,7 +136,9 @@ def browser(width=900, height=600):
             executable_path=program, args=[*flags.split(), "--ignore-gpu-blocklist"]
         )
         try:
-            yield chromium.new_context(viewport={"width": width, "height": height})
+            context = chromium.new_context(viewport={"width": width, "height": height})
+            context.set_default_timeout(120_000)  # milliseconds: it draws on the CPU
+            yield context
         finally:
             chromium.close()
 

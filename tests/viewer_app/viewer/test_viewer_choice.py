@@ -2,7 +2,6 @@
 
 import io
 import socket
-from contextlib import contextmanager
 from urllib.request import Request, urlopen
 
 import cv2
@@ -11,11 +10,8 @@ import psutil
 import pytest
 from rich.console import Console
 
-from recordings import layout
-from recordings.appearance.colors import SKELETON_COLORS
-from tests.helpers.live_frames import frames, session
-from tests.helpers.machine import lacks, need_browser, need_viewer
-from tests.helpers.pictures import pixels_near
+from tests.helpers.live_frames import session
+from tests.helpers.machine import lacks, need_viewer
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
@@ -23,8 +19,6 @@ from viewer_app.options.shared import ViewerOptions
 from viewer_app.viewer import rerun_process
 from viewer_app.viewer.rerun_process import DATA_PORT, PAGE_PORT, Hub, free_port, start_viewer, stop
 from viewer_app.viewer.viewer_choice import Viewing, announce, choose_viewing
-
-_DRAWN_WITHIN = 60.0
 
 
 def web_hub(address=LOOPBACK):
@@ -165,40 +159,6 @@ def test_contradicting_options_give_one_line(options, words, monkeypatch):
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
     with pytest.raises(UsageError, match=words):
         choose_viewing(ViewerOptions(**options), None, live=True)
-
-
-@contextmanager
-def browser():
-    """Debian's Chromium without a screen, drawing on the CPU."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="the dev extra has playwright")
-    program = need_browser()
-    with playwright.sync_playwright() as started:
-        flags = (
-            "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader "
-            "--ignore-gpu-blocklist"
-        )
-        chromium = started.chromium.launch(executable_path=program, args=flags.split())
-        try:
-            yield chromium.new_context(viewport={"width": 900, "height": 600})
-        finally:
-            chromium.close()
-
-
-def test_a_browser_that_comes_later_sees_the_three_skeletons(served, fuser):
-    hub = served.viewer.hub
-    for frame in frames(fuser, 60):
-        served.write(frame)
-    with browser() as chromium:
-        page = chromium.new_page()
-        page.goto(hub.page)
-
-        def sees_skeletons():
-            shot = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-            picture = np.asarray(shot[..., ::-1])
-            lines = all(pixels_near(picture, SKELETON_COLORS[side]) > 50 for side in layout.SIDES)
-            return lines and pixels_near(picture, SKELETON_COLORS["fused"], 70) > 50  # a body with shades
-
-        assert eventually(sees_skeletons, _DRAWN_WITHIN)
 
 
 def test_a_session_that_is_saved_goes_on_without_a_window(monkeypatch, tmp_path):

@@ -1,0 +1,95 @@
+"""``duplex demo``, ``fuse`` and ``review`` in a real window, on X and on Wayland."""
+
+import re
+import shutil
+
+import pytest
+
+from recordings import layout
+from tests.acceptance.conftest import copied
+from tests.helpers.displays import SIZE
+from tests.helpers.pictures import shows_skeletons
+from tests.helpers.programs import NO_DISPLAY, ROOT, typed
+from tests.helpers.screens import wayland_screen
+from tests.helpers.waiting import eventually
+
+_DRAWN_WITHIN = 300.0
+
+
+@pytest.fixture(scope="module")
+def wayland():
+    with wayland_screen() as screen:
+        yield screen
+
+
+@pytest.fixture(params=["desk", "wayland"])
+def screen(request):
+    """A screen of X, and one of Wayland."""
+    screen = request.getfixturevalue(request.param)
+    yield screen
+    screen.close_windows()
+
+
+@pytest.fixture
+def shows(screen, seen):
+    """Waits until the one window of a screen shows the three skeletons; returns what it shows."""
+
+    def found(program):
+        assert eventually(lambda: "Rerun" in screen.titles(), _DRAWN_WITHIN), program.said
+        (window,) = screen.windows()
+        pictures = []
+
+        def drawn():
+            pictures.append(window.picture())
+            return shows_skeletons(pictures[-1])
+
+        assert eventually(drawn, _DRAWN_WITHIN, every=0.5), "no skeletons in the window"
+        seen(pictures[-1])
+        height, width, _ = pictures[-1].shape
+        assert width >= SIZE[0] // 2
+        assert height >= SIZE[1] // 2
+        if screen.photograph is not None:
+            photograph = screen.photograph()
+            seen(photograph, "-screen")
+            assert shows_skeletons(photograph), "no skeletons on the screen"
+        return window.state()
+
+    return found
+
+
+def test_the_demonstration_is_shown_while_it_runs(screen, shows, home):
+    """As README begins: until Ctrl-C, and the window stays."""
+    with typed("make demo", ROOT, **screen.environment, **home) as demonstration:
+        shows(demonstration)
+        demonstration.end()
+        assert "Verdict" in demonstration.said, demonstration.said
+    assert "Traceback" not in demonstration.said
+    assert screen.titles().count("Rerun") == 1
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory, walk, home):
+    """The real walk, fused without a screen."""
+    folder = copied(walk, tmp_path_factory.mktemp("fused"))
+    with typed("duplex fuse a.csv b.csv --save s.rrd", folder, **home, **NO_DISPLAY) as fused:
+        assert fused.code() == 0, fused.said
+    return folder / "s.rrd"
+
+
+def test_fused_recordings_are_shown(screen, shows, session, tmp_path, home):
+    copied(session.parent, tmp_path)
+    with typed("duplex fuse a.csv b.csv", tmp_path, **screen.environment, **home) as fused:
+        assert fused.code() == 0, fused.said
+    assert "Verdict" in fused.said
+    (recording,) = shows(fused).recordings
+    assert {line.name: line.end for line in recording.timelines}[layout.FRAME] == 826
+
+
+def test_a_session_is_shown_at_the_event_that_matters(screen, shows, session, tmp_path, home):
+    shutil.copy(session, tmp_path)
+    with typed("duplex review s.rrd", tmp_path, **screen.environment, **home) as review:
+        assert review.code() == 0, review.said
+    (seconds,) = re.findall(r"The viewer opens at ([\d.]+) s, event \d+\.", review.said)
+    (recording,) = shows(review).recordings
+    assert recording.current_timeline == layout.TIME
+    assert recording.current_time == pytest.approx(1e9 * float(seconds), abs=0.5e7)
