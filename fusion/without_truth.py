@@ -17,21 +17,22 @@ from fusion.rigid import RigidTransform
 
 Array = NDArray[np.float64]
 
-JUMP = 0.150
-"""Metres from one frame to the next: 4.5 m/s at 30 frames per second, faster than a walking person."""
-NO_JUMP = 0.075
-"""Metres: a view whose joint moved less made no jump of its own."""
+JUMP = 4.5
+"""m/s from one frame to the next: faster than a walking person; 150 mm at 30 frames per second."""
+NO_JUMP = 2.25
+"""m/s: a view whose joint moved less made no jump of its own."""
 FAST = 0.8
 """m/s of the trunk: people rarely walk backwards that fast."""
 _AGAINST = -0.5  # cosine between facing and motion: more than 120° apart
 _STRAIGHT = np.radians(40.0)  # per second: a path that turns more slowly
 _ASTRAY = np.radians(45.0)
-_SMOOTH = 9  # frames that the trunk's speed is averaged over
-_ENDS = 12  # frames at each end without a smooth speed
-_FEWEST_FAST = 30  # frames: too few for a share
-_FEWEST_STRAIGHT = 20  # frames
+_SMOOTH = 0.3  # seconds that the trunk's speed is averaged over
+_ENDS = 0.4  # seconds at each end without a smooth speed
+_FEWEST = 30  # pairs that are judged
+_FEWEST_FAST = 1.0  # seconds: too few for a share
+_FEWEST_STRAIGHT = 2.0 / 3.0  # seconds
 _FLIP_SECONDS = 0.1
-_ONE_FLIP = 10  # frames: turns that are nearer to each other are one flip
+_ONE_FLIP = 1.0 / 3.0  # seconds: turns that are nearer to each other are one flip
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +61,8 @@ class FiguresWithoutTruth:
     rough_b: float
     rough_mean: float
     rough_fused: float
-    """Mean norm of a joint's second difference, per frame², of each view, of the views' mean under one robust
-    registration, and of S*."""
+    """Mean norm of a joint's second difference, metres per frame², of each view, of the views' mean under one
+    robust registration, and of S*. The noise in it does not depend on the frame rate, the movement does."""
     jumps_a: float  # share of joint steps above JUMP
     jumps_b: float
     jumps_fused: float
@@ -96,32 +97,35 @@ def figures_without_truth(pair: FusedPair) -> FiguresWithoutTruth:
     Raises:
         FusionError: Fewer than 30 pairs, or hardly any joint that both sensors see.
     """
-    if len(pair.time_ns) < _FEWEST_FAST:
-        raise FusionError(
-            f"A recording needs {_FEWEST_FAST} pairs or more to be judged; got {len(pair.time_ns)}."
-        )
+    if len(pair.time_ns) < _FEWEST:
+        raise FusionError(f"A recording needs {_FEWEST} pairs or more to be judged; got {len(pair.time_ns)}.")
     robust = fit_recording(pair.a, pair.b)
     b = robust.apply(pair.b)
     steps_a, steps_b, steps = (  # (T-1, J) distance that each joint moves from frame to frame
         np.linalg.norm(np.diff(view, axis=0), axis=2) for view in (pair.a, b, pair.fused)
     )
+    interval = _usual_interval(pair.time_ns)
+    jump, no_jump = JUMP * interval, NO_JUMP * interval
     known = np.isfinite(steps_a) & np.isfinite(steps_b) & np.isfinite(steps)
     way, fast, straight = _motion(pair.body, pair.a, b, pair.time_ns)
-    headings = [_off_the_path(pair.body, of, way, straight) for of in (pair.a, b, pair.fused)]
-    own = (steps > JUMP) & (steps_a < NO_JUMP) & (steps_b < NO_JUMP)
+    least = round(_FEWEST_STRAIGHT / interval)
+    headings = [_off_the_path(pair.body, of, way, straight, least) for of in (pair.a, b, pair.fused)]
+    least = round(_FEWEST_FAST / interval)
+    against = [_against(pair.body, of, way, fast, least) for of in (pair.a, b, pair.fused)]
+    own = (steps > jump) & (steps_a < no_jump) & (steps_b < no_jump)
     return FiguresWithoutTruth(
         frames=len(pair.time_ns),
         rough_a=_roughness(pair.a),
         rough_b=_roughness(b),
         rough_mean=_roughness(0.5 * (pair.a + b)),
         rough_fused=_roughness(pair.fused),
-        jumps_a=_share(steps_a[known] > JUMP),
-        jumps_b=_share(steps_b[known] > JUMP),
-        jumps_fused=_share(steps[known] > JUMP),
+        jumps_a=_share(steps_a[known] > jump),
+        jumps_b=_share(steps_b[known] > jump),
+        jumps_fused=_share(steps[known] > jump),
         jumps_own=_share(own[known]),
-        against_a=_against(pair.body, pair.a, way, fast),
-        against_b=_against(pair.body, b, way, fast),
-        against_fused=_against(pair.body, pair.fused, way, fast),
+        against_a=against[0],
+        against_b=against[1],
+        against_fused=against[2],
         heading_a=_median(headings[0]),
         heading_b=_median(headings[1]),
         heading_fused=_median(headings[2]),
@@ -177,37 +181,49 @@ def _motion(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a frame in which no view has a trunk
         middle = np.nanmean([np.nanmean(view[:, trunk], axis=1) for view in (a, b)], axis=0)[:, [0, 2]]
-    window = np.ones(_SMOOTH) / _SMOOTH
+    interval = _usual_interval(time_ns)
+    count, ends = max(1, round(_SMOOTH / interval)), max(1, round(_ENDS / interval))
+    window = np.ones(count) / count
+    elapsed = np.gradient(time_ns * 1e-9)
+    elapsed[elapsed <= 0.0] = np.nan  # three pairs of one time
     smooth = np.stack([np.convolve(coordinate, window, "same") for coordinate in middle.T], axis=1)
-    velocity = np.gradient(smooth, axis=0) / np.gradient(time_ns * 1e-9)[:, None]
+    velocity = np.gradient(smooth, axis=0) / elapsed[:, None]
     speed = np.linalg.norm(velocity, axis=1)
     fast = speed > FAST  # NaN is not
-    fast[:_ENDS] = fast[-_ENDS:] = False
+    fast[:ends] = fast[-ends:] = False
     way = velocity / np.maximum(speed, 1e-9)[:, None]
     angle = np.arctan2(way[:, 1], way[:, 0])
     angle[np.isfinite(angle)] = np.unwrap(angle[np.isfinite(angle)])
-    turning = np.gradient(angle) / np.gradient(time_ns * 1e-9)
+    turning = np.gradient(angle) / elapsed
     return way, fast, fast & (np.abs(turning) < _STRAIGHT)
 
 
-def _off_the_path(body: Body, positions: Array, way: Array, straight: NDArray[np.bool_]) -> Array:
-    """Angles, radians, between facing and the straight path; empty where it is too short."""
+def _usual_interval(time_ns: NDArray[np.int64]) -> float:
+    """Seconds between two pairs."""
+    steps = np.diff(time_ns)
+    steps = steps[steps > 0]
+    return float(np.median(steps)) * 1e-9 if len(steps) else 1.0 / 30.0
+
+
+def _off_the_path(body: Body, positions: Array, way: Array, straight: NDArray[np.bool_], least: int) -> Array:
+    """Angles, radians, between facing and the straight path; empty where it has no more frames than these."""
     cosine = (facing(body, positions) * way).sum(axis=1)[straight]
     found: Array = np.arccos(np.clip(cosine[np.isfinite(cosine)], -1.0, 1.0))
-    return found if len(found) > _FEWEST_STRAIGHT else found[:0]
+    return found if len(found) > least else found[:0]
 
 
-def _against(body: Body, positions: Array, way: Array, fast: NDArray[np.bool_]) -> float:
+def _against(body: Body, positions: Array, way: Array, fast: NDArray[np.bool_], least: int) -> float:
     cosine = (facing(body, positions) * way).sum(axis=1)[fast]
     cosine = cosine[np.isfinite(cosine)]
-    return _share(cosine < _AGAINST) if len(cosine) > _FEWEST_FAST else np.nan
+    return _share(cosine < _AGAINST) if len(cosine) > least else np.nan
 
 
 def _flips_per_minute(body: Body, positions: Array, time_ns: NDArray[np.int64]) -> float:
-    within = max(1, round(_FLIP_SECONDS / (float(np.median(np.diff(time_ns))) * 1e-9)))
+    interval = _usual_interval(time_ns)
+    within, one = (max(1, round(seconds / interval)) for seconds in (_FLIP_SECONDS, _ONE_FLIP))
     left = to_the_left(body, positions)
     turned = np.flatnonzero((left[within:] * left[:-within]).sum(axis=1) < 0.0)
-    flips = int(np.sum(np.diff(turned) > _ONE_FLIP)) + 1 if len(turned) else 0
+    flips = int(np.sum(np.diff(turned) > one)) + 1 if len(turned) else 0
     return flips * 60.0 / (float(time_ns[-1] - time_ns[0]) * 1e-9)
 
 

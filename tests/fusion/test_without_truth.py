@@ -1,5 +1,7 @@
 """Figures without ground truth, on motions with known figures."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,33 @@ def test_walking_backwards_fast_is_against_the_motion(backwards, against):
     assert found.flips_per_minute == 0.0
     assert found.apart < 1e-9
     assert found.rotation_off < 1e-6
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("rate", [5, 10, 15, 60, 90])
+def test_figures_are_of_seconds_and_not_of_frames(rate):
+    """The walk of 30 frames per second is seen at another rate; its last three pairs have one time."""
+
+    def seen(a, fused):
+        recording = pair(a, fused)
+        times = (np.arange(len(a)) * 1e9 / rate).astype(np.int64)
+        times[-2:] = times[-3]
+        return figures_without_truth(replace(recording, time_ns=times))
+
+    count = 8 * rate
+    still, way = standing(BODY), 25.0 * (walking(1.2)[1] - walking(1.2)[0])
+    seconds = (np.arange(count) / rate)[:, None, None]
+    walk = still + 1.2 * seconds * way
+    turned = walk.copy()
+    turned[3 * rate : 4 * rate] = turned[3 * rate : 4 * rate][:, BODY.mirror]
+    found = seen(walk, turned)
+    assert found.jumps_a == found.against_a == 0.0
+    # of eight seconds without 0.4 s at each end; at five frames per second a frame is 3 %
+    assert found.against_fused == pytest.approx(1.0 / 7.2, abs=0.03)
+    assert found.flips_per_minute == pytest.approx(2 * 60.0 / ((count - 3) / rate), rel=0.01)
+    stays = np.repeat(still[None], count, axis=0)
+    assert seen(stays, still + 4.0 * seconds * way).jumps_own == 0.0
+    assert seen(stays, still + 5.0 * seconds * way).jumps_own == pytest.approx(1.0, abs=0.06)
 
 
 def test_slow_walking_backwards_is_not_judged():
