@@ -79,17 +79,21 @@ def _prepare_disk(package: str) -> None:
     ensure_cache_folder()
     file = getattr(sys.modules.get(package), "__file__", None)
     if file is not None:
-        drop_stale_kernels(Path(file).parent)
+        drop_stale_kernels(Path(file).parent, Path(__file__).parents[1])
 
 
-def drop_stale_kernels(package: Path) -> None:
+def drop_stale_kernels(package: Path, *imported: Path) -> None:
     """Deletes the compiled kernels of a package and its subpackages that are older than its newest source.
+
+    Args:
+        imported: Other packages, whose kernels and constants its kernels contain.
 
     Only an edit in place can leave a stale kernel, and it updates a source's time. A read-only folder cannot
     be edited, so it contains no stale kernels.
     """
     with suppress(OSError):
-        newest = max(source.stat().st_mtime_ns for source in package.rglob("*.py"))
+        sources = (source for folder in (package, *imported) for source in folder.rglob("*.py"))
+        newest = max(source.stat().st_mtime_ns for source in sources)
         for index in package.rglob("__pycache__/*.nbi"):
             if index.stat().st_mtime_ns <= newest:
                 index.unlink(missing_ok=True)  # without its index a kernel is compiled again

@@ -66,6 +66,12 @@ def test_only_kernels_older_than_a_source_go(tmp_path):
     os.utime(tmp_path / "source.py", ns=(2, 2))
     drop_stale_kernels(tmp_path)
     assert sorted(path.name for path in cache.iterdir()) == ["module.pyc", "new.nbi"]
+    imported = tmp_path / "imported"
+    imported.mkdir()
+    (imported / "constants.py").touch()
+    os.utime(imported / "constants.py", ns=(4, 4))
+    drop_stale_kernels(tmp_path, imported)
+    assert sorted(path.name for path in cache.iterdir()) == ["module.pyc"], "they contain its constants"
 
 
 def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path):
