@@ -1,7 +1,9 @@
 """The result of one check of this machine."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from operator import attrgetter
 from typing import Literal
 
 from devices.sensor import DeviceError
@@ -37,6 +39,19 @@ def is_missing(fault: DeviceError) -> bool:
 def words_of(fault: Exception) -> str:
     """What an exception of another library says, in one line."""
     return " ".join(str(fault).split()) or type(fault).__name__
+
+
+def missing_names(module: object, names: Iterable[str]) -> list[str]:
+    """Those of some dotted names that a vendor's module lacks, because it is of another version."""
+
+    def has(name: str) -> bool:
+        try:
+            attrgetter(name)(module)
+        except AttributeError:
+            return False
+        return True
+
+    return [name for name in names if not has(name)]
 
 
 def installed_version(package: str) -> str:

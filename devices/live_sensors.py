@@ -14,7 +14,7 @@ from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.capture.usb import usb_kinects
-from devices.check import Check, is_missing
+from devices.check import Check, is_missing, words_of
 from devices.freenect.libfreenect import connected_freenects
 from devices.freenect.libfreenect import how_to_install as how_to_install_freenect
 from devices.freenect.libfreenect import library_check as freenect_library_check
@@ -125,13 +125,13 @@ def connected_sensors(tracker: TrackerChoice | None, root: Path = Path("/")) -> 
     kinects: list[ConnectedSensor] = []
     try:
         kinects = connected_kinects()
-    except DeviceError as fault:
-        faults["k4a"] = fault
+    except Exception as fault:
+        faults["k4a"] = _told(fault)
     for name, vendor in VENDORS.items():
         try:
             others += vendor.connected()
-        except DeviceError as fault:
-            faults[name] = fault
+        except Exception as fault:
+            faults[name] = _told(fault)
     if not kinects and not others:
         broken = [fault for fault in faults.values() if not is_missing(fault)]
         if broken:
@@ -152,6 +152,13 @@ def connected_sensors(tracker: TrackerChoice | None, root: Path = Path("/")) -> 
         by_sdk = {other.serial for other in others}
         kinects = [kinect for kinect in kinects if kinect.serial is None or kinect.serial not in by_sdk]
     return [replace(found, index=index) for index, found in enumerate((*kinects, *others))]
+
+
+def _told(fault: Exception) -> DeviceError:
+    """A vendor's fault; a version of its software that nobody tried may raise anything."""
+    if isinstance(fault, DeviceError):
+        return fault
+    return DeviceError(f"A sensor library failed ({type(fault).__name__}: {words_of(fault)}).")
 
 
 def decimation_of(tracker: TrackerChoice | None, fps: float) -> FrameDecimation:

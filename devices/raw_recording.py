@@ -14,7 +14,7 @@ from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.capture_stream import LiveSensor
 from devices.capture.host_clock import ContinuousTime, HostClock, Timing
 from devices.capture.settings import CaptureSettings
-from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
+from devices.sensor import ColorImage, DeviceError, Sensor, SensorFrame, SensorWrapper
 
 _KEEP, _KEEP_WITH_IMAGES = 120, 60
 """Most queued frames; from the second number on, frames wait without infrared and colour: 130 MB at most, of
@@ -154,6 +154,9 @@ class RawRecorder:
             raise DeviceError(f"{sensor.name} does not know its depth camera, which a recording needs.")
         calibration = self._hide(getattr(sensor, "calibration_json", b"").decode("latin-1")).encode("latin-1")
         first = replace(images or frame, time_ns=frame.time_ns)
+        camera = getattr(sensor, "color_camera", None)
+        if first.color is None and camera is not None:  # it may start later
+            first = replace(first, color=ColorImage(b"", camera))
         given = self._hide(sensor.name), self._settings, sensor.intrinsics, first
         with self._open_writer(self.path, *given, calibration=calibration, compress=self._compress) as writer:
             following: SensorFrame | None = frame

@@ -29,6 +29,7 @@ pytest_plugins = (
     "tests.helpers.freenect",
     "tests.helpers.freenect2.standin",
     "tests.helpers.realsense",
+    "tests.helpers.vendors",
 )
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -27,70 +27,58 @@ from devices.azure.pyk4a_internals import capsule_pointer, capture_pointer, imag
 from devices.azure.settings import KinectSettings, sdk_configuration
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
 from devices.azure.tracking.tracker_queue import TrackerQueue
-from devices.capture.capture_stream import CaptureStream, LiveSensor, Moment, arrival_ns
+from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause
 from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.moments import ImageJoiner, Moment, arrival_ns
 from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 
 
-@dataclass(frozen=True, eq=False)
-class _Captured(Moment):
-    """A capture of the SDK."""
-
-    capture: Any
-
-
-class _KinectStream(CaptureStream[_Captured]):
+class _KinectStream(CaptureStream):
     """The captures of a running ``pyk4a.PyK4A``."""
 
     cable_advice = (
         "A subordinate gives frames only while its master runs: check the master and the sync cable."
     )
-    settings: KinectSettings
-    sensor: KinectSensor
 
     def __init__(self, device: Any, sdk: Any, sensor: KinectSensor) -> None:
-        super().__init__(f"Kinect {sensor.name}", sensor.settings, sensor)
+        period_ns = round(1e9 / sensor.settings.fps)
+        colored = sensor.settings.color is not None
+        joiner = ImageJoiner(period_ns, color=period_ns) if colored else ImageJoiner(period_ns)
+        super().__init__(f"Kinect {sensor.name}", sensor, joiner, "infrared", *["color"] * colored)
         self._device, self._sdk = device, sdk
 
-    def poll(self, timeout_ms: int) -> _Captured | None:
+    def receive(self, timeout_ms: int) -> bool:
+        """Takes the next capture: depth with infrared, colour, or both."""
         try:
             capture = self._device.get_capture(timeout=timeout_ms)
         except self._sdk.K4ATimeoutException:
-            raise TimeoutError from None
+            return False
         except self._sdk.K4AException as fault:
             raise self.lost(fault) from fault
-        if image_of(capture, "depth") is None or image_of(capture, "ir") is None:
-            return None
-        # Orbbec's wrapper gives the epoch's time.
-        host_ns = arrival_ns(int(capture.depth_system_timestamp_nsec), self.sensor.clock())
-        return _Captured(1000 * int(capture.depth_timestamp_usec), host_ns, capture)
+        depth, now_ns = image_of(capture, "depth"), self.sensor.clock()
+        time_ns = 1000 * int(capture.depth_timestamp_usec) if depth is not None else None
+        if self.sensor.settings.color is not None and image_of(capture, "color") is not None:
+            color_ns = 1000 * int(capture.color_timestamp_usec) if time_ns is None else time_ns
+            self.joiner.add("color", color_ns, capture)
+        if time_ns is not None:
+            # Orbbec's wrapper gives the epoch's time.
+            host_ns = arrival_ns(int(capture.depth_system_timestamp_nsec), now_ns)
+            lacks = ("infrared",) if image_of(capture, "ir") is None else ()
+            self.joiner.add_depth(time_ns, host_ns, capture, now_ns, lacks)
+        return True
 
     def is_connected(self) -> bool:
         return is_connected(self._sdk, self.sensor.name)
 
     def unplugged(self) -> DeviceError:
         """The error for a sensor that is not connected, or whose master is not."""
-        if self.settings.sync == "subordinate" and not is_listed(self.sensor.name):
+        if self.sensor.settings.sync == "subordinate" and not is_listed(self.sensor.name):
             return AbsentError(Cause.IT_OR_MASTER_UNPLUGGED.says(label=self.label))
         return super().unplugged()
-
-    def advise_only_color(self) -> str:
-        """What happens, or what to do, if colour comes without depth.
-
-        Capture sync drops all depth of a start whose first colour image is more than ten frames on.
-        """
-        if self._last_ns is not None:
-            return super().advise_only_color()
-        self.sensor.settings = replace(self.settings, color=None)
-        return "It is opened again and goes on without colour."
-
-    def comes_late(self, moment: _Captured) -> bool:
-        """Whether capture sync held a depth image back for a colour image that never came."""
-        return self.settings.color is not None and image_of(moment.capture, "color") is None
 
 
 class KinectSensor(LiveSensor):
@@ -116,7 +104,6 @@ class KinectSensor(LiveSensor):
         """
         super().__init__(serial, settings or KinectSettings(), decimation, clock)
         self.body = AZURE_KINECT
-        self.waits_for = ""
         self._tracker = BodyTracker(tracker) if track else None
         self._device: Any = None
 
@@ -126,10 +113,9 @@ class KinectSensor(LiveSensor):
         self._interrupted.clear()
         self._sdk = load_sdk()
         configuration = sdk_configuration(self._sdk, self.settings)
-        joins = self.settings.color is not None
         try:
-            self.waits_for = "its driver, which opens it"
-            self._device = open_kinect(self._sdk, self.name, configuration, joins_color=joins)
+            self.awaits = "its driver, which opens it"
+            self._device = open_kinect(self._sdk, self.name, configuration)
             self._check_jack()
             advice = "" if self.settings.sync == "standalone" else _SYNC_ADVICE
             self._call(self._device.start, "did not start its cameras", advice)
@@ -139,18 +125,18 @@ class KinectSensor(LiveSensor):
                 self.calibration_json = raw.encode()
             cameras, mode = self._sdk.CalibrationType, depth_mode(self.settings.depth_mode)
             self.intrinsics = _intrinsics(calibration, cameras.DEPTH, (mode.width, mode.height))
-            self._color = None
+            self.color_camera = None
             if self.settings.color is not None:
                 rotation, translation = calibration.get_extrinsic_parameters(cameras.DEPTH, cameras.COLOR)
-                self._color = ColorCamera(
+                self.color_camera = ColorCamera(
                     _intrinsics(calibration, cameras.COLOR, COLOR_SIZES[self.settings.color]),
                     RigidTransform.of(rotation, np.ravel(translation)),  # pyk4a's is (1, 3)
                 )
             if self._tracker is not None:
                 handle = calibration._calibration_handle
-                self.waits_for = "its body tracker, which loads its network"
+                self.awaits = "its body tracker, which loads its network"
                 self._tracker.open(capsule_pointer(handle, b"pyk4a calibration handle"))
-            self.waits_for = ""
+            self.awaits = ""
         except BaseException:
             self.__exit__()
             raise
@@ -159,53 +145,56 @@ class KinectSensor(LiveSensor):
     def __exit__(self, *exc_info: object) -> None:
         """Stops the tracker and the sensor, even if the sensor is no longer connected."""
         if self._tracker is not None:
-            self.waits_for = "its body tracker, which stops"
+            self.awaits = "its body tracker, which stops"
             self._tracker.close()
         if self._device is not None:
-            self.waits_for = "its cameras, which stop"
+            self.awaits = "its cameras, which stop"
             device, self._device = self._device, None
             fault = close_kinect(self._sdk, self.name, device)
             if fault:
                 self.warnings.append(f"Kinect {self.name} did not close cleanly ({fault}).")
-        self.waits_for = ""
+        self.awaits = ""
 
     def frames(self) -> Iterator[SensorFrame]:
         """Frames as they arrive, until interrupted."""
         if self._device is None:
             raise DeviceError(f"Kinect {self.name} is not open: use it in a with statement.")
         stream = _KinectStream(self._device, self._sdk, self)
-        if self._tracker is None:
-            for moment in self._moments(stream):
-                yield self.frame_of(moment, self.settings.infrared)
-            return
+        frames = self._frames(stream) if self._tracker is None else self._tracked(stream, self._tracker)
+        for frame in frames:
+            yield frame if self.settings.infrared else replace(frame, ir=None)
+
+    def _tracked(self, stream: CaptureStream, tracker: BodyTracker) -> Iterator[SensorFrame]:
+        """The newest frames with their people."""
+        self._stream = stream
         self.decimation.restart(self.name)
         # Waiting at most three quarters of a frame for the tracker leaves time to fetch the next capture.
         took = partial(self.decimation.tracked, self.name)
-        queue = TrackerQueue(self._tracker, 0.75 / self.settings.fps, took, self.clock)
-        newest: _Captured | None = None
-        while not self._interrupted.is_set():
+        queue = TrackerQueue(tracker, 0.75 / self.settings.fps, took, self.clock)
+        newest: Moment | None = None
+        while not self.interrupted:
             # a recording takes captures from the SDK's queue while the tracker is busy, too
-            if (not queue.full or self.on_capture is not None) and (
-                taken := self._take(stream, wait=queue.empty)
-            ):
+            if (not queue.full or self.on_capture is not None) and (taken := stream.take(wait=queue.empty)):
                 self.missed += newest is not None
                 newest = taken
             if newest is not None and not queue.full:
-                frame = self.frame_of(newest, self.settings.infrared)
-                queue.put(frame, capture_pointer(newest.capture))
+                if "infrared" not in newest.lacks:  # the tracker refuses such a capture
+                    queue.put(self.made(newest), capture_pointer(newest.depth))
                 newest = None
-            self.waits_for = stream.waits_for if queue.empty else "its body tracker's result"
+            self.awaits = "" if queue.empty else "its body tracker's result"
             yield from queue.done()
 
-    def frame_of(self, moment: _Captured, infrared: bool = True) -> SensorFrame:
+    def frame_of(self, moment: Moment) -> SensorFrame:
         """The capture's images, copied so that the SDK has its memory back."""
-        capture = moment.capture
-        jpeg = None if self._color is None else image_of(capture, "color")
+        infrared = self.settings.infrared or self.on_capture is not None
+        ir = image_of(moment.depth, "ir") if infrared else None
+        camera = self.color_camera
+        jpeg = None if moment.color is None else image_of(moment.color, "color")
         return SensorFrame(
             time_ns=moment.time_ns,
-            depth=np.array(capture.depth, dtype=np.uint16),
-            ir=np.array(capture.ir, dtype=np.uint16) if infrared else None,
-            color=None if jpeg is None or self._color is None else ColorImage.of(jpeg.tobytes(), self._color),
+            depth=np.array(moment.depth.depth, dtype=np.uint16),
+            ir=None if ir is None else np.array(ir, dtype=np.uint16),
+            color=None if jpeg is None or camera is None else ColorImage.of(jpeg.tobytes(), camera),
             host_ns=moment.host_ns,
         )
 
@@ -216,7 +205,9 @@ class KinectSensor(LiveSensor):
         except self._sdk.K4AException as fault:
             if not is_connected(self._sdk, self.name):
                 raise Cause.UNPLUGGED.error(label=f"Kinect {self.name}") from fault
-            raise DeviceError(f"Kinect {self.name} cannot be opened: {why_not_open(fault)}") from fault
+            raise DeviceError(
+                f"Kinect {self.name} cannot be opened: {why_not_open(fault, self.name)}"
+            ) from fault
         needed = {"master": ("out", sync_out), "subordinate": ("in", sync_in)}.get(self.settings.sync)
         if needed is not None and not needed[1] and self.settings.trust_jacks:
             raise DeviceError(

@@ -15,10 +15,18 @@ from devices.capture import usb
 from devices.capture.causes import Cause, in_brackets
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.usb import usb_kinects
-from devices.check import installed_version, words_of
+from devices.check import installed_version, missing_names, words_of
 from devices.sensor import AbsentError, DeviceError
 
 _EXTRA = "pip install '.[kinect]' (after make: .venv/bin/pip install -e '.[kinect]')"
+_NAMES = (
+    *("CalibrationType.COLOR", "CalibrationType.DEPTH", "ColorResolution", "Config", "DepthMode", "FPS"),
+    *("ImageFormat.COLOR_MJPG", "K4AException", "K4ATimeoutException", "PyK4A.calibration"),
+    *("PyK4A.calibration_raw", "PyK4A.close", "PyK4A.get_capture", "PyK4A.open", "PyK4A.opened"),
+    *("PyK4A.serial", "PyK4A.start", "PyK4A.stop", "PyK4A.sync_jack_status", "WiredSyncMode"),
+    "connected_device_count",
+)
+"""All that this program uses of the module."""
 _NEEDS = {
     "linux": (
         "a C++ compiler (Debian, Ubuntu: build-essential), Python's headers (python3-dev) and the headers of "
@@ -76,6 +84,11 @@ def load_sdk() -> ModuleType:
         raise DeviceError(
             f"Live sensors need pyk4a, which cannot be imported ({words_of(fault)}). {how_to_install()}"
         ) from fault
+    if missing := missing_names(pyk4a, _NAMES):
+        raise DeviceError(
+            f"The installed pyk4a lacks {missing[0]}: it is of another version; 1.5 is needed. "
+            f"{how_to_install()}"
+        )
     return pyk4a  # type: ignore[no-any-return]
 
 
@@ -93,21 +106,18 @@ def how_to_install(platform: str = sys.platform) -> str:
     return f"{remove}pyk4a is built from source, with {needs}. Then, from this program's folder: {_EXTRA}."
 
 
-def open_kinect(sdk: Any, serial: str, configuration: Any, *, joins_color: bool = False) -> Any:
+def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
     """Opens the Kinect with a serial number, without starting its cameras.
 
-    It queries all devices, because their indices are not stable.
-
-    Args:
-        joins_color: Whether libk4a puts the colour image of a moment into its depth image's capture. It then
-            holds depth back until colour comes. If not, each image comes at once, in a capture of its own.
+    It queries all devices, because their indices are not stable. libk4a is told to give each image at
+    once, in a capture of its own: else it holds depth back until colour comes.
 
     Raises:
         AbsentError: It is not connected; libk4a was not asked to open anything.
         DeviceError: It cannot be opened.
     """
     with _opening:
-        os.environ["K4A_DISABLE_SYNCHRONIZATION"] = "0" if joins_color else "1"  # libk4a reads it at opening
+        os.environ["K4A_DISABLE_SYNCHRONIZATION"] = "1"  # libk4a reads it at opening
         others, faults = sorted(_open_here), []
         if _on_bus(serial) is False:  # says Linux, which is asked without holding the GIL
             raise AbsentError(_not_found(serial, others, []))
@@ -191,12 +201,12 @@ def _not_found(serial: str, others: list[str], faults: list[str]) -> str:
     return f"No Kinect with serial {serial}, and no other. Plug it in: USB 3 and its own power supply."
 
 
-def why_not_open(fault: Exception) -> str:
+def why_not_open(fault: Exception, serial: str = "") -> str:
     """Why a connected Kinect does not open; see :func:`devices.capture.usb.why_not_open`."""
     old = re.search(r"Firmware version for \w+ is ([\d.]+) is not current enough", _log_of(fault))
     if old is not None:
         return Cause.OLD_FIRMWARE.says(version=old[1])
-    return usb.why_not_open(fault, usb_kinects(), "k4aviewer")
+    return usb.why_not_open(fault, usb_kinects(), "k4aviewer", "k4a", "orbbec", serial=serial)
 
 
 def why_not_started(fault: Exception, label: str, what: str, advice: str) -> DeviceError:

@@ -8,6 +8,7 @@ camera. From Python 3.12 on, ``None`` is immortal and the error has no effect.
 
 import ctypes
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from ctypes import c_char_p, c_int, c_void_p
@@ -93,27 +94,43 @@ def firmware_version(device: Any) -> Version | None:
     return None if status != 0 else (major, minor, iteration)
 
 
-_LOG: list[str] = []
-_log_line = ctypes.CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_int, c_char_p)(
-    lambda _context, _level, _file, _line, text: _LOG.append(text.decode(errors="replace"))
-)
+_logs: dict[int, list[str]] = {}  # by the thread that listens
+_listening = threading.Lock()
+
+
+def _keep(_context: int, _level: int, _file: bytes, _line: int, text: bytes) -> None:
+    """libk4a logs why a call fails on the thread of the call; another thread's lines are another sensor's."""
+    _logs.get(threading.get_ident(), []).append(text.decode(errors="replace"))
+
+
+_log_line = ctypes.CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_int, c_char_p)(_keep)
 
 
 @contextmanager
 def log_added() -> Iterator[None]:
-    """Adds to an exception what libk4a logs as errors until then, as notes: its status gives no reason."""
-    library = loaded_libk4a()
-    listen = getattr(library, "k4a_set_debug_message_handler", lambda *_: None)
-    _LOG.clear()
-    listen(_log_line, None, _LOG_ERRORS)
+    """Adds to an exception what libk4a logs as errors until then, as notes: its status gives no reason.
+
+    libk4a has one handler of its log for all sensors.
+    """
+    own: list[str] = []
+    with _listening:
+        _logs[threading.get_ident()] = own
+        _listen(_log_line, _LOG_ERRORS)
     try:
         yield
     except Exception as fault:
-        for text in _LOG:
+        for text in own:
             fault.add_note(text)
         raise
     finally:
-        listen(None, None, 0)
+        with _listening:
+            del _logs[threading.get_ident()]
+            if not _logs:
+                _listen(None, 0)
+
+
+def _listen(handler: Any, level: int) -> None:
+    getattr(loaded_libk4a(), "k4a_set_debug_message_handler", lambda *_: None)(handler, None, level)
 
 
 def loaded_libk4a() -> ctypes.CDLL | None:

@@ -5,130 +5,129 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.capture.causes import Cause, in_brackets
 from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.moments import ImageJoiner, Incomplete, Moment
 from devices.capture.settings import CaptureSettings
+from devices.capture.stream_health import ImageHealth, Losses, RecordingTime, Silence
 from devices.sensor import AbsentError, ColorCamera, DeviceError, Sensor, SensorFrame
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 
-_SAME_CLOCK_NS = 5_000_000_000
-_QUEUE = 3  # frames that an SDK's queue holds at least, of seven captures; half may be colour alone
-_TOLD_S = 2.0  # a longer silence is told as such
+_MOST, _LONGEST_NS = 64, 500_000_000  # images, and time, that one emptying of an SDK's queue takes at most
 
 
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """A capture with depth."""
-
-    time_ns: int  # capture time on the sensor's clock
-    host_ns: int  # when the depth image reached this machine, on ``time.perf_counter_ns``
-
-
-M = TypeVar("M", bound=Moment)
-
-
-class CaptureStream(ABC, Generic[M]):
-    """Takes captures from an SDK's queue and keeps the newest of the wanted moments.
+class CaptureStream(ABC):
+    """Takes images from an SDK's queue and keeps the newest of the wanted moments.
 
     The queue of an SDK holds seven to ten captures. If the tracker is slower than the camera, the oldest one
     is a quarter of a second old.
 
     Attributes:
-        missed: Wanted moments that were dropped: the SDK's queue was full, or a newer moment was available
-            when the tracker was ready. Those before the first one given are not counted.
-        gaps: Moments that never reached the SDK's queue.
+        joiner: Makes moments of the images.
     """
 
     cable_advice = ""
     """What to check if a subordinate gets no pulses."""
 
-    def __init__(self, label: str, settings: CaptureSettings, sensor: LiveSensor) -> None:
-        self.label, self.settings, self.sensor = label, settings, sensor
-        self._silent_s = 0.0
-        self._patience_s = settings.start_s if settings.sync == "subordinate" else settings.stall_s
-        self._last_ns: int | None = None
-        self._delayed: list[M] = []
-        self.missed = self.gaps = 0
-        self._gave = False
-        self._polled_ns = self._away_ns = 0  # end of the last poll; time without one before it
+    def __init__(self, label: str, sensor: LiveSensor, joiner: ImageJoiner, *wanted: str) -> None:
+        """Prepares.
+
+        Args:
+            wanted: The images that moments should have beside depth; people are found in the first.
+        """
+        self.label, self.sensor, self.joiner, settings = label, sensor, joiner, sensor.settings
+        self._silence, self._losses = (
+            Silence(label, settings),
+            Losses(sensor, settings.fps, sensor.decimation),
+        )
+        self._health = [ImageHealth(label, image, settings, image == wanted[0]) for image in wanted]
+        self._held: deque[Moment] = deque()
+        self._polled_ns = 0  # end of the last poll
+        self._time = RecordingTime(_LONGEST_NS)
 
     @abstractmethod
-    def poll(self, timeout_ms: int) -> M | None:
-        """The next capture of the queue; None for one without depth or infrared.
+    def receive(self, timeout_ms: int) -> bool:
+        """Gives the SDK's next images to the joiner; returns False if none came within ``timeout_ms``.
 
         Raises:
-            TimeoutError: The queue was empty for ``timeout_ms``.
             DeviceError: The SDK reports a failure; see :meth:`lost`.
         """
-
-    @property
-    def waits_for(self) -> str:
-        """What a sensor without images waits for, where that is known; else empty."""
-        waits = self._silent_s > 0.0 and self.settings.sync == "subordinate"
-        return "the pulses of its master on the sync cable" if waits else ""
 
     @abstractmethod
     def is_connected(self) -> bool:
         """Whether the sensor is still connected."""
 
-    def comes_late(self, moment: M) -> bool:
-        """Whether the SDK held a moment back, so that it arrives together with the next one."""
-        del moment
-        return False
+    @property
+    def waits_for(self) -> str:
+        """What a sensor without images waits for, where that is known; else empty."""
+        return self._silence.waits_for
 
-    def take(self, wait: bool = True) -> M | None:
-        """The newest wanted moment; None if there is none yet.
+    def poll(self, timeout_ms: int) -> Moment | Incomplete:
+        """The oldest moment of the queue."""
+        moment = self.joiner.take()
+        if moment is None:
+            came = self.receive(timeout_ms)
+            moment = self.joiner.take()
+            return moment or (Incomplete.PART if came else Incomplete.NOTHING)
+        return moment
+
+    def take(self, wait: bool = True) -> Moment | None:
+        """The newest wanted moment, with the one before where that was held back; None if there is none yet.
 
         Raises:
             DeviceError: Unplugged, or stalled.
         """
-        if self._delayed:
-            return self._delayed.pop(0)
-        if self.sensor.clock() - self._polled_ns > _TOLD_S * 1e9:
-            self._gave = False
-        newest: M | None = None
-        timeout_ms = self.settings.timeout_ms if wait else 0
-        while True:
-            self._away_ns = self.sensor.clock() - self._polled_ns
-            try:
-                moment = self.poll(timeout_ms)
-            except TimeoutError:
-                if timeout_ms and not self.is_connected():  # some SDKs show unplugging only by time-outs
-                    raise self.unplugged() from None
-                self._stay_silent(timeout_ms / 1000)
-                break
-            finally:
-                self._polled_ns = self.sensor.clock()
-            timeout_ms = 0  # take what is in the queue, without waiting again
-            if moment is None:
-                self._patience_s = self.settings.stall_s  # the cameras run: no master is waited for
-                self._stay_silent(1 / self.settings.fps, without_depth=True)
-                continue
-            if self.sensor.on_capture is not None:
-                self.sensor.on_capture(self.sensor.frame_of(moment))
-            if self._is_wanted(moment):
-                if newest is not None and not self._delayed and self.comes_late(newest):
-                    self._delayed.append(newest)
-                else:
-                    self.missed += self._gave and newest is not None
-                newest = moment
-        if newest is not None and self._delayed:
-            self._delayed.append(newest)
-            newest = self._delayed.pop(0)
-        self._gave = self._gave or newest is not None
-        return newest
+        if self._held:
+            return self._held.popleft()
+        sensor, losses, wanted = self.sensor, self._losses, list[Moment]()
+        for moment in self._drained(sensor.settings.timeout_ms if wait else 0):
+            number = sensor.decimation.moment(sensor.name, moment.time_ns, moment.host_ns)
+            losses.count(moment, number)
+            sensor.tell(self._health_of(moment))
+            keeps = sensor.decimation.keeps(number)
+            wanted += [moment] * keeps
+            if sensor.on_capture is not None:
+                losses.drop(not (self._time.spend(sensor.clock, partial(sensor.made, moment)) or keeps))
+        kept = wanted[-2:] if len(wanted) > 1 and wanted[-2].held and wanted[-2].lacks else wanted[-1:]
+        losses.drop(len(wanted) - len(kept))
+        losses.gave = losses.gave or bool(kept)
+        self._held.extend(kept)
+        return self._held.popleft() if self._held else None
 
-    def advise_only_color(self) -> str:
-        """What happens, or what to do, if colour comes without depth."""
-        return "Run it without --color, or unplug it and plug it in again."
+    def _drained(self, timeout_ms: int) -> Iterator[Moment]:
+        """The moments in the SDK's queue, in bounded time; waits for the first."""
+        clock, end_ns = self.sensor.clock, None
+        for _ in range(_MOST):
+            begun_ns = clock()
+            self._losses.away(begun_ns - self._polled_ns)
+            came = self.poll(timeout_ms)
+            self._polled_ns = clock()
+            if isinstance(came, Moment):
+                self._silence.ends()
+                yield came
+            else:
+                if timeout_ms and came is Incomplete.NOTHING and not self.is_connected():
+                    raise self.unplugged()  # some SDKs show unplugging only by time-outs
+                self._silence.lasts(1e-9 * (self._polled_ns - begun_ns), came, self.cable_advice)
+                if came is Incomplete.NOTHING:
+                    return
+            timeout_ms = 0  # take what is in the queue, without waiting again
+            end_ns = end_ns or self._polled_ns + _LONGEST_NS
+            if clock() >= end_ns or self.sensor.interrupted:
+                return
+
+    def _health_of(self, moment: Moment) -> Iterator[str]:
+        for health in self._health:
+            yield from health.told(health.image in moment.lacks, self.joiner.late_ns(health.image))
 
     def lost(self, fault: Exception) -> DeviceError:
         """The error for a failure that the SDK reports."""
@@ -140,31 +139,6 @@ class CaptureStream(ABC, Generic[M]):
         """The error for a sensor that is not connected."""
         return AbsentError(Cause.UNPLUGGED.says(label=self.label))
 
-    def _is_wanted(self, moment: M) -> bool:
-        self._silent_s, self._patience_s = 0.0, self.settings.stall_s
-        number = self.sensor.decimation.moment(self.sensor.name, moment.time_ns, moment.host_ns)
-        if self._last_ns is not None:  # after a clock reset the gap is unknown
-            gap = max(0, round((moment.time_ns - self._last_ns) * self.settings.fps / 1e9) - 1)
-            if gap >= _TOLD_S * self.settings.fps or not self._gave:
-                pass
-            elif max(self._away_ns, self._polled_ns - moment.host_ns) * self.settings.fps < _QUEUE * 1e9:
-                self.gaps += gap
-            else:
-                self.missed += self.sensor.decimation.kept_before(number, gap)
-        self._last_ns = moment.time_ns
-        return self.sensor.decimation.keeps(number)
-
-    def _stay_silent(self, seconds: float, without_depth: bool = False) -> None:
-        self._silent_s += seconds
-        if self._silent_s < self._patience_s:
-            return
-        if without_depth and self.settings.color is not None:
-            advice = self.advise_only_color()
-            raise Cause.ONLY_COLOR.error(label=self.label, seconds=self._silent_s, advice=advice)
-        subordinate = self.settings.sync == "subordinate" and not without_depth
-        cause = Cause.NO_PULSES if subordinate else Cause.NO_DEPTH
-        raise cause.error(label=self.label, seconds=self._silent_s, advice=self.cable_advice)
-
 
 class LiveSensor(Sensor):
     """A sensor of this machine. Building one opens nothing.
@@ -175,7 +149,9 @@ class LiveSensor(Sensor):
         registered: Gives the RGB image on the depth's pixels of the frame given last, for sensors whose
             frames have no infrared; else None.
         on_capture: Gets every frame of the SDK's queue, wanted or not, with all images, for a recording.
+        color_camera: The camera of the frames' colour images, once it is open; None where they have none.
         calibration_json: What an Azure Kinect stores, once it is open; empty for other sensors.
+        awaits: What opening, the body tracker or closing waits for, if that may take long; else empty.
     """
 
     body = BLAZEPOSE
@@ -194,40 +170,62 @@ class LiveSensor(Sensor):
         self.warnings: list[str] = []
         self.missed = self.lost = 0
         self.decimation = decimation or FrameDecimation(self.settings.fps)
-        self.clock = clock
+        self.clock, self.awaits = clock, ""
         self.on_capture: Callable[[SensorFrame], object] | None = None
-        self._color: ColorCamera | None = None
+        self.color_camera: ColorCamera | None = None
         self._sdk: Any = None
         self._interrupted = threading.Event()
+        self._stream: CaptureStream | None = None  # while frames are taken
+        self._news: deque[str] = deque()
+
+    @property
+    def waits_for(self) -> str:  # type: ignore[override]
+        """What opening, the first frame or closing waits for; else empty."""
+        return self.awaits or ("" if self._stream is None else self._stream.waits_for)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the frames are to end."""
+        return self._interrupted.is_set()
 
     def interrupt(self) -> None:
         self._interrupted.set()
 
-    def frame_of(self, moment: Any) -> SensorFrame:
-        """All images of a capture, copied so that the SDK has its memory back."""
+    def take_news(self) -> list[str]:
+        """That an image does not come with the frames, or comes again."""
+        return [self._news.popleft() for _ in range(len(self._news))]
+
+    def tell(self, news: Iterable[str]) -> None:
+        """Adds news."""
+        self._news.extend(news)
+
+    def frame_of(self, moment: Moment) -> SensorFrame:
+        """The images of a moment, for a recording all of them, copied so that the SDK has its memory back."""
         raise NotImplementedError
+
+    def made(self, moment: Moment) -> SensorFrame:
+        """The frame of a moment, which is made, and recorded, once."""
+        if moment.frame is None:
+            moment.frame = self.frame_of(moment)
+            if self.on_capture is not None:
+                self.on_capture(moment.frame)
+        return moment.frame
 
     def _warn(self, warning: str) -> None:
         if warning and warning not in self.warnings:
             self.warnings.append(warning)
 
-    def _moments(self, stream: CaptureStream[M]) -> Iterator[M]:
-        """The newest moments of a stream as they come, until interrupted."""
+    def _frames(self, stream: CaptureStream) -> Iterator[SensorFrame]:
+        """The newest frames of a stream as they come, until interrupted."""
+        yield from map(self.made, self._moments(stream))
+
+    def _moments(self, stream: CaptureStream) -> Iterator[Moment]:
+        self._stream = stream
         self.decimation.restart(self.name)
-        while not self._interrupted.is_set():
-            moment = self._take(stream)
-            if moment is not None:
-                yield moment
-
-    def _take(self, stream: CaptureStream[M], wait: bool = True) -> M | None:
-        """The newest moment of a stream; counts what it missed."""
-        missed, gaps = stream.missed, stream.gaps
-        moment = stream.take(wait)
-        self.missed += stream.missed - missed
-        self.lost += stream.gaps - gaps
-        return moment
-
-
-def arrival_ns(host_ns: int, now_ns: int) -> int:
-    """An SDK's arrival time if its clock is ``time.perf_counter_ns``, as on Linux and Windows; else now."""
-    return host_ns if 0 <= now_ns - host_ns < _SAME_CLOCK_NS else now_ns
+        try:
+            while not self.interrupted:
+                moment = stream.take()
+                if moment is not None:
+                    yield moment
+        finally:
+            self._stream = None

@@ -54,7 +54,10 @@ class Cause(Enum):
     # The same of a subordinate.
     NO_PULSES = "{label} stalls: no depth for {seconds:.0f} s on the sync cable. {advice}"
     # Other images of it come, but no depth image.
-    ONLY_COLOR = "{label} stalls: colour comes, but no depth for {seconds:.0f} s. {advice}"
+    ONLY_COLOR = (
+        "{label} stalls: colour comes, but no depth for {seconds:.0f} s. Run it without --color, or unplug "
+        "it and plug it in again."
+    )
     # The SDK reports a failure, though it is connected.
     STOPPED = "{label} stopped giving frames{said}. Unplug it and plug it in again."
     # No frame, and nothing that it is known to wait for.
@@ -63,6 +66,22 @@ class Cause(Enum):
     NO_MORE_RECORDED = "{label} gives no frame for {seconds:g} s: it has a gap, or its disk is slow."
     # No frame, while the tracker has images to work on, or a subordinate's cameras no pulse.
     WAITING = "{label} stalls: no frame for {seconds:g} s, because it waits for {waits_for}."
+    # --- Images are missing beside depth
+    # Depth comes; for two seconds no image of another kind that it is to have.
+    NO_IMAGES = (
+        "{label} gives no {image} images; its depth goes on without them.{found} Unplug it and plug it in "
+        "again{without}."
+    )
+    # The same, though such images come: a frame later than depth waits for them.
+    LATE_IMAGES = (
+        "The {image} images of {label} come {late_ms:.0f} ms later than its depth, which goes on without "
+        "them.{found} Give it a USB controller of its own{without}."
+    )
+    # Depth comes at its rate, the images at a lower one.
+    FEW_IMAGES = (
+        "{label} gives {rate:.3g} {image} images per second, not {fps}; its depth goes on at its own rate."
+        "{found} {why}{without}."
+    )
     # --- The body tracker
     # No result, or no room for a capture, within its time limit.
     TRACKER_STALLS = (
@@ -93,12 +112,12 @@ class Cause(Enum):
     # Its frames come more than 0.1 s later after their capture than the other sensor's.
     LATE = (
         "The frames of {label} come {late_ms:.0f} ms later than those of {other}, which wait for them. Its "
-        "network, its USB controller or its tracker is slower."
+        "network, its USB controller, its colour camera (--color) or its tracker is slower."
     )
     # The same, by more than a frame waits for its partner.
     TOO_LATE = (
         "The frames of {label} come {late_ms:.0f} ms later than those of {other}: too late for pairs. Its "
-        "network, its USB controller or its tracker is slower."
+        "network, its USB controller, its colour camera (--color) or its tracker is slower."
     )
     # --- Closing
     # Closing takes long, and it is known what it waits for.

@@ -34,6 +34,7 @@ _SDK_OF = {
 }
 """Whose software a depth camera needs (``ConnectedSensor.sdk``), by vendor and product."""
 
+
 _USB3_MEGABITS = 5000
 
 _RULES = {
@@ -48,9 +49,6 @@ _RULES = {
 def udev_advice(sdk: str) -> str:
     """How a user gets permission for the sensors of one software."""
     return f"Copy {_RULES[sdk]} to /etc/udev/rules.d, then unplug the sensor and plug it in again."
-
-
-UDEV_ADVICE = udev_advice("orbbec")
 
 
 @dataclass(frozen=True)
@@ -92,9 +90,18 @@ def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:
     return found
 
 
-def why_not_open(fault: Exception, bus: Sequence[UsbKinect], programs: str) -> str:
-    """Why a connected device does not open; the SDKs give no reason."""
-    said, forbidden = in_brackets(fault), [device for device in bus if not device.allowed]
+def why_not_open(
+    fault: Exception, bus: Sequence[UsbKinect], programs: str, *sdks: str, serial: str = ""
+) -> str:
+    """Why a connected device does not open; the SDKs give no reason.
+
+    Args:
+        sdks: Whose device it is: another vendor's, that this user may not open, is not the reason.
+        serial: Its serial number, which some cameras tell USB.
+    """
+    said, own = in_brackets(fault), [device for device in bus if device.sdk in sdks]
+    own = [device for device in own if serial and device.serial == serial] or own
+    forbidden = [device for device in own if not device.allowed]
     if forbidden:
         advice = udev_advice(forbidden[0].sdk)
         return Cause.FORBIDDEN.says(node=forbidden[0].node, said=said, advice=advice)

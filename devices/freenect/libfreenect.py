@@ -182,7 +182,7 @@ class Context:
             listed = f"Connected: {', '.join(sorted(there))}." if there else "No other is connected."
             raise AbsentError(f"No Kinect v1 with serial {serial}. {listed} Check its USB and power supply.")
         if self._call("open_device_by_camera_serial", self._handle, self._device, serial.encode()) < 0:
-            why = why_not_open(Exception(self.said), usb_kinects(), PROGRAMS)
+            why = why_not_open(Exception(self.said), usb_kinects(), PROGRAMS, "freenect")
             raise DeviceError(f"Kinect v1 {serial} cannot be opened: {why}")
 
     def start(self, depth: Callable[[int, int], None], color: Callable[[int, int], None]) -> bool:
@@ -231,7 +231,7 @@ def connected_freenects() -> list[ConnectedSensor]:
         for index, serial in enumerate(serials)
     ]
     for index in range(len(serials), count):  # libfreenect leaves out those that it cannot open
-        why = why_not_open(Exception(), usb_kinects(), PROGRAMS)
+        why = why_not_open(Exception(), usb_kinects(), PROGRAMS, "freenect")
         fault = f"Kinect v1 at place {index} cannot be opened: {why}"
         found.append(ConnectedSensor(index, None, fault=fault, sdk="freenect"))
     return found

@@ -6,15 +6,18 @@ import ctypes
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause, in_brackets
+from devices.capture.moments import ImageJoiner, Moment
 from devices.capture.settings import CaptureSettings
 from devices.freenect.libfreenect import PROGRAMS, Context
-from devices.freenect.moments import FPS, FreenectMoment, MomentJoiner
+from devices.freenect.ticks import FPS, TICKS_PER_S, TickCounter
 from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
@@ -23,7 +26,8 @@ INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 """The colour camera's nominal lens, on whose pixels registered depth is: the sensor stores no calibration of
 it. 525 is the focal length that ROS's driver assumes."""
 CAMERA = ColorCamera(INTRINSICS, RigidTransform.identity())
-_QUEUE = 16  # moments that wait for the reader: half a second, more than a body tracker takes
+_PERIOD_NS = 1_000_000_000 // FPS
+_QUEUE = 32  # images that wait for the reader: half a second, more than a body tracker takes
 _EVENTS_S = 0.1  # longest wait for events of USB
 
 
@@ -36,7 +40,7 @@ class _Camera:
     def __init__(self, serial: str, clock: Callable[[], int]) -> None:
         self._thread = threading.Thread(target=self._run, name=f"libfreenect {serial}", daemon=True)
         self.serial, self._clock = serial, clock
-        self._joiner, self._moments = MomentJoiner(), deque[FreenectMoment](maxlen=_QUEUE)
+        self._counter, self._images = TickCounter(), deque[tuple[int, int, NDArray[Any]]](maxlen=_QUEUE)
         self._changed = threading.Condition()
         self._stopping, self._started, self._ended = False, False, False
         self._fault: BaseException | None = None
@@ -54,15 +58,18 @@ class _Camera:
         if self._fault is not None:
             raise self._fault
 
-    def take(self, timeout_s: float) -> FreenectMoment | None:
-        """The oldest moment that waits; None if none comes, or the camera is lost: see :attr:`lost`."""
+    def take(self, timeout_s: float) -> tuple[int, int, NDArray[Any]] | None:
+        """Capture time, arrival and pixels of the oldest image that waits.
+
+        None if none comes, or the camera is lost: see :attr:`lost`.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._moments or self._ended, timeout_s)
-            return self._moments.popleft() if self._moments else None
+            self._changed.wait_for(lambda: self._images or self._ended, timeout_s)
+            return self._images.popleft() if self._images else None
 
     @property
     def lost(self) -> bool:
-        """Whether the camera gives no more moments."""
+        """Whether the camera gives no more images."""
         return self._ended
 
     def close(self) -> None:
@@ -99,36 +106,41 @@ class _Camera:
             self._changed.notify_all()
 
     def _take_depth(self, address: int, ticks: int) -> None:
-        image = np.empty((INTRINSICS.height, INTRINSICS.width), np.uint16)
-        ctypes.memmove(image.ctypes.data, address, image.nbytes)
-        self._keep(self._joiner.add_depth(ticks, self._clock(), image))
+        self._keep(np.empty((INTRINSICS.height, INTRINSICS.width), np.uint16), address, ticks)
 
     def _take_color(self, address: int, ticks: int) -> None:
-        image = np.empty((INTRINSICS.height, INTRINSICS.width, 3), np.uint8)
-        ctypes.memmove(image.ctypes.data, address, image.nbytes)
-        self._keep(self._joiner.add_color(ticks, self._clock(), image))
+        self._keep(np.empty((INTRINSICS.height, INTRINSICS.width, 3), np.uint8), address, ticks)
 
-    def _keep(self, moments: list[FreenectMoment]) -> None:
+    def _keep(self, image: NDArray[Any], address: int, ticks: int) -> None:
+        ctypes.memmove(image.ctypes.data, address, image.nbytes)
+        host_ns = self._clock()
+        time_ns = self._counter.total(ticks, host_ns) * 1_000_000_000 // TICKS_PER_S
         with self._changed:
-            self._moments.extend(moments)
+            self._images.append((time_ns, host_ns, image))
             self._changed.notify_all()
 
 
-class _FreenectStream(CaptureStream[FreenectMoment]):
-    """The moments of a running camera."""
+class _FreenectStream(CaptureStream):
+    """The moments of a running camera: one clock times both cameras, which run by themselves."""
 
     def __init__(self, camera: _Camera, sensor: FreenectSensor) -> None:
-        super().__init__(f"Kinect v1 {sensor.name}", sensor.settings, sensor)
+        joiner = ImageJoiner(_PERIOD_NS, color=_PERIOD_NS)
+        super().__init__(f"Kinect v1 {sensor.name}", sensor, joiner, "color")
         self._camera = camera
 
-    def poll(self, timeout_ms: int) -> FreenectMoment:
-        """The oldest moment that waits."""
-        moment = self._camera.take(timeout_ms / 1000)
-        if moment is not None:
-            return moment
-        if self._camera.lost and timeout_ms:  # else the moments before were for nothing
-            raise self.lost(DeviceError(self._camera.said))
-        raise TimeoutError
+    def receive(self, timeout_ms: int) -> bool:
+        """Takes the oldest image that waits."""
+        taken = self._camera.take(timeout_ms / 1000)
+        if taken is None:
+            if self._camera.lost and timeout_ms:  # else the moments before were for nothing
+                raise self.lost(DeviceError(self._camera.said))
+            return False
+        time_ns, host_ns, image = taken
+        if image.ndim == 2:
+            self.joiner.add_depth(time_ns, host_ns, image, self.sensor.clock())
+        else:
+            self.joiner.add("color", time_ns, image)
+        return True
 
     def is_connected(self) -> bool:
         """Whether libfreenect still lists the sensor."""
@@ -165,7 +177,7 @@ class FreenectSensor(LiveSensor):
             self._warn(f"Kinect v1 {self.name}: colour is 640 × 480, not {self.settings.color}.")
         camera = _Camera(self.name, self.clock)
         camera.open()
-        self._camera, self.intrinsics = camera, INTRINSICS
+        self._camera, self.intrinsics, self.color_camera = camera, INTRINSICS, CAMERA
         return self
 
     def __exit__(self, *exc_info: object) -> None:
@@ -183,18 +195,19 @@ class FreenectSensor(LiveSensor):
         if self._camera is None:
             raise DeviceError(f"Kinect v1 {self.name} is not open: use it in a with statement.")
         for moment in self._moments(_FreenectStream(self._camera, self)):
-            self.rgb = moment.rgb
-            if self.on_capture is not None and moment.rgb is not None:
+            frame, self.rgb = self.made(moment), moment.color
+            if self.on_capture is not None:
                 # the tracker finds the same in the image that a recording keeps
-                self.rgb = ColorImage.of_rgb(moment.rgb, CAMERA).rgb()
-            yield self.frame_of(moment, colored=self.settings.color is not None)
+                self.rgb = None if frame.color is None else frame.color.rgb()
+            yield frame if self.settings.color is not None else replace(frame, color=None)
 
-    def frame_of(self, moment: FreenectMoment, *, colored: bool = True) -> SensorFrame:
+    def frame_of(self, moment: Moment) -> SensorFrame:
         """The images of a moment, for a recording always with colour, in which people are found later."""
+        colored = self.settings.color is not None or self.on_capture is not None
         return SensorFrame(
             time_ns=moment.time_ns,
             depth=moment.depth,
-            color=ColorImage.of_rgb(moment.rgb, CAMERA) if colored and moment.rgb is not None else None,
+            color=ColorImage.of_rgb(moment.color, CAMERA) if colored and moment.color is not None else None,
             host_ns=moment.host_ns,
         )
 

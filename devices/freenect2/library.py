@@ -258,7 +258,7 @@ def _first(said: str) -> Exception:
 
 def _why(said: str) -> str:
     """Why a connected sensor does not open."""
-    why = why_not_open(_first(said), usb_kinects(), PROGRAMS)
+    why = why_not_open(_first(said), usb_kinects(), PROGRAMS, "freenect2")
     return why + (_DRIVER if "NOT_SUPPORTED" in said or "NOT_FOUND" in said else "")
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.capture_stream import CaptureStream, LiveSensor, Moment
+from devices.capture.capture_stream import CaptureStream, LiveSensor
+from devices.capture.moments import ImageJoiner, Moment
 from devices.capture.settings import CaptureSettings
-from devices.freenect2.library import SHAPE, Camera, Images
+from devices.freenect2.library import SHAPE, Camera
 from devices.sensor import DeviceError, SensorFrame
 from fusion.intrinsics import Intrinsics
 
@@ -18,28 +18,23 @@ _FPS = 30
 _TICK_NS = 125_000
 
 
-@dataclass(frozen=True, eq=False)
-class Freenect2Moment(Moment):
-    """Depth and infrared of one time."""
-
-    images: Images
-
-
-class _Freenect2Stream(CaptureStream[Freenect2Moment]):
+class _Freenect2Stream(CaptureStream):
     """The moments of a running camera."""
 
     def __init__(self, camera: Camera, sensor: Freenect2Sensor) -> None:
-        super().__init__(f"Kinect v2 {sensor.name}", sensor.settings, sensor)
+        super().__init__(f"Kinect v2 {sensor.name}", sensor, ImageJoiner(round(1e9 / _FPS)))
         self._camera, self._ticks = camera, 0
 
-    def poll(self, timeout_ms: int) -> Freenect2Moment:
-        """The oldest moment that waits."""
+    def receive(self, timeout_ms: int) -> bool:
+        """Takes the oldest depth and infrared that wait."""
         images = self._camera.take(timeout_ms)
         if images is None:
-            raise TimeoutError
+            return False
         # The 32-bit counter, which wraps after six days, continued.
         self._ticks += (images.ticks - self._ticks + 2**31) % 2**32 - 2**31 if self._ticks else images.ticks
-        return Freenect2Moment(self._ticks * _TICK_NS, self.sensor.clock() - images.age_ns, images)
+        now_ns = self.sensor.clock()
+        self.joiner.add_depth(self._ticks * _TICK_NS, now_ns - images.age_ns, images, now_ns)
+        return True
 
     def is_connected(self) -> bool:
         """Whether libfreenect2 still lists the sensor; of one that is unplugged, frames just stop."""
@@ -76,11 +71,11 @@ class Freenect2Sensor(LiveSensor):
         """Frames as they arrive, until interrupted."""
         if self._camera is None:
             raise DeviceError(f"Kinect v2 {self.name} is not open: use it in a with statement.")
-        yield from map(self.frame_of, self._moments(_Freenect2Stream(self._camera, self)))
+        yield from self._frames(_Freenect2Stream(self._camera, self))
 
-    def frame_of(self, moment: Freenect2Moment) -> SensorFrame:
+    def frame_of(self, moment: Moment) -> SensorFrame:
         """The images of a moment, no longer mirrored."""
-        depth, infrared = unmirrored(moment.images.depth), unmirrored(moment.images.infrared)
+        depth, infrared = unmirrored(moment.depth.depth), unmirrored(moment.depth.infrared)
         return SensorFrame(moment.time_ns, depth=depth, ir=infrared, host_ns=moment.host_ns)
 
 

@@ -1,59 +1,37 @@
-"""Images from the SDK's frames, and the images of one moment joined."""
+"""Images from the SDK's frames."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.capture_stream import Moment, arrival_ns
+from devices.capture.moments import ImageJoiner, arrival_ns
 from devices.sensor import ColorCamera, ColorImage
 
 
-@dataclass(frozen=True, eq=False)
-class OrbbecMoment(Moment):
-    """Depth and infrared of one exposure."""
+class FrameReader:
+    """Gives the images in the SDK's sets of frames to a joiner.
 
-    depth: Any  # the SDK's frames
-    infrared: Any
-    color: Any  # the newest frame of the colour camera at that moment; None without one
-
-
-class MomentJoiner:
-    """Joins depth, infrared and colour into moments.
-
-    Depth and infrared are one exposure and have one device time, but a set of frames may hold them
-    separately where colour is on. Colour is of another camera: the newest one, half a frame away at most.
+    A set may hold any of depth, infrared and colour.
 
     Attributes:
         timeless: Whether a frame came without a device time.
     """
 
-    def __init__(self, period_ns: int) -> None:
-        self._period_ns = period_ns
-        self._depth: Any = None
-        self._infrared: Any = None
-        self._color: Any = None
-        self.timeless = False
+    def __init__(self, joiner: ImageJoiner) -> None:
+        self.joiner, self.timeless = joiner, False
 
-    def add(self, frames: Any, now_ns: int) -> OrbbecMoment | None:
-        """Takes a ``FrameSet``; returns the moment that is now complete, if one is."""
-        self._depth = frames.get_depth_frame() or self._depth
-        # of a single camera, or of a stereo sensor's left one
-        self._infrared = frames.get_ir_frame() or frames.get_left_ir_frame() or self._infrared
-        self._color = frames.get_color_frame() or self._color
-        depth, infrared = self._depth, self._infrared
-        if depth is None or infrared is None:
-            return None
-        time_ns = self._time_ns(depth)
-        if abs(self._time_ns(infrared) - time_ns) > self._period_ns // 2:
-            return None
-        self._depth = self._infrared = None
-        color = self._color
-        if color is not None and abs(self._time_ns(color) - time_ns) > self._period_ns // 2:
-            color = None
-        host_ns = arrival_ns(1000 * int(depth.get_system_timestamp_us()), now_ns)
-        return OrbbecMoment(time_ns, host_ns, depth, infrared, color)
+    def add(self, frames: Any, now_ns: int) -> None:
+        """Takes a ``FrameSet``."""
+        # infrared of a single camera, or of a stereo sensor's left one
+        infrared, color = frames.get_ir_frame() or frames.get_left_ir_frame(), frames.get_color_frame()
+        for stream, frame in (("infrared", infrared), ("color", color)):
+            if frame is not None:
+                self.joiner.add(stream, self._time_ns(frame), frame)
+        depth = frames.get_depth_frame()
+        if depth is not None:
+            host_ns = arrival_ns(1000 * int(depth.get_system_timestamp_us()), now_ns)
+            self.joiner.add_depth(self._time_ns(depth), host_ns, depth, now_ns)
 
     def _time_ns(self, frame: Any) -> int:
         """The device's time; the host's where the driver passes none on."""

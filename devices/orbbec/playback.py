@@ -8,7 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from devices.orbbec.images import MomentJoiner, depth_image, infrared_image
+from devices.capture.moments import ImageJoiner
+from devices.orbbec.images import FrameReader, depth_image, infrared_image
 from devices.orbbec.sdk_access import context_of, faults_of, load_sdk
 from devices.orbbec.streams import intrinsics_of
 from devices.sensor import DeviceError, Sensor, SensorFrame
@@ -18,6 +19,7 @@ from fusion.intrinsics import Intrinsics
 SUFFIX = ".bag"
 _WAIT_MS = 200
 _SILENT_S = 10.0  # of a recording that neither gives frames nor says that it has ended
+_ENDS = 5  # frames by which the last one may come before the end that the file states
 
 
 class OrbbecRecording(Sensor):
@@ -84,11 +86,13 @@ class OrbbecRecording(Sensor):
         if self._pipeline is None:
             raise DeviceError(f"{self.name} is not open: use it in a with statement.")
         sdk, device, pipeline = self._sdk, self._device, self._pipeline
-        joiner, configuration = MomentJoiner(self.interval_ns), sdk.Config()
+        joiner = ImageJoiner(self.interval_ns, infrared=self.interval_ns)
+        reader, configuration = FrameReader(joiner), sdk.Config()
         for profile in self._streams:
             configuration.enable_stream(profile)
         configuration.set_frame_aggregate_output_mode(sdk.OBFrameAggregateOutputMode.FULL_FRAME_REQUIRE)
-        missing, last_ns, heard_s = 0, None, self._clock()
+        given, missing, heard_s = 0, 0, self._clock()
+        first_ns = last_ns = -1
         try:
             pipeline.start(configuration)
             while True:
@@ -96,31 +100,45 @@ class OrbbecRecording(Sensor):
                 ended = device.get_playback_status() == sdk.OBPlaybackStatus.STOPPED
                 frames = pipeline.wait_for_frames(_WAIT_MS)
                 if frames is None:
-                    if (ended and last_ns is not None) or self._clock() - heard_s > _SILENT_S:
+                    if (ended and given) or self._clock() - heard_s > _SILENT_S:
                         break
                     continue
                 heard_s = self._clock()
-                moment = joiner.add(frames, 0)
-                if moment is None or (last_ns is not None and moment.time_ns <= last_ns):
-                    continue
-                if last_ns is not None:
-                    missing += max(0, round((moment.time_ns - last_ns) / self.interval_ns) - 1)
-                last_ns = moment.time_ns
-                yield SensorFrame(
-                    time_ns=moment.time_ns,
-                    depth=depth_image(moment.depth),
-                    ir=infrared_image(moment.infrared),
-                )
+                reader.add(frames, 0)
+                while (moment := joiner.take()) is not None:
+                    if given and moment.time_ns <= last_ns:
+                        continue
+                    if given:
+                        missing += max(0, round((moment.time_ns - last_ns) / self.interval_ns) - 1)
+                    first_ns, last_ns = moment.time_ns if first_ns < 0 else first_ns, moment.time_ns
+                    given += 1
+                    yield SensorFrame(
+                        time_ns=moment.time_ns,
+                        depth=depth_image(moment.depth),
+                        ir=None if moment.infrared is None else infrared_image(moment.infrared),
+                    )
         except faults_of(sdk) as fault:
             raise DeviceError(f"{self.name} is damaged ({fault}). Play it in OrbbecViewer.") from fault
         finally:
             with suppress(*faults_of(sdk)):  # a fault of reading, which is told, often makes this fail, too
                 pipeline.stop()
             if missing:
-                self.warnings.append(
+                self._warn(
                     f"{self.name}: frames are missing: {missing}; they are not in the recording, or reading "
                     f"was slower than its {1e9 / self.interval_ns:.3g} frames per second."
                 )
+        if not given:
+            raise DeviceError(f"{self.name} holds no complete frame. Play it in OrbbecViewer.")
+        played_ns = last_ns - first_ns + self.interval_ns
+        if self.duration_ns - played_ns > _ENDS * self.interval_ns:
+            self._warn(
+                f"{self.name} is damaged, or depth ended early: {given} frames of the first "
+                f"{1e-9 * played_ns:.1f} of {1e-9 * self.duration_ns:.1f} s could be read."
+            )
+
+    def _warn(self, warning: str) -> None:
+        if warning not in self.warnings:
+            self.warnings.append(warning)
 
 
 def _first(sdk: Any, pipeline: Any, sensor: Any) -> Any:

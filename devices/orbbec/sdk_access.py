@@ -11,11 +11,34 @@ from weakref import WeakKeyDictionary
 
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
-from devices.capture.usb import UDEV_ADVICE, usb_kinects, why_not_open
-from devices.check import installed_version, words_of
+from devices.capture.usb import udev_advice, usb_kinects, why_not_open
+from devices.check import installed_version, missing_names, words_of
 from devices.sensor import AbsentError, DeviceError
 
-COMMAND = "pip install --no-deps pyorbbecsdk2"
+COMMAND = "pip install --upgrade --no-deps pyorbbecsdk2"
+_NAMES = (
+    *("Context.query_devices", "Context.set_logger_level", "Context.set_timestamp_clock_type"),
+    *("Device.get_device_info", "Device.get_multi_device_sync_config", "Device.set_multi_device_sync_config"),
+    *("Device.get_supported_multi_device_sync_mode_bitmap", "Device.timer_sync_with_host"),
+    *("DeviceInfo.get_firmware_version", "DeviceList.get_count", "DeviceList.get_device_by_serial_number"),
+    *("DeviceList.get_device_connection_type_by_index", "DeviceList.get_device_name_by_index"),
+    *("DeviceList.get_device_serial_number_by_index", "Pipeline.disable_frame_sync", "Pipeline.start"),
+    *("Pipeline.get_stream_profile_list", "Pipeline.stop", "Pipeline.wait_for_frames"),
+    *("PlaybackDevice.get_duration", "PlaybackDevice.get_playback_status", "Config.enable_stream"),
+    *("Config.set_frame_aggregate_output_mode", "FrameSet.get_color_frame", "FrameSet.get_depth_frame"),
+    *("FrameSet.get_ir_frame", "FrameSet.get_left_ir_frame", "DepthFrame.get_depth_scale"),
+    *("Frame.get_data", "Frame.get_data_size", "Frame.get_timestamp_us", "Frame.get_system_timestamp_us"),
+    *("VideoFrame.get_height", "VideoFrame.get_width", "VideoStreamProfile.get_distortion"),
+    *("VideoStreamProfile.get_extrinsic_to", "VideoStreamProfile.get_intrinsic"),
+    *("OBClockType.MONOTONIC", "OBError", "OBFormat.MJPG", "OBFormat.Y16", "OBFormat.Y8", "OBLogLevel.NONE"),
+    *("OBFrameAggregateOutputMode.ANY_SITUATION", "OBFrameAggregateOutputMode.DISABLE"),
+    *("OBFrameAggregateOutputMode.FULL_FRAME_REQUIRE", "OBPlaybackStatus.STOPPED"),
+    *("OBMultiDeviceSyncMode.FREE_RUN", "OBMultiDeviceSyncMode.PRIMARY", "OBMultiDeviceSyncMode.SECONDARY"),
+    *("OBMultiDeviceSyncMode.SECONDARY_SYNCED", "OBMultiDeviceSyncMode.STANDALONE"),
+    *("OBSensorType.COLOR_SENSOR", "OBSensorType.DEPTH_SENSOR", "OBSensorType.IR_SENSOR"),
+    "OBSensorType.LEFT_IR_SENSOR",
+)
+"""All that this program uses of the module."""
 _opening = threading.Lock()
 _contexts: WeakKeyDictionary[ModuleType, Any] = WeakKeyDictionary()
 
@@ -28,7 +51,7 @@ def load_sdk() -> ModuleType:
     """The module pyorbbecsdk.
 
     Raises:
-        DeviceError: It is not installed, or it is that of SDK v1.
+        DeviceError: It is not installed, or of a version that lacks what this program uses.
     """
     try:
         with _without_its_greeting():
@@ -38,9 +61,11 @@ def load_sdk() -> ModuleType:
             f"Orbbec's sensors need pyorbbecsdk2, which cannot be imported ({words_of(fault)}). "
             f"{how_to_install()}"
         ) from fault
-    if not hasattr(pyorbbecsdk, "PlaybackDevice"):
+    if missing := missing_names(pyorbbecsdk, _NAMES):
+        version = installed_version("pyorbbecsdk2") or "the version of SDK v1"
         raise DeviceError(
-            f"The installed pyorbbecsdk is of Orbbec's SDK v1; this program needs v2. {how_to_install()}"
+            f"The installed pyorbbecsdk ({version}) lacks {missing[0]}: this program needs pyorbbecsdk2 2.1 "
+            f"or newer. {how_to_install()}"
         )
     return pyorbbecsdk  # type: ignore[no-any-return]
 
@@ -96,7 +121,9 @@ def connected_orbbecs() -> list[ConnectedSensor]:
             )
         return found
     except faults_of(sdk) as fault:
-        raise DeviceError(f"Orbbec's SDK cannot search for sensors ({fault}). {UDEV_ADVICE}") from fault
+        raise DeviceError(
+            f"Orbbec's SDK cannot search for sensors ({fault}). {udev_advice('orbbec')}"
+        ) from fault
 
 
 def open_orbbec(sdk: Any, serial: str) -> Any:
@@ -115,7 +142,7 @@ def open_orbbec(sdk: Any, serial: str) -> Any:
     try:
         return context_of(sdk).query_devices().get_device_by_serial_number(serial)
     except faults_of(sdk) as fault:
-        why = why_not_open(fault, usb_kinects(), "OrbbecViewer, k4aviewer")
+        why = why_not_open(fault, usb_kinects(), "OrbbecViewer, k4aviewer", "orbbec", serial=serial)
         raise DeviceError(f"Orbbec {serial} cannot be opened: {why}") from fault
 
 

@@ -7,7 +7,8 @@ from typing import Any
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause, in_brackets
-from devices.orbbec.images import MomentJoiner, OrbbecMoment, color_image, depth_image, infrared_image
+from devices.capture.moments import ImageJoiner, Moment
+from devices.orbbec.images import FrameReader, color_image, depth_image, infrared_image
 from devices.orbbec.sdk_access import faults_of, is_connected, load_sdk, open_orbbec, set_sync_role
 from devices.orbbec.streams import Streams, check_modes, choose_streams, color_camera, intrinsics_of
 from devices.sensor import DeviceError, SensorFrame
@@ -18,7 +19,7 @@ _TIMELESS = (
 )
 
 
-class _OrbbecStream(CaptureStream[OrbbecMoment]):
+class _OrbbecStream(CaptureStream):
     """The moments of a running ``pyorbbecsdk.Pipeline``."""
 
     cable_advice = (
@@ -27,19 +28,21 @@ class _OrbbecStream(CaptureStream[OrbbecMoment]):
     )
 
     def __init__(self, pipeline: Any, sdk: Any, sensor: OrbbecSensor) -> None:
-        super().__init__(f"Orbbec {sensor.name}", sensor.settings, sensor)
-        self._pipeline, self._sdk = pipeline, sdk
-        self.joiner = MomentJoiner(round(1e9 / sensor.settings.fps))
+        period_ns = round(1e9 / sensor.settings.fps)
+        wanted = ("infrared",) if sensor.settings.color is None else ("infrared", "color")
+        joiner = ImageJoiner(period_ns, **dict.fromkeys(wanted, period_ns))
+        super().__init__(f"Orbbec {sensor.name}", sensor, joiner, *wanted)
+        self._pipeline, self._sdk, self.reader = pipeline, sdk, FrameReader(joiner)
 
-    def poll(self, timeout_ms: int) -> OrbbecMoment | None:
-        """The moment that the next set of frames completes, if it does."""
+    def receive(self, timeout_ms: int) -> bool:
+        """Takes the next set of frames."""
         try:
             frames = self._pipeline.wait_for_frames(timeout_ms)
         except faults_of(self._sdk) as fault:
             raise self.lost(fault) from fault
-        if frames is None:
-            raise TimeoutError
-        return self.joiner.add(frames, self.sensor.clock())
+        if frames is not None:
+            self.reader.add(frames, self.sensor.clock())
+        return frames is not None
 
     def is_connected(self) -> bool:
         """Whether the SDK still lists the sensor; frames of one that is unplugged stop without an error."""
@@ -75,7 +78,7 @@ class OrbbecSensor(LiveSensor):
             self._pipeline = sdk.Pipeline(device)
             streams = choose_streams(sdk, self._pipeline, self.name, self.settings)
             self._read_calibration(streams)
-            self._pipeline.enable_frame_sync()
+            self._pipeline.disable_frame_sync()
             self._pipeline.start(streams.configuration(sdk))
         except faults_of(sdk) as fault:
             self._pipeline = None
@@ -106,25 +109,25 @@ class OrbbecSensor(LiveSensor):
         if self._pipeline is None:
             raise DeviceError(f"Orbbec {self.name} is not open: use it in a with statement.")
         stream = _OrbbecStream(self._pipeline, self._sdk, self)
-        for moment in self._moments(stream):
-            if stream.joiner.timeless:
+        for frame in self._frames(stream):
+            if stream.reader.timeless:
                 self._warn(_TIMELESS.format(name=f"Orbbec {self.name}"))
-            yield self.frame_of(moment)
+            yield frame
 
-    def frame_of(self, moment: OrbbecMoment) -> SensorFrame:
+    def frame_of(self, moment: Moment) -> SensorFrame:
         """The images of a moment, copied from the SDK's memory."""
         return SensorFrame(
             time_ns=moment.time_ns,
             depth=depth_image(moment.depth),
-            ir=infrared_image(moment.infrared),
-            color=color_image(moment.color, self._color),
+            ir=None if moment.infrared is None else infrared_image(moment.infrared),
+            color=color_image(moment.color, self.color_camera),
             host_ns=moment.host_ns,
         )
 
     def _read_calibration(self, streams: Streams) -> None:
         self.intrinsics, warning = intrinsics_of(self._sdk, streams.depth, self.name)
         self._warn(warning)
-        self._color = None
+        self.color_camera = None
         if streams.color is not None:
-            self._color, warning = color_camera(self._sdk, streams.color, streams.depth, self.name)
+            self.color_camera, warning = color_camera(self._sdk, streams.color, streams.depth, self.name)
             self._warn(warning)

@@ -29,11 +29,11 @@ class Streams:
     color: Any = None  # colour, MJPG; None for none
 
     def configuration(self, sdk: Any) -> Any:
-        """Returns the ``Config`` that starts the streams.
+        """Returns the ``Config`` that starts the streams; frame sync must be off.
 
-        Without colour, depth and infrared are exposed together, so every set of frames is complete. With
-        colour, sets without a colour image are let through: else a colour camera that is slow in the dark
-        would slow down depth, and one that fails would end it.
+        With colour, each frame comes at once, in a set of its own: where sets are aggregated, a colour camera
+        that is slow in the dark would slow down depth, and one that fails would delay it. Without colour,
+        depth and infrared come in one set, so that the pipeline's queue holds more moments.
         """
         configuration = sdk.Config()
         for profile in (self.depth, self.infrared, self.color):
@@ -41,7 +41,7 @@ class Streams:
                 configuration.enable_stream(profile)
         modes = sdk.OBFrameAggregateOutputMode
         configuration.set_frame_aggregate_output_mode(
-            modes.FULL_FRAME_REQUIRE if self.color is None else modes.ANY_SITUATION
+            modes.ANY_SITUATION if self.color is None else modes.DISABLE
         )
         return configuration
 

@@ -1,7 +1,6 @@
 """Streams of a RealSense sensor, and the depth and image of one moment from their frames."""
 
 import time
-from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -9,14 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.capture_stream import Moment
+from devices.capture.moments import ImageJoiner, Moment
 from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 
 COLOR_SIZES = {"720P": (1280, 720), "1080P": (1920, 1080)}
 _USUAL_WIDTH = 640
-_WAITING = 16  # frames of one stream that wait for the other's
 _WRAP_NS = 1000 * 2**32  # the sensors' clocks are 32-bit microseconds: 72 minutes
 _OLDEST_NS = 5_000_000_000
 
@@ -76,8 +74,9 @@ def choose_streams(
     depths = of(stream.depth, form.z16)
     if not depths:
         raise DeviceError(f"{label} has no depth{at}. Choose another --fps, or record depth.")
-    # Depth is of the left camera's pixels, which is the first infrared stream. Y16 is not rectified.
-    lefts = sorted(of(stream.infrared, form.y8), key=lambda one: -one[1].stream_index())
+    # Depth is of the left camera's pixels: infrared stream 1, or 0 where there is one. 2 is the right
+    # camera's, a baseline away. Y16 is not rectified.
+    lefts = [one for one in of(stream.infrared, form.y8) if one[1].stream_index() < 2]
     infrareds = {_size(one[1]): one for one in lefts}
     colors = of(stream.color, form.rgb8)
     if color is not None:
@@ -117,64 +116,55 @@ def intrinsics_of(profile: Any, label: str) -> tuple[Intrinsics, str]:
     return pinhole, warning
 
 
-@dataclass(frozen=True, eq=False)
-class RealSenseMoment(Moment):
-    """Depth and the image of one moment, as the library's frames."""
-
-    depth: Any
-    image: Any
-
-
-class MomentJoiner:
-    """Joins the frames of two streams, which come in any order, into moments.
-
-    Infrared is of the exposure of depth and has its time; colour is at most half a frame away.
+class FrameReader:
+    """Gives the frames of two streams, which come in any order, to a joiner, and makes images of moments.
 
     Attributes:
+        joiner: Infrared is of the exposure of depth and has its time; colour is at most half a frame away.
+        image: The stream beside depth, ``infrared`` or ``color``.
+        camera: That of colour registered to depth; None where there is no colour.
         timeless: Whether a frame came without a time of the sensor's own clock.
     """
 
-    def __init__(self, sdk: Any, streams: Streams, lens: Intrinsics) -> None:
+    def __init__(self, sdk: Any, streams: Streams, lens: Intrinsics, *, wait_ns: int | None = None) -> None:
         self._sdk = sdk
-        self._camera = ColorCamera(lens, RigidTransform.of(np.eye(3), np.zeros(3)))
-        self._half_ns = round(0.5e9 / streams.depth.fps())
-        self._depths: deque[tuple[int, Any]] = deque(maxlen=_WAITING)
-        self._images: deque[tuple[int, Any]] = deque(maxlen=_WAITING)
+        self.image = "color" if streams.image.stream_type() == sdk.stream.color else "infrared"
+        self._registered = ColorCamera(lens, RigidTransform.identity())
+        self.camera = self._registered if self.image == "color" else None
+        depth_ns, image_ns = (round(1e9 / stream.fps()) for stream in (streams.depth, streams.image))
+        self.joiner = ImageJoiner(depth_ns, wait_ns, **{self.image: image_ns})
         self._last_ns = 0
         self.timeless = False
-        # The library aligns sets of frames only.
-        self._parts: list[Any] = []
-        self._sets: list[Any] = []
+        # The library aligns sets of frames only. Its block keeps the function: what that refers to lives as
+        # long as the block, and must not refer to it.
+        self._parts, self._sets = list[Any](), list[Any]()
+        parts = self._parts
         self._join = sdk.processing_block(
-            lambda _, source: source.frame_ready(source.allocate_composite_frame(self._parts))
+            lambda _, source: source.frame_ready(source.allocate_composite_frame(parts))
         )
         self._join.start(self._sets.append)
         self._align = sdk.align(sdk.stream.depth)
 
-    def add(self, frame: Any, now_ns: int) -> RealSenseMoment | None:
-        """Takes a frame; returns the moment that it completes, if it does."""
-        time_ns, is_depth = self._time_ns(frame), frame.is_depth_frame()
-        own, others = (self._depths, self._images) if is_depth else (self._images, self._depths)
-        partner = next((other for other in others if abs(other[0] - time_ns) < self._half_ns), None)
-        if partner is None:
-            own.append((time_ns, frame))
-            return None
-        while others.popleft() is not partner:
-            pass
-        (depth_ns, depth), (_, image) = ((time_ns, frame), partner)[:: 1 if is_depth else -1]
-        return RealSenseMoment(depth_ns, now_ns - self._age_ns(depth), depth, image)
+    def add(self, frame: Any, now_ns: int) -> None:
+        """Takes a frame."""
+        if frame.is_depth_frame():
+            host_ns = now_ns - self._age_ns(frame)
+            self.joiner.add_depth(self._time_ns(frame), host_ns, frame, now_ns)
+        else:
+            self.joiner.add(self.image, self._time_ns(frame), frame)
 
-    def frame_of(self, moment: RealSenseMoment, host_ns: int | None) -> SensorFrame:
+    def frame_of(self, moment: Moment, host_ns: int | None) -> SensorFrame:
         """The images of a moment; colour as an image of the depth camera."""
-        depth, kind = depth_image(moment.depth), moment.image.get_profile().stream_type()
-        if kind != self._sdk.stream.color:
-            infrared = _pixels(moment.image).astype(np.uint16)
-            return SensorFrame(moment.time_ns, depth=depth, ir=infrared, host_ns=host_ns)
-        self._parts[:] = moment.depth, moment.image
-        self._join.invoke(moment.depth)
-        registered = _pixels(self._align.process(self._sets.pop().as_frameset()).get_color_frame())
-        color = ColorImage.of_rgb(registered, self._camera)
-        return SensorFrame(moment.time_ns, depth=depth, color=color, host_ns=host_ns)
+        depth, infrared, color = depth_image(moment.depth), None, None
+        if moment.infrared is not None:
+            infrared = _pixels(moment.infrared).astype(np.uint16)
+        if moment.color is not None:
+            self._parts[:] = moment.depth, moment.color
+            self._join.invoke(moment.depth)
+            aligned = self._align.process(self._sets.pop().as_frameset())
+            self._parts.clear()
+            color = ColorImage.of_rgb(_pixels(aligned.get_color_frame()), self._registered)
+        return SensorFrame(moment.time_ns, depth=depth, ir=infrared, color=color, host_ns=host_ns)
 
     def _time_ns(self, frame: Any) -> int:
         """The time of the sensor's own clock, continued where its counter starts anew."""

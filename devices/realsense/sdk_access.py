@@ -10,11 +10,29 @@ from typing import Any
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.capture.usb import usb_kinects, why_not_open
-from devices.check import Check, failed, installed_version, words_of
+from devices.check import Check, failed, installed_version, missing_names, words_of
 from devices.sensor import AbsentError, DeviceError
 
 SDK_NAME = "pyrealsense2"
 COMMAND = "pip install '.[realsense]'"
+_NAMES = (
+    *("align", "context.load_device", "context.query_devices", "device.get_info", "device.is_connected"),
+    *("device.query_sensors", "device.supports", "frame_queue.try_wait_for_frame", "log_to_file"),
+    *("playback.current_status", "playback.get_duration", "playback.get_position", "playback.pause"),
+    *("playback.resume", "playback.set_real_time", "processing_block.invoke", "processing_block.start"),
+    *("sensor.close", "sensor.get_stream_profiles", "sensor.open", "sensor.set_option", "sensor.start"),
+    *("sensor.stop", "sensor.supports", "frame.get_data", "frame.get_frame_metadata", "frame.get_timestamp"),
+    *("frame.get_frame_timestamp_domain", "frame.is_depth_frame", "frame.supports_frame_metadata"),
+    *("depth_frame.get_units", "composite_frame.get_color_frame", "video_stream_profile.get_intrinsics"),
+    *("stream_profile.as_video_stream_profile", "stream_profile.is_video_stream_profile"),
+    *("camera_info.firmware_version", "camera_info.name", "camera_info.product_line"),
+    *("camera_info.recommended_firmware_version", "camera_info.serial_number"),
+    *("camera_info.usb_type_descriptor", "format.rgb8", "format.y8", "format.z16", "log_severity.info"),
+    *("frame_metadata_value.time_of_arrival", "option.global_time_enabled", "option.inter_cam_sync_mode"),
+    *("playback_status.stopped", "stream.color", "stream.depth", "stream.infrared"),
+    *("timestamp_domain.hardware_clock", "timestamp_domain.system_time"),
+)
+"""All that this program uses of the module."""
 _SYNC_MODES = {"standalone": 0, "master": 1, "subordinate": 2}
 """``inter_cam_sync_mode`` of the D400 series: default, master, slave (``ds-private.h`` of librealsense)."""
 
@@ -29,6 +47,11 @@ def load_sdk() -> ModuleType:
             f"{COMMAND}; on Linux it needs libusb (Debian: apt install libusb-1.0-0), on macOS build it from "
             f"librealsense."
         ) from fault
+    if missing := missing_names(pyrealsense2, _NAMES):
+        raise DeviceError(
+            f"The installed pyrealsense2 ({installed_version(SDK_NAME)}) lacks {missing[0]}: it is of "
+            f"another version. pip install --upgrade pyrealsense2."
+        )
     return pyrealsense2  # type: ignore[no-any-return]
 
 
@@ -73,8 +96,7 @@ def _described(sdk: Any, devices: Any, index: int) -> ConnectedSensor:
             )
         )
     except RuntimeError as fault:
-        why = why_not_open(fault, usb_kinects(), "realsense-viewer")
-        return ConnectedSensor(index, None, fault=why, sdk="realsense")
+        return ConnectedSensor(index, None, fault=_why_not_open(fault), sdk="realsense")
     details = (model, usb and f"USB {usb}", firmware and f"firmware {firmware}")
     advice = ""
     if usb.startswith("2"):
@@ -109,10 +131,21 @@ def open_realsense(sdk: Any, serial: str) -> Any:
         )
     try:
         devices = context_of(sdk).query_devices()
-        return next(one for one in devices if one.get_info(sdk.camera_info.serial_number) == serial)
-    except (RuntimeError, StopIteration) as fault:
-        why = why_not_open(fault, usb_kinects(), "realsense-viewer")
-        raise DeviceError(f"RealSense {serial} cannot be opened: {why}") from fault
+    except RuntimeError as fault:
+        raise DeviceError(f"RealSense {serial} cannot be opened: {_why_not_open(fault)}") from fault
+    own: Exception = RuntimeError()
+    for index in range(len(devices)):
+        try:
+            device = devices[index]
+            if device.get_info(sdk.camera_info.serial_number) == serial:
+                return device
+        except RuntimeError as fault:  # of another sensor, if this one is found
+            own = fault
+    raise DeviceError(f"RealSense {serial} cannot be opened: {_why_not_open(own)}")
+
+
+def _why_not_open(fault: Exception) -> str:
+    return why_not_open(fault, usb_kinects(), "realsense-viewer", "realsense")
 
 
 def is_connected(device: Any, serial: str) -> bool:

@@ -11,8 +11,9 @@ from typing import Any
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause, in_brackets
+from devices.capture.moments import Moment
 from devices.capture.settings import CaptureSettings
-from devices.realsense.images import MomentJoiner, RealSenseMoment, Streams, choose_streams, intrinsics_of
+from devices.realsense.images import FrameReader, Streams, choose_streams, intrinsics_of
 from devices.realsense.sdk_access import is_connected, load_sdk, open_realsense, set_sync_role
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from fusion.body import BLAZEPOSE
@@ -29,23 +30,19 @@ _TIMELESS = (
 )
 
 
-class _RealSenseStream(CaptureStream[RealSenseMoment]):
+class _RealSenseStream(CaptureStream):
     """The moments of running cameras."""
 
-    def __init__(self, sensor: RealSenseSensor, device: Any, queue: Any, joiner: MomentJoiner) -> None:
-        super().__init__(f"RealSense {sensor.name}", sensor.settings, sensor)
-        self._device, self._queue, self._joiner = device, queue, joiner
+    def __init__(self, sensor: RealSenseSensor, device: Any, queue: Any, reader: FrameReader) -> None:
+        super().__init__(f"RealSense {sensor.name}", sensor, reader.joiner, reader.image)
+        self._device, self._queue, self._reader = device, queue, reader
 
-    def poll(self, timeout_ms: int) -> RealSenseMoment | None:
-        """The next moment; None if the frames of one stream have no partners in the other."""
-        for _ in range(_QUEUE):
-            came, frame = self._queue.try_wait_for_frame(timeout_ms)
-            if not came:
-                raise TimeoutError
-            moment = self._joiner.add(frame, self.sensor.clock())
-            if moment is not None:
-                return moment
-        return None
+    def receive(self, timeout_ms: int) -> bool:
+        """Takes the next frame, of depth or of the image."""
+        came, frame = self._queue.try_wait_for_frame(timeout_ms)
+        if came:
+            self._reader.add(frame, self.sensor.clock())
+        return bool(came)
 
     def is_connected(self) -> bool:
         """Whether the library still lists the sensor; frames of one that is unplugged stop without an
@@ -61,7 +58,7 @@ class RealSenseSensor(LiveSensor):
     clock. The library's global times, which each new fit moves, are switched off.
     """
 
-    _opened: tuple[Streams, _RealSenseStream, MomentJoiner] | None = None
+    _opened: tuple[Streams, _RealSenseStream, FrameReader] | None = None
 
     def __enter__(self) -> RealSenseSensor:
         """Opens the sensor, gives it its place on the sync cable, starts its cameras."""
@@ -77,8 +74,9 @@ class RealSenseSensor(LiveSensor):
             streams = choose_streams(sdk, device, label, settings.fps, settings.color)
             self.intrinsics, warning = intrinsics_of(streams.depth, label)
             self._warn(warning)
-            joiner, queue = MomentJoiner(sdk, streams, self.intrinsics), sdk.frame_queue(_QUEUE, True)
-            self._opened = streams, _RealSenseStream(self, device, queue, joiner), joiner
+            reader, queue = FrameReader(sdk, streams, self.intrinsics), sdk.frame_queue(_QUEUE, True)
+            self.color_camera = reader.camera
+            self._opened = streams, _RealSenseStream(self, device, queue, reader), reader
             for camera, _ in streams.opened:
                 if camera.supports(sdk.option.global_time_enabled):
                     camera.set_option(sdk.option.global_time_enabled, 0)
@@ -103,13 +101,13 @@ class RealSenseSensor(LiveSensor):
         """Frames as they arrive, until interrupted."""
         if self._opened is None:
             raise DeviceError(f"RealSense {self.name} is not open: use it in a with statement.")
-        _, stream, joiner = self._opened
-        for moment in self._moments(stream):
-            if joiner.timeless:
+        _, stream, reader = self._opened
+        for frame in self._frames(stream):
+            if reader.timeless:
                 self._warn(_TIMELESS.format(label=f"RealSense {self.name}"))
-            yield self.frame_of(moment)
+            yield frame
 
-    def frame_of(self, moment: RealSenseMoment) -> SensorFrame:
+    def frame_of(self, moment: Moment) -> SensorFrame:
         """The images of a moment, copied from the library's memory."""
         assert self._opened is not None
         return self._opened[2].frame_of(moment, moment.host_ns)
@@ -164,7 +162,8 @@ class RealSenseRecording(Sensor):
         if self._opened is None or self.intrinsics is None:
             raise DeviceError(f"{self.name} is not open: use it in a with statement.")
         sdk, _, device, streams = self._opened
-        joiner = MomentJoiner(sdk, streams, self.intrinsics)
+        # One camera may be read ahead of the other by what the queue holds.
+        reader = FrameReader(sdk, streams, self.intrinsics, wait_ns=_QUEUE * self.interval_ns)
         queue: Queue[Any] = Queue(_QUEUE)
         closing = Event()
 
@@ -178,6 +177,14 @@ class RealSenseRecording(Sensor):
                 return
 
         given, last_ns, played_ns, heard_s = 0, -1, 0, self._clock()
+
+        def complete() -> Iterator[SensorFrame]:
+            nonlocal given, last_ns
+            while (moment := reader.joiner.take()) is not None:
+                if moment.time_ns > last_ns:
+                    given, last_ns = given + 1, moment.time_ns
+                    yield reader.frame_of(moment, None)
+
         try:
             device.pause()  # else it plays while the second camera starts, whose frames it then drops
             streams.start(take)
@@ -189,13 +196,13 @@ class RealSenseRecording(Sensor):
                     frame = queue.get(timeout=_WAIT_S)
                 except Empty:
                     if ended or self._clock() - heard_s > _SILENT_S:
+                        reader.joiner.flush()
+                        yield from complete()
                         break
                     continue
                 heard_s, played_ns = self._clock(), max(played_ns, int(device.get_position()))
-                moment = joiner.add(frame, 0)
-                if moment is not None and moment.time_ns > last_ns:
-                    given, last_ns = given + 1, moment.time_ns
-                    yield joiner.frame_of(moment, None)
+                reader.add(frame, 0)
+                yield from complete()
         except RuntimeError as fault:
             raise DeviceError(f"{self.name} is damaged ({fault}). Play it in realsense-viewer.") from fault
         finally:

@@ -23,6 +23,7 @@ from devices.realsense.sdk_access import load_sdk as realsense_sdk
 from devices.sensor import AbsentError, DeviceError
 from devices.tracker_choice import TrackerChoice
 from fusion.body import BLAZEPOSE
+from tests.helpers.standin_camera import VirtualTime
 
 OURS = TrackerChoice("blazepose", "a test")
 PAGE = Path(__file__).resolve().parents[2] / "CONTRIBUTING.md"
@@ -32,13 +33,18 @@ class Acme(SimpleNamespace):
     """The library of the example: one sensor, three shots."""
 
     def __init__(self):
-        super().__init__(there=["7"], opened=[])
+        super().__init__(there=["7"], opened=[], time=VirtualTime())
 
     def serials(self):
         return self.there
 
+    def wait(self, timeout_ms):
+        if not self.shots:
+            self.time.wait_until(self.time.now_ns() + 1_000_000 * timeout_ms)
+        return self.shots.pop(0) if self.shots else None
+
     def open(self, serial):
-        shots = [
+        self.shots = [
             SimpleNamespace(
                 time_ns=k * 33_333_333,
                 depth=np.full((3, 4), k, np.uint16),
@@ -49,7 +55,7 @@ class Acme(SimpleNamespace):
         self.opened.append(serial)
         return SimpleNamespace(
             lens=(4, 3, 2.0, 2.0, 2.0, 1.5),
-            wait=lambda _: shots.pop(0) if shots else None,
+            wait=self.wait,
             close=lambda: self.opened.remove(serial),
         )
 
@@ -59,7 +65,9 @@ def example(monkeypatch):
     """The names of the example, with its library."""
     monkeypatch.setitem(sys.modules, "acme", Acme())
     source = re.search(
-        r"```python\n(from dataclasses import .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL
+        r"```python\n(from devices.capture.capture_stream .*?)```",
+        PAGE.read_text(encoding="utf-8"),
+        re.DOTALL,
     )[1]
     assert source.count("\n") < 200
     names = {"__name__": "acme_sensor"}
@@ -117,7 +125,7 @@ def test_the_example_of_the_page_is_a_sensor(example, monkeypatch):
     named = {check.name: check for check in device_checks(OURS)}
     assert named["acme"].ok
     assert named["Acme 7"].ok
-    with example.AcmeSensor("7", CaptureSettings(timeout_ms=1, stall_s=0.01)) as sensor:
+    with example.AcmeSensor("7", clock=acme.time.now_ns) as sensor:
         recorded = []
         sensor.on_capture = recorded.append
         frames = sensor.frames()

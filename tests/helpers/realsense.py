@@ -20,7 +20,7 @@ BASELINE = 0.1  # metres, from the depth camera to the colour camera, to the rig
 @pytest.fixture(autouse=True)
 def without_pyrealsense2(request, monkeypatch):
     """Hides an installed pyrealsense2 from tests that do not ask for it."""
-    if "rs" not in request.fixturenames:
+    if not {"rs", "driver"} & set(request.fixturenames):
         monkeypatch.setitem(sys.modules, "pyrealsense2", None)
 
 
@@ -73,21 +73,23 @@ class Software:
             self.camera = self.stereo
             self.image = self.add(self.camera, rs.stream.infrared, rs.format.y8, 1, lens, fps)
 
-    def add(self, sensor, kind, form, size, lens, fps, index=1):
+    def add(self, sensor, kind, form, size, lens, fps, index=1, uid=0):
         stream, lenses = self.rs.video_stream(), self.rs.intrinsics()
         lenses.width, lenses.height, lenses.fx, lenses.fy = lens.width, lens.height, lens.fx, lens.fy
         lenses.ppx, lenses.ppy, lenses.model = lens.cx, lens.cy, self.rs.distortion.brown_conrady
         lenses.coeffs = [0.0] * 5
         stream.type, stream.fmt, stream.bpp, stream.fps = kind, form, size, fps
         stream.index = index * int(kind == self.rs.stream.infrared)
-        stream.uid = 10 * index + int(kind != self.rs.stream.depth)
+        stream.uid = uid + 10 * index + int(kind != self.rs.stream.depth)
         stream.width, stream.height, stream.intrinsics = lens.width, lens.height, lenses
         return sensor.add_video_stream(stream).as_video_stream_profile()
 
     def put(self, number, time_ns, depth, image):
-        """The device exposes once."""
+        """The device exposes once; None for what does not come."""
         pairs = ((self.stereo, self.depth, depth), (self.camera, self.image, image))
         for sensor, profile, pixels in pairs:
+            if pixels is None:
+                continue
             frame, size = self.rs.software_video_frame(), pixels.nbytes // (pixels.shape[0] * pixels.shape[1])
             frame.pixels, frame.bpp, frame.stride = np.ascontiguousarray(pixels), size, pixels.shape[1] * size
             frame.timestamp, frame.frame_number, frame.profile = time_ns * 1e-6, number, profile

@@ -67,6 +67,8 @@ class Device:
     starts: bool = True
     silent: bool = False
     blind: bool = False  # captures without depth
+    infrared_lost: Callable[[int], bool] = lambda _number: False
+    depth_lost: Callable[[int], bool] = lambda _number: False  # on USB
     orbbec: bool = False  # behind Orbbec's wrapper: opens lazily, hides its jacks, epoch times
     firmware: tuple[int, int, int] = (1, 6, 110)
     clock_usec: int = 1_000_000
@@ -114,7 +116,14 @@ class Device:
     def next_shot(self, timeout_ms):
         """Returns the oldest capture in the queue after a bounded wait; None if none arrives."""
         if not self.paced:
-            return self._make(self.time.now_ns()) if timeout_ms else None
+            if self._queue:
+                return self._queue.popleft()
+            if not timeout_ms:
+                return None
+            shot = self._make(self.time.now_ns())
+            if self._colored_alone(shot.number):
+                self._queue.append(replace(shot, has_depth=False, has_color=True))
+            return shot
         until_ns = self.time.now_ns() + timeout_ms * 1_000_000
         self._fill()
         while not self._queue:
@@ -144,10 +153,10 @@ class Device:
     def _expose(self, exposed_ns):
         """Takes the images of one moment; each capture is due when libk4a releases it."""
         shot = self._make(exposed_ns + self.depth_latency_ns)
-        captures = [None if random.random() < self.lost_on_usb else shot]
+        captures = [None if random.random() < self.lost_on_usb or self.depth_lost(shot.number) else shot]
         if self.color_runs and self.joins_color:
             captures = [self._synchronized(shot, exposed_ns)] if captures[0] else []
-        elif self.color_runs and self.color:  # colour comes in captures of its own
+        elif self._colored_alone(shot.number):
             ready_ns = exposed_ns + self.color_latency_ns
             captures.append(replace(shot, ready_ns=ready_ns, has_depth=False, has_color=True))
         for capture in filter(None, captures):
@@ -158,6 +167,10 @@ class Device:
         self.clock_usec += self.interval_usec * (1 + self.skips)
         color = self.color_runs and self.joins_color and self.color and not self.color_lost(self._made)
         return Shot(self._made, self.clock_usec, host_ns, host_ns, not (self.blind or self._blinded), color)
+
+    def _colored_alone(self, number):
+        """Whether colour comes in a capture of its own."""
+        return self.color_runs and not self.joins_color and self.color and not self.color_lost(number)
 
     def _synchronized(self, shot, exposed_ns):
         """The capture when capture sync releases it; None if it never does."""

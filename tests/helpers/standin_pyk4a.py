@@ -98,7 +98,8 @@ def make_module(bus):
             self._device = device
             if not taken:
                 device.opened_by = self
-                device.joins_color = os.environ.get("K4A_DISABLE_SYNCHRONIZATION", "0").startswith("0")
+                alone = not os.environ.get("K4A_DISABLE_SYNCHRONIZATION", "0").startswith("0")
+                device.joins_color = device.orbbec or not alone  # the wrapper does not know the variable
             device.time.wait_until(device.time.now_ns() + round(1e9 * device.open_s))
             self._number = ctypes.c_void_p(1 + bus.devices.index(device))
             self._device_handle = new_capsule(self._number, DEVICE_NAME)
@@ -181,7 +182,7 @@ def make_module(bus):
             self._device.at.pop(self._device.captures, lambda: None)()
             device = self._device
             silent = device.silent or not device.plugged  # on Linux libk4a tells of neither
-            if silent and (device.paced or device.orbbec):
+            if silent:
                 device.time.wait_until(device.time.now_ns() + timeout * 1_000_000)
             shot = None if silent else device.next_shot(timeout)
             if shot is None:
@@ -195,8 +196,12 @@ def make_module(bus):
             host_ns = time.time_ns() if device.orbbec else shot.depth_host_ns
             return kind(
                 bus.native,
-                np.full(shape, 2000 + device.captures, np.uint16) if shot.has_depth else None,
-                np.full(shape, 900, np.uint16) if shot.has_depth else None,
+                np.full(shape, 2000 + (shot.number if device.paced else device.captures), np.uint16)
+                if shot.has_depth
+                else None,
+                np.full(shape, 900, np.uint16)
+                if shot.has_depth and not device.infrared_lost(shot.number)
+                else None,
                 np.frombuffer(JPEG, np.uint8).copy() if shot.has_color else None,
                 shot.clock_usec,
                 host_ns,

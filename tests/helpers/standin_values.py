@@ -36,6 +36,7 @@ class PyK4ACapture:
 
     def __init__(self, native, depth, ir, color, time_usec, host_ns):
         self.depth, self.ir, self.color = depth, ir, color
+        self.color_timestamp_usec = 0 if color is None else time_usec
         self.depth_timestamp_usec, self.depth_system_timestamp_nsec = (
             (0, 0) if depth is None else (time_usec, host_ns)
         )

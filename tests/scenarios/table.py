@@ -63,9 +63,9 @@ def _refused(name, conf, *causes, words="", **more):
     return Scenario(name, conf, code=2, causes=told, words=(words,) if words else (), **more)
 
 
-def _during(name, events, *causes, conf="", seconds=6, **more):
+def _during(name, events, *causes, conf="", seconds=6, options="", **more):
     """Something happens while the session runs; it goes on to its end."""
-    told, options = frozenset(causes), f"--seconds {seconds:g}"
+    told, options = frozenset(causes), f"--seconds {seconds:g} {options}"
     return Scenario(name, conf, options, ((_RUNS, {}), (1.0, {}), *events), causes=told, **more)
 
 
@@ -128,13 +128,10 @@ SCENARIOS = (
     # Frames are lost
     _during("frames lost on USB", (), Cause.LOST_ON_USB, conf="a.drop=0.15"),
     _during("no depth", ((0.0, {"b.stall": 1}),), Cause.SILENT, Cause.NO_DEPTH, seconds=9, never=_NO_ADVICE),
-    Scenario(
-        "the first colour image comes too late for capture sync",
-        f"{CABLE} a.first_pts_ms=600 b.first_pts_ms=600",
-        "--seconds 10 --color 720P",
-        causes=frozenset((Cause.ONLY_COLOR,)),
-        words=("goes on without colour", "is back", "Saved"),
-    ),
+    _fine("clocks begin at 600 ms, with colour", f"{CABLE} a.first_pts_ms=600 b.first_pts_ms=600",
+        "--seconds 4 --color 720P", age_ms=70.0),
+    _during("a colour camera dies", ((0.0, {"b.color_dead": 1}),), Cause.NO_IMAGES, conf=CABLE, seconds=6,
+        options="--color 720P"),
     _unplugged("B unplugged", "b", Cause.UNPLUGGED),
     _unplugged("A unplugged", "a", Cause.UNPLUGGED),
     _unplugged("both unplugged", "ab", Cause.UNPLUGGED),

@@ -27,10 +27,13 @@ _PATTERNS = {cause: re.compile(_pattern(cause.value)) for cause in Cause}
 _SLOW_MACHINE = {Cause.TOO_FAST, Cause.LOST_ON_USB, Cause.LATE, Cause.TOO_LATE}
 """Told rightly on a busy machine, the rig's bus included."""
 _ELSEWHERE = {
-    Cause.FORBIDDEN: "tests/devices/azure/test_faults.py: needs a list of USB devices",
+    Cause.FORBIDDEN: "tests/devices/test_vendor_contract.py: needs a list of USB devices",
     Cause.CAMERAS_NOT_STARTED: "tests/devices/azure/test_kinect.py: libk4a logs a reason",
     Cause.STOPPED: "tests/devices/orbbec/test_faults.py: libk4a reports no failure on Linux",
-    Cause.NO_PULSES: "tests/devices/azure/test_faults.py: after two minutes",
+    Cause.NO_PULSES: "tests/devices/test_vendor_contract.py: after two minutes",
+    Cause.ONLY_COLOR: "tests/devices/test_vendor_contract.py: the rig's sensors lose depth with colour",
+    Cause.FEW_IMAGES: "tests/devices/test_vendor_contract.py: the rig has no dark room",
+    Cause.LATE_IMAGES: "tests/devices/test_vendor_contract.py: in virtual time",
     Cause.TOO_LATE: "tests/devices/capture/test_device_faults.py: in injected time",
     Cause.TOO_FAST: "tests/viewer_app/coach/test_setup_coach.py: the machine must be too slow",
     Cause.LEFT_BEHIND: "tests/devices/capture/test_device_faults.py: a driver that never returns",

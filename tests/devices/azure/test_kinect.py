@@ -22,7 +22,6 @@ from devices.capture.sensor_thread import SensorThread
 from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
-from tests.helpers.standin_camera import VirtualTime
 from tests.helpers.standin_pyk4a import JPEG, Device
 
 
@@ -97,16 +96,6 @@ def test_a_subordinate_captures_later_than_its_master_which_runs_its_colour_came
     assert two.started == ["000456", "000123"]
     assert [int(config.color_resolution) for config in two.configs] == [1, 1], "720p on both"
     assert frame.color is None, "dropped at once"
-
-
-def test_depth_never_waits_for_a_colour_image_that_is_missing(two):
-    with _sensor():
-        pass
-    with _sensor(color="1080P"):
-        pass
-    off, on = two.configs
-    assert (off.color_resolution, off.synchronized_images_only) == (0, False)
-    assert (on.color_resolution, on.synchronized_images_only, on.color_format) == (2, False, 0)
 
 
 def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two):
@@ -198,14 +187,6 @@ def test_a_handle_of_another_pyk4a_is_refused(two):
     assert two.open_serials == []
 
 
-def test_interrupting_ends_the_wait_of_a_silent_sensor(two):
-    two.devices[1].silent = True
-    sensor = _sensor(stall_s=1e9)
-    with sensor:
-        threading.Timer(0.05, sensor.interrupt).start()
-        assert list(sensor.frames()) == []
-
-
 def test_cameras_that_do_not_start_or_a_missing_tracker_leave_the_sensor_closed(two, tmp_path):
     with pytest.raises(DeviceError, match="No library at"):
         KinectSensor("000123", tracker=TrackerSettings(library=tmp_path / "libk4abt.so")).__enter__()
@@ -249,53 +230,6 @@ def test_the_firmwares_version_is_read_from_libk4a(bus, wheel_library, monkeypat
     (kinect,) = connected_kinects()
     version[:] = (1, 6, 110)  # the library stays loaded for later tests
     assert kinect.description == "firmware 1.6.102"
-
-
-@pytest.mark.parametrize("lost", ["every colour image", "every second colour image"])
-def test_depth_comes_also_where_its_colour_image_does_not(bus, lost):
-    device = Device("000123", paced=True, time=VirtualTime())
-    device.color_lost = lambda number: number % 2 == 0 or lost.startswith("every colour")
-    bus.devices = [device]
-    with _sensor(color="720P") as sensor:
-        sensor.clock = device.time.now_ns
-        frames = list(itertools.islice(sensor.frames(), 30))
-    assert sensor.missed == 0
-    assert {round(later.time_ns - first.time_ns, -6) for first, later in itertools.pairwise(frames)} == {
-        33_000_000
-    }
-    assert any(frame.color for frame in frames) != lost.startswith("every colour")
-
-
-@pytest.mark.parametrize("color", [None, "720P"])
-def test_depth_waits_for_colour_only_if_colour_is_wanted(bus, color):
-    device = Device(
-        "000123", jacks=(False, True), paced=True, time=VirtualTime(), color_latency_ns=200_000_000
-    )
-    bus.devices = [device]
-    with _sensor(color=color, sync="master") as sensor:
-        sensor.clock = device.time.now_ns
-        frames = list(itertools.islice(sensor.frames(), 10))
-    ages = {
-        round((ready - (frame.host_ns or 0)) / 1e6)
-        for ready, frame in zip(device.ready, frames, strict=False)
-    }
-    assert ages == ({0} if color is None else {185}), "ms after the depth image is on the host"
-    assert all((frame.color is None) == (color is None) for frame in frames)
-
-
-def test_the_newest_capture_is_taken_not_the_oldest(bus):
-    device = Device("000123", paced=True, time=VirtualTime())
-    bus.devices = [device]
-    with _sensor() as sensor:
-        sensor.clock = device.time.now_ns
-        frames = sensor.frames()
-        next(frames)
-        device.time.wait_until(device.time.now_ns() + 500_000_000)  # the reader was busy for half a second
-        frame = next(frames)
-        assert device.time.now_ns() - (frame.host_ns or 0) <= 33_333_000
-        # 15 were captured in the meantime: all but the newest are missed, including those the full queue
-        # dropped
-        assert sensor.missed == 14
 
 
 def test_the_bus_is_never_searched_while_frames_come(two):

@@ -20,8 +20,8 @@ from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import CaptureSettings
 from devices.freenect import libfreenect
 from devices.freenect.libfreenect import connected_freenects, how_to_install
-from devices.freenect.moments import MomentJoiner, TickCounter
 from devices.freenect.sensor import INTRINSICS, FreenectSensor
+from devices.freenect.ticks import TickCounter
 from devices.live_checks import device_checks
 from devices.live_sensors import connected_sensors, live_sensor
 from devices.sensor import AbsentError, DeviceError
@@ -108,49 +108,6 @@ def test_ticks_are_counted_through_any_silence(first, steps):
         assert counter.total(total % 2**32, now_ns + late_ns) == total
 
 
-@pytest.mark.parametrize("late", [900_000, -900_000, 0])
-def test_each_depth_image_gets_the_colour_image_within_half_a_period(late):
-    events = film(*numbered(5), first_ticks=PERIOD, color_late=late)
-    joiner, found = MomentJoiner(), []
-    for seconds, ticks, image in events:
-        add = joiner.add_depth if image.ndim == 2 else joiner.add_color
-        found += add(ticks, round(1e9 * seconds), image)
-    numbers = [(int(moment.depth[0, 0]) - 1000, int(moment.rgb[0, 0, 0])) for moment in found]
-    assert numbers == [(number, number) for number in range(5)]
-
-
-def test_no_depth_image_is_lost_where_colour_is_missing(fakenect, tmp_path):
-    depths, rgbs = numbered(6)
-    rgbs[2] = rgbs[3] = None
-    fakenect.dumps[A] = write_dump(tmp_path / "dump", film(depths, rgbs), pace=4.0)
-    with _sensor() as sensor:
-        found = list(iter(lambda: sensor._camera.take(20.0), None))
-    assert [int(moment.depth[0, 0]) for moment in found] == [1000, 1001, 1002, 1003, 1004, 1005]
-    numbers = [None if moment.rgb is None else int(moment.rgb[0, 0, 0]) for moment in found]
-    assert numbers == [0, 1, None, None, 4, 5]
-
-
-def test_a_slow_reader_gets_the_newest_frame_and_the_rest_are_counted(dump):
-    with _sensor(dump(count=40)) as sensor:
-        frames = sensor.frames()
-        first = int(next(frames).depth[0, 0])
-        assert eventually(lambda: sensor._camera.lost)
-        assert len(sensor._camera._moments) == 16, "memory is bounded"
-        assert int(next(frames).depth[0, 0]) == 1039
-    assert (sensor.missed, sensor.lost) == (1039 - first - 1, 0)
-
-
-def test_a_recording_gets_what_comes_while_the_tracker_is_busy_for_a_third_of_a_second(dump):
-    recorded = []
-    with _sensor(dump(count=12)) as sensor:
-        sensor.on_capture = recorded.append
-        frames = sensor.frames()
-        next(frames)
-        assert eventually(lambda: sensor._camera.lost)
-        next(frames)
-    assert [int(frame.depth[0, 0]) for frame in recorded] == [*range(1000, 1012)]
-
-
 def test_colour_is_compressed_only_if_asked_for(dump):
     with _sensor(dump(), color="720P") as sensor:
         frame, rgb = _frames(sensor)[-1]
@@ -197,13 +154,6 @@ def test_no_device(dump):
         _sensor(B).__enter__()
 
 
-def test_device_busy(fakenect, dump):
-    fakenect.busy.add(dump())
-    with pytest.raises(DeviceError, match=r"it is busy .*\(Failed to claim camera.*BUSY\)\. Close.*glview"):
-        _sensor().__enter__()
-    assert (fakenect.open, fakenect._copies) == ([], {})
-
-
 def test_cameras_that_do_not_start_leave_the_sensor_closed(fakenect, dump):
     fakenect.still.add(dump())
     with pytest.raises(DeviceError, match=r"did not start its cameras\. Check that no other.*controllers"):
@@ -225,34 +175,6 @@ def test_a_sensor_without_permission_is_named(fakenect, dump, tmp_path, monkeypa
     assert "no permission for" in other.fault
     assert "51-kinect.rules" in other.fault
     assert libfreenect.sensor_check(other).detail.startswith("Kinect v1 at place 1 cannot be opened")
-
-
-def test_unplugged_mid_stream(fakenect, dump):
-    with _sensor(dump(count=1, repeated=600)) as sensor:
-        frames = sensor.frames()
-        next(frames)
-        fakenect.dumps.clear()
-        with pytest.raises(AbsentError, match=rf"Kinect v1 {A} was unplugged or lost its power\. Plug it"):
-            list(frames)
-    assert (fakenect.open, fakenect.streams[A]) == ([], set())
-
-
-def test_stream_stalls(fakenect, tmp_path):
-    depths, rgbs = numbered(1, repeated=600)
-    fakenect.dumps[A] = write_dump(tmp_path / "dump", film(depths[:2] + [None] * 598, rgbs))
-    with _sensor(timeout_ms=50, stall_s=0.2) as sensor:
-        frames = sensor.frames()
-        next(frames)
-        with pytest.raises(DeviceError, match="stalls: no depth for 0 s"):
-            list(frames)
-
-
-def test_interrupting_ends_the_frames(dump):
-    with _sensor(dump(count=1, repeated=600)) as sensor:
-        taken = 0
-        for taken, _ in enumerate(sensor.frames(), 1):  # noqa: B007
-            sensor.interrupt()
-    assert taken == 1
 
 
 def test_two_run_side_by_side_and_a_lost_one_is_taken_back(fakenect, dump):

@@ -97,22 +97,9 @@ def test_times_go_on_where_the_32_bit_clock_wraps(freenect2):
     assert np.diff(times).tolist() == [267 * 125_000, 267 * 125_000, 266 * 125_000]
 
 
-def test_a_slow_reader_gets_the_newest_frame_and_the_rest_are_counted(freenect2):
-    captured = []
-    with _sensor() as sensor:
-        sensor.on_capture = captured.append
-        frames = sensor.frames()
-        _numbered(freenect2, 0)
-        next(frames)
-        _numbered(freenect2, *range(1, 31))
-        assert np.unique(next(frames).depth) == [1030]
-    assert [int(frame.depth[0, 0]) for frame in captured] == [1000, *range(1015, 1031)], "half a second waits"
-    assert sensor.missed + sensor.lost == 29
-
-
 def test_images_of_different_packets_and_damaged_ones_are_left_out(freenect2):
     captured = []
-    with _sensor(timeout_ms=1, stall_s=0.01) as sensor:
+    with _sensor(timeout_ms=1, stall_s=0.4) as sensor:
         sensor.on_capture = captured.append
         frames = sensor.frames()
         freenect2.give(0, DEPTH, 0, _flat(1))
@@ -146,30 +133,11 @@ def test_a_mode_the_sensor_lacks_is_refused(freenect2, settings, message):
 # ------------------------------------------------------------------ faults
 
 
-def test_unplugged_mid_stream(freenect2):
-    with _sensor(timeout_ms=1) as sensor:
-        frames = sensor.frames()
-        _numbered(freenect2, 0)
-        next(frames)
-        freenect2.set("gone", 1, 0)
-        with pytest.raises(AbsentError, match=rf"Kinect v2 {A} was unplugged or lost its power\. Plug it"):
-            next(frames)
-    assert freenect2.counts() == [0]
-    assert [one.serial for one in connected_freenect2s()] == [B]
-
-
 def test_closing_waits_for_the_thread_that_computes_depth(freenect2):
     """Otherwise the library calls a listener that it has set to NULL, as the real one did with OpenGL."""
     with _sensor():
         freenect2.set("computing", 1, 0)
     assert freenect2.counts() == [0]
-
-
-def test_interrupting_ends_the_frames(freenect2):
-    with _sensor() as sensor:
-        _numbered(freenect2, 0)
-        for _ in sensor.frames():
-            sensor.interrupt()
 
 
 def test_no_device(freenect2):

@@ -1,19 +1,15 @@
 """Faults of a live Orbbec sensor: the same as those of an Azure Kinect."""
 
-import os
-
 import pytest
 
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import CaptureSettings
-from devices.orbbec import sdk_access
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.orbbec.sensor import OrbbecSensor
 from devices.sensor import AbsentError, DeviceError
 from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.orbbec.standin_values import OBError
-from tests.helpers.usb_tree import plug_in
 from tests.helpers.waiting import eventually
 
 A, B = "CL8H741005K", "CL8H7410123"
@@ -45,23 +41,6 @@ def test_the_search_for_sensors_fails(orbbecs):
         connected_orbbecs()
 
 
-def test_device_busy(one):
-    one.busy = True
-    with pytest.raises(DeviceError, match=r"cannot be opened: it is busy.*libusb error -6.*OrbbecViewer"):
-        _sensor().__enter__()
-    assert len(one.opened) == 0
-
-
-def test_no_permission(one, monkeypatch, tmp_path):
-    one.busy = True
-    plug_in(tmp_path, A, product="066b", vendor="2bc5")
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    found = sdk_access.usb_kinects
-    monkeypatch.setattr(sdk_access, "usb_kinects", lambda: found(tmp_path))
-    with pytest.raises(DeviceError, match=r"no permission for .*007.*99-obsensor-libusb\.rules"):
-        _sensor().__enter__()
-
-
 def test_unplugged_at_open(one, orbbecs, monkeypatch):
     read = OrbbecSensor._read_calibration
 
@@ -80,49 +59,6 @@ def test_cameras_that_do_not_start_leave_the_sensor_closed(one, orbbecs):
     with pytest.raises(DeviceError, match=r"did not start its cameras \(Failed.*two USB controllers"):
         _sensor().__enter__()
     assert orbbecs.open_serials == []
-
-
-def test_unplugged_mid_stream(one, orbbecs):
-    with _sensor(stall_s=3.0) as sensor:
-        frames = sensor.frames()
-        next(frames)
-        one.plugged = False  # frames stop, without an error
-        with pytest.raises(DeviceError, match=rf"Orbbec {A} was unplugged or lost its power\. Plug it"):
-            next(frames)
-    assert orbbecs.open_serials == []
-
-
-def test_unplugged_at_close(one, orbbecs):
-    sensor = _sensor().__enter__()
-    one.plugged = False
-    sensor.__exit__()
-    assert sensor.warnings == [], "a sensor that is gone cannot close cleanly"
-    assert orbbecs.open_serials == []
-    one.plugged = True
-    with sensor:  # the same sensor can be opened again
-        next(sensor.frames())
-
-
-@pytest.mark.parametrize("fault", ["silent", "blind"])
-def test_stream_stalls(one, fault):
-    with _sensor(stall_s=5.0) as sensor:
-        frames = sensor.frames()
-        next(frames)
-        setattr(one, fault, True)
-        with pytest.raises(DeviceError, match=r"stalls: no depth for 5 s.*USB 3"):
-            next(frames)
-
-
-def test_stream_of_a_secondary_stalls_without_its_primary(orbbecs):
-    orbbecs.devices = [Orbbec(A), Orbbec(B)]
-    with _sensor(A, sync="subordinate", start_s=30.0, stall_s=5.0) as secondary:
-        with pytest.raises(DeviceError, match=r"no depth for 30 s.*check the primary, the sync hub"):
-            next(secondary.frames())
-        with _sensor(B, sync="master"):
-            frames = secondary.frames()
-            next(frames)
-        with pytest.raises(DeviceError, match="no depth for 5 s"):
-            next(frames)
 
 
 def test_a_fault_of_the_sdk_mid_stream(one):

@@ -2,14 +2,12 @@
 
 import itertools
 import sys
-import threading
 import time
 
 import numpy as np
 import pytest
 
 from devices.capture.sensor_choice import ConnectedSensor
-from devices.capture.sensor_thread import SensorThread
 from devices.capture.settings import CaptureSettings
 from devices.orbbec.sdk_access import connected_orbbecs, how_to_install, load_sdk
 from devices.orbbec.sensor import OrbbecSensor
@@ -91,16 +89,6 @@ def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two):
         frame = next(sensor.frames())
     assert frame.color is None
     assert frame.depth is not None
-    modes = [configuration._mode for configuration in two.configurations]
-    assert modes == [values.OBFrameAggregateOutputMode.ANY_SITUATION] * 2, "depth never waits for colour"
-
-
-def test_depth_and_infrared_of_one_moment_are_joined_where_they_come_apart(two):
-    two.devices[0].apart = True
-    with _sensor() as sensor:
-        frames = list(itertools.islice(sensor.frames(), 3))
-    assert np.diff([frame.time_ns for frame in frames]).tolist() == [33_333_000] * 2
-    assert all(frame.ir is not None and frame.depth is not None for frame in frames)
 
 
 def test_a_stereo_sensor_gives_millimetres_and_8_bit_infrared(orbbecs):
@@ -176,32 +164,9 @@ def test_frames_without_the_sensors_time_have_the_hosts_and_a_warning(two):
         assert "gives no times of its own clock" in sensor.warnings[0]
 
 
-def test_the_newest_of_the_waiting_frames_is_taken(two):
-    two.devices[0].waiting = 4
-    with _sensor() as sensor:
-        first, second = itertools.islice(sensor.frames(), 2)
-    assert second.time_ns - first.time_ns == 5 * 33_333_000
-    assert sensor.missed == 4, "what was there before the first frame is not counted"
-    assert set(two.timeouts) == {500, 0}, "every wait is finite"
-
-
-def test_a_hundred_openings_leave_nothing_open(two):
-    def cycle():
-        with SensorThread(_sensor()) as thread:
-            while thread.received == 0:
-                thread.arrival.wait(10.0)
-                thread.arrival.clear()
-
-    cycle()
-    before = threading.active_count()
-    for _ in range(100):
-        cycle()
-    assert (threading.active_count(), two.open_serials, two.running, two.contexts) == (before, [], [], 1)
-
-
 def test_without_the_package_the_message_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
-    with pytest.raises(DeviceError, match=r"pyorbbecsdk2.*pip install --no-deps pyorbbecsdk2"):
+    with pytest.raises(DeviceError, match=r"pyorbbecsdk2.*pip install --upgrade --no-deps pyorbbecsdk2"):
         connected_orbbecs()
     assert "3.11 to 3.13 only" in how_to_install((3, 14))
 
@@ -209,5 +174,5 @@ def test_without_the_package_the_message_says_how_to_install_it(monkeypatch):
 def test_the_bindings_of_the_old_sdk_are_refused(orbbecs, monkeypatch):
     assert orbbecs.devices == []
     monkeypatch.delattr(sys.modules["pyorbbecsdk"], "PlaybackDevice")
-    with pytest.raises(DeviceError, match="is of Orbbec's SDK v1; this program needs v2"):
+    with pytest.raises(DeviceError, match=r"SDK v1\) lacks PlaybackDevice\.get_duration: this program needs"):
         load_sdk()

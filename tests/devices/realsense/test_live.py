@@ -16,7 +16,7 @@ from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import CaptureSettings
 from devices.live_sensors import VENDORS, connected_sensors
 from devices.realsense import sensors
-from devices.realsense.images import MomentJoiner, choose_streams
+from devices.realsense.images import FrameReader, choose_streams
 from devices.realsense.sdk_access import (
     connected_realsenses,
     context_of,
@@ -79,29 +79,31 @@ def test_infrared_is_that_of_the_depth_images_pixels(rs):
         software.add(software.stereo, rs.stream.infrared, form, size, LENS, 30, index)
     wide = replace(LENS, width=848, height=480)
     for kind, form, size in ((rs.stream.depth, rs.format.z16, 2), (rs.stream.infrared, rs.format.y8, 1)):
-        software.add(software.stereo, kind, form, size, wide, 30, 5)
+        software.add(software.stereo, kind, form, size, wide, 30, 1, uid=50)
     streams = choose_streams(rs, software.device, "a test", 30)
-    assert (streams.image.stream_index(), streams.image.format()) == (5, rs.format.y8), (
-        "nearest to 640 pixels"
-    )
-    assert (streams.depth.width(), streams.image.width()) == (848, 848)
+    assert (streams.image.stream_index(), streams.image.format()) == (1, rs.format.y8)
+    assert (streams.depth.width(), streams.image.width()) == (848, 848), "nearest to 640 pixels"
     narrow = Software(rs)
     narrow.add(narrow.stereo, rs.stream.infrared, rs.format.y8, 1, LENS, 30, 2)
     assert choose_streams(rs, narrow.device, "a test", 30).image.stream_index() == 1
+    colored = Software(rs, color=True)
+    colored.add(colored.stereo, rs.stream.infrared, rs.format.y8, 1, LENS, 30, 2)  # the right camera's alone
+    assert choose_streams(rs, colored.device, "a test", 30).image.stream_type() == rs.stream.color
 
 
 def test_a_frame_arrived_when_the_library_says(rs):
     """Not when the reader had time for it: a late reader is no late sensor."""
     software = Software(rs)
     streams, queue = choose_streams(rs, software.device, "a test"), rs.frame_queue(4, True)
-    joiner = MomentJoiner(rs, streams, LENS)
+    reader = FrameReader(rs, streams, LENS)
     streams.start(queue)
     arrived_ms = time.time_ns() // 1_000_000 - 50
     software.stereo.set_metadata(rs.frame_metadata_value.time_of_arrival, arrived_ms)
     software.put(0, *next(numbered(1)))
-    first, moment = (joiner.add(queue.wait_for_frame(1000), 10**12) for _ in range(2))
+    for _ in range(2):
+        reader.add(queue.wait_for_frame(1000), 10**12)
     streams.stop()
-    assert first is None
+    moment = reader.joiner.take()
     assert 49_000_000 <= 10**12 - moment.host_ns < 4_000_000_000
 
 
@@ -110,7 +112,7 @@ def test_colour_comes_registered_where_there_is_no_infrared(rs, tmp_path):
     exposed = [(k * 33_333_333, depth, color) for k, (_, depth, _) in enumerate(numbered(30), 1)]
     path = record(rs, tmp_path / "a.db3", exposed, pause_s=0.033, serial="1001", color=True)
     with plugged(rs, path), _sensor() as sensor:
-        frame = next(sensor.frames())
+        frame = next(frame for frame in sensor.frames() if frame.color)  # depth may start before colour
     assert frame.ir is None
     np.testing.assert_allclose(registered_color(frame)[120, 200], (200, 100, 50), atol=3)
 
@@ -120,23 +122,6 @@ def test_a_sensor_that_is_not_there_is_absent(rs, two):
         _sensor().__enter__()
     with plugged(rs, two[1]), pytest.raises(AbsentError, match=r"1001\. Connected: 1002\."):
         _sensor().__enter__()
-
-
-def test_unplugged_mid_stream(rs, two):
-    with plugged(rs, two[0]), _sensor(timeout_ms=200) as sensor:
-        frames = sensor.frames()
-        next(frames)
-        context_of(rs).unload_device(str(two[0]))
-        with pytest.raises(DeviceError, match=r"RealSense 1001 was unplugged or lost its power\. Plug it"):
-            list(frames)
-
-
-def test_a_sensor_without_frames_stalls(rs, tmp_path):
-    short = record(rs, tmp_path / "short.db3", numbered(30), serial="1001")
-    with plugged(rs, short), _sensor(timeout_ms=100, stall_s=0.3) as sensor:
-        frames = sensor.frames()
-        with pytest.raises(DeviceError, match="RealSense 1001 stalls: no depth"):
-            list(frames)
 
 
 def test_a_sensor_that_is_unplugged_while_it_opens_is_told(rs, two, monkeypatch):

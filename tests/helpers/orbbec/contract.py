@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.orbbec.images import MomentJoiner, color_image, depth_image, infrared_image
+from devices.capture.moments import ImageJoiner
+from devices.orbbec.images import FrameReader, color_image, depth_image, infrared_image
 from devices.orbbec.streams import color_camera, intrinsics_of
 from tests.helpers.pyk4a_contract import fault_of
 
@@ -24,7 +25,7 @@ ENUMS = {
     "OBFormat": ("MJPG", "Y16", "Y8"),
     "OBLogLevel": ("ERROR", "NONE"),
     "OBClockType": ("REALTIME", "MONOTONIC"),
-    "OBFrameAggregateOutputMode": ("FULL_FRAME_REQUIRE", "ANY_SITUATION"),
+    "OBFrameAggregateOutputMode": ("FULL_FRAME_REQUIRE", "ANY_SITUATION", "DISABLE"),
     "OBMultiDeviceSyncMode": ("FREE_RUN", "STANDALONE", "PRIMARY", "SECONDARY", "SECONDARY_SYNCED"),
     "OBPlaybackStatus": ("PLAYING", "STOPPED"),
     "OBCameraDistortionModel": ("NONE", "BROWN_CONRADY", "BROWN_CONRADY_K6", "KANNALA_BRANDT4"),
@@ -129,8 +130,9 @@ def our_images(sdk):
     """This program's own reading of the library's frames."""
     found = sdk.Frame.create_frame_set()
     _push(sdk, found, 5_000_000)
-    joiner = MomentJoiner(33_333_333)
-    moment = joiner.add(found, 7_000_000_000)
+    joiner = ImageJoiner(33_333_333, infrared=33_333_333, color=33_333_333)
+    FrameReader(joiner).add(found, 7_000_000_000)
+    moment = joiner.take()
     depth, infrared = depth_image(moment.depth), infrared_image(moment.infrared)
     assert (depth.dtype, depth.shape, infrared.dtype) == (np.uint16, (3, 4), np.uint16)
     assert color_image(moment.color, None) is None

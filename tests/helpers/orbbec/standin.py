@@ -7,10 +7,11 @@ names of their classes: the stand-in has nothing that the real library lacks.
 from __future__ import annotations
 
 import gc
+import heapq
 import sys
-import time
 import types
 import weakref
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,12 +21,15 @@ import numpy as np
 import pytest
 
 from tests.helpers.orbbec import standin_values as values
+from tests.helpers.orbbec.aggregator import KINDS, Aggregator
 from tests.helpers.orbbec.standin_values import OBError
+from tests.helpers.standin_camera import RealTime
 
 JPEG = b"\xff\xd8 a colour image \xff\xd9"
 FEMTO_SIZES = ((640, 576), (320, 288), (512, 512))
 GEMINI_SIZES = ((1280, 800), (640, 400), (320, 200))
 _MODES = values.OBMultiDeviceSyncMode
+QUEUE = 10  # sets of frames in a pipeline; one more drops the oldest
 _FEMTO_MODES = (_MODES.STANDALONE, _MODES.PRIMARY, _MODES.SECONDARY)
 _GEMINI_MODES = (_MODES.FREE_RUN, _MODES.STANDALONE, _MODES.PRIMARY, _MODES.SECONDARY_SYNCED)
 
@@ -48,15 +52,19 @@ class Orbbec:
     busy: bool = False
     starts: bool = True
     silent: bool = False
-    blind: bool = False  # sets of frames without depth
+    blind: bool = False  # no depth
+    infrared_lost: Callable[[int], bool] = lambda _number: False
     color: bool = True  # the colour camera works
-    apart: bool = False  # depth and infrared come in sets of their own
+    color_lost: Callable[[int], bool] = lambda _number: False
+    latency_us: int = 15_000  # from exposure until depth and infrared reach the SDK
+    color_latency_us: int = 40_000
     timed: bool = True  # frames have a time of the sensor's clock
     calibrated: bool = True
     distortion: str = "BROWN_CONRADY_K6"
     keeps_delay: bool = True
     paced: bool = False  # frames come when they are due; otherwise one per wait
     waiting: int = 0  # sets of frames that wait in the SDK's queue beside the one that is waited for
+    lost: Callable[[int], bool] = lambda _number: False  # on USB
     skips: int = 0  # frames that the full queue dropped before each one
     interval_us: int = 33_333
     clock_us: int = 1_000_000
@@ -95,6 +103,7 @@ class OrbbecBus:
         self.configurations = []
         self.running = []
         self.fault = None  # of the search for sensors
+        self.time = RealTime()
 
     def plugged(self):
         return [device for device in self.devices if device.plugged]
@@ -235,8 +244,10 @@ def make_module(bus):
             if device is None:
                 raise RuntimeError("No device found")
             self._device, self._running = device, False
-            self._queue = 0
+            self._behind = 0
             self._next_ns = 0
+            self._aggregator = Aggregator(sync=True)
+            self._due, self._output = [], deque()
 
         def get_stream_profile_list(self, sensor_type):
             sensor, sensors = self._device._sensor, values.OBSensorType
@@ -274,7 +285,10 @@ def make_module(bus):
             return profile
 
         def enable_frame_sync(self):
-            pass
+            self._aggregator.sync = True
+
+        def disable_frame_sync(self):
+            self._aggregator.sync = False
 
         def start(self, configuration):
             sensor = self._device._sensor
@@ -282,8 +296,12 @@ def make_module(bus):
                 raise OBError("Failed to start stream!")
             if not sensor.plugged:
                 raise OBError("Device is deactivated/disconnected!")
-            self._configuration, self._running = configuration, True
-            self._next_ns = time.perf_counter_ns()
+            self._profiles = {profile.get_type(): profile for profile in configuration._profiles}
+            kinds = [KINDS[one.name] for one in self._profiles]
+            fps = configuration._profiles[0].get_fps()
+            self._aggregator.start(kinds, configuration._mode, fps)
+            self._running = True
+            self._next_ns = bus.time.now_ns() + sensor.interval_us * 1000
             bus.started.append(sensor.serial)
             bus.running.append(sensor.serial)
             bus.configurations.append(configuration)
@@ -292,58 +310,76 @@ def make_module(bus):
             sensor = self._device._sensor
             if self._running:
                 bus.running.remove(sensor.serial)
-            self._running, self._queue = False, 0
+            self._running = False
+            self._due.clear()
+            self._output.clear()
             if not sensor.plugged:
                 raise OBError("Device is deactivated/disconnected!")
 
         def wait_for_frames(self, timeout_ms):
-            sensor = self._device._sensor
+            sensor, time = self._device._sensor, bus.time
             bus.timeouts.append(timeout_ms)
             assert self._running
             sensor.at.pop(sensor.given, lambda: None)()
-            if isinstance(self._device, PlaybackDevice) and sensor.given >= self._device._bag.frames:
-                return None
-            if not sensor.plugged or sensor.silent or not _triggered(bus, sensor):
-                if sensor.paced:
-                    time.sleep(timeout_ms / 1000)
-                return None
+            until_ns = time.now_ns() + timeout_ms * 1_000_000
             if sensor.paced:
-                now_ns = time.perf_counter_ns()
-                if now_ns < self._next_ns:
-                    if timeout_ms == 0:
-                        return None
-                    time.sleep((self._next_ns - now_ns) * 1e-9)
-                self._next_ns += sensor.interval_us * 1000
-            elif timeout_ms:
-                self._queue = sensor.waiting
-            elif self._queue:
-                self._queue -= 1
-            else:
-                return None
-            return self._set()
+                while not self._came() and time.now_ns() < until_ns:
+                    following = [due[0] for due in self._due[:1]] + [self._next_ns] * self._exposes()
+                    time.wait_until(min(until_ns, *following) if following else until_ns)
+            elif not self._output and self._exposes() and (timeout_ms or self._behind):
+                self._behind = sensor.waiting if timeout_ms else self._behind - 1
+                while not self._output and self._exposes() and sensor.given < 1000:
+                    self._expose(time.now_ns())
+                    self._deliver(until_ns=None)
+            elif not self._output:
+                time.wait_until(until_ns)
+            return self._output.popleft() if self._output else None
 
-        def _set(self):
-            sensor, kinds = self._device._sensor, values.OBFrameType
-            half = sensor.apart and sensor.given % 2 == 1  # the second of two sets of one moment
+        def _exposes(self):
+            sensor = self._device._sensor
+            over = isinstance(self._device, PlaybackDevice) and sensor.given >= self._device._bag.frames
+            return sensor.plugged and not sensor.silent and not over and _triggered(bus, sensor)
+
+        def _came(self):
+            """Whether a set waits, after all that has happened until now."""
+            while self._next_ns <= bus.time.now_ns():
+                if self._exposes():
+                    self._expose(self._next_ns)
+                self._next_ns += self._device._sensor.interval_us * 1000
+            self._deliver(bus.time.now_ns())
+            return bool(self._output)
+
+        def _deliver(self, until_ns):
+            while self._due and (until_ns is None or self._due[0][0] <= until_ns):
+                self._output.extend(self._aggregator.push(heapq.heappop(self._due)[-1]))
+                while len(self._output) > QUEUE:
+                    self._output.popleft()
+
+        def _expose(self, now_ns):
+            sensor, kinds, sensors = self._device._sensor, values.OBFrameType, values.OBSensorType
             sensor.given += 1
-            if not half:
-                sensor.clock_us += sensor.interval_us * (1 + sensor.skips)
-            profiles = {profile.get_type(): profile for profile in self._configuration._profiles}
-            sensors, found = values.OBSensorType, values.FrameSet()
-            depth = profiles[sensors.DEPTH_SENSOR]
-            width, height = depth.get_width(), depth.get_height()
-            if not sensor.blind and not half:
-                image = np.full((height, width), 2000 + sensor.given, np.uint16)
-                found.push_frame(_frame(sensor, kinds.DEPTH_FRAME, values.OBFormat.Y16, image))
-            if not sensor.apart or half:
+            sensor.clock_us += sensor.interval_us * (1 + sensor.skips)
+            depth, number = self._profiles[sensors.DEPTH_SENSOR], sensor.given
+            if sensor.lost(number):
+                return
+            size, arrived_ns = (depth.get_height(), depth.get_width()), now_ns + 1000 * sensor.latency_us
+            if not sensor.blind:
+                image = np.full(size, 2000 + number, np.uint16)
+                self._put(kinds.DEPTH_FRAME, values.OBFormat.Y16, image, arrived_ns)
+            if not sensor.infrared_lost(number):
                 kind = kinds.LEFT_IR_FRAME if sensor.stereo else kinds.IR_FRAME
-                of_kind = np.uint8 if sensor.infrared == "Y8" else np.uint16
-                image = np.full((height, width), 90, of_kind)
-                found.push_frame(_frame(sensor, kind, values.OBFormat[sensor.infrared], image))
-            if sensors.COLOR_SENSOR in profiles and sensor.color and not half:
+                image = np.full(size, 90, np.uint8 if sensor.infrared == "Y8" else np.uint16)
+                self._put(kind, values.OBFormat[sensor.infrared], image, arrived_ns)
+            if sensors.COLOR_SENSOR in self._profiles and sensor.color and not sensor.color_lost(number):
                 jpeg = np.frombuffer(JPEG, np.uint8)
-                found.push_frame(_frame(sensor, kinds.COLOR_FRAME, values.OBFormat.MJPG, jpeg))
-            return found
+                arrived_ns = now_ns + 1000 * sensor.color_latency_us
+                self._put(kinds.COLOR_FRAME, values.OBFormat.MJPG, jpeg, arrived_ns)
+
+        def _put(self, kind, image_format, image, arrived_ns):
+            sensor = self._device._sensor
+            shown_ns = arrived_ns if sensor.paced else bus.time.now_ns()
+            frame = _frame(sensor, kind, image_format, image, shown_ns)
+            heapq.heappush(self._due, (arrived_ns, sensor.given, int(kind), frame))
 
     for name in (
         *("OBSensorType", "OBStreamType", "OBFrameType", "OBFormat", "OBLogLevel", "OBClockType"),
@@ -358,7 +394,7 @@ def make_module(bus):
     return module
 
 
-def _frame(sensor, kind, image_format, image):
+def _frame(sensor, kind, image_format, image, arrived_ns):
     if image.ndim == 2:
         height, width = image.shape
         frame = values.Frame.create_video_frame(kind, image_format, width, height)
@@ -366,7 +402,7 @@ def _frame(sensor, kind, image_format, image):
         frame = values.Frame.create_frame(kind, image_format, image.size)
     frame.update_data(image.tobytes())
     frame._device_us = sensor.clock_us if sensor.timed else 0
-    frame._system_us = time.perf_counter_ns() // 1000
+    frame._system_us = arrived_ns // 1000
     frame._scale = sensor.scale
     return frame
 
