@@ -19,6 +19,8 @@ from devices.simulated.person.anatomy import Array
 from devices.simulated.person.captured_motion import read_bvh
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
+from devices.simulated.streams import Streams
+from devices.simulated.tracking.report import Tracked
 from devices.simulated.tracking.scripted_faults import ScriptedFaults
 from devices.simulated.tracking.tracker import Tracker
 from devices.simulated.tracking.tracker_errors import TrackerErrors
@@ -89,6 +91,8 @@ class Truth:
     def positions_at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
         """(J, 3) the joints at a time of A's clock, in K_A's frame, metres; (T, J, 3) for (T,) times.
 
+        A stamp with jitter is later than the capture.
+
         Many times at once cost little more than one.
         """
         times = np.asarray(time_ns)
@@ -108,9 +112,9 @@ class TruthAhead:
     def __call__(self, time_ns: int) -> NDArray[np.float64]:
         """(J, 3) as :meth:`Truth.positions_at`."""
         if time_ns not in self._known:
-            rig = self._truth.rig
-            first = round(time_ns * 1e-9 / rig.frame_seconds)
-            times = [time_ns, *(rig.clock(0, rig.captured_at(0, first + k)) for k in range(1, _CHUNK))]
+            rig, seed = self._truth.rig, self._truth.scene.seed
+            first = int(time_ns * 1e-9 / rig.frame_seconds + 1e-6)
+            times = [time_ns, *(rig.stamp(0, first + k, seed) for k in range(1, _CHUNK))]
             self._known = dict(zip(times, self._truth.positions_at(times), strict=True))
         return self._known[time_ns]
 
@@ -153,8 +157,9 @@ class SimulatedKinect(Sensor):
         self.intrinsics: Intrinsics | None = halved(full) if depth == "half" else full
         self._lens = self.intrinsics
         self._scene, self._rig, self._which = scene, rig, which
+        self._streams = Streams(scene.seed, which)
         self._errors, self._script = TrackerErrors.of(scene.body) if errors is None else errors, script
-        self._depth, self.depth_errors = depth, DepthErrors()
+        self._depth, self.depth_errors = depth, DepthErrors.of(scene.body)
         self._infrared: InfraredModel | None = None
         if infrared:
             self._infrared = InfraredModel().binned() if depth == "half" else InfraredModel()
@@ -171,18 +176,18 @@ class SimulatedKinect(Sensor):
         """The frames in capture order; each call starts again with the same frames."""
         scene, rig, which = self._scene, self._rig, self._which
         self.images_wanted = self.images_left_out = 0
-        # Separate random streams: dropping a frame or requesting depth does not change other errors.
-        tracking, dropping = (np.random.default_rng([scene.seed, which, k]) for k in range(2))
+        dropping = self._streams.named("dropping")
         sensor_from_world = rig.world_from_sensor(which).inverse()
         flesh = flesh_over(self.body) * (scene.height / anatomy.REFERENCE_HEIGHT)
-        tracker = Tracker(
-            self.body, self._errors, flesh, self._lens, rig.frame_seconds, tracking, self._script
+        tracked = Tracked(
+            self.body, self._errors, flesh, self._lens, rig.frame_seconds, self._streams, self._script
         )
+        tracker = Tracker(tracked)
         for frame, marks in self._poses():
             positions = sensor_from_world.apply(marks)
             shapes = capsules(positions, scene.height)
             joints = positions[anatomy.landmarks_of(self.body)]
-            time_ns = rig.clock(which, rig.captured_at(which, frame))
+            time_ns = rig.stamp(which, frame, scene.seed)
             skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
             dropped = dropping.random() < rig.dropped
             depth = ir = None
@@ -200,15 +205,15 @@ class SimulatedKinect(Sensor):
         self, landmarks: Array, shapes: Array, frame: int
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint16] | None]:
         """The depth and infrared image of a frame; landmarks and capsules are in the sensor's frame."""
-        seed, which = self._scene.seed, self._which
-        sensor_from_world = self._rig.world_from_sensor(which).inverse()
+        sensor_from_world = self._rig.world_from_sensor(self._which).inverse()
         if self._infrared is not None:
             shapes = clothed_capsules(landmarks, self._scene.height)
         z, label, cosine = surface(shapes, sensor_from_world, self._lens)
-        depth = depth_image(z, cosine, self.depth_errors, np.random.default_rng([seed, which, 2, frame]))
+        errors = self.depth_errors.of_sensor(self._streams.named("depth camera"))
+        depth = depth_image(z, cosine, errors, self._streams.named("depth", frame), self._lens.fx)
         if self._infrared is None or self._light is None:
             return depth, None
-        noise = np.random.default_rng([seed, which, 3, frame])
+        noise = self._streams.named("infrared", frame)
         return depth, infrared_image(z, label, cosine, materials(), self._light, self._infrared, noise)
 
     def _poses(self) -> Iterator[tuple[int, Array]]:
@@ -244,6 +249,7 @@ def simulated_pair(
         angle_deg: Between the sensors; ignored where a rig is given.
         depth: Whether frames carry a depth image: ``none``, ``half`` or ``full``.
         errors: Of the body trackers; the real ones of the body where None.
+        depth_errors: Of the depth images; those of the body's sensor where None.
     """
     moving = movement(motion) if isinstance(motion, str | Path) else motion
     scene = Scene(moving, body, height, seconds, seed)
@@ -251,5 +257,5 @@ def simulated_pair(
     a, b = (
         SimulatedKinect(scene, rig, which, errors=errors, depth=depth, infrared=infrared) for which in (0, 1)
     )
-    a.depth_errors = b.depth_errors = depth_errors or DepthErrors()
+    a.depth_errors = b.depth_errors = depth_errors or DepthErrors.of(body)
     return a, b, Truth(scene, rig)

@@ -13,7 +13,7 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.joint_kinds import by_joint, kind_of
 
 SIZES = frozenset(
-    {"view_bias", "skin", "inferred_error", "outlier_size", "rescale", "jitter", "moving_jitter"}
+    {"view_bias", "skin", "bones", "inferred_error", "outlier_size", "rescale", "jitter", "moving_jitter"}
 )
 """Knobs for the size of an error; they are multiplied."""
 SHARES = frozenset(
@@ -30,7 +30,7 @@ Of ``mirroring`` it is ``back``.
 """
 SHAPES = frozenset({
     "seen_share", "inferred_jitter", "jitter_memory", "rescale_seconds", "lost_seconds",
-    "added",
+    "added", "shared",
 })  # fmt: skip
 """Knobs for the form of an error; they are unchanged."""
 LARGEST_SHARE = 0.95

@@ -1,4 +1,4 @@
-"""Renders depth images of a person, a floor and a wall, with the errors of a time-of-flight sensor.
+"""Renders depth images of a person, a floor and a wall, with the errors of a real sensor.
 
 All kernels that call each other are in this file: numba's cache does not detect a change in another one.
 """
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.simulated.person.anatomy import Array
+from fusion.body import KINECT_V1, Body
 from fusion.compiling.kernels import njit
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
@@ -23,7 +24,7 @@ NOTHING, FLOOR, WALL = -1, -2, -3
 
 @dataclass(frozen=True)
 class DepthErrors:
-    """The errors of a depth image."""
+    """The errors of a depth image: without systematic ones by default."""
 
     noise: float = 0.0008  # standard deviation of a pixel at 0 m, metres
     noise_growth: float = 0.0004
@@ -34,11 +35,46 @@ class DepthErrors:
     farthest: float = 5.5
     """Range of readings, metres. The specified range ends at 3.86 m, but the sensor measures bright surfaces
     farther away."""
+    offset: float = 0.0  # a sensor's own: added to all readings, metres; see :meth:`of_sensor`
+    wiggle: float = 0.0
+    """Amplitude of an error that oscillates with the distance, metres: the modulation is no perfect sine."""
+    wiggle_metres: float = 0.75  # its period: half the wave length of the modulation, 200 MHz
+    phase: float = 0.0  # of that, radians; a sensor's own
+    flying: float = 0.0  # share of the readings at depth discontinuities that lie between the two surfaces
+    step: float = 0.0
+    """Distance of two readings at 1 m, metres; it grows with the square of the distance: of structured light,
+    whose disparity has steps."""
+    baseline: float = 0.0
+    """Metres from the camera to the projector, on its left: what the projector does not light has no
+    reading."""
 
     @staticmethod
     def none() -> DepthErrors:
         """Returns no errors but the rounding of the image to millimetres."""
         return DepthErrors(0.0, 0.0, 0.0, 0.0, 0.0, 65.0)
+
+    @staticmethod
+    def of(body: Body) -> DepthErrors:
+        """Returns the errors of the depth camera of the sensor whose tracker reports this body."""
+        return _STRUCTURED_LIGHT if body is KINECT_V1 else _TIME_OF_FLIGHT
+
+    def of_sensor(self, random: np.random.Generator) -> DepthErrors:
+        """Returns those of one sensor: its ``offset`` and ``phase`` are drawn; the offset here is their
+        standard deviation."""
+        return replace(
+            self,
+            offset=self.offset * random.standard_normal(),
+            phase=self.phase + 2.0 * np.pi * random.random(),
+        )
+
+
+_TIME_OF_FLIGHT = DepthErrors(offset=0.004, wiggle=0.002, flying=0.3)
+"""The Azure Kinect is specified to be off by less than 11 mm + 0.1 % of the distance."""
+_STRUCTURED_LIGHT = DepthErrors(
+    noise=0.0, noise_growth=0.0014, nearest=0.5, farthest=8.0, offset=0.004, step=0.00285, baseline=0.075
+)
+"""Kinect v1. K. Khoshelham, S. Oude Elberink, "Accuracy and resolution of Kinect depth data for indoor
+mapping applications", Sensors 12 (2012): noise 1.4 mm, steps of 2.85 mm, both times the square of metres."""
 
 
 def halved(intrinsics: Intrinsics) -> Intrinsics:
@@ -79,36 +115,59 @@ def surface(
 
 
 def depth_image(
-    z: NDArray[np.float32], cosine: NDArray[np.float32], errors: DepthErrors, random: np.random.Generator
+    z: NDArray[np.float32],
+    cosine: NDArray[np.float32],
+    errors: DepthErrors,
+    random: np.random.Generator,
+    focal: float = 0.0,
 ) -> NDArray[np.uint16]:
-    """Converts the result of :func:`surface` to (height, width) uint16 millimetres; 0 without a reading."""
+    """Converts the result of :func:`surface` to (height, width) uint16 millimetres; 0 without a reading.
+
+    Args:
+        focal: Focal length, pixels, for the shadows of the projector.
+    """
     normal = random.standard_normal(z.shape, dtype=np.float32)
     uniform = random.random(z.shape, dtype=np.float32)
     image = np.zeros(z.shape, dtype=np.uint16)
-    _read_out(z, cosine, normal, uniform, astuple(errors), image)
+    _read_out(z, cosine, normal, uniform, astuple(errors), focal, image)
     return image
 
 
 @njit(nogil=True)
-def _read_out(z, cosine, normal, uniform, errors, image):  # type: ignore[no-untyped-def]
-    noise, growth, grazing, edge_loss, nearest, farthest = errors
+def _read_out(z, cosine, normal, uniform, errors, focal, image):  # type: ignore[no-untyped-def]
+    noise, growth, grazing, edge_loss, nearest, farthest = errors[:6]
+    offset, wiggle, wiggle_metres, phase, flying, step, baseline = errors[6:]
     height, width = z.shape
     for v in range(height):
+        lit = -np.inf  # how far to the right the projector's rays have been stopped, as a column
         for u in range(width):
             here = z[v, u]
+            if baseline > 0.0:
+                column = u + focal * baseline / here
+                if column < lit:
+                    continue
+                lit = column
             if not nearest <= here <= farthest or cosine[v, u] < grazing:
                 continue
             jump = 0.04 * here
-            edge = (
-                (u > 0 and abs(z[v, u - 1] - here) > jump)
-                or (u + 1 < width and abs(z[v, u + 1] - here) > jump)
-                or (v > 0 and abs(z[v - 1, u] - here) > jump)
-                or (v + 1 < height and abs(z[v + 1, u] - here) > jump)
-            )
-            if edge and uniform[v, u] < edge_loss:
-                continue
+            other = here
+            for k in range(4):
+                v2, u2 = v + (k == 0) - (k == 1), u + (k == 2) - (k == 3)
+                if 0 <= v2 < height and 0 <= u2 < width and abs(z[v2, u2] - here) > jump:
+                    other = z[v2, u2]
+            if other != here:
+                if uniform[v, u] < edge_loss:
+                    continue
+                if other < farthest and uniform[v, u] < edge_loss + (1.0 - edge_loss) * flying:
+                    # which share of the light comes from there: any
+                    share = (uniform[v, u] - edge_loss) / max((1.0 - edge_loss) * flying, 1e-9)
+                    here = here + share * (other - here)
             spread = (noise + growth * here * here) / max(cosine[v, u], 0.25)
-            image[v, u] = np.uint16(min(max(1000.0 * (here + spread * normal[v, u]) + 0.5, 0.0), 65535.0))
+            read = here + offset + wiggle * np.sin(2.0 * np.pi * here / wiggle_metres + phase)
+            read += spread * normal[v, u]
+            if step > 0.0 and read > 0.0:
+                read = 1.0 / (step * max(np.rint(1.0 / (step * read)), 1.0))
+            image[v, u] = np.uint16(min(max(1000.0 * read + 0.5, 0.0), 65535.0))
 
 
 @njit()

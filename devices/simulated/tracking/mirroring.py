@@ -75,9 +75,8 @@ class MirroringTracker:
         self._girdles = [
             [body.joint(f"{name}Left"), body.joint(f"{name}Right")] for name in ("Shoulder", "Hip")
         ]
-        self._heading_random = random.spawn(1)[0]
         # Coefficients of the waves of the angle to the sensor: the error lasts as long as the pose.
-        self._heading_error = self._heading_random.standard_normal(4) / np.sqrt(2.0)
+        self._heading_error = random.standard_normal(4) / np.sqrt(2.0)
         self._folded = False
         self._mirrored = False
         self._crossed = np.zeros(2)  # progress of the exchange of the trunk's and the legs' labels, 0 to 1
@@ -95,15 +94,13 @@ class MirroringTracker:
             told: Whether to mirror the person whatever the chance.
         """
         m = self._mirroring
-        if m.back <= 0.0 and m.faces_sensor == 0.0 and not told and not self._crossed.any():
-            return at, states
-        chance, delay = self._random.random(2)
+        chance, delay, folds = self._random.random(3)
         share = m.share(np.cos(angle))
         rate = 1.0 - np.exp(-self._dt / m.seconds)
         if chance < rate * (1.0 - share if self._mirrored else share):
             self._mirrored = not self._mirrored
             self._legs_wait = delay * m.legs_later
-            self._folded = bool(self._heading_random.random() < m.folded) and self._mirrored
+            self._folded = bool(folds < m.folded) and self._mirrored
         if told:
             self._mirrored, self._legs_wait = True, 0.0
         self._legs_wait -= self._dt

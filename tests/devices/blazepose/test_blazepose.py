@@ -150,22 +150,22 @@ def test_images_without_a_person_have_no_people(tracker, image):
     assert tracker.track(infrared, depth, CAMERA, 0) == {}
 
 
-@pytest.mark.parametrize("share", [0.3, 0.7, 0.95])
+@pytest.mark.parametrize("share", [0.3, 0.7, 0.85])  # of more lost depth nobody is found
 def test_a_tracked_joint_never_lies_where_there_is_no_depth(tracker, share):
     """Blocks of the depth image are lost. A tracked joint has a reading near its pixel, not behind it."""
     marks = landmarks_at("walk", 2.0)
     infrared, depth = images_of([marks])
     blocks = np.random.default_rng(1).random((CAMERA.height // 16, CAMERA.width // 16)) < share
     holes = np.kron(blocks, np.ones((16, 16), dtype=bool))
-    people = tracker.track(infrared, np.where(holes, 0, depth).astype(np.uint16), CAMERA, 0)
-    for skeleton in people.values():
-        for joint in np.flatnonzero(skeleton.tracked):
-            u, v = np.rint(CAMERA.project(skeleton.positions[joint])).astype(int)
-            window = np.where(holes, 0, depth)[max(0, v - 8) : v + 9, max(0, u - 8) : u + 9]
-            readings = 0.001 * window[window > 0]
-            z = skeleton.positions[joint, 2]
-            # deeper than the trunk's half thickness a joint cannot lie beneath its surface
-            assert ((readings < z + 0.02) & (readings > z - 0.26)).any(), BLAZEPOSE.joints[joint]
+    skeleton = only(tracker.track(infrared, np.where(holes, 0, depth).astype(np.uint16), CAMERA, 0))
+    assert skeleton.tracked.sum() >= 5
+    for joint in np.flatnonzero(skeleton.tracked):
+        u, v = np.rint(CAMERA.project(skeleton.positions[joint])).astype(int)
+        window = np.where(holes, 0, depth)[max(0, v - 8) : v + 9, max(0, u - 8) : u + 9]
+        readings = 0.001 * window[window > 0]
+        z = skeleton.positions[joint, 2]
+        # deeper than the trunk's half thickness a joint cannot lie beneath its surface
+        assert ((readings < z + 0.02) & (readings > z - 0.26)).any(), BLAZEPOSE.joints[joint]
 
 
 def test_joints_covered_by_a_table_are_inferred(tracker):
@@ -182,12 +182,16 @@ def test_joints_covered_by_a_table_are_inferred(tracker):
     assert np.nanmedian(errors(skeleton, marks)) < 0.05
 
 
-def test_a_person_half_out_of_view_has_no_tracked_joint_outside(tracker):
-    marks = landmarks_at("walk", 2.0) + np.array((1.75, 0.0, 0.0))
-    for skeleton in tracker.track(*images_of([marks]), CAMERA, 0).values():
-        pixels = CAMERA.project(skeleton.positions[skeleton.tracked])
-        assert (pixels > -0.5).all()
-        assert (pixels[:, 0] < CAMERA.width).all()
+def test_a_person_who_leaves_the_view_has_no_tracked_joint_outside(tracker):
+    outside = 0
+    for k in range(12):
+        marks = landmarks_at("walk", 2.0) + np.array((1.2 + 0.05 * k, 0.0, 0.0))
+        for skeleton in tracker.track(*images_of([marks], seed=k), CAMERA, k * FRAME_NS).values():
+            outside += int((CAMERA.project(true_joints(marks))[:, 0] >= CAMERA.width).sum())
+            pixels = CAMERA.project(skeleton.positions[skeleton.tracked])
+            assert (pixels > -0.5).all()
+            assert (pixels[:, 0] < CAMERA.width).all()
+    assert outside >= 15  # of a person who is still found
 
 
 def test_images_of_different_sizes_are_refused_in_one_line(tracker):
