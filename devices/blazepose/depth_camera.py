@@ -105,6 +105,10 @@ class _Images(Sensor):
         return SensorFrame(time_ns=int(time_ns), depth=_millimetres(depth, self.name), ir=ir)
 
 
+_FARTHEST_M = 65.0
+"""An image whose readings are nearly all farther away is in millimetres, as of libfreenect2."""
+
+
 def _millimetres(depth: NDArray[Any], name: str) -> NDArray[np.uint16]:
     if depth.dtype == np.uint16:
         return depth
@@ -112,5 +116,11 @@ def _millimetres(depth: NDArray[Any], name: str) -> NDArray[np.uint16]:
         raise DeviceError(f"{name} gives depth of {depth.dtype}; needed: uint16 millimetres or float metres.")
     with np.errstate(invalid="ignore"):
         millimetres = np.rint(1000.0 * depth)
+        readings = (depth > 0) & (depth < np.inf)
+        if 10 * np.count_nonzero(readings & (depth > _FARTHEST_M)) > 9 * np.count_nonzero(readings):
+            raise DeviceError(
+                f"{name} gives depth of {np.median(depth[readings]):.4g} m (median), as {depth.dtype} is "
+                f"metres. Give millimetres as uint16, or divide them by 1000."
+            )
         valid = (millimetres > 0) & (millimetres <= np.iinfo(np.uint16).max)  # False for NaN
         return np.where(valid, millimetres, 0).astype(np.uint16)

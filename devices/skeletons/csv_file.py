@@ -92,7 +92,8 @@ class _Reader:
             where = f"in line {line_of_row(self._path, row)}"
             self._warnings["impossible"] = impossible_in_words(self._path, self._impossible, where, place)
         (times,) = stored(np.concatenate(self._times) * 1000)
-        self._stated.check_handed(self._path, body, skeletons.positions)
+        if handed := self._stated.check_handed(self._path, body, skeletons.positions):
+            self._warnings["handed"] = handed
         people = RecordedPeople(body, times, list(self._people), frame, person, skeletons)
         return ReadFile(body, people, tuple(self._warnings.values()))
 

@@ -86,17 +86,27 @@ class StatedFormat:
         signs = [-1.0 if part.startswith("-") else 1.0 for part in parts]
         return xyz[..., ["xyz".index(axis) for axis in used]] * signs
 
-    def check_handed(self, name: object, body: Body, positions: NDArray[np.floating]) -> None:
+    def check_handed(self, name: object, body: Body, positions: NDArray[np.floating]) -> str:
         """Refuses stated axes by which the person is a mirror image.
 
+        Returns:
+            A warning where nothing tells, because no frame of the (N, J, 3) positions has trunk and feet.
+
         Raises:
-            DeviceError: The feet of the (N, J, 3) positions point to the wrong side in most frames.
+            DeviceError: The feet point to the wrong side in most frames.
         """
-        if self.axes and (mirrored_share(body, positions) or 0.0) > _MIRRORED:
+        share = mirrored_share(body, positions) if self.axes else 0.0
+        if share is None:
+            return (
+                f"{name}: whether the person is a mirror image by --axes {self.axes} is unknown, because it "
+                "has no feet or no trunk. Raise the left arm, and see whether S* does."
+            )
+        if share > _MIRRORED:
             raise DeviceError(
                 f"{name}: by --axes {self.axes} the person is a mirror image, so the result is left-handed. "
                 "Change the sign of one axis."
             )
+        return ""
 
     def points(self, name: object, labels: Sequence[str]) -> FilePoints:
         """The joints that the points of a file are.

@@ -195,6 +195,7 @@ def test_depth_may_be_metres(seen):
     [
         (DEPTH[:3], GREY, r"depth \(3, 8\).*register the image to depth"),
         (DEPTH, np.zeros((12, 16), np.uint8), "register the image to depth"),
+        (np.full((6, 8), 1500.0, np.float32), GREY, r"depth of 1500 m \(median\).*millimetres as uint16"),
         (DEPTH.astype(np.int32), GREY, "depth of int32; needed: uint16 millimetres"),
         (DEPTH, GREY.astype(np.float32), "of float32; needed"),
         (DEPTH, np.zeros((6, 8, 3), np.uint16), "of uint16; needed"),

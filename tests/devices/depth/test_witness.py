@@ -111,6 +111,6 @@ def test_the_lens_is_opencvs():
 
 def test_a_witness_has_four_numbers_a_joint():
     skeleton = skeleton_with((0.0, 0.0, 2.0))
-    with pytest.raises(FusionError, match=r"has shape \(25, 4\); got \(25, 2\)"):
+    with pytest.raises(FusionError, match=r"kinect_v2 has 25 joints; an array of them has shape \(25, 2\)"):
         skeleton.with_witness(np.zeros((25, 2), dtype=np.float32))
     assert replace(skeleton, witness=None).witness is None

@@ -131,6 +131,14 @@ def test_wrong_axes_are_refused_in_one_line(tmp_path, good, axes, capsys):
     assert WRONG_AXES[axes] in one_line(capsys)
 
 
+def test_axes_that_nothing_proves_are_said_to_be_unproved(tmp_path, good):
+    """Of a file without feet, as of OpenPose; these axes mirror the person."""
+    path = changed(good, tmp_path / "a.csv", lambda table: table[~table["joint"].str.startswith("Foot")])
+    (said,) = read_csv(path, StatedFormat(axes="unity")).warnings
+    assert said.startswith(f"{path}: whether the person is a mirror image by --axes unity is unknown")
+    assert read_csv(path).warnings == ()
+
+
 NAMES = """
 [joints]
 SpineBase = "Hips"
