@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import filecmp
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +35,10 @@ from devices.sensor import DeviceError, Sensor
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
-from fusion.body import Body
+from fusion.body import BODIES, Body
 from fusion.intrinsics import Intrinsics
-from fusion.large_arrays import give_back
-from fusion.pair_arrays import View
+from fusion.large_arrays import give_back, parts
+from fusion.pair_arrays import View, joined_views
 from fusion.progress import Progress, quietly
 from fusion.registration.clock_offset import ClockOffset
 
@@ -104,6 +104,7 @@ class RecordingChoice:
         skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
         person: Id of the person; the one seen longest where None.
         stated: What is stated about a ``.csv``: unit, axes, names of the joints.
+        body: Family of the body tracker, of both recordings; found from the joints of both where empty.
         skeletons_option, person_option: What the caller's user knows these two as, for messages.
     """
 
@@ -113,6 +114,7 @@ class RecordingChoice:
     stated: StatedFormat = UNSTATED
     skeletons_option: str = "skeletons"
     person_option: str = "person"
+    body: str = ""
 
     @property
     def is_tracked(self) -> bool:
@@ -159,11 +161,11 @@ def read_two(
         for choice in (choice_a, choice_b)
     )
     read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
-    if a.body is not b.body:
-        raise DeviceError(
-            f"{a.name} has the {len(a.body)} joints of {a.body.name}, {b.name} the {len(b.body)} of "
-            f"{b.body.name}. Both sensors must be of one family."
-        )
+    body, about_body = _body_of_both((a, b), (read_a, read_b), choice_a.body)
+    read_a, read_b = (
+        replace(read, person=_as_body(read.person, source.body, body))
+        for source, read in ((a, read_a), (b, read_b))
+    )
     clock = by_arrival = None
     if offset_ns is None:
         read_arrivals = read_a.arrivals, read_b.arrivals
@@ -171,12 +173,12 @@ def read_two(
         delay_ns = cable_delay_ns(read_a.info, read_b.info)
         if by_arrival is not None and delay_ns is not None:
             by_arrival = clock_by_cable(by_arrival, delay_ns, read_a.person.time_ns, read_b.person.time_ns)
-        clock = by_arrival or clock_by_motion(a.body, read_a.seen, read_b.seen)
+        clock = by_arrival or clock_by_motion(body, read_a.seen, read_b.seen)
         give_back()
     # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
     tolerance_ns = None if clock is None else median_interval(read_a.seen.time_ns)
     pairing = pair_views(
-        a.body,
+        body,
         read_a.person,
         read_b.person,
         tolerance_ns,
@@ -194,11 +196,71 @@ def read_two(
             f"{_skew_in_words(clock)} were added to B's times, so that both views show one motion. "
             "--offset MS sets another correction."
         ]
-    warnings = *read_a.warnings, *read_b.warnings, *about_clocks
+    warnings = *read_a.warnings, *read_b.warnings, *about_body, *about_clocks
     path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
     name = tracker.full_name if tracked and tracker is not None else ""
     cameras, paths = (a.intrinsics, b.intrinsics), (path_a, path_b)
-    return TwoRecordings(a.body, pairing, cameras, warnings, paths, name, clock, choice_a.stated)
+    return TwoRecordings(body, pairing, cameras, warnings, paths, name, clock, choice_a.stated)
+
+
+def _body_of_both(
+    sources: tuple[Sensor, Sensor], reads: tuple[_Read, _Read], stated: str
+) -> tuple[Body, list[str]]:
+    """The body that has the joints seen in either recording, and a warning where it is a guess.
+
+    Raises:
+        DeviceError: There is none, or not the one stated.
+    """
+    both = [source.body for source in sources]
+    names = {
+        body.joints[j]
+        for body, read in zip(both, reads, strict=True)
+        for j in np.flatnonzero(read.person.states.any(axis=0))
+    }
+    fixed = [source.body for source in sources if not isinstance(source, SkeletonRecording)]
+    wanted = [BODIES[stated]] if stated else list(BODIES.values())
+    fitting = [
+        body
+        for body in wanted
+        if all(body is of for of in fixed) and all(body.find(name) is not None for name in names)
+    ]
+    if stated and not fitting:
+        strangers = sorted(name for name in names if wanted[0].find(name) is None)
+        lacks = (
+            f"has no {', '.join(strangers[:4])}" if strangers else f"is not {fixed[0].name}, of the images"
+        )
+        raise DeviceError(f"--body {stated}: it {lacks}.")
+    if both[0] is not both[1] and not fitting:
+        (a, b), (body_a, body_b) = sources, both
+        raise DeviceError(
+            f"{a.name} has the {len(body_a)} joints of {body_a.name}, {b.name} the {len(body_b)} of "
+            f"{body_b.name}. Both sensors must be of one family."
+        )
+    if stated or fixed or len(fitting) < 2:
+        return fitting[0] if stated or both[0] is not both[1] else both[0], []
+    body = both[0] if both[0] is both[1] else fitting[0]
+    listed = ", ".join(one.name for one in fitting)
+    return body, [
+        f"The joints of both recordings fit {listed}: the errors of {body.name}'s tracker are assumed. State "
+        "the family of yours with --body."
+    ]
+
+
+def _as_body(view: View, body: Body, other: Body) -> View:
+    """The same joints as those of another body; its further joints are not tracked."""
+    if other is body or not len(view.time_ns):
+        return view
+    of = [body.find(name) for name in other.joints]
+    has, joints = [j is not None for j in of], [j for j in of if j is not None]
+
+    def block(rows: slice) -> View:
+        count = len(view.time_ns[rows])
+        at = np.full((count, len(other), 3), np.nan, np.float32)
+        states = np.zeros((count, len(other)), np.uint8)
+        at[:, has], states[:, has] = view.positions[rows][:, joints], view.states[rows][:, joints]
+        return View(view.time_ns[rows], at, states)
+
+    return joined_views(block(rows) for rows in parts(len(view.time_ns)))
 
 
 def _skew_in_words(clock: ClockOffset) -> str:

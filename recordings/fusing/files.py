@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth
 from devices.events import Event
+from devices.sensor import DeviceError
 from devices.skeletons.conventions import Unit
 from devices.skeletons.stated_format import StatedFormat
 from devices.tracker_choice import TrackerChoice, WantedTracker, choose_tracker
 from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
+from fusion.body import BODIES
 from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
 from fusion.handedness import mirrored_share
@@ -46,6 +48,7 @@ def fuse(
     unit: Unit = "auto",
     axes: str = "",
     names: str | Path = "",
+    body: str = "",
     tracker: WantedTracker = "auto",
     depth: Depth = "full",
     hindsight: Hindsight = "labels",
@@ -78,6 +81,8 @@ def fuse(
             of the file that are x (right), y (down) and z (forward), such as ``x,-y,z``.
         names: A table of the names of the joints in ``.csv`` files: a TOML file, or ``mixamo``,
             ``plug-in-gait`` or ``gait2392``.
+        body: Family of the body tracker that made ``.csv`` or ``.json`` files: ``kinect_v1``, ``kinect_v2``,
+            ``azure_kinect`` or ``blazepose``. Empty: by the names of the joints of both.
         tracker: The body tracker of images: ``k4abt``, Microsoft's; ``blazepose``, the program's own, whose
             networks ``duplex tracker fetch`` has fetched; ``auto``: k4abt where it works, else blazepose.
         depth: For an ``.mkv``: how many of its depth images the session contains.
@@ -90,10 +95,12 @@ def fuse(
         DeviceError: A recording cannot be read or tracked, the bodies differ, or they never overlap in time.
         FusionError: The views cannot be calibrated, or cannot be of one capture.
     """
+    if body and body not in BODIES:
+        raise DeviceError(f"body is {', '.join(BODIES)}; got {body!r}.")
     stated = StatedFormat(unit, axes, str(names))
     choices = (
-        RecordingChoice(Path(a), _path(skeletons_a), person_a, stated, "skeletons_a", "person_a"),
-        RecordingChoice(Path(b), _path(skeletons_b), person_b, stated, "skeletons_b", "person_b"),
+        RecordingChoice(Path(a), _path(skeletons_a), person_a, stated, "skeletons_a", "person_a", body),
+        RecordingChoice(Path(b), _path(skeletons_b), person_b, stated, "skeletons_b", "person_b", body),
     )
     settings = replace(settings or FuserSettings(), hindsight=hindsight)
     read = read_for(settings, choices, choose_tracker(tracker), offset_ms)

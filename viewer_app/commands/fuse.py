@@ -112,9 +112,10 @@ def _plan(
 def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:
     a = options.a, options.skeletons_a, options.person_a
     b = options.b, options.skeletons_b, options.person_b
+    body = "" if options.body == "auto" else options.body
     return (
-        RecordingChoice(*a, options.stated, "--skeletons-a", "--person-a"),
-        RecordingChoice(*b, options.stated, "--skeletons-b", "--person-b"),
+        RecordingChoice(*a, options.stated, "--skeletons-a", "--person-a", body),
+        RecordingChoice(*b, options.stated, "--skeletons-b", "--person-b", body),
     )
 
 

@@ -129,6 +129,8 @@ class OwnFileOptions:
 class RecordingOptions(OwnFileOptions):
     """How recordings are fused."""
 
+    body: Annotated[Literal["auto", "kinect_v1", "kinect_v2", "azure_kinect", "blazepose"], SENSORS] = "auto"
+    """Family of the body tracker that made .csv or .json files. auto: by the names of the joints of both."""
     calibrate: Annotated[str, METHOD] = "auto"
     """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
     no_refine: Annotated[bool, EXPERTS] = False

@@ -3,6 +3,7 @@
 import gzip
 import json
 import os
+import re
 
 import numpy as np
 import pytest
@@ -12,10 +13,10 @@ from devices.skeletons.conventions import METRES
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import StatedFormat
 from devices.two_recordings import RecordingChoice, read_two
-from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
+from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V1, KINECT_V2
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
-from tests.helpers.two_views import moving, standing
+from tests.helpers.two_views import A_FROM_B, moving, standing
 
 
 @pytest.fixture(scope="module")
@@ -275,6 +276,51 @@ def test_one_recording_twice_is_refused(tmp_path, capsys):
         read_two(RecordingChoice(tmp_path), RecordingChoice(tmp_path))
     assert duplex("fuse", a, copy, "--no-viewer") == 2
     assert "Fusion needs one recording of each sensor" in one_line(capsys)
+
+
+def write_seen(path, body, view, leave_out):
+    """A recording without the joints whose names match."""
+    write_view(path, body, view)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    rows = [line for line in lines if not re.search(leave_out, line.split(",")[2])]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+TRUNK_AND_MORE = r"PELVIS|SPINE|NECK|CLAVICLE|TIP|THUMB|NOSE|EYE|EAR|HEEL"
+
+
+@pytest.mark.parametrize(
+    ("body", "missing_in_a", "missing_in_b", "stated", "found"),
+    [
+        (BLAZEPOSE, "nothing", "HEEL", "", "blazepose"),
+        (BLAZEPOSE, "HEEL", "nothing", "", "blazepose"),
+        (AZURE_KINECT, "nothing", TRUNK_AND_MORE, "", "azure_kinect"),
+        (BLAZEPOSE, TRUNK_AND_MORE, TRUNK_AND_MORE, "blazepose", "blazepose"),
+        (BLAZEPOSE, TRUNK_AND_MORE, TRUNK_AND_MORE, "", "kinect_v1"),
+    ],
+)
+def test_the_body_is_that_of_both_files_together(tmp_path, body, missing_in_a, missing_in_b, stated, found):
+    truth = moving(body, 70)
+    views = {"a": (truth, missing_in_a), "b": (A_FROM_B.inverse().apply(truth), missing_in_b)}
+    files = [write_seen(tmp_path / f"{s}.csv", body, *of) for s, of in views.items()]
+    read = read_two(*(RecordingChoice(path, body=stated) for path in files))
+    assert read.body.name == found
+    assert any("State the family of yours with --body." in said for said in read.warnings) == (
+        found == "kinect_v1"
+    )
+    elbow = read.body.joint("ELBOW_LEFT")
+    for view, (expected, _) in zip(read.pairing.pairs.skeletons.views, views.values(), strict=True):
+        np.testing.assert_allclose(
+            view.positions[:, elbow], expected[:, body.joint("ELBOW_LEFT")], rtol=0, atol=1e-6
+        )
+        assert (view.states[:, elbow] == 2).all()
+
+
+def test_a_stated_body_without_a_joint_of_the_files_is_refused_in_one_line(tmp_path, capsys):
+    a, b = write_recordings(tmp_path)
+    assert duplex("fuse", a, b, "--no-viewer", "--body", "blazepose") == 2
+    assert "--body blazepose: it has no HandTipLeft, HandTipRight, SpineBase, SpineMid." in one_line(capsys)
 
 
 def test_a_number_of_too_many_digits_is_refused_in_one_line(tmp_path, capsys):
