@@ -1,6 +1,7 @@
 """The facing filter against plain numpy references: one frame, smoothing, live and sequence."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -172,7 +173,10 @@ def test_live_and_sequence_agree_bit_for_bit_and_repeat():
     for name in ("codes", "heading", "doubt", "mirrored"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     seconds = np.diff(views.time_ns, prepend=views.time_ns[0]) * 1e-9
-    stale = [np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=(1, 2))] for x in (views.a, views.b_in_a)]
+    stale = [
+        np.r_[False, [np.array_equal(*two, equal_nan=True) for two in pairwise(x)]]
+        for x in (views.a, views.b_in_a)
+    ]
     for k in range(len(seconds)):
         update_facing(model, state, views.reported_at(k, UP, (stale[0][k], stale[1][k])), seconds[k])
         np.testing.assert_array_equal(state.codes, one.codes[k])
