@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from statistics import median_low
 from typing import Literal, NamedTuple
 
@@ -74,8 +74,8 @@ class _Stream:
     delay_ns: int = 0  # how much later than its partner it captures
     clock: HostClock = field(default_factory=HostClock)
     waiting: list[_Taken] = field(default_factory=list)
-    recent: deque[_Taken] = field(default_factory=lambda: deque(maxlen=2 * _PENDING))
-    lags: deque[tuple[int, int]] = field(default_factory=deque)  # arrival, and how long after the moment; ns
+    recent: deque[tuple[int, int, int]] = field(default_factory=deque)
+    """Arrival, moment and own time of the frames of ten seconds; no frame, which would keep its images."""
     used_ns: int | None = None
     came_ns: int | None = None
     gone: bool = False
@@ -83,12 +83,11 @@ class _Stream:
     def take(self, frame: SensorFrame, now_ns: int) -> None:
         """Gives a frame its moment and its place among those that wait."""
         taken = _Taken(now_ns, frame.time_ns + (self.clock.offset_ns or 0) - self.delay_ns, frame)
-        self.recent.append(taken)
         self.waiting.append(taken)
         self.waiting.sort(key=lambda each: each.frame.time_ns)
-        self.lags.append((now_ns, now_ns - taken.moment_ns))
-        while self.lags[0][0] < now_ns - _SLOWEST_NS:
-            self.lags.popleft()
+        self.recent.append((now_ns, taken.moment_ns, frame.time_ns))
+        while self.recent[0][0] < now_ns - _SLOWEST_NS:
+            self.recent.popleft()
 
     def use(self, count: int) -> list[_Taken]:
         """Takes the first frames out."""
@@ -100,21 +99,20 @@ class _Stream:
         """Starts anew, because the clock does; returns what waited."""
         waited, self.waiting, self.used_ns = self.waiting, [], None
         self.recent.clear()
-        self.lags.clear()
         return waited
 
     def usual_lag_ns(self) -> int | None:
         """Median time from capture to arrival of the newest second; None before a few frames came."""
-        if len(self.lags) < _PENDING:
+        if len(self.recent) < _PENDING:
             return None
-        since_ns = self.lags[-1][0] - _NEWEST_NS
-        return median_low(lag for at, lag in self.lags if at >= since_ns) - self.delay_ns
+        since_ns = self.recent[-1][0] - _NEWEST_NS
+        return median_low(at - moment for at, moment, _ in self.recent if at >= since_ns) - self.delay_ns
 
     def next_after(self, host_ns: int) -> int | None:
         """The first moment from this time on, by the rate so far; None in the first second."""
-        if len(self.recent) < _PENDING or self.lags[-1][0] - self.lags[0][0] < _NEWEST_NS:
+        if len(self.recent) < _PENDING or self.recent[-1][0] - self.recent[0][0] < _NEWEST_NS:
             return None
-        moments = sorted(taken.moment_ns for taken in self.recent)
+        moments = sorted(moment for _, moment, _ in islice(reversed(self.recent), 2 * _PENDING))
         interval_ns = max(median_low(later - earlier for earlier, later in pairwise(moments)), 1)
         return moments[-1] + max(-((moments[-1] - host_ns) // interval_ns), 1) * interval_ns
 
@@ -187,7 +185,7 @@ class LivePairing:
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
         stream, pairs = self._stream(side), list[FramePair]()
         stream.came_ns, stream.gone = now_ns, False
-        times = [taken.frame.time_ns for taken in stream.recent]
+        times = [time_ns for _, _, time_ns in stream.recent]
         if frame.time_ns in times:
             self._counts["repeated"] += 1
             return self.poll(now_ns)
@@ -323,7 +321,7 @@ class LivePairing:
             if next_ns > due_ns + self._tolerance_ns + PATIENCE_NS:
                 return True
             due_ns, patience_ns = max(due_ns, next_ns), PATIENCE_NS
-        slowest_ns = max((lag for _, lag in other.lags), default=self.max_lag_ns)
+        slowest_ns = max((at - moment for at, moment, _ in other.recent), default=self.max_lag_ns)
         until_ns = max(due_ns + min(slowest_ns, self.max_lag_ns), at_ns) + patience_ns
         longest_ns = at_ns + self.max_lag_ns + self._interval_ns
         return now_ns >= min(until_ns, longest_ns) or len(stream.waiting) > _PENDING

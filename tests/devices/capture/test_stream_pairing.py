@@ -259,9 +259,18 @@ def test_in_the_first_second_a_frame_waits_an_interval_longer_than_the_other_sen
     assert pair.b is None
 
 
-def _aligned(count=30):
+def test_what_the_cable_told_of_a_clock_is_forgotten_with_it():
+    pairing = _aligned(sync_delay_ns=0)
+    pairing.restart("b")
+    for index in range(30, 60):  # 20 ms are more than half a frame, and less than arrivals would contradict
+        pairing.add("a", SensorFrame(index * INTERVAL_NS), index * INTERVAL_NS)
+        pairing.add("b", SensorFrame(index * INTERVAL_NS - 20 * MILLISECOND_NS), index * INTERVAL_NS)
+        assert (pairing.figures.pairs, pairing.figures.skew_ns) == (index + 1, 0)
+
+
+def _aligned(count=30, **more):
     """After ``count`` pairs without jitter; the next frames are at ``count`` times the interval."""
-    pairing = LivePairing(INTERVAL_NS)
+    pairing = LivePairing(INTERVAL_NS, **more)
     for index in range(count):
         for side in ("a", "b"):
             pairing.add(side, SensorFrame(index * INTERVAL_NS), index * INTERVAL_NS)  # type: ignore[arg-type]
