@@ -8,10 +8,11 @@ import pytest
 from recordings import layout
 from tests.acceptance.conftest import copied
 from tests.helpers.displays import SIZE
-from tests.helpers.pictures import shows_skeletons
+from tests.helpers.pictures import shows_body, shows_skeletons
 from tests.helpers.programs import NO_DISPLAY, ROOT, typed
 from tests.helpers.screens import wayland_screen
 from tests.helpers.waiting import eventually
+from viewer_app.viewer.blueprint import SCENE
 
 _DRAWN_WITHIN = 300.0
 
@@ -35,17 +36,19 @@ def shows(screen, seen):
     """Waits until the one window of a screen shows the three skeletons; returns what it shows."""
 
     def found(program):
-        assert eventually(lambda: "Rerun" in screen.titles(), _DRAWN_WITHIN), program.said
+        assert eventually(lambda: "Rerun" in screen.titles(), _DRAWN_WITHIN, every=0.5), program.said
         (window,) = screen.windows()
         pictures = []
 
         def drawn():
-            pictures.append(window.picture())
-            return shows_skeletons(pictures[-1])
+            pictures[:] = window.picture(), window.picture(SCENE)
+            return shows_skeletons(pictures[0]) and shows_body(pictures[1])
 
-        assert eventually(drawn, _DRAWN_WITHIN, every=0.5), "no skeletons in the window"
-        seen(pictures[-1])
-        height, width, _ = pictures[-1].shape
+        shown = eventually(drawn, _DRAWN_WITHIN, every=0.5)
+        seen(pictures[0])
+        seen(pictures[1], "-scene")
+        assert shown, "no skeletons in the window"
+        height, width, _ = pictures[0].shape
         assert width >= SIZE[0] // 2
         assert height >= SIZE[1] // 2
         if screen.photograph is not None:

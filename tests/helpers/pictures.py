@@ -33,4 +33,9 @@ def shows_skeletons(picture):
     if picture is None:
         return False
     lines = all(pixels_near(picture, SKELETON_COLORS[side]) > 50 for side in layout.SIDES)
-    return lines and pixels_near(picture, SKELETON_COLORS["fused"], 70) > 50
+    return lines and shows_body(picture, 50)
+
+
+def shows_body(picture, pixels=1000):
+    """Whether a picture has S* as a body of at least so many pixels; none: it has not."""
+    return picture is not None and pixels_near(picture, SKELETON_COLORS["fused"], 70) >= pixels

@@ -72,10 +72,18 @@ class Window:
             return ViewerClient.connect(self._url).get_state()
         return None
 
-    def picture(self):
-        """Its picture as the viewer draws it, (height, width, 3) uint8; None while it starts."""
+    def picture(self, view=None):
+        """Its picture as the viewer draws it, or that of a view, (height, width, 3) uint8.
+
+        None while it starts, or has no view of this name.
+        """
         with contextlib.suppress(OSError, RuntimeError):
-            return _pixels(ViewerClient.connect(self._url).take_screenshot())
+            viewer = ViewerClient.connect(self._url)
+            if view is None:
+                return _pixels(viewer.take_screenshot())
+            views = viewer.get_state().views
+            for view_id in [each.view_id for each in views if each.visible and each.name == view]:
+                return _pixels(viewer.take_screenshot(view_id))
         return None
 
     def close(self):
@@ -89,7 +97,9 @@ class Window:
 def x_screen():
     """A screen of X, without a graphics card; the test is skipped where there is none."""
     need_viewer()
-    with x_server() as name:
+    with x_server(
+        "-noreset"
+    ) as name:  # a desktop always has a client, after whose end a server would start again
         _put_pointer_aside(name)
         with contextlib.closing(Screen({"DISPLAY": name}, lambda: titles(name))) as screen:
             yield screen
