@@ -1,9 +1,12 @@
 """One contract for the sensors of all vendors, and the example of CONTRIBUTING.md, which is one more."""
 
+import enum
 import importlib.abc
 import importlib.machinery
 import re
 import sys
+from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +14,7 @@ import numpy as np
 import pytest
 
 from devices import live_sensors
+from devices.azure import pyk4a_access
 from devices.azure.pyk4a_access import load_sdk as azure_sdk
 from devices.capture.capture_stream import LiveSensor
 from devices.capture.frame_decimation import FrameDecimation
@@ -18,7 +22,9 @@ from devices.capture.settings import CaptureSettings
 from devices.live_checks import device_checks
 from devices.live_sensors import VENDORS, Vendor, connected_sensors
 from devices.network.zenoh_session import load_zenoh
+from devices.orbbec import sdk_access as orbbec_access
 from devices.orbbec.sdk_access import load_sdk as orbbec_sdk
+from devices.realsense import sdk_access as realsense_access
 from devices.realsense.sdk_access import load_sdk as realsense_sdk
 from devices.sensor import AbsentError, DeviceError
 from devices.tracker_choice import TrackerChoice
@@ -175,3 +181,38 @@ def test_a_library_that_is_damaged_is_one_line(name, kind, monkeypatch):
     with pytest.raises(DeviceError, match=r"built for another numpy") as fault:
         LOADERS[name]()
     assert "\n" not in str(fault.value)
+
+
+@pytest.mark.usefixtures("orbbecs", "bus", "rs")
+@pytest.mark.parametrize("module", [orbbec_access, pyk4a_access, realsense_access])
+def test_a_library_of_another_version_names_what_it_lacks(module, monkeypatch):
+    """pyorbbecsdk2 2.0.18 lacks ``Context.set_timestamp_clock_type``."""
+    sdk, tried = module.load_sdk(), 0
+    for name in module._NAMES:
+        holder, _, last = name.rpartition(".")
+        owner = attrgetter(holder)(sdk) if holder else sdk
+        if last not in vars(owner) or isinstance(owner, enum.EnumType):
+            continue
+        with monkeypatch.context() as patch:
+            patch.delattr(owner, last)
+            if hasattr(owner, last):  # its base class has it, too
+                continue
+            with pytest.raises(DeviceError, match=f"lacks {re.escape(name)}"):
+                module.load_sdk()
+        tried += 1
+    assert tried >= 10
+
+
+@pytest.mark.usefixtures("orbbecs")
+def test_what_one_vendors_library_raises_is_that_vendors_fault_alone(example, monkeypatch):
+    def fails():
+        raise AttributeError("'Context' object has no attribute 'set_timestamp_clock_type'")
+
+    row = replace(VENDORS["orbbec"], sensors="Acme sensors", connected=example.connected_acmes)
+    monkeypatch.setitem(live_sensors.VENDORS, "acme", row)
+    monkeypatch.setitem(live_sensors.VENDORS, "orbbec", replace(VENDORS["orbbec"], connected=fails))
+    assert [one.serial for one in connected_sensors(OURS)] == ["7"]
+    sys.modules["acme"].there = []
+    monkeypatch.setitem(live_sensors.VENDORS, "acme", replace(row, connected=fails))
+    with pytest.raises(DeviceError, match="AttributeError: 'Context' object"):
+        connected_sensors(OURS)

@@ -50,6 +50,22 @@ def test_a_recording_that_never_reports_its_end_is_abandoned(orbbecs, tmp_path):
         assert len(list(recording.frames())) == 5
 
 
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_recording_that_ends_early_is_told(orbbecs, tmp_path, ends):
+    now = iter(range(10**6))
+    with OrbbecRecording(
+        _bag(orbbecs, tmp_path / "a.bag", 90, ends=ends), lambda: float(next(now))
+    ) as recording:
+        orbbecs.bags[str(recording.path)].frames = 30
+        assert len(list(recording.frames())) == 30
+    (said,) = recording.warnings
+    assert "depth ended early: 30 frames of the first 1.0 of 3.0 s could be read" in said
+    with OrbbecRecording(_bag(orbbecs, tmp_path / "b.bag", 0)) as recording:
+        recording._clock = lambda: float(next(now))
+        with pytest.raises(DeviceError, match="holds no complete frame"):
+            list(recording.frames())
+
+
 def test_a_fault_of_closing_does_not_hide_what_was_read(orbbecs, tmp_path):
     path = _bag(orbbecs, tmp_path / "a.bag")
     with OrbbecRecording(path) as recording:
