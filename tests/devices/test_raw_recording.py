@@ -180,6 +180,20 @@ def test_depth_that_comes_before_the_first_colour_image_does_not_leave_colour_ou
     assert [each.color is not None for each in found] == [False] * late + [True] * (15 - late)
 
 
+def test_colour_that_starts_seconds_after_depth_is_recorded(tmp_path):
+    """A sensor that is open knows its colour camera before that gives an image."""
+    sensor = Camera()
+    sensor.color_camera = ColorCamera(LENS, RigidTransform.identity())
+    color = ColorImage(b"\xff\xd8colour\xff\xd9", sensor.color_camera)
+    with RawRecorder(tmp_path / "a.mkv", sensor, CaptureSettings(color="720P")) as recorder:
+        for number in range(31):
+            recorder.add(replace(frame(number), ir=None))
+        assert eventually(lambda: recorder.written == 31)
+        recorder.add(replace(frame(31), ir=None, color=color))
+    found, _ = read(recorder.path)
+    assert [each.color is not None for each in found] == [False] * 31 + [True]
+
+
 def test_a_sensor_without_an_image_is_recorded_after_a_second(tmp_path):
     with RawRecorder(tmp_path / "a.mkv", Camera()) as recorder:
         for number in range(31):
