@@ -31,7 +31,7 @@ class Model(NamedTuple):
     order: NDArray[np.int64]  # (J,) parents before children
     rest: Array  # (J, 3)
     linked: NDArray[np.bool_]  # (J, J)
-    lateral: NDArray[np.bool_]  # (J,) whether a joint has a counterpart on the other side
+    mirror: NDArray[np.int64]  # (J,) a joint's counterpart on the other side; itself on the middle line
     hinges: NDArray[np.int64]  # (4, 3) near end, hinge, far end: both knees, both elbows
     bend_signs: Array  # (4,) 1 where the hinge lies before the line of its ends, -1 behind
     sides: NDArray[np.int64]  # (4,) left and right hip, left and right shoulder
@@ -50,7 +50,7 @@ class Model(NamedTuple):
 
 
 class State(NamedTuple):
-    """The filter's state between two frames."""
+    """What the filter knows of the person; :func:`fusion.estimator.process.forget` resets all of it."""
 
     positions: Annotated[Array, ("J", 3)]  # S*, metres, K_A's frame
     velocities: Annotated[Array, ("J", 3)]  # m/s
@@ -60,15 +60,22 @@ class State(NamedTuple):
     offset_variances: Annotated[Array, (2, "J")]
     usual_offsets: Annotated[Array, (2, "J", 3)]  # mean share of each view in the views' difference, metres
     agreed: Annotated[Array, ("J",)]  # seconds that these are means of, at most usual_seconds
+    recalibrated: Annotated[Array, (1,), np.inf]  # seconds since the calibration changed
     shared_error: Annotated[Array, ("J", 3, 3)]  # covariance of the slow error of S*, m²
     outlier_probability: Annotated[Array, (2, "J")]  # that the view's last measurement was an outlier
     view_outlier_probability: Annotated[Array, (2,)]  # its mean over the joints that the view measured
+    astray: Annotated[Array, (1,)]  # seconds for which S* has been where no view sees the person
     scales: Annotated[Array, (2,)]  # scale of each view's skeleton, minus 1
     scale_variances: Annotated[Array, (2,)]
     solver_start: Annotated[Array, ("J", 3), np.nan]  # S* of the last frame, the solver's start
     last_time: Annotated[Ints, (2,)]  # of the last frame with a person, ns; 1 if there was such a frame
-    last_positions: Annotated[NDArray[np.float32], (2, "J", 3), np.nan]  # as the sensors gave them
-    last_states: Annotated[NDArray[np.uint8], (2, "J")]
+
+
+class LastSkeletons(NamedTuple):
+    """The last skeleton that each sensor gave, whosoever it was: one that repeats it is stale."""
+
+    positions: Annotated[NDArray[np.float32], (2, "J", 3), np.nan]  # as the sensors gave them
+    states: Annotated[NDArray[np.uint8], (2, "J")]
 
 
 class Views(NamedTuple):
@@ -117,6 +124,7 @@ class Filter(NamedTuple):
     model: Model
     facing_model: FacingModel
     state: State
+    last: LastSkeletons
     facing: FacingState
     views: Views
     solve: Solve
@@ -160,7 +168,7 @@ def new_model(
         order=body.order,
         rest=np.ascontiguousarray(body.rest),
         linked=body.linked,
-        lateral=body.sided,
+        mirror=np.ascontiguousarray(body.mirror, dtype=np.int64),
         hinges=np.array(
             [[body.joint(joint + side) for joint in limb] for limb in _LIMBS for side in ("Left", "Right")],
             dtype=np.int64,

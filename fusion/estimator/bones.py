@@ -13,6 +13,7 @@ from fusion.solvers.small_matrices import inverse
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_start import copy
 
+_FASTEST = 20.0  # m/s: no joint of a person is faster
 _PRIOR_INFORMATION = 1.0  # 1/m²: a joint that was never seen has a standard deviation of one metre
 
 
@@ -76,9 +77,14 @@ def correct_state(model, state, solve):  # type: ignore[no-untyped-def]
         if not state.known[i]:
             continue
         slope = P[i, 1] / P[i, 0]
+        square = 0.0
         for c in range(3):
             v[i, c] += slope * (solve.positions[i, c] - x[i, c])
             x[i, c] = solve.positions[i, c]
+            square += v[i, c] * v[i, c]
+        if square > _FASTEST * _FASTEST:
+            for c in range(3):
+                v[i, c] *= _FASTEST / math.sqrt(square)
     copy(solve.positions, state.solver_start)
 
 

@@ -13,6 +13,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
+from fusion.setup import DEFAULT_SMOOTHING
+
+FRAME_SECONDS = 1.0 / 30.0
+"""The interval at which the constants that are stated for 1/30 s were fitted."""
+_CALMEST = 0.03
 
 _BY_KIND = {
     "spine": (0.0086, 0.0184, 0.0151, 0.0011, 0.0037, 0.64),
@@ -81,7 +86,7 @@ class Constants(NamedTuple):
     before: float = 0.0
     """How much farther than this joint the other may be and still count as before it, metres."""
     acceleration: float = 1.0
-    """Standard deviation of a still elbow's acceleration, m/s², of the body's tracker."""
+    """Standard deviation of a still elbow's mean acceleration over 1/30 s, m/s², of the body's tracker."""
     acceleration_by_speed: float = 16.0  # what is added for each m/s, 1/s
     velocity_seconds: float = 0.4  # how long a joint keeps its velocity relative to its parent's
     agreement_seconds: float = 1.0  # how long an offset between the views lasts while both see the joint
@@ -89,13 +94,13 @@ class Constants(NamedTuple):
     usual_seconds: float = 20.0  # over how long the usual offsets are averaged, to which offsets decay
     outlier: float = 0.02  # probability that a tracked joint is an outlier
     inferred_outlier: float = 0.2  # the same of an inferred joint
-    outlier_lasts: float = 0.9  # probability that an outlier is followed by one
+    outlier_lasts: float = 0.9  # probability that an outlier lasts for 1/30 s
     outlier_side: float = 0.6  # side of the cube that outliers are spread over, metres
     surface_slow: float = 2.0
     """Factor on the errors of :data:`fusion.witness.SURFACE_SD`. An image errs to the same side as long as a
     pose lasts."""
     surface_fast: float = 0.008  # fast error of the surface in a depth image, metres
-    surprise: float = 0.05  # probability that a joint moves in a way that the prediction does not cover
+    surprise: float = 0.05  # probability of a movement within 1/30 s that the prediction does not cover
     sides_doubted: float = 1.0  # how much of the doubt about a view's sides counts as probability of outliers
     length_error: float = 0.015
     """Error of a bone's length within a view, metres, that multiplies the odds of an outlier at either of its
@@ -145,8 +150,12 @@ class Constants(NamedTuple):
 def calmness(smoothing: float) -> float:
     """The factor on the acceleration's variance for a smoothing from 0 to 1.
 
-    ``((1 - s) / s)⁴``: 1 at the default of 0.5; so large at 0 that the prediction has no weight and each
-    frame is estimated on its own; about 10⁻⁸ at 1.
+    ``((1 - s) / s)⁴`` up to the default of 0.5, where it is 1; so large at 0 that the prediction has no
+    weight and each frame is estimated on its own. Beyond, it falls evenly in its logarithm to 0.03 at 1. With
+    less, S* cannot follow a person, and every other movement would count as a surprise: it was rougher, not
+    smoother, and up to a metre off.
     """
-    s = min(max(smoothing, 1e-3), 1.0 - 1e-2)
+    if smoothing > DEFAULT_SMOOTHING:
+        return float(_CALMEST ** ((smoothing - DEFAULT_SMOOTHING) / (1.0 - DEFAULT_SMOOTHING)))
+    s = max(smoothing, 1e-3)
     return float(((1.0 - s) / s) ** 4)

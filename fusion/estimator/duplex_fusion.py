@@ -8,11 +8,12 @@ import numpy as np
 from numba import typeof
 
 from fusion.array_fields import new_arrays
-from fusion.estimator.arrays import Filter, Model, Output, Solve, State, Views, new_model
+from fusion.estimator.arrays import Filter, LastSkeletons, Model, Output, Solve, State, Views, new_model
 from fusion.estimator.constants import Constants
 from fusion.estimator.estimator import boxed, estimate_pairs
 from fusion.estimator.smoother import Trace, smooth_pairs
 from fusion.estimator.views import relabel
+from fusion.facing.exchange import exchange
 from fusion.facing.model import FacingState, new_facing_model
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays
@@ -38,6 +39,7 @@ class DuplexFusion:
             model=self._model_of(setup),
             facing_model=new_facing_model(body),
             state=new_arrays(State, J=joints),
+            last=new_arrays(LastSkeletons, J=joints),
             facing=new_arrays(FacingState, J=joints),
             views=new_arrays(Views, J=joints),
             solve=new_arrays(Solve, J=joints),
@@ -56,15 +58,18 @@ class DuplexFusion:
         """Continues with another calibration without a jump of S*.
 
         A change of R and t moves S_B. B's offsets absorb the change at the last position of each joint in B,
-        and decay afterwards. The usual offsets stay and adapt over time: it is not known whether they were
-        learned under the same error or before a sensor was moved.
+        as it was labelled, and decay within a second afterwards. The
+        usual offsets stay and adapt over time: it is not known whether they were learned under the same error
+        or before a sensor was moved.
         """
-        before = self._setup.calibration.a_from_b
-        state = self._filter.state
-        last = state.last_positions[1].astype(np.float64)
+        before, of = self._setup.calibration.a_from_b, self._filter
+        reported, states = of.last.positions[1].astype(np.float64), of.last.states[1]
+        last, unused = np.empty_like(reported), np.empty_like(states)
+        exchange(of.facing_model, reported, states, of.views.codes[1], last, unused)
         moved = setup.calibration.a_from_b.apply(last) - before.apply(last)
         seen = np.isfinite(moved).all(axis=1)
-        state.offsets[1][seen] += moved[seen]
+        of.state.offsets[1][seen] += moved[seen]
+        of.state.recalibrated[0] = 0.0
         self._setup, self._filter = setup, self._filter._replace(model=self._model_of(setup))
         self._box = boxed(self._filter, self._no_trace)
 

@@ -19,15 +19,19 @@ from fusion.estimator.evidence import depth_evidence, length_evidence, measure_s
 from fusion.estimator.heading import turn_girdles
 from fusion.estimator.kalman import kalman_update, predict, start_joints, update_common_error
 from fusion.estimator.offsets import decay_offsets, update_offsets, update_usual_offsets
-from fusion.estimator.outliers import inflate_on_surprise, outlier_probabilities, store_outlier_state
-from fusion.estimator.smoother import trace_prediction, trace_result
+from fusion.estimator.outliers import outlier_probabilities, store_outlier_state
+from fusion.estimator.process import (
+    drop_wrong_offsets,
+    elapsed,
+    forget,
+    inflate_on_surprise,
+    inflate_where_astray,
+)
+from fusion.estimator.smoother import trace_result
 from fusion.estimator.views import relabel, remove_scales, transform_views
 from fusion.pair_arrays import anyone_seen
 
-FORGET_NS = 1_000_000_000
-"""After this time without a person the filter starts again."""
 _LEAST_TRUST = 0.01  # a joint with less trust counts as predicted
-_SHORTEST_STEP = 1e-3  # s: two pairs with the same time must not give an infinite speed
 
 
 @kernel
@@ -58,9 +62,11 @@ def estimate_pairs(box, pairs, output):  # type: ignore[no-untyped-def]
 def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-def]
     """Computes S* of pair k into row k of the output."""
     model, state, views, solve = filter.model, filter.state, filter.views, filter.solve
-    dt = elapsed(state, pairs.time_ns[k])
+    dt, anew = elapsed(state, pairs.time_ns[k])
+    if anew:
+        forget(model, state, filter.facing)
     # transform both views to K_A's frame
-    transform_views(model, state, views, pairs, k)
+    transform_views(model, filter.last, views, pairs, k)
     output.stale_a[k], output.stale_b[k] = views.stale[0], views.stale[1]
     if not anyone_seen(pairs, k):
         write_empty_row(output, k)
@@ -75,10 +81,9 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     length_evidence(model, state, views)
     # shoulders and hips towards the heading
     if model.constants.heading:
-        turn_girdles(filter.facing_model, filter.facing.frame_up, model.translations, views)
+        turn_girdles(filter.facing_model, filter.facing.memory.frame_up, model.translations, views)
     # predict positions, velocities and variances
-    predict(model, state, dt)
-    trace_prediction(model, state, trace, k, dt)
+    predict(model, state, trace, k, dt)
     # covariance of each measurement
     set_rays(model, views)
     find_covers(model, views)
@@ -87,9 +92,12 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     measure_surface(model, views, solve)
     # decay of each view's offsets
     decay_offsets(model, state, views, dt)
+    drop_wrong_offsets(model, state, views, trace, k)
     # probability that a measurement is an outlier
-    outlier_probabilities(model, state, views)
-    inflate_on_surprise(model, state, views, dt)
+    outlier_probabilities(model, state, views, dt)
+    # the prediction is wrong: both views agree on a movement, or S* is where no view sees the person
+    inflate_on_surprise(model, state, views, trace, k, dt)
+    inflate_where_astray(model, state, views, trace, k, dt)
     # Kalman update with both views
     kalman_update(model, state, views)
     # divide the remaining difference of the views between their offsets
@@ -98,7 +106,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     update_common_error(model, state, views, solve, dt)
     # start joints that are seen for the first time
     start_joints(model, state, views, solve)
-    store_outlier_state(model, state, views)
+    store_outlier_state(model, state, views, dt)
     # knees and elbows bend in one direction only
     enforce_hinges(model, state, views)
     # the best skeleton with exact bone lengths
@@ -111,19 +119,6 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     # covariance of S*
     joint_covariances(model, solve, output.covariance[k], output.sigma[k])
     write_row(state, views, solve, output, k)
-
-
-@inner_kernel
-def elapsed(state, time_ns):  # type: ignore[no-untyped-def]
-    """Seconds since the last pair with a person; after too long a time, the state is reset."""
-    if state.last_time[1] == 1 and time_ns - state.last_time[0] > FORGET_NS:
-        state.last_time[1] = 0
-        for i in range(len(state.known)):
-            state.known[i] = False
-        state.view_outlier_probability[0] = state.view_outlier_probability[1] = 0.0
-    if state.last_time[1] == 0:
-        return _SHORTEST_STEP
-    return max(1e-9 * (time_ns - state.last_time[0]), _SHORTEST_STEP)
 
 
 @inner_kernel

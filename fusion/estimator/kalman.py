@@ -1,14 +1,18 @@
-"""The Kalman filter of each joint: prediction, update with both views, and the slow error of S*."""
+"""The Kalman filter of each joint: prediction, update with both views, and the slow error of S*.
+
+How the variances grow is in :mod:`fusion.estimator.process`.
+"""
 
 from __future__ import annotations
 
 import math
 
 from fusion.compiling.kernels import inner_kernel
+from fusion.estimator.constants import FRAME_SECONDS
 from fusion.estimator.outliers import innovation
+from fusion.estimator.process import process
 from fusion.solvers.small_matrices import add_inverse, inverse
 
-_LARGEST_STEP = 0.3  # m, largest standard deviation that acceleration adds in one step
 _LARGEST_VARIANCE = 0.25  # m²: its bones keep a joint within this variance
 _LEAST_TRUST = 1e-3  # a measurement with less trust has no visible effect
 _LEAST_SUM = 0.05  # trust of both views together
@@ -16,21 +20,27 @@ _FIRST_SPEED = 1.0  # m/s, standard deviation along an axis
 
 
 @inner_kernel
-def predict(model, state, dt):  # type: ignore[no-untyped-def]
+def predict(model, state, trace, k, dt):  # type: ignore[no-untyped-def]
     """Positions, velocities and variances after dt seconds, parents first.
 
     A joint moves with its velocity. The difference between its velocity and its parent's decays in
     ``velocity_seconds``, so that an unseen joint moves with the trunk. White acceleration makes the
-    uncertainty grow, and is larger for a fast joint:
+    uncertainty grow (:func:`fusion.estimator.process.process`), and is larger for a fast joint; its density
+    is that of a mean acceleration over 1/30 s with the deviation
 
         σ_a = share (acceleration + acceleration_by_speed |v|) √calmness
-        P ← F P Fᵀ + σ_a² [dt⁴/4, dt³/2; dt³/2, dt²],    F = [1, dt; 0, 1]
 
-    One 2×2 matrix P per joint holds for all three axes.
+    One 2×2 matrix P per joint holds for all three axes. Its bones keep a joint within ``_LARGEST_VARIANCE``,
+    which is knowledge, and so no part of the prediction in the trace.
+
+    Args:
+        trace, k: Pair k of the smoother's input.
     """
-    k = model.constants
-    kept = math.exp(-dt / k.velocity_seconds)
+    of = model.constants
+    kept = math.exp(-dt / of.velocity_seconds)
     x, v, P = state.positions, state.velocities, state.variances
+    if len(trace.seconds) > 0:
+        trace.seconds[k] = dt if state.last_time[1] == 1 else -1.0
     for n in range(len(model.order)):
         i = model.order[n]
         if not state.known[i]:
@@ -39,16 +49,12 @@ def predict(model, state, dt):  # type: ignore[no-untyped-def]
         if p >= 0 and state.known[p]:
             for c in range(3):
                 v[i, c] = v[p, c] + kept * (v[i, c] - v[p, c])
-            P[i, 1] *= kept
-            P[i, 2] *= kept * kept
         speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1] + v[i, 2] * v[i, 2])
-        sd = model.acceleration[i] * (k.acceleration + k.acceleration_by_speed * speed)
-        q = min(sd * sd * model.calmness, (_LARGEST_STEP / (dt * dt)) ** 2)
+        sd = model.acceleration[i] * (of.acceleration + of.acceleration_by_speed * speed)
         for c in range(3):
             x[i, c] += v[i, c] * dt
-        P[i, 0] += 2.0 * dt * P[i, 1] + dt * dt * P[i, 2] + 0.25 * q * dt**4
-        P[i, 1] += dt * P[i, 2] + 0.5 * q * dt**3
-        P[i, 2] += q * dt * dt
+        own = kept if p >= 0 and state.known[p] else 1.0
+        process(state, trace, k, i, own, dt, sd * sd * model.calmness * FRAME_SECONDS)
         if P[i, 0] > _LARGEST_VARIANCE:
             shrink = _LARGEST_VARIANCE / P[i, 0]
             P[i, 0] *= shrink
@@ -92,7 +98,7 @@ def start_joints(model, state, views, solve):  # type: ignore[no-untyped-def]
             continue
         state.known[i] = True
         both = views.states[0, i] != 0 and views.states[1, i] != 0
-        x = y = z = 0.0
+        x = y = z = information = 0.0
         for r in range(3):
             for c in range(3):
                 sums[r, c] = 0.0
@@ -104,7 +110,7 @@ def start_joints(model, state, views, solve):  # type: ignore[no-untyped-def]
             x += scratch[0, 0] * z_s[0] + scratch[0, 1] * z_s[1] + scratch[0, 2] * z_s[2]
             y += scratch[1, 0] * z_s[0] + scratch[1, 1] * z_s[1] + scratch[1, 2] * z_s[2]
             z += scratch[2, 0] * z_s[0] + scratch[2, 1] * z_s[1] + scratch[2, 2] * z_s[2]
-            state.variances[i, 0] = views.fast[s, i]
+            information += 1.0 / views.fast[s, i]
         inverse(sums, scratch)
         for r in range(3):
             state.positions[i, r] = scratch[r, 0] * x + scratch[r, 1] * y + scratch[r, 2] * z
@@ -113,6 +119,7 @@ def start_joints(model, state, views, solve):  # type: ignore[no-untyped-def]
                 state.shared_error[i, r, c] = scratch[r, c]
             state.usual_offsets[0, i, r] = state.usual_offsets[1, i, r] = 0.0
         state.agreed[i] = 0.0
+        state.variances[i, 0] = 1.0 / information
         state.variances[i, 1], state.variances[i, 2] = 0.0, _FIRST_SPEED**2
         for s in range(2):
             seen = views.states[s, i] != 0

@@ -17,6 +17,8 @@ from fusion.skeleton import TRACKED
 from fusion.solvers.small_matrices import inverse
 
 _FIRST_SECONDS = 3.0  # s of agreement without which a mean says little: poses last about that long
+_LARGEST_USUAL = 0.04  # m: trackers differ by up to twice as much for long; more is a wrong calibration
+_RECALIBRATED = 1.0, 0.15  # s, s²: for how long after a recalibration the offsets decay at t / 0.15 s²
 _UNSEEN_VARIANCE = 2.0  # times the usual one: a joint that the view does not report is probably covered
 
 
@@ -29,13 +31,21 @@ def decay_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
     C is the mean slow variance of the measurement. They last for ``agreement_seconds`` while both views are
     trusted, for ``alone_seconds`` while only one is. The variance of an offset does not grow for a view that
     is trusted alone, because S* then follows that view.
+
+    After a recalibration the offsets contain the change of the calibration, which is no error of a tracker.
+    They then decay faster, within a second, at a rate that grows from 0.
     """
     k = model.constants
+    state.recalibrated[0] += dt
+    since, rate = state.recalibrated[0], 0.0
+    if since < _RECALIBRATED[0]:
+        rate = since / _RECALIBRATED[1]
+    settled = math.exp(-dt * rate)
     together, alone = math.exp(-dt / k.agreement_seconds), math.exp(-dt / k.alone_seconds)
     for i in range(len(model.parents)):
         both = views.states[0, i] != 0 and views.states[1, i] != 0
         agreed = both and state.outlier_probability[0, i] < 0.5 and state.outlier_probability[1, i] < 0.5
-        kept = together if agreed else alone
+        kept = settled * (together if agreed else alone)
         for v in range(2):
             for c in range(3):
                 usual = state.usual_offsets[v, i, c]
@@ -116,7 +126,7 @@ def update_usual_offsets(model, state, views, dt):  # type: ignore[no-untyped-de
         b_usual,A ← b_usual,A + g (w d - b_usual,A),    b_usual,B ← b_usual,B + g ((w - 1) d - b_usual,B)
 
     with w = tr C_A / (tr C_A + tr C_B), and n the seconds that the mean is of. So it is 0 at first, and a
-    running mean later.
+    running mean later. Neither becomes larger than 4 cm.
     """
     later = views.delays[0] - views.delays[1]
     for i in range(len(model.parents)):
@@ -132,3 +142,9 @@ def update_usual_offsets(model, state, views, dt):  # type: ignore[no-untyped-de
             d = views.positions[0, i, c] - views.positions[1, i, c] - state.velocities[i, c] * later
             state.usual_offsets[0, i, c] += pace * (share * d - state.usual_offsets[0, i, c])
             state.usual_offsets[1, i, c] += pace * ((share - 1.0) * d - state.usual_offsets[1, i, c])
+        for v in range(2):
+            usual = state.usual_offsets[v, i]
+            size = math.sqrt(usual[0] * usual[0] + usual[1] * usual[1] + usual[2] * usual[2])
+            if size > _LARGEST_USUAL:
+                for c in range(3):
+                    usual[c] *= _LARGEST_USUAL / size

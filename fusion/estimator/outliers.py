@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel
+from fusion.estimator.constants import FRAME_SECONDS
 from fusion.skeleton import TRACKED
 
 _TWO_PI = 2.0 * math.pi
 
-_DOUBT_DECAY = 0.9  # per pair
-_LEAST_SURPRISE = 1e-3  # a smaller surprise has no visible effect
+_DOUBT_LASTS = 0.9  # share of the doubt about a joint without measurement that lasts for 1/30 s
 _LARGEST_PRIOR = 0.99  # no measurement is an outlier for certain
+_LEAST_CHANCE = 1e-4  # of a surprise between two pairs of nearly the same time
 
 
 @inner_kernel
-def outlier_probabilities(model, state, views):  # type: ignore[no-untyped-def]
+def outlier_probabilities(model, state, views, dt):  # type: ignore[no-untyped-def]
     """The trust β of each measurement: the probability that it is no outlier, given both views.
 
     A measurement y (less its view's offset) is the predicted x plus Gaussian noise of variance
@@ -26,11 +27,15 @@ def outlier_probabilities(model, state, views):  # type: ignore[no-untyped-def]
 
     A fifth hypothesis says that both are good and the prediction is wrong, because the person moved
     unexpectedly. Then the two agree with each other and may be anywhere: N(y_A - y_B; 0, noise_A + noise_B)
-    over the cube. Its posterior is the surprise, which :func:`inflate_on_surprise` acts on.
+    over the cube. Its posterior is the surprise, which :func:`fusion.estimator.process.inflate_on_surprise`
+    acts on.
 
-    An outlier is followed by one with probability ``outlier_lasts``; β is 0 without a measurement.
+    An outlier lasts for 1/30 s with probability ``outlier_lasts``; β is 0 without a measurement.
     """
     k = model.constants
+    frames = dt / FRAME_SECONDS
+    lasts = k.outlier_lasts**frames
+    surprising = math.log(max(1.0 - (1.0 - k.surprise) ** frames, _LEAST_CHANCE))
     uniform = -3.0 * math.log(k.outlier_side)
     for i in range(len(model.parents)):
         has_a, has_b = views.states[0, i] != 0, views.states[1, i] != 0
@@ -40,7 +45,8 @@ def outlier_probabilities(model, state, views):  # type: ignore[no-untyped-def]
         views.trust[0, i] = views.trust[1, i] = views.surprise[i] = 0.0
         P = state.variances[i, 0]
         if has_a and has_b:
-            a, b = prior_outlier(model, state, views, 0, i), prior_outlier(model, state, views, 1, i)
+            a = prior_outlier(model, state, views, 0, i, lasts)
+            b = prior_outlier(model, state, views, 1, i, lasts)
             Sa = P + views.fast[0, i] + state.offset_variances[0, i]
             Sb = P + views.fast[1, i] + state.offset_variances[1, i]
             gain = P / Sa
@@ -55,7 +61,7 @@ def outlier_probabilities(model, state, views):  # type: ignore[no-untyped-def]
             good_a, good_b = normal(square_a, Sa), normal(square_b, Sb)
             right = math.log((1.0 - a) * (1.0 - b))
             both = good_a + normal(square_ab, Sab) + right
-            turn = uniform + normal(apart, Sa + Sb - 2.0 * P) + right + math.log(k.surprise)
+            turn = uniform + normal(apart, Sa + Sb - 2.0 * P) + right + surprising
             only_a = good_a + uniform + math.log((1.0 - a) * b)
             only_b = good_b + uniform + math.log(a * (1.0 - b))
             none = 2.0 * uniform + math.log(a * b)
@@ -68,34 +74,13 @@ def outlier_probabilities(model, state, views):  # type: ignore[no-untyped-def]
             views.surprise[i] = turn / total
         elif has_a or has_b:
             s = 0 if has_a else 1
-            outlier = prior_outlier(model, state, views, s, i)
+            outlier = prior_outlier(model, state, views, s, i, lasts)
             S = P + views.fast[s, i] + state.offset_variances[s, i]
             square = 0.0
             for c in range(3):
                 square += innovation(state, views, s, i, c) ** 2
             odds = uniform + math.log(outlier) - normal(square, S) - math.log(1.0 - outlier)
             views.trust[s, i] = 1.0 / (1.0 + math.exp(min(odds, 50.0)))
-
-
-@inner_kernel
-def inflate_on_surprise(model, state, views, dt):  # type: ignore[no-untyped-def]
-    """Enlarges the variance of the prediction where both views agree that it is wrong.
-
-        P ← P + surprise (|e|²/3) g gᵀ,    g = [1, 1/(2 dt)]
-
-    with e the views' mean innovation. The velocity changes by e / (2 dt).
-    """
-    for i in range(len(model.parents)):
-        if not state.known[i] or views.surprise[i] < _LEAST_SURPRISE:
-            continue
-        square = 0.0
-        for c in range(3):
-            e = 0.5 * (innovation(state, views, 0, i, c) + innovation(state, views, 1, i, c))
-            square += e * e
-        grown = views.surprise[i] * square / 3.0
-        state.variances[i, 0] += grown
-        state.variances[i, 1] += 0.5 * grown / dt
-        state.variances[i, 2] += 0.25 * grown / (dt * dt)
 
 
 @inner_kernel
@@ -112,8 +97,10 @@ def normal(square, variance):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
+def prior_outlier(model, state, views, v, i, lasts):  # type: ignore[no-untyped-def]
     """Prior probability of an outlier: a Markov chain, or the doubt about the sides.
+
+    ``lasts`` is the probability that an outlier has lasted since the last pair.
 
     Errors of one view come together, so the chain goes on from the joint's last doubt or from the mean doubt
     about its view, whichever is larger. The evidence of depth image and bone lengths, a log likelihood ratio,
@@ -122,8 +109,8 @@ def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
     k = model.constants
     rare = k.outlier if views.states[v, i] == TRACKED else k.inferred_outlier
     before = max(state.outlier_probability[v, i], state.view_outlier_probability[v])
-    prior = rare + max(k.outlier_lasts - rare, 0.0) * before
-    if model.lateral[i]:
+    prior = min(rare + max(lasts - rare, 0.0) * before, _LARGEST_PRIOR)
+    if model.mirror[i] != i:
         prior = max(prior, min(k.sides_doubted * views.side_doubt[v], _LARGEST_PRIOR))
     if views.log_odds[v, i] != 0.0:
         odds = prior / (1.0 - prior) * math.exp(-views.log_odds[v, i])
@@ -132,9 +119,9 @@ def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def store_outlier_state(model, state, views):  # type: ignore[no-untyped-def]
+def store_outlier_state(model, state, views, dt):  # type: ignore[no-untyped-def]
     """Stores 1 - β for the next pair, and its mean; without a measurement, doubt decays towards its mean."""
-    rare = model.constants.outlier
+    rare, lasts = model.constants.outlier, _DOUBT_LASTS ** (dt / FRAME_SECONDS)
     for v in range(2):
         outlier, total, count = state.outlier_probability[v], 0.0, 0
         for i in range(len(model.parents)):
@@ -142,6 +129,6 @@ def store_outlier_state(model, state, views):  # type: ignore[no-untyped-def]
                 outlier[i] = 1.0 - views.trust[v, i]
                 total, count = total + outlier[i], count + 1
             else:
-                outlier[i] = rare + _DOUBT_DECAY * (outlier[i] - rare)
-        faded = _DOUBT_DECAY * state.view_outlier_probability[v]
+                outlier[i] = rare + lasts * (outlier[i] - rare)
+        faded = lasts * state.view_outlier_probability[v]
         state.view_outlier_probability[v] = total / count if count > 0 else faded

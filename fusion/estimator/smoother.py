@@ -26,25 +26,12 @@ Array = NDArray[np.float64]
 class Trace(NamedTuple):
     """The filter's results of T pairs; T is 0 where nothing is smoothed."""
 
-    seconds: Annotated[Array, ("T",)]  # since the pair before with a person; 0 where there is none
+    seconds: Annotated[Array, ("T",)]  # since the pair before with a person; -1 where S* starts anew
     predicted: Annotated[Array, ("T", "J", 6)]  # position and velocity before the measurements
     predicted_variances: Annotated[Array, ("T", "J", 3)]  # 0 where the joint was not known
     filtered: Annotated[Array, ("T", "J", 6)]  # position and velocity after the bones
     filtered_variances: Annotated[Array, ("T", "J", 3)]
     shared_error: Annotated[Array, ("T", "J", 3, 3)]
-
-
-@inner_kernel
-def trace_prediction(model, state, trace, k, dt):  # type: ignore[no-untyped-def]
-    """Stores the prediction of pair k."""
-    if len(trace.seconds) == 0:
-        return
-    trace.seconds[k] = dt if state.last_time[1] == 1 else 0.0
-    for i in range(len(model.parents)):
-        for c in range(3):
-            trace.predicted[k, i, c] = state.positions[i, c]
-            trace.predicted[k, i, 3 + c] = state.velocities[i, c]
-            trace.predicted_variances[k, i, c] = state.variances[i, c] if state.known[i] else 0.0
 
 
 @inner_kernel
@@ -73,7 +60,7 @@ def smooth_pairs(model, solve, trace, output):  # type: ignore[no-untyped-def]
     for k in range(len(trace.seconds) - 1, -1, -1):
         if not math.isfinite(output.positions[k, 0, 0]):
             continue
-        if later >= 0 and trace.seconds[later] > 0.0:
+        if later >= 0 and trace.seconds[later] >= 0.0:
             for i in range(len(model.parents)):
                 if trace.predicted_variances[later, i, 0] > 0.0 and trace.filtered_variances[k, i, 0] > 0.0:
                     step_back(model, trace, k, later, i)

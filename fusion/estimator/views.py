@@ -18,11 +18,11 @@ _CORRELATION = 2.0  # neighbouring bones share joints, so their errors are corre
 
 
 @inner_kernel
-def transform_views(model, state, views, pairs, k):  # type: ignore[no-untyped-def]
+def transform_views(model, last, views, pairs, k):  # type: ignore[no-untyped-def]
     """Transforms both views to K_A's frame: p, and q' = R q + t.
 
     Args:
-        model, state: Of the fuser; the state stores the sensors' last skeletons.
+        last: The sensors' last skeletons, which are replaced.
         views: Written: what the sensors reported, whether it is stale, and its delay.
         pairs, k: Pair k of :class:`fusion.pair_arrays.PairArrays`. Its time is that of A.
     """
@@ -31,9 +31,9 @@ def transform_views(model, state, views, pairs, k):  # type: ignore[no-untyped-d
     # a sensor without a person, or without a frame, repeats nothing, and its last skeleton stays the last one
     views.stale[0] = views.stale[1] = False
     if _anyone(states_a):
-        views.stale[0] = repeats(a, states_a, state.last_positions[0], state.last_states[0])
+        views.stale[0] = repeats(a, states_a, last.positions[0], last.states[0])
     if _anyone(states_b):
-        views.stale[1] = repeats(b, states_b, state.last_positions[1], state.last_states[1])
+        views.stale[1] = repeats(b, states_b, last.positions[1], last.states[1])
     views.delays[0], views.delays[1] = 0.0, 1e-9 * pairs.skew_ns[k]
     for i in range(len(states_a)):
         views.reported_states[0, i], views.reported_states[1, i] = states_a[i], states_b[i]
@@ -69,14 +69,15 @@ def relabel(model, facing_model, facing, views, labels, k, dt):  # type: ignore[
     if missing or (biased and math.isnan(heading[0])):
         update_facing(facing_model, facing, pair, dt)
     elif biased:
-        update_up(facing_model, facing, pair)
+        update_up(facing_model, facing, pair, dt)
     for v in range(2):
-        views.codes[v] = codes[v] if codes[v] >= 0 else facing.codes[v]
-        views.side_doubt[v] = facing.doubt[v] if math.isnan(doubt[v]) else doubt[v]
+        views.codes[v] = codes[v] if codes[v] >= 0 else facing.result.codes[v]
+        views.side_doubt[v] = facing.result.doubt[v] if math.isnan(doubt[v]) else doubt[v]
     # the filter's heading belongs to the labels that it finds
-    agreed = views.codes[0] == facing.codes[0] and views.codes[1] == facing.codes[1]
+    result = facing.result
+    agreed = views.codes[0] == result.codes[0] and views.codes[1] == result.codes[1]
     for c in range(3):
-        found = facing.confidence[0] * facing.facing[c] if agreed else math.nan
+        found = result.confidence[0] * result.facing[c] if agreed else math.nan
         views.heading[c] = found if math.isnan(heading[c]) else heading[c]
     for v in range(2):
         exchange(
@@ -119,12 +120,13 @@ def remove_scales(model, state, views, dt):  # type: ignore[no-untyped-def]
             total += w * w * error
             weights += w * w
             bones += 1
-        if bones < _FEWEST_BONES or views.states[v, root] == 0:
+        if views.states[v, root] == 0:
             continue
-        noise = _CORRELATION * k.bone_sd**2 / bones
-        gain = state.scale_variances[v] / (state.scale_variances[v] + noise)
-        state.scales[v] += gain * (total / weights - state.scales[v])
-        state.scale_variances[v] *= 1.0 - gain
+        if bones >= _FEWEST_BONES:
+            noise = _CORRELATION * k.bone_sd**2 / bones
+            gain = state.scale_variances[v] / (state.scale_variances[v] + noise)
+            state.scales[v] += gain * (total / weights - state.scales[v])
+            state.scale_variances[v] *= 1.0 - gain
         shrink = 1.0 / (1.0 + state.scales[v])
         for i in range(len(x)):
             if i != root and views.states[v, i] != 0:

@@ -27,40 +27,41 @@ from fusion.compiling.kernels import inner_kernel
 from fusion.facing.model import ANKLE, ELBOW, HIP, KNEE, SHOULDER, WRIST
 from fusion.skeleton import TRACKED
 
-_OUTLIER_STEP = 0.2  # m between two frames: a larger step is an outlier and is limited to this
+_OUTLIER_STEP = 0.2  # m between two frames, beside the speed: a larger step of the trunk is an outlier
+_OUTLIER_SPEED = 6.0  # m/s: a faster joint is an outlier, and its speed is limited to this
 _SPEED_SECONDS = 0.3
 CONTINUOUS_SECONDS = 0.5
 """After a longer time without a new skeleton a view's labels may have changed."""
 _LOG_ODDS = math.log(0.3), math.log(3000.0)  # smallest and largest
 IN_LINE = math.cos(math.radians(20.0))
 """The person counts as standing if the cosine between trunk and legs is above this."""
-_LEARNING_FRAMES = 300.0  # 10 s: the mean forgets older frames, because a sensor may be moved
+_LEARNING_SECONDS = 10.0  # of views: the mean forgets older frames, because a sensor may be moved
 
 
 @inner_kernel
 def measure_view(model, state, view, positions, states):  # type: ignore[no-untyped-def]
     """Writes the view's axes, cues and spans with their trust; trust 0 where a joint is missing."""
-    up = state.frame_up
+    up = state.memory.frame_up
     for pair in range(6):
         left, right = model.pairs[pair, 0], model.pairs[pair, 1]
         for c in range(3):
-            state.spans[view, pair, c] = positions[left, c] - positions[right, c]
+            state.evidence.spans[view, pair, c] = positions[left, c] - positions[right, c]
     for girdle in range(2):
         _axis(model, state, view, girdle, states, up)
     row = 0
     for joint, first, last, sign in ((KNEE, HIP, ANKLE, 1.0), (ELBOW, SHOULDER, WRIST, -1.0)):
         for side in range(2):
             i, j, k = model.pairs[first, side], model.pairs[joint, side], model.pairs[last, side]
-            _offset(positions, i, j, k, sign, state.cues[view, row])
-            state.cue_trust[view, row] = 0.5 * _trust(model, states, i, j, k)
+            _offset(positions, i, j, k, sign, state.evidence.cues[view, row])
+            state.evidence.cue_trust[view, row] = 0.5 * _trust(model, states, i, j, k)
             row += 1
     top, base = model.head[0], model.head[1]
     for c in range(3):
-        state.cues[view, row, c] = positions[top, c] - positions[base, c]
-    state.cue_trust[view, row] = _trust(model, states, top, base, base)
+        state.evidence.cues[view, row, c] = positions[top, c] - positions[base, c]
+    state.evidence.cue_trust[view, row] = _trust(model, states, top, base, base)
     for row in range(5):
-        if not math.isfinite(state.cues[view, row, 0]):
-            state.cue_trust[view, row] = 0.0
+        if not math.isfinite(state.evidence.cues[view, row, 0]):
+            state.evidence.cue_trust[view, row] = 0.0
 
 
 @inner_kernel
@@ -72,16 +73,16 @@ def _trust(model, states, i, j, k):  # type: ignore[no-untyped-def]
 @inner_kernel
 def _axis(model, state, view, girdle, states, up):  # type: ignore[no-untyped-def]
     """l × u, and its trust: the square of its length over the body's width, at most 1."""
-    span, axis = state.spans[view, girdle], state.axes[view, girdle]
+    span, axis = state.evidence.spans[view, girdle], state.evidence.axes[view, girdle]
     axis[0] = span[1] * up[2] - span[2] * up[1]
     axis[1] = span[2] * up[0] - span[0] * up[2]
     axis[2] = span[0] * up[1] - span[1] * up[0]
     width = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
-    state.axis_trust[view, girdle] = 0.0
+    state.evidence.axis_trust[view, girdle] = 0.0
     if math.isfinite(width) and width > 1e-3:
         share = min(1.0, width / (0.7 * model.widths[girdle]))
         left, right = model.pairs[girdle, 0], model.pairs[girdle, 1]
-        state.axis_trust[view, girdle] = share * share * _trust(model, states, left, right, right)
+        state.evidence.axis_trust[view, girdle] = share * share * _trust(model, states, left, right, right)
         for c in range(3):
             axis[c] /= width
 
@@ -107,43 +108,43 @@ def update_motion(model, state, view, positions):  # type: ignore[no-untyped-def
     The changes of both views are added afterwards, so that their order does not matter. The trunk is the mean
     of shoulders and hips, which no exchange of labels moves.
     """
-    elapsed = state.since[view]
+    elapsed = state.memory.since[view]
     total, count = 0.0, 0
     for pair in range(6):
         for side in range(2):
             j = model.pairs[pair, side]
             step = 0.0
             for c in range(3):
-                step += (positions[j, c] - state.last_joints[view, j, c]) ** 2
+                step += (positions[j, c] - state.memory.last_joints[view, j, c]) ** 2
             # An exchange of labels moves both joints of a pair: the nearer of both counts.
             m = model.mirror[j]
             crossed = 0.0
             for c in range(3):
-                crossed += (positions[j, c] - state.last_joints[view, m, c]) ** 2
+                crossed += (positions[j, c] - state.memory.last_joints[view, m, c]) ** 2
             step = min(step, crossed)
             if math.isfinite(step):
-                total += min(math.sqrt(step), _OUTLIER_STEP)
+                total += min(math.sqrt(step), _OUTLIER_SPEED * elapsed)
                 count += 1
     if count > 0:
         share = 1.0 - math.exp(-elapsed / _SPEED_SECONDS)
-        state.speed[view] += share * (total / count / elapsed - state.speed[view])
+        state.memory.speed[view] += share * (total / count / elapsed - state.memory.speed[view])
     squared = 0.0
     for c in range(3):
-        state.velocity_change[view, c] = 0.0
-        squared += (_trunk(model, positions, c) - state.last_root[view, c]) ** 2
+        state.evidence.velocity_change[view, c] = 0.0
+        squared += (_trunk(model, positions, c) - state.memory.last_root[view, c]) ** 2
     if math.isfinite(squared) and squared < (_OUTLIER_STEP + 4.0 * elapsed) ** 2:
         share = 0.5 * (1.0 - math.exp(-elapsed / model.constants.motion_seconds))  # one of two views
         for c in range(3):
-            velocity = (_trunk(model, positions, c) - state.last_root[view, c]) / elapsed
-            state.velocity_change[view, c] = share * (velocity - state.velocity[c])
+            velocity = (_trunk(model, positions, c) - state.memory.last_root[view, c]) / elapsed
+            state.evidence.velocity_change[view, c] = share * (velocity - state.memory.velocity[c])
     for c in range(3):
         root = _trunk(model, positions, c)
         if math.isfinite(root):
-            state.last_root[view, c] = root
+            state.memory.last_root[view, c] = root
     for j in range(len(positions)):
         for c in range(3):
-            state.last_joints[view, j, c] = positions[j, c]
-    state.since[view] = 0.0
+            state.memory.last_joints[view, j, c] = positions[j, c]
+    state.memory.since[view] = 0.0
 
 
 @inner_kernel
@@ -163,21 +164,21 @@ def exchange_odds(model, state, view):  # type: ignore[no-untyped-def]
     It has limits: a tracker that changes over smoothly passes through d ≈ 0, so that continuity alone must
     not exclude an exchange.
     """
-    if state.since[view] > CONTINUOUS_SECONDS:
+    if state.memory.since[view] > CONTINUOUS_SECONDS:
         return 1.0
     total = 0.0
     for pair in (SHOULDER, HIP, ELBOW, KNEE):
         dot = 0.0
         for c in range(3):
-            dot += state.spans[view, pair, c] * state.last_spans[view, pair, c]
+            dot += state.evidence.spans[view, pair, c] * state.memory.last_spans[view, pair, c]
         if math.isfinite(dot):
             total += dot
     return math.exp(max(_LOG_ODDS[0], min(_LOG_ODDS[1], -model.constants.continuity * total)))
 
 
 @inner_kernel
-def learn_up(model, state, positions):  # type: ignore[no-untyped-def]
-    """Updates ``state.up`` with one view in which the person stands."""
+def learn_up(model, state, positions, dt):  # type: ignore[no-untyped-def]
+    """Updates the upward direction with one view in which the person stands, dt s after the last pair."""
     trunk_trunk = legs_legs = trunk_legs = 0.0
     for c in range(3):
         trunk, legs = _trunk_and_legs(model.pairs, positions, c)
@@ -187,15 +188,15 @@ def learn_up(model, state, positions):  # type: ignore[no-untyped-def]
     length = math.sqrt(trunk_trunk * legs_legs)
     if not (length > 0.05 and trunk_legs > IN_LINE * length):  # also false where a joint is missing
         return
-    state.up_frames[0] = min(state.up_frames[0] + 1.0, _LEARNING_FRAMES)
-    share, squared = 1.0 / state.up_frames[0], 0.0
+    state.memory.up_seconds[0] = min(state.memory.up_seconds[0] + dt, _LEARNING_SECONDS)
+    share, squared = min(dt / state.memory.up_seconds[0], 1.0), 0.0
     for c in range(3):
         trunk, legs = _trunk_and_legs(model.pairs, positions, c)
         seen = trunk / math.sqrt(trunk_trunk) + legs / math.sqrt(legs_legs)
-        state.up[c] += share * (0.5 * seen - state.up[c])
-        squared += state.up[c] ** 2
+        state.memory.up[c] += share * (0.5 * seen - state.memory.up[c])
+        squared += state.memory.up[c] ** 2
     for c in range(3):
-        state.up[c] /= math.sqrt(squared)
+        state.memory.up[c] /= math.sqrt(squared)
 
 
 @inner_kernel

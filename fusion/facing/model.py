@@ -12,8 +12,12 @@ from fusion.joint_kinds import ARM, LEG, limbs, of_kind
 
 HEADINGS = 36
 """Headings are the multiples of 10° in the horizontal plane."""
-TAPS = 6
-"""The largest turn between two frames, in headings."""
+TAPS = 17
+"""The largest turn between two frames, in headings: nearly half a circle."""
+FRAME_SECONDS = 1.0 / 30.0
+"""The interval at which the weights of a frame were fitted."""
+FORGET_NS = 1_000_000_000
+"""After this time without a person the filters start again."""
 ARMS, LEGS, WHOLE = ARM, LEG, ARM + LEG
 """Exchange codes: a bit for the arms, a bit for the legs, both for the whole body. The filter finds 0 or
 WHOLE; sessions of version 1.0 and earlier also contain arms or legs alone."""
@@ -46,13 +50,14 @@ class FacingConstants(NamedTuple):
     frames by about a percentage point.
 
     Successive frames repeat the same error, so a frame's log-likelihood counts only in part. The *weights*
-    are the share that is independent of earlier frames.
+    are the share that is independent of earlier frames, for frames that are 1/30 s apart; of frames that are
+    farther apart a larger share is, in proportion to the interval, up to 1.
     """
 
     axis_sigma: Table = (0.19, 0.41, 0.84, 0.41, 0.19)
     """Standard deviation of the heading that a tracker's shoulders or hips show."""
     axis_floor: float = 4.0  # largest cost of an axis that is an outlier, in log density
-    axis_weight: float = 0.4  # weight of an axis in one frame
+    axis_weight: float = 0.4  # weight of an axis in a frame
     axis_bias: Table = (0.0, 0.0, 0.0, 0.0, 0.0)
     """Standard deviation of an axis's error that lasts as long as the pose; 0: shoulders and hips stay as
     reported (:func:`fusion.estimator.heading.turn_girdles`)."""
@@ -74,14 +79,14 @@ class FacingConstants(NamedTuple):
     bent_floor: float = 1.0
     """Largest cost of a knee that lies farther in front than the mean: lunges and squats bend knees much
     farther than walking does, but no knee bends backwards."""
-    cue_weight: float = 0.14  # weight of a cue in one frame of a person who moves
+    cue_weight: float = 0.14  # weight of a cue in a frame of a person who moves
     inferred_weight: float = 0.25  # factor on the evidence of joints that the tracker infers
     moving_speed: float = 0.4
     """Mean speed of the joints above which frames count in full, m/s. A posture that is held shows the same
     error in every frame."""
     still_weight: float = 0.12  # factor while the person stands still
     motion_weight: float = 0.7
-    """Log-likelihood per frame, over the fourth power of the speed in m⁴/s⁴, of moving forwards."""
+    """Log-likelihood per 1/30 s, over the fourth power of the speed in m⁴/s⁴, of moving forwards."""
     motion_cap: float = 1.2  # speed above which motion counts no more than at this speed, m/s
     motion_seconds: float = 0.15  # time constant of the low-pass filter of the trunk's velocity
     mirrored_front: float = 0.005
@@ -158,52 +163,70 @@ class ReportedPair(NamedTuple):
     person (see :mod:`fusion.facing.evidence`)."""
 
 
-class FacingState(NamedTuple):
-    """The state between two frames, the results, and workspace.
+class Evidence(NamedTuple):
+    """What a pair says; a view whose skeleton is stale says nothing."""
 
-    ``codes``, ``facing``, ``confidence``, ``doubt`` and ``mirrored`` are the results for the last frame:
-
-    * codes (2,): the exchange code of A and of B.
-    * facing (3,): horizontal unit vector in which the person faces, in K_A's frame.
-    * confidence (1,): length of the mean of the unit vectors of all headings under their probabilities.
-    * doubt (2,): for each view, the probability that another whole-body label is right, or that its
-      shoulder and hip axes contradict the heading because the tracker is changing over.
-    * mirrored (2,): for each view, the probability that the whole body is mirrored.
-    """
-
-    codes: Annotated[Ints, (2,)]
-    facing: Annotated[Floats, (3,), np.nan]
-    confidence: Annotated[Floats, (1,)]
-    doubt: Annotated[Floats, (2,)]
-    belief: Annotated[Floats, (HEADINGS, 2, 2)]  # of heading, A mirrored, B mirrored
-    predicted: Annotated[Floats, (HEADINGS, 2, 2)]  # workspace
-    label_probabilities: Annotated[Floats, (2, 2)]  # belief summed over the headings: A, B mirrored
-    likelihood: Annotated[Floats, (HEADINGS, 2, 2)]  # log-likelihood of the frame
-    headings: Annotated[Floats, (HEADINGS, 3)]  # unit vectors
-    frame_up: Annotated[Floats, (3,), np.nan]  # up direction of the headings
-    up: Annotated[Floats, (3,), (0.0, -1.0, 0.0)]  # learned from the person
-    turning: Annotated[Floats, (2 * TAPS + 1,)]
-    whole: Annotated[Ints, (2,)]  # whether the whole body is taken as mirrored
-    mirrored: Annotated[Floats, (2,)]
-    up_frames: Annotated[Floats, (1,)]  # number of frames from which `up` was learned
-    shares: Annotated[Floats, (2, HEADINGS)]  # of mirrored frames, by heading
-    reach: Annotated[Ints, (1,)]  # how many headings `turning` reaches to either side
-    rates: Annotated[Floats, (2,)]  # of exchanging in this frame; 0 for a stale view
-    odds: Annotated[Floats, (2,), 1]  # factor on the odds of an exchange, from continuity
     axes: Annotated[Floats, (2, 2, 3)]  # view; shoulders, hips: horizontal direction that they face
     axis_trust: Annotated[Floats, (2, 2)]
     cues: Annotated[Floats, (2, 5, 3)]  # view; knees, elbows, head
     cue_trust: Annotated[Floats, (2, 5)]
     spans: Annotated[Floats, (2, 6, 3), np.nan]  # from the right to the left joint of each pair
+    frames: Annotated[Floats, (3,)]  # 1/30 s since the last evidence: of A, of B, of any
+    velocity_change: Annotated[Floats, (2, 3)]  # of the trunk, by each view
+    toward: Annotated[Floats, (2, 3)]  # horizontal unit vectors from the person to the sensors
+    likelihood: Annotated[Floats, (HEADINGS, 2, 2)]  # log-likelihood
+    turning: Annotated[Floats, (2 * TAPS + 1,)]  # P(θ' | θ), by difference
+    reach: Annotated[Ints, (1,)]  # how many headings `turning` reaches to either side
+    shares: Annotated[Floats, (2, HEADINGS)]  # of mirrored frames, by heading
+    rates: Annotated[Floats, (2,)]  # of exchanging; 0 for a stale view
+    odds: Annotated[Floats, (2,), 1]  # factor on the odds of an exchange, from continuity
+
+
+class Belief(NamedTuple):
+    """Probabilities of heading, A mirrored, B mirrored."""
+
+    probabilities: Annotated[Floats, (HEADINGS, 2, 2)]  # after the pair's evidence
+    predicted: Annotated[Floats, (HEADINGS, 2, 2)]  # before it
+    labels: Annotated[Floats, (2, 2)]  # summed over the headings
+    whole: Annotated[Ints, (2,)]  # the labels chosen: whether the whole body is taken as mirrored
+    started: Annotated[Ints, (1,)]  # 0 before the person's first pair
+
+
+class Memory(NamedTuple):
+    """What is kept of earlier pairs."""
+
     last_spans: Annotated[Floats, (2, 6, 3), np.nan]  # as reported
     last_joints: Annotated[Floats, (2, "J", 3), np.nan]
     last_root: Annotated[Floats, (2, 3), np.nan]
-    since: Annotated[Floats, (2,)]  # seconds since a view's last fresh skeleton
+    since: Annotated[Floats, (2,), FRAME_SECONDS]  # seconds since a view's last fresh skeleton
     speed: Annotated[Floats, (2,)]  # mean speed of the joints, low-passed
     velocity: Annotated[Floats, (3,)]  # of the trunk, low-passed
-    velocity_change: Annotated[Floats, (2, 3)]  # change by each view in this frame
-    toward: Annotated[Floats, (2, 3)]  # horizontal unit vectors from the person to the sensors
-    started: Annotated[Ints, (1,)]
+    up: Annotated[Floats, (3,), (0.0, -1.0, 0.0)]  # learned from every person: it belongs to the sensor
+    up_seconds: Annotated[Floats, (1,)]  # from which it was learned
+    frame_up: Annotated[Floats, (3,), np.nan]  # up direction of the headings
+    headings: Annotated[Floats, (HEADINGS, 3)]  # unit vectors
+
+
+class Result(NamedTuple):
+    """The results for the last pair."""
+
+    codes: Annotated[Ints, (2,)]  # the exchange code of A and of B
+    facing: Annotated[Floats, (3,), np.nan]  # horizontal unit vector in which the person faces, K_A's frame
+    confidence: Annotated[Floats, (1,)]
+    """Length of the mean of the unit vectors of all headings under their probabilities."""
+    doubt: Annotated[Floats, (2,)]
+    """Probability that another whole-body label is right, or that a view's shoulder and hip axes contradict
+    the heading because the tracker is changing over."""
+    mirrored: Annotated[Floats, (2,)]  # probability that a view reports the whole body mirrored
+
+
+class FacingState(NamedTuple):
+    """The filter's arrays; :func:`fusion.facing.filter.forget_facing` resets what is known of a person."""
+
+    evidence: Evidence
+    belief: Belief
+    memory: Memory
+    result: Result
 
 
 def new_facing_model(body: Body, constants: FacingConstants | None = None) -> FacingModel:

@@ -11,9 +11,16 @@ from fusion.array_fields import new_arrays
 from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.facing.evidence import measure_view, upright_direction
-from fusion.facing.filter import FORGET_SECONDS, decide, update_facing
+from fusion.facing.filter import decide, forget_facing, update_facing
 from fusion.facing.labels import Labels
-from fusion.facing.model import HEADINGS, FacingModel, FacingState, ReportedPair, new_facing_model
+from fusion.facing.model import (
+    FORGET_NS,
+    HEADINGS,
+    FacingModel,
+    FacingState,
+    ReportedPair,
+    new_facing_model,
+)
 from fusion.facing.whole_body import retrodict, set_headings, set_turning
 from fusion.large_arrays import parts
 
@@ -48,13 +55,24 @@ def relabel_sequence(
     labels = Labels.unknown(len(times))
     history = new_arrays(_History, T=len(times) if smooth else 0)
     intervals = np.diff(times, prepend=times[:1]) * 1e-9
-    _forward(model, state, pairs, intervals, labels, history)
+    anew = _first_pairs(times, pairs.states)
+    _forward(model, state, pairs, intervals, anew, labels, history)
     if smooth:
-        _backward(model, state, intervals, history)
+        _backward(model, state, intervals, anew, history)
         again = new_arrays(FacingState, J=len(body))
-        again.up[:] = state.frame_up
-        _label(model, again, pairs, intervals, labels, history)
+        again.memory.up[:] = state.memory.frame_up
+        _label(model, again, pairs, intervals, anew, labels, history)
     return labels
+
+
+def _first_pairs(times: NDArray[np.int64], states: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """(T,) the pairs with which somebody may come: after ``FORGET_NS`` without a person, and the first."""
+    anew = np.zeros(len(times), dtype=np.bool_)
+    seen = np.flatnonzero(states.any(axis=(1, 2)))
+    away = np.diff(times[seen])
+    anew[seen[:1]] = True
+    anew[seen[1:]] = (away > FORGET_NS) | (away < 0)
+    return anew
 
 
 def reported_pairs(
@@ -98,37 +116,37 @@ def _pair_of(pairs, k):  # type: ignore[no-untyped-def]
 @inner_kernel
 def _store_labels(state, labels, k):  # type: ignore[no-untyped-def]
     for view in range(2):
-        labels.codes[k, view], labels.doubt[k, view] = state.codes[view], state.doubt[view]
-        labels.mirrored[k, view] = state.mirrored[view]
+        labels.codes[k, view], labels.doubt[k, view] = state.result.codes[view], state.result.doubt[view]
+        labels.mirrored[k, view] = state.result.mirrored[view]
     for c in range(3):
-        labels.heading[k, c] = state.confidence[0] * state.facing[c]
+        labels.heading[k, c] = state.result.confidence[0] * state.result.facing[c]
 
 
 @kernel
-def _forward(model, state, pairs, intervals, labels, history):  # type: ignore[no-untyped-def]
+def _forward(model, state, pairs, intervals, anew, labels, history):  # type: ignore[no-untyped-def]
     for k in range(len(intervals)):
+        if anew[k]:
+            forget_facing(state)
         update_facing(model, state, _pair_of(pairs, k), intervals[k])
         _store_labels(state, labels, k)
         if len(history.beliefs) > 0:
-            for n in range(len(state.headings)):
+            for n in range(len(state.memory.headings)):
                 for x in range(2):
-                    history.shares[k, x, n] = state.shares[x, n]
+                    history.shares[k, x, n] = state.evidence.shares[x, n]
                     for y in range(2):
-                        history.beliefs[k, n, x, y] = state.belief[n, x, y]
-                        history.likelihoods[k, n, x, y] = state.likelihood[n, x, y]
+                        history.beliefs[k, n, x, y] = state.belief.probabilities[n, x, y]
+                        history.likelihoods[k, n, x, y] = state.evidence.likelihood[n, x, y]
             for view in range(2):
-                history.rates[k, view], history.odds[k, view] = state.rates[view], state.odds[view]
+                history.rates[k, view] = state.evidence.rates[view]
+                history.odds[k, view] = state.evidence.odds[view]
 
 
 @kernel
-def _backward(model, state, intervals, history):  # type: ignore[no-untyped-def]
+def _backward(model, state, intervals, anew, history):  # type: ignore[no-untyped-def]
     """Replaces each pair's belief by the one given all pairs."""
     beliefs, likelihoods = history.beliefs, history.likelihoods
-    later, scratch, rows = state.predicted, state.belief, len(state.headings)
-    for n in range(rows):
-        for x in range(2):
-            for y in range(2):
-                later[n, x, y] = 1.0
+    rows = beliefs.shape[1]
+    later, message, scratch = np.ones((rows, 2, 2)), np.ones((rows, 2, 2)), np.ones((rows, 2, 2))
     for k in range(len(intervals) - 1, -1, -1):
         total = top = 0.0
         best = -np.inf
@@ -140,40 +158,38 @@ def _backward(model, state, intervals, history):  # type: ignore[no-untyped-def]
                     best = max(best, likelihoods[k, n, x, y])
         for n in range(rows):
             for x in range(2):
-                state.shares[x, n] = history.shares[k, x, n]
+                state.evidence.shares[x, n] = history.shares[k, x, n]
                 for y in range(2):
                     beliefs[k, n, x, y] /= total
                     later[n, x, y] *= np.exp(likelihoods[k, n, x, y] - best)
                     top = max(top, later[n, x, y])
         for view in range(2):
-            state.rates[view], state.odds[view] = history.rates[k, view], history.odds[k, view]
+            state.evidence.rates[view] = history.rates[k, view]
+            state.evidence.odds[view] = history.odds[k, view]
         for n in range(rows):
             for x in range(2):
                 for y in range(2):
-                    later[n, x, y] = 1.0 if intervals[k] > FORGET_SECONDS else later[n, x, y] / top
+                    later[n, x, y] = 1.0 if anew[k] else later[n, x, y] / top
         set_turning(model.constants, state, max(intervals[k], 1e-3))
-        retrodict(state, later, state.likelihood, scratch)
-        for n in range(rows):
-            for x in range(2):
-                for y in range(2):
-                    later[n, x, y] = state.likelihood[n, x, y]
+        retrodict(state, later, message, scratch)
+        later, message = message, later
 
 
 @kernel
-def _label(model, state, pairs, intervals, labels, history):  # type: ignore[no-untyped-def]
+def _label(model, state, pairs, intervals, anew, labels, history):  # type: ignore[no-untyped-def]
     """Computes the results of a recording from the smoothed beliefs."""
-    set_headings(state, state.up)
+    set_headings(state, state.memory.up)
     for k in range(len(intervals)):
-        if intervals[k] > FORGET_SECONDS:
-            state.started[0] = 0
+        if anew[k]:
+            forget_facing(state)
         for view in range(2):
-            state.since[view] += intervals[k]
+            state.memory.since[view] += intervals[k]
             if not pairs.stale[k, view]:
-                state.since[view] = 0.0
+                state.memory.since[view] = 0.0
                 measure_view(model, state, view, pairs.positions[k, view], pairs.states[k, view])
-        for n in range(len(state.headings)):
+        for n in range(len(state.memory.headings)):
             for x in range(2):
                 for y in range(2):
-                    state.belief[n, x, y] = history.beliefs[k, n, x, y]
-        decide(model, state, state.belief)
+                    state.belief.probabilities[n, x, y] = history.beliefs[k, n, x, y]
+        decide(model, state, state.belief.probabilities)
         _store_labels(state, labels, k)

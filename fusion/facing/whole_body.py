@@ -16,7 +16,7 @@ are exchanged at once, both prices count. Continuity of the labels changes the o
 (:func:`fusion.facing.evidence.exchange_odds`).
 
 **Evidence**, log L, with f the heading's unit vector; every term has a weight, because successive frames are
-correlated:
+correlated. It is in proportion to the time since the last frame, and at most 1:
 
 * axes (only these depend on m): −β(κ (1 − cos)) + ½ log κ, a von Mises density of the angle between the axis
   and the one that the tracker reports for f; κ = 1/σ² from the table. A Kinect v2 reports an angle to the
@@ -33,10 +33,10 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel
-from fusion.facing.model import TAPS
+from fusion.facing.model import FRAME_SECONDS, TAPS
 
 _INTERVALS = 4  # of the tables over the cosine
-_FRAME = 1.0 / 30.0  # interval of the turning constants, s
+_MOST_FRAMES = 6.0  # a longer time than 0.2 s without evidence of motion gives a frame no larger weight
 
 
 @inner_kernel
@@ -44,23 +44,23 @@ def set_headings(state, up):  # type: ignore[no-untyped-def]
     """The unit vectors of the headings, horizontal under ``up``; the first is nearest to K_A's x."""
     same = True
     for c in range(3):
-        same = same and abs(state.frame_up[c] - up[c]) < 1e-12
+        same = same and abs(state.memory.frame_up[c] - up[c]) < 1e-12
     if same:
         return
     norm = math.sqrt(up[0] ** 2 + up[1] ** 2 + up[2] ** 2)
     for c in range(3):
-        state.frame_up[c] = up[c] / norm
-    u = state.frame_up
+        state.memory.frame_up[c] = up[c] / norm
+    u = state.memory.frame_up
     length = math.sqrt(1.0 - u[0] * u[0])
     x0, x1, x2 = (1.0 - u[0] * u[0]) / length, -u[0] * u[1] / length, -u[0] * u[2] / length
     z0, z1, z2 = u[1] * x2 - u[2] * x1, u[2] * x0 - u[0] * x2, u[0] * x1 - u[1] * x0
-    count = len(state.headings)
+    count = len(state.memory.headings)
     for n in range(count):
         angle = 2.0 * math.pi * n / count
         cosine, sine = math.cos(angle), math.sin(angle)
-        state.headings[n, 0] = cosine * x0 + sine * z0
-        state.headings[n, 1] = cosine * x1 + sine * z1
-        state.headings[n, 2] = cosine * x2 + sine * z2
+        state.memory.headings[n, 0] = cosine * x0 + sine * z0
+        state.memory.headings[n, 1] = cosine * x1 + sine * z1
+        state.memory.headings[n, 2] = cosine * x2 + sine * z2
 
 
 @inner_kernel
@@ -73,30 +73,30 @@ def mirrored_share(constants, cosine):  # type: ignore[no-untyped-def]
 @inner_kernel
 def prior_belief(state):  # type: ignore[no-untyped-def]
     """The prediction for a new person: any heading, each view mirrored with its share there."""
-    count = len(state.headings)
+    count = len(state.memory.headings)
     for n in range(count):
-        a, b = state.shares[0, n], state.shares[1, n]
-        state.predicted[n, 0, 0] = (1.0 - a) * (1.0 - b) / count
-        state.predicted[n, 0, 1] = (1.0 - a) * b / count
-        state.predicted[n, 1, 0] = a * (1.0 - b) / count
-        state.predicted[n, 1, 1] = a * b / count
+        a, b = state.evidence.shares[0, n], state.evidence.shares[1, n]
+        state.belief.predicted[n, 0, 0] = (1.0 - a) * (1.0 - b) / count
+        state.belief.predicted[n, 0, 1] = (1.0 - a) * b / count
+        state.belief.predicted[n, 1, 0] = a * (1.0 - b) / count
+        state.belief.predicted[n, 1, 1] = a * b / count
 
 
 @inner_kernel
 def cosine_to_sensor(state, view, f):  # type: ignore[no-untyped-def]
     """Cosine between a horizontal unit vector and the direction to the sensor."""
-    s = state.toward[view]
+    s = state.evidence.toward[view]
     return f[0] * s[0] + f[1] * s[1] + f[2] * s[2]
 
 
 @inner_kernel
 def set_turning(constants, state, dt):  # type: ignore[no-untyped-def]
     """P(θ' | θ) for differences of up to ``reach`` headings: three deviations of a turning person."""
-    step = 2.0 * math.pi / len(state.headings)
-    slow = constants.turning_sigma * math.sqrt(dt / _FRAME) / step
-    fast = constants.turning_sigma_fast * math.sqrt(dt / _FRAME) / step
+    step = 2.0 * math.pi / len(state.memory.headings)
+    slow = constants.turning_sigma * math.sqrt(dt / FRAME_SECONDS) / step
+    fast = constants.turning_sigma_fast * math.sqrt(dt / FRAME_SECONDS) / step
     reach = min(TAPS, math.ceil(3.0 * fast))
-    state.reach[0] = reach
+    state.evidence.reach[0] = reach
     slow_sum = fast_sum = 0.0
     for k in range(-reach, reach + 1):
         slow_sum += math.exp(-0.5 * (k / slow) ** 2)
@@ -104,13 +104,14 @@ def set_turning(constants, state, dt):  # type: ignore[no-untyped-def]
     for k in range(-reach, reach + 1):
         straight = math.exp(-0.5 * (k / slow) ** 2) / slow_sum
         turns = math.exp(-0.5 * (k / fast) ** 2) / fast_sum
-        state.turning[k + TAPS] = (1.0 - constants.turning_share) * straight + constants.turning_share * turns
+        share = constants.turning_share
+        state.evidence.turning[k + TAPS] = (1.0 - share) * straight + share * turns
 
 
 @inner_kernel
 def exchanging(state, view, n):  # type: ignore[no-untyped-def]
     """The probabilities that a view becomes mirrored and that it ceases to be, with continuity."""
-    rate, odds, share = state.rates[view], state.odds[view], state.shares[view, n]
+    rate, odds, share = state.evidence.rates[view], state.evidence.odds[view], state.evidence.shares[view, n]
     to, fro = rate * share, rate * (1.0 - share)
     return to * odds / (1.0 - to + to * odds), fro * odds / (1.0 - fro + fro * odds)
 
@@ -118,11 +119,11 @@ def exchanging(state, view, n):  # type: ignore[no-untyped-def]
 @inner_kernel
 def predict(state, before, after):  # type: ignore[no-untyped-def]
     """Computes p(θ', m') before the frame's evidence, from ``before`` into ``after``."""
-    count, reach = len(before), state.reach[0]
+    count, reach = len(before), state.evidence.reach[0]
     for n in range(count):
         p00 = p01 = p10 = p11 = 0.0
         for k in range(TAPS - reach, TAPS + reach + 1):
-            w, m = state.turning[k], n + k - TAPS
+            w, m = state.evidence.turning[k], n + k - TAPS
             m = m + count if m < 0 else (m - count if m >= count else m)
             p00 += w * before[m, 0, 0]
             p01 += w * before[m, 0, 1]
@@ -141,7 +142,7 @@ def predict(state, before, after):  # type: ignore[no-untyped-def]
 @inner_kernel
 def retrodict(state, after, before, scratch):  # type: ignore[no-untyped-def]
     """The transpose of :func:`predict`, for smoothing: the evidence of later frames on the state before."""
-    count, reach = len(after), state.reach[0]
+    count, reach = len(after), state.evidence.reach[0]
     for n in range(count):
         to, fro = exchanging(state, 1, n)
         p00 = after[n, 0, 0] * (1.0 - to) + after[n, 0, 1] * to
@@ -154,7 +155,7 @@ def retrodict(state, after, before, scratch):  # type: ignore[no-untyped-def]
     for n in range(count):
         p00 = p01 = p10 = p11 = 0.0
         for k in range(TAPS - reach, TAPS + reach + 1):
-            w, m = state.turning[k], n - k + TAPS
+            w, m = state.evidence.turning[k], n - k + TAPS
             m = m + count if m < 0 else (m - count if m >= count else m)
             p00 += w * scratch[m, 0, 0]
             p01 += w * scratch[m, 0, 1]
@@ -168,18 +169,19 @@ def retrodict(state, after, before, scratch):  # type: ignore[no-untyped-def]
 def log_likelihood(model, state, stale):  # type: ignore[no-untyped-def]
     """Writes the log-likelihood of the frame for every state; a stale view is no evidence."""
     k = model.constants
-    v, likelihood = state.velocity, state.likelihood
+    v, likelihood = state.memory.velocity, state.evidence.likelihood
     speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
-    pace = k.motion_weight * min(speed, k.motion_cap) ** 4 / max(speed, 1e-9)
+    weight = k.motion_weight * min(state.evidence.frames[2], _MOST_FRAMES)
+    pace = weight * min(speed, k.motion_cap) ** 4 / max(speed, 1e-9)
     if stale[0] and stale[1]:
         pace = 0.0
-    for n in range(len(state.headings)):
-        f = state.headings[n]
+    for n in range(len(state.memory.headings)):
+        f = state.memory.headings[n]
         common = pace * (v[0] * f[0] + v[1] * f[1] + v[2] * f[2])
         axis_a = axis_b = 0.0
         for view in range(2):
             cosine = cosine_to_sensor(state, view, f)
-            state.shares[view, n] = mirrored_share(k, cosine)
+            state.evidence.shares[view, n] = mirrored_share(k, cosine)
             if stale[view]:
                 continue
             common += _cue_evidence(model, state, view, f, cosine)
@@ -208,23 +210,23 @@ def _cue_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def
     """Sum over the view's cues of their log densities, if the person faces f."""
     total, k = 0.0, model.constants
     for row in range(5):
-        trust = state.cue_trust[view, row]
+        trust = state.evidence.cue_trust[view, row]
         if trust > 0.0:
             kind = row // 2
             sigma = in_table(model.cue_sigma[kind], cosine)
-            d = state.cues[view, row]
+            d = state.evidence.cues[view, row]
             z = (d[0] * f[0] + d[1] * f[1] + d[2] * f[2] - in_table(model.cue_mean[kind], cosine)) / sigma
             most = k.bent_floor if kind == 0 and z > 0.0 else k.cue_floor
             total -= trust * (_bounded(0.5 * z * z, most) + in_table(model.cue_log[kind], cosine))
-    still = max(k.still_weight, min(1.0, state.speed[view] / k.moving_speed))
-    return k.cue_weight * still * total
+    still = max(k.still_weight, min(1.0, state.memory.speed[view] / k.moving_speed))
+    return min(k.cue_weight * still * state.evidence.frames[view], 1.0) * total
 
 
 @inner_kernel
 def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def]
     """Sum of the log densities of shoulder and hip axis if the person faces f: as they are, and mirrored."""
     straight = back = 0.0
-    kappa, s = in_table(model.axis_kappa, cosine), state.toward[view]
+    kappa, s = in_table(model.axis_kappa, cosine), state.evidence.toward[view]
     folded, most = model.constants.folded, model.constants.axis_floor
     # the reported direction for f is toward s + across f
     toward, across = 0.0, 1.0
@@ -233,9 +235,9 @@ def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-de
         across = math.sin(angle) / math.sqrt(max(1.0 - cosine * cosine, 1e-12))
         toward = math.cos(angle) - across * cosine
     for girdle in range(2):
-        trust = state.axis_trust[view, girdle]
+        trust = state.evidence.axis_trust[view, girdle]
         if trust > 0.0:
-            g = state.axes[view, girdle]
+            g = state.evidence.axes[view, girdle]
             along = g[0] * f[0] + g[1] * f[1] + g[2] * f[2]
             nearing = g[0] * s[0] + g[1] * s[1] + g[2] * s[2]
             peak = 0.5 * math.log(kappa)
@@ -247,7 +249,8 @@ def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-de
                 mirrored = _mixture(mirrored, other, folded)
             straight += trust * (peak - as_shown)
             back += trust * (peak - mirrored)
-    return model.constants.axis_weight * straight, model.constants.axis_weight * back
+    weight = min(model.constants.axis_weight * state.evidence.frames[view], 1.0)
+    return weight * straight, weight * back
 
 
 @inner_kernel
@@ -266,19 +269,19 @@ def _bounded(cost, most):  # type: ignore[no-untyped-def]
 def correct(state, leak):  # type: ignore[no-untyped-def]
     """Multiplies the prediction by the likelihood and normalises; no state falls below the leak."""
     best = -math.inf
-    count = len(state.headings)
+    count = len(state.memory.headings)
     for n in range(count):
         for x in range(2):
             for y in range(2):
-                best = max(best, state.likelihood[n, x, y])
+                best = max(best, state.evidence.likelihood[n, x, y])
     total = 0.0
     for n in range(count):
         for x in range(2):
             for y in range(2):
-                p = state.predicted[n, x, y] * math.exp(state.likelihood[n, x, y] - best)
-                state.belief[n, x, y] = p
+                p = state.belief.predicted[n, x, y] * math.exp(state.evidence.likelihood[n, x, y] - best)
+                state.belief.probabilities[n, x, y] = p
                 total += p
     for n in range(count):
         for x in range(2):
             for y in range(2):
-                state.belief[n, x, y] = max(state.belief[n, x, y] / total, leak)
+                state.belief.probabilities[n, x, y] = max(state.belief.probabilities[n, x, y] / total, leak)

@@ -1,4 +1,4 @@
-"""Events of the views: left and right exchanged, and limbs that a view reports at a wrong place."""
+"""Events of the views: sides exchanged, limbs that a view reports at a wrong place, times that go back."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ViewEvents:
 
     A limb is lost while at least two of its joints are tracked by the view, lie more than 0.2 m from S* and
     have a share below 0.1 in it: S* then follows the other view. A view whose sides are exchanged loses no
-    limb.
+    limb. Where time goes back, S* starts again.
     """
 
     def __init__(self, body: Body) -> None:
@@ -55,6 +55,7 @@ class ViewEvents:
         }
         self._exchanged_since_ns: dict[str, int] = {}
         self._lost: dict[tuple[str, str], _LostLimb] = {}
+        self._last_ns: int | None = None
 
     def observe(self, seen: SkeletonPair, fused: FusedFrame) -> list[Event]:
         """Returns the events that start or end with the next frame; that of a lost limb starts 0.5 s late."""
@@ -96,13 +97,31 @@ class ViewEvents:
                     lost.setdefault(k, []).append(("AB"[side], limb, farthest))
         events: list[tuple[int, Event]] = []
         for k, (time_ns, code) in enumerate(zip(times.tolist(), codes.tolist(), strict=True)):
-            now = [*self._exchanges("A", code[0], time_ns), *self._exchanges("B", code[1], time_ns)]
+            now = [
+                *self._time(time_ns),
+                *self._exchanges("A", code[0], time_ns),
+                *self._exchanges("B", code[1], time_ns),
+            ]
             for sensor, limb, farthest in lost.get(k, ()):
                 limb_lost = self._lost.setdefault((sensor, limb), _LostLimb(time_ns, time_ns, farthest))
                 limb_lost.last_ns, limb_lost.farthest = time_ns, max(limb_lost.farthest, farthest)
             now += self._losses(time_ns)
             events += [(k, event) for event in now]
         return events
+
+    def _time(self, time_ns: int) -> list[Event]:
+        before, self._last_ns = self._last_ns, time_ns
+        if before is None or time_ns >= before:
+            return []
+        self._exchanged_since_ns = dict.fromkeys(self._exchanged_since_ns, time_ns)
+        self._lost.clear()
+        seconds = 1e-9 * (before - time_ns)
+        return [
+            Event(
+                f"The time goes back by {seconds:.3g} s, as after a reset of a clock; S* starts again.",
+                "WARN",
+            )
+        ]
 
     def _exchanges(self, sensor: str, code: int, time_ns: int) -> list[Event]:
         since_ns = self._exchanged_since_ns.get(sensor)

@@ -119,12 +119,12 @@ def test_evidence_multiplies_the_odds_of_an_outlier():
     state = new_arrays(State, J=J)
     views.log_odds[:] = 0.0
     prior = interpreted(outliers.prior_outlier)
-    before = prior(model, state, views, 0, LEFT)
+    before = prior(model, state, views, 0, LEFT, 0.9)
     for said in (-2.0, 1.5):
         views.log_odds[0, LEFT] = said
-        after = prior(model, state, views, 0, LEFT)
+        after = prior(model, state, views, 0, LEFT, 0.9)
         assert after / (1.0 - after) == pytest.approx(before / (1.0 - before) * np.exp(-said))
-        assert prior(model, state, views, 1, LEFT) == before
+        assert prior(model, state, views, 1, LEFT, 0.9) == before
 
 
 def test_the_surface_is_joined_with_the_tracker_by_information():

@@ -191,7 +191,8 @@ def test_another_calibration_makes_no_jump_and_is_followed():
     before = [found.update(pair, Labels.with_sides([(0, 0)])) for pair in pairs[:60]]
     found.recalibrate(FusionSetup(calibration_of(BODY)))
     after = [found.update(pair, Labels.with_sides([(0, 0)])) for pair in pairs[60:]]
-    assert apart(after[0].positions, before[-1].positions).max() < 0.006
+    # the noise, and (1/30 s)² / 0.15 s² of the 0.23 m by which the calibration changes
+    assert apart(after[0].positions, before[-1].positions).max() < 0.006 + 0.0074 * 0.23
     assert (
         np.median(apart(after[-1].positions, truth[-1]))
         < np.median(apart(before[-1].positions, truth[0])) / 3.0

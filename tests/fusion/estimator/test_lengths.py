@@ -12,7 +12,6 @@ from fusion.estimator import outliers
 from fusion.estimator.arrays import State, Views, new_model
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
-from fusion.estimator.estimator import elapsed
 from fusion.estimator.evidence import length_evidence
 from fusion.facing.labels import Labels
 from fusion.fuser import Fuser
@@ -134,25 +133,16 @@ def test_doubt_about_most_joints_of_a_view_is_doubt_about_the_others():
     seen.trust[0, : J - 5] = 0.0
     seen.trust[0, J - 5 :] = 1.0
     prior = interpreted(outliers.prior_outlier)
-    before = prior(model, state, seen, 0, J - 1)
-    interpreted(outliers.store_outlier_state)(model, state, seen)
+    lasts, frame = model.constants.outlier_lasts, 1.0 / 30.0
+    before = prior(model, state, seen, 0, J - 1, lasts)
+    interpreted(outliers.store_outlier_state)(model, state, seen, frame)
     assert state.view_outlier_probability[0] == pytest.approx((J - 5) / J)
     k = model.constants
     expected = k.outlier + (k.outlier_lasts - k.outlier) * (J - 5) / J
     assert before == pytest.approx(k.outlier)
-    assert prior(model, state, seen, 0, J - 1) == pytest.approx(expected)
+    assert prior(model, state, seen, 0, J - 1, lasts) == pytest.approx(expected)
     seen.states[0] = 0
-    interpreted(outliers.store_outlier_state)(model, state, seen)
+    interpreted(outliers.store_outlier_state)(model, state, seen, frame)
     assert state.view_outlier_probability[0] == pytest.approx(0.9 * (J - 5) / J), (
         "it fades while the view sees no one"
     )
-
-
-def test_a_new_person_starts_without_doubt_about_the_view():
-    state = new_arrays(State, J=J)
-    state.last_time[:] = 0, 1
-    state.view_outlier_probability[:] = 0.5
-    interpreted(elapsed)(state, 900_000_000)
-    assert (state.view_outlier_probability == 0.5).all()
-    interpreted(elapsed)(state, 1_100_000_000)
-    assert (state.view_outlier_probability == 0.0).all()

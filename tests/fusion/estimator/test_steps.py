@@ -12,7 +12,7 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion import joint_kinds
 from fusion.array_fields import new_arrays
 from fusion.body import AZURE_KINECT, KINECT_V2
-from fusion.estimator import covariance, kalman, offsets, outliers, smoother, views
+from fusion.estimator import covariance, kalman, offsets, outliers, process, smoother, views
 from fusion.estimator.arrays import Model, Solve, State, Views, new_model
 from fusion.estimator.bones import enforce_hinges, joint_covariances
 from fusion.estimator.constants import Constants
@@ -25,6 +25,7 @@ from tests.helpers.two_views import A_FROM_B, standing
 BODY = KINECT_V2
 J = len(BODY)
 DT = 1.0 / 30.0
+NO_TRACE = new_arrays(smoother.Trace, T=0, J=J)
 ROUNDING = 1e-10  # of quantities of the order of 1 after some hundred operations in double precision
 
 
@@ -113,7 +114,7 @@ def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the
     model, before = scene.model, scene.state
     k = model.constants
     x, v, P = before.positions.copy(), before.velocities.copy(), before.variances.copy()
-    interpreted(kalman.predict)(model, before, DT)
+    interpreted(kalman.predict)(model, before, NO_TRACE, 0, DT)
     kept = math.exp(-DT / k.velocity_seconds)
     for i in BODY.order:
         parent = BODY.parents[i]
@@ -122,8 +123,8 @@ def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the
             v[i] = before.velocities[parent] + kept * (v[i] - before.velocities[parent])
         F = np.array(((1.0, DT), (0.0, 1.0)))
         sd = model.acceleration[i] * (k.acceleration + k.acceleration_by_speed * np.linalg.norm(v[i]))
-        g = np.array((0.5 * DT**2, DT))
-        expected = F @ relax @ covariance_of(P[i]) @ relax.T @ F.T + sd**2 * np.outer(g, g)
+        white = np.array(((DT**3 / 3.0, DT**2 / 2.0), (DT**2 / 2.0, DT)))
+        expected = F @ relax @ covariance_of(P[i]) @ relax.T @ F.T + sd**2 / 30.0 * white
         np.testing.assert_allclose(covariance_of(before.variances[i]), expected, rtol=ROUNDING)
         np.testing.assert_allclose(before.positions[i], x[i] + DT * v[i], rtol=ROUNDING)
 
@@ -163,7 +164,7 @@ def test_trust_is_the_posterior_over_all_hypotheses(scene):
     seen.states[:] = np.where(seen.states == 0, 2, seen.states)
     seen.states[0, 3] = seen.states[1, 5] = 0
     e = innovations(scene)
-    interpreted(outliers.outlier_probabilities)(model, state, seen)
+    interpreted(outliers.outlier_probabilities)(model, state, seen, DT)
     k = model.constants
     uniform = k.outlier_side**-3
     assert (seen.trust[:, 6:] < 0.5).any()
@@ -175,7 +176,7 @@ def test_trust_is_the_posterior_over_all_hypotheses(scene):
             p = rare + max(k.outlier_lasts - rare, 0.0) * max(
                 state.outlier_probability[v, i], state.view_outlier_probability[v]
             )
-            doubted = min(k.sides_doubted * seen.side_doubt[v], 0.99) if model.lateral[i] else 0.0
+            doubted = min(k.sides_doubted * seen.side_doubt[v], 0.99) if model.mirror[i] != i else 0.0
             prior.append(max(p, doubted))
         noise = seen.fast[:, i] + state.offset_variances[:, i]
         total, good = 0.0, np.zeros(2)
@@ -212,8 +213,8 @@ def test_a_surprise_lets_both_views_through(scene):
     for v in range(2):
         seen.positions[v, i] = state.positions[i] + (0.3, 0.2, 0.0)
     before = state.variances[i].copy()
-    interpreted(outliers.outlier_probabilities)(scene.model, state, seen)
-    interpreted(outliers.inflate_on_surprise)(scene.model, state, seen, DT)
+    interpreted(outliers.outlier_probabilities)(scene.model, state, seen, DT)
+    interpreted(process.inflate_on_surprise)(scene.model, state, seen, NO_TRACE, 0, DT)
     assert seen.surprise[i] > 0.95
     assert (seen.trust[:, i] > 0.95).all()
     g = np.array((1.0, 0.5 / DT))

@@ -1,5 +1,6 @@
 """The facing filter against plain numpy references: one frame, smoothing, live and sequence."""
 
+from copy import deepcopy
 from dataclasses import replace
 from itertools import pairwise
 
@@ -31,8 +32,8 @@ def reference_likelihood(c, views, k, state):
     body = views.body
     angles = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
     front = np.stack((np.cos(angles), 0.0 * angles, np.sin(angles)), axis=1)
-    speed = np.linalg.norm(state.velocity)
-    common = c.motion_weight * min(speed, c.motion_cap) ** 4 * (front @ state.velocity) / speed
+    speed = np.linalg.norm(state.memory.velocity)
+    common = c.motion_weight * min(speed, c.motion_cap) ** 4 * (front @ state.memory.velocity) / speed
     axis = []
     trunk = [body.joint(n + side) for n in ("Shoulder", "Hip") for side in ("Left", "Right")]
     root = 0.5 * (views.a[k] + views.b_in_a[k])[trunk].mean(axis=0)
@@ -47,7 +48,7 @@ def reference_likelihood(c, views, k, state):
             cues.append((0.5, off_line(at, hip, knee, ankle), c.knee_mean, c.knee_sigma))
             cues.append((0.5, -off_line(at, shoulder, elbow, wrist), c.elbow_mean, c.elbow_sigma))
         cues.append((1.0, at[body.joint("Head")] - at[body.joint("Neck")], c.head_mean, c.head_sigma))
-        weight = c.cue_weight * max(c.still_weight, min(1.0, state.speed[view] / c.moving_speed))
+        weight = c.cue_weight * max(c.still_weight, min(1.0, state.memory.speed[view] / c.moving_speed))
         for share, vector, mean, sigma in cues:
             off = (front @ vector - table(mean, cosine)) / table(sigma, cosine)
             most = np.where((off > 0.0) & (mean is c.knee_mean), c.bent_floor, c.cue_floor)
@@ -90,15 +91,18 @@ def reference_prediction(before, state):
     """(N, 2, 2) by dense matrices: turning, then each view's probability of an exchange."""
     n = np.arange(HEADINGS)
     difference = (n[:, None] - n[None] + HEADINGS // 2) % HEADINGS - HEADINGS // 2
-    reach = int(state.reach[0])
+    reach = int(state.evidence.reach[0])
     turning = np.where(
-        np.abs(difference) <= reach, state.turning[np.clip(difference, -TAPS, TAPS) + TAPS], 0.0
+        np.abs(difference) <= reach, state.evidence.turning[np.clip(difference, -TAPS, TAPS) + TAPS], 0.0
     )
     turned = np.einsum("nm,mxy->nxy", turning, before)
     matrices = []
     for view in range(2):
-        to, fro = state.rates[view] * state.shares[view], state.rates[view] * (1.0 - state.shares[view])
-        odds = state.odds[view]
+        to, fro = (
+            state.evidence.rates[view] * state.evidence.shares[view],
+            state.evidence.rates[view] * (1.0 - state.evidence.shares[view]),
+        )
+        odds = state.evidence.odds[view]
         to, fro = (p * odds / (1.0 - p + p * odds) for p in (to, fro))
         matrices.append(np.array([[1.0 - to, fro], [to, 1.0 - fro]]))  # (after, before, heading)
     return np.einsum("xpn,yqn,npq->nxy", *matrices, turned)
@@ -109,18 +113,18 @@ def test_a_frame_is_what_the_equations_say():
     constants = FacingConstants.of(KINECT_V2)
     model, state = new_facing_model(KINECT_V2, constants), new_arrays(FacingState, J=len(KINECT_V2))
     for k in range(240):
-        before = state.belief.copy()
+        before = state.belief.probabilities.copy()
         step(model, state, views, k)
         if k < 110:
             continue
         predicted = reference_prediction(before, state)
-        np.testing.assert_allclose(state.predicted, predicted, atol=1e-14)
+        np.testing.assert_allclose(state.belief.predicted, predicted, atol=1e-14)
         likelihood = reference_likelihood(constants, views, k, state)
-        np.testing.assert_allclose(state.likelihood, likelihood, atol=1e-9)
+        np.testing.assert_allclose(state.evidence.likelihood, likelihood, atol=1e-9)
         belief = predicted * np.exp(likelihood - likelihood.max())
         belief /= belief.sum()
-        np.testing.assert_allclose(state.belief, np.maximum(belief, constants.leak), atol=1e-11)
-        assert state.predicted.sum() == pytest.approx(1.0, abs=1e-6)  # leaks: 144 · 1e-9
+        np.testing.assert_allclose(state.belief.probabilities, np.maximum(belief, constants.leak), atol=1e-11)
+        assert state.belief.predicted.sum() == pytest.approx(1.0, abs=1e-6)  # leaks: 144 · 1e-9
 
 
 def test_people_turn_as_the_page_of_the_method_says():
@@ -131,7 +135,9 @@ def test_people_turn_as_the_page_of_the_method_says():
     straight, turns = (norm.pdf(angles, scale=np.sqrt(3.0) * degrees) for degrees in (3.0, 13.0))
     share = constants.turning_share
     expected = (1.0 - share) * straight / straight.sum() + share * turns / turns.sum()
-    np.testing.assert_allclose(state.turning, expected, atol=0.01)  # the page rounds to whole degrees
+    np.testing.assert_allclose(
+        state.evidence.turning, expected, atol=0.01
+    )  # the page rounds to whole degrees
 
 
 def test_smoothing_is_the_forward_backward_algorithm():
@@ -146,7 +152,7 @@ def test_smoothing_is_the_forward_backward_algorithm():
     stale = [np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=(1, 2))] for x in (part.a, part.b_in_a)]
     for k in range(count):
         update_facing(model, state, part.reported_at(k, UP, (stale[0][k], stale[1][k])), seconds[k])
-        kept.append((state.belief.copy(), state.likelihood.copy(), FacingState(*(x.copy() for x in state))))
+        kept.append(deepcopy((state.belief.probabilities, state.evidence.likelihood, state)))
     beta = np.ones((HEADINGS, 2, 2))
     for k in range(count - 1, -1, -1):
         smoothed = kept[k][0] * beta
@@ -179,7 +185,7 @@ def test_live_and_sequence_agree_bit_for_bit_and_repeat():
     ]
     for k in range(len(seconds)):
         update_facing(model, state, views.reported_at(k, UP, (stale[0][k], stale[1][k])), seconds[k])
-        np.testing.assert_array_equal(state.codes, one.codes[k])
-        heading = (state.confidence[0] * state.facing).astype(np.float32)
+        np.testing.assert_array_equal(state.result.codes, one.codes[k])
+        heading = (state.result.confidence[0] * state.result.facing).astype(np.float32)
         np.testing.assert_array_equal(heading, one.heading[k])
-        np.testing.assert_array_equal(state.mirrored.astype(np.float32), one.mirrored[k])
+        np.testing.assert_array_equal(state.result.mirrored.astype(np.float32), one.mirrored[k])
