@@ -170,7 +170,7 @@ def test_the_start_page_installs_the_program(home):
     """With the packages that are there already: .ci/package installs them afresh."""
     packages = Path(pytest.__file__).parents[1]
     where = "import viewer_app; print(viewer_app.__file__)"
-    line = f'{START[0].line}\nduplex --help\npython -c "{where}"'
+    line = f'{START[0].line}\nduplex --help\npython -P -c "{where}"'
     with typed(line, ROOT, **home, PYTHONPATH=str(packages)) as program:
         assert program.code() == 0, program.said
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
