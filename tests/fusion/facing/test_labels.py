@@ -203,7 +203,7 @@ def test_a_missing_view_and_a_missing_person():
         step(model, state, nobody, k)
         assert np.isfinite(state.result.mirrored).all()
     for k in range(180, 260):
-        step(model, state, gone, k)
+        step(model, state, gone, k, stale=(False, True))
     assert (state.result.codes[0], state.result.codes[1]) == (0, 0)
     facing = heading(views.body, views.truth[259:260])[0]
     assert state.result.facing @ facing > 0.5
