@@ -11,6 +11,7 @@ import pytest
 from recordings import Session
 from tests.acceptance.conftest import copied
 from tests.helpers.documents import ROOT, lines_of, python_of
+from tests.helpers.pictures import shows_skeletons
 from tests.helpers.programs import typed
 from tests.helpers.recorded_pairs import assert_same_session
 from tests.helpers.waiting import eventually
@@ -112,6 +113,19 @@ def start(tmp_path_factory, walk):
 def take(desk, home, kinects, seen):
     """Types a line at the desk, and sees what it promises."""
 
+    def look():
+        assert eventually(lambda: "Rerun" in desk.titles(), _WITHIN, every=0.5), "no window"
+        (window,) = desk.windows()
+        pictures = []
+
+        def drawn():
+            pictures[:] = [window.picture()]
+            return shows_skeletons(*pictures)
+
+        shown = eventually(drawn, _WITHIN, every=0.5)
+        seen(*pictures)
+        assert shown, "no skeletons in the window"
+
     def taken(step, folder):
         folder = folder / step.folder
         of = {**desk.environment, **home}
@@ -128,17 +142,17 @@ def take(desk, home, kinects, seen):
                 assert program.says("Recording" if "record" in line else "Running"), program.said
                 kinects.person_begins()
                 assert "record" in line or program.says("Calibrated"), program.said
+                if step.window:
+                    look()
                 assert program.end() == 0, program.said
             assert program.code() == 0, program.said
         assert step.says in re.sub(" +$", "", program.said, flags=re.MULTILINE)
         assert "Traceback" not in program.said
         for file in step.makes:
             assert (folder / file).stat().st_size > 1000, file
+        if step.window and not step.live:
+            look()
         assert ("Rerun" in desk.titles()) == step.window
-        if step.window:
-            (window,) = desk.windows()
-            assert eventually(lambda: window.state() and window.state().recordings, _WITHIN)
-            seen(window.picture())
 
     yield taken
     desk.close_windows()
