@@ -7,6 +7,7 @@ are the person's own.
 import re
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,11 @@ class Body:
 
     def __repr__(self) -> str:
         return f"Body({self.name}, {len(self)} joints)"
+
+    def __reduce__(self) -> str | tuple[Any, ...]:
+        """A known body is the same object after pickling and copying, also in another process."""
+        known = BODIES.get(self.name) is self
+        return (_known_body, (self.name,)) if known else super().__reduce__()
 
     @cached_property
     def root(self) -> int:
@@ -303,6 +309,10 @@ the hips, the shoulders and the ears. HAND is the middle of the knuckles of the 
 the base of the large toe."""
 
 BODIES = {body.name: body for body in (KINECT_V1, KINECT_V2, AZURE_KINECT, BLAZEPOSE)}
+
+
+def _known_body(name: str) -> Body:
+    return BODIES[name]
 
 
 def body_of(joint_names: set[str]) -> Body:

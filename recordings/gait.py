@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
+from recordings.errors import RecordingError
 
 Array = NDArray[np.float64]
 
@@ -114,7 +115,9 @@ class Gait:
         return sorted(event for event in strikes + toe_offs if math.isfinite(event[0]))
 
     def of_side(self, side: str) -> list[Step]:
-        """The steps of a foot."""
+        """The steps of a foot, ``left`` or ``right``."""
+        if side not in ("left", "right"):
+            raise RecordingError(f"A foot is left or right; got {side!r}.")
         return [step for step in self.steps if step.side == side]
 
     def cycles(self, side: str) -> Array:

@@ -63,7 +63,8 @@ def sigma_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
     off = 0.5 * change / np.maximum(elapsed, 1e-3)[:, None] * (seconds**2)[:, None] * s * (1.0 - s)
     squared = np.asarray(rows.sigma, dtype=np.float64) ** 2
     known = np.isfinite(positions_at(rows, wanted))[..., 0]
-    variance = (1.0 - s) * squared[before] + s * squared[after] + np.nan_to_num(off) ** 2
+    of_next = np.where(s > 0.0, s * squared[after], 0.0)  # at a frame, the next one does not matter
+    variance = (1.0 - s) * squared[before] + of_next + np.nan_to_num(off) ** 2
     found[known] = np.sqrt(variance[known])
     return found
 

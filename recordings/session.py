@@ -40,7 +40,7 @@ from recordings.file.session_reader import read_session
 from recordings.gait import Gait, find_gait
 from recordings.images import NO_IMAGES, SessionImages
 from recordings.interpolation import positions_at, sigma_at
-from recordings.session_arrays import SessionArrays, SessionFrame, SessionFrames, ViewsAgree
+from recordings.session_arrays import SessionArrays, SessionFrame, SessionFrames
 from recordings.session_data import SessionData
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
@@ -101,7 +101,13 @@ class AngleSeries:
     sigma: NDArray[np.float64]
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """(T,) degrees of an angle."""
+        """(T,) degrees of an angle.
+
+        Raises:
+            KeyError: There is no such angle; the message lists all.
+        """
+        if name not in self.names:
+            raise KeyError(f"no angle {name!r}; there are {', '.join(self.names)}")
         return np.asarray(self.degrees[:, self.names.index(name)])
 
 
@@ -284,11 +290,6 @@ class Session(SessionData):
         return QualitySeries(
             rows.bone_error, rows.disagreement, rows.skew_ns, rows.fuse_ms, rows.iterations, rows.predicted
         )
-
-    @property
-    def views_agree(self) -> ViewsAgree:
-        """How far apart the views are, over all frames since the calibration: the figure of every report."""
-        return self.rows.views_agree
 
     @property
     def calibration(self) -> Calibration:

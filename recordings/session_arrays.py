@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
@@ -344,29 +343,6 @@ class SessionArrays:
     def disagreement(self) -> NDArray[np.float64]:
         """(T,) metres between p and R q + t, median over the joints that both see; NaN without any."""
         return np.concatenate([median_of_known(rows.view_difference) for rows in self.parts()])
-
-    @property
-    def views_agree(self) -> ViewsAgree:
-        """How far apart the views are, over all frames since the calibration."""
-        calibrated = [
-            (rows.rotation != np.eye(3)).any(axis=(1, 2)) | rows.translation.any(axis=1)
-            for rows in self.parts()
-        ]
-        apart = self.disagreement[np.concatenate(calibrated)]
-        apart = apart[np.isfinite(apart)]
-        if not len(apart):
-            return ViewsAgree(math.nan, math.nan)
-        return ViewsAgree(float(np.median(apart)), float(np.percentile(apart, 95.0)))
-
-
-class ViewsAgree(NamedTuple):
-    """Distance of the calibrated views, metres: median and 95th percentile over frames; NaN without any.
-
-    The distance of a frame is the median over the joints that both see.
-    """
-
-    median: float
-    percentile_95: float
 
 
 def _exchanged(fused: FusedFrame | FusedFrames) -> NDArray[Any] | None:

@@ -28,12 +28,12 @@ class Comparison:
 
     @staticmethod
     def of(first: Session, second: Session) -> Comparison:
-        """Finds the frames with equal capture times on the principal sensor's own clock.
+        """Finds the frames with equal capture times on A's own clock, or on B's where A has no frame.
 
         Raises:
             RecordingError: The bodies differ, there is no common frame, or the skeletons S_A, S_B differ.
         """
-        if first.body is not second.body:
+        if first.body.name != second.body.name:
             raise RecordingError(
                 f"{first} has body {first.body.name}, {second} has {second.body.name}: not the same capture."
             )
@@ -134,7 +134,15 @@ def _same_inputs(one: SessionArrays, two: SessionArrays) -> NDArray[np.bool_]:
     return same
 
 
-def _moments(session: Session) -> NDArray[np.int64]:
-    """(T,) frame times on A's clock; for frames without A negative values derived from the session time."""
+def _moments(session: Session) -> NDArray[np.void]:
+    """(T,) what identifies a frame also after a trim: a sensor, A where it has a frame, and its own time.
+
+    A frame of neither sensor has the session's time.
+    """
     rows = session.rows
-    return np.where(rows.clock_a == layout.NO_FRAME, -1 - rows.time_ns, rows.clock_a)
+    without_a = rows.clock_a == layout.NO_FRAME
+    without_b = rows.clock_b == layout.NO_FRAME
+    moments = np.empty(len(rows), dtype=[("sensor", np.int8), ("time_ns", np.int64)])
+    moments["sensor"] = np.where(without_a, np.where(without_b, 2, 1), 0)
+    moments["time_ns"] = np.where(without_a, np.where(without_b, rows.time_ns, rows.clock_b), rows.clock_a)
+    return moments

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,35 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
 from fusion.setup import FuserSettings, FusionSetup
+from recordings import layout
+from recordings.errors import RecordingError
 from recordings.images import NO_IMAGES, Images, SessionImages
 from recordings.session_arrays import SessionArrays
+
+
+class ViewsAgree(NamedTuple):
+    """Distance of the calibrated views, metres: median and 95th percentile over frames; NaN without any.
+
+    The distance of a frame is the median over the joints that both see.
+    """
+
+    median: float
+    percentile_95: float
+
+    @staticmethod
+    def of(apart: NDArray[np.float64]) -> ViewsAgree:
+        """Of the distance of each frame, metres; NaN where unknown."""
+        known = apart[np.isfinite(apart)]
+        if not len(known):
+            return ViewsAgree(math.nan, math.nan)
+        return ViewsAgree(float(np.median(known)), float(np.percentile(known, 95.0)))
+
+
+_WRITTEN_ANEW = (
+    *("layout_version", "written_by", "body", "method_revision", "bone_names", "source_a", "source_b"),
+    *("first_frame", "made_of_damaged", "made_without_frames"),
+)
+"""Properties of a session that a session made of it does not keep."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,6 +84,16 @@ class SessionData:
     damage: str | None
     images: SessionImages = NO_IMAGES
 
+    def __post_init__(self) -> None:
+        rows = self.rows
+        for values in (rows.bone_lengths, rows.frame, rows.time_ns, *(of for _, _, of in rows.figures())):
+            values.flags.writeable = False  # an edit would keep the checksums of what was recorded
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy's arrays are read-only, too; also after pickling."""
+        self.__dict__.update(state)
+        self.__post_init__()
+
     def __len__(self) -> int:
         return len(self.rows)
 
@@ -85,10 +123,8 @@ class SessionData:
     @property
     def origin(self) -> dict[str, str | float]:
         """What the session keeps of the capture that it was made of, for a session made of this one."""
-        clocks = "clock_corrected_ms", "clock_offset_ms", "clock_sd_ms"
-        names = "tracker", "replay_of", *clocks, "dropped_a", "dropped_b", "axes", "joint_names"
         known = self.about["session"]
-        return {name: known[name][0] for name in names if name in known}
+        return {name: values[0] for name, values in known.items() if name not in _WRITTEN_ANEW}
 
     @property
     def method_revision(self) -> int:
@@ -109,6 +145,22 @@ class SessionData:
         if "clock_offset_ms" not in known:
             return None
         return {"offset_ms": known["clock_offset_ms"][0], "sd_ms": known["clock_sd_ms"][0]}
+
+    @property
+    def first_calibrated_frame(self) -> int | None:
+        """The first frame with a calibration that is not provisional; None if all are provisional."""
+        return next((first for first, one in self.calibrations if not one.provisional), None)
+
+    @property
+    def views_agree(self) -> ViewsAgree:
+        """How far apart the views are, over all frames since the calibration: the figure of every report.
+
+        If all calibrations are provisional, over all frames since the first one that has data.
+        """
+        first = self.first_calibrated_frame
+        if first is None:
+            first = next((n for n, one in self.calibrations if one.registration is not None), len(self))
+        return ViewsAgree.of(self.rows[first:].disagreement if first < len(self) else np.empty(0))
 
     @property
     def last_setup(self) -> FusionSetup:
@@ -134,13 +186,26 @@ class SessionData:
             first, end: The frames from `first` to `end`, exclusive; None: to the last frame.
 
         Returns:
-            An iterable of frame number and (height, width) millimetres, 0 without a reading.
+            An iterable of frame number and (height, width) millimetres, 0 without a reading. Iteration raises
+            RecordingError if the file was replaced by another session since it was opened.
+
+        Raises:
+            RecordingError: There is no such side, or no such range.
         """
-        return self.images.depth(side, self._frames(first, end))
+        return self.images.depth(_checked_side(side), self._frames(first, end))
 
     def color(self, side: str, first: int = 0, end: int | None = None) -> Images[ColorImage]:
         """Colour images of a sensor; same arguments and iteration as :meth:`depth`."""
-        return self.images.color(side, self._frames(first, end))
+        return self.images.color(_checked_side(side), self._frames(first, end))
 
     def _frames(self, first: int, end: int | None) -> range:
-        return range(first, len(self) if end is None else min(end, len(self)))
+        stop = len(self) if end is None else end
+        if not 0 <= first <= stop:
+            raise RecordingError(f"There are no frames from {first} to {stop}.")
+        return range(first, min(stop, len(self)))
+
+
+def _checked_side(side: str) -> str:
+    if side not in layout.SIDES:
+        raise RecordingError(f"A sensor is named {' or '.join(layout.SIDES)}; got {side!r}.")
+    return side

@@ -1,5 +1,6 @@
 """Moments at an even rate, for formats without time stamps, and conversion to the axes of these formats."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from recordings.session_arrays import SessionArrays
 _STANDARD_RATES = (5.0, 15.0, 30.0, 60.0)
 _STANDARD_WITHIN = 0.05
 _LONG_PAUSE = 3.0  # median intervals
+_WITHIN_STEPS = 0.01  # a last moment that rounding moves behind the last frame by so much of a step is kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,7 @@ def even_moments(rows: SessionArrays, rate: float | None = None) -> EvenMoments:
     """
     first_ns, last_ns = (int(rows.time_ns[k]) for k in (0, -1))
     rate = _rate_of(rows) if rate is None else rate
-    count = round((last_ns - first_ns) * 1e-9 * rate) + 1
+    count = math.floor((last_ns - first_ns) * 1e-9 * rate + _WITHIN_STEPS) + 1
     time_ns = first_ns + np.rint(np.arange(count) * 1e9 / rate).astype(np.int64)
     return EvenMoments(rate, np.minimum(time_ns, last_ns))
 

@@ -62,6 +62,7 @@ class Columns:
     logged: dict[str, list[tuple[int, dict[str, Any]]]] = field(default_factory=dict)
     """By entity, for entities logged occasionally: (frame, {component: values})."""
     damage: str | None = None  # description of the damage; None if the file is whole
+    identity: tuple[str, str] | None = None  # application and recording id
 
 
 def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
@@ -72,7 +73,7 @@ def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
         for entity, batch in file.chunks(images=False):
             if wanted(entity):
                 _take(entity, batch, found, parts)
-        found.damage = file.damage
+        found.damage, found.identity = file.damage, file.identity()
     while parts:  # one by one, so that a long session is not in memory twice
         key, pieces = parts.popitem()
         shape = pieces[0][1].shape[1:]

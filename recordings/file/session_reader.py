@@ -23,9 +23,11 @@ from recordings.frame_fields import FrameField
 from recordings.session_arrays import FRAME_FIELDS, SessionArrays
 from recordings.session_data import SessionData
 from recordings.writing.checksums import (
+    CHECKS_CRC,
     FRAME_CRC,
     FUSED_CRC,
     FusedChecks,
+    checks_checksums,
     event_checksum,
     frame_checksums,
     properties_checksum,
@@ -33,6 +35,7 @@ from recordings.writing.checksums import (
 
 _TIME = layout.QUALITY, layout.TIME
 _FRAME_CRC, _FUSED_CRC = (layout.QUALITY, FRAME_CRC), (layout.QUALITY, FUSED_CRC)
+_CHECKS_CRC = layout.QUALITY, CHECKS_CRC
 _JOINT_DIGESTS = layout.QUALITY, layout.JOINT_DIGESTS
 _PROVISIONAL = ("none yet", "provisional")
 """How descriptions of provisional calibrations begin in sessions of 1.0 and earlier."""
@@ -57,11 +60,14 @@ def read_session(path: Path) -> SessionData:
     elif int(end[0]) != len(rows) or lost:
         lost = max(lost, int(end[0]) - len(rows))
         damage = damage or f"frame {len(rows)} does not match its checksum or is missing"
+    session, cameras = about["session"], about["intrinsics"]
+    if "made_of_damaged" in session:
+        damage = damage or f"it was made of a session that was not: {session['made_of_damaged'][0]}"
+        lost += int(session["made_without_frames"][0])
     if len(rows) == 0:
         raise RecordingError(
             f"{path} has no whole frame" + (f": {damage}." if damage else "; nothing was recorded.")
         )
-    session, cameras = about["session"], about["intrinsics"]
     return SessionData(
         path=path,
         rows=rows,
@@ -76,7 +82,7 @@ def read_session(path: Path) -> SessionData:
         joint_digests=checks[1],
         frames_lost=lost,
         damage=damage,
-        images=FileImages(path),
+        images=FileImages(path, found.identity),
     )
 
 
@@ -180,6 +186,8 @@ def _frames_of(
     }
     stored |= {_TIME: (1, np.int64), _FRAME_CRC: (1, np.uint32), _FUSED_CRC: (1, np.uint32)}
     stored[_JOINT_DIGESTS] = (len(body), np.uint8)
+    if _CHECKS_CRC in found.values:  # sessions of 1.0 and earlier have none
+        stored[_CHECKS_CRC] = (1, np.uint32)
     columns: dict[tuple[str, str], NDArray[Any]] = {}
     counts = []
     for key, (width, kind) in stored.items():
@@ -197,6 +205,9 @@ def _frames_of(
         rows = SessionArrays(body, _targets(calibrations, n), np.arange(n), columns[_TIME][:n, 0], **figures)
     if n:
         fits = frame_checksums(rows) == columns[_FRAME_CRC][:n, 0]
+        if _CHECKS_CRC in stored:
+            of_checks = checks_checksums(columns[_FUSED_CRC][:n, 0], columns[_JOINT_DIGESTS][:n])
+            fits &= of_checks == columns[_CHECKS_CRC][:n, 0]
         n = int(np.argmin(np.append(fits, False)))
     return rows[:n], (columns[_FUSED_CRC][:n, 0], columns[_JOINT_DIGESTS][:n]), written - n
 

@@ -12,8 +12,8 @@ import shutil
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,13 +22,14 @@ from uuid import uuid4
 import rerun as rr
 import rerun_bindings
 
-from devices.events import Event
+from devices.events import Event, spells_of
 from fusion.large_arrays import parts
 from fusion.progress import Progress, quietly
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.errors import RecordingError
-from recordings.file.rrd_file import damage_of
+from recordings.file.growing_file import partial_beside
+from recordings.file.rrd_file import RrdFile, damage_of
 from recordings.session_data import SessionData
 from recordings.writing.recorder import Recorder
 
@@ -53,13 +54,13 @@ def write_session(
     block: int = _BLOCK,
     progress: Progress = quietly,
 ) -> int:
-    """Writes frames `first` to `end` (exclusive) of a session to a new file.
+    """Writes frames `first` to `end` (exclusive) of a session to a file, which may be the session's own.
 
     The frame numbers and the time of the new session start at 0. Its property ``first_frame`` is the number
     of the first frame in the original capture.
 
     Args:
-        path: The file; overwritten.
+        path: The file; replaced once the new one is whole.
         first, end: The range of frames; if `end` is None, to the last.
 
     Returns:
@@ -78,7 +79,9 @@ def write_session(
     }
     if (first, end) != (0, len(session)):  # nobody knows which frames were dropped in this part
         about = {name: value for name, value in about.items() if not name.startswith("dropped")}
-    with whole_recording(path, blueprint) as stream:
+    if session.damage is not None:
+        about |= {"made_of_damaged": session.damage, "made_without_frames": session.frames_lost}
+    with whole_recording(path, blueprint, recording_id=_kept_id(session, path, first, end)) as stream:
         segments = [(setup, own) for setup, own in session.setups() if own.stop > first and own.start < end]
         recorder = Recorder(stream, segments[0][0], session.sources, about=about)
         start_ns = int(session.rows.time_ns[first])
@@ -86,6 +89,8 @@ def write_session(
             recorder.coach(page)
         if segments[0][1].start < first:  # its calibration event comes before the range
             recorder.event(Event(f"calibrated: {segments[0][0].calibration.how}"), placed=True)
+        for event in _lasting(session.events, first):
+            recorder.event(event.placed(0, 0), placed=True)
         events = deque(sorted((e for e in session.events if first <= e.frame < end), key=lambda e: e.frame))
         for setup, own in segments:
             if own.start > first:
@@ -108,22 +113,52 @@ def write_session(
     return damaged
 
 
+def _lasting(events: Iterable[Event], first: int) -> Iterator[Event]:
+    """Earlier events that hold at frame `first`: starts without an end, and warnings of the first frame."""
+    if first == 0:
+        return
+    yield from (e for e in events if e.frame == 0 and e.phase == "moment" and e.level != "INFO")
+    for spell in spells_of(events):
+        if spell.start.frame < first and (spell.end is None or spell.end.frame >= first):
+            yield spell.start
+
+
+def _kept_id(session: SessionData, path: Path, first: int, end: int) -> str | None:
+    """The recording's id if a session replaces its own file, so that its images are still found there."""
+    if session.path is None or (first, end) != (0, len(session)) or not path.exists():
+        return None
+    if not path.samefile(session.path):
+        return None
+    with RrdFile(path) as file:
+        identity = file.identity()
+    return None if identity is None else identity[1]
+
+
 @contextmanager
 def whole_recording(
-    path: Path, blueprint: Any = None, application: str = layout.APPLICATION_ID
+    path: Path,
+    blueprint: Any = None,
+    application: str = layout.APPLICATION_ID,
+    recording_id: str | None = None,
 ) -> Iterator[rr.RecordingStream]:
-    """A recording stream to a file, which is complete after the block ends without error.
+    """A recording stream to a file, which has its name when the block has ended without error.
+
+    Until then a file of that name stays as it is.
 
     Raises:
         OSError: The file cannot be created, or some logged data did not reach the file, usually because
             the disk is full.
     """
+    target = Path(os.path.realpath(path))  # not a link to it
+    if target.exists() and not target.is_file():
+        raise OSError(f"{target} is not a regular file")
+    path = partial_beside(target)
     _free_dropped_streams()  # of earlier files: this one is still referred to when it is complete
-    stream = rr.RecordingStream(application, recording_id=uuid4())
+    stream = rr.RecordingStream(application, recording_id=recording_id or uuid4())
     try:
         stream.set_sinks(rr.FileSink(str(path)))
     except RuntimeError as error:  # Rerun's, for a folder in which no file can be created
-        raise OSError(f"{path} cannot be created") from error
+        raise OSError(f"{target} cannot be created") from error
     try:
         yield stream
         if blueprint is not None:
@@ -131,12 +166,19 @@ def whole_recording(
             _flush(stream, path)
             _send_blueprint(stream, blueprint)
         _flush(stream, path)
+        disconnect(stream, _FLUSH_WITHIN)
+        check_whole(path)
+        with path.open("rb") as file:
+            os.fsync(file.fileno())
+        path.replace(target)
     except RuntimeError as error:
         # Rerun's, once its thread could not write
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
     finally:
-        disconnect(stream, _FLUSH_WITHIN if sys.exception() is None else LEFT_AFTER)
-    check_whole(path)
+        if sys.exception() is not None:
+            disconnect(stream, LEFT_AFTER)
+        with suppress(OSError):  # on Windows, while a stream that was left behind holds it
+            path.unlink(missing_ok=True)
 
 
 def _flush(stream: rr.RecordingStream, path: Path) -> None:

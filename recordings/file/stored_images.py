@@ -13,6 +13,7 @@ from devices.sensor import ColorCamera, ColorImage
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from recordings import layout
+from recordings.errors import RecordingError
 from recordings.file.rrd_file import RrdFile
 from recordings.images import Images, SessionImages
 from recordings.writing.checksums import image_checksum
@@ -26,6 +27,7 @@ class ImageReader(Images[T]):
     """The images of one sensor with their frame numbers, in order; iteration reads the file.
 
     Args:
+        file: Its path, and the application and id of the recording that was opened.
         checked: Returns the bytes of row k of a chunk, and whether they match their checksum. The checksum
             also covers the frame number.
         frames: The wanted frames; with a step, images of frames that are at least so far apart.
@@ -33,14 +35,15 @@ class ImageReader(Images[T]):
 
     def __init__(
         self,
-        path: Path,
+        file: tuple[Path, tuple[str, str] | None],
         entity: str,
         checked: Callable[[pa.RecordBatch, int, int], tuple[Any, bool]],
         decoded: Callable[[Any], T],
         frames: range,
     ) -> None:
         super().__init__(lambda: ((frame, decoded(raw)) for frame, raw in self._whole()))
-        self._path, self._entity, self._checked, self._frames = path, entity, checked, frames
+        self._path, self._identity = file
+        self._entity, self._checked, self._frames = entity, checked, frames
 
     def count(self) -> int:
         """Counts the whole images without decoding them."""
@@ -50,6 +53,10 @@ class ImageReader(Images[T]):
         self.damaged = 0
         next_frame = self._frames.start
         with RrdFile(self._path) as file:
+            if file.identity() != self._identity:
+                raise RecordingError(
+                    f"{self._path} holds another session now. Open it again to read its images."
+                )
             for entity, batch in file.chunks(images=True):
                 if entity != self._entity or layout.FRAME not in batch.schema.names:
                     continue
@@ -59,7 +66,7 @@ class ImageReader(Images[T]):
                     except _WRONG:
                         raw, whole = None, False
                     if not whole:
-                        self.damaged += 1
+                        self.damaged += frame is None or frame >= self._frames.start
                     elif frame >= self._frames.stop:
                         return
                     elif frame >= next_frame:
@@ -69,16 +76,20 @@ class ImageReader(Images[T]):
 
 
 class FileImages(SessionImages):
-    """The images in a session's file."""
+    """The images in a session's file.
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    Args:
+        identity: Of the recording that was opened; another one under its name is refused.
+    """
+
+    def __init__(self, path: Path, identity: tuple[str, str] | None) -> None:
+        self._file = path, identity
 
     def depth(self, side: str, frames: range) -> Images[NDArray[np.uint16]]:
-        return ImageReader(self._path, layout.depth(side), _checked_depth, decode_depth, frames)
+        return ImageReader(self._file, layout.depth(side), _checked_depth, decode_depth, frames)
 
     def color(self, side: str, frames: range) -> Images[ColorImage]:
-        return ImageReader(self._path, layout.color(side), _checked_color, _decoded_color, frames)
+        return ImageReader(self._file, layout.color(side), _checked_color, _decoded_color, frames)
 
 
 def _checked_depth(batch: pa.RecordBatch, k: int, frame: int) -> tuple[bytes, bool]:

@@ -80,6 +80,15 @@ class Times:
         return self._times
 
 
+def own_values(**values: Any) -> list[Any]:
+    """Components of our own, each a value or a sequence of values of one type.
+
+    The Arrow type follows from the Python type: bool, int64, float64 or text. ``rr.AnyValues`` would take
+    the type that the first value of this name had in the process, and drop values that do not fit.
+    """
+    return [Batch(_descriptor(name), _own_array(value)) for name, value in values.items()]
+
+
 def points(positions: NDArray[np.float32]) -> list[Any]:
     """What ``rr.Points3D.from_fields(positions=…)`` consists of; (n, 3) metres."""
     return [Batch(*converted(rr.Points3D, "positions", positions, len(positions)))]
@@ -123,6 +132,14 @@ def converted(
         return descriptor, pa.array(flat.ravel(), kind)
     each = pa.array(flat.ravel(), kind.value_type)
     return descriptor, pa.FixedSizeListArray.from_arrays(each, type=kind)
+
+
+def _own_array(value: Any) -> pa.Array:
+    values = np.atleast_1d(np.asarray(value)).ravel()
+    return pa.array(values.tolist(), _OWN_TYPES[values.dtype.kind])
+
+
+_OWN_TYPES = {"b": pa.bool_(), "i": pa.int64(), "u": pa.int64(), "f": pa.float64(), "U": pa.string()}
 
 
 @cache

@@ -18,6 +18,8 @@ from recordings.session_arrays import SessionArrays
 _BLOCK = 4096  # frames per step, which temporarily need three times their memory
 FRAME_CRC, FUSED_CRC = "figures.frame_crc32", "figures.fused_crc32"
 """Components of layout.QUALITY: :func:`frame_checksums` and :func:`fused_checksums`."""
+CHECKS_CRC = "figures.checks_crc32"
+"""Component of layout.QUALITY: :func:`checks_checksums`."""
 FusedChecks = tuple[NDArray[np.uint32], NDArray[np.uint8]]
 """(T,) :func:`fused_checksums` and (T, J) :func:`joint_digests`."""
 
@@ -48,6 +50,11 @@ def joint_digests(fused: NDArray[np.float64]) -> NDArray[np.uint8]:
         axis=2
     )
     return np.asarray(mixed >> np.uint64(56)).astype(np.uint8)
+
+
+def checks_checksums(fused_crc: NDArray[np.uint32], digests: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """(T,) CRC-32 of the checksums of S* themselves, which are read back, too."""
+    return _checksums(fused_crc, digests)
 
 
 def properties_checksum(properties: Mapping[str, Mapping[str, Any]]) -> int:

@@ -19,9 +19,11 @@ from recordings.frame_fields import FrameField
 from recordings.session_arrays import SessionArrays
 from recordings.writing.arrow_columns import Column, converted
 from recordings.writing.checksums import (
+    CHECKS_CRC,
     FRAME_CRC,
     FUSED_CRC,
     FusedChecks,
+    checks_checksums,
     frame_checksums,
     fused_checksums,
     joint_digests,
@@ -152,6 +154,7 @@ def _checks(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Arr
         FRAME_CRC: _array(frame_checksums(rows)),
         FUSED_CRC: _array(fused_crc),
         layout.JOINT_DIGESTS: _array(digests),
+        CHECKS_CRC: _array(checks_checksums(fused_crc, digests)),
     }
 
 

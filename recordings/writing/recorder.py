@@ -17,7 +17,7 @@ from recordings.appearance import entity_styles
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources, TrustColors
 from recordings.session_arrays import SessionArrays, SessionFrame
-from recordings.writing.arrow_columns import Times, depth_image, points, state_changes
+from recordings.writing.arrow_columns import Times, depth_image, own_values, points, state_changes
 from recordings.writing.changes import Lanes, PlacementLog, QualityLog, StreamFiguresLog, set_time
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_columns import frame_columns
@@ -74,8 +74,8 @@ class Recorder:
         self._log_static(setup)
         properties = session_properties(setup, sources, about or {})
         for name, values in properties.items():
-            stream.send_property(name, rr.AnyValues(**values))
-        stream.send_property("check", rr.AnyValues(crc32=properties_checksum(properties)))
+            stream.send_property(name, own_values(**values))
+        stream.send_property("check", own_values(crc32=properties_checksum(properties)))
         self.recalibrated(setup)
         # data that a reader needs first must come first in the file; columns would overtake it
         stream.flush(timeout_sec=0.0)
@@ -97,7 +97,7 @@ class Recorder:
         }
         set_time(self._stream, self._frames, self._last[1] if self._last else 0)
         check = properties_checksum({"calibration": {"frame": self._frames, **values}})
-        self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
+        self._stream.log(layout.CALIBRATION, own_values(**values, calibration_crc32=check))
 
     def record_all(
         self, frames: Sequence[SessionFrame], numbers: Sequence[int] | None = None
@@ -180,7 +180,7 @@ class Recorder:
         self._stream.log(
             layout.depth(side),
             depth_image(blob, MEDIA_TYPE, meter=1000.0),
-            rr.AnyValues(crc32=image_checksum(frame, blob)),
+            own_values(crc32=image_checksum(frame, blob)),
         )
         if self._points:
             cloud = thin_points(depth, self._cameras[side])
@@ -201,7 +201,7 @@ class Recorder:
             event = event.placed(*(self._last or (self._frames, 0)))
         set_time(self._stream, event.frame, event.time_ns)
         # all events have all components, so that they share chunks
-        values = rr.AnyValues(crc32=event_checksum(event), topic=event.topic, phase=event.phase)
+        values = own_values(crc32=event_checksum(event), topic=event.topic, phase=event.phase)
         self._stream.log(layout.EVENTS, rr.TextLog(event.text, level=event.level), values)
 
     def coach(self, page: CoachPage) -> None:
@@ -213,7 +213,7 @@ class Recorder:
     def finish(self) -> None:
         """Marks the session as complete; a reader treats a session without this mark as cut off."""
         self.plot()
-        self._stream.send_property("end", rr.AnyValues(frames=self._frames))
+        self._stream.send_property("end", own_values(frames=self._frames))
 
     def _stack(self, frames: Sequence[SessionFrame], numbers: Sequence[int] | None) -> SessionArrays:
         if numbers is None:

@@ -15,6 +15,7 @@ from devices.sensor import ColorCamera, ColorImage
 from fusion.intrinsics import Intrinsics
 from recordings import layout
 from recordings.appearance import entity_styles
+from recordings.writing.arrow_columns import own_values
 from recordings.writing.checksums import image_checksum
 
 _POINTS = 10_000
@@ -45,7 +46,7 @@ class ColorLog:
         self._stream.log(
             entity,
             rr.EncodedImage(contents=color.jpeg, media_type="image/jpeg"),
-            rr.AnyValues(crc32=image_checksum(frame, color.jpeg + values.tobytes()), camera=values),
+            own_values(crc32=image_checksum(frame, color.jpeg + values.tobytes()), camera=values),
         )
 
 

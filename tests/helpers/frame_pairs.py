@@ -39,7 +39,7 @@ class KnownSensors:
         return ()
 
 
-def frame_pairs(body, frames, gap=(), only_a=(), no_b=(), jitter_ns=0, noise=0.02, depth=False):
+def frame_pairs(body, frames, gap=(), only_a=(), no_a=(), no_b=(), jitter_ns=0, noise=0.02, depth=False):
     """Both sensors' noisy views.
 
     Args:
@@ -47,7 +47,7 @@ def frame_pairs(body, frames, gap=(), only_a=(), no_b=(), jitter_ns=0, noise=0.0
         frames: How many.
         gap: Frames in which no one is seen.
         only_a: Frames in which B sees no one.
-        no_b: Frames that B did not deliver.
+        no_a, no_b: Frames that A, and B, did not deliver.
         jitter_ns: Largest deviation of the times.
         noise: Metres, on each axis.
         depth: With small depth images.
@@ -64,6 +64,6 @@ def frame_pairs(body, frames, gap=(), only_a=(), no_b=(), jitter_ns=0, noise=0.0
             absent = t in gap or (side == 1 and t in only_a)
             image = rng.integers(0, 4000, (24, 32)).astype(np.uint16) if depth else None
             seen.append(SensorFrame(own_ns, {} if absent else {"7": skeleton}, image))
-        b = None if t in no_b else seen[1]
-        pairs.append(frame_pair(seen[0], b, "7", time_ns, 0 if b is None else int(rng.integers(-9e6, 9e6))))
+        a, b = None if t in no_a else seen[0], None if t in no_b else seen[1]
+        pairs.append(frame_pair(a, b, "7", time_ns, 0 if b is None else int(rng.integers(-9e6, 9e6))))
     return pairs

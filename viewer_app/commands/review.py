@@ -10,7 +10,6 @@ from viewer_app.options.sessions import ReviewOptions
 from viewer_app.output_files import check_outputs, write_text
 from viewer_app.report.events import (
     ListedEvent,
-    first_calibrated_frame,
     list_events,
     opening_event,
     seconds_of,
@@ -82,7 +81,7 @@ def opening_time(options: ReviewOptions, session: Session, events: Sequence[List
             raise UsageError(f"--event {options.event}: no such event; {known}.")
         chosen: ListedEvent | None = events[options.event - 1]
     else:
-        chosen = opening_event(events, first_calibrated_frame(session))
+        chosen = opening_event(events, session.first_calibrated_frame or 0)
     if chosen is None:
         return 0, "at the beginning: no later event calls for a look"
     time_ns = chosen.event.time_ns

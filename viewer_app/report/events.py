@@ -4,7 +4,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from devices.events import Event, Spell, spells_of
-from recordings.session import Session
 
 
 @dataclass(frozen=True)
@@ -46,11 +45,6 @@ def opening_event(events: Sequence[ListedEvent], first_calibrated_frame: int = 0
             if kind:
                 return kind[0]
     return None
-
-
-def first_calibrated_frame(session: Session) -> int:
-    """The first frame fused with a calibration that is not provisional; 0 where all are."""
-    return next((first for first, one in session.calibrations if not one.provisional), 0)
 
 
 def shortest_list(events: Sequence[ListedEvent], most: int) -> list[ListedEvent]:

@@ -22,6 +22,7 @@ from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without
 from recordings.appearance.joint_trust import SeenJoints
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
+from recordings.session_data import ViewsAgree
 from viewer_app.coach.standing_spot import FARTHEST, nearest
 from viewer_app.output_files import write_text
 from viewer_app.report.verdict import Figures as Figures
@@ -41,7 +42,7 @@ def report(session: Session) -> Figures:
             "alone": alone,
             "dropped": dict(zip("ab", session.dropped, strict=True)),
             "clock": session.clock,
-            **fusion_figures(session.last_setup, session.rows),
+            **fusion_figures(session.last_setup, session.rows, session.views_agree),
         }
     )
 
@@ -51,8 +52,12 @@ def with_verdict(figures: Figures) -> Figures:
     return figures | {"verdict": verdict(figures)._asdict()}
 
 
-def fusion_figures(setup: FusionSetup, rows: SessionArrays) -> Figures:
-    """The figures of fused frames from any source, with the last setup that applies to them."""
+def fusion_figures(setup: FusionSetup, rows: SessionArrays, apart: ViewsAgree) -> Figures:
+    """The figures of fused frames from any source, with the last setup that applies to them.
+
+    Args:
+        apart: How far the views are apart since the calibration.
+    """
     settings = setup.settings
     empty_a, empty_b = ((states == 0).all(axis=1) for states in (rows.states_a, rows.states_b))
     gave_a, gave_b = (clock != NO_FRAME for clock in (rows.clock_a, rows.clock_b))
@@ -67,6 +72,10 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays) -> Figures:
         "calibration": calibration_figures(setup.calibration),
         "distance_m": _distances(setup, rows),
         **method_figures(rows),
+        "views_agree_mm": {
+            "median": known_or_none(apart.median * 1e3),
+            "p95": known_or_none(apart.percentile_95 * 1e3),
+        },
     }
 
 
@@ -126,8 +135,7 @@ def truth_free_figures(session: Session) -> dict[str, float | None]:
 
 
 def method_figures(rows: SessionArrays) -> Figures:
-    """Bones, errors, repaired data, time, and how well the views agree since the calibration."""
-    apart = rows.views_agree
+    """Bones, errors, repaired data, and time."""
     mean, std, worst, rms = _bones(rows)
     bones = {}
     for joint in rows.body.bone_joints:
@@ -153,10 +161,6 @@ def method_figures(rows: SessionArrays) -> Figures:
         "bone_error_mm": {
             key: {"rms": known_or_none(1e3 * rms[k]), "max": known_or_none(1e3 * np.fmax.reduce(worst[k]))}
             for k, key in enumerate(("a", "b", "fused"))
-        },
-        "views_agree_mm": {
-            "median": known_or_none(apart.median * 1e3),
-            "p95": known_or_none(apart.percentile_95 * 1e3),
         },
         "fuse_ms": {
             name: of_finite(lambda ms, percent=percent: np.percentile(ms, percent), rows.fuse_ms)

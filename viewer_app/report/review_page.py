@@ -17,7 +17,6 @@ from recordings.session import Session
 from recordings.session_comparison import frame_noise_of
 from viewer_app.report.events import (
     event_in_words,
-    first_calibrated_frame,
     list_events,
     opening_event,
     seconds_of,
@@ -38,7 +37,7 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
     lead = list(lead_lines(figures))
     events = list_events(session.events)
     printed = {each.number for each in shortest_list(events, _MOST_EVENTS)}
-    opening = opening_event(events, first_calibrated_frame(session))
+    opening = opening_event(events, session.first_calibrated_frame or 0)
     time_ns = session.rows.time_ns
     return page_template("review_page.html").render(
         name=session.name,

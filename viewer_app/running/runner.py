@@ -14,6 +14,7 @@ from devices.tracker_choice import tracker_name
 from fusion.setup import FusionSetup
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays, SessionFrame
+from recordings.session_data import ViewsAgree
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions
@@ -165,8 +166,11 @@ def session_report(
     rows = rows_of(setup, frames) if session is None else session.rows
     if rows is None:
         return figures
-    setup = setup if session is None else session.last_setup
-    return with_verdict(figures | fusion_figures(setup, rows))
+    if session is not None:
+        setup, apart = session.last_setup, session.views_agree
+    else:  # the newest frames only, which are seldom older than the calibration
+        apart = ViewsAgree.of(rows.disagreement)
+    return with_verdict(figures | fusion_figures(setup, rows, apart))
 
 
 def stream_figures(sensors: TwoSensors) -> Figures:

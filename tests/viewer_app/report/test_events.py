@@ -8,7 +8,7 @@ from devices.events import Event, Spell
 from fusion.body import KINECT_V2
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
-from viewer_app.report.events import first_calibrated_frame, list_events, opening_event, shortest_list
+from viewer_app.report.events import list_events, opening_event, shortest_list
 
 CALIBRATED = Event("calibrated: start-up pose, 91 frames", "INFO")
 CUT_OFF = Event("a.csv is cut off", "WARN")
@@ -53,8 +53,8 @@ def test_a_session_is_settled_with_its_first_calibration_that_is_not_provisional
     session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
     one = session.calibration
     found = tuple((10 * k, replace(one, provisional=k < 2)) for k in range(3))
-    assert first_calibrated_frame(replace(session, calibrations=found)) == 20
-    assert first_calibrated_frame(replace(session, calibrations=found[:2])) == 0
+    assert replace(session, calibrations=found).first_calibrated_frame == 20
+    assert replace(session, calibrations=found[:2]).first_calibrated_frame is None
 
 
 def test_a_short_list_keeps_warnings_then_spells_in_order_of_time():
