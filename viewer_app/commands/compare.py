@@ -162,8 +162,10 @@ def _lead(comparison: Comparison) -> Iterator[Line]:
     yield Line(
         "Most", f"{comparison.body.joints[farthest]}, {in_mm(float(of_joints[farthest]))} apart (median)."
     )
-    first, second = (in_mm(float(np.nanmedian(each))) for each in noise)
-    yield Line("Noise", f"of one frame, median joint: first {first}, second {second}.")
+    known = [each[np.isfinite(each)] for each in noise]
+    if all(len(each) for each in known):
+        first, second = (in_mm(float(np.median(each))) for each in known)
+        yield Line("Noise", f"of one frame, median joint: first {first}, second {second}.")
 
 
 def _joint_table(comparison: Comparison) -> Table:

@@ -41,7 +41,7 @@ def line_plot(
         axes.plot(at, thinned, color=line_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name)
     if level is not None:
         axes.axhline(level, color=_INK, linewidth=0.9, linestyle=(0, (5, 4)))
-    if logarithmic and any(np.nanmax(values) > 0.0 for values, _ in lines.values()):
+    if logarithmic and any(np.any(values > 0.0) for values, _ in lines.values()):
         axes.set_yscale("log")
     axes.set_title(title, fontsize=10, loc="left", color=_INK)
     axes.set_xlabel("s")
