@@ -12,6 +12,7 @@ from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from recordings import layout
 from recordings.errors import RecordingError
+from recordings.frame_noise import frame_noise_of
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 
@@ -71,8 +72,8 @@ class Comparison:
 
     @cached_property
     def frame_noise(self) -> NDArray[np.float64]:
-        """(2, J) metres: see :func:`frame_noise_of`."""
-        return np.stack([frame_noise_of(of.fused, of.frame) for of in (self.first, self.second)])
+        """(2, J) metres: see :func:`recordings.frame_noise.frame_noise_of`."""
+        return np.stack([frame_noise_of(of.fused, of.time_ns) for of in (self.first, self.second)])
 
     @cached_property
     def bone_deviation(self) -> NDArray[np.float64]:
@@ -102,21 +103,6 @@ class Comparison:
             if all(abs(time[t] - time[other]) >= _APART for other, _ in found):
                 found.append((t, int(largest_of[t].argmax())))
         return found
-
-
-def frame_noise_of(positions: NDArray[np.float64], frame: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(J,) noise per frame of (T, J, 3) positions, metres: the median length of the second difference / √6.
-
-    White noise with this standard deviation gives such second differences, each of three consecutive frames;
-    slow movement adds almost nothing.
-    """
-    following = frame[2:] - frame[:-2] == 2
-    if not following.any():
-        return np.full(positions.shape[1], np.nan)
-    second = np.linalg.norm(positions[2:] - 2.0 * positions[1:-1] + positions[:-2], axis=2)[following]
-    none = np.isnan(second).all(axis=0)
-    second[:, none] = 0.0
-    return np.where(none, np.nan, np.nanmedian(second, axis=0) / np.sqrt(6.0))
 
 
 def largest(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:

@@ -17,8 +17,7 @@ SOURCE_COLORS: tuple[Color, ...] = (*(SKELETON_COLORS[key] for key in ("a", "b",
 """By the indices of :data:`SOURCES`."""
 _SHADES = 16  # finer shades are not visible; few colours compress well
 _MOSTLY = 0.7  # share of a view from which on a limb counts as following it
-_KEPT_A_SECOND = 0.967  # share of the mean that is kept from frame to frame: a second at 30 per second
-_KEPT = 0.9  # share of the mean that is kept from frame to frame: a third of a second
+_COLOR_SECONDS, _LIMB_SECONDS = 1.0, 0.316  # time constants of the running means
 _NEWEST_NS = 200_000_000  # a frame of a sensor says nothing any more after this time
 
 
@@ -54,7 +53,7 @@ class TrustColors:
     """
 
     def __init__(self) -> None:
-        self._mean: NDArray[np.float64] | None = None
+        self._mean = _RunningMean(_COLOR_SECONDS)
         self._sensors: tuple[SeenJoints, SeenJoints] | None = None
 
     def add(self, rows: SessionArrays) -> NDArray[np.uint8]:
@@ -68,8 +67,7 @@ class TrustColors:
     def shares(self, rows: SessionArrays) -> NDArray[np.float64]:
         """(T, J) share of A in frames in time order; NaN where neither sensor sees the joint."""
         weights = np.stack((rows.weights_a, rows.weights_b), axis=1).astype(np.float64)
-        means = _running_means(weights, _KEPT_A_SECOND, self._mean)
-        self._mean = means[-1]
+        means = self._mean.add(weights, rows.time_ns)
         total = means.sum(axis=1)
         share = np.where(total > 0.0, means[:, 0] / np.where(total > 0.0, total, 1.0), 0.5)
         if self._sensors is None:
@@ -94,30 +92,37 @@ class LimbSources:
     def __init__(self, body: Body) -> None:
         members = [[limb == name for limb in _limbs_of(body)] for name in LIMBS]
         self._members = np.array(members, dtype=np.float64)
-        self._mean: NDArray[np.float64] | None = None
+        self._mean = _RunningMean(_LIMB_SECONDS)
 
     def add(self, rows: SessionArrays) -> NDArray[np.int64]:
         """(T, 6) indices into :data:`SOURCES` by the limbs of :data:`LIMBS`, for frames in time order."""
         known = ~rows.predicted
         each = rows.weights_a * known, rows.weights_b * known, rows.predicted
         sums = np.stack([values.astype(np.float64) @ self._members.T for values in each], axis=1)
-        means = _running_means(sums, _KEPT, self._mean)
-        self._mean = means[-1]
+        means = self._mean.add(sums, rows.time_ns)
         from_a, from_b, predicted = means.transpose(1, 0, 2)
         total = from_a + from_b
         source = np.where(from_a > _MOSTLY * total, 0, np.where(from_b > _MOSTLY * total, 1, 2))
         return np.where(predicted > 0.5 * self._members.sum(axis=1), 3, source)
 
 
-def _running_means(
-    values: NDArray[np.float64], kept: float, mean: NDArray[np.float64] | None
-) -> NDArray[np.float64]:
-    """(T, …) exponential means of values (T, …), after an earlier mean. (scipy.signal loads for a second.)"""
-    means = np.empty_like(values)
-    mean = values[0] if mean is None else mean
-    for k, value in enumerate(values):
-        means[k] = mean = kept * mean + (1.0 - kept) * value
-    return means
+class _RunningMean:
+    """An exponential mean over time, the same at any frame rate. (scipy.signal loads for a second.)"""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._mean: NDArray[np.float64] | None = None
+        self._time_ns: int | None = None
+
+    def add(self, values: NDArray[np.float64], time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(T, …) means of values (T, …) of frames in time order."""
+        first_ns = int(time_ns[0]) if self._time_ns is None else self._time_ns
+        elapsed = np.maximum(np.diff(time_ns, prepend=first_ns), 0) * 1e-9
+        means, mean = np.empty_like(values), values[0] if self._mean is None else self._mean
+        for k, kept in enumerate(np.exp(-elapsed / self._seconds).tolist()):
+            means[k] = mean = kept * mean + (1.0 - kept) * values[k]
+        self._mean, self._time_ns = means[-1].copy(), int(time_ns[-1])
+        return means
 
 
 def _limbs_of(body: Body) -> list[str]:

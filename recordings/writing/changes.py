@@ -12,18 +12,18 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from devices.capture.stream_pairing import PairingFigures
-from fusion.medians import median_of_known
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.floor import FloorFinder
+from recordings.frame_noise import FrameDeviations, noise_of
 from recordings.session_arrays import SessionArrays
 from recordings.writing.arrow_columns import Column, Times, converted
 
-_POSE_AGAIN = 300
-"""Frames between two logs of an unchanged pose, 10 s."""
-_QUALITY_EVERY = 15
-"""Frames between two values, half a second."""
+_POSE_AGAIN_NS = 10_000_000_000
+"""Between two logs of an unchanged pose."""
+_QUALITY_NS = 495_000_000
+"""Between two values: half a second, less the rounding of times."""
 _FIGURE_AGAIN_NS = 1_000_000_000
 """Longest interval between two values of an unchanged figure of a stream, so that its plot line continues."""
 
@@ -43,7 +43,8 @@ class PlacementLog:
     """
 
     def __init__(self, stream: rr.RecordingStream, setup: FusionSetup, again: bool = False) -> None:
-        self._stream, self._again, self._since = stream, again, 0
+        self._stream, self._again = stream, again
+        self._again_ns: int | None = None  # when all poses were logged for the last time
         self._floor = FloorFinder(setup.body)
         self._b: NDArray[np.float64] | None = None  # (3, 4) [R t]
         self._log_static()
@@ -58,8 +59,8 @@ class PlacementLog:
         placement = np.concatenate((rows.rotation, rows.translation[..., None]), axis=2)
         before = placement[:1] if self._b is None else self._b[None]
         changed = (placement != np.concatenate((before, placement[:-1]))).any(axis=(1, 2))
-        self._since += len(rows)
-        again = self._again and self._since >= _POSE_AGAIN
+        self._again_ns = int(rows.time_ns[0]) if self._again_ns is None else self._again_ns
+        again = self._again and int(rows.time_ns[-1]) - self._again_ns >= _POSE_AGAIN_NS
         changed[0] |= self._b is None or again
         self._b = placement[-1].copy()
         for t in np.flatnonzero(changed):
@@ -69,7 +70,7 @@ class PlacementLog:
         if self._floor.add(rows.fused) or again:
             self._log_floor(rows.frame[0], rows.time_ns[0])
         if again:
-            self._since = 0
+            self._again_ns = int(rows.time_ns[-1])
         if len(rows) > 1:  # before the columns that follow: a browser draws what it has loaded so far
             self._stream.flush(timeout_sec=0.0)
 
@@ -94,45 +95,46 @@ class PlacementLog:
 
 
 class QualityLog:
-    """Logs jitter and the drift of the calibration, about twice a second.
+    """Logs jitter, the noise of all joints, and the drift of the calibration, about twice a second.
 
     The first values are those of the first three frames, so that no plot of a new session is empty.
     """
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
-        self._kept: NDArray[np.float32] | None = None  # (3, n, J, 3) S_A, S_B, S* of the last frames
+        self._tracks = [FrameDeviations() for _ in range(3)]  # of S_A, S_B, S*
+        self._kept: list[NDArray[np.float64]] = []  # (3, n, J) their deviations since the last value
+        self._frames, self._last_ns = 0, 0  # so far; the time of the last value
         self._first: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         for name, lines in entity_styles.QUALITY_LINES.items():
             stream.log(layout.stream_figure(name), lines, static=True)
 
     def record(self, rows: SessionArrays) -> None:
         """Takes frames in time order."""
-        each = np.stack((rows.positions_a, rows.positions_b, rows.fused.astype(np.float32)))
-        if self._kept is not None:
-            each = np.concatenate((self._kept, each), axis=1)
-        if self._first is None and each.shape[1] > 2:
-            each = self._log(rows, each, 1, 1)
-        if self._first is not None and each.shape[1] > _QUALITY_EVERY + 1:
-            each = self._log(rows, each, _QUALITY_EVERY, (each.shape[1] - 2) // _QUALITY_EVERY)
-        self._kept = each.copy()  # a view would keep the whole block in memory
-
-    def _log(self, rows: SessionArrays, each: NDArray[np.float32], size: int, count: int) -> NDArray[Any]:
-        """Logs the values of `count` windows of `size` accelerations each, and returns the frames after them.
-
-        Args:
-            rows: The newest frames.
-            each: (3, n, J, 3) they and those before them that are not yet logged.
-        """
-        end = size * count
-        at = np.arange(size + 1, end + 2, size) - each.shape[1] + len(rows)  # the last frame of each window
-        jitters = 1e3 * np.stack([jitter(of[: end + 2], count) for of in each], axis=1)
+        views = rows.positions_a, rows.positions_b, rows.fused
+        tracks = zip(self._tracks, views, strict=True)
+        self._kept.append(np.stack([track.add(view, rows.time_ns) for track, view in tracks]))
+        due = [k for k, time_ns in enumerate(rows.time_ns.tolist()) if self._due(time_ns)]
+        if not due:
+            return
+        every = np.concatenate(self._kept, axis=1)
+        ends = np.array(due, dtype=np.int64) + 1 + every.shape[1] - len(rows)
+        *windows, rest = np.split(every, ends, axis=1)
+        self._kept = [rest.copy()]  # a view would keep the whole block in memory
+        jitters = 1e3 * np.array([[noise_of(of) for of in window] for window in windows])
+        at = np.array(due, dtype=np.int64)
         for name, values in (("jitter_mm", jitters), ("placement", self._moved(rows, at))):
             scalars = converted(rr.Scalars, "scalars", values, values.size)
-            columns: list[Any] = [Column(*scalars, count)]
+            columns: list[Any] = [Column(*scalars, len(due))]
             times = Times.of_frames(rows.frame[at], rows.time_ns[at])
             self._stream.send_columns(layout.stream_figure(name), times, columns)
-        return each[:, end:]
+
+    def _due(self, time_ns: int) -> bool:
+        """Whether a value is logged at the next frame."""
+        self._frames += 1
+        due = self._frames == 3 or (self._frames > 3 and not 0 <= time_ns - self._last_ns < _QUALITY_NS)
+        self._last_ns = time_ns if due else self._last_ns
+        return due
 
     def _moved(self, rows: SessionArrays, at: NDArray[np.int64]) -> NDArray[np.float64]:
         """(n, 2) millimetres and degrees between the first pose of K_B and those of some frames."""
@@ -167,19 +169,6 @@ class StreamFiguresLog:
             self._last[name] = time_ns, values
             set_time(self._stream, frame, time_ns)
             self._stream.log(layout.stream_figure(name), rr.Scalars(values))
-
-
-def jitter(positions: NDArray[np.float32], windows: int = 1) -> NDArray[np.float64]:
-    """(windows,) metres: the median over joints and frames of |p(t−1) − 2 p(t) + p(t+1)|; NaN without data.
-
-    Motion at a constant speed has none; of white noise of σ in each coordinate it is 3.8 σ.
-
-    Args:
-        positions: (T, J, 3) metres, NaN where not tracked; T ≥ 3.
-        windows: Into how many equal parts the T − 2 values of t are divided.
-    """
-    accelerations = np.linalg.norm(positions[:-2] - 2.0 * positions[1:-1] + positions[2:], axis=2)
-    return median_of_known(accelerations.reshape(windows, -1).astype(np.float64))
 
 
 class Lanes:

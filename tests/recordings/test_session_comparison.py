@@ -10,7 +10,7 @@ from fusion.setup import FuserSettings
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
 from recordings.session import Session
-from recordings.session_comparison import Comparison, frame_noise_of
+from recordings.session_comparison import Comparison
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 
@@ -22,27 +22,6 @@ def session(fused_run):
 
 def with_fused(session, fused):
     return replace(session, rows=replace(session.rows, fused=fused))
-
-
-def test_white_noise_is_given_back_as_noise_and_even_movement_as_none():
-    T, sigma = 4000, 0.005
-    frame = np.arange(T)
-    noise = np.random.default_rng(1).normal(0.0, sigma, (T, 2, 3))
-    noise[:, 1] = 0.02 * frame[:, None]  # 0.6 m/s along each axis
-    # |second difference| / √6 of such noise is chi with 3 degrees of freedom: median 1.5382 σ. The standard
-    # error of the median of T correlated values is below 1.2533 · 0.6734 σ · √(1 + 2·(0.67 + 0.17)) / √T
-    still, moving = frame_noise_of(noise, frame)
-    assert still == pytest.approx(1.5382 * sigma, rel=4 * 1.2533 * 0.6734 * 1.64 / 1.5382 / np.sqrt(T))
-    assert moving < 1e-12
-
-
-def test_noise_is_taken_over_frames_that_follow_on_each_other():
-    fused = np.zeros((9, 1, 3))
-    fused[5:] += 0.3  # while four frames are missing
-    frame = np.array([0, 1, 2, 3, 4, 9, 10, 11, 12])
-    assert frame_noise_of(fused, frame)[0] == 0.0
-    alternate = np.zeros((4, 1, 3))
-    assert np.isnan(frame_noise_of(alternate, np.array([0, 2, 4, 6]))[0])
 
 
 def test_a_limb_exchanged_with_its_mirror_image_is_swapped(session):

@@ -12,9 +12,9 @@ from markupsafe import Markup
 
 from recordings.appearance.colors import PROMINENT_BONES
 from recordings.appearance.joint_trust import TrustColors
+from recordings.frame_noise import frame_noise_of
 from recordings.fusing.files import without_folders
 from recordings.session import Session
-from recordings.session_comparison import frame_noise_of
 from viewer_app.report.events import (
     event_in_words,
     list_events,
@@ -108,9 +108,9 @@ def _bone_plots(session: Session) -> Markup:
 def _jitter_plot(session: Session) -> Markup:
     rows = session.rows
     jitter = {
-        "S_A": (frame_noise_of(rows.positions_a.astype(np.float64), rows.frame) * 1e3, "a"),
-        "S_B": (frame_noise_of(rows.positions_b.astype(np.float64), rows.frame) * 1e3, "b"),
-        "S*": (frame_noise_of(rows.fused, rows.frame) * 1e3, "fused"),
+        "S_A": (frame_noise_of(rows.positions_a, rows.time_ns) * 1e3, "a"),
+        "S_B": (frame_noise_of(rows.positions_b, rows.time_ns) * 1e3, "b"),
+        "S*": (frame_noise_of(rows.fused, rows.time_ns) * 1e3, "fused"),
     }
     return Markup(bar_plot("mm", session.body.joints, jitter))
 

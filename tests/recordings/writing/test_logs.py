@@ -4,7 +4,6 @@ from dataclasses import replace
 from uuid import uuid4
 
 import numpy as np
-import pytest
 import rerun as rr
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +13,6 @@ from recordings import layout
 from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
 from recordings.writing import changes
-from recordings.writing.changes import jitter
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.live_frames import BODY, frames, known_fuser, session
@@ -52,26 +50,6 @@ def test_a_moved_sensor_is_seen_in_millimetres_and_degrees(tmp_path):
     # arccos near 1 magnifies float64 rounding of the trace to sqrt(2 * 1e-15) rad
     np.testing.assert_allclose(before, 0.0, atol=1e-5)
     np.testing.assert_allclose(placement[max(placement)], [120.0, 3.0], rtol=1e-6)
-
-
-def test_even_motion_has_no_jitter():
-    steps = np.arange(30.0)[:, None, None] * np.array([0.01, -0.02, 0.03])
-    assert jitter((steps + np.ones((1, 20, 3))).astype(np.float32)) < 1e-6
-
-
-@pytest.mark.parametrize("sigma", [0.002, 0.02])
-def test_white_noise_has_a_jitter_of_3_8_sigma(sigma):
-    """p(t−1) − 2p(t) + p(t+1) has variance 6 σ² per axis; the norm's median is 1.538 such deviations."""
-    noise = np.random.default_rng(0).normal(0.0, sigma, (2000, 20, 3)).astype(np.float32)
-    # 40 000 correlated samples: the median is certain to about 1 %
-    assert jitter(noise) == pytest.approx(np.sqrt(6.0) * 1.538 * sigma, rel=0.03)
-
-
-def test_missing_joints_are_left_out():
-    still = np.zeros((10, 5, 3), dtype=np.float32)
-    still[3, 2] = np.nan
-    assert jitter(still) == 0.0
-    assert np.isnan(jitter(np.full((10, 5, 3), np.nan, dtype=np.float32)))
 
 
 def poses(path, entity):
