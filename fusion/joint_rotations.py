@@ -200,10 +200,9 @@ def _rotate(plan, at, before, known, elapsed, out):  # type: ignore[no-untyped-d
                     _twist(d, share * _left_angle(swung, d, axis, ref), swung)
             if known:
                 _limit_twist(rest[j], before[j], d, _TWIST_SPEED * elapsed, old, swung)
-        same = 0.0
-        if known:
-            for c in range(4):
-                same += swung[c] * before[j, c]
+        same = 0.0  # NaN in the first frame
+        for c in range(4):
+            same += swung[c] * before[j, c]
         for c in range(4):
             out[j, c] = -swung[c] if same < 0.0 else swung[c]
 

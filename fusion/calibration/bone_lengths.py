@@ -128,7 +128,8 @@ def _symmetric(body: Body, length: Array, error: Array) -> tuple[Array, Array]:
     other, other_error = length[body.mirror], error[body.mirror]
     both = np.isfinite(length) & np.isfinite(other)
     differs = np.abs(length - other)
-    objects = both & (differs > _ASYMMETRIC * np.hypot(error, other_error)) & (differs > 0.05 * length)
+    objects = both & (differs > _ASYMMETRIC * np.hypot(error, other_error))
+    objects &= differs > 0.05 * np.minimum(length, other)
     # Weights are inverse variances.
     weight, other_weight = (1.0 / np.maximum(sd, 1e-4) ** 2 for sd in (error, other_error))
     mean = (weight * length + other_weight * other) / (weight + other_weight)

@@ -45,6 +45,10 @@ POSES = {
         {"ElbowRight": towards(DOWN, BACK, 25), "WristRight": towards(DOWN, BACK, 25)},
         {"shoulder_flexion_right": -25},
     ),
+    "arm straight up": (
+        {"ElbowLeft": towards(DOWN, FRONT, 180), "WristLeft": towards(DOWN, FRONT, 180)},
+        {"shoulder_flexion_left": 180},
+    ),
     "arms raised sideways": (
         {
             **{f"{joint}Left": towards(DOWN, LEFT, 150) for joint in ("Elbow", "Wrist")},
