@@ -98,9 +98,8 @@ class LiveFusion:
         """Takes a new calibration, from the start-up pose or from the learner, if there is one."""
         found = self.calibrator.watch(pair.skeletons)
         if found is not None:
-            if self._learner is not None:
+            if self._learner is not None:  # it has learned nothing so far: it waits for a final calibration
                 self._learner.adopt(found)
-            self._changes.clear()
         elif self._changes:
             found = self._changes[-1].calibration
             self._changes.clear()

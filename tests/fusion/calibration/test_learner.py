@@ -1,6 +1,7 @@
 """The calibration learner: refinements, bones, and that the calibration does not get worse."""
 
 import numpy as np
+import pytest
 from numba.core import event
 from scipy.spatial.transform import Rotation
 
@@ -121,6 +122,22 @@ def test_one_sides_outliers_do_not_lengthen_a_bone_and_sides_agree():
     forearm = KINECT_V2.joint("WristLeft")
     true = bone_lengths_of(KINECT_V2, moving(KINECT_V2, 1)[0])[forearm]
     assert abs(lengths[forearm] - true) < 0.003
+
+
+@pytest.mark.parametrize("longer", [1.049, 1.0518, 1.06])
+def test_both_sides_of_a_bone_are_told_apart_or_neither(longer):
+    """Within 5 % of the shorter one they share a length; beyond it each keeps its own."""
+    pairs = walk(200, noise=0.0)
+    evidence = evidence_of(KINECT_V2, pairs)
+    elbow, wrist = KINECT_V2.joint("ElbowLeft"), KINECT_V2.joint("WristLeft")
+    other = KINECT_V2.joint("WristRight")
+    for view in (evidence.a, evidence.b):
+        forearm = view[:, wrist] - view[:, elbow]
+        right = np.linalg.norm(view[:, other] - view[:, KINECT_V2.joint("ElbowRight")], axis=1)
+        forearm *= (longer * right / np.linalg.norm(forearm, axis=1))[:, None]
+        view[:, wrist] = view[:, elbow] + forearm
+    lengths = robust_bone_lengths(KINECT_V2, evidence, A_FROM_B, KINECT_V2.nominal_lengths)
+    assert lengths[wrist] / lengths[other] == pytest.approx(longer if longer > 1.05 else 1.0, abs=1e-4)
 
 
 def test_a_recording_whose_start_is_half_a_turn_off_is_registered_from_the_walk():
