@@ -111,7 +111,7 @@ class QualityLog:
 
     def record(self, rows: SessionArrays) -> None:
         """Takes frames in time order."""
-        views = rows.positions_a, rows.positions_b, rows.fused
+        views: list[NDArray[np.floating]] = [rows.positions_a, rows.positions_b, rows.fused]
         tracks = zip(self._tracks, views, strict=True)
         self._kept.append(np.stack([track.add(view, rows.time_ns) for track, view in tracks]))
         due = [k for k, time_ns in enumerate(rows.time_ns.tolist()) if self._due(time_ns)]
