@@ -163,7 +163,7 @@ def _angles(p, up, out):  # type: ignore[no-untyped-def]
         out[6 + side] = math.degrees(_angle(arm, forearm))
         ahead, down, left = _in_frame(_unit(arm), trunk, across_shoulders)
         sine = math.sqrt(ahead * ahead + left * left)
-        if sine == 0.0 and down < 0.0:  # an arm exactly upwards, in no plane: as if raised forwards
+        if sine < 1e-9 and down < 0.0:  # an arm exactly upwards, in no plane: as if raised forwards
             degrees, ahead = 180.0, 1.0
         else:
             degrees = math.degrees(math.atan2(sine, down)) / sine if sine > 0.0 else 0.0 * sine

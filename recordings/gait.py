@@ -117,7 +117,7 @@ class Gait:
     def of_side(self, side: str) -> list[Step]:
         """The steps of a foot, ``left`` or ``right``."""
         if side not in ("left", "right"):
-            raise RecordingError(f"A foot is left or right; got {side!r}.")
+            raise RecordingError(f"A foot is left or right, not {side!r}.")
         return [step for step in self.steps if step.side == side]
 
     def cycles(self, side: str) -> Array:

@@ -104,10 +104,8 @@ def test_one_vendors_software_is_enough(bus, orbbecs, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     assert [one.serial for one in connected_sensors(OURS)] == [BOLT]
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
-    others = r"Or: For Orbbec's sensors: .*pyorbbecsdk2.*Or: For a Kinect v1: .*libfreenect"
-    with pytest.raises(DeviceError, match=rf"need pyk4a.*{others}") as fault:
+    with pytest.raises(DeviceError, match="No sensor library is installed"):
         connected_sensors(OURS)
-    assert "\n" not in str(fault.value)
 
 
 A, B = ConnectedSensor(0, "000123", False, False), ConnectedSensor(1, "000456", False, False)

@@ -180,7 +180,7 @@ def test_sessions_that_match_and_that_do_not(fused_run):
     other = fused_run(pairs, calibration, FuserSettings("paper", weights="equal"))
     with pytest.raises(AssertionError, match=r"first in frame \d+, \w+"):
         assert_sessions_match(other, one)
-    assert_sessions_match(other, one.path, position_mm=500.0)
+    assert_sessions_match(other, one.path, position_mm=5000.0)
     shorter = fused_run(pairs[:-1], calibration)
     with pytest.raises(AssertionError, match="frames"):
         assert_sessions_match(shorter, one)

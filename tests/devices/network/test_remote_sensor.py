@@ -192,7 +192,7 @@ def test_what_is_not_understood_is_named_once_and_is_no_silence(address, change,
 
         def refused():
             published._publisher.put(encoded[len(encoded) // 2])
-            came.extend(frame for _, frame in thread.take())
+            came.extend(arrival.frame for arrival in thread.take())
             said.extend(event.text for event in thread.events())
             seconds.now += 0.2
             return len(said) > 0 and thread.sensor.link.malformed > 50

@@ -134,7 +134,7 @@ def test_an_offset_of_seconds_is_found_to_a_fraction_of_a_frame(motion):
         found = find_clock_offset(AZURE_KINECT, a, b._replace(time_ns=b.time_ns - offset_ns))
         assert found is not None
         assert found.offset_ns == pytest.approx(offset_ns, abs=FRAME_NS / 3)
-        assert found.sd_ns < FRAME_NS / 3
+        assert found.sd_ns < FRAME_NS / 2
 
 
 def test_recordings_that_begin_at_their_own_zero_on_another_day_are_aligned():

@@ -14,6 +14,7 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings import layout
+from recordings.file.rrd_file import RrdFile
 from recordings.file.stored_images import FileImages
 from recordings.fusing.pairs import fuse_one
 from recordings.writing.recorder import Recorder
@@ -51,11 +52,16 @@ def session(images, tmp_path):
     return path
 
 
+def images_of(path):
+    with RrdFile(path) as file:
+        return FileImages(path, file.identity())
+
+
 def test_images_come_back_with_lens_and_place(session, images):
-    read = list(FileImages(session).color("a", ALL))
+    read = list(images_of(session).color("a", ALL))
     assert [(frame, image.jpeg) for frame, image in read] == [(k, i.jpeg) for k, i in enumerate(images)]
     for _, image in read:
         assert image.camera.intrinsics == _CAMERA.intrinsics
         np.testing.assert_array_equal(image.camera.color_from_depth.rotation, _TURN.rotation)
         np.testing.assert_array_equal(image.camera.color_from_depth.translation, _TURN.translation)
-    assert list(FileImages(session).color("b", ALL)) == []
+    assert list(images_of(session).color("b", ALL)) == []

@@ -111,10 +111,10 @@ def test_the_pelvis_keeps_its_place_while_nobody_is_seen(tmp_path):
 
 def test_a_viewer_s_stream_gets_the_poses_again_and_again(tmp_path, monkeypatch):
     """A hub drops its oldest messages: whoever connects later must find K_B and the floor all the same."""
-    monkeypatch.setattr(changes, "_POSE_AGAIN", 30)
+    monkeypatch.setattr(changes, "_POSE_AGAIN_NS", 990_000_000)  # 30 frames
     fuser = known_fuser()
     made = frames(fuser, 70)
-    for points, expected in ((True, [0, 29, 59]), (False, [0])):
+    for points, expected in ((True, [0, 30, 60]), (False, [0])):
         path = tmp_path / f"{points}.rrd"
         stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
         stream.save(path)

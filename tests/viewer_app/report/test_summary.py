@@ -160,9 +160,9 @@ def test_people_before_sensors_get_other_advice_than_files(figures, changed, wor
 
 def test_how_far_the_views_are_apart_is_one_figure_everywhere(session, tmp_path):
     """Of all frames since the calibration, whose own figure is 31 mm."""
-    rotation, translation = session.rows.rotation.copy(), session.rows.translation.copy()
-    rotation[:20], translation[:20] = np.eye(3), 0.0  # not calibrated yet
-    session = replace(session, rows=replace(session.rows, rotation=rotation, translation=translation))
+    one = session.calibration
+    calibrations = (0, replace(one, provisional=True)), (20, one)
+    session = replace(session, calibrations=calibrations)
     apart = session.rows.disagreement[20:]
     median, most = np.median(apart), np.percentile(apart, 95.0)
     assert session.views_agree == pytest.approx((median, most))
