@@ -144,6 +144,7 @@ class KinectSensor(LiveSensor):
 
     def __exit__(self, *exc_info: object) -> None:
         """Stops the tracker and the sensor, even if the sensor is no longer connected."""
+        self._stream = None  # it holds captures, which are given back before their device closes
         if self._tracker is not None:
             self.awaits = "its body tracker, which stops"
             self._tracker.close()

