@@ -27,6 +27,8 @@ _PATTERNS = {cause: re.compile(_pattern(cause.value)) for cause in Cause}
 _SLOW_MACHINE = {Cause.TOO_FAST, Cause.LOST_ON_USB, Cause.LATE, Cause.TOO_LATE}
 """Told rightly on a busy machine, the rig's bus included."""
 _ELSEWHERE = {
+    Cause.NO_MORE_RECORDED: "tests/devices/capture/test_sensor_thread.py: of played recordings",
+    Cause.RECORDING_LEFT_BEHIND: "tests/devices/capture/test_sensor_thread.py: of played recordings",
     Cause.FORBIDDEN: "tests/devices/test_vendor_contract.py: needs a list of USB devices",
     Cause.CAMERAS_NOT_STARTED: "tests/devices/azure/test_kinect.py: libk4a logs a reason",
     Cause.STOPPED: "tests/devices/orbbec/test_faults.py: libk4a reports no failure on Linux",
