@@ -11,7 +11,6 @@ from devices.sensor import SensorFrame
 
 _WAIT_NS = 180_000_000  # how long depth waits for another image: less than pairing waits for the other sensor
 _DEAD_NS = 2_000_000_000  # without an image for so long, depth no longer waits for it
-_KEPT = 16  # images of a stream that wait for depth
 _SAME_CLOCK_NS = 5_000_000_000
 
 
@@ -38,11 +37,12 @@ class Moment:
 
 
 class _Images:
-    """The newest images of one stream beside depth."""
+    """The newest images of one stream beside depth: those that a waiting depth image may need."""
 
-    def __init__(self, period_ns: int) -> None:
-        self.period_ns, self.wait_ns, self.late_ns = period_ns, _WAIT_NS, 0
-        self.newest: deque[tuple[int, Any]] = deque(maxlen=_KEPT)
+    def __init__(self, period_ns: int, wait_ns: int, depth_period_ns: int) -> None:
+        self.period_ns, self.wait_ns, self.late_ns = period_ns, wait_ns, 0
+        kept = 2 + (2 * wait_ns + depth_period_ns) // period_ns
+        self.newest: deque[tuple[int, Any]] = deque(maxlen=kept)
         self.joined_ns: int | None = None  # time of the last depth image that had one
 
     def near(self, time_ns: int, half_ns: int) -> tuple[Any, bool]:
@@ -73,9 +73,8 @@ class ImageJoiner:
 
     def __init__(self, period_ns: int, wait_ns: int | None = None, **streams: int) -> None:
         self._period_ns, self._patient = period_ns, wait_ns is not None
-        self._streams = {name: _Images(period_ns) for name, period_ns in streams.items()}
-        for images in self._streams.values():
-            images.wait_ns = wait_ns if wait_ns is not None else _WAIT_NS
+        wait_ns = wait_ns if wait_ns is not None else _WAIT_NS
+        self._streams = {name: _Images(every_ns, wait_ns, period_ns) for name, every_ns in streams.items()}
         self._waiting: deque[Moment] = deque()
         self._ready: deque[Moment] = deque()
         self._last_ns: int | None = None  # time of the newest depth image
@@ -135,10 +134,13 @@ class ImageJoiner:
 
     def _release(self) -> None:
         while self._waiting:
-            time_ns, waits_ns = self._waiting[0].time_ns, self._waiting[-1].time_ns - self._waiting[0].time_ns
+            time_ns = self._waiting[0].time_ns
+            waits_ns = self._waiting[-1].time_ns - time_ns
+            # Where depth fails, the images of the other streams show how time passes.
+            ahead_ns = max(images.newest[-1][0] if images.newest else 0 for images in self._streams.values())
             for images in self._streams.values():
                 _, settled = images.near(time_ns, self._period_ns // 2)
-                if not settled and waits_ns < images.wait_ns:
+                if not settled and waits_ns < images.wait_ns and ahead_ns - time_ns < 2 * images.wait_ns:
                     return
             self._complete()
 
