@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import theilslopes
 
 from fusion.body import Body
 from fusion.errors import CalibrationError
@@ -155,6 +154,8 @@ def find_clock_skew(a: View, b: View, middle: ClockOffset) -> ClockOffset:
     first, last = max(a.time_ns[0], b.time_ns[0]), min(a.time_ns[-1], b.time_ns[-1])
     if last - first < _DRIFT_WINDOWS * _DRIFT_SPAN_NS:
         return middle
+    from scipy.stats import theilslopes  # loads for a second, and few recordings are so long
+
     centre, reach = first + (last - first) // 2, _DRIFT_SPAN_NS // 2
     moments = np.linspace(first + reach, last - reach, _DRIFT_WINDOWS).astype(np.int64)
     lever, offset, slope = list[float](), list[float](), 0.0
