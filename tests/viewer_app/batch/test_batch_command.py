@@ -4,29 +4,42 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from unittest.mock import create_autospec
 
+import psutil
 import pyarrow.parquet as pq
 import pytest
 
 from fusion.setup import REVISIONS
 from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
+from tests.helpers.dying_worker import DEADLY, fuses_or_dies
 from tests.helpers.machine import small_disk
 from tests.helpers.recorded_pairs import assert_same_session, write_pair
 from tests.helpers.waiting import eventually
 from viewer_app.batch import processes
 from viewer_app.batch.finding import Pair
-from viewer_app.batch.jobs import Job, Outcome
-from viewer_app.batch.processes import run_in_processes
+from viewer_app.batch.jobs import Job
 from viewer_app.batch.worker import fuse_job
 from viewer_app.options.sensing import BatchOptions
+from viewer_app.report import review_page
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
+PLAIN = "--method", "paper"
+"""The method that fuses a pair most quickly."""
+
+
 @pytest.fixture
 def in_this_process(monkeypatch):
+    """See :func:`fusing_here`."""
+    return fusing_here(monkeypatch)
+
+
+def fusing_here(monkeypatch):
     """Makes the command fuse in this process; returns the names of the fused pairs."""
     fused = []
 
@@ -51,46 +64,43 @@ def files_of(name):
     return {f"{name}/{name}.rrd", f"{name}/{name}.json", f"{name}/record.json"}
 
 
-def started(*arguments):
-    command = [sys.executable, "-m", "viewer_app.cli", "batch", *map(str, arguments)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen(command, cwd=ROOT, **pipes, start_new_session=True)
-
-
-def test_two_processes_fuse_what_duplex_fuse_fuses(tmp_path):
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
+def test_two_processes_fuse_what_duplex_fuse_fuses(tmp_path, monkeypatch):
+    """A pair that cannot be read, and one at which the worker dies, cost the others nothing."""
+    monkeypatch.setattr(processes, "fuse_job", fuses_or_dies)
     pairs, out = tmp_path / "pairs", tmp_path / "out"
-    for seed in range(3):
-        write_pair(pairs / f"p{seed}", seed=seed)
+    for seed, name in enumerate((DEADLY, "p1", "p2", "p3")):
+        write_pair(pairs / name, seed=seed)
     (pairs / "p1" / "b.csv").write_text("time_us,body\n1\n", encoding="utf-8")
-    assert duplex("batch", pairs, "--out", out, "--processes", 2, "--smooth", "whole") == 1
-    assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p0") | files_of("p2")
+    options = "--smooth", "whole"
+    assert duplex("batch", pairs, "--out", out, "--processes", 2, *options) == 1
+    assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p2") | files_of("p3")
     alone = tmp_path / "alone.rrd"
-    pair = pairs / "p2" / "a.csv", pairs / "p2" / "b.csv"
-    assert duplex("fuse", *pair, "--smooth", "whole", "--no-viewer", "--save", alone) == 0
-    assert_same_session(out / "p2" / "p2.rrd", alone)
+    pair = pairs / "p3" / "a.csv", pairs / "p3" / "b.csv"
+    assert duplex("fuse", *pair, *options, "--no-viewer", "--save", alone) == 0
+    assert_same_session(out / "p3" / "p3.rrd", alone)
     rows = table(out)
-    assert rows["name"][0] == "p1"
-    assert rows["state"] == ["failed", "fused", "fused"]
-    assert "b.csv" in str(rows["error"][0])
-    assert rows["frames"] == [None, 75, 75]
+    of = {name: number for number, name in enumerate(rows["name"])}
+    assert sorted(rows["name"][:2]) == [DEADLY, "p1"]
+    assert rows["state"] == ["failed", "failed", "fused", "fused"]
+    assert rows["error"][of[DEADLY]] == "The worker process died (SIGKILL, often too little memory)."
+    assert "b.csv" in rows["error"][of["p1"]]
+    assert rows["frames"] == [None, None, 75, 75]
     page = (out / "summary.html").read_text(encoding="utf-8")
-    assert page.index("p1") < page.index('href="p0/p0.rrd"')
+    assert page.index("p1") < page.index('href="p2/p2.rrd"')
     assert "p1/p1" not in page  # no link to a session that is not there
 
 
-def test_on_a_full_disk_every_pair_ends_with_one_line(tmp_path, capsys):
+def test_on_a_full_disk_every_pair_ends_with_one_line(tmp_path, in_this_process, capsys):
     for name in "pq":
         write_pair(tmp_path / "pairs" / name)
-    assert (
-        duplex(
-            "fuse", *sorted((tmp_path / "pairs" / "p").iterdir()), "--no-viewer", "--save", tmp_path / "s.rrd"
-        )
-        == 0
-    )
+    pair = sorted((tmp_path / "pairs" / "p").iterdir())
+    assert duplex("fuse", *pair, *PLAIN, "--no-viewer", "--save", tmp_path / "s.rrd") == 0
     kilobytes = 0.8 * (tmp_path / "s.rrd").stat().st_size / 1024
     capsys.readouterr()
     with small_disk(tmp_path / "small", round(kilobytes)) as disk:
-        assert duplex("batch", tmp_path / "pairs", "--out", disk / "out", "--processes", 2) == 1
+        assert duplex("batch", tmp_path / "pairs", "--out", disk / "out", *PLAIN) == 1
+        assert in_this_process == ["p", "q"]
         said = " ".join(capsys.readouterr().out.split())
         assert said.count("could not be written") == 2
         assert files_in(disk / "out") <= {"summary.html", "summary.parquet"}
@@ -101,31 +111,31 @@ def test_only_what_is_not_done_is_fused(tmp_path, in_this_process, capsys):
     pairs, out = tmp_path / "pairs", tmp_path / "out"
     write_pair(pairs, "one_a.csv", "one_b.csv", seed=1)
     write_pair(pairs, "two_a.csv", "two_b.csv", seed=2)
-    assert duplex("batch", pairs, "--out", out) == 0
+    assert duplex("batch", pairs, "--out", out, *PLAIN) == 0
     assert in_this_process == ["one", "two"]
     # without a terminal there is no progress bar
     said = capsys.readouterr().out.splitlines()
     assert said[:2] == ["one: fused, 1 of 2.", "two: fused, 2 of 2."]
     (out / "two" / "two.rrd").unlink()  # no longer complete
     write_pair(pairs, "six_a.csv", "six_b.csv", seed=6)
-    assert duplex("batch", pairs, "--out", out) == 0
+    assert duplex("batch", pairs, "--out", out, *PLAIN) == 0
     assert in_this_process == ["one", "two", "six", "two"]
     assert table(out)["state"] == ["fused"] * 3
     capsys.readouterr()
 
     # neither another option nor another input replaces a session silently
-    assert duplex("batch", pairs, "--out", out, "--smoothing", "0.9") == 2
+    assert duplex("batch", pairs, "--out", out, *PLAIN, "--smoothing", "0.9") == 2
     assert "with another --smoothing" in one_line(capsys)
     write_pair(pairs, "one_a.csv", "one_b.csv", seed=3)
-    assert duplex("batch", pairs, "--out", out) == 2
+    assert duplex("batch", pairs, "--out", out, *PLAIN) == 2
     assert "one was fused from other recordings" in one_line(capsys)
     assert len(in_this_process) == 4
     before = (out / "one" / "one.rrd").read_bytes()
-    assert duplex("batch", pairs, "--out", out, "--force") == 0
+    assert duplex("batch", pairs, "--out", out, *PLAIN, "--force") == 0
     assert in_this_process[4:] == ["one"]
     assert (out / "one" / "one.rrd").read_bytes() != before
     (out / "one" / "one.bvh").touch()
-    assert duplex("batch", pairs, "--out", out, "--force") == 2
+    assert duplex("batch", pairs, "--out", out, *PLAIN, "--force") == 2
     assert "one holds files that duplex batch did not write (one.bvh)" in one_line(capsys)
 
 
@@ -146,81 +156,88 @@ def test_sessions_of_another_revision_are_fused_again(tmp_path, in_this_process,
 
 def test_a_replacement_that_fails_keeps_the_old_session(tmp_path, in_this_process):
     pairs, out = write_pair(tmp_path / "pairs" / "p"), tmp_path / "out"
-    assert duplex("batch", pairs.parent, "--out", out) == 0
+    assert duplex("batch", pairs.parent, "--out", out, *PLAIN) == 0
     before = (out / "p" / "p.rrd").read_bytes()
     (pairs / "a.csv").write_text("time_us,body\n1\n", encoding="utf-8")
-    assert duplex("batch", pairs.parent, "--out", out, "--force") == 1
+    assert duplex("batch", pairs.parent, "--out", out, *PLAIN, "--force") == 1
     assert (out / "p" / "p.rrd").read_bytes() == before
     assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p")
     assert in_this_process == ["p", "p"]
 
 
-def test_a_session_that_was_being_replaced_returns(tmp_path, in_this_process):
+def test_a_session_that_was_being_replaced_returns(tmp_path, in_this_process, monkeypatch):
+    monkeypatch.setattr(review_page, "review_page", create_autospec(review_page.review_page, return_value=""))
     pairs, out = write_pair(tmp_path / "pairs" / "p"), tmp_path / "out"
-    assert duplex("batch", pairs.parent, "--out", out) == 0
+    assert duplex("batch", pairs.parent, "--out", out, *PLAIN) == 0
     # the state after a kill between the two renames
     (out / ".partial" / "p.host-1").mkdir(parents=True)
     (out / "p").rename(out / ".partial" / "p.old")
-    assert duplex("batch", pairs.parent, "--out", out) == 0
+    assert duplex("batch", pairs.parent, "--out", out, *PLAIN) == 0
     assert in_this_process == ["p"]
     assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p")
-    assert duplex("batch", pairs.parent, "--out", out, "--pages") == 0
+    assert duplex("batch", pairs.parent, "--out", out, *PLAIN, "--pages") == 0
     assert files_in(out) == {"summary.html", "summary.parquet", "p/p.html"} | files_of("p")
     assert 'href="p/p.html"' in (out / "summary.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_killed_half_way_and_resumed(number, tmp_path, in_this_process):
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs POSIX signals")
+def test_interrupted_half_way_and_resumed(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(processes, "compile_kernels", lambda _: None)
     pairs, out = tmp_path / "pairs", tmp_path / "out"
     for seed in range(4):
         write_pair(pairs / f"p{seed}", seed=seed)
-    batch = started(pairs, "--out", out, "--processes", 1)
-    try:
-        assert eventually(lambda: (out / "p0").exists(), 240.0)
-        # Ctrl-C reaches the whole group of a terminal; a kill only the process
-        (os.killpg if number == signal.SIGINT else os.kill)(batch.pid, number)
-        _, said = batch.communicate(timeout=60.0)
-    finally:
-        batch.kill()
+
+    def press():
+        """Ctrl-C reaches the whole group of a terminal."""
+        if eventually(lambda: (out / "p0").exists(), 240.0):
+            for process in (*psutil.Process().children(), psutil.Process()):
+                process.send_signal(signal.SIGINT)
+
+    pressing = threading.Thread(target=press)
+    pressing.start()
+    assert duplex("batch", pairs, "--out", out, "--processes", 1, *PLAIN) == 130
+    pressing.join()
+    assert capfd.readouterr().err == "duplex: stopped\n"
     done = sorted(path.name for path in out.glob("p*"))
     assert len(done) < 4
     assert all(files_of(name) <= files_in(out) for name in done)
-    if number == signal.SIGINT:
-        assert batch.returncode == 130
-        assert said == "duplex: stopped\n"
-        assert table(out)["state"].count("pending") == 4 - len(done)
-        assert not (out / ".partial").exists()
+    assert table(out)["state"].count("pending") == 4 - len(done)
+    assert not (out / ".partial").exists()
     made = {name: (out / name / f"{name}.rrd").stat().st_mtime_ns for name in done}
-    assert duplex("batch", pairs, "--out", out, "--processes", 1) == 0
-    assert in_this_process == [f"p{k}" for k in range(4) if f"p{k}" not in done]
+    fused = fusing_here(monkeypatch)
+    assert duplex("batch", pairs, "--out", out, "--processes", 1, *PLAIN) == 0
+    assert fused == [f"p{k}" for k in range(4) if f"p{k}" not in done]
     assert {name: (out / name / f"{name}.rrd").stat().st_mtime_ns for name in done} == made
     assert table(out)["state"] == ["fused"] * 4
     assert not (out / ".partial").exists()
     assert len(Session.open(out / "p3" / "p3.rrd")) == 75
 
 
+WORKER = """
+import threading
+from multiprocessing import get_context
+from viewer_app.batch.processes import _begin
+
+def work():
+    _begin()
+    print("works", flush=True)
+    threading.Event().wait()
+
+get_context("fork").Process(target=work).start()
+"""
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
-def test_a_worker_that_dies_costs_its_own_job_only(tmp_path, monkeypatch):
-    monkeypatch.setattr(processes, "compile_kernels", lambda _: None)
-    monkeypatch.setattr(processes, "fuse_job", dies_on_p)
-    outcomes = list(run_in_processes([_job(tmp_path, name) for name in "pqr"], 1))
-    assert [(each.name, each.error) for each in outcomes] == [
-        ("p", "The worker process died (SIGKILL, often too little memory)."),
-        ("q", ""),
-        ("r", ""),
-    ]
-
-
-def dies_on_p(job):
-    if job.name == "p":
-        os.kill(os.getpid(), signal.SIGKILL)
-    return Outcome(job.name, {})
+def test_a_worker_ends_with_a_batch_that_is_killed():
+    batch = subprocess.Popen([sys.executable, "-c", WORKER], cwd=ROOT, stdout=subprocess.PIPE)
+    assert batch.stdout.readline() == b"works\n"
+    batch.kill()
+    assert batch.communicate(timeout=60.0) == (b"", None)  # nobody holds the pipe any more
 
 
 def test_a_job_that_a_cluster_repeats_is_not_fused_again(tmp_path):
     folder = write_pair(tmp_path / "pairs" / "p")
-    options = BatchOptions(source=folder.parent, out=tmp_path / "out")
+    options = BatchOptions(source=folder.parent, out=tmp_path / "out", method="paper")
     job = Job(Pair("p", folder / "a.csv", folder / "b.csv"), options)
     first = fuse_job(job)
     # another worker may be about to make its own folder in this one
@@ -228,8 +245,3 @@ def test_a_job_that_a_cluster_repeats_is_not_fused_again(tmp_path):
     made = job.session.stat().st_mtime_ns
     assert fuse_job(job) == first
     assert job.session.stat().st_mtime_ns == made
-
-
-def _job(folder, name):
-    options = BatchOptions(source=folder, out=folder)
-    return Job(Pair(name, folder / "a.csv", folder / "b.csv"), options)
