@@ -140,9 +140,9 @@ def _what_to_do(there: list[ConnectedSensor], sdks: dict[str, Check], root: Path
         return library_for(without_library[0])
     if there:
         return "Plug in two: USB 3 and a power supply each, on two USB controllers."
-    ready = " or ".join(sdk.serves for sdk in sdks.values() if sdk.ok)
+    ready = ", ".join(sdk.serves for sdk in sdks.values() if sdk.ok)
     if ready:
-        return f"Plug in two of {ready}; others need their library, as its line above says."
+        return f"Plug in two sensors that an installed library runs: {ready}."
     return "Install the library of your sensors as its line above says."
 
 
