@@ -157,7 +157,7 @@ def movement(name):
 
 
 @cache
-def simulated_views(motion, body="kinect_v2", tracker="mirroring", angle_deg=90.0, seconds=20.0, seed=4000):
+def simulated_views(motion, body="kinect_v2", tracker="mirroring", angle_deg=90.0, seconds=10.0, seed=4000):
     """A simulated recording with the true registration.
 
     Args:
