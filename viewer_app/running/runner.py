@@ -76,7 +76,6 @@ class Runner:
         console, options, a, b = self._console, self._options, sensors.a.sensor, sensors.b.sensor
         if self._save is not None:
             warn_of_little_room(self._save, console)
-        announce(self.viewing, console, live=True)
         self.session = stack.enter_context(
             LiveSession(
                 setup,
@@ -90,6 +89,7 @@ class Runner:
                 about={"tracker": tracker_name(a)} if tracker_name(a) else None,
             )
         )
+        announce(self.viewing, console, live=True)
         return stack.enter_context(LiveDisplay(console, self.session, coach, options.quiet, options.verbose))
 
     def summarise(self, setup: FusionSetup, frames: Sequence[SessionFrame], sensors: TwoSensors) -> None:

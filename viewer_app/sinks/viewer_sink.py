@@ -4,8 +4,6 @@ A thread feeds it; no other thread waits for it. A viewer that is too slow gets 
 frames are counted. A hub that dies or hangs is replaced by a new one on the same port.
 """
 
-import os
-import selectors
 import subprocess
 import threading
 import time
@@ -23,12 +21,14 @@ from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.errors import UsageError
 from viewer_app.sinks.queued_sink import Item, Opening, QueuedSink, write_items
-from viewer_app.viewer.rerun_process import ViewerWindow, start_window, stop
+from viewer_app.viewer.rerun_process import STARTS_TRIED, ViewerWindow, not_started, start_window, stop
 from viewer_app.viewer.viewer_choice import Viewing
 
 _KEEP = 60
 """Maximum number of queued frames: two seconds; older frames are dropped."""
 _BEGINS_WITHIN = 1.0  # seconds
+_WATCHED_EVERY = 0.25  # seconds
+_BLOCK = 1 << 16  # bytes that are written at once: as many as a pipe holds
 _PLOTTED_TOGETHER = 5  # frames, a sixth of a second
 _DEPTH_HZ = 10.0  # depth images per sensor; limited by the viewer's memory for images
 _EARLY = 0.9  # share of the interval: a frame that arrives slightly early still counts
@@ -62,10 +62,12 @@ class ViewerFeed(QueuedSink):
         super().__init__("viewer feed", keep)
         self._start, self._stream, self._begin = start, stream, begin
         self._patience, self._retry = patience, retry
-        self._turn_over, self._free = threading.Event(), threading.Event()
+        self._turn_over, self._free, self._ended = (threading.Event() for _ in range(3))
+        self._writing_since: float | None = None  # on the monotonic clock; None while nothing is written
         self.process = start()
         self.starts = 1
         self._thread.start()
+        threading.Thread(target=self._watch, name="viewer watch", daemon=True).start()
 
     def offer(self, item: Item) -> None:
         """Queues an item; the oldest frame makes room for it."""
@@ -86,16 +88,25 @@ class ViewerFeed(QueuedSink):
     def close(self) -> None:
         """Stops feeding at once, and ends the process."""
         self._end()
+        stop(self.process)  # which ends a write that waits
         self._thread.join(timeout=1.0)
-        stop(self.process)
+        stop(self.process)  # one that was just started
 
     def _run(self) -> None:
         try:
             self._feed_each()
         finally:
             self._end()
+            self._ended.set()
             self._free.set()  # nobody waits for a thread that has ended
             self._stream.disconnect()
+
+    def _watch(self) -> None:
+        """Stops a process that takes no data for too long."""
+        while not self._ended.wait(_WATCHED_EVERY):
+            since = self._writing_since
+            if since is not None and time.monotonic() - since > self._patience:
+                stop(self.process)
 
     def _feed_each(self) -> None:
         while not self._ending:
@@ -136,25 +147,16 @@ class ViewerFeed(QueuedSink):
         """Writes to the pipe; returns whether all data was written. A message is interrupted only when
         stopping."""
         assert process.stdin is not None
-        pipe = process.stdin.fileno()
-        os.set_blocking(pipe, False)
         rest = memoryview(data)
-        moved = time.monotonic()
-        with selectors.DefaultSelector() as ready:
-            ready.register(pipe, selectors.EVENT_WRITE)
-            while rest:
-                if self._ending or process.poll() is not None or time.monotonic() - moved > self._patience:
-                    return False
-                if not ready.select(timeout=0.1):
-                    continue
-                try:
-                    written = os.write(pipe, rest[: 1 << 20])
-                except BlockingIOError:
-                    continue
-                except OSError:
-                    return False
-                rest, moved = rest[written:], time.monotonic()
-        return process.poll() is None
+        while rest and not self._ending:
+            self._writing_since = time.monotonic()
+            try:
+                rest = rest[process.stdin.write(rest[:_BLOCK]) :]
+            except (OSError, ValueError):  # it has ended, or is being stopped
+                return False
+            finally:
+                self._writing_since = None
+        return not rest and process.poll() is None
 
 
 class ImageTurns:
@@ -208,11 +210,11 @@ class ViewerSink(ViewerFeed):
             rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
             self._begin_recording,
         )
-        try:
-            hub.wait_until_listening(self.process)
-        except UsageError:
-            super().close()
-            raise
+        while not hub.listens(self.process):  # the feed starts another one if it has ended
+            if self.starts >= STARTS_TRIED or self.process.poll() is None:
+                super().close()
+                raise not_started()
+            time.sleep(_WATCHED_EVERY)
         # While a hub takes the static data, it would hold up the first frames.
         self.wait_until_free(_BEGINS_WITHIN)
         if viewing.window:

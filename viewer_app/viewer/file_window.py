@@ -111,9 +111,8 @@ def show(path: Path, at_ns: int | None = None) -> bool:
 def served(path: Path, hub: Hub) -> Iterator[None]:
     """Serves a session to browsers during the block."""
     with path.open("rb") as file:
-        process = hub.start(file)
+        process = hub.serve(file)
         try:
-            hub.wait_until_listening(process)
             if has_depth_images(path):
                 add_clouds(file, hub.url)
             yield

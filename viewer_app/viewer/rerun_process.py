@@ -15,6 +15,7 @@ import errno
 import importlib.util
 import os
 import platform
+import random
 import re
 import signal
 import socket
@@ -28,12 +29,17 @@ from pathlib import Path
 from typing import IO
 from urllib.parse import quote
 
+import psutil
+
 from viewer_app.addresses import LOOPBACK, reached_at
 from viewer_app.errors import UsageError
 from viewer_app.viewer.display import environment_of_window
 
 _STARTS_WITHIN, _ENDS_WITHIN = 20.0, 1.0  # seconds
-_STARTS_TRIED = 3  # in a row
+_REOPENED = 3  # times in a row
+STARTS_TRIED = 6
+"""Of a server, whose ports others may take meanwhile."""
+_SERVER = "Rerun's server"
 _HUB_MEMORY, _FILE_MEMORY = "512MiB", "75%"
 _VIEWER_MEMORY = "2GiB"
 _LOOKED_AFTER_EVERY = 0.5  # seconds
@@ -42,13 +48,20 @@ PAGE_PORT, DATA_PORT = 9090, 9876
 _PORTS_TRIED = 20
 
 
-@dataclass(frozen=True)
+@dataclass
 class Hub:
-    """The addresses of a hub."""
+    """A server of one session, and its addresses.
+
+    Whoever binds a port first has it. Until the hub listens for the first time, each start takes other ports
+    if another program has taken them since, far enough apart for several that start at once; afterwards they
+    stay.
+    """
 
     port: int  # port of the data
     web_port: int | None = None  # port of the web viewer; None without one
     address: str = LOOPBACK  # the address that the hub is bound to
+    listened: bool = False  # whether it ever listened
+    starts: int = 0
 
     @staticmethod
     def on_free_ports(web: bool, address: str | None = None) -> Hub:
@@ -80,6 +93,12 @@ class Hub:
             session: A file that it serves as a whole. None: it reads from its standard input, a pipe, and
                 forgets the oldest data when its memory is full.
         """
+        if not self.listened:
+            apart = random.randrange(1, _PORTS_TRIED) if self.starts else 0
+            self.port = free_port(self.address, self.port + apart)
+            if self.web_port is not None:
+                self.web_port = free_port(self.address, self.web_port + apart)
+        self.starts += 1
         web = ["--serve-grpc"]
         if self.web_port is not None:
             # without the last, a browser may read the data only from a page of this machine
@@ -94,11 +113,26 @@ class Hub:
             dies_with_us=True,
         )
 
-    def wait_until_listening(self, process: subprocess.Popen[bytes]) -> None:
-        """Waits until a started hub, which is receiving its session, listens."""
-        for port in (self.port, self.web_port):
-            if port is not None:
-                _wait_for(process, reached_at(self.address).strip("[]"), port, "Rerun's server")
+    def serve(self, session: IO[bytes]) -> subprocess.Popen[bytes]:
+        """Starts a hub for a file, and returns it once it listens.
+
+        Raises:
+            UsageError: None of several starts listens.
+        """
+        for _ in range(STARTS_TRIED):
+            session.seek(0)
+            process = self.start(session)
+            if self.listens(process):
+                return process
+            stop(process)
+        raise not_started()
+
+    def listens(self, process: subprocess.Popen[bytes]) -> bool:
+        """Waits until a started hub listens; False once it has ended, as where its ports are taken, or after
+        20 s."""
+        ports = {port for port in (self.port, self.web_port) if port is not None}
+        self.listened |= (found := _listens(process, ports))
+        return found
 
 
 def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
@@ -120,10 +154,12 @@ def start_viewer(
     port = free_port()
     own = ["--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY]
     viewer = _start([*own, *arguments], stdin)
-    _wait_for(viewer, LOOPBACK, port, "Rerun's viewer")
+    if not _listens(viewer, {port}):
+        stop(viewer)
+        raise not_started("Rerun's viewer")
     _wait_until_it_answers(viewer, port)
     if viewer.poll():  # a user who closes the window at once ends it with 0
-        raise _not_started("Rerun's viewer", _last_words([*own, *(set(arguments) & {"--headless"})]))
+        raise not_started("Rerun's viewer", _last_words([*own, *(set(arguments) & {"--headless"})]))
     return viewer, port
 
 
@@ -220,7 +256,7 @@ class ViewerWindow:
                 self.starts, failed = self.starts + 1, 0
             except UsageError as error:
                 failed += 1
-                if failed == _STARTS_TRIED:
+                if failed == _REOPENED:
                     self.failure = str(error)
                     return
                 continue
@@ -293,19 +329,21 @@ def rerun_program() -> list[str]:
     return [sys.executable, "-m", "rerun"]
 
 
-def _wait_for(process: subprocess.Popen[bytes], host: str, port: int, what: str) -> None:
+def _listens(process: subprocess.Popen[bytes], ports: set[int]) -> bool:
+    """Waits until a child process itself listens on the ports; another program that answers is not it."""
     deadline = time.monotonic() + _STARTS_WITHIN
     while time.monotonic() < deadline and process.poll() is None:
-        try:
-            socket.create_connection((host, port), timeout=0.5).close()
-            return
-        except OSError:
-            time.sleep(0.05)
-    stop(process)
-    raise _not_started(what)
+        with contextlib.suppress(psutil.NoSuchProcess):
+            parent = psutil.Process(process.pid)
+            sockets = [c for p in (parent, *parent.children(True)) for c in p.net_connections("tcp")]
+            if ports <= {each.laddr.port for each in sockets if each.status == psutil.CONN_LISTEN}:
+                return True
+        time.sleep(0.05)
+    return False
 
 
-def _not_started(what: str, why: str = "") -> UsageError:
+def not_started(what: str = _SERVER, why: str = "") -> UsageError:
+    """The error of a program of Rerun's that does not start."""
     return UsageError(
         f"{what} does not start here{f' ({why})' if why else ''}. Use --save FILE.rrd --no-viewer, and open "
         "the file with `rerun FILE.rrd` where there is a display."

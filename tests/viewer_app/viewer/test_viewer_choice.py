@@ -2,6 +2,7 @@
 
 import io
 import socket
+from concurrent.futures import ThreadPoolExecutor
 from urllib.request import Request, urlopen
 
 import cv2
@@ -10,7 +11,7 @@ import psutil
 import pytest
 from rich.console import Console
 
-from tests.helpers.live_frames import session
+from tests.helpers.live_frames import frames, session
 from tests.helpers.machine import lacks, need_viewer
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
@@ -33,11 +34,21 @@ def served(fuser):
         yield live
 
 
-def listening(pid):
-    """The addresses that a process and its children listen on."""
+def sockets(pid):
+    """What a process and its children listen on."""
     process = psutil.Process(pid)
     everyone = [process, *process.children(recursive=True)]
-    return {c.laddr.ip for p in everyone for c in p.net_connections("inet") if c.status == psutil.CONN_LISTEN}
+    return [c.laddr for p in everyone for c in p.net_connections("inet") if c.status == psutil.CONN_LISTEN]
+
+
+def listening(pid):
+    """The addresses that a process and its children listen on."""
+    return {socket.ip for socket in sockets(pid)}
+
+
+def ports_of(pid):
+    """The ports that a process and its children listen on."""
+    return {socket.port for socket in sockets(pid)}
 
 
 def test_hub_page_and_window_listen_on_loopback_only(served):
@@ -144,6 +155,31 @@ def test_the_ports_for_browsers_are_fixed_and_the_next_ones_where_they_are_taken
     assert "latency" in said(Viewing(hub=Hub(DATA_PORT, PAGE_PORT)), monkeypatch, live=True)
     moved = said(Viewing(hub=Hub(DATA_PORT + 1, PAGE_PORT)), monkeypatch)
     assert moved.startswith("Port 9876 is taken: using 9877.\n")
+
+
+def test_servers_that_start_at_once_each_show_their_own_session(fuser, tmp_path):
+    """All chose the same ports; whoever binds them has them."""
+    with session(fuser, tmp_path / "s.rrd") as live:
+        live.write(frames(fuser, 1)[0])
+    first = free_port(), free_port()
+    hubs = [Hub(*first) for _ in range(5)]
+
+    def serve(hub):
+        with (tmp_path / "s.rrd").open("rb") as file:
+            return hub.serve(file)
+
+    with ThreadPoolExecutor() as pool:
+        servers = list(pool.map(serve, hubs))
+        try:
+            with session(fuser, None, Hub(*first)) as live:
+                servers.append(live.viewer.process)
+                hubs.append(live.viewer.hub)
+                ports = [ports_of(server.pid) for server in servers]
+            assert ports == [{hub.port, hub.web_port} for hub in hubs]
+            assert len(set().union(*ports)) == 2 * len(hubs)
+        finally:
+            for server in servers:
+                stop(server)
 
 
 @pytest.mark.parametrize(
