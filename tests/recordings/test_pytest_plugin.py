@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 
 from fusion.body import KINECT_V1
 from fusion.setup import FuserSettings
-from recordings import Session
+from recordings import Session, fuse
 from recordings.testing import SessionsDifferError, assert_sessions_match, simulated_session
+from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.programs import ROOT, python
 from tests.helpers.recorded_pairs import write_recordings
@@ -20,30 +22,36 @@ pytest_plugins = "pytester"
 
 OWN = """
 import pytest
+from recordings import Session
 from recordings.testing import assert_sessions_match
 
 @pytest.mark.parametrize("seed", [7, 8])
-def test_walk(simulated_session, seed):
-    session = simulated_session("walk", seconds=1.0, seed=seed)
-    assert session is simulated_session("walk", seconds=1.0, seed=seed)
-    assert_sessions_match(session, f"kept/expected_{seed}.rrd", position_mm=0.0)
+def test_walk(seed):
+    assert_sessions_match(f"walk_{seed}.rrd", f"kept/expected_{seed}.rrd", position_mm=0.0)
+
+def test_apart():
+    assert_sessions_match("walk_7.rrd", Session.open("walk_8.rrd"))
 """
 
 
 @pytest.fixture(scope="module", autouse=True)
-def imported(tmp_path_factory):
-    """Imports what the tests use before pytester, which forgets later imports; numba bears no second one."""
-    path = tmp_path_factory.mktemp("imported") / "s.rrd"
-    simulated_session(seconds=1.0).save(path)
-    Session.open(path)
+def walks(tmp_path_factory):
+    """Sessions by seed. Imports what the tests use before pytester, which forgets later imports."""
+    folder = tmp_path_factory.mktemp("walks")
+    made = {seed: simulated_session(seconds=1.0, seed=seed) for seed in (7, 8)}
+    for seed, session in made.items():
+        session.save(folder / f"walk_{seed}.rrd")
+    fuse(*write_recordings(folder))
+    duplex("compare", *folder.glob("*.rrd"), "--no-viewer")
+    return {seed: Session.open(folder / f"walk_{seed}.rrd") for seed in made}
 
 
 @pytest.fixture
 def run(pytester):
     """Runs pytest in the folder of a user's tests; returns its output and how many passed and failed."""
 
-    def run_pytest(*arguments):
-        result = pytester.runpytest_subprocess(*arguments)
+    def run_pytest(*arguments, how=pytester.runpytest_inprocess):
+        result = how(*arguments)
         outcomes = result.parseoutcomes()
         return result.stdout.str(), outcomes.get("passed", 0), outcomes.get("failed", 0)
 
@@ -54,7 +62,7 @@ def printed_command(said, label):
     return shlex.split(re.search(rf"^E +{label}: +(.*)$", said, re.MULTILINE)[1])
 
 
-def test_the_example_makes_its_expected_file_and_shows_what_changed(run, pytester):
+def test_the_example_makes_its_expected_file_and_shows_what_changed(run, pytester, capsys):
     write_recordings(pytester.path)
     example = (ROOT / "examples" / "test_fusion.py").read_text(encoding="utf-8")
     own = pytester.makepyfile(test_fusion=example)
@@ -68,14 +76,13 @@ def test_the_example_makes_its_expected_file_and_shows_what_changed(run, pyteste
 
     other = example.replace('"b.csv")', '"b.csv", settings=FuserSettings(smoothing=1.0))')
     own.write_text(f"from fusion import FuserSettings\n{other}", encoding="utf-8")
-    said, passed, failed = run()
-    assert (passed, failed) == (1, 1)
+    said, passed, failed = run("-k", "has_not_changed")
+    assert (passed, failed) == (0, 1)
     assert re.search(r"S\* +all joints +\d+ ", said)
     assert not re.search(r"S_[AB] +all joints", said)
     program, *compare = printed_command(said, "to see it")
-    compared = python("-m", "viewer_app.cli", *compare, "--no-viewer", cwd=pytester.path)
-    assert (program, compared.returncode) == ("duplex", 0)
-    assert "70 frames in common" in compared.stdout
+    assert (program, duplex(*compare, "--no-viewer")) == ("duplex", 0)
+    assert "70 frames in common" in capsys.readouterr().out
     _, actual, expected = compare
     assert Session.open(pytester.path / actual).settings.smoothing == 1.0
     assert expected == "expected.rrd"
@@ -93,36 +100,36 @@ def test_a_file_that_cannot_be_read_shows_the_test_s_own_line(run, pytester):
     assert "No session nothing.rrd" in said
 
 
-def test_processes_of_xdist_share_the_option_and_the_expected_files(run, pytester):
+def test_processes_of_xdist_share_the_option_and_the_expected_files(run, pytester, walks):
+    for walk in walks.values():
+        shutil.copy(walk.path, pytester.path)
     pytester.makepyfile(test_own=OWN)
-    said, *counts = run("-n", "2", "--duplex-update")
-    assert counts == [2, 0]
+    said, *counts = run("-n", "2", "--duplex-update", how=pytester.runpytest_subprocess)
+    assert counts == [2, 1]
     assert len(re.findall(r"^Wrote kept/expected_[78].rrd.$", said, re.MULTILINE)) == 2
-    assert {path.name for path in (pytester.path / "kept").iterdir()} == {"expected_7.rrd", "expected_8.rrd"}
-    kept = pytester.path / "kept"
-    (kept / "expected_8.rrd").replace(kept / "expected_7.rrd")
-    said, *counts = run("-n", "2")
-    assert counts == [0, 2]
+    for seed, walk in walks.items():
+        assert_sessions_match(pytester.path / "kept" / f"expected_{seed}.rrd", walk, position_mm=0.0)
     assert "of different captures" in said
     # Where CI is set, pytest's summary repeats the message without the "E".
     assert len(re.findall(r"^E .*duplex review ", said, re.MULTILINE)) == 2, "compare would refuse them"
-    actual = pytester.path / ".pytest_cache" / "d" / "duplex" / "test_own.py_test_walk_7_" / "actual.rrd"
-    assert_sessions_match(actual, simulated_session(seconds=1.0, seed=7), position_mm=0.0)
+    actual = pytester.path / ".pytest_cache" / "d" / "duplex" / "test_own.py_test_apart" / "actual.rrd"
+    assert_sessions_match(actual, walks[7], position_mm=0.0)
 
 
-def test_sessions_in_memory_are_kept_without_a_cache(run, pytester):
+def test_sessions_in_memory_are_kept_without_a_cache(run, pytester, walks):
     pytester.makepyfile("""
         from recordings.testing import assert_sessions_match
 
         def test_two(simulated_session):
-            pair = [simulated_session(seconds=1.0, seed=seed) for seed in (1, 2)]
+            pair = [simulated_session(seconds=1.0, seed=seed) for seed in (7, 8)]
+            assert pair[0] is simulated_session(seconds=1.0, seed=7)
             assert_sessions_match(*pair)
     """)
     said, _, failed = run("-p", "no:cacheprovider")
     assert failed == 1
     kept = [re.search(rf"^E +{name}: +(.*)$", said, re.MULTILINE)[1] for name in ("actual", "expected")]
-    for path, seed in zip(kept, (1, 2), strict=True):
-        assert_sessions_match(path, simulated_session(seconds=1.0, seed=seed), position_mm=0.0)
+    for path, seed in zip(kept, walks, strict=True):
+        assert_sessions_match(path, walks[seed], position_mm=0.0)
     assert "to accept it" not in said, "there is no file to write"
 
 
