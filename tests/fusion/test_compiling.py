@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -105,25 +106,33 @@ def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path):
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
 COLD = """
-from fusion.body import AZURE_KINECT
-from fusion.calibration.calibration import nominal_calibration
-from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup
-from fusion.paper.method import prepare
-from fusion.solvers.tree_solver import solve_tree
-Fuser(FusionSetup(nominal_calibration(AZURE_KINECT), FuserSettings(method="paper"))).warm_up()
-print(*(sum(counts.values()) for counts in (solve_tree.stats.cache_hits, solve_tree.stats.cache_misses)))
-print(len(prepare.signatures))
+from fusion.compiling.kernels import kernel
+
+@kernel
+def solve(x):
+    return 2 * x
+
+@kernel
+def loop(x):
+    return solve(x) + 1
 """
 
 
-def test_another_process_compiles_the_solver_on_a_first_run(tmp_path):
-    environment = {**os.environ, "PYTHONPATH": str(Path.cwd()), "NUMBA_CACHE_DIR": str(tmp_path)}
-    cold = subprocess.run(
-        [sys.executable, "-c", COLD], capture_output=True, text=True, env=environment, check=True
-    )
-    # the solver is found on disk; the other kernels compiled are those that the loop over frames calls
-    assert cold.stdout.split() == ["1", "0", "1"]
+def test_another_process_compiles_the_solver_on_a_first_run(tmp_path, monkeypatch):
+    (tmp_path / "cold.py").write_text(COLD)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    cold = import_module("cold")
+    with compiled_meanwhile(cold.loop, "import cold; cold.solve(1)"):
+        pass
+    assert cold.loop(1) == 3
+    # the solver is found on disk; the loop over frames is compiled here
+    counts = [
+        sum(each.values())
+        for kernel in (cold.solve, cold.loop)
+        for each in (kernel.stats.cache_hits, kernel.stats.cache_misses)
+    ]
+    assert counts == [1, 0, 0, 1]
 
 
 def test_the_program_continues_if_no_process_starts(monkeypatch):
