@@ -17,7 +17,11 @@ _CLOSING_S = 30.0
 
 
 def script() -> None:
-    """The console script: runs :func:`main`, waits for sensors that still close, then ignores Ctrl-C."""
+    """The console script: runs :func:`main`, waits for sensors that still close, then ignores Ctrl-C.
+
+    SIGTERM, as from ``docker stop`` and systemd, ends a command as Ctrl-C does.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     code: int | str | None = 0
     closed = False
     try:

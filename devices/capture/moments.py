@@ -137,10 +137,12 @@ class ImageJoiner:
             time_ns = self._waiting[0].time_ns
             waits_ns = self._waiting[-1].time_ns - time_ns
             # Where depth fails, the images of the other streams show how time passes.
-            ahead_ns = max(images.newest[-1][0] if images.newest else 0 for images in self._streams.values())
+            last_ns = max(
+                (each.newest[-1][0] for each in self._streams.values() if each.newest), default=time_ns
+            )
             for images in self._streams.values():
                 _, settled = images.near(time_ns, self._period_ns // 2)
-                if not settled and waits_ns < images.wait_ns and ahead_ns - time_ns < 2 * images.wait_ns:
+                if not settled and waits_ns < images.wait_ns and last_ns - time_ns < 2 * images.wait_ns:
                     return
             self._complete()
 

@@ -16,11 +16,12 @@ from viewer_app.batch.manifest import read_manifest
 from viewer_app.batch.summary import Row, State, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import BatchOptions, calibration_source, recording_settings
+from viewer_app.output_console import output_console
 
 
 def run(options: BatchOptions) -> None:
     """Runs the command; exits with code 1 if a pair could not be fused."""
-    console = Console(highlight=False)
+    console = output_console()
     if options.processes < 0:
         raise UsageError(f"--processes must be 0 or more; got {options.processes}.")
     recording_settings(options)

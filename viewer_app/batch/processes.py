@@ -9,7 +9,6 @@ from contextlib import contextmanager, suppress
 from multiprocessing import get_context, parent_process
 
 from pebble import ProcessExpired, ProcessPool
-from rich.console import Console
 
 from devices.pairing import pair_views
 from devices.people import RecordedPeople
@@ -21,6 +20,7 @@ from recordings.fusing.pairs import fuse_segments, setups_of
 from viewer_app.batch.jobs import Job, Outcome
 from viewer_app.batch.worker import fuse_job
 from viewer_app.options.sensing import BatchOptions, recording_settings
+from viewer_app.output_console import output_console
 from viewer_app.running.loop import warm_up
 
 _SECONDS = 3.0
@@ -53,7 +53,7 @@ def compile_kernels(options: BatchOptions) -> None:
     pairs = pair_views(KINECT_V1, a, b).pairs
     plan = plan_recording(KINECT_V1, pairs.skeletons, settings)
     segments = setups_of(plan, settings, (None, None))
-    warm_up(Fuser(segments[0][0]), Console(highlight=False))
+    warm_up(Fuser(segments[0][0]), output_console())
     for _ in fuse_segments(segments, pairs, plan.labels):
         pass
 

@@ -27,6 +27,7 @@ from recordings.truth_comparison import TruthComparison
 from recordings.truth_files import SUFFIXES, read_truth
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import CompareOptions
+from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, write_text
 from viewer_app.report.figures import save_report
 from viewer_app.report.terminal import figure_table, print_damage, print_lines
@@ -52,7 +53,7 @@ _OF_TRUTH = ("names", "offset", "html", "report")  # options for motion capture 
 
 def run(options: CompareOptions) -> None:
     """Runs the command."""
-    console = Console(highlight=False)
+    console = output_console()
     if options.worst is not None and options.worst < 0:
         raise UsageError(f"--worst {options.worst}: how many moments to list, 0 or more.")
     if options.offset is not None and not math.isfinite(options.offset):

@@ -34,6 +34,7 @@ from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions
 from viewer_app.options.shared import check_seconds
+from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, free_name
 from viewer_app.report.terminal import figure_table, print_lines
 from viewer_app.report.words import Line
@@ -56,7 +57,7 @@ _NEXT = "Next: {walk}{other}, or your own sensors (duplex doctor)."
 
 def run(options: DemoOptions) -> None:
     """Runs the command."""
-    console = Console(highlight=False)
+    console = output_console()
     if options.motion == "list":
         console.print("\n".join(MOTIONS))
         return
@@ -87,9 +88,6 @@ def _check(options: DemoOptions) -> None:
         raise UsageError(f"--tracker blazepose reports the body blazepose, not {options.body}.")
     if own_tracker and options.depth == "none":
         raise UsageError("--tracker blazepose works on images: give --depth half or full.")
-    if not own_tracker and (options.tracker_model is not None or options.tracker_network != "full"):
-        given = "--tracker-network" if options.tracker_model is None else "--tracker-model"
-        raise UsageError(f"{given} is of the program's own tracker: add --tracker blazepose.")
     if options.record is not None and options.depth == "none":
         raise UsageError("--record records images: give --depth half or full.")
     if options.bad_setup and options.angle != DemoOptions.angle:

@@ -21,6 +21,7 @@ from viewer_app.commands.record import record
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DoctorOptions, RecordOptions
 from viewer_app.options.shared import SensorOptions
+from viewer_app.output_console import output_console
 from viewer_app.sensors.bundle import SECONDS, collecting
 from viewer_app.sensors.raw_files import RawFiles
 from viewer_app.sensors.tracker import tracker_of
@@ -33,7 +34,7 @@ _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program fr
 
 def run(options: DoctorOptions) -> None:
     """Runs the command; exits with code 1 if ``duplex live`` could not start."""
-    console = Console(highlight=False)
+    console = output_console()
     if options.bundle is None:
         if options.recording is not None:
             raise UsageError("--recording and --no-recording say what is in a bundle: add --bundle FILE.zip.")

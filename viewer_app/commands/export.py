@@ -1,17 +1,16 @@
 """``duplex export``: writes S* in formats of other programs."""
 
-from rich.console import Console
-
 from recordings.export import writer_for
 from recordings.session import Session
 from viewer_app.options.sessions import ExportOptions
+from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.terminal import print_damage
 
 
 def run(options: ExportOptions) -> None:
     """Runs the command."""
-    console = Console(highlight=False)
+    console = output_console()
     write = writer_for(options.to, options.table, options.rate, options.names)
     check_outputs([options.to], [options.session], options.force)
     session = Session.open(options.session)

@@ -26,6 +26,7 @@ from recordings.fusing.pairs import block_count, fuse_segments, setups_of
 from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import FuseOptions, calibration_source, recording_settings
+from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, whole_file, write_text
 from viewer_app.report.figures import Figures, report, save_report
 from viewer_app.report.session_page import session_page
@@ -38,7 +39,7 @@ from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_v
 
 def run(options: FuseOptions) -> None:
     """Runs the command."""
-    fuse_files(options, Console(highlight=False))
+    fuse_files(options, output_console())
 
 
 def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures]:

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -10,6 +9,7 @@ from recordings import layout
 from recordings.images import Images
 from recordings.session import Session
 from viewer_app.options.sessions import InfoOptions
+from viewer_app.output_console import output_console
 from viewer_app.report.events import list_events
 from viewer_app.report.figures import calibration_figures
 from viewer_app.report.terminal import print_events
@@ -58,7 +58,7 @@ def run(options: InfoOptions) -> None:
     events = list_events(session.events)
     row("events", len(events))
     row("whole", f"no: {', '.join(damage)}" if damage else "yes")
-    console = Console(highlight=False)
+    console = output_console()
     console.print(table)
     if events:
         print_events(console, events, all_of_them=True)

@@ -24,7 +24,8 @@ from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.coach.setup_coach import WARM_UP, Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import LiveOptions
-from viewer_app.options.shared import check_paper_options, check_seconds
+from viewer_app.options.shared import check_seconds
+from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, write_text
 from viewer_app.running.interruption import CtrlC, call_after
 from viewer_app.running.loop import Status, run_live, warm_up
@@ -39,7 +40,7 @@ _PERSON_AT = np.array([0.0, 0.0, 2.5])  # the initial view target, metres in K_A
 
 def run(options: LiveOptions) -> None:
     """Runs the command."""
-    console = Console(highlight=False)
+    console = output_console()
     remote = names_remote(options)
     settings = _check(options)
     runner = Runner(options, console, options.save, remote)
@@ -64,7 +65,6 @@ def _check(options: LiveOptions) -> FuserSettings:
     """Checks the other options before any sensor is opened; returns the method's."""
     check_modes(capture_settings(options, "", None))
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
-    check_paper_options(settings)
     read = _played(options) + ([] if options.calibrate == "auto" else [Path(options.calibrate)])
     check_outputs((options.report, options.save_calibration), read, options.force, options.save)
     check_seconds(options.seconds)

@@ -6,6 +6,7 @@ from devices.azure.settings import check_modes
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import RecordOptions
 from viewer_app.options.shared import check_seconds
+from viewer_app.output_console import output_console
 from viewer_app.running.interruption import CtrlC, call_after
 from viewer_app.sensors.local import capture_settings, two_connected_sensors
 from viewer_app.sensors.raw_files import RawFiles
@@ -14,7 +15,7 @@ from viewer_app.sensors.remote import names_remote
 
 def run(options: RecordOptions) -> None:
     """Runs the command."""
-    console = Console(highlight=False)
+    console = output_console()
     check_modes(capture_settings(options, "", None))
     check_seconds(options.seconds)
     if names_remote(options):

@@ -14,7 +14,7 @@ from rich.progress import track
 from fusion.facing.labels import DOUBT_STEPS, Labels
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
-from fusion.setup import REVISIONS, FuserSettings
+from fusion.setup import PAPER_H, REVISIONS, FuserSettings
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
 from recordings.images import NO_IMAGES
@@ -23,7 +23,7 @@ from recordings.session_arrays import SessionFrames
 from recordings.writing.checksums import fused_checksums, joint_digests
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReplayOptions
-from viewer_app.options.shared import check_paper_options
+from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
@@ -42,13 +42,16 @@ _SHARE_AGREEING = 0.99
 
 def run(options: ReplayOptions) -> None:
     """Runs the command; exits with code 1 if S* differs from the recorded S* under ``--verify``."""
-    console = Console(highlight=False)
+    console = output_console()
     check_outputs([options.report], [options.session], options.force, options.save)
     session = Session.open(options.session)
     names = ("method", "h", "weights", "smoothing")
     changed: dict[str, Any] = {name: getattr(options, name) for name in names}
     settings = replace(session.settings, **{k: value for k, value in changed.items() if value is not None})
-    check_paper_options(settings)
+    if settings.method == "duplex" and (settings.h != PAPER_H or settings.weights != "paper"):
+        raise UsageError("--h and --weights need --method paper or published.")
+    if settings.method != "duplex" and options.smoothing is not None:
+        raise UsageError("--smoothing needs --method duplex.")
     if options.verify and settings != session.settings:
         raise UsageError(
             "--verify compares with what was recorded, so the settings must be those of the session. "

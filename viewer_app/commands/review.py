@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 
-from rich.console import Console
-
 from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReviewOptions
+from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, write_text
 from viewer_app.report.events import (
     ListedEvent,
@@ -24,7 +23,7 @@ from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_v
 
 def run(options: ReviewOptions) -> None:
     """Runs the command."""
-    console = Console(highlight=False)
+    console = output_console()
     viewing = choose_viewing(options, options.session, live=False)
     check_outputs([options.html], [options.session], options.force)
     session = Session.open(options.session)

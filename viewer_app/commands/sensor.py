@@ -20,6 +20,7 @@ from fusion.body import BODIES
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import PublishOptions
 from viewer_app.options.shared import check_seconds
+from viewer_app.output_console import output_console
 from viewer_app.running.interruption import CtrlC, call_after
 from viewer_app.sensors.local import one_sensor
 from viewer_app.sensors.remote import teller, warn_of_others
@@ -30,7 +31,7 @@ _EVERY_S = 10.0  # seconds between two lines about what was sent
 
 def run(options: PublishOptions) -> None:
     """Runs the command."""
-    console = Console(highlight=False)
+    console = output_console()
     addresses = ZenohAddresses.of_visitor(options.zenoh_listen, options.zenoh_connect)
     checked_key(options.publish)
     load_zenoh()

@@ -1,17 +1,17 @@
 """``duplex tracker fetch``: fetches the networks of the program's own tracker."""
 
-from rich.console import Console
 from rich.markup import escape
 
 from devices.blazepose.networks.fetching import LICENCE, NOTICE
 from devices.blazepose.networks.files import cache_folder
 from viewer_app.options.sensing import TrackerFetchOptions
+from viewer_app.output_console import output_console
 from viewer_app.sensors.tracker import fetch_networks
 
 
 def run(options: TrackerFetchOptions) -> None:
     """Runs the command."""
-    console = Console(highlight=False)
+    console = output_console()
     folder = options.tracker_model or cache_folder()
     fetched = fetch_networks(options.network, folder, console)
     where = escape(str(folder))

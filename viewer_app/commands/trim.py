@@ -1,11 +1,11 @@
 """``duplex trim``: saves a time range of a session as a new session."""
 
 import numpy as np
-from rich.console import Console
 
 from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import TrimOptions
+from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import report
 from viewer_app.report.session_page import session_page
@@ -15,7 +15,7 @@ from viewer_app.viewer.file_window import write_for_viewer
 
 def run(options: TrimOptions) -> None:
     """Runs the command."""
-    console = Console(highlight=False)
+    console = output_console()
     check_outputs([], [options.session], options.force, options.save)
     session = Session.open(options.session)
     print_damage(console, session)

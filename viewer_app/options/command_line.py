@@ -17,6 +17,7 @@ from cyclopts import (
 )
 
 from viewer_app.errors import UsageError
+from viewer_app.options.needs import refuse_without_effect
 from viewer_app.options.sensing import (
     BatchOptions,
     DemoOptions,
@@ -77,6 +78,7 @@ def parsed(arguments: list[str]) -> Any:
         raise UsageError(f"{reason} ({' '.join(['duplex', *(error.command_chain or ())])} --help)") from None
     if options is None:  # the help was asked for
         raise SystemExit(0)
+    refuse_without_effect(options)
     return options
 
 

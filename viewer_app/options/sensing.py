@@ -27,7 +27,6 @@ from viewer_app.options.shared import (
     TrackerOptions,
     ViewerOptions,
     ZenohOptions,
-    check_paper_options,
 )
 
 
@@ -243,12 +242,8 @@ def recording_settings(options: FuseOptions | BatchOptions) -> FuserSettings:
     """The settings of the method for recordings."""
     hindsight: Hindsight = "whole" if options.smooth == "whole" else "labels"
     if options.method != "duplex":
-        if options.smooth == "whole":
-            raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
         hindsight = "none"
-    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
-    check_paper_options(settings)
-    return settings
+    return FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
 
 
 def calibration_source(wanted: str) -> Path | float | None:

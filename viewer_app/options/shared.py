@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from cyclopts import CoercionError, Group, Parameter, Token
 
 from devices.skeletons.stated_format import StatedFormat
-from fusion.setup import PAPER_H, FuserSettings
+from fusion.setup import PAPER_H
 from viewer_app.errors import UsageError
 
 ARGUMENT = Parameter(group="Arguments")
@@ -211,12 +211,6 @@ class LiveOutputOptions(ZenohOptions):
     def listens(self) -> bool:
         """Whether one of them waits for receivers on an address of this machine."""
         return self.websocket is not None or self.lsl is not None
-
-
-def check_paper_options(settings: FuserSettings) -> None:
-    """Rejects settings of the paper's methods if the method is ``duplex``, which ignores them."""
-    if settings.method == "duplex" and (settings.h != PAPER_H or settings.weights != "paper"):
-        raise UsageError("--h and --weights apply to the paper's methods: add --method paper or published.")
 
 
 def check_seconds(seconds: float | None) -> None:

@@ -101,8 +101,6 @@ def plan_outputs(
     for address, option in ((vmc, "--vmc"), (vrchat, "--vrchat")):
         if address is not None:
             looked_up(address, option)
-    if options.avatar is not None and vmc is None:
-        raise UsageError("--avatar gives the proportions for --vmc; give both.")
     wanted = (options.vmc, options.vrchat, options.lsl, options.websocket, options.zenoh)
     if options.rate is not None and all(each is None for each in wanted):
         raise UsageError("--rate is for --vmc, --vrchat, --lsl, --websocket and --zenoh; give one of them.")

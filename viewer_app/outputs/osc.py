@@ -58,13 +58,18 @@ class Address:
 
 
 def looked_up(address: Address, option: str) -> tuple[socket.AddressFamily, Any]:
-    """The family and the socket address of a UDP receiver."""
+    """The family and the socket address of a UDP receiver.
+
+    A name that has addresses of both kinds gives the one of IPv4, where VSeeFace, uOSC and VRChat listen:
+    ``localhost`` is ``::1`` first on Debian, macOS and Windows.
+    """
     try:
         found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as fault:
         reason = getattr(fault, "strerror", None) or fault
         raise UsageError(f"{option} {address}: unknown host {address.host!r} ({reason}).") from fault
-    return found[0][0], found[0][4]
+    family, *_, address_of = min(found, key=lambda one: one[0] != socket.AF_INET)
+    return family, address_of
 
 
 class OscOutput(LiveOutput):

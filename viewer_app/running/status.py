@@ -46,7 +46,7 @@ class LiveDisplay:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._console, self._session, self._coach = console, session, coach
-        self._verbose, self._clock = verbose, clock
+        self._quiet, self._verbose, self._clock = quiet, verbose, clock
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._shows = not quiet and not verbose and console.is_terminal
         self._said: dict[str, tuple[str, int]] = {}  # by topic: what was said, and when it was last so
@@ -149,7 +149,8 @@ class LiveDisplay:
                 continue
             if each.topic not in self._said:
                 self._session.event(Event(each.text, "WARN"))
-                if now_ns - self._printed.get(each.topic, -_SAID_AGAIN_NS) >= _SAID_AGAIN_NS:
+                printed_ns = self._printed.get(each.topic, -_SAID_AGAIN_NS)
+                if not self._quiet and now_ns - printed_ns >= _SAID_AGAIN_NS:
                     self._printed[each.topic] = now_ns
                     self._console.print(each.text, style="yellow", markup=False, soft_wrap=True)
             self._said[each.topic] = each.text, now_ns

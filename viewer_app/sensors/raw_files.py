@@ -118,14 +118,12 @@ def raw_files(
     """The recordings that ``--record`` asks for; None without it.
 
     Raises:
-        UsageError: As for :class:`RawFiles`; or ``--compress`` without ``--record``.
+        UsageError: As for :class:`RawFiles`.
     """
     if options.record is not None:
         return RawFiles(
             options.record, console, force=options.force, compress=options.compress, played=played
         )
-    if options.compress:
-        raise UsageError("--compress is of a recording: add --record FOLDER.")
     return None
 
 

@@ -74,6 +74,13 @@ def test_every_depth_image_comes_once_in_order_in_bounded_time_with_the_nearest_
     assert held <= 2 + WAIT_NS // PERIOD_NS
 
 
+def test_depth_without_other_streams_waits_for_nothing():
+    joiner = ImageJoiner(PERIOD_NS)
+    for k in range(3):
+        joiner.add_depth(k * PERIOD_NS, k, k, k)
+        assert joiner.take().depth == k
+
+
 @given(st.integers(0, 150_000_000), st.integers(-HALF_NS, HALF_NS))
 def test_an_image_of_the_same_rate_that_comes_in_time_is_never_missed(latency, offset):
     of = {"offset": offset, "latency": latency, "every": 1, "lost": (), "from": 0, "until": 99}

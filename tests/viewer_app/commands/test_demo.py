@@ -54,8 +54,8 @@ def test_a_badly_placed_demo_is_told_what_to_mend(tmp_path, capsys):
         (("--tracker", "blazepose", "--depth", "none"), "works on images"),
         (("--tracker", "blazepose", "--body", "kinect_v2"), "not kinect_v2"),
         (("--tracker", "blazepose", "--tracker-model", "nowhere"), "nowhere"),
-        (("--tracker-network", "lite"), "--tracker-network is of the program's own tracker"),
-        (("--tracker-model", "networks"), "--tracker-model is of the program's own tracker"),
+        (("--tracker-network", "lite"), "--tracker-network needs --tracker blazepose"),
+        (("--tracker-model", "networks"), "--tracker-model needs --tracker blazepose"),
     ],
 )
 def test_a_mistake_gives_one_line(arguments, words, capsys):

@@ -109,7 +109,7 @@ def test_each_frame_is_played_when_it_is_due_and_events_with_theirs(fuser):
         (("--vmc", "no-such-host.invalid:39539"), "unknown host"),
         (("--vrchat", "no-such-host.invalid:1"), "unknown host"),
         (("--vrchat", "a:b:c"), "--vrchat a:b:c"),
-        (("--avatar", "x.vrm"), "give both"),
+        (("--avatar", "x.vrm"), "--avatar needs --vmc"),
         (("--vmc", "39539", "--avatar", "none.vrm"), "--avatar none.vrm"),
         (("--websocket", "0"), "between 1 and 65535"),
         (("--lsl", " "), "needs a name"),

@@ -159,7 +159,7 @@ function draw() {
 
 play.addEventListener("click", () => {
   if (playing) { pause(); return; }
-  if (time >= end) go(0);
+  if (time >= end - 0.001) go(0);  // a slider's value is rounded
   playing = true;
   play.textContent = "Pause";
   before = performance.now();

@@ -271,4 +271,4 @@ def test_what_the_simulator_saw_is_recorded(monkeypatch, tmp_path, capsys):
     assert "--record records images" in capsys.readouterr().err
     for command in ("demo", "live"):
         assert duplex(command, "--no-viewer", "--compress") == 2
-        assert "--compress is of a recording: add --record FOLDER" in capsys.readouterr().err
+        assert "--compress needs --record FOLDER" in capsys.readouterr().err

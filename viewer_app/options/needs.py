@@ -1,0 +1,90 @@
+"""Which options need which others: one that would have no effect is refused, by every command alike."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from viewer_app.errors import UsageError
+from viewer_app.options.sensing import BatchOptions, DemoOptions, FuseOptions, LiveOptions, PublishOptions
+from viewer_app.options.shared import FusionOptions, LiveOutputOptions, TerminalOptions
+
+_IMAGES = (".mkv", ".db3", ".bag")
+_TRACKER = ("tracker", "tracker_model", "tracker_network", "k4abt", "processing", "person")
+
+
+@dataclass(frozen=True)
+class Need:
+    """What some options need to have an effect.
+
+    Attributes:
+        kind: The commands that have the options.
+        options: Their names.
+        met: Whether the need is met.
+        what: It in words, after ``--option needs``.
+    """
+
+    kind: type
+    options: tuple[str, ...]
+    met: Callable[[Any], bool]
+    what: str
+
+
+def _reads_images(options: Any) -> bool:
+    """Whether a recording of images is among the files; a folder or a manifest may name some."""
+    named = [getattr(options, name, None) for name in ("a", "b", "recording")]
+    files = [Path(path).suffix.lower() for path in named if path is not None]
+    return not files or any(suffix in _IMAGES for suffix in files)
+
+
+def _runs_a_sensor(options: PublishOptions) -> bool:
+    return options.recording is None and options.simulate is None
+
+
+NEEDS = (
+    Need(FusionOptions, ("h", "weights"), lambda o: o.method != "duplex", "--method paper or published"),
+    Need(
+        FusionOptions, ("smoothing", "smooth", "no_refine"), lambda o: o.method == "duplex", "--method duplex"
+    ),
+    Need(FuseOptions, (*_TRACKER, "depth"), _reads_images, "a recording of images: .mkv, .db3 or .bag"),
+    Need(BatchOptions, ("processes",), lambda o: o.scheduler is None, "no --scheduler"),
+    Need(PublishOptions, ("motion", "body"), lambda o: o.simulate is not None, "--simulate"),
+    Need(PublishOptions, ("unit", "axes", "names"), lambda o: o.recording is not None, "--recording"),
+    Need(PublishOptions, ("depth_mode", "fps"), _runs_a_sensor, "a sensor of this PC"),
+    Need(
+        PublishOptions,
+        (*_TRACKER, "depth"),
+        lambda o: o.simulate is None and _reads_images(o),
+        "a sensor, or a recording of images",
+    ),
+    Need(LiveOptions, ("compress",), lambda o: o.record is not None, "--record FOLDER"),
+    Need(DemoOptions, ("compress",), lambda o: o.record is not None, "--record FOLDER"),
+    Need(
+        DemoOptions,
+        ("tracker_model", "tracker_network"),
+        lambda o: o.tracker == "blazepose",
+        "--tracker blazepose",
+    ),
+    Need(
+        LiveOptions,
+        ("fps", "depth_mode", "color"),
+        lambda o: o.a is None,
+        "sensors of this PC, no recordings",
+    ),
+    Need(LiveOutputOptions, ("avatar",), lambda o: o.vmc is not None, "--vmc"),
+    Need(TerminalOptions, ("verbose",), lambda o: not o.quiet, "no --quiet"),
+)
+
+
+def refuse_without_effect(options: Any) -> None:
+    """Refuses a command line with an option whose need is not met.
+
+    Raises:
+        UsageError: One is not; it names the first.
+    """
+    usual = {each.name: each.default for each in fields(options)}
+    for need in NEEDS:
+        if isinstance(options, need.kind) and not need.met(options):
+            for name in need.options:
+                if name in usual and getattr(options, name) != usual[name]:
+                    raise UsageError(f"--{name.replace('_', '-')} needs {need.what}.")
