@@ -146,11 +146,11 @@ class Only(SensorWrapper):
         return (frame for frame in self.source.frames() if frame.time_ns // 1000 in self._times_us)
 
 
-class WholeMicroseconds(SensorWrapper):
-    """Another sensor's frames at the times that a recording keeps."""
+class WholeMicroseconds(FreenectSensor):
+    """Gives the tracker the times that a recording keeps."""
 
     def frames(self):
-        return (replace(frame, time_ns=frame.time_ns // 1000 * 1000) for frame in self.source.frames())
+        return (replace(frame, time_ns=frame.time_ns // 1000 * 1000) for frame in super().frames())
 
 
 def test_a_recording_that_is_tracked_again_gives_the_same_s(fakenect, tmp_path):
@@ -160,8 +160,7 @@ def test_a_recording_that_is_tracked_again_gives_the_same_s(fakenect, tmp_path):
     live, again = [], []
     for number, serial in enumerate(("A1", "B1")):
         fakenect.dumps[serial] = write_dump(tmp_path / serial, film(*seen(truth, number), period=4 * PERIOD))
-        sensor = FreenectSensor(serial)
-        tracked = TrackedImages(WholeMicroseconds(sensor), registered=sensor.registered)
+        tracked = TrackedImages(sensor := WholeMicroseconds(serial), registered=sensor.registered)
         with RawRecorder(tmp_path / f"{serial}.mkv", sensor) as recorder, recorded(tracked, recorder):
             live.append(list(islice(tracked.frames(), COUNT)))
         times_us = {frame.time_ns // 1000 for frame in live[-1]}
