@@ -19,7 +19,7 @@ from tests.helpers.programs import NO_DISPLAY, ROOT, typed
 
 EXAMPLES = ROOT / "examples"
 NOTEBOOK = EXAMPLES / "session_in_a_notebook.ipynb"
-ELSEWHERE = {"test_fusion.py": "test_own_project.py"}
+ELSEWHERE = {"test_fusion.py": "test_pytest_plugin.py"}
 
 
 def test_every_example_is_short_and_runs_here():

@@ -6,10 +6,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.helpers.command_line import duplex, one_line
-from tests.helpers.recorded_pairs import REAL, assert_same_session, write_pair
+from tests.helpers.recorded_pairs import assert_same_session, write_pair
 from viewer_app.batch import cluster
 
 distributed = pytest.importorskip("distributed")
+
+PLAIN = "--method", "paper"
+"""The method that fuses a pair most quickly."""
 
 
 @pytest.fixture
@@ -25,14 +28,15 @@ def states(out):
     return pq.read_table(out / "summary.parquet").to_pydict()["state"]
 
 
-def test_the_real_pairs_on_a_local_cluster(shared, tmp_path, local_cluster):
-    out = tmp_path / "out"
-    assert duplex("batch", shared / "real", "--out", out, "--scheduler", local_cluster) == 0
-    assert states(out) == ["fused"] * len(REAL)
-    name = f"kinect_v2_90deg_{REAL[0]}"
-    pair = shared / "real" / name / "a.csv", shared / "real" / name / "b.csv"
-    assert duplex("fuse", *pair, "--no-viewer", "--save", tmp_path / "alone.rrd") == 0
-    assert_same_session(out / name / f"{name}.rrd", tmp_path / "alone.rrd")
+def test_a_local_cluster_fuses_what_duplex_fuse_fuses(tmp_path, local_cluster):
+    pairs, out, alone = tmp_path / "pairs", tmp_path / "out", tmp_path / "alone.rrd"
+    for seed in range(3):
+        write_pair(pairs / f"p{seed}", seed=seed)
+    assert duplex("batch", pairs, "--out", out, *PLAIN, "--scheduler", local_cluster) == 0
+    assert states(out) == ["fused"] * 3
+    pair = pairs / "p1" / "a.csv", pairs / "p1" / "b.csv"
+    assert duplex("fuse", *pair, *PLAIN, "--no-viewer", "--save", alone) == 0
+    assert_same_session(out / "p1" / "p1.rrd", alone)
 
 
 def test_a_bad_pair_and_a_wrong_address(tmp_path, local_cluster, capsys, monkeypatch):
@@ -40,7 +44,7 @@ def test_a_bad_pair_and_a_wrong_address(tmp_path, local_cluster, capsys, monkeyp
     write_pair(pairs / "good")
     write_pair(pairs / "bad")
     (pairs / "bad" / "a.csv").write_text("time_us,body\n1\n", encoding="utf-8")
-    assert duplex("batch", pairs, "--out", out, "--scheduler", local_cluster) == 1
+    assert duplex("batch", pairs, "--out", out, *PLAIN, "--scheduler", local_cluster) == 1
     assert states(out) == ["failed", "fused"]
     assert "bad: " in capsys.readouterr().out
     monkeypatch.setattr(cluster, "_CONNECT_WITHIN", 0.5)
