@@ -81,7 +81,7 @@ class TerminalOptions(SummaryOptions):
     """Terminal output of a running loop."""
 
     quiet: Annotated[bool, OUTPUTS] = False
-    """No status line and no advice, only warnings."""
+    """No status line and none of the coach's advice; what fails is printed."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,7 +32,7 @@ class LiveDisplay:
 
     Args:
         session: Receives the coach's page; provides the counts of saved and dropped frames.
-        quiet: Print warnings only, no status line and no advice.
+        quiet: Print no status line and no advice, which the session keeps as events; what fails is printed.
         verbose: Keep every status line, with more figures.
     """
 

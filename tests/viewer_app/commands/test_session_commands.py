@@ -40,6 +40,19 @@ def session(recorded, tmp_path):
     return shutil.copy(recorded, tmp_path / "recorded.rrd")
 
 
+def test_no_line_is_wrapped_where_no_terminal_reads_it(session, tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    path = tmp_path / f"{'long' * 40}.rrd"
+    assert duplex("trim", session, "--to", 1, "--save", path) == 0
+    assert duplex("info", path) == 0
+    assert duplex("review", path, "--no-viewer") == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert f"Saved {path}: 31 of 90 frames." in printed
+    assert any(line.split() == ["session", str(path)] for line in printed)
+    verdict = next(line for line in printed if line.startswith("Verdict"))
+    assert len(verdict) > 80 or verdict.endswith(".")
+
+
 def test_a_replay_is_verified_and_can_be_replayed_again(session, tmp_path, capsys):
     again = tmp_path / "again.rrd"
     report = tmp_path / "r.json"

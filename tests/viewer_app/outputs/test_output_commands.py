@@ -15,6 +15,7 @@ from tests.helpers.fused_runs import record_fused
 from tests.helpers.live_frames import frames
 from tests.helpers.network import free_port
 from tests.helpers.two_views import FRAME_NS, calibration_of
+from viewer_app.outputs.osc import Address, looked_up
 from viewer_app.running.loop import played
 from viewer_app.sinks.sink import Sink
 
@@ -99,6 +100,19 @@ def test_each_frame_is_played_when_it_is_due_and_events_with_theirs(fuser):
         book.at[10:], np.maximum(due[10:], due[9] + 0.5 + 0.001 * np.arange(10)), atol=1e-6
     )
     assert book.said == [(0, "first"), (7, "later")]
+
+
+def test_a_name_with_addresses_of_both_kinds_is_that_of_ipv4(monkeypatch):
+    """Receivers of VMC and OSC listen there."""
+    both = [
+        (socket.AF_INET6, socket.SOCK_DGRAM, 17, "", ("::1", 39539, 0, 0)),
+        (socket.AF_INET, socket.SOCK_DGRAM, 17, "", ("127.0.0.1", 39539)),
+    ]
+    for found in (both, both[::-1]):
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, found=found, **__: found)
+        assert looked_up(Address("localhost", 39539), "--vmc") == (socket.AF_INET, ("127.0.0.1", 39539))
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: both[:1])
+    assert looked_up(Address("::1", 39539), "--vmc")[0] == socket.AF_INET6
 
 
 @pytest.mark.parametrize(

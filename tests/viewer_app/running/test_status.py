@@ -108,7 +108,7 @@ def test_a_warning_is_one_event_and_one_when_it_is_over(statuses, quiet):
     for k in (6, 7):
         shown.display(later(statuses[-1], k))
     assert shown.events() == [begins, Event("no longer: sensor A sees no one")]
-    assert shown.printed.getvalue() == f"{WARNING.text}\n"
+    assert shown.printed.getvalue() == ("" if quiet else f"{WARNING.text}\n")
 
 
 def test_a_warning_about_its_threshold_is_not_repeated(statuses):
