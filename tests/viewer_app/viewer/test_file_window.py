@@ -2,7 +2,6 @@
 
 import lzma
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +18,7 @@ from recordings.appearance.coach_page import CoachPage
 from recordings.file.rrd_file import damage_of
 from recordings.file.session_writer import whole_recording
 from tests.helpers.machine import need_viewer
+from tests.helpers.recorded_pairs import write_pair
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
@@ -201,26 +201,25 @@ def test_a_hub_does_not_outlive_the_program(how):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="signals to a process group")
-def test_nothing_survives_two_ctrl_c_while_a_page_is_served():
-    arguments = ["-m", "viewer_app.cli", "demo", "--web", "--depth", "none", "--seconds", "60", "--quiet"]
+def test_nothing_survives_sigterm_while_a_page_is_served(tmp_path):
+    """Neither the server nor the session, which has no name of its own."""
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    write_pair(tmp_path)
+    files = (tmp_path / "a.csv", tmp_path / "b.csv")
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    command, pipes = [sys.executable, *arguments], {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    command = [sys.executable, "-m", "viewer_app.cli", "fuse", *map(str, files), "--web"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    environment["TMPDIR"] = str(temporary)
     with subprocess.Popen(command, **pipes, cwd=ROOT, env=environment) as program:
-        served = next((line for line in program.stdout if b"Viewer" in line), b"")
-        assert b"127.0.0.1" in served
-        assert eventually(lambda: len(psutil.Process(program.pid).children(recursive=True)) > 0)
-        children = psutil.Process(program.pid).children(recursive=True)
-        program.send_signal(signal.SIGINT)
-        program.send_signal(signal.SIGINT)
         try:
-            # the second signal may arrive before or after the first is handled: repeat until the process ends
-            assert eventually(lambda: _pressed(program), 30.0)
+            assert any(b"stays until Ctrl-C" in line for line in program.stdout)
+            children = psutil.Process(program.pid).children(recursive=True)
+            assert children
+            assert list(temporary.iterdir())
+            program.terminate()
+            assert program.wait(30.0) in (0, 130)
         finally:
             program.kill()
-        assert eventually(lambda: all(gone(child.pid) for child in children))
-
-
-def _pressed(program):
-    if program.poll() is None:
-        program.send_signal(signal.SIGINT)
-    return program.poll() is not None
+    assert eventually(lambda: all(gone(child.pid) for child in children))
+    assert not list(temporary.iterdir())
