@@ -7,10 +7,13 @@ import time
 
 import pytest
 
+from tests.helpers.command_line import duplex
 from tests.helpers.programs import python
 from tests.helpers.session_text import rows_of
 from tests.helpers.telling_demo import telling_demo, wait_for_frames
 from viewer_app.running.interruption import CtrlC
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.session_file import SessionFile
 
 PRESSED_DURING_IMPORT = """
 import sys
@@ -123,22 +126,47 @@ def test_ctrl_c_before_the_first_frame(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == (["demo.rrd"] if frames else [])
 
 
-@pytest.mark.parametrize(
-    ("frames", "presses", "number", "options", "codes"),
-    [
-        (25, 8, signal.SIGINT, (), AFTER_ALL_WAS_SAVED),
-        (5, 1, signal.SIGTERM, (), (0,)),
-        (15, 1, signal.SIGINT, ("--seconds", "0.6"), AFTER_ALL_WAS_SAVED),  # while it saves
-    ],
-)
-def test_captured_frames_are_saved(tmp_path, frames, presses, number, options, codes):
+def test_captured_frames_are_saved_however_often_ctrl_c_is_pressed(tmp_path):
     saved = tmp_path / "demo.rrd"
-    process = demo(saved, *options)
-    wait_for_frames(process, frames)
-    code, more, _ = ended(process, presses, number)
-    assert code in codes
+    process = demo(saved)
+    wait_for_frames(process, 25)
+    code, more, _ = ended(process, presses=8)
+    assert code in AFTER_ALL_WAS_SAVED
     assert [path.name for path in tmp_path.iterdir()] == ["demo.rrd"]
-    assert rows_of(saved, "/fused/skeleton") == frames + more
+    assert rows_of(saved, "/fused/skeleton") == 25 + more
+
+
+@pytest.mark.parametrize(
+    ("number", "when", "seconds", "codes"),
+    [(signal.SIGTERM, "capturing", 60.0, (0,)), (signal.SIGINT, "saving", 0.6, (0, 130))],
+)
+def test_captured_frames_are_saved(tmp_path, monkeypatch, number, when, seconds, codes):
+    """In this process, and at a known moment."""
+    saved, written, pressed = tmp_path / "demo.rrd", [], []
+    write, finish = LiveSession.write, SessionFile.finish
+
+    def press():
+        pressed.append(when)
+        signal.raise_signal(number)
+
+    def telling(session, frame):
+        write(session, frame)
+        written.append(frame)
+        if when == "capturing" and len(written) == 5:
+            press()
+
+    def finishing(file):
+        if when == "saving":
+            press()
+        finish(file)
+
+    monkeypatch.setattr(LiveSession, "write", telling)
+    monkeypatch.setattr(SessionFile, "finish", finishing)
+    options = "--seconds", seconds, "--depth", "none", "--no-viewer", "--save", saved
+    assert duplex("demo", *options) in codes
+    assert pressed == [when]
+    assert [path.name for path in tmp_path.iterdir()] == ["demo.rrd"]
+    assert rows_of(saved, "/fused/skeleton") == len(written) > 0
 
 
 def test_handlers_are_given_back():
