@@ -41,7 +41,7 @@ def fused_demonstration(body, seconds, seed=0, motion="badminton"):
     return run
 
 
-def advice_over(rig, body, motion, seconds=30.0, fps=3.0):
+def advice_over(rig, body, motion, seconds=24.0, fps=1.5):
     """The first advice on each topic that the coach gives while a person moves before two sensors.
 
     Few frames per second are enough: no advice depends on single frames. The calibration is that of a
