@@ -1,6 +1,7 @@
 """The offset between the sensors' clocks: by regression, and by search over the speeds of the joints."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -48,7 +49,7 @@ def test_the_delay_of_a_recording_is_found_to_a_fraction_of_a_frame(delay):
 
 
 @pytest.mark.parametrize("rate", RATES)
-@settings(max_examples=2)
+@settings(max_examples=2, derandomize=True)
 @given(
     delay=st.floats(-0.12, 0.12),
     phase=st.sampled_from([0.0, 0.3, 0.5]),
@@ -72,7 +73,7 @@ def test_a_delay_is_found_at_any_frame_rate(rate, delay, phase, lost, seed):
     assert live.estimate.offset_ns * 1e-9 == pytest.approx(delay, abs=0.005 + 0.25 * abs(delay))
 
 
-@settings(max_examples=4, derandomize=True)
+@settings(max_examples=2, derandomize=True)
 @given(rate=st.sampled_from(RATES), offset=st.floats(0.5, 20.0), seed=st.integers(0, 99))
 @example(rate=5, offset=0.5, seed=0)
 @example(rate=13, offset=-0.7, seed=1)
@@ -113,8 +114,9 @@ def test_a_live_session_reports_the_offset_once():
     assert "+1" in told[0].event
 
 
-def views_of(motion, seed, seconds=20.0):
-    a, b, _ = simulated_pair(motion=motion, seed=seed, body=AZURE_KINECT, angle_deg=90.0, seconds=seconds)
+@cache
+def views_of(motion):
+    a, b, _ = simulated_pair(motion=motion, seed=61, body=AZURE_KINECT, angle_deg=90.0, seconds=20.0)
     seen = [[(f.time_ns, f.people[PERSON]) for f in side.frames() if PERSON in f.people] for side in (a, b)]
     one, two = (
         View(
@@ -127,9 +129,17 @@ def views_of(motion, seed, seconds=20.0):
     return one, two
 
 
+def long_views(seconds):
+    """What both sensors saw of a person who moves all the time; B captures between A's frames."""
+    seconds_a = 30.0 + np.arange(30 * seconds) / 30.0
+    seconds_b = seconds_a + 0.4 / 30.0
+    a, b = views_at(seconds_a, seconds_b)
+    return as_view(a, seconds_a), as_view(b, seconds_b)
+
+
 @pytest.mark.parametrize("motion", ["walk", "arms"])
 def test_an_offset_of_seconds_is_found_to_a_fraction_of_a_frame(motion):
-    a, b = views_of(motion, 61)
+    a, b = views_of(motion)
     for offset_ns in (100_000_000, -2_000_000_000, 7_000_000_000):
         found = find_clock_offset(AZURE_KINECT, a, b._replace(time_ns=b.time_ns - offset_ns))
         assert found is not None
@@ -138,7 +148,7 @@ def test_an_offset_of_seconds_is_found_to_a_fraction_of_a_frame(motion):
 
 
 def test_recordings_that_begin_at_their_own_zero_on_another_day_are_aligned():
-    a, b = views_of("walk", 62)
+    a, b = views_of("walk")
     a, b = a._replace(time_ns=a.time_ns[30:], positions=a.positions[30:], states=a.states[30:]), b
     found = find_clock_offset(AZURE_KINECT, a, b._replace(time_ns=b.time_ns + 86_400_000_000_000))
     assert found is not None
@@ -148,7 +158,7 @@ def test_recordings_that_begin_at_their_own_zero_on_another_day_are_aligned():
 @pytest.mark.filterwarnings("error")
 def test_the_longest_times_do_not_overflow():
     far_ns = -8_999_000_000_000_000_000
-    a, b = views_of("walk", 62)
+    a, b = views_of("walk")
     found = find_clock_offset(AZURE_KINECT, a._replace(time_ns=a.time_ns + far_ns), b)
     assert found is not None
     assert found.offset_ns == pytest.approx(far_ns, abs=FRAME_NS / 3)
@@ -156,9 +166,9 @@ def test_the_longest_times_do_not_overflow():
 
 def test_long_recordings_are_compared_where_they_overlap(monkeypatch):
     monkeypatch.setattr(clock_search, "_LONGEST_SPAN_NS", 20_000_000_000)
-    a, b = views_of("walk", 67, seconds=80.0)
-    early = b.chosen(np.flatnonzero(b.time_ns < 25_000_000_000))
-    found = find_clock_offset(AZURE_KINECT, a, early._replace(time_ns=early.time_ns - 400_000_000))
+    a, b = long_views(80)
+    early = b.chosen(np.flatnonzero(b.time_ns < 55_000_000_000))
+    found = find_clock_offset(KINECT_V2, a, early._replace(time_ns=early.time_ns - 400_000_000))
     assert found is not None
     assert found.offset_ns == pytest.approx(400_000_000, abs=FRAME_NS / 3)
 
@@ -166,11 +176,12 @@ def test_long_recordings_are_compared_where_they_overlap(monkeypatch):
 @pytest.mark.filterwarnings("error")
 def test_the_growth_of_an_offset_is_found(monkeypatch):
     monkeypatch.setattr(clock_search, "_DRIFT_SPAN_NS", 6_000_000_000)
-    a, b = views_of("walk", 67, seconds=80.0)
+    monkeypatch.setattr(clock_search, "_DRIFT_WINDOWS", 8)
+    a, b = long_views(50)
     for ppm, far_ns in ((1000.0, 0), (0.0, 8_999_000_000_000_000_000)):
         times = (b.time_ns * (1.0 + 1e-6 * ppm)).astype(np.int64) - 400_000_000
         a, fast = a._replace(time_ns=a.time_ns + far_ns), b._replace(time_ns=times + far_ns)
-        found = find_clock_offset(AZURE_KINECT, a, fast)
+        found = find_clock_offset(KINECT_V2, a, fast)
         assert found is not None
         found = find_clock_skew(a, fast, found)
         assert found.skew_ppm == pytest.approx(-ppm, abs=3.0 * found.skew_sd_ppm)
@@ -178,23 +189,23 @@ def test_the_growth_of_an_offset_is_found(monkeypatch):
         np.testing.assert_allclose(
             fast.time_ns + found.at(fast.time_ns) - far_ns, b.time_ns, atol=FRAME_NS / 5
         )
-        assert find_clock_skew(a, fast.chosen(np.arange(1500)), found) is found, "too short"
+        assert find_clock_skew(a, fast.chosen(np.arange(1400)), found) is found, "too short"
 
 
 def test_people_who_hardly_move_tell_no_offset():
-    a, b = views_of("idle", 63)
+    a, b = views_of("idle")
     assert find_clock_offset(AZURE_KINECT, a, b._replace(time_ns=b.time_ns + 2_000_000_000)) is None
 
 
 def test_two_people_with_different_movements_have_no_certain_offset():
     """An offset is applied if it is certain to two frames (:mod:`devices.pairing`)."""
-    a, b = views_of("arms", 64)[0], views_of("walk", 65)[1]
+    a, b = views_of("arms")[0], views_of("walk")[1]
     found = find_clock_offset(AZURE_KINECT, a, b)
     assert found is None or found.sd_ns > 4 * FRAME_NS
 
 
 def test_one_stray_time_does_not_make_the_search_long():
-    a, b = views_of("walk", 66)
+    a, b = views_of("walk")
     time_ns = a.time_ns + 1_700_000_000_000_000_000
     time_ns[0] = 0
     found = find_clock_offset(AZURE_KINECT, a._replace(time_ns=time_ns), b)
