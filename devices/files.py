@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from devices.azure.mkv import MkvInfo, MkvRecording
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
 from devices.blazepose.tracked_images import TrackedImages
@@ -14,7 +16,7 @@ from devices.orbbec.playback import SUFFIX as BAG
 from devices.orbbec.playback import OrbbecRecording
 from devices.realsense.sensors import SUFFIX as DB3
 from devices.realsense.sensors import RealSenseRecording, is_realsense_bag
-from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
 from devices.skeletons.conventions import Unit
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import StatedFormat
@@ -98,11 +100,25 @@ def distinct_names(a: Path, b: Path) -> tuple[str, str]:
 
 def frame_count(source: Sensor) -> int | None:
     """About how many frames an open recording has, for a progress bar; None where it does not say."""
+    info = _of_images(source)
+    return info.duration_ns // info.interval_ns + 1 if info is not None and info.duration_ns else None
+
+
+def frame_interval_ns(source: Sensor) -> int | None:
+    """Time between two frames of an open recording; None for another sensor, or a recording of one frame."""
+    while isinstance(source, SensorWrapper) and not isinstance(source, TrackedImages):
+        source = source.source
+    if isinstance(source, SkeletonRecording):
+        steps = np.diff(source.people.time_ns)
+        return int(np.median(steps)) if len(steps) else None
+    info = _of_images(source)
+    return None if info is None else info.interval_ns
+
+
+def _of_images(source: Sensor) -> MkvInfo | OrbbecRecording | RealSenseRecording | None:
     images = images_of(source)
     info = images.info if isinstance(images, MkvRecording) else images
-    if not isinstance(info, MkvInfo | OrbbecRecording | RealSenseRecording) or not info.duration_ns:
-        return None
-    return info.duration_ns // info.interval_ns + 1
+    return info if isinstance(info, MkvInfo | OrbbecRecording | RealSenseRecording) else None
 
 
 def images_of(source: Sensor) -> object:

@@ -13,12 +13,12 @@ FRAMES = 75
 """Long enough for a start-up pose of 1.5 s."""
 
 
-def write_view(path, body, positions, start_us=0):
+def write_view(path, body, positions, start_us=0, every_us=FRAME_NS / 1000):
     """Writes (T, J, 3) positions of one person as .csv, to the micrometre."""
     rows = ["time_us,body,joint,x,y,z,state"]
     for t, at in enumerate(positions):
         rows += [
-            f"{start_us + t * FRAME_NS // 1000},0,{joint},{x:.6f},{y:.6f},{z:.6f},tracked"
+            f"{start_us + int(t * every_us)},0,{joint},{x:.6f},{y:.6f},{z:.6f},tracked"
             for joint, (x, y, z) in zip(body.joints, at, strict=True)
         ]
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")

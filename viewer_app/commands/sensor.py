@@ -9,7 +9,7 @@ from rich.console import Console
 
 from devices.azure.settings import KinectSettings
 from devices.capture.sensor_thread import SensorThread
-from devices.files import has_images, not_of_libk4a, open_source
+from devices.files import frame_interval_ns, has_images, not_of_libk4a, open_source
 from devices.network.publishing import FramePublisher, publish_until
 from devices.network.remote_sensor import PREFIX
 from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh
@@ -48,7 +48,11 @@ def run(options: PublishOptions) -> None:
         ctrl_c.calls(stopped.set)
         publisher = stack.enter_context(
             FramePublisher(
-                options.publish, addresses, sensor, interval_ns=round(1e9 / options.fps), depth=options.depth
+                options.publish,
+                addresses,
+                sensor,
+                interval_ns=frame_interval_ns(sensor) or round(1e9 / options.fps),
+                depth=options.depth,
             )
         )
         where = ", ".join((*addresses.listen, *addresses.connect))

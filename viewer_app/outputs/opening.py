@@ -51,7 +51,7 @@ class OutputPlan:
             skeleton.update(joints, 0)  # each kernel is compiled for one set of types
 
     @contextmanager
-    def opened(self, setup: FusionSetup, rate: float = 30.0) -> Iterator[Sequence[LiveOutput]]:
+    def opened(self, setup: FusionSetup, rate: float) -> Iterator[Sequence[LiveOutput]]:
         """Opens the outputs; closes them at the end of the block."""
         self.warm_up(setup.body)
         with ExitStack() as stack:

@@ -63,7 +63,7 @@ class RawFiles(ExitStack):
         check_outputs([folder / name for name in _NAMES], played, force)
         warn_of_little_room(folder / _NAMES[0], console, _MINUTE)
 
-    def attach(self, sensors: TwoSensors, fps: int = 30) -> None:
+    def attach(self, sensors: TwoSensors, fps: int) -> None:
         """Records both sensors from their opening on; they are not open yet."""
         for name, thread in zip(_NAMES, (sensors.a, sensors.b), strict=True):
             sensor = thread.sensor

@@ -55,9 +55,7 @@ def sensors_by_network(
                 console.print(f"Waiting for {remote.name} …", markup=False)
                 with remote:
                     pass
-        interval_ns = min(
-            round(1e9 / options.fps), *(remote.interval_ns for remote in (a, b) if remote is not None)
-        )
+        interval_ns = min(interval_of(remote, options.fps) for remote in (a, b))
         sensor_a: Sensor = a if a is not None else local(names[0])
         sensor_b: Sensor = b if b is not None else local(names[1])
         if sensor_a.body is not sensor_b.body:
@@ -66,6 +64,11 @@ def sensors_by_network(
                 f"body tracker."
             )
         yield TwoSensors(sensor_a, sensor_b, pairing=LivePairing(interval_ns), tell=teller(console))
+
+
+def interval_of(remote: RemoteSensor | None, fps: float) -> int:
+    """Nominal time between two frames, ns: what a remote sensor says; ``--fps`` is of a sensor of this PC."""
+    return round(1e9 / fps) if remote is None else remote.interval_ns
 
 
 def warn_of_others(addresses: ZenohAddresses, console: Console) -> None:

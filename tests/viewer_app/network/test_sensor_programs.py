@@ -1,16 +1,23 @@
 """Sensors on several PCs: two programs publish, one fuses. One is killed and started again."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from devices.files import frame_interval_ns, open_source
+from devices.real_time import PacedSensor
+from fusion.body import KINECT_V2
 from recordings import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.network import free_address
 from tests.helpers.programs import Program, running
+from tests.helpers.recorded_pairs import write_view
 from tests.helpers.session_text import rows_of
+from tests.helpers.two_views import standing
 from tests.helpers.waiting import eventually
+from viewer_app.sensors.remote import interval_of
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
 
@@ -71,6 +78,18 @@ def test_one_of_two_sensor_programs_is_killed_and_started_anew(tmp_path):
     assert figures["network"]["a"]["restarts"] == 0
     assert figures["streams"]["lost_and_back"] == {"a": 0, "b": 1}
     assert any("zenoh:lab/b is back." in event.text for event in session.events)
+
+
+@pytest.mark.parametrize("fps", [5, 15, 30])
+def test_the_rate_is_the_source_s_own(fps, tmp_path):
+    """A recording is announced with its own rate, and live takes what is announced, whatever its --fps."""
+    joints = np.tile(standing(KINECT_V2), (20, 1, 1))
+    path = write_view(tmp_path / "a.csv", KINECT_V2, joints, every_us=round(1e6 / fps))
+    with open_source(path) as source:
+        interval_ns = frame_interval_ns(PacedSensor(source))
+    assert interval_ns == pytest.approx(1e9 / fps, abs=1000)
+    assert interval_of(SimpleNamespace(interval_ns=interval_ns), 30) == interval_ns
+    assert interval_of(None, 15) == 66_666_667
 
 
 MISTAKES = [
