@@ -2,7 +2,8 @@
 
 import logging
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
@@ -11,12 +12,19 @@ from viewer_app.batch.worker import fuse_job
 from viewer_app.errors import UsageError
 
 _CONNECT_WITHIN = 10  # seconds
+_LOOKS_EVERY, _SEEN_WITHIN, _GIVES_UP_AFTER = 1.0, 10.0, 60.0  # seconds
 
 
-def run_on_cluster(jobs: Sequence[Job], scheduler: str) -> Generator[Outcome, None, None]:
+def run_on_cluster(
+    jobs: Sequence[Job], scheduler: str, tell: Callable[[str], None]
+) -> Generator[Outcome, None, None]:
     """Runs the jobs on the workers of a scheduler; yields each outcome when it is known.
 
-    Closing the generator cancels the jobs that have not started.
+    A session that a worker reports must be here, too. Closing the generator cancels the jobs that have not
+    started. Where no worker is left for a minute, the other jobs fail.
+
+    Args:
+        tell: Takes a line for the user.
 
     Raises:
         UsageError: The extra ``cluster`` is missing, there is no scheduler at this address, it has no
@@ -27,18 +35,40 @@ def run_on_cluster(jobs: Sequence[Job], scheduler: str) -> Generator[Outcome, No
     try:
         distributed: Any = import_module("distributed")
         futures = {client.submit(fuse_job, job, pure=False): job for job in jobs}
-        for future in distributed.as_completed(list(futures), loop=client.loop):
-            job = futures.pop(future)
-            try:
-                outcome = future.result()
-            except Exception as error:  # the worker was lost
-                line = " ".join(str(error).split())
-                outcome = Outcome(job.name, None, f"The worker was lost, {type(error).__name__}: {line}")
-            future.release()
-            yield outcome
+        alone_since: float | None = None
+        while futures:
+            with suppress(TimeoutError), client.as_current():
+                distributed.wait(list(futures), timeout=_LOOKS_EVERY, return_when="FIRST_COMPLETED")
+            for future in [each for each in futures if each.done()]:
+                job = futures.pop(future)
+                try:
+                    outcome = _seen_here(job, future.result())
+                except Exception as error:  # the worker was lost
+                    line = " ".join(str(error).split())
+                    outcome = Outcome(job.name, None, f"The worker was lost, {type(error).__name__}: {line}")
+                future.release()
+                yield outcome
+            if not futures or client.scheduler_info()["workers"]:
+                alone_since = None
+            elif alone_since is None:
+                alone_since = time.monotonic()
+                tell(f"No worker is left at {scheduler}. Waiting {_GIVES_UP_AFTER:g} s for one.")
+            elif time.monotonic() - alone_since > _GIVES_UP_AFTER:
+                yield from (Outcome(job.name, None, "No worker was left.") for job in futures.values())
+                return
     finally:
         client.cancel(list(futures))
         client.close()
+
+
+def _seen_here(job: Job, outcome: Outcome) -> Outcome:
+    """The outcome, or a failure if the session is not where this machine looks for it."""
+    deadline = time.monotonic() + _SEEN_WITHIN  # a network's folder shows a new file after some seconds
+    while outcome.record is not None and job.record() is None:
+        if time.monotonic() > deadline:
+            return Outcome(job.name, None, f"Its worker wrote it elsewhere: {job.folder} is not shared.")
+        time.sleep(0.2)
+    return outcome
 
 
 def connect(scheduler: str) -> Any:

@@ -32,14 +32,17 @@ def run(options: BatchOptions) -> None:
         console.print(line, style="yellow", markup=False)
     _make_folder(options.out)
     tidy(options.out)
-    done, to_do = plan_work([Job(pair, options) for pair in pairs], options.force)
-    if done:
-        console.print(f"Sessions fused already: {len(done)} of {len(pairs)}.")
-    rows: dict[str, Row] = {row.job.name: row for row in done}
+    known, to_do = plan_work([Job(pair, options) for pair in pairs], options.force)
+    if done := sum(row.state == "fused" for row in known):
+        console.print(f"Sessions fused already: {done} of {len(pairs)}.")
+    for row in known:
+        if row.error:
+            console.print(f"{row.job.name}: {row.error}", style="red", markup=False)
+    rows: dict[str, Row] = {row.job.name: row for row in known}
     jobs = {job.name: job for job in to_do}
     try:
         if jobs:
-            with closing(_outcomes(to_do, options)) as outcomes:
+            with closing(_outcomes(to_do, options, console)) as outcomes:
                 for outcome in _shown(outcomes, len(jobs), console):
                     state: State = "failed" if outcome.record is None else "fused"
                     rows[outcome.name] = Row(jobs[outcome.name], state, outcome.record, outcome.error)
@@ -67,36 +70,35 @@ def run(options: BatchOptions) -> None:
 def plan_work(jobs: Sequence[Job], force: bool) -> tuple[list[Row], list[Job]]:
     """The sessions that are finished, by the checksums of their inputs and their options; and other jobs.
 
+    A session fails at once if its folder would have to be replaced and holds files of somebody else.
+
     Raises:
-        UsageError: A session's folder holds other files; or its session was fused from other recordings, with
-            other options, by another version or revision of the method, and `force` is not set.
+        UsageError: A session was fused from other recordings, with other options, by another version or
+            revision of the method, and `force` is not set.
     """
-    done: list[Row] = []
+    known: list[Row] = []
     left: list[Job] = []
     for job in jobs:
-        strangers = job.strangers()
-        if strangers:
-            raise UsageError(
-                f"{job.folder} holds files that duplex batch did not write ({', '.join(strangers[:3])}). "
-                "Choose another --out, or move them."
-            )
         record = job.record()
-        if record is None:
-            left.append(job)
-            continue
-        try:
-            difference = _difference(record["identity"], job.identity())
-        except OSError:
-            difference = ""  # unreadable: the worker reports it
-        if difference == "":
-            done.append(Row(job, "fused", record))
-        elif force:
-            left.append(job)
+        if record is not None:
+            try:
+                difference = _difference(record["identity"], job.identity())
+            except OSError:
+                difference = ""  # unreadable: the worker reports it
+            if difference == "":
+                known.append(Row(job, "fused", record))
+                continue
+            if not force:
+                raise UsageError(
+                    f"{job.folder} was fused {difference}. Choose another --out, or fuse it again "
+                    "with --force."
+                )
+        if strangers := job.strangers():
+            why = f"{job.folder} holds files that duplex batch did not write: {', '.join(strangers[:3])}."
+            known.append(Row(job, "failed", None, why))
         else:
-            raise UsageError(
-                f"{job.folder} was fused {difference}. Choose another --out, or fuse it again with --force."
-            )
-    return done, left
+            left.append(job)
+    return known, left
 
 
 def _left(job: Job) -> Row:
@@ -152,11 +154,13 @@ def _make_folder(out: Path) -> None:
         raise UsageError(f"The folder {out} is not writable.")
 
 
-def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome, None, None]:
+def _outcomes(jobs: Sequence[Job], options: BatchOptions, console: Console) -> Generator[Outcome, None, None]:
     if options.scheduler is not None:
         from viewer_app.batch.cluster import run_on_cluster
 
-        return run_on_cluster(jobs, options.scheduler)
+        return run_on_cluster(
+            jobs, options.scheduler, lambda line: console.print(line, style="yellow", markup=False)
+        )
     from viewer_app.batch.processes import run_in_processes
 
     return run_in_processes(jobs, options.processes or os.cpu_count() or 1)

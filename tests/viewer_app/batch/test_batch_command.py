@@ -124,8 +124,8 @@ def test_only_what_is_not_done_is_fused(tmp_path, in_this_process, capsys):
     capsys.readouterr()
 
     # neither another option nor another input replaces a session silently
-    assert duplex("batch", pairs, "--out", out, *PLAIN, "--smoothing", "0.9") == 2
-    assert "with another --smoothing" in one_line(capsys)
+    assert duplex("batch", pairs, "--out", out, *PLAIN, "--h", "0.9") == 2
+    assert "with another --h" in one_line(capsys)
     write_pair(pairs, "one_a.csv", "one_b.csv", seed=3)
     assert duplex("batch", pairs, "--out", out, *PLAIN) == 2
     assert "one was fused from other recordings" in one_line(capsys)
@@ -134,9 +134,16 @@ def test_only_what_is_not_done_is_fused(tmp_path, in_this_process, capsys):
     assert duplex("batch", pairs, "--out", out, *PLAIN, "--force") == 0
     assert in_this_process[4:] == ["one"]
     assert (out / "one" / "one.rrd").read_bytes() != before
+    # somebody else's file harms neither a session that stays nor the others
     (out / "one" / "one.bvh").touch()
-    assert duplex("batch", pairs, "--out", out, *PLAIN, "--force") == 2
-    assert "one holds files that duplex batch did not write (one.bvh)" in one_line(capsys)
+    capsys.readouterr()
+    assert duplex("batch", pairs, "--out", out, *PLAIN) == 0
+    write_pair(pairs, "one_a.csv", "one_b.csv", seed=4)
+    write_pair(pairs, "two_a.csv", "two_b.csv", seed=4)
+    assert duplex("batch", pairs, "--out", out, *PLAIN, "--force") == 1
+    assert in_this_process[5:] == ["two"]
+    assert "holds files that duplex batch did not write: one.bvh." in capsys.readouterr().out
+    assert sorted(table(out)["state"]) == ["failed", "fused", "fused"]
 
 
 def test_sessions_of_another_revision_are_fused_again(tmp_path, in_this_process, monkeypatch, capsys):
