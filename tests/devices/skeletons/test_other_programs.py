@@ -158,9 +158,10 @@ def renamed(table):
     return pandas.concat([rest, up, down, ring]).sort_values("time_us", kind="stable")
 
 
-@pytest.fixture
-def own_pair(tmp_path):
-    """A pair in seconds, Unity's axes and other names, its table of names, and the session expected of it."""
+@pytest.fixture(scope="module")
+def own_pair(tmp_path_factory):
+    """A pair in seconds, Unity's axes and other names, and the session expected of it."""
+    tmp_path = tmp_path_factory.mktemp("own")
     folder = tmp_path / "mine"
     folder.mkdir()
     expected = fuse(*write_recordings(tmp_path))
@@ -169,13 +170,13 @@ def own_pair(tmp_path):
         changed(made, made, retimed("time", 1.0))
         table = pandas.read_csv(made).rename(columns={"time": "time_us"})
         renamed(table).rename(columns={"time_us": "time"}).to_csv(made, index=False)
-    (folder / "names.toml").write_text(NAMES, encoding="utf-8")
     return folder, expected
 
 
 def test_files_of_another_program_are_fused_and_replayed(own_pair, tmp_path, capsys):
     folder, expected = own_pair
-    a, b, names = (folder / name for name in ("a.csv", "b.csv", "names.toml"))
+    a, b, names = folder / "a.csv", folder / "b.csv", tmp_path / "names.toml"
+    names.write_text(NAMES, encoding="utf-8")
     stated = ["--axes", "x,-y,z", "--names", names]
     save = tmp_path / "s.rrd"
     assert duplex("fuse", a, b, "--no-viewer", *stated, "--save", save) == 0
@@ -209,12 +210,12 @@ WRONG_NAMES = {
 
 
 @pytest.mark.parametrize("kind", WRONG_NAMES)
-def test_wrong_tables_of_names_are_refused_in_one_line(own_pair, kind, capsys):
+def test_wrong_tables_of_names_are_refused_in_one_line(own_pair, kind, tmp_path, capsys):
     folder, _ = own_pair
     text, message = WRONG_NAMES[kind]
-    (folder / "names.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "names.toml").write_text(text, encoding="utf-8")
     own = [folder / "a.csv", folder / "b.csv", "--axes", "unity", "--names"]
-    assert duplex("fuse", *own, folder / "names.toml", "--no-viewer") == 2
+    assert duplex("fuse", *own, tmp_path / "names.toml", "--no-viewer") == 2
     assert message in one_line(capsys)
 
 
