@@ -152,6 +152,6 @@ def parts(count: int, size: int = PART) -> Iterator[slice]:
 
 def give_back(*mapped: mmap.mmap) -> None:
     """Gives back the memory of large arrays, or of mapped files, which are read again when needed."""
-    for each in mapped or list(_MAPPED):
-        if hasattr(each, "madvise"):  # not on Windows
+    if sys.platform != "win32":
+        for each in mapped or list(_MAPPED):
             each.madvise(mmap.MADV_DONTNEED)

@@ -2,11 +2,13 @@
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context, parent_process
+from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -31,7 +33,8 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Outcome, 
     """Runs the jobs and yields each outcome when it is known. Closing the generator ends all processes."""
     compile_kernels(jobs[0].options)
     # Spawned, not forked: the threads of numba and OpenBLAS do not survive a fork.
-    pool = ProcessPool(min(processes, len(jobs)), initializer=_begin, context=get_context("spawn"))
+    spawn: Any = get_context("spawn")
+    pool = ProcessPool(min(processes, len(jobs)), initializer=_begin, context=spawn)
     try:
         with _ctrl_c_held_back():
             futures: dict[Future[Outcome], Job] = {pool.schedule(fuse_job, args=[job]): job for job in jobs}
@@ -69,7 +72,7 @@ def _why(code: int) -> str:
 @contextmanager
 def _ctrl_c_held_back() -> Iterator[None]:
     """Delays Ctrl-C until after the block; threads and processes that start in it never get it."""
-    if not hasattr(signal, "pthread_sigmask"):
+    if sys.platform == "win32":
         yield
         return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -11,6 +11,7 @@ import platform
 import re
 import socket
 import struct
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -117,6 +118,8 @@ def _x_connection(host: str, number: int) -> socket.socket:
 
 
 def _unix_connection(path: str) -> socket.socket:
+    if sys.platform == "win32":
+        raise OSError("There are no displays with Unix sockets on Windows.")
     server = socket.socket(socket.AF_UNIX)
     try:
         server.settimeout(_GIVES_UP_AFTER)
