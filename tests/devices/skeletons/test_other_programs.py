@@ -16,6 +16,7 @@ from recordings import Session, fuse
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.recorded_pairs import assert_same_session, write_recordings, write_view
 from tests.helpers.two_views import A_FROM_B, moving
+from viewer_app.batch.worker import fuse_job
 
 FRAMES = 40
 PER_SECOND = {"time_s": 1.0, "time_ms": 1e3, "time_us": 1e6, "time_ns": 1e9}
@@ -173,7 +174,13 @@ def own_pair(tmp_path_factory):
     return folder, expected
 
 
-def test_files_of_another_program_are_fused_and_replayed(own_pair, tmp_path, capsys):
+def fused_here(jobs, _):
+    """Instead of in other processes."""
+    yield from map(fuse_job, jobs)
+
+
+def test_files_of_another_program_are_fused_and_replayed(own_pair, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("viewer_app.batch.processes.run_in_processes", fused_here)
     folder, expected = own_pair
     a, b, names = folder / "a.csv", folder / "b.csv", tmp_path / "names.toml"
     names.write_text(NAMES, encoding="utf-8")
