@@ -167,7 +167,7 @@ class Saving(RuleBasedStateMachine):
 
 
 TestSaving = Saving.TestCase
-TestSaving.settings = settings(max_examples=12, stateful_step_count=6, deadline=None)
+TestSaving.settings = settings(max_examples=6, stateful_step_count=6, deadline=None)
 
 
 def test_images_of_a_file_that_was_replaced_are_not_somebody_else_s(tmp_path):
