@@ -28,7 +28,7 @@ from viewer_app.sensors.tracker import tracker_of
 from viewer_app.viewer.blueprint import session_blueprint
 
 START_NS = 336_277_000
-SECONDS = 2.5
+SECONDS = 1.7
 
 
 @pytest.mark.parametrize("wanted", ["nearest", "left", "right", "middle"])
