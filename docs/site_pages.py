@@ -43,6 +43,8 @@ def _redirected(link: re.Match[str], from_root: bool) -> str:
         return link[0]
     if path.startswith("docs/"):
         return f"]({path.removeprefix('docs/')}{anchor})"
+    if path == "examples":
+        return "](examples.md)"
     if path.startswith("examples/") and path.endswith((".py", ".ipynb")):
         return f"](examples.md#{Path(path).stem})"
     if path == "README.md":

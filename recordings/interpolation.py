@@ -1,14 +1,16 @@
-"""S* between the moments of a session, with bones of constant length."""
+"""S* between the moments of a session, with bones as long as in its frames."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fusion.calibration.bone_lengths import bone_lengths_of
 from recordings.errors import RecordingError
 from recordings.session_arrays import SessionArrays
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _LATEST_NS = 9.0e18
+_SAME_M = 1e-5  # lengths that differ by rounding
 _LONGEST = 0.3  # seconds: S* is not interpolated across a longer interval
 
 
@@ -16,7 +18,9 @@ def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
     """S* at (N,) times since the first pair, ns, from the frames before and after.
 
     The root moves in a straight line. Each bone turns at a constant rate about the axis across both of its
-    directions (spherical linear interpolation), so that its length stays that of the frame before.
+    directions (spherical linear interpolation). Its length is the one that both frames were fused with; with
+    method ``published``, whose bones are nearly right, it changes from that of one frame to that of the next.
+    Where a new calibration changes the lengths, it is that of the frame before.
 
     Returns:
         (N, J, 3) metres in K_A's frame; the recorded S* at the times of frames. NaN before the first and
@@ -27,7 +31,10 @@ def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
     if len(times) == 0:
         return np.full((len(wanted), len(body), 3), np.nan)
     before, after, seconds, share = _neighbours(times, wanted)
-    start, end, lengths = fused[before], fused[after], rows.bone_lengths[before]
+    start, end = fused[before], fused[after]
+    first, last = (_bone_lengths(rows, at) for at in (before, after))
+    same = rows.bone_lengths[before] == rows.bone_lengths[after]
+    lengths = first + share[:, None] * np.where(same, last - first, 0.0)
     found = np.empty((len(wanted), len(body), 3))
     found[:, body.root] = start[:, body.root] + share[:, None] * (end[:, body.root] - start[:, body.root])
     for joint in body.order[1:]:
@@ -67,6 +74,13 @@ def sigma_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
     variance = (1.0 - s) * squared[before] + of_next + np.nan_to_num(off) ** 2
     found[known] = np.sqrt(variance[known])
     return found
+
+
+def _bone_lengths(rows: SessionArrays, frames: Ints) -> Array:
+    """(N, J) metres, the bones of S*: the lengths that they were fused with, or their own if they differ."""
+    wanted = rows.bone_lengths[frames]
+    own = bone_lengths_of(rows.body, rows.fused[frames])
+    return np.where(np.abs(own - wanted) > _SAME_M, own, wanted)
 
 
 def _whole(time_ns: ArrayLike) -> Ints:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -298,10 +298,8 @@ class Session(SessionData):
 
     @property
     def frame_rate(self) -> float:
-        """Frames per second: 1 / median interval; 30 for a session of one frame."""
-        if len(self) < 2:
-            return 30.0
-        return float(1e9 / np.median(np.diff(self.rows.time_ns)))
+        """Frames per second; see :attr:`recordings.session_arrays.SessionArrays.frame_rate`."""
+        return self.rows.frame_rate
 
     @property
     def spells(self) -> list[Spell]:
@@ -364,9 +362,14 @@ _SAMPLES = 9000  # frames, from which a person's usual place is found
 
 def _blocks(frames: Iterable[SessionFrame | SessionFrames]) -> Iterator[Sequence[SessionFrame]]:
     """The frames in blocks; some are already."""
-    rest = iter(frames)
-    for first in rest:
-        if isinstance(first, SessionFrames):
-            yield first
-        else:
-            yield [first, *(frame for frame in islice(rest, _BLOCK - 1) if isinstance(frame, SessionFrame))]
+    single: list[SessionFrame] = []
+    for each in frames:
+        if isinstance(each, SessionFrame):
+            single.append(each)
+        if single and (isinstance(each, SessionFrames) or len(single) == _BLOCK):
+            yield single
+            single = []
+        if isinstance(each, SessionFrames):
+            yield each
+    if single:
+        yield single

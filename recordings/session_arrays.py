@@ -83,6 +83,8 @@ class SessionFrames(Rows[SessionFrame]):
 POINTS = "Points3D:positions"
 _VIEW_A, _VIEW_B, _FUSED = layout.skeleton("a"), layout.skeleton("b"), layout.FUSED_SKELETON
 _CAPTURED, _STALE, _PLACEMENT = "sensors.captured_ns", "sensors.stale", "rotation_translation"
+_STANDARD_RATES, _STANDARD_WITHIN = (5.0, 15.0, 30.0, 60.0, 90.0), 0.05
+_LONG_PAUSE = 3.0  # median intervals
 _WEIGHT_STEP = 1.0 / 128.0  # finer steps are not visible
 
 
@@ -320,6 +322,20 @@ class SessionArrays:
             np.einsum("tij,tkj->tki", self.rotation, self.positions_b.astype(np.float64))
             + self.translation[:, None]
         )
+
+    @property
+    def frame_rate(self) -> float:
+        """Frames per second of the faster sensor without its pauses: 1 / mean interval, as 5, 15, 30, 60 or
+        90 if within 5 % of it. 30 for a single frame.
+        """
+        rates = [30.0] if len(self) < 2 else []
+        for clock in (self.clock_a, self.clock_b):
+            steps = np.diff(self.time_ns[clock != layout.NO_FRAME]) * 1e-9
+            if len(steps):
+                rates.append(float(1.0 / steps[steps <= _LONG_PAUSE * np.median(steps)].mean()))
+        fastest = max(rates, default=30.0)
+        nearest = min(_STANDARD_RATES, key=lambda rate: abs(rate - fastest))
+        return nearest if abs(nearest - fastest) <= _STANDARD_WITHIN * nearest else fastest
 
     @property
     def bone_length_of_each(self) -> NDArray[np.float64]:

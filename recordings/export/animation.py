@@ -1,11 +1,11 @@
 """S* as an animation: a tree of nodes in the T-pose, and a rotation per node at a constant rate.
 
-S* has constant bone lengths, so rotations represent it exactly. A file has one length per bone, but a new
-calibration changes the lengths. Frames before the last lengths are shown with the last ones: their bones have
-the directions of S*, and their joints are off by what is reported. Rotations are those of
-:mod:`fusion.joint_rotations`. If several bones leave a joint, their angles vary and one rotation cannot
-represent all of them. The node of the joint then turns with the pelvis, trunk, head, hand or foot, and each
-other bone gets a node of its own at the same position.
+Bones of constant length are represented exactly by rotations. A file has one length per bone: that of the
+session's last calibration. Frames with others, before a new calibration or of method ``published``, are shown
+with these: their bones have the directions of S*, and their joints are off by what is reported. Rotations are
+those of :mod:`fusion.joint_rotations`. If several bones leave a joint, their angles vary and one rotation
+cannot represent all of them. The node of the joint then turns with the pelvis, trunk, head, hand or foot, and
+each other bone gets a node of its own at the same position.
 
 Axes: x right, y up, z towards the first sensor, the floor at y = 0; the origin is below the sensor. The
 T-pose faces +z.
@@ -13,7 +13,6 @@ T-pose faces +z.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
+from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.humanoid import human_bones, mixamo_name, rest_from_t_pose
 from fusion.joint_rotations import JointRotations, joint_bones
 from fusion.large_arrays import PART
@@ -31,6 +31,7 @@ from recordings.interpolation import positions_at
 from recordings.session import Session
 
 Array = NDArray[np.float64]
+_SAME_M = 1e-4  # metres: differences by rounding, added up along the bones
 Names = Literal["body", "humanoid", "mixamo"]
 
 
@@ -74,11 +75,11 @@ class Animation:
         self.in_words = even.in_words
         if not present.all():
             self.in_words += f"; {np.count_nonzero(~present)} of them hold the pose before, for lack of an S*"
-        first, error = _other_lengths(session)
-        if first:
+        others, error = _other_lengths(session)
+        if others:
             self.in_words += (
-                f"; the bones of the first {first} recorded frames have their last lengths, not those they "
-                f"were fused with: joints are up to {1e3 * error:.0f} mm off"
+                f"; bones of {others} recorded frames have other lengths than the file's: their joints are "
+                f"up to {1e3 * error:.0f} mm off"
             )
         self._rest_from_t_pose = Rotation.from_quat(rest_from_t_pose(body))
         offsets = y_up(self._rest_from_t_pose.inv().apply(body.rest))
@@ -135,18 +136,20 @@ class Animation:
 
 
 def _other_lengths(session: Session) -> tuple[int, float]:
-    """The number of frames before the last bone lengths, and how far off, in metres, the last ones can make a
-    joint in them: the sum of the differences from the root on.
+    """The number of frames with other bone lengths than the last calibration's, and how far off, in metres,
+    these can make a joint in them: the sum of the differences from the root on.
     """
     body, last = session.body, session.calibration.bone_lengths
-    first, largest = 0, 0.0
-    for (_, calibration), (end, _) in pairwise(session.calibrations):
-        off = np.abs(calibration.bone_lengths - last)
+    count, largest = 0, 0.0
+    for rows in session.rows.parts():
+        off = np.abs(bone_lengths_of(body, rows.fused) - last)
+        off[:, body.root] = 0.0
         for joint in body.order[1:]:
-            off[joint] += off[body.parents[joint]]
-        if off.any():
-            first, largest = end, max(largest, float(off.max()))
-    return first, largest
+            off[:, joint] += off[:, body.parents[joint]]
+        worst = off.max(axis=1)
+        others = worst[worst > _SAME_M]
+        count, largest = count + len(others), max(largest, float(others.max(initial=0.0)))
+    return count, largest
 
 
 def _labels(body: Body, names: Names) -> dict[tuple[int, int], str]:

@@ -69,12 +69,11 @@ def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
 
 
 def write_trc(session: Session, path: Path) -> str:
-    """Writes S* as markers named after the joints. Times are as recorded, the header's rate their mean."""
+    """Writes S* as markers named after the joints. Times are as recorded; the header has the frame rate."""
     rows = session.rows
     joints = rows.body.joints
     T, J = len(rows), len(joints)
-    seconds = (int(rows.time_ns[-1]) - int(rows.time_ns[0])) * 1e-9
-    rate = f"{(T - 1) / seconds if T > 1 else even_moments(rows).rate:.6g}"
+    rate = f"{rows.frame_rate:.6g}"
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{session.name.removesuffix('.rrd')}.trc",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
@@ -92,4 +91,4 @@ def write_trc(session: Session, path: Path) -> str:
             for time_ns, values in zip(part.time_ns.tolist(), millimetres.tolist(), strict=True):
                 cells = ("" if isnan(v) else f"{v:.4f}" for v in values)
                 file.write(f"{next(number)}\t{time_ns * 1e-9:.6f}\t" + "\t".join(cells) + "\n")
-    return f"{T} frames at the times they were recorded, {rate} Hz on average"
+    return f"{T} frames at the times they were recorded, {rate} Hz"

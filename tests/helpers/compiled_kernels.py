@@ -22,8 +22,17 @@ Fuser(FusionSetup(nominal_calibration(AZURE_KINECT), FuserSettings(method=sys.ar
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes():
+    compile_kernels()
+
+
+def compile_kernels():
+    """Compiles the kernels of every method that are not on disk."""
     processes = [
         subprocess.Popen([sys.executable, "-c", _WARM_UP, method], cwd=_ROOT) for method in get_args(Method)
     ]
     for process in processes:
         process.wait()
+
+
+if __name__ == "__main__":
+    compile_kernels()

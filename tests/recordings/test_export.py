@@ -3,6 +3,7 @@
 import itertools
 import re
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from fusion.angles import ANGLES, joint_angles
 from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings, Method
 from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
 from recordings.export import writer_for
@@ -137,8 +139,7 @@ def test_trc_is_in_millimetres_x_forward_y_up_with_empty_cells_for_gaps(session)
     lines = path.read_text(encoding="utf-8").split("\n")
     head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
     assert (head["Units"], head["NumFrames"]) == ("mm", "60")
-    seconds = (session.time_ns[-1] - session.time_ns[0]) * 1e-9
-    assert float(head["DataRate"]) * seconds == pytest.approx(59, rel=1e-5)
+    assert float(head["DataRate"]) == session.frame_rate == 30.0
     assert [name for name in lines[3].split("\t")[2:] if name] == list(session.body.joints)
     table = pandas.read_csv(path, sep="\t", skiprows=6, header=None, skip_blank_lines=False)
     joints = table.iloc[:, 2:].to_numpy(dtype=float).reshape(session.rows.fused.shape)
@@ -206,12 +207,29 @@ def test_frames_before_a_calibration_keep_their_directions_and_get_the_last_leng
         found[:12] - found[:12, root], 1.1 * (expected[:12] - expected[:12, root]), atol=1e-4
     )
     off = np.linalg.norm(found - expected, axis=2).max()
-    (most,) = re.findall(r"first 12 recorded frames .* up to (\d+) mm off$", said)
+    (most,) = re.findall(r"bones of 12 recorded frames .* up to (\d+) mm off$", said)
     assert off <= 1e-3 * (int(most) + 0.5) <= 2.0 * off
     write_session(session, tmp_path / "before.rrd", first=0, end=12)
     before = Session.open(tmp_path / "before.rrd")
     assert writer_for(path)(before, path) == "12 frames at a constant 30 Hz"
     np.testing.assert_allclose(bvh_joints(path, KINECT_V2), on_floor(before, before.rows.fused), atol=1e-4)
+
+
+@pytest.mark.parametrize("method", get_args(Method))
+def test_s_star_beside_a_frame_and_in_a_file_is_that_of_the_frame(method, tmp_path):
+    """Also of the method whose bones are only nearly right; a file with constant ones says how far off."""
+    pairs = frame_pairs(KINECT_V2, 20)
+    session = record_fused(tmp_path / "s.rrd", pairs, calibration_of(KINECT_V2), FuserSettings(method))
+    fused = session.rows.fused
+    for beside_ns in (-1, 1):
+        np.testing.assert_allclose(session.at(session.time_ns[1:-1] + beside_ns), fused[1:-1], atol=1e-5)
+    path = tmp_path / "s.bvh"
+    said = writer_for(path)(session, path)
+    moments = session.at(even_moments(session.rows).time_ns)
+    off = np.linalg.norm(bvh_joints(path, KINECT_V2) - on_floor(session, moments), axis=2).max()
+    told = re.findall(r"bones of (\d+) recorded frames .* up to (\d+) mm off$", said)
+    assert bool(told) == (method == "published")
+    assert off <= 1e-3 * (sum(int(most) for _, most in told) + 0.5)
 
 
 def paused(tmp_path, frames):

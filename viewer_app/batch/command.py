@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -163,7 +164,13 @@ def _outcomes(jobs: Sequence[Job], options: BatchOptions, console: Console) -> G
         )
     from viewer_app.batch.processes import run_in_processes
 
-    return run_in_processes(jobs, options.processes or os.cpu_count() or 1)
+    return run_in_processes(jobs, options.processes or usable_processors())
+
+
+def usable_processors() -> int:
+    """How many processors this process may use: fewer than the machine has, as in a container."""
+    process = psutil.Process()
+    return len(process.cpu_affinity()) if hasattr(process, "cpu_affinity") else os.cpu_count() or 1
 
 
 def _shown(outcomes: Iterator[Outcome], total: int, console: Console) -> Iterator[Outcome]:

@@ -34,11 +34,11 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
     angle = math.degrees(calibration.axes_angle)
     low, high = ANGLES
     if not low <= angle <= high:
-        wider = "apart" if angle < low else "together"
+        way = "further apart" if angle < low else "closer together"
         yield Advice(
             "angle",
             f"The sensors look {angle:.0f}° apart; between {low:.0f}° and {high:.0f}° (best: 90°) each "
-            f"sees what the other cannot. Move them further {wider} round the person.",
+            f"sees what the other cannot. Move them {way} round the person.",
             "WARN",
         )
     yield verdict(calibration)

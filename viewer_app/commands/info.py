@@ -21,7 +21,6 @@ def run(options: InfoOptions) -> None:
     session = Session.open(options.session)
     rows = session.rows
     seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
-    rate = (len(rows) - 1) / seconds if seconds > 0.0 else session.frame_rate
     size = options.session.stat().st_size
     table = Table(show_header=False, box=None)
 
@@ -35,7 +34,7 @@ def run(options: InfoOptions) -> None:
     row("sensors", f"A {session.sources[0]}, B {session.sources[1]}")
     if session.tracker:
         row("body tracker", session.tracker)
-    row("frames", f"{len(session)} in {seconds:.2f} s, {rate:.1f} per second")
+    row("frames", f"{len(session)} in {seconds:.2f} s, {session.frame_rate:.3g} per second")
     row("without S*", int(rows.predicted.all(axis=1).sum()))
     row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))
     for k, line in enumerate(calibration_in_words(calibration_figures(session.calibration))):

@@ -67,8 +67,7 @@ def run(options: ReplayOptions) -> None:
             f"`duplex fuse --method {settings.method}` leaves such moments out, a replay does not."
         )
     segments, labels = _plan(session, settings)
-    rate = 1e9 / float(np.median(np.diff(session.time_ns))) if len(session) > 1 else 30.0
-    with planned.opened(segments[0][0], rate) as outputs:
+    with planned.opened(segments[0][0], session.frame_rate) as outputs:
         announce_outputs(console, outputs)
         blocks = _fused(options, session, segments, labels, outputs, console)
         replayed = _replayed(session, segments, blocks, with_images=options.save is not None)

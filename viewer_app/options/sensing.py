@@ -216,8 +216,8 @@ class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
     """Fuse many pairs of recordings, in parallel; a second call goes on where the first one stopped.
 
     In FOLDER and its subfolders, a pair is a.EXT and b.EXT, or NAME_a.EXT and NAME_b.EXT, where EXT is csv,
-    json, skeleton or mkv. Saved skeletons beside an .mkv of the same name are used instead of the body
-    tracker. Or a manifest: a .csv with the columns name,a,b[,skeletons_a,skeletons_b,person_a,person_b].
+    json, skeleton, mkv, bag or db3. Saved skeletons beside an .mkv of the same name are used instead of the
+    body tracker. Or a manifest: a .csv with the columns name,a,b[,skeletons_a,skeletons_b,person_a,person_b].
 
     The exit code is 1 if a pair could not be fused.
     """

@@ -87,6 +87,7 @@ function go(moment) {
   time = Math.min(Math.max(moment, 0), end);
   slider.value = time;
   clock.textContent = `${time.toFixed(2)} of ${end.toFixed(2)} s`;
+  slider.setAttribute("aria-valuetext", clock.textContent);
   const latest = jumps.findLast(each => +each.dataset.at <= time + 0.001);
   if (latest !== here) {
     here?.closest("tr").removeAttribute("aria-current");
@@ -157,6 +158,12 @@ function draw() {
   });
 }
 
+function look(right, down) {
+  turn -= right;
+  tilt = Math.min(1.5, Math.max(0, tilt + down));
+  draw();
+}
+
 play.addEventListener("click", () => {
   if (playing) { pause(); return; }
   if (time >= end - 0.001) go(0);  // a slider's value is rounded
@@ -175,10 +182,13 @@ for (const jump of jumps) {
 for (const box of shown) box.addEventListener("change", draw);
 canvas.addEventListener("pointerdown", event => canvas.setPointerCapture(event.pointerId));
 canvas.addEventListener("pointermove", event => {
-  if (!event.buttons) return;
-  turn -= event.movementX / 150;
-  tilt = Math.min(1.5, Math.max(0, tilt + event.movementY / 150));
-  draw();
+  if (event.buttons) look(event.movementX / 150, event.movementY / 150);
+});
+canvas.addEventListener("keydown", event => {
+  const [right, down] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key] ?? [];
+  if (right === undefined) return;
+  event.preventDefault();
+  look(right / 8, down / 8);
 });
 new ResizeObserver(draw).observe(canvas);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
