@@ -13,6 +13,7 @@ from devices.sensor import Sensor
 
 _QUEUE = 3  # frames that an SDK's queue holds at least, of seven captures; half may be colour alone
 _UNKNOWN_S = 2.0  # of a longer gap nothing is counted: it is told as a silence
+_PARTS_S = 1.0  # images without depth so long ago no longer come: the last capture was cut off
 _HALF_S = 0.8  # an image's absence is judged over two of these
 _MANY, _FEW = 0.25, 0.05  # shares of the moments that lack an image
 
@@ -26,7 +27,8 @@ class Silence:
 
     def __init__(self, label: str, settings: CaptureSettings) -> None:
         self._label, self._settings, self.seconds = label, settings, 0.0
-        self._started, self._parts = False, False  # whether an image came at all; during this silence
+        self._started = False  # whether an image came at all
+        self._part_s: float | None = None  # of this silence, when the last image without depth came
 
     @property
     def waits_for(self) -> str:
@@ -36,7 +38,7 @@ class Silence:
 
     def ends(self) -> None:
         """A moment came."""
-        self.seconds, self._started, self._parts = 0.0, True, False
+        self.seconds, self._started, self._part_s = 0.0, True, None
 
     def lasts(self, seconds: float, came: Incomplete, advice: str) -> None:
         """No moment came.
@@ -48,13 +50,14 @@ class Silence:
             DeviceError: For too long.
         """
         self.seconds += seconds
-        self._parts = self._parts or came is Incomplete.PART
-        self._started = self._started or self._parts
-        subordinate = self._settings.sync == "subordinate" and not self._parts
+        if came is Incomplete.PART:
+            self._started, self._part_s = True, self.seconds
+        parts = self._part_s is not None and self.seconds - self._part_s < _PARTS_S
+        subordinate = self._settings.sync == "subordinate" and not parts
         waits_s = self._settings.stall_s if self._started else self._settings.start_s
         if self.seconds < (waits_s if subordinate else self._settings.stall_s):
             return
-        if self._parts and self._settings.color is not None:
+        if parts and self._settings.color is not None:
             raise Cause.ONLY_COLOR.error(label=self._label, seconds=self.seconds)
         cause = Cause.NO_PULSES if subordinate else Cause.NO_DEPTH
         raise cause.error(label=self._label, seconds=self.seconds, advice=advice)

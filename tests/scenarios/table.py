@@ -85,9 +85,7 @@ def _ended(name, events, conf="", code=0, **more):
 
 _SERIALS = ("000001111111", "000002222222")
 _CTRL_C = int(signal.SIGINT)
-_MASTER = frozenset(
-    (Cause.IT_OR_MASTER_UNPLUGGED, Cause.WAITING, Cause.NO_PULSES, Cause.SILENT, Cause.NO_DEPTH)
-)
+_MASTER = frozenset((Cause.IT_OR_MASTER_UNPLUGGED, Cause.WAITING, Cause.NO_PULSES, Cause.SILENT))
 _LATER = frozenset((Cause.CLOSES_LATER,))
 _NO_ADVICE = ("Step into its view", "controller of its own, and light")
 

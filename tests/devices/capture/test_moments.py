@@ -1,5 +1,6 @@
 """Laws of joining images to moments, and of what a stream tells."""
 
+import re
 from types import SimpleNamespace
 
 import pytest
@@ -134,6 +135,20 @@ def test_silence_ends_with_any_moment(polls, subordinate):
             return  # rounding decides
         silence.lasts(tenths / 10, Incomplete.NOTHING, "")
         assert (silence.waits_for != "") == (waited > 0 and subordinate and not started)
+
+
+@pytest.mark.parametrize("cut_off", [False, True])
+@pytest.mark.parametrize(
+    ("sync", "cause"), [("subordinate", Cause.NO_PULSES), ("standalone", Cause.NO_DEPTH)]
+)
+def test_one_image_that_was_cut_off_does_not_hide_that_the_pulses_end(sync, cause, cut_off):
+    silence = Silence("X 1", CaptureSettings(sync=sync, stall_s=3.0))
+    silence.ends()
+    silence.lasts(0.1, Incomplete.PART if cut_off else Incomplete.NOTHING, "")
+    silence.lasts(2.5, Incomplete.NOTHING, "")
+    words = cause.says(label="X 1", seconds=3.1, advice="Check it.")
+    with pytest.raises(DeviceError, match=re.escape(words)):
+        silence.lasts(0.5, Incomplete.NOTHING, "Check it.")
 
 
 @given(st.lists(st.tuples(st.integers(0, 20), st.integers(0, 1500)), min_size=2, max_size=60))
