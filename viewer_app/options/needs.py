@@ -10,7 +10,7 @@ from viewer_app.options.sensing import BatchOptions, DemoOptions, FuseOptions, L
 from viewer_app.options.shared import FusionOptions, LiveOutputOptions, TerminalOptions
 
 _IMAGES = (".mkv", ".db3", ".bag")
-_TRACKER = ("tracker", "tracker_model", "tracker_network", "k4abt", "processing", "person")
+_TRACKER = ("tracker", "tracker_model", "tracker_network", "k4abt", "processing")
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,9 @@ NEEDS = (
     Need(
         FusionOptions, ("smoothing", "smooth", "no_refine"), lambda o: o.method == "duplex", "--method duplex"
     ),
+    Need(
+        FuseOptions, ("person",), _reads_images, "images; for skeletons there are --person-a and --person-b"
+    ),
     Need(FuseOptions, (*_TRACKER, "depth"), _reads_images, "a recording of images: .mkv, .db3 or .bag"),
     Need(BatchOptions, ("processes",), lambda o: o.scheduler is None, "no --scheduler"),
     Need(PublishOptions, ("motion", "body"), lambda o: o.simulate is not None, "--simulate"),
@@ -53,7 +56,7 @@ NEEDS = (
     Need(PublishOptions, ("depth_mode", "fps"), _runs_a_sensor, "a sensor of this PC"),
     Need(
         PublishOptions,
-        (*_TRACKER, "depth"),
+        (*_TRACKER, "person", "depth"),
         lambda o: o.simulate is None and _reads_images(o),
         "a sensor, or a recording of images",
     ),

@@ -103,7 +103,7 @@ def test_real_recordings_fuse_with_exact_bones_and_replay(name, shared, tmp_path
 
 def test_a_place_in_the_image_chooses_no_person_of_recorded_skeletons(recordings, capsys):
     assert duplex("fuse", *recordings, "--no-viewer", "--person", "left") == 2
-    assert "use --person-a and --person-b" in one_line(capsys)
+    assert "there are --person-a and --person-b" in one_line(capsys)
 
 
 def test_a_calibration_can_be_kept_and_used_again(recordings, tmp_path):
@@ -139,7 +139,7 @@ def test_unusable_recordings_give_one_line_and_leave_no_file(recordings, tmp_pat
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (("--h", "0.3"), "between 0.5 and 1"),
+        (("--h", "0.3", "--method", "paper"), "between 0.5 and 1"),
         (("--calibrate", "seconds:none"), "must be a positive number"),
         (("--calibrate", "nowhere.json"), "neither auto, nor seconds:N, nor an existing file"),
         (("--save", "/nowhere/at/all/s.rrd"), "No folder"),
