@@ -148,6 +148,8 @@ def take(desk, home, kinects, seen):
                 assert "record" in line or program.says("Calibrated"), program.said
                 if step.window:
                     look(step)
+                for file in step.makes:  # of both sensors
+                    assert "record" not in line or eventually((folder / file).is_file, _WITHIN), file
                 assert program.end() == 0, program.said
             assert program.code() == 0, program.said
         assert step.says in re.sub(" +$", "", program.said, flags=re.MULTILINE)

@@ -36,6 +36,7 @@ from viewer_app.errors import UsageError
 from viewer_app.viewer.display import environment_of_window
 
 _STARTS_WITHIN, _ENDS_WITHIN = 20.0, 1.0  # seconds
+_HANGS_AFTER, _IDLE_SHARE = 5.0, 0.05  # seconds; of a processor
 _REOPENED = 3  # times in a row
 STARTS_TRIED = 6
 """Of a server, whose ports others may take meanwhile."""
@@ -146,25 +147,33 @@ def start_viewer(
 ) -> tuple[subprocess.Popen[bytes], int]:
     """Starts a viewer with a bounded memory that listens on a port of the loopback address; returns both.
 
-    A viewer listens first, and then opens its window: it runs when it answers a request.
+    A viewer listens first, and then opens its window: it runs when it answers a request. A graphics driver
+    may hang while it opens the window, so a viewer that neither answers nor computes is started once more.
 
     Raises:
         UsageError: It does not start, or it cannot open its window; with its own last words.
     """
-    port = free_port()
-    own = ["--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY]
-    viewer = _start([*own, *arguments], stdin)
-    if not _listens(viewer, {port}):
+    for last in (False, True):
+        port = free_port()
+        own = ["--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY]
+        viewer = _start([*own, *arguments], stdin)
+        if not _listens(viewer, {port}):
+            stop(viewer)
+            raise not_started("Rerun's viewer")
+        if not _hangs(viewer, port) or last:
+            break
         stop(viewer)
-        raise not_started("Rerun's viewer")
-    _wait_until_it_answers(viewer, port)
+        if not isinstance(stdin, int):
+            stdin.seek(0)
     if viewer.poll():  # a user who closes the window at once ends it with 0
         raise not_started("Rerun's viewer", _last_words([*own, *(set(arguments) & {"--headless"})]))
     return viewer, port
 
 
-def _wait_until_it_answers(viewer: subprocess.Popen[bytes], port: int) -> None:
-    """Waits until a viewer answers a request, has ended, or takes long."""
+def _hangs(viewer: subprocess.Popen[bytes], port: int) -> bool:
+    """Waits until a viewer answers a request, has ended, takes long, or has not computed for five seconds;
+    returns whether it is the last.
+    """
     answered, runs = threading.Event(), []
 
     def ask() -> None:
@@ -177,12 +186,19 @@ def _wait_until_it_answers(viewer: subprocess.Popen[bytes], port: int) -> None:
         answered.set()
 
     threading.Thread(target=ask, name="viewer's first answer", daemon=True).start()
-    deadline = time.monotonic() + _STARTS_WITHIN
-    while viewer.poll() is None and time.monotonic() < deadline and not answered.wait(0.05):
-        pass
+    began = worked = time.monotonic()
+    spent = 0.0
+    while viewer.poll() is None and time.monotonic() - began < _STARTS_WITHIN and not answered.wait(0.05):
+        with contextlib.suppress(psutil.NoSuchProcess):
+            used = sum(psutil.Process(viewer.pid).cpu_times()[:2])
+            if used > spent + _IDLE_SHARE * (time.monotonic() - worked):
+                spent, worked = used, time.monotonic()
+        if time.monotonic() - worked > _HANGS_AFTER:
+            return True
     if not runs:
         with contextlib.suppress(subprocess.TimeoutExpired):
             viewer.wait(_ENDS_WITHIN)  # one that cannot open its window answers with an error first
+    return False
 
 
 def _last_words(arguments: Sequence[str]) -> str:
