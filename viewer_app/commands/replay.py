@@ -14,7 +14,7 @@ from rich.progress import track
 from fusion.facing.labels import DOUBT_STEPS, Labels
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
-from fusion.setup import PAPER_H, REVISIONS, FuserSettings
+from fusion.setup import REVISIONS, FuserSettings
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
 from recordings.images import NO_IMAGES
@@ -48,7 +48,8 @@ def run(options: ReplayOptions) -> None:
     names = ("method", "h", "weights", "smoothing")
     changed: dict[str, Any] = {name: getattr(options, name) for name in names}
     settings = replace(session.settings, **{k: value for k, value in changed.items() if value is not None})
-    if settings.method == "duplex" and (settings.h != PAPER_H or settings.weights != "paper"):
+    # The session of another method, or of an older version, may hold them; here they have no effect.
+    if settings.method == "duplex" and (options.h is not None or options.weights is not None):
         raise UsageError("--h and --weights need --method paper or published.")
     if settings.method != "duplex" and options.smoothing is not None:
         raise UsageError("--smoothing needs --method duplex.")

@@ -75,6 +75,14 @@ def test_a_replay_is_verified_and_can_be_replayed_again(session, tmp_path, capsy
     assert figures["bone_error_mm"]["fused"]["max"] < 1e-3
 
 
+def test_recorded_settings_of_other_methods_do_not_stop_a_replay(session, tmp_path):
+    """Version 1.0 took --h with every method; and ``duplex`` may replay a session of ``paper``."""
+    recorded, path = Session.open(session), tmp_path / "h.rrd"
+    replace(recorded, settings=replace(recorded.settings, h=0.9, weights="equal")).save(path)
+    assert duplex("replay", path, "--verify") == 0
+    assert duplex("replay", path, "--method", "duplex", "--h", 0.9, "--no-viewer") == 2
+
+
 def test_a_difference_is_exit_code_1_with_frame_and_joint(session, capsys, monkeypatch):
     true_setups = Session.setups
 
