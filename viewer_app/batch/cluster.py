@@ -7,7 +7,7 @@ from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
-from viewer_app.batch.jobs import Job, Outcome, program_version
+from viewer_app.batch.jobs import Job, Outcome, Record, program_version
 from viewer_app.batch.worker import fuse_job
 from viewer_app.errors import UsageError
 
@@ -64,11 +64,16 @@ def run_on_cluster(
 def _seen_here(job: Job, outcome: Outcome) -> Outcome:
     """The outcome, or a failure if the session is not where this machine looks for it."""
     deadline = time.monotonic() + _SEEN_WITHIN  # a network's folder shows a new file after some seconds
-    while outcome.record is not None and job.record() is None:
+    while outcome.record is not None and not _is_of(job.record(), outcome.record):
         if time.monotonic() > deadline:
             return Outcome(job.name, None, f"Its worker wrote it elsewhere: {job.folder} is not shared.")
         time.sleep(0.2)
     return outcome
+
+
+def _is_of(found: Record | None, reported: Record) -> bool:
+    """Whether a record found here is the reported one, not that of the session which it replaces."""
+    return found is not None and found["identity"] == reported["identity"]
 
 
 def connect(scheduler: str) -> Any:

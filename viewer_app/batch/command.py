@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from viewer_app.batch.finding import PAGE, TABLE, Pair, find_pairs
-from viewer_app.batch.jobs import Job, Outcome, tidy
+from viewer_app.batch.jobs import Job, Outcome, Record, tidy
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.batch.summary import Row, State, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
@@ -41,6 +41,7 @@ def run(options: BatchOptions) -> None:
             console.print(f"{row.job.name}: {row.error}", style="red", markup=False)
     rows: dict[str, Row] = {row.job.name: row for row in known}
     jobs = {job.name: job for job in to_do}
+    before = {job.name: job.record() for job in to_do}
     try:
         if jobs:
             with closing(_outcomes(to_do, options, console)) as outcomes:
@@ -53,7 +54,7 @@ def run(options: BatchOptions) -> None:
         if options.scheduler is None or len(rows) == len(pairs):  # no worker is still at it
             tidy(options.out)
         # After an interruption a session may be in place whose worker did not report it any more.
-        left = [_left(job) for job in to_do if job.name not in rows]
+        left = [_left(job, before[job.name]) for job in to_do if job.name not in rows]
         if rows or any(row.state == "fused" for row in left):
             ordered = worst_first([*rows.values(), *left])
             write_parquet(ordered, options.out / TABLE)
@@ -102,10 +103,10 @@ def plan_work(jobs: Sequence[Job], force: bool) -> tuple[list[Row], list[Job]]:
     return known, left
 
 
-def _left(job: Job) -> Row:
-    """A session of which no outcome was reported."""
+def _left(job: Job, before: Record | None) -> Row:
+    """A session of which no outcome was reported; its folder may still hold the one `before`."""
     record = job.record()
-    return Row(job, "pending") if record is None else Row(job, "fused", record)
+    return Row(job, "pending") if record in (None, before) else Row(job, "fused", record)
 
 
 def _difference(before: dict[str, object], now: dict[str, object]) -> str:

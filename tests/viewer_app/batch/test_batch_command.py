@@ -220,6 +220,22 @@ def test_interrupted_half_way_and_resumed(tmp_path, monkeypatch, capfd):
     assert len(Session.open(out / "p3" / "p3.rrd")) == 75
 
 
+def test_a_session_that_an_interrupted_run_did_not_replace_is_pending(tmp_path, monkeypatch):
+    for name in ("one", "two"):
+        write_pair(tmp_path / "pairs" / name)
+    fusing_here(monkeypatch)
+    given = "batch", tmp_path / "pairs", "--out", tmp_path / "out", *PLAIN
+    assert duplex(*given) == 0
+
+    def stopped(jobs, _):
+        yield fuse_job(jobs[0])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(processes, "run_in_processes", stopped)
+    assert duplex(*given, "--h", 0.9, "--force") == 130
+    assert sorted(table(tmp_path / "out")["state"]) == ["fused", "pending"]
+
+
 WORKER = """
 import threading
 from multiprocessing import get_context

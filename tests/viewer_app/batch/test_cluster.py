@@ -67,6 +67,15 @@ def test_a_session_that_is_not_here_has_failed(tmp_path, local_cluster, monkeypa
     assert states(tmp_path / "out") == ["failed"]
 
 
+def test_the_session_before_is_not_taken_for_a_new_one(monkeypatch):
+    """``--force``: the older session is here, and the worker's is on another disk."""
+    monkeypatch.setattr(cluster, "_SEEN_WITHIN", 0.1)
+    before, now = ({"identity": {"files": name}, "figures": {}} for name in ("before", "now"))
+    job = SimpleNamespace(name="one", folder="out/one", record=lambda: before)
+    assert "is not shared" in cluster._seen_here(job, Outcome("one", now)).error
+    assert cluster._seen_here(job, Outcome("one", before)).record is before
+
+
 def fused_elsewhere(job):
     return Outcome(job.name, {"identity": {}, "figures": {}})
 
