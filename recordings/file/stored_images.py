@@ -66,7 +66,7 @@ class ImageReader(Images[T]):
                     except _WRONG:
                         raw, whole = None, False
                     if not whole:
-                        self.damaged += frame is None or frame >= self._frames.start
+                        self.damaged += frame is None or self._frames.start <= frame < self._frames.stop
                     elif frame >= self._frames.stop:
                         return
                     elif frame >= next_frame:

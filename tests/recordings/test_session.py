@@ -298,8 +298,9 @@ def test_a_damaged_image_is_left_out_and_counted(session, tmp_path):
     assert damaged.depth("a", 6, 9).count() == 3
 
 
-def test_images_are_read_no_further_than_asked(session, tmp_path):
-    damaged = with_a_damaged_image(session, 10, tmp_path / "damaged.rrd")
+@pytest.mark.parametrize("frame", [8, 10])
+def test_images_are_read_no_further_than_asked(session, tmp_path, frame):
+    damaged = with_a_damaged_image(session, frame, tmp_path / "damaged.rrd")
     images = damaged.depth("a", 0, 8)
     assert images.count() == 8
     assert images.damaged == 0
