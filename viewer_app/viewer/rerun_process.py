@@ -157,10 +157,14 @@ def start_viewer(
         port = free_port()
         own = ["--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY]
         viewer = _start([*own, *arguments], stdin)
-        if not _listens(viewer, {port}):
+        try:
+            if not _listens(viewer, {port}):
+                raise not_started("Rerun's viewer")
+            hangs = _hangs(viewer, port)
+        except BaseException:  # Ctrl-C, too: nobody would have the process
             stop(viewer)
-            raise not_started("Rerun's viewer")
-        if not _hangs(viewer, port) or last:
+            raise
+        if not hangs or last:
             break
         stop(viewer)
         if not isinstance(stdin, int):

@@ -106,6 +106,24 @@ def test_without_a_window_nothing_opens(opened, tmp_path):
     assert opened.read == []
 
 
+def test_a_viewer_that_is_interrupted_while_it_starts_is_gone(monkeypatch):
+    """One without a window, of ``duplex doctor``, would run for ever."""
+    sleeping = [sys.executable, "-c", "import time; time.sleep(60)"]
+    process = subprocess.Popen(sleeping, start_new_session=True)
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rerun_process, "_start", lambda *_: process)
+    monkeypatch.setattr(rerun_process, "_listens", interrupt)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            rerun_process.start_viewer(["--headless"])
+        assert process.poll() is not None
+    finally:
+        stop(process)
+
+
 def test_a_viewer_shows_the_file_with_its_own_layout_after_the_file_is_gone(headless):
     from rerun.experimental import ViewerClient
 
