@@ -74,9 +74,9 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
             with whole_file(file) as partial:
                 page = session_page(setup, figures)
                 write_for_viewer(session, partial, page, active=options.layout, progress=progress)
-        if viewing is not None and viewing.window and file is not None:
-            show(file)
         _summarise(console, options, session, figures)
+        if viewing is not None and viewing.window and file is not None:
+            show(file)  # last: where no window opens, everything is written and said
         hub = None if viewing is None else viewing.hub
         with served(file, hub) if file is not None and hub is not None else nullcontext():
             announce(viewing, console)

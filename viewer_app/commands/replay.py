@@ -24,7 +24,7 @@ from recordings.writing.checksums import fused_checksums, joint_digests
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReplayOptions
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs
+from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import report, save_report
@@ -33,7 +33,7 @@ from viewer_app.report.terminal import print_damage, print_damaged_images, print
 from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.display import has_display
-from viewer_app.viewer.file_window import write_for_viewer, written_and_shown
+from viewer_app.viewer.file_window import session_file, show, write_for_viewer
 
 _CUT_WITHIN = 1e-6  # metres; float32 shows 2.4e-7 at 4 m
 _SETTLED_NS = 1_000_000_000  # the time in which the estimator forgets a person
@@ -75,19 +75,22 @@ def run(options: ReplayOptions) -> None:
     figures = report(replayed)
     damaged = 0
     window = not options.no_viewer and not options.verify and has_display()
-    with written_and_shown(options.save, window) as path:
-        if path is not None:
-            damaged = write_for_viewer(replayed, path, session_page(segments[-1][0], figures))
-    if outputs:
-        figures["outputs"] = [output.figures() for output in outputs]
-    save_report(options.report, figures)
-    print_summary(console, figures, replayed.events, options.verbose)
-    print_outputs(console, outputs)
-    if options.save is not None:
-        say_saved(console, options.save)
-        print_damaged_images(console, damaged)
-    if not options.verbose:
-        say_more(console)
+    with session_file(options.save, window) as file:
+        if file is not None:
+            with whole_file(file) as partial:
+                damaged = write_for_viewer(replayed, partial, session_page(segments[-1][0], figures))
+        if outputs:
+            figures["outputs"] = [output.figures() for output in outputs]
+        save_report(options.report, figures)
+        print_summary(console, figures, replayed.events, options.verbose)
+        print_outputs(console, outputs)
+        if options.save is not None:
+            say_saved(console, options.save)
+            print_damaged_images(console, damaged)
+        if not options.verbose:
+            say_more(console)
+        if window and file is not None:
+            show(file)  # last: where no window opens, everything is written and said
     if options.verify and not verify(console, session, replayed.rows.fused):
         sys.exit(1)
 

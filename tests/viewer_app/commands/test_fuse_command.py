@@ -15,6 +15,7 @@ from tests.helpers.programs import python
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
 from tests.helpers.two_views import A_FROM_B, moving
 from viewer_app.commands import fuse as fuse_command
+from viewer_app.errors import UsageError
 
 QUICKLY = "--no-viewer", "--offset", "0"
 """Without a search for the offset of the clocks."""
@@ -28,6 +29,17 @@ def recordings(tmp_path):
 
 def figures_of(path):
     return json.loads(path.read_text(encoding="utf-8"))
+
+
+def test_where_no_window_opens_the_report_is_written(recordings, tmp_path, monkeypatch):
+    def no_window(*_):
+        raise UsageError("no driver")
+
+    report, saved = tmp_path / "r.json", tmp_path / "s.rrd"
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: None)
+    monkeypatch.setattr("viewer_app.viewer.file_window.start_viewer", no_window)
+    assert duplex("fuse", *recordings, "--offset", "0", "--report", report, "--save", saved) == 2
+    assert figures_of(report)["paired"] == len(Session.open(saved)) == 70
 
 
 def test_two_recordings_become_a_session_a_report_and_a_summary(recordings, tmp_path, capsys):

@@ -24,6 +24,7 @@ from tests.helpers.recorded_pairs import write_recordings
 from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import calibration_of
 from viewer_app.commands.replay import verify
+from viewer_app.errors import UsageError
 from viewer_app.report.figures import fusion_figures, report
 
 
@@ -81,6 +82,19 @@ def test_recorded_settings_of_other_methods_do_not_stop_a_replay(session, tmp_pa
     replace(recorded, settings=replace(recorded.settings, h=0.9, weights="equal")).save(path)
     assert duplex("replay", path, "--verify") == 0
     assert duplex("replay", path, "--method", "duplex", "--h", 0.9, "--no-viewer") == 2
+
+
+def test_where_no_window_opens_the_report_and_the_session_are_written(session, tmp_path, monkeypatch, capsys):
+    def no_window(*_):
+        raise UsageError("no driver")
+
+    report, saved = tmp_path / "r.json", tmp_path / "again.rrd"
+    monkeypatch.setattr("viewer_app.commands.replay.has_display", lambda: True)
+    monkeypatch.setattr("viewer_app.viewer.file_window.start_viewer", no_window)
+    assert duplex("replay", session, "--report", report, "--save", saved) == 2
+    assert capsys.readouterr().err == "duplex: no driver\n"
+    assert len(Session.open(saved)) == 90
+    assert report.exists()
 
 
 def test_a_difference_is_exit_code_1_with_frame_and_joint(session, capsys, monkeypatch):
