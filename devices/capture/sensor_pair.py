@@ -58,6 +58,8 @@ class TwoSensors:
         )
         self._sides: tuple[tuple[Side, SensorThread], ...] = (("a", self.a), ("b", self.b))
         self._pairing = pairing or LivePairing()
+        self.rate = round(1e9 / self._pairing.interval_ns, 3)
+        """Nominal frames per second of the faster sensor, before a tracker leaves any out."""
         self._decimation, self.step = decimation, 1
         self._clock, self._tell = clock, tell
         self._stopped, self._late_told = False, False

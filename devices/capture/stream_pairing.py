@@ -172,6 +172,11 @@ class LivePairing:
         a, b = self._a.usual_lag_ns(), self._b.usual_lag_ns()
         return 0 if a is None or b is None else b - a
 
+    @property
+    def interval_ns(self) -> int:
+        """Time between two frames of the faster sensor."""
+        return self._interval_ns
+
     def set_interval(self, interval_ns: int) -> None:
         """Changes the time between two frames of the faster sensor, and the patience that follows from it."""
         self._interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2

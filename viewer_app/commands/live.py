@@ -99,15 +99,15 @@ def _show(
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
             if raw is not None:
-                stack.enter_context(raw).attach(sensors, options.fps)
-            runner.open_outputs(stack, nominal, options.fps)
+                stack.enter_context(raw).attach(sensors, round(sensors.rate))
+            runner.open_outputs(stack, nominal, sensors.rate)
             console.print(f"Opening {a.name} (A) and {b.name} (B) …", markup=False)
             with ctrl_c.raising():  # a body tracker may take minutes to load its network
                 stack.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
             nominal = FusionSetup(nominal.calibration, settings, _camera(options, a), _camera(options, b))
             remote = "".join("AB"[k] for k, each in enumerate((a, b)) if isinstance(each, RemoteSensor))
-            coach = Coach(a.body, nominal.intrinsics, options.fps, warm_up=WARM_UP, remote=remote)
+            coach = Coach(a.body, nominal.intrinsics, sensors.rate, warm_up=WARM_UP, remote=remote)
             images = {"depth": options.depth != "none", "color": options.color != "off"}
             layout = partial(session_blueprint, nominal, _PERSON_AT, options.layout, live=True, **images)
             # of both sensors, on which the program's own tracker works; without depth there are no others

@@ -25,7 +25,9 @@ from tests.helpers.mkv_writer import lens_of, write_mkv
 from tests.helpers.realsense import LENS, numbered, plugged
 from tests.helpers.realsense import record as record_bag
 from tests.helpers.session_text import rows_of
+from viewer_app.errors import UsageError
 from viewer_app.options.sensing import LiveOptions
+from viewer_app.running.runner import Runner
 from viewer_app.sensors import raw_files
 from viewer_app.sensors.raw_files import two_played_sensors
 
@@ -203,6 +205,25 @@ def test_two_recordings_of_one_name_are_told_apart_and_start_by_a_common_clock(
     assert a.key != b.key
     assert a.source._beat is b.source._beat
     assert a.source._beat.common == common
+
+
+def test_recordings_are_played_at_their_own_rate(tmp_path, monkeypatch, capsys):
+    """--fps is of sensors: outputs, the coach and --record take the rate of what is played."""
+
+    def stop(_runner, _stack, _setup, rate):
+        raise UsageError(f"{rate}")
+
+    paths, told = [tmp_path / "a.mkv", tmp_path / "b.mkv"], []
+    for path in paths:
+        frame = SensorFrame(10**9, depth=np.ones((288, 320), np.uint16), ir=np.ones((288, 320), np.uint16))
+        with MkvWriter(path, path.stem, CaptureSettings(fps=15), lens_of("NFOV_2X2BINNED"), frame) as writer:
+            writer.write(frame)
+    monkeypatch.setattr(raw_files, "tracker_of", lambda _: TrackerChoice("blazepose", "a test"))
+    monkeypatch.setattr(raw_files.RawFiles, "attach", lambda *given: told.append(given[-1]))
+    monkeypatch.setattr(Runner, "open_outputs", stop)
+    assert duplex("live", *paths, "--no-viewer", "--record", tmp_path / "raw") == 2
+    assert capsys.readouterr().err == "duplex: 15.0\n"
+    assert told == [15]
 
 
 def test_what_cannot_be_played_is_told(tmp_path, capsys):
