@@ -12,6 +12,9 @@ SENSOR = ("sensor", "--publish", "lab/a")
 SIMULATED = (*SENSOR, "--simulate", "a")
 RECORDED = (*SENSOR, "--recording", "a.csv")
 
+SAVED = (*IMAGES, "--skeletons-a", "a.csv", "--skeletons-b", "b.csv")
+REMOTE = ("live", "--kinect-a", "zenoh:a", "--kinect-b", "zenoh:b")
+
 NEEDED = [
     ((*FUSE, "--method", "paper"), "--smoothing 0.9", FUSE),
     ((*FUSE, "--method", "paper"), "--no-refine", FUSE),
@@ -32,6 +35,11 @@ NEEDED = [
     (RECORDED, "--motion squat", SIMULATED),
     (RECORDED, "--body kinect_v1", SIMULATED),
     (RECORDED, "--tracker-network lite", (*SENSOR, "--recording", "a.mkv")),
+    (SAVED, "--tracker k4abt", SAVED[:-2]),
+    (SAVED, "--processing cpu", SAVED[:-2]),
+    (REMOTE, "--fps 15", REMOTE[:-2]),
+    (REMOTE, "--depth-mode WFOV_2X2BINNED", REMOTE[:-2]),
+    (REMOTE, "--tracker k4abt", REMOTE[:-2]),
     (("live",), "--compress", ("live", "--record", "folder")),
     (("live", "a.mkv", "b.mkv"), "--fps 15", ("live",)),
     (("demo",), "--tracker-network lite", ("demo", "--tracker", "blazepose")),

@@ -37,6 +37,18 @@ def _reads_images(options: Any) -> bool:
     return not files or any(suffix in _IMAGES for suffix in files)
 
 
+def _tracks_images(options: FuseOptions) -> bool:
+    """Whether one of the recordings is of images, without skeletons saved before."""
+    given = (options.a, options.skeletons_a), (options.b, options.skeletons_b)
+    return any(path.suffix.lower() in _IMAGES and saved is None for path, saved in given)
+
+
+def _all_remote(options: LiveOptions) -> bool:
+    from devices.network.remote_sensor import PREFIX  # half a second, which live alone takes anyway
+
+    return all((name or "").startswith(PREFIX) for name in (options.kinect_a, options.kinect_b))
+
+
 def _runs_a_sensor(options: PublishOptions) -> bool:
     return options.recording is None and options.simulate is None
 
@@ -50,6 +62,7 @@ NEEDS = (
         FuseOptions, ("person",), _reads_images, "images; for skeletons there are --person-a and --person-b"
     ),
     Need(FuseOptions, (*_TRACKER, "depth"), _reads_images, "a recording of images: .mkv, .db3 or .bag"),
+    Need(FuseOptions, _TRACKER, _tracks_images, "images without saved skeletons"),
     Need(BatchOptions, ("processes",), lambda o: o.scheduler is None, "no --scheduler"),
     Need(PublishOptions, ("motion", "body"), lambda o: o.simulate is not None, "--simulate"),
     Need(PublishOptions, ("unit", "axes", "names"), lambda o: o.recording is not None, "--recording"),
@@ -71,9 +84,10 @@ NEEDS = (
     Need(
         LiveOptions,
         ("fps", "depth_mode", "color"),
-        lambda o: o.a is None,
+        lambda o: o.a is None and not _all_remote(o),
         "sensors of this PC, no recordings",
     ),
+    Need(LiveOptions, _TRACKER, lambda o: not _all_remote(o), "a sensor of this PC, or recordings"),
     Need(LiveOutputOptions, ("avatar",), lambda o: o.vmc is not None, "--vmc"),
     Need(TerminalOptions, ("verbose",), lambda o: not o.quiet, "no --quiet"),
 )
