@@ -90,7 +90,7 @@ def test_mistakes_give_one_line_before_any_sensor_opens(tmp_path, monkeypatch, c
         (["--no-viewer", "--color", "3072P"], "Colour 3072P runs at 15 fps at most"),
         (["--no-viewer", "--smoothing", 3], "smoothing must lie between 0 and 1; got 3.0"),
         (["--no-viewer", "--kinect-a", "000999"], "No sensor with serial 000999"),
-        (["--no-viewer", "--principal", "000123", "--h", 2], "h must lie"),
+        (["--no-viewer", "--principal", "000123", "--method", "paper", "--h", 2], "h must lie"),
     ):
         assert duplex("live", *arguments) == 2
         printed = capsys.readouterr()
