@@ -118,4 +118,6 @@ def _between(start: Array, end: Array, share: Array) -> Array:
     of_u = np.where(small, 1.0 - share[:, None], np.sin((1.0 - share[:, None]) * angle) / divisor)
     of_v = np.where(small, share[:, None], np.sin(share[:, None] * angle) / divisor)
     mixed = of_u * u + of_v * v
-    return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))
+    size = np.linalg.norm(mixed, axis=1, keepdims=True)
+    # opposite directions have none between them
+    return np.asarray(np.where(size > 1e-9, mixed / np.maximum(size, 1e-9), u))

@@ -38,6 +38,7 @@ def script() -> None:
     except KeyboardInterrupt:
         pass  # all files are written: the code stays that of the run
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # during shutdown it would print a traceback
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if not closed:
         # libk4a crashes at a regular exit: it unloads the depth engine, whose thread still runs
         atexit._run_exitfuncs()

@@ -123,7 +123,8 @@ class ImageJoiner:
         images.newest.append((time_ns, image))
         if self._last_ns is not None:
             images.late_ns = max(0, self._last_ns - time_ns)
-            if images.late_ns < _WAIT_NS and images.wait_ns < _WAIT_NS:  # it comes again
+            comes_again = images.late_ns < _WAIT_NS and images.wait_ns < _WAIT_NS
+            if comes_again and not self._patient:
                 images.wait_ns, images.joined_ns = _WAIT_NS, self._last_ns
         self._release()
 

@@ -270,6 +270,15 @@ def test_s_star_between_two_frames_keeps_its_bones_and_turns_evenly(session):
         session.at([[0, 1], [2, 3]])
 
 
+def test_bones_that_turn_round_between_frames_are_somewhere(session):
+    """Half-way between opposite directions there is no direction."""
+    fused = session.rows.fused[[30, 30]]
+    root = session.body.root
+    fused[1] = 2.0 * fused[1, root] - fused[1]
+    rows = replace(session.rows[np.array([0, 1])], time_ns=np.array([0, 20_000_000]), fused=fused)
+    assert np.isfinite(positions_at(rows, np.array([0, 5_000_000, 10_000_000, 15_000_000, 20_000_000]))).all()
+
+
 def test_the_uncertainty_between_frames_covers_what_interpolation_misses(session):
     rows = session.rows
     every, few = np.arange(0, 24), np.arange(0, 24, 6)

@@ -6,7 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from viewer_app.errors import UsageError
-from viewer_app.options.sensing import BatchOptions, DemoOptions, FuseOptions, LiveOptions, PublishOptions
+from viewer_app.options.sensing import (
+    BatchOptions,
+    DemoOptions,
+    DoctorOptions,
+    FuseOptions,
+    LiveOptions,
+    PublishOptions,
+)
 from viewer_app.options.shared import FusionOptions, LiveOutputOptions, TerminalOptions
 
 _IMAGES = (".mkv", ".db3", ".bag")
@@ -83,10 +90,12 @@ NEEDS = (
     ),
     Need(
         LiveOptions,
-        ("fps", "depth_mode", "color"),
+        ("fps", "depth_mode"),
         lambda o: o.a is None and not _all_remote(o),
         "sensors of this PC, no recordings",
     ),
+    Need(LiveOptions, ("color",), lambda o: not _all_remote(o), "sensors of this PC, or recordings"),
+    Need(DoctorOptions, ("force",), lambda o: o.bundle is not None, "--bundle FILE.zip"),
     Need(LiveOptions, _TRACKER, lambda o: not _all_remote(o), "a sensor of this PC, or recordings"),
     Need(LiveOutputOptions, ("avatar",), lambda o: o.vmc is not None, "--vmc"),
     Need(TerminalOptions, ("verbose",), lambda o: not o.quiet, "no --quiet"),

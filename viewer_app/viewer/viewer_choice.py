@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO, cast
@@ -123,7 +124,7 @@ def stay_for_visitors(
     if viewing is None or viewing.hub is None or viewing.hub.web_port is None:
         return
     console.print("The page stays until Ctrl-C.")
-    try:
-        (until or threading.Event()).wait()
-    except KeyboardInterrupt:
-        return
+    until = until or threading.Event()
+    with suppress(KeyboardInterrupt):
+        while not until.wait(1.0):  # on Windows Ctrl-C does not end a wait
+            pass
