@@ -177,6 +177,8 @@ class LiveFrames(Iterator[SessionFrame]):
 
     def _keep_frame(self, setup: FusionSetup, frame: SessionFrame, events: list[Event]) -> None:
         if self._setup is not setup:
+            if self._setup is not None:
+                events = [Event(f"calibrated: {setup.calibration.how}"), *events]
             self._setup = setup
             self._kept = [*self._kept, (setup, [])] if self._keep else []
         if not self._keep:
