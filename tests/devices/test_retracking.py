@@ -159,7 +159,7 @@ def test_a_recording_that_is_tracked_again_gives_the_same_s(fakenect, tmp_path):
     *_, truth = simulated_pair(motion="startup", body=BLAZEPOSE, seconds=2.0)
     live, again = [], []
     for number, serial in enumerate(("A1", "B1")):
-        fakenect.dumps[serial] = write_dump(tmp_path / serial, film(*seen(truth, number), period=4 * PERIOD))
+        fakenect.dumps[serial] = write_dump(tmp_path / serial, film(*seen(truth, number), period=8 * PERIOD))
         tracked = TrackedImages(sensor := WholeMicroseconds(serial), registered=sensor.registered)
         with RawRecorder(tmp_path / f"{serial}.mkv", sensor) as recorder, recorded(tracked, recorder):
             live.append(list(islice(tracked.frames(), COUNT)))
