@@ -75,7 +75,7 @@ def report_lines(checks: list[Check]) -> list[Text]:
     lines += [Text(f"– {check.serves}: {check.install}", style=_GREY) for check in absent]
     lacking = lacks(checks)
     if lacking:
-        lines.append(Text(f"duplex live cannot start: {', '.join(lacking)}."))
+        lines.append(Text(f"duplex live cannot start. Missing: {', '.join(lacking)}."))
         works = "duplex demo, and duplex fuse with recordings"
         return [*lines, Text(f"Works now: {works}. Next: {step.advice if step is not None else ''}")]
     return [*lines, Text("duplex live can start. Next: duplex live --save s.rrd")]

@@ -34,7 +34,10 @@ def run(options: InfoOptions) -> None:
     row("sensors", f"A {session.sources[0]}, B {session.sources[1]}")
     if session.tracker:
         row("body tracker", session.tracker)
-    row("frames", f"{len(session)} in {seconds:.2f} s, {session.frame_rate:.3g} per second")
+    row(
+        "frames",
+        f"{len(session)} in {seconds:.2f} s; the faster sensor gives {session.frame_rate:.3g} per second",
+    )
     row("without S*", int(rows.predicted.all(axis=1).sum()))
     row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))
     for k, line in enumerate(calibration_in_words(calibration_figures(session.calibration))):

@@ -1,5 +1,7 @@
 """``duplex record``: records the images of two connected sensors, to be tracked and fused later."""
 
+from contextlib import suppress
+
 from rich.console import Console
 
 from devices.azure.settings import check_modes
@@ -20,9 +22,14 @@ def run(options: RecordOptions) -> None:
     check_seconds(options.seconds)
     if names_remote(options):
         raise UsageError("duplex record records sensors of this PC: run it on the sensor's own PC.")
-    record(
-        options, console, RawFiles(options.folder, console, force=options.force, compress=options.compress)
-    )
+    existed = options.folder.exists()
+    try:
+        files = RawFiles(options.folder, console, force=options.force, compress=options.compress)
+        record(options, console, files)
+    finally:
+        if not existed:
+            with suppress(OSError):  # it holds a recording
+                options.folder.rmdir()
 
 
 def record(options: RecordOptions, console: Console, files: RawFiles) -> None:

@@ -1,5 +1,6 @@
 """Chooses the viewer that a command opens, and announces it."""
 
+import shutil
 import subprocess
 import sys
 import threading
@@ -14,7 +15,7 @@ from viewer_app.addresses import is_loopback
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import WebOptions
 from viewer_app.viewer.display import environment_of_window, has_display, why_no_window
-from viewer_app.viewer.rerun_process import DATA_PORT, PAGE_PORT, Hub
+from viewer_app.viewer.rerun_process import DATA_PORT, PAGE_PORT, Hub, rerun_program
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ def announce(viewing: Viewing | None, console: Console, live: bool = False) -> N
     if hub is None:
         return
     if hub.web_port is None:
-        console.print(f"Reopen a closed viewer with: rerun --connect {hub.url}")
+        program = "rerun" if shutil.which("rerun") else " ".join(rerun_program())
+        console.print(f"Reopen a closed viewer with: {program} --connect {hub.url}", soft_wrap=True)
         return
     for port, usual in ((hub.web_port, PAGE_PORT), (hub.port, DATA_PORT)):
         if port != usual:

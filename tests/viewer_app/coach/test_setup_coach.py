@@ -112,7 +112,9 @@ def test_a_tall_person_fits_into_the_image_at_the_nearest_distance():
     assert bottom - top == pytest.approx(CAMERA.height)
 
 
-@pytest.mark.parametrize(("angle", "advice"), [(30.0, "further apart"), (150.0, "closer together"), (90.0, None)])
+@pytest.mark.parametrize(
+    ("angle", "advice"), [(30.0, "further apart"), (150.0, "closer together"), (90.0, None)]
+)
 def test_the_angle_between_the_sensors_is_judged(angle, advice):
     a_from_b = turned_around(angle)
     now = Situation(calibrated_on(BODY, a_from_b), final=True, held=0.0)

@@ -89,7 +89,7 @@ def test_the_doctor_of_a_bare_machine_fails(tmp_path, capsys):
     assert said[0].startswith("✗ two sensors: none found")
     assert any(line.startswith(f"✗ k4abt: No library at {tmp_path}") for line in said)
     assert any(line.startswith("✓ viewer: rerun 0.") for line in said)
-    assert said[-2] == "duplex live cannot start: k4abt, k4abt's network, GPU, two sensors."
+    assert said[-2] == "duplex live cannot start. Missing: k4abt, k4abt's network, GPU, two sensors."
     assert said[-1].endswith("Next: Install the library of your sensors as its line above says.")
     assert sum(line.startswith("✗") for line in said) == 4, "one library is enough: none of them is a fault"
 
@@ -106,7 +106,7 @@ def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch
     if sys.platform.startswith("linux"):
         monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")  # windows use Wayland; the depth engine uses X
         assert duplex("doctor", "--k4abt", standin.path) == 1
-        assert "cannot start: depth engine.\n" in capsys.readouterr().out
+        assert "cannot start. Missing: depth engine.\n" in capsys.readouterr().out
     monkeypatch.setattr(display, "_asks_x", lambda name: name == ":77")
     assert duplex("doctor", "--k4abt", standin.path) == 0
     said = capsys.readouterr().out
@@ -117,7 +117,7 @@ def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch
     live(seconds=0.2)
     kinects.devices.append(Device("000789"))
     assert duplex("doctor", "--k4abt", standin.path) == 1
-    assert "cannot start: two sensors.\n" in capsys.readouterr().out
+    assert "cannot start. Missing: two sensors.\n" in capsys.readouterr().out
     assert duplex("doctor", "--k4abt", standin.path, "--kinect-a", "000123", "--kinect-b", "000456") == 0
     kinects.devices.pop().plugged = False
     kinects.devices[0].jacks = (False, False)
