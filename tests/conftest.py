@@ -2,10 +2,13 @@
 
 import os
 import signal
+import threading
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from tests.helpers import scripted_sensor
 
 # A deadline measures the machine, and the first example of a test may compile a kernel.
 settings.register_profile(
@@ -31,6 +34,11 @@ pytest_plugins = (
     "tests.helpers.realsense",
     "tests.helpers.vendors",
 )
+
+
+@pytest.fixture(autouse=True)
+def _earlier_threads():
+    scripted_sensor.earlier_threads = set(threading.enumerate())
 
 
 @pytest.fixture(scope="session")
