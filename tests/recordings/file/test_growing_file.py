@@ -292,7 +292,8 @@ def test_a_killed_demo_leaves_all_but_the_last_second(tmp_path):
     assert more == b"." * len(more)
     told = frames + len(more)
     # on a machine that does other things too, a second's work takes longer
-    busy = max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+    working = 1 + int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))  # the demo, and the tests beside it
+    busy = max(1.0, max(os.getloadavg()[0], working) / (os.cpu_count() or 1))
     if busy > 1.0 and not path.exists():
         pytest.skip("this machine is too busy to write a first block so soon")
     session = Session.open(path)
