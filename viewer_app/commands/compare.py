@@ -1,7 +1,8 @@
 """``duplex compare``: compares a session with motion capture, or with another fusion of the same capture."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -29,7 +30,7 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sessions import CompareOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, write_text
-from viewer_app.report.figures import save_report
+from viewer_app.report.figures import Figures, save_report
 from viewer_app.report.terminal import figure_table, print_damage, print_lines
 from viewer_app.report.truth_figures import (
     ALL_HEAD,
@@ -85,13 +86,20 @@ def _compare_with_truth(options: CompareOptions, console: Console) -> None:
         write_text(options.html, truth_page(session, comparison, figures))
     save_report(options.report, figures)
     window = not options.no_viewer and has_display()
-    with written_and_shown(options.save, window) as path:
-        if path is not None:
-            blueprint = _blueprint(
-                "S_A, S_B, S* and the truth (green)", MEANS, "mean distance (mm)", session.whereabouts
-            )
-            with whole_recording(path, blueprint, _APPLICATION_ID) as stream:
-                record_truth_comparison(stream, comparison)
+
+    def write(path: Path) -> None:
+        scene = "S_A, S_B, S* and the truth (green)"
+        blueprint = _blueprint(scene, MEANS, "mean distance (mm)", session.whereabouts)
+        with whole_recording(path, blueprint, _APPLICATION_ID) as stream:
+            record_truth_comparison(stream, comparison)
+
+    with written_and_shown(options.save, write, window=window):
+        _print_truth_comparison(options, console, session, comparison, figures)
+
+
+def _print_truth_comparison(
+    options: CompareOptions, console: Console, session: Session, comparison: TruthComparison, figures: Figures
+) -> None:
     joints, frames = len(comparison.joints), f"[bold]{len(comparison)}[/] of {len(session)} frames"
     names = f"{joints} joints by the table {escape(comparison.table)}, in {comparison.unit}"
     console.print(f"{frames} compared: {names}.", soft_wrap=True)
@@ -115,13 +123,24 @@ def _compare_sessions(options: CompareOptions, console: Console) -> None:
     comparison = Comparison.of(*sessions)
     worst = comparison.worst(_WORST if options.worst is None else options.worst)
     window = not options.no_viewer and has_display()
-    with written_and_shown(options.save, window) as path:
-        if path is not None:
-            blueprint = _blueprint(
-                "first S* violet, second green", LARGEST, "largest difference (mm)", sessions[0].whereabouts
-            )
-            with whole_recording(path, blueprint, _APPLICATION_ID) as stream:
-                record_comparison(stream, comparison, worst)
+
+    def write(path: Path) -> None:
+        scene = "first S* violet, second green"
+        blueprint = _blueprint(scene, LARGEST, "largest difference (mm)", sessions[0].whereabouts)
+        with whole_recording(path, blueprint, _APPLICATION_ID) as stream:
+            record_comparison(stream, comparison, worst)
+
+    with written_and_shown(options.save, write, window=window):
+        _print_comparison(options, console, sessions, comparison, worst)
+
+
+def _print_comparison(
+    options: CompareOptions,
+    console: Console,
+    sessions: Sequence[Session],
+    comparison: Comparison,
+    worst: Sequence[tuple[int, int]],
+) -> None:
     console.print(
         f"[bold]{len(comparison)}[/] frames in common, of {len(sessions[0])} and {len(sessions[1])}."
     )

@@ -116,7 +116,7 @@ def _show(
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
             if raw is not None:
-                stack.enter_context(raw).attach(sensors, 30)
+                stack.enter_context(raw).attach(sensors)
             runner.open_outputs(stack, nominal, _FPS)
             coach = Coach(a.body, nominal.intrinsics, simulated=True)
             active = "setup" if options.bad_setup else options.layout

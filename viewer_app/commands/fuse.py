@@ -27,13 +27,13 @@ from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import FuseOptions, calibration_source, recording_settings
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, whole_file, write_text
+from viewer_app.output_files import check_outputs, write_text
 from viewer_app.report.figures import Figures, report, save_report
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
-from viewer_app.viewer.file_window import served, session_file, show, write_for_viewer
+from viewer_app.viewer.file_window import served, write_for_viewer, written_and_shown
 from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
 
 
@@ -69,15 +69,15 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     session = fused_session(read, plan, segments, blocks, sources, options.depth, progress)
     del plan, blocks  # ends the bar, and frees the labels, 30 bytes of each pair
     figures = report(session)
-    with session_file(options.save, viewing is not None and viewing.opens) as file:
-        if file is not None:
-            with whole_file(file) as partial:
-                page = session_page(setup, figures)
-                write_for_viewer(session, partial, page, active=options.layout, progress=progress)
+    hub = None if viewing is None else viewing.hub
+    window = viewing is not None and viewing.window
+
+    def write(path: Path) -> int:
+        page = session_page(setup, figures)
+        return write_for_viewer(session, path, page, active=options.layout, progress=progress)
+
+    with written_and_shown(options.save, write, window=window, served=hub is not None) as (file, _):
         _summarise(console, options, session, figures)
-        if viewing is not None and viewing.window and file is not None:
-            show(file)  # last: where no window opens, everything is written and said
-        hub = None if viewing is None else viewing.hub
         with served(file, hub) if file is not None and hub is not None else nullcontext():
             announce(viewing, console)
             stay_for_visitors(viewing, console)
@@ -91,8 +91,6 @@ def _read(options: FuseOptions, settings: FuserSettings, console: Console) -> Tw
     if any(choice.is_tracked for choice in choices):
         tracker = tracker_of(options).for_images_of(not_of_libk4a(options.a, options.b))
         announce_tracker(tracker, console)
-    elif options.person != "middle":
-        raise UsageError("--person is of images; these files have skeletons: use --person-a and --person-b.")
     read = read_for(settings, choices, tracker, options.offset, _progress(console))
     for warning in read.warnings:
         console.print(warning, style="yellow", markup=False)

@@ -99,7 +99,7 @@ def _show(
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
             if raw is not None:
-                stack.enter_context(raw).attach(sensors, round(sensors.rate))
+                stack.enter_context(raw).attach(sensors)
             runner.open_outputs(stack, nominal, sensors.rate)
             console.print(f"Opening {a.name} (A) and {b.name} (B) …", markup=False)
             with ctrl_c.raising():  # a body tracker may take minutes to load its network

@@ -36,7 +36,7 @@ def record(options: RecordOptions, console: Console, files: RawFiles) -> None:
     """Records until a sensor's end, the time's, a failure or Ctrl-C."""
     sensors = two_connected_sensors(options, console)
     with CtrlC() as ctrl_c, files:
-        files.attach(sensors, options.fps)
+        files.attach(sensors)
         console.print(f"Opening {sensors.a.sensor.name} (A) and {sensors.b.sensor.name} (B) …", markup=False)
         with ctrl_c.raising():  # a subordinate waits for its master
             files.enter_context(sensors)

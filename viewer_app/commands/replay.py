@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from recordings.writing.checksums import fused_checksums, joint_digests
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReplayOptions
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, whole_file
+from viewer_app.output_files import check_outputs
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import report, save_report
@@ -33,7 +34,7 @@ from viewer_app.report.terminal import print_damage, print_damaged_images, print
 from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.display import has_display
-from viewer_app.viewer.file_window import session_file, show, write_for_viewer
+from viewer_app.viewer.file_window import write_for_viewer, written_and_shown
 
 _CUT_WITHIN = 1e-6  # metres; float32 shows 2.4e-7 at 4 m
 _SETTLED_NS = 1_000_000_000  # the time in which the estimator forgets a person
@@ -73,12 +74,12 @@ def run(options: ReplayOptions) -> None:
         blocks = _fused(options, session, segments, labels, outputs, console)
         replayed = _replayed(session, segments, blocks, with_images=options.save is not None)
     figures = report(replayed)
-    damaged = 0
     window = not options.no_viewer and not options.verify and has_display()
-    with session_file(options.save, window) as file:
-        if file is not None:
-            with whole_file(file) as partial:
-                damaged = write_for_viewer(replayed, partial, session_page(segments[-1][0], figures))
+
+    def write(path: Path) -> int:
+        return write_for_viewer(replayed, path, session_page(segments[-1][0], figures))
+
+    with written_and_shown(options.save, write, window=window) as (_, damaged):
         if outputs:
             figures["outputs"] = [output.figures() for output in outputs]
         save_report(options.report, figures)
@@ -86,11 +87,9 @@ def run(options: ReplayOptions) -> None:
         print_outputs(console, outputs)
         if options.save is not None:
             say_saved(console, options.save)
-            print_damaged_images(console, damaged)
+            print_damaged_images(console, damaged or 0)
         if not options.verbose:
             say_more(console)
-        if window and file is not None:
-            show(file)  # last: where no window opens, everything is written and said
     if options.verify and not verify(console, session, replayed.rows.fused):
         sys.exit(1)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 from viewer_app.errors import UsageError
@@ -16,7 +15,6 @@ from viewer_app.options.sensing import (
 )
 from viewer_app.options.shared import FusionOptions, LiveOutputOptions, TerminalOptions
 
-_IMAGES = (".mkv", ".db3", ".bag")
 _TRACKER = ("tracker", "tracker_model", "tracker_network", "k4abt", "processing")
 
 
@@ -38,20 +36,24 @@ class Need:
 
 
 def _reads_images(options: Any) -> bool:
-    """Whether a recording of images is among the files; a folder or a manifest may name some."""
+    """Whether a recording of images is among the files, or a sensor runs."""
+    from devices.files import has_images  # as below: these commands take it anyway, the others need not wait
+
     named = [getattr(options, name, None) for name in ("a", "b", "recording")]
-    files = [Path(path).suffix.lower() for path in named if path is not None]
-    return not files or any(suffix in _IMAGES for suffix in files)
+    files = [path for path in named if path is not None]
+    return not files or any(map(has_images, files))
 
 
 def _tracks_images(options: FuseOptions) -> bool:
     """Whether one of the recordings is of images, without skeletons saved before."""
+    from devices.files import has_images
+
     given = (options.a, options.skeletons_a), (options.b, options.skeletons_b)
-    return any(path.suffix.lower() in _IMAGES and saved is None for path, saved in given)
+    return any(has_images(path) and saved is None for path, saved in given)
 
 
 def _all_remote(options: LiveOptions) -> bool:
-    from devices.network.remote_sensor import PREFIX  # half a second, which live alone takes anyway
+    from devices.network.remote_sensor import PREFIX
 
     return all((name or "").startswith(PREFIX) for name in (options.kinect_a, options.kinect_b))
 
@@ -65,11 +67,11 @@ NEEDS = (
     Need(
         FusionOptions, ("smoothing", "smooth", "no_refine"), lambda o: o.method == "duplex", "--method duplex"
     ),
+    Need(FuseOptions, ("depth",), _reads_images, "a recording of images: .mkv, .db3 or .bag"),
+    Need(FuseOptions, _TRACKER, _tracks_images, "a recording of images without saved skeletons"),
     Need(
-        FuseOptions, ("person",), _reads_images, "images; for skeletons there are --person-a and --person-b"
+        FuseOptions, ("person",), _tracks_images, "images; for skeletons there are --person-a and --person-b"
     ),
-    Need(FuseOptions, (*_TRACKER, "depth"), _reads_images, "a recording of images: .mkv, .db3 or .bag"),
-    Need(FuseOptions, _TRACKER, _tracks_images, "images without saved skeletons"),
     Need(BatchOptions, ("processes",), lambda o: o.scheduler is None, "no --scheduler"),
     Need(PublishOptions, ("motion", "body"), lambda o: o.simulate is not None, "--simulate"),
     Need(PublishOptions, ("unit", "axes", "names"), lambda o: o.recording is not None, "--recording"),

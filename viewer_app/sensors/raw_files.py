@@ -63,7 +63,7 @@ class RawFiles(ExitStack):
         check_outputs([folder / name for name in _NAMES], played, force)
         warn_of_little_room(folder / _NAMES[0], console, _MINUTE)
 
-    def attach(self, sensors: TwoSensors, fps: int) -> None:
+    def attach(self, sensors: TwoSensors) -> None:
         """Records both sensors from their opening on; they are not open yet."""
         for name, thread in zip(_NAMES, (sensors.a, sensors.b), strict=True):
             sensor = thread.sensor
@@ -72,7 +72,7 @@ class RawFiles(ExitStack):
                     f"{sensor.name} is on another PC, from which no infrared comes: record it there."
                 )
             images = sensor.source if isinstance(sensor, TrackedImages) else sensor
-            settings = getattr(images, "settings", None) or CaptureSettings(fps=fps)  # type: ignore[arg-type]
+            settings = getattr(images, "settings", None) or CaptureSettings(fps=round(sensors.rate))  # type: ignore[arg-type]
             recorder = RawRecorder(
                 *(self.folder / name, images, settings),
                 compress=self._compress,

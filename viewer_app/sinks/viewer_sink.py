@@ -210,8 +210,8 @@ class ViewerSink(ViewerFeed):
             rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
             self._begin_recording,
         )
-        while not hub.listens(self.process):  # the feed starts another one if it has ended
-            if self.starts >= STARTS_TRIED or self.process.poll() is None:
+        while not hub.listens(started := self.process):  # the feed starts another one if it has ended
+            if self.starts >= STARTS_TRIED or started.poll() is None:
                 super().close()
                 raise not_started()
             time.sleep(_WATCHED_EVERY)

@@ -4,9 +4,10 @@ import contextlib
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
 from viewer_app.viewer.stored_clouds import add_clouds, has_depth, has_depth_images
 
+T = TypeVar("T")
 _READS_WITHIN, _LOOKS_EVERY = 20.0, 0.1  # seconds
 
 
@@ -50,28 +52,30 @@ def write_for_viewer(
 
 
 @contextmanager
-def session_file(save: Path | None, shown: bool) -> Iterator[Path | None]:
-    """Yields where a session is written: `save`, or for a viewer alone a file that is deleted afterwards."""
-    if save is not None or not shown:
-        yield save
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        yield Path(folder) / "session.rrd"
+def written_and_shown(
+    save: Path | None, write: Callable[[Path], T], *, window: bool, served: bool = False
+) -> Iterator[tuple[Path | None, T | None]]:
+    """Writes a session, and shows it in a new window after the block, which says and writes all the rest.
 
+    So nothing is lost where no window opens. Without a name, the file exists for the viewer only. The window
+    stays open when this process ends.
 
-@contextmanager
-def written_and_shown(save: Path | None, window: bool) -> Iterator[Path | None]:
-    """Yields a path to write to; a new window shows the file after the block ends without error.
+    Args:
+        save: The file's name; None: it has none, and is written only for a window or a server.
+        write: Writes it. The file gets its name when it is whole.
+        served: Whether the block serves the file to browsers.
 
-    The file gets its final name only then; without a name it exists only for the window. The window stays
-    open when this process ends.
+    Yields:
+        The file and what `write` returned; None if nothing is written.
     """
-    with session_file(save, window) as file:
-        if file is None:
-            yield None
-            return
+    if save is None and not (window or served):
+        yield None, None
+        return
+    with ExitStack() as stack:
+        file = save or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "session.rrd"
         with whole_file(file) as partial:
-            yield partial
+            written = write(partial)
+        yield file, written
         if window:
             show(file)
 

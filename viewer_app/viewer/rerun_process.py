@@ -193,7 +193,7 @@ def _hangs(viewer: subprocess.Popen[bytes], port: int) -> bool:
     began = worked = time.monotonic()
     spent = 0.0
     while viewer.poll() is None and time.monotonic() - began < _STARTS_WITHIN and not answered.wait(0.05):
-        with contextlib.suppress(psutil.NoSuchProcess):
+        with contextlib.suppress(psutil.Error):
             used = sum(psutil.Process(viewer.pid).cpu_times()[:2])
             if used > spent + _IDLE_SHARE * (time.monotonic() - worked):
                 spent, worked = used, time.monotonic()
@@ -356,7 +356,7 @@ def _listens(process: subprocess.Popen[bytes], ports: set[int]) -> bool:
     """Waits until a child process itself listens on the ports; another program that answers is not it."""
     deadline = time.monotonic() + _STARTS_WITHIN
     while time.monotonic() < deadline and process.poll() is None:
-        with contextlib.suppress(psutil.NoSuchProcess):
+        with contextlib.suppress(psutil.Error):
             parent = psutil.Process(process.pid)
             sockets = [c for p in (parent, *parent.children(True)) for c in p.net_connections("tcp")]
             if ports <= {each.laddr.port for each in sockets if each.status == psutil.CONN_LISTEN}:

@@ -95,6 +95,9 @@ def test_where_no_window_opens_the_report_and_the_session_are_written(session, t
     assert capsys.readouterr().err == "duplex: no driver\n"
     assert len(Session.open(saved)) == 90
     assert report.exists()
+    monkeypatch.setattr("viewer_app.commands.compare.has_display", lambda: True)
+    assert duplex("compare", session, saved) == 2
+    assert "S* is the same in every frame they share." in capsys.readouterr().out
 
 
 def test_a_difference_is_exit_code_1_with_frame_and_joint(session, capsys, monkeypatch):

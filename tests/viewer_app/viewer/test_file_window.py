@@ -66,10 +66,12 @@ def opened(monkeypatch):
 
 
 def write(save, window):
-    with file_window.written_and_shown(save, window) as path:
-        if path is not None:
-            with whole_recording(path, BLUEPRINT) as stream:
-                stream.log("/words", rr.TextDocument("S*"))
+    def words(path):
+        with whole_recording(path, BLUEPRINT) as stream:
+            stream.log("/words", rr.TextDocument("S*"))
+
+    with file_window.written_and_shown(save, words, window=window):
+        pass
 
 
 def test_the_window_gets_the_whole_file_and_the_file_its_name(opened, tmp_path):
@@ -90,12 +92,12 @@ def test_without_a_name_the_file_lives_for_the_window_only(opened, tmp_path, mon
 
 
 def test_a_failed_file_is_neither_kept_nor_shown(opened, tmp_path):
-    def fail():
-        with file_window.written_and_shown(tmp_path / "s.rrd", True):
-            raise UsageError("…")
+    def fail(path):
+        path.touch()
+        raise UsageError("…")
 
-    with pytest.raises(UsageError):
-        fail()
+    with pytest.raises(UsageError), file_window.written_and_shown(tmp_path / "s.rrd", fail, window=True):
+        pass
     assert list(tmp_path.iterdir()) == []
     assert opened.read == []
 

@@ -219,11 +219,11 @@ def test_recordings_are_played_at_their_own_rate(tmp_path, monkeypatch, capsys):
         with MkvWriter(path, path.stem, CaptureSettings(fps=15), lens_of("NFOV_2X2BINNED"), frame) as writer:
             writer.write(frame)
     monkeypatch.setattr(raw_files, "tracker_of", lambda _: TrackerChoice("blazepose", "a test"))
-    monkeypatch.setattr(raw_files.RawFiles, "attach", lambda *given: told.append(given[-1]))
+    monkeypatch.setattr(raw_files.RawFiles, "attach", lambda _, sensors: told.append(sensors.rate))
     monkeypatch.setattr(Runner, "open_outputs", stop)
     assert duplex("live", *paths, "--no-viewer", "--record", tmp_path / "raw") == 2
     assert capsys.readouterr().err == "duplex: 15.0\n"
-    assert told == [15]
+    assert told == [15.0]
 
 
 def test_what_cannot_be_played_is_told(tmp_path, capsys):
