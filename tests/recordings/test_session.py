@@ -13,12 +13,16 @@ import rerun as rr
 import recordings.session
 from devices.depth.rvl import encode_depth
 from devices.events import Event
+from devices.pairing import pair_views
+from devices.people import RecordedPeople
+from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import BODIES, KINECT_V1, KINECT_V2
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from recordings import Session, layout
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
+from recordings.fusing.pairs import fuse_segments
 from recordings.session_arrays import SessionFrame
 from recordings.writing.checksums import event_checksum, fused_checksums
 from recordings.writing.recorder import Recorder
@@ -53,6 +57,27 @@ def test_a_session_gives_back_what_the_sensors_said(body, fused_run):
                 np.testing.assert_array_equal(one.positions, two.positions)
                 np.testing.assert_array_equal(one.states, two.states)
                 assert one.time_ns == two.time_ns
+
+
+def test_blocks_and_single_frames_mix_in_any_order():
+    setup = FusionSetup(calibration_of(KINECT_V1), FuserSettings("paper"))
+    sensors = simulated_pair(motion="still", body=KINECT_V1, seconds=1.0)[:2]
+    a, b = (RecordedPeople.of(KINECT_V1, sensor.frames()).view([PERSON]) for sensor in sensors)
+    pairs = pair_views(KINECT_V1, a, b).pairs
+    parts = [(setup, slice(first, first + 10)) for first in (0, 10, 20)]
+    first, second, third = fuse_segments(parts, pairs, None)
+    for frames in ([*first, second, *third], [first, *second, third], [*first, second, third]):
+        session = Session.of([(setup, frames)])
+        assert len(session) == 30
+        assert (np.diff(session.time_ns) > 0).all()
+
+
+@pytest.mark.parametrize(("every_a", "every_b"), [(1, 1), (2, 1), (1, 2)])
+def test_the_frame_rate_is_that_of_the_faster_sensor_without_its_pauses(every_a, every_b, fused_run):
+    no_a, no_b = ([k for k in range(60) if k % every] for every in (every_a, every_b))
+    pairs = frame_pairs(KINECT_V2, 60, no_a=no_a, no_b=no_b, jitter_ns=2_000_000)
+    calibration = calibration_of(KINECT_V2)
+    assert fused_run(pairs[:25] + pairs[40:], calibration).frame_rate == 30.0
 
 
 PAPERS = [FuserSettings("published"), FuserSettings("paper", h=0.9), FuserSettings("paper", weights="equal")]

@@ -4,7 +4,7 @@ import re
 from types import SimpleNamespace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from devices.capture.causes import Cause
@@ -42,8 +42,13 @@ def _arrivals(count, lost, others):
     return sorted(depth)
 
 
+_WHOLE = {"offset": 0, "latency": 0, "every": 0.5, "lost": set(), "from": 0, "until": 200}
+
+
 @settings(deadline=None)
 @given(st.integers(5, 150), st.sets(st.integers(0, 150)), streams, streams)
+# depth is lost while a depth image waits for infrared that has ended: its colour image must be kept
+@example(39, {0, 36, 37}, _WHOLE | {"until": 30}, _WHOLE)
 def test_every_depth_image_comes_once_in_order_in_bounded_time_with_the_nearest_images(count, lost, a, b):
     others = {"infrared": a, "color": b}
     joiner = ImageJoiner(PERIOD_NS, **{name: round(of["every"] * PERIOD_NS) for name, of in others.items()})
@@ -73,6 +78,26 @@ def test_every_depth_image_comes_once_in_order_in_bounded_time_with_the_nearest_
         found.append(moment)
     assert [moment.time_ns for moment in found] == times
     assert held <= 2 + WAIT_NS // PERIOD_NS
+
+
+def test_depth_that_ends_leaves_no_moment_behind_while_other_images_come():
+    joiner = ImageJoiner(PERIOD_NS, color=PERIOD_NS, infrared=PERIOD_NS)
+    joiner.add_depth(0, 0, 0, 0)
+    for k in range(2 * WAIT_NS // PERIOD_NS + 2):
+        joiner.add("color", k * PERIOD_NS, k)
+    moment = joiner.take()
+    assert (moment.color, moment.infrared, moment.lacks) == (0, None, ("infrared",))
+
+
+def test_a_recording_waits_for_each_image_as_long_as_it_is_told():
+    joiner = ImageJoiner(PERIOD_NS, wait_ns=2 * PERIOD_NS, color=PERIOD_NS)
+    joiner.add("color", 0, 0)
+    joiner.add_depth(0, 0, 0, 0)
+    joiner.add("color", PERIOD_NS, 1)  # the last one
+    for k in range(1, 10):
+        joiner.add_depth(k * PERIOD_NS, k, k, k)
+    given_frames = [moment.depth for moment in iter(joiner.take, None)]
+    assert given_frames == list(range(8)), "the newest two wait"
 
 
 def test_depth_without_other_streams_waits_for_nothing():

@@ -20,6 +20,7 @@ from tests.helpers.machine import small_disk
 from tests.helpers.recorded_pairs import assert_same_session, write_pair
 from tests.helpers.waiting import eventually
 from viewer_app.batch import processes
+from viewer_app.batch.command import usable_processors
 from viewer_app.batch.finding import Pair
 from viewer_app.batch.jobs import Job
 from viewer_app.batch.worker import fuse_job
@@ -105,6 +106,19 @@ def test_on_a_full_disk_every_pair_ends_with_one_line(tmp_path, in_this_process,
         assert said.count("could not be written") == 2
         assert files_in(disk / "out") <= {"summary.html", "summary.parquet"}
         assert not (disk / "out" / ".partial").exists()
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "sched_setaffinity"), reason="only Linux gives a process fewer processors"
+)
+def test_processors_that_may_not_be_used_do_not_count():
+    before = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, [min(before)])
+        assert usable_processors() == 1
+    finally:
+        os.sched_setaffinity(0, before)
+    assert usable_processors() == len(before)
 
 
 def test_only_what_is_not_done_is_fused(tmp_path, in_this_process, capsys):

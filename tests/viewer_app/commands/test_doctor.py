@@ -69,6 +69,16 @@ def test_a_report_has_sensors_first_then_what_works_then_what_is_missing(made):
 
 
 @pytest.mark.usefixtures("no_libraries")
+@pytest.mark.parametrize("made", [False, True])
+def test_a_recording_without_sensors_leaves_the_disk_as_it_was(made, tmp_path):
+    folder = tmp_path / "walk"
+    if made:
+        folder.mkdir()
+    assert duplex("record", folder) == 2
+    assert folder.exists() == made
+
+
+@pytest.mark.usefixtures("no_libraries")
 def test_a_first_run_without_sensors_is_short_and_leads_to_the_doctor(tmp_path, capsys):
     """At most three lines of a terminal's width."""
     for command in (("live", "--no-viewer"), ("record", tmp_path / "raw")):

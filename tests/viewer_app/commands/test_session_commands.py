@@ -100,6 +100,17 @@ def test_where_no_window_opens_the_report_and_the_session_are_written(session, t
     assert "S* is the same in every frame they share." in capsys.readouterr().out
 
 
+def test_outputs_of_a_replay_get_the_session_s_rate(tmp_path, monkeypatch, capsys):
+    def opened(_plan, _setup, rate):
+        raise UsageError(f"{rate:g}")
+
+    monkeypatch.setattr("viewer_app.outputs.opening.OutputPlan.opened", opened)
+    pairs = frame_pairs(KINECT_V2, 60)[::2]
+    session = record_fused(tmp_path / "half.rrd", pairs, calibration_of(KINECT_V2))
+    assert duplex("replay", session.path, "--no-viewer", "--pace", "live", "--vmc", "39539") == 2
+    assert capsys.readouterr().err == "duplex: 15\n"
+
+
 def test_a_difference_is_exit_code_1_with_frame_and_joint(session, capsys, monkeypatch):
     true_setups = Session.setups
 
