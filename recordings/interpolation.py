@@ -119,5 +119,5 @@ def _between(start: Array, end: Array, share: Array) -> Array:
     of_v = np.where(small, share[:, None], np.sin(share[:, None] * angle) / divisor)
     mixed = of_u * u + of_v * v
     size = np.linalg.norm(mixed, axis=1, keepdims=True)
-    # opposite directions have none between them
+    # half-way between opposite directions the mean is zero: take the first
     return np.asarray(np.where(size > 1e-9, mixed / np.maximum(size, 1e-9), u))

@@ -45,7 +45,7 @@ _WRITTEN_ANEW = (
     *("layout_version", "written_by", "body", "method_revision", "bone_names", "source_a", "source_b"),
     *("first_frame", "made_of_damaged", "made_without_frames"),
 )
-"""Properties of a session that a session made of it does not keep."""
+"""Properties that are not copied when a session is saved, trimmed or replayed: they are written anew."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -130,7 +130,7 @@ class QualityLog:
             self._stream.send_columns(layout.stream_figure(name), times, columns)
 
     def _due(self, time_ns: int) -> bool:
-        """Whether a value is logged at the next frame."""
+        """Returns whether the value is to be logged with the next frame."""
         self._frames += 1
         due = self._frames == 3 or (self._frames > 3 and not 0 <= time_ns - self._last_ns < _QUALITY_NS)
         self._last_ns = time_ns if due else self._last_ns

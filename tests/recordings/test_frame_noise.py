@@ -51,7 +51,7 @@ def test_no_noise_is_told_across_a_gap_or_below_seven_frames_per_second():
 @settings(max_examples=25)
 @given(rate=st.sampled_from([5, 10, 30, 90]), uneven=st.sampled_from([0.0, 0.45]), seed=st.integers(0, 99))
 def test_what_is_shown_of_the_last_second_does_not_depend_on_the_rate(rate, uneven, seed):
-    """One before the step at 0, nothing after it: e⁻¹ is left after the time constant."""
+    """The answer to a step from 1 to 0 is an exponential in seconds: e⁻¹ remains after the time constant."""
     time_ns = times_of(np.random.default_rng(seed), rate, uneven, 4 * rate)
     values = np.concatenate(([1.0], np.zeros(len(time_ns))))
     mean = _RunningMean(0.5).add(values, np.concatenate(([0], time_ns)))[1:]

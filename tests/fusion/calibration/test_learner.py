@@ -126,7 +126,7 @@ def test_one_sides_outliers_do_not_lengthen_a_bone_and_sides_agree():
 
 @pytest.mark.parametrize("longer", [1.049, 1.0518, 1.06])
 def test_both_sides_of_a_bone_are_told_apart_or_neither(longer):
-    """Within 5 % of the shorter one they share a length; beyond it each keeps its own."""
+    """Two sides that differ by at most 5 % get one length; others get a length each."""
     pairs = walk(200, noise=0.0)
     evidence = evidence_of(KINECT_V2, pairs)
     elbow, wrist = KINECT_V2.joint("ElbowLeft"), KINECT_V2.joint("WristLeft")

@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 PLAIN = "--method", "paper"
-"""The method that fuses a pair most quickly."""
+"""The fastest method: these tests are about the batch."""
 
 
 @pytest.fixture

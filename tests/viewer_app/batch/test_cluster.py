@@ -16,7 +16,7 @@ from viewer_app.batch.jobs import Outcome
 distributed = pytest.importorskip("distributed")
 
 PLAIN = "--method", "paper"
-"""The method that fuses a pair most quickly."""
+"""The fastest method: these tests are about the cluster."""
 
 
 @pytest.fixture

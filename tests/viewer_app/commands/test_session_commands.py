@@ -77,7 +77,7 @@ def test_a_replay_is_verified_and_can_be_replayed_again(session, tmp_path, capsy
 
 
 def test_recorded_settings_of_other_methods_do_not_stop_a_replay(session, tmp_path):
-    """Version 1.0 took --h with every method; and ``duplex`` may replay a session of ``paper``."""
+    """Version 1.0 accepted --h with every method, and ``duplex`` can replay a session of ``paper``."""
     recorded, path = Session.open(session), tmp_path / "h.rrd"
     replace(recorded, settings=replace(recorded.settings, h=0.9, weights="equal")).save(path)
     assert duplex("replay", path, "--verify") == 0

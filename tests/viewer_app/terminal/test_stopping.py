@@ -141,7 +141,7 @@ def test_captured_frames_are_saved_however_often_ctrl_c_is_pressed(tmp_path):
     [(signal.SIGTERM, "capturing", 60.0, (0,)), (signal.SIGINT, "saving", 0.6, (0, 130))],
 )
 def test_captured_frames_are_saved(tmp_path, monkeypatch, number, when, seconds, codes):
-    """In this process, and at a known moment."""
+    """The signal is raised in the test's own process while the first frames are captured, or saved."""
     saved, written, pressed = tmp_path / "demo.rrd", [], []
     write, finish = LiveSession.write, SessionFile.finish
 
