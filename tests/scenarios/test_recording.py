@@ -47,7 +47,7 @@ def test_what_was_recorded_before_a_kill_is_fused(after_s, rig, standin, tmp_pat
     else:
         for library in ("libk4a.so", "libk4abt.so"):  # one library for both, as the loader sees it
             (tmp_path / library).symlink_to(standin.path)
-        options = ("--k4abt", tmp_path / "libk4abt.so", "--calibrate", calibration, "--no-refine")
+        options = ("--k4abt", tmp_path / "libk4abt.so", "--calibrate", calibration)
         assert duplex(*fuse, *options) == 0
     rows = Session.open(tmp_path / "s.rrd").rows
     assert len(rows) >= max(counts)

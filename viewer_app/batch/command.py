@@ -16,6 +16,7 @@ from viewer_app.batch.jobs import Job, Outcome, Record, tidy
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.batch.summary import Row, State, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
+from viewer_app.options.needs import refuse_without_effect
 from viewer_app.options.sensing import BatchOptions, calibration_source, recording_settings
 from viewer_app.output_console import output_console
 
@@ -31,23 +32,25 @@ def run(options: BatchOptions) -> None:
     pairs, alone = _pairs(options)
     for line in alone:
         console.print(line, style="yellow", markup=False)
+    jobs = [Job(pair, options) for pair in pairs]
+    refuse_without_effect(*(job.fuse_options(job.folder) for job in jobs))
     _make_folder(options.out)
     tidy(options.out)
-    known, to_do = plan_work([Job(pair, options) for pair in pairs], options.force)
+    known, to_do = plan_work(jobs, options.force)
     if done := sum(row.state == "fused" for row in known):
         console.print(f"Sessions fused already: {done} of {len(pairs)}.")
     for row in known:
         if row.error:
             console.print(f"{row.job.name}: {row.error}", style="red", markup=False)
     rows: dict[str, Row] = {row.job.name: row for row in known}
-    jobs = {job.name: job for job in to_do}
+    by_name = {job.name: job for job in to_do}
     before = {job.name: job.record() for job in to_do}
     try:
-        if jobs:
+        if to_do:
             with closing(_outcomes(to_do, options, console)) as outcomes:
-                for outcome in _shown(outcomes, len(jobs), console):
+                for outcome in _shown(outcomes, len(to_do), console):
                     state: State = "failed" if outcome.record is None else "fused"
-                    rows[outcome.name] = Row(jobs[outcome.name], state, outcome.record, outcome.error)
+                    rows[outcome.name] = Row(by_name[outcome.name], state, outcome.record, outcome.error)
                     if outcome.error:
                         console.print(f"{outcome.name}: {outcome.error}", style="red", markup=False)
     finally:

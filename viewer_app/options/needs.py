@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 from viewer_app.errors import UsageError
@@ -12,9 +13,19 @@ from viewer_app.options.sensing import (
     FuseOptions,
     LiveOptions,
     PublishOptions,
+    calibration_is_file,
 )
-from viewer_app.options.shared import FusionOptions, LiveOutputOptions, TerminalOptions
+from viewer_app.options.sessions import ReviewOptions
+from viewer_app.options.shared import (
+    FusionOptions,
+    LiveOutputOptions,
+    RecordingOptions,
+    TerminalOptions,
+    TrackerOptions,
+    ViewerOptions,
+)
 
+_STATED = ("unit", "axes", "names")
 _TRACKER = ("tracker", "tracker_model", "tracker_network", "k4abt", "processing")
 
 
@@ -39,9 +50,18 @@ def _reads_images(options: Any) -> bool:
     """Whether a recording of images is among the files, or a sensor runs."""
     from devices.files import has_images  # as below: these commands take it anyway, the others need not wait
 
-    named = [getattr(options, name, None) for name in ("a", "b", "recording")]
-    files = [path for path in named if path is not None]
+    files = _files(options, "a", "b", "recording")
     return not files or any(map(has_images, files))
+
+
+def _reads_csv(options: Any) -> bool:
+    names = "a", "b", "skeletons_a", "skeletons_b", "recording"
+    return any(path.suffix.lower() == ".csv" for path in _files(options, *names))
+
+
+def _files(options: Any, *names: str) -> list[Path]:
+    """The files that some options name."""
+    return [path for path in (getattr(options, name, None) for name in names) if path is not None]
 
 
 def _tracks_images(options: FuseOptions) -> bool:
@@ -58,6 +78,14 @@ def _all_remote(options: LiveOptions) -> bool:
     return all((name or "").startswith(PREFIX) for name in (options.kinect_a, options.kinect_b))
 
 
+def _writes_or_shows(options: Any) -> bool:
+    return not options.no_viewer or options.save is not None
+
+
+def _asks_for_k4abt(options: TrackerOptions) -> bool:
+    return options.tracker == "k4abt" or (options.tracker == "auto" and options.k4abt is not None)
+
+
 def _runs_a_sensor(options: PublishOptions) -> bool:
     return options.recording is None and options.simulate is None
 
@@ -67,14 +95,23 @@ NEEDS = (
     Need(
         FusionOptions, ("smoothing", "smooth", "no_refine"), lambda o: o.method == "duplex", "--method duplex"
     ),
+    Need(
+        RecordingOptions,
+        ("no_refine",),
+        lambda o: not calibration_is_file(o.calibrate),
+        "another --calibrate; the calibration of a file is kept",
+    ),
     Need(FuseOptions, ("depth",), _reads_images, "a recording of images: .mkv, .db3 or .bag"),
     Need(FuseOptions, _TRACKER, _tracks_images, "a recording of images without saved skeletons"),
     Need(
         FuseOptions, ("person",), _tracks_images, "images; for skeletons there are --person-a and --person-b"
     ),
+    Need(FuseOptions, ("depth",), _writes_or_shows, "a viewer, or --save FILE.rrd"),
+    Need(FuseOptions, _STATED, _reads_csv, "a .csv file"),
     Need(BatchOptions, ("processes",), lambda o: o.scheduler is None, "no --scheduler"),
     Need(PublishOptions, ("motion", "body"), lambda o: o.simulate is not None, "--simulate"),
-    Need(PublishOptions, ("unit", "axes", "names"), lambda o: o.recording is not None, "--recording"),
+    Need(PublishOptions, _STATED, lambda o: o.recording is not None, "--recording"),
+    Need(PublishOptions, _STATED, _reads_csv, "a .csv file"),
     Need(PublishOptions, ("depth_mode", "fps"), _runs_a_sensor, "a sensor of this PC"),
     Need(
         PublishOptions,
@@ -99,20 +136,48 @@ NEEDS = (
     Need(LiveOptions, ("color",), lambda o: not _all_remote(o), "sensors of this PC, or recordings"),
     Need(DoctorOptions, ("force",), lambda o: o.bundle is not None, "--bundle FILE.zip"),
     Need(LiveOptions, _TRACKER, lambda o: not _all_remote(o), "a sensor of this PC, or recordings"),
+    # after all of a command that has no use for a body tracker
+    Need(TrackerOptions, ("k4abt", "processing"), lambda o: o.tracker != "blazepose", "another --tracker"),
+    Need(
+        TrackerOptions,
+        ("tracker_model", "tracker_network", "person"),
+        lambda o: not _asks_for_k4abt(o),
+        "--tracker blazepose",
+    ),
+    Need(DoctorOptions, ("person",), lambda _: False, "a command that follows a person; doctor follows none"),
+    Need(ViewerOptions, ("layout",), _writes_or_shows, "a viewer, or --save FILE.rrd"),
+    Need(DemoOptions, ("layout",), lambda o: not o.bad_setup, "no --bad-setup, which opens the tab setup"),
+    Need(
+        DemoOptions,
+        tuple(each.name for each in fields(DemoOptions) if each.name != "motion"),
+        lambda o: o.motion != "list",
+        "a movement; --motion list only names them",
+    ),
+    Need(ReviewOptions, ("event", "at"), lambda o: not o.no_viewer, "a viewer"),
     Need(LiveOutputOptions, ("avatar",), lambda o: o.vmc is not None, "--vmc"),
     Need(TerminalOptions, ("verbose",), lambda o: not o.quiet, "no --quiet"),
 )
 
 
-def refuse_without_effect(options: Any) -> None:
-    """Refuses a command line with an option whose need is not met.
-
-    Raises:
-        UsageError: One is not; it names the first.
-    """
+def without_effect(options: Any) -> dict[str, str]:
+    """The options of a command line whose need is not met, and what each needs."""
     usual = {each.name: each.default for each in fields(options)}
+    found: dict[str, str] = {}
     for need in NEEDS:
         if isinstance(options, need.kind) and not need.met(options):
             for name in need.options:
                 if name in usual and getattr(options, name) != usual[name]:
-                    raise UsageError(f"--{name.replace('_', '-')} needs {need.what}.")
+                    found.setdefault(name, need.what)
+    return found
+
+
+def refuse_without_effect(*lines: Any) -> None:
+    """Refuses an option that has no effect on any of some command lines, of which each has it.
+
+    Raises:
+        UsageError: There is one; it names the first.
+    """
+    first, *others = map(without_effect, lines)
+    for name, what in first.items():
+        if all(name in other for other in others):
+            raise UsageError(f"--{name.replace('_', '-')} needs {what}.")

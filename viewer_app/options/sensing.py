@@ -246,6 +246,11 @@ def recording_settings(options: FuseOptions | BatchOptions) -> FuserSettings:
     return FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
 
 
+def calibration_is_file(wanted: str) -> bool:
+    """Whether ``--calibrate`` names a file."""
+    return wanted != "auto" and wanted.partition(":")[0] != "seconds"
+
+
 def calibration_source(wanted: str) -> Path | float | None:
     """What ``--calibrate`` names for recordings: a file, seconds, or None for ``auto``."""
     if wanted == "auto":

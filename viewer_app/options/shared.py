@@ -134,7 +134,7 @@ class RecordingOptions(OwnFileOptions):
     calibrate: Annotated[str, METHOD] = "auto"
     """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
     no_refine: Annotated[bool, EXPERTS] = False
-    """Keep the calibration of --calibrate; do not refine it over the recording. Method duplex only."""
+    """Do not refine the calibration over the recording, as that of a file never is. Method duplex only."""
     smooth: Annotated[Literal["off", "whole"], METHOD] = "off"
     """whole: smooth over the whole recording, using later frames too; no lag, less jitter. Method duplex
     only."""

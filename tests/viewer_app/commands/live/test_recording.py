@@ -147,7 +147,7 @@ def test_recordings_give_the_same_s_as_live_did(live, standin, tmp_path):
     files, tracker = (raw / "a.mkv", raw / "b.mkv"), ("--k4abt", tmp_path / "libk4abt.so")
     given = (*tracker, "--no-viewer", "--calibrate", calibration, "--save")
     assert duplex("live", *files, *given, tmp_path / "l.rrd") == 0
-    assert duplex("fuse", *files, *given, tmp_path / "f.rrd", "--no-refine") == 0
+    assert duplex("fuse", *files, *given, tmp_path / "f.rrd") == 0
     for name, whole in (("l", np.max), ("f", np.median)):  # fuse knows later frames, too
         now = Session.open(tmp_path / f"{name}.rrd")
         for side in "ab":
