@@ -1,12 +1,18 @@
-"""Storage of per-frame figures: array in memory, component in a session's file, part of a checksum.
+"""The figures of a frame, one line each: array in memory, component in a session's file, part of a checksum.
 
-The figures themselves are the attributes of :class:`recordings.session_arrays.SessionArrays`, one declaration
-each. The writer, the reader and the checksums iterate over these declarations.
+Writer, reader and checksums iterate over :data:`FRAME_FIELDS`. The arrays are the attributes of
+:class:`recordings.session_arrays.SessionArrays`, which has their descriptions.
+
+What is missing has two forms. A frame without a value, as ``clock_b`` where B gave no frame, has the figure's
+*nothing*: its ``absent``, else NaN, else 0. A session without an *optional* figure, as ``truth`` of real
+sensors, has None for all frames; its first frame decides. Where an array is needed all the same,
+:meth:`recordings.session_arrays.SessionArrays.filled` has nothing in every frame.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,6 +20,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.facing.labels import HEADING_STEPS
 from recordings import layout
 
 JOINTS = -1
@@ -24,26 +31,23 @@ Names = Callable[[Body], tuple[str, ...]]
 
 @dataclass(frozen=True, eq=False)
 class FrameField:
-    """One per-frame figure.
+    """One figure of each frame.
 
     In memory it is an array of shape (T, *shape). In the file it is a component of an entity, or a field of
     a component that is a struct (``figures.fuse_ms``), or an argument of one of Rerun's archetypes
     (``Points3D:positions``). Figures that name the same component are stored one after the other in it.
     """
 
+    name: str  # of the attribute of SessionArrays
     dtype: type[np.generic]  # type in memory
     shape: tuple[int, ...]  # shape for one frame; :data:`JOINTS` stands for the number of joints
     entity: str  # place in the file
     component: str
     stored: type[np.generic]  # type in the file
-    value: str | Callable[[Any], Any]
-    """The value of a :class:`recordings.session_arrays.SessionFrame`: the path of an attribute, such as
-    ``pair.a.time_ns``, or a function. None if there is none, or if ``a`` in the path is None."""
     absent: int | None = None
     """Value in memory for a frame without a value; None: NaN, or 0 of a type without NaN."""
     optional: bool = False
-    """Whether a session may lack the figure, as sessions written before it was added do. The attribute is
-    then None. An optional figure does not share its component with other figures."""
+    """Whether a session may lack the figure. Then it does not share its component with other figures."""
     step: float | None = None  # values are rounded to multiples of this, which makes a file smaller
     scale: float | None = None
     """The stored value is the value in memory times this: 1e3 stores metres as millimetres."""
@@ -59,17 +63,6 @@ class FrameField:
         """The number of values per frame of a body."""
         return int(np.prod(self.shape_for(body), dtype=np.int64))
 
-    def value_of(self, frame: Any) -> Any:
-        """The value of a frame; None if there is none."""
-        if not isinstance(self.value, str):
-            return self.value(frame)
-        value = frame
-        for name in self.value.split("."):
-            if value is None:
-                return None
-            value = getattr(value, name)
-        return value
-
     def nothing(self, body: Body, frames: int) -> NDArray[Any]:
         """(T, …) of absent values."""
         absent: float | None = self.absent
@@ -77,24 +70,18 @@ class FrameField:
             absent = np.nan if np.issubdtype(self.dtype, np.floating) else 0
         return np.broadcast_to(np.array(absent, self.dtype), (frames, *self.shape_for(body)))
 
-    def stacked(self, body: Body, frames: Sequence[Any]) -> NDArray[Any] | None:
-        """(T, …) values of the frames; None if the figure is optional and no frame has a value."""
-        values = [self.value_of(frame) for frame in frames]
-        missing = [k for k, value in enumerate(values) if value is None]
-        if missing:
-            if self.optional and len(missing) == len(values):
-                return None
-            nothing = self.nothing(body, 1)[0]
-            for k in missing:
-                values[k] = nothing
-        return self._in_memory(np.array(values))
+    def stacked(self, body: Body, values: Sequence[Any]) -> NDArray[Any] | None:
+        """(T, …) from the value of each frame or None; None if it is optional and no frame has a value."""
+        if self.optional and all(value is None for value in values):
+            return None
+        nothing = self.nothing(body, 1)[0]
+        return self._in_memory(np.array([nothing if value is None else value for value in values]))
 
-    def of_block(self, body: Body, block: Any) -> NDArray[Any] | None:
-        """(T, …) values of frames that are arrays themselves; None if the figure is optional and absent."""
-        values = self.value_of(block)
+    def of_block(self, body: Body, values: Any, frames: int) -> NDArray[Any] | None:
+        """(T, …) from values of T frames that are an array already, or the same in all of them."""
         if values is None:
             return None
-        return self._in_memory(np.broadcast_to(values, (len(block), *self.shape_for(body))))
+        return self._in_memory(np.broadcast_to(values, (frames, *self.shape_for(body))))
 
     def _in_memory(self, values: NDArray[Any]) -> NDArray[Any]:
         if self.step is not None:
@@ -134,26 +121,6 @@ class FrameField:
         return values.astype(np.uint8) if self.dtype is np.bool_ else values
 
 
-def per_frame(
-    dtype: type[np.generic],
-    shape: tuple[int, ...],
-    entity: str,
-    component: str,
-    stored: type[np.generic],
-    value: str | Callable[[Any], Any],
-    **more: Any,
-) -> Any:
-    """Declares an attribute of a dataclass as a :class:`FrameField`; same arguments."""
-    spec = FrameField(dtype, shape, entity, component, stored, value, **more)
-    metadata = {"frame_field": spec}
-    return field(default=None, metadata=metadata) if spec.optional else field(kw_only=True, metadata=metadata)
-
-
-def frame_fields(table: Iterable[Any]) -> dict[str, FrameField]:
-    """The figures among the fields of a dataclass, by name, in declaration order."""
-    return {f.name: f.metadata["frame_field"] for f in table if "frame_field" in f.metadata}
-
-
 def no_joint_or_joint(body: Body) -> tuple[str, ...]:
     """Names for joint indices, with a last name for -1 (none)."""
     return (*body.joints, "none")
@@ -168,3 +135,43 @@ def state_names(body: Body) -> tuple[str, ...]:
 @cache
 def _dictionary(names: tuple[str, ...]) -> pa.Array:
     return pa.array(names)
+
+
+_QUALITY, _S, _A, _B = layout.QUALITY, layout.FUSED_SKELETON, layout.skeleton("a"), layout.skeleton("b")
+_PLACE, _POINTS, _PLACEMENT = layout.kinect("b"), "Points3D:positions", "rotation_translation"
+_CAPTURED, _STALE, _NO_FRAME = "sensors.captured_ns", "sensors.stale", layout.NO_FRAME
+_J, _J3, _J4, _WEIGHT_STEP = (JOINTS,), (JOINTS, 3), (JOINTS, 4), 1.0 / 128.0  # finer steps are not visible
+_i1, _i4, _i8, _u1, _u2, _bool = np.int8, np.int32, np.int64, np.uint8, np.uint16, np.bool_
+_f2, _f4, _f8 = np.float16, np.float32, np.float64
+
+# name; type and shape in memory; place and type in the file.
+# Checksums cover the figures in this order: add new ones at the end, as optional ones.
+_TABLE = (
+    FrameField("skew_ns", _i8, (), _QUALITY, "figures.skew_ms", _f8, scale=1e-6),
+    FrameField("clock_a", _i8, (), _QUALITY, _CAPTURED, _i8, absent=_NO_FRAME),
+    FrameField("clock_b", _i8, (), _QUALITY, _CAPTURED, _i8, absent=_NO_FRAME),
+    FrameField("positions_a", _f4, _J3, _A, _POINTS, _f4),
+    FrameField("positions_b", _f4, _J3, _B, _POINTS, _f4),
+    FrameField("states_a", _u1, _J, _S, layout.state("a"), _i1, names=state_names),
+    FrameField("states_b", _u1, _J, _S, layout.state("b"), _i1, names=state_names),
+    FrameField("weights_a", _f4, _J, _S, layout.weight("a"), _f2, step=_WEIGHT_STEP),
+    FrameField("weights_b", _f4, _J, _S, layout.weight("b"), _f2, step=_WEIGHT_STEP),
+    FrameField("misleading", _i4, _J, _S, "misleading_joint", _i1, names=no_joint_or_joint),
+    FrameField("rotation", _f8, (3, 3), _PLACE, _PLACEMENT, _f8),
+    FrameField("translation", _f8, (3,), _PLACE, _PLACEMENT, _f8),
+    FrameField("fused", _f8, _J3, _S, _POINTS, _f4),
+    FrameField("predicted", _bool, _J, _S, "predicted", _bool),
+    FrameField("iterations", _i8, (), _QUALITY, "figures.iterations", _u2),
+    FrameField("stale_a", _bool, (), _QUALITY, _STALE, _bool),
+    FrameField("stale_b", _bool, (), _QUALITY, _STALE, _bool),
+    FrameField("fuse_ms", _f8, (), _QUALITY, "figures.fuse_ms", _f4),
+    FrameField("truth", _f8, _J3, layout.TRUTH_SKELETON, _POINTS, _f4, optional=True),
+    FrameField("sigma", _f4, _J, _S, "sigma_mm", _f2, optional=True, scale=1e3),
+    FrameField("exchanged", _i1, (2,), _QUALITY, "exchanged", _i1, optional=True),
+    FrameField("witness_a", _f4, _J4, _A, "depth_witness", _f2, optional=True),
+    FrameField("witness_b", _f4, _J4, _B, "depth_witness", _f2, optional=True),
+    FrameField("side_doubt", _u1, (2,), _QUALITY, "side_doubt", _u1, optional=True),
+    FrameField("heading", _f4, (3,), _QUALITY, "heading", _f2, optional=True, step=1.0 / HEADING_STEPS),
+)
+FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType({each.name: each for each in _TABLE})
+"""The figures by name."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,21 +13,14 @@ from devices.capture.stream_pairing import PairingFigures
 from devices.pairing import FramePair
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
-from fusion.facing.labels import DOUBT_STEPS, HEADING_STEPS
+from fusion.facing.labels import DOUBT_STEPS
 from fusion.fused_frame import FusedFrame, FusedFrames
 from fusion.large_arrays import GrowingArray, Rows, parts
 from fusion.medians import median_of_known
 from fusion.pair_arrays import View
 from fusion.skeleton import Skeleton
 from recordings import layout
-from recordings.frame_fields import (
-    JOINTS,
-    FrameField,
-    frame_fields,
-    no_joint_or_joint,
-    per_frame,
-    state_names,
-)
+from recordings.frame_fields import FRAME_FIELDS, FrameField
 
 
 @dataclass(frozen=True)
@@ -56,11 +48,6 @@ class PairBlock(NamedTuple):
     a: View
     b: View
 
-    @property
-    def skeletons(self) -> PairBlock:
-        """The positions and states of both views."""
-        return self
-
 
 @dataclass(frozen=True, eq=False)
 class SessionFrames(Rows[SessionFrame]):
@@ -80,159 +67,73 @@ class SessionFrames(Rows[SessionFrame]):
         return SessionFrame(self.pairs[self.first + k], self.fused[k], self.fuse_ns)
 
 
-POINTS = "Points3D:positions"
-_VIEW_A, _VIEW_B, _FUSED = layout.skeleton("a"), layout.skeleton("b"), layout.FUSED_SKELETON
-_CAPTURED, _STALE, _PLACEMENT = "sensors.captured_ns", "sensors.stale", "rotation_translation"
 _STANDARD_RATES, _STANDARD_WITHIN = (5.0, 15.0, 30.0, 60.0, 90.0), 0.05
 _LONG_PAUSE = 3.0  # median intervals
-_WEIGHT_STEP = 1.0 / 128.0  # finer steps are not visible
-
-
-def _witness(frame: SessionFrame | SessionFrames, side: str) -> NDArray[np.float32] | None:
-    """The depth evidence of a skeleton; all NaN without a person or frame, if a sensor has images.
-
-    An optional figure that the first frame of a session lacks is absent in the whole session.
-    """
-    skeleton: Skeleton | View | None = getattr(frame.pair.skeletons, side)
-    if isinstance(frame, SessionFrames) or (skeleton is not None and skeleton.witness is not None):
-        return None if skeleton is None else skeleton.witness
-    if all(seen is None or seen.depth is None for seen in (frame.pair.a, frame.pair.b)):
-        return None
-    return np.full((len(frame.fused.positions), 4), np.nan, dtype=np.float32)
-
-
-def _witness_figure(entity: str, side: str) -> Any:
-    shape = (JOINTS, 4)
-    return per_frame(
-        np.float32, shape, entity, "depth_witness", np.float16, lambda f: _witness(f, side), optional=True
-    )
 
 
 @dataclass(frozen=True, eq=False)
 class SessionArrays:
     """T frames of J joints; metres, nanoseconds; NaN where data is missing.
 
-    Each attribute declared with ``per_frame`` is one per-frame figure. The declaration states its place in
-    the file. Arrays, writer, reader and checksums derive from it. Checksums cover the figures in the order of
-    their declaration: add new ones at the end, with ``optional=True``.
+    Of all attributes but the first four, :data:`recordings.frame_fields.FRAME_FIELDS` has a line each.
 
     Attributes:
         body: The body that defines the joints.
         bone_lengths: (T, J) the target lengths each frame was fused with; 0 at the root.
         frame: (T,) number of the pair.
         time_ns: (T,) time since the first pair.
+        skew_ns: (T,) capture time of B minus capture time of A.
+        clock_a, clock_b: (T,) time on the sensor's own clock, ns; layout.NO_FRAME where it gave no frame.
+        positions_a, positions_b: (T, J, 3) S_A and S_B in their sensors' own frames.
+        states_a, states_b: (T, J) tracking states of S_A and S_B.
+        weights_a, weights_b: (T, J) w^A and w^B of eq. (11), rounded to 1/128.
+        misleading: (T, J) index of the mis-leading joint of sec. 3, or -1.
+        rotation, translation: (T, 3, 3) R and (T, 3) t, K_A ← K_B.
+        fused: (T, J, 3) S* in K_A's frame.
+        predicted: (T, J) whether a joint of S* has no data.
+        iterations: (T,) iterations of the solver.
+        stale_a, stale_b: (T,) whether the sensor repeated its last skeleton.
+        fuse_ms: (T,) duration of the fusion, milliseconds.
+        truth: (T, J, 3) where the joints really are, in K_A's frame; simulations only.
+        sigma: (T, J) metres, one standard deviation of S*; sessions of the method ``duplex`` only, as are the
+            next, side_doubt and heading.
+        exchanged: (T, 2) which sides of A and of B were exchanged, see :mod:`fusion.facing.model`.
+        witness_a, witness_b: (T, J, 4) depth evidence for each joint, metres; columns:
+            ``fusion.witness.COLUMNS``.
+        side_doubt: (T, 2) probability that the sides of A and of B are wrong all the same, in 1/255.
+        heading: (T, 3) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to
+            1, is the confidence.
     """
 
     body: Body
     bone_lengths: NDArray[np.float64]
     frame: NDArray[np.int64]
     time_ns: NDArray[np.int64]
-    skew_ns: NDArray[np.int64] = per_frame(
-        np.int64, (), layout.QUALITY, "figures.skew_ms", np.float64, "pair.skew_ns", scale=1e-6
-    )
-    """(T,) capture time of B minus capture time of A."""
-    clock_a: NDArray[np.int64] = per_frame(
-        np.int64, (), layout.QUALITY, _CAPTURED, np.int64, "pair.a.time_ns", absent=layout.NO_FRAME
-    )
-    """(T,) time on A's own clock, ns; layout.NO_FRAME where A gave no frame."""
-    clock_b: NDArray[np.int64] = per_frame(
-        np.int64, (), layout.QUALITY, _CAPTURED, np.int64, "pair.b.time_ns", absent=layout.NO_FRAME
-    )
-    """(T,) time on B's own clock, ns; layout.NO_FRAME where B gave no frame."""
-    positions_a: NDArray[np.float32] = per_frame(
-        np.float32, (JOINTS, 3), _VIEW_A, POINTS, np.float32, "pair.skeletons.a.positions"
-    )
-    """(T, J, 3) S_A in A's frame."""
-    positions_b: NDArray[np.float32] = per_frame(
-        np.float32, (JOINTS, 3), _VIEW_B, POINTS, np.float32, "pair.skeletons.b.positions"
-    )
-    """(T, J, 3) S_B in B's frame."""
-    states_a: NDArray[np.uint8] = per_frame(
-        np.uint8, (JOINTS,), _FUSED, layout.state("a"), np.int8, "pair.skeletons.a.states", names=state_names
-    )
-    """(T, J) tracking states of S_A."""
-    states_b: NDArray[np.uint8] = per_frame(
-        np.uint8, (JOINTS,), _FUSED, layout.state("b"), np.int8, "pair.skeletons.b.states", names=state_names
-    )
-    """(T, J) tracking states of S_B."""
-    weights_a: NDArray[np.float32] = per_frame(
-        np.float32, (JOINTS,), _FUSED, layout.weight("a"), np.float16, "fused.weights_a", step=_WEIGHT_STEP
-    )
-    """(T, J) w^A of eq. (11), rounded to 1/128."""
-    weights_b: NDArray[np.float32] = per_frame(
-        np.float32, (JOINTS,), _FUSED, layout.weight("b"), np.float16, "fused.weights_b", step=_WEIGHT_STEP
-    )
-    """(T, J) w^B of eq. (11), rounded to 1/128."""
-    misleading: NDArray[np.int32] = per_frame(
-        np.int32,
-        (JOINTS,),
-        _FUSED,
-        "misleading_joint",
-        np.int8,
-        "fused.misleading_joint",
-        names=no_joint_or_joint,
-    )
-    """(T, J) index of the mis-leading joint of sec. 3, or -1."""
-    rotation: NDArray[np.float64] = per_frame(
-        np.float64, (3, 3), layout.kinect("b"), _PLACEMENT, np.float64, "fused.a_from_b.rotation"
-    )
-    """(T, 3, 3) R, K_A ← K_B."""
-    translation: NDArray[np.float64] = per_frame(
-        np.float64, (3,), layout.kinect("b"), _PLACEMENT, np.float64, "fused.a_from_b.translation"
-    )
-    """(T, 3) t, K_A ← K_B."""
-    fused: NDArray[np.float64] = per_frame(
-        np.float64, (JOINTS, 3), _FUSED, POINTS, np.float32, "fused.positions"
-    )
-    """(T, J, 3) S* in K_A's frame."""
-    predicted: NDArray[np.bool_] = per_frame(
-        np.bool_, (JOINTS,), _FUSED, "predicted", np.bool_, "fused.predicted"
-    )
-    """(T, J) whether a joint of S* has no data."""
-    iterations: NDArray[np.int64] = per_frame(
-        np.int64, (), layout.QUALITY, "figures.iterations", np.uint16, "fused.iterations"
-    )
-    """(T,) iterations of the solver."""
-    stale_a: NDArray[np.bool_] = per_frame(np.bool_, (), layout.QUALITY, _STALE, np.bool_, "fused.stale_a")
-    """(T,) whether A repeated its last skeleton."""
-    stale_b: NDArray[np.bool_] = per_frame(np.bool_, (), layout.QUALITY, _STALE, np.bool_, "fused.stale_b")
-    """(T,) whether B repeated its last skeleton."""
-    fuse_ms: NDArray[np.float64] = per_frame(
-        np.float64, (), layout.QUALITY, "figures.fuse_ms", np.float32, lambda f: f.fuse_ns * 1e-6
-    )
-    """(T,) duration of the fusion, milliseconds."""
-    truth: NDArray[np.float64] | None = per_frame(
-        np.float64, (JOINTS, 3), layout.TRUTH_SKELETON, POINTS, np.float32, "truth", optional=True
-    )
-    """(T, J, 3) where the joints really are, in K_A's frame; simulations only."""
-    sigma: NDArray[np.float32] | None = per_frame(
-        np.float32, (JOINTS,), _FUSED, "sigma_mm", np.float16, "fused.sigma", optional=True, scale=1e3
-    )
-    """(T, J) metres, one standard deviation of S*; sessions of the method ``duplex`` only."""
-    exchanged: NDArray[np.int8] | None = per_frame(
-        np.int8, (2,), layout.QUALITY, "exchanged", np.int8, lambda f: _exchanged(f.fused), optional=True
-    )
-    """(T, 2) which sides of A and of B were exchanged, see :mod:`fusion.facing.model`; ``duplex`` only."""
-    witness_a: NDArray[np.float32] | None = _witness_figure(_VIEW_A, "a")
-    """(T, J, 4) depth evidence for each joint of S_A, metres; columns: ``fusion.witness.COLUMNS``."""
-    witness_b: NDArray[np.float32] | None = _witness_figure(_VIEW_B, "b")
-    """(T, J, 4) likewise of B."""
-    side_doubt: NDArray[np.uint8] | None = per_frame(
-        np.uint8, (2,), layout.QUALITY, "side_doubt", np.uint8, lambda f: _doubts(f.fused), optional=True
-    )
-    """(T, 2) probability that the sides of A and of B are wrong all the same, in 1/255; ``duplex`` only."""
-    heading: NDArray[np.float32] | None = per_frame(
-        np.float32,
-        (3,),
-        layout.QUALITY,
-        "heading",
-        np.float16,
-        "fused.heading",
-        optional=True,
-        step=1.0 / HEADING_STEPS,
-    )
-    """(T, 3) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to 1, is the
-    confidence. ``duplex`` only."""
+    skew_ns: NDArray[np.int64]
+    clock_a: NDArray[np.int64]
+    clock_b: NDArray[np.int64]
+    positions_a: NDArray[np.float32]
+    positions_b: NDArray[np.float32]
+    states_a: NDArray[np.uint8]
+    states_b: NDArray[np.uint8]
+    weights_a: NDArray[np.float32]
+    weights_b: NDArray[np.float32]
+    misleading: NDArray[np.int32]
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    fused: NDArray[np.float64]
+    predicted: NDArray[np.bool_]
+    iterations: NDArray[np.int64]
+    stale_a: NDArray[np.bool_]
+    stale_b: NDArray[np.bool_]
+    fuse_ms: NDArray[np.float64]
+    truth: NDArray[np.float64] | None = None
+    sigma: NDArray[np.float32] | None = None
+    exchanged: NDArray[np.int8] | None = None
+    witness_a: NDArray[np.float32] | None = None
+    witness_b: NDArray[np.float32] | None = None
+    side_doubt: NDArray[np.uint8] | None = None
+    heading: NDArray[np.float32] | None = None
 
     @staticmethod
     def stack(
@@ -251,13 +152,16 @@ class SessionArrays:
             start_ns: When the session began; with the first of these frames where None.
             like: Earlier frames of the session: these then have the same optional figures.
         """
-        figures: dict[str, Any]
+        figures: dict[str, Any] = {}
         if isinstance(frames, SessionFrames):
-            figures = {name: spec.of_block(body, frames) for name, spec in FRAME_FIELDS.items()}
-            times = frames.pair.time_ns
+            of_block, times = _figures_of(frames), frames.pair.time_ns
+            for name, spec in FRAME_FIELDS.items():
+                figures[name] = spec.of_block(body, of_block[name], len(frames))
         else:
-            figures = {name: spec.stacked(body, frames) for name, spec in FRAME_FIELDS.items()}
-            times = np.array([f.pair.time_ns for f in frames], dtype=np.int64)
+            each = [_figures_of(frame) for frame in frames]
+            times = np.array([frame.pair.time_ns for frame in frames], dtype=np.int64)
+            for name, spec in FRAME_FIELDS.items():
+                figures[name] = spec.stacked(body, [of_frame[name] for of_frame in each])
         if like is not None:
             for name in (name for name, spec in FRAME_FIELDS.items() if spec.optional):
                 if getattr(like, name) is None:
@@ -361,15 +265,47 @@ class SessionArrays:
         return np.concatenate([median_of_known(rows.view_difference) for rows in self.parts()])
 
 
-def _exchanged(fused: FusedFrame | FusedFrames) -> NDArray[Any] | None:
-    return None if fused.sigma is None else np.stack((fused.exchanged_a, fused.exchanged_b), axis=-1)
+def _figures_of(frame: SessionFrame | SessionFrames) -> dict[str, Any]:
+    """The figures of a frame, or of T frames with T rows, by name; None where there is none."""
+    pair, fused = frame.pair, frame.fused
+    skeletons = pair if isinstance(pair, PairBlock) else pair.skeletons
+    exchanged = doubt = None
+    if fused.sigma is not None:
+        exchanged = np.stack((fused.exchanged_a, fused.exchanged_b), axis=-1)
+        doubt = np.rint(DOUBT_STEPS * np.stack((fused.doubt_a, fused.doubt_b), axis=-1))
+    return {
+        "skew_ns": pair.skew_ns,
+        "clock_a": None if pair.a is None else pair.a.time_ns,
+        "clock_b": None if pair.b is None else pair.b.time_ns,
+        "positions_a": None if skeletons.a is None else skeletons.a.positions,
+        "positions_b": None if skeletons.b is None else skeletons.b.positions,
+        "states_a": None if skeletons.a is None else skeletons.a.states,
+        "states_b": None if skeletons.b is None else skeletons.b.states,
+        "weights_a": fused.weights_a,
+        "weights_b": fused.weights_b,
+        "misleading": fused.misleading_joint,
+        "rotation": fused.a_from_b.rotation,
+        "translation": fused.a_from_b.translation,
+        "fused": fused.positions,
+        "predicted": fused.predicted,
+        "iterations": fused.iterations,
+        "stale_a": fused.stale_a,
+        "stale_b": fused.stale_b,
+        "fuse_ms": frame.fuse_ns * 1e-6,
+        "truth": frame.truth,
+        "sigma": fused.sigma,
+        "exchanged": exchanged,
+        "witness_a": _witness(frame, skeletons.a),
+        "witness_b": _witness(frame, skeletons.b),
+        "side_doubt": doubt,
+        "heading": fused.heading,
+    }
 
 
-def _doubts(fused: FusedFrame | FusedFrames) -> NDArray[Any] | None:
-    if fused.sigma is None:
+def _witness(frame: SessionFrame | SessionFrames, of: Skeleton | View | None) -> NDArray[np.float32] | None:
+    """The depth evidence of a skeleton; all NaN without a person or frame, if a sensor has images."""
+    if isinstance(frame, SessionFrames) or (of is not None and of.witness is not None):
+        return None if of is None else of.witness
+    if all(seen is None or seen.depth is None for seen in (frame.pair.a, frame.pair.b)):
         return None
-    return np.asarray(np.rint(DOUBT_STEPS * np.stack((fused.doubt_a, fused.doubt_b), axis=-1)))
-
-
-FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType(frame_fields(fields(SessionArrays)))
-"""The figures of :class:`SessionArrays` by name, in the order in which checksums cover them."""
+    return np.full((len(frame.fused.positions), 4), np.nan, dtype=np.float32)

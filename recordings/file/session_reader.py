@@ -19,8 +19,8 @@ from recordings import layout
 from recordings.errors import RecordingError
 from recordings.file.rrd_file import Columns, read_columns
 from recordings.file.stored_images import FileImages
-from recordings.frame_fields import FrameField
-from recordings.session_arrays import FRAME_FIELDS, SessionArrays
+from recordings.frame_fields import FRAME_FIELDS, FrameField
+from recordings.session_arrays import SessionArrays
 from recordings.session_data import SessionData
 from recordings.writing.checksums import (
     CHECKS_CRC,

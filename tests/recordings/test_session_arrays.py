@@ -14,18 +14,16 @@ from fusion.fuser import Fuser
 from fusion.medians import median_of_known
 from fusion.setup import FusionSetup
 from recordings import layout
-from recordings.frame_fields import JOINTS, FrameField, no_joint_or_joint
+from recordings.frame_fields import FRAME_FIELDS, JOINTS, FrameField, no_joint_or_joint
 from recordings.fusing.pairs import fuse_one
 from recordings.session import Session
-from recordings.session_arrays import FRAME_FIELDS, SessionArrays
+from recordings.session_arrays import SessionArrays
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 
 J = len(KINECT_V1)
 SIGMA = FrameField(
-    *(np.float64, (JOINTS,), layout.FUSED_SKELETON, "sigma_mm", np.float16),
-    lambda frame: frame,
-    absent=np.nan,
+    *("sigma", np.float64, (JOINTS,), layout.FUSED_SKELETON, "sigma_mm", np.float16),
     optional=True,
     scale=1e3,
 )
