@@ -230,9 +230,9 @@ def _copy_images(session: SessionData, recorder: Recorder, first: int, end: int)
     for side in layout.SIDES:
         depth, color = session.depth(side, first, end), session.color(side, first, end)
         for frame, image in depth:
-            recorder.record_depth(side, frame - first, int(time_ns[frame]), image)
+            recorder.images.depth(side, frame - first, int(time_ns[frame]), image)
         for frame, picture in color:
-            recorder.record_color(side, frame - first, int(time_ns[frame]), picture)
+            recorder.images.color(side, frame - first, int(time_ns[frame]), picture)
         damaged += depth.damaged + color.damaged
     return damaged
 

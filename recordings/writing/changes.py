@@ -4,7 +4,7 @@ Sensors, floor and person are coordinate frames. A recalibration is one message:
 ``/kinect_b``, whose children move with it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,15 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from devices.capture.stream_pairing import PairingFigures
+from fusion.body import Body
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.floor import FloorFinder
+from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources
 from recordings.frame_noise import FrameDeviations, noise_of
 from recordings.session_arrays import SessionArrays
-from recordings.writing.arrow_columns import Column, Times, converted
+from recordings.writing.arrow_columns import Column, Times, converted, state_changes
 
 _POSE_AGAIN_NS = 10_000_000_000
 """Between two logs of an unchanged pose."""
@@ -26,6 +28,8 @@ _QUALITY_NS = 495_000_000
 """Between two values: half a second, less the rounding of times."""
 _FIGURE_AGAIN_NS = 1_000_000_000
 """Longest interval between two values of an unchanged figure of a stream, so that its plot line continues."""
+Changes = list[tuple[int | None, int]]
+"""(index of the frame, state); the index is None for the state before the first frame."""
 
 
 def set_time(stream: rr.RecordingStream, frame: int | np.integer, time_ns: int | np.integer) -> None:
@@ -183,7 +187,7 @@ class Lanes:
         self._before: NDArray[np.integer] | None = None
         self._open: set[int] = set()
 
-    def add(self, states: NDArray[np.integer]) -> Iterator[tuple[int, list[tuple[int | None, int]]]]:
+    def add(self, states: NDArray[np.integer]) -> Iterator[tuple[int, Changes]]:
         """Adds (T, n) states in time order.
 
         Returns:
@@ -196,7 +200,7 @@ class Lanes:
         changed = (whole[1:] != whole[:-1]).any(axis=0)
         for column in range(states.shape[1]) if begins and self._steady else np.flatnonzero(changed).tolist():
             lane = whole[:, column]
-            changes: list[tuple[int | None, int]] = [
+            changes: Changes = [
                 (int(t), int(states[t, column])) for t in np.flatnonzero(lane[1:] != lane[:-1])
             ]
             if column not in self._open:
@@ -204,3 +208,38 @@ class Lanes:
                 changes.insert(0, (None, int(lane[0])))
             yield column, changes
         self._before = states[-1].copy()  # a view would keep the whole block in memory
+
+
+class StatesLog:
+    """Logs the view that each limb of S* follows, and the tracking states of joints, when they change.
+
+    Args:
+        pause: Called before each message.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, body: Body, pause: Callable[[], object]) -> None:
+        self._stream, self._body, self._pause = stream, body, pause
+        self._limb_sources, self._trust = LimbSources(body), Lanes(steady=True)
+        self._states = {side: Lanes() for side in layout.SIDES}
+
+    def record(self, rows: SessionArrays) -> None:
+        """Takes frames in time order."""
+        for limb, changes in self._trust.add(self._limb_sources.add(rows)):
+            lane = layout.trust_lane(LIMBS[limb])
+            self._log(rows, lane, SOURCES, changes, entity_styles.TRUST_LANES)
+        for side, states in (("a", rows.states_a), ("b", rows.states_b)):
+            for joint, changes in self._states[side].add(states):
+                lane = layout.state_lane(side, self._body.joints[joint])
+                self._log(rows, lane, layout.STATE_NAMES, changes, entity_styles.STATE_LANES)
+
+    def _log(
+        self, rows: SessionArrays, lane: str, names: Sequence[str], changes: Changes,
+        look: rr.StateConfiguration,
+    ) -> None:  # fmt: skip
+        self._pause()
+        places = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
+        frames, times = np.array(places).T
+        states = state_changes([names[state] for _, state in changes])
+        self._stream.send_columns(lane, Times.of_frames(frames, times), states)
+        if changes[0][0] is None:
+            self._stream.log(lane, look, static=True)

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
 from fusion.setup import REVISIONS, FusionSetup
 from recordings import layout
+
+_RESIDUALS = ("residual_median", "residual_rms", "rotation_sd", "translation_sd")
 
 
 def session_properties(
@@ -33,6 +36,22 @@ def session_properties(
         },
         "settings": asdict(setup.settings),
         "intrinsics": {"a": _camera(setup.intrinsics_a), "b": _camera(setup.intrinsics_b)},
+    }
+
+
+def calibration_values(calibration: Calibration) -> dict[str, Any]:
+    """What a session stores of a calibration, in full precision, by name."""
+    registration = calibration.registration
+    no_joint = np.full(len(calibration.body), np.nan)
+    return {
+        "how": calibration.how,
+        "provisional": calibration.provisional,
+        "rotation": calibration.a_from_b.rotation.ravel(),
+        "translation": calibration.a_from_b.translation,
+        "bone_lengths": calibration.bone_lengths,
+        "pairs": 0 if registration is None else registration.frames,
+        **{name: getattr(registration, name, np.nan) for name in _RESIDUALS},
+        "joint_residuals": getattr(registration, "joint_residuals", no_joint),
     }
 
 

@@ -1,4 +1,4 @@
-"""Images of the sensors in a stream: colour images, and for a viewer point clouds and infrared images."""
+"""Images of the sensors in a stream: depth and colour, and for a viewer point clouds and infrared images."""
 
 import io
 import math
@@ -11,11 +11,15 @@ from PIL import Image
 
 from devices.blazepose.grey_image import compressed
 from devices.depth.point_cloud import depth_to_points, ray_table
+from devices.depth.rvl import MEDIA_TYPE, encode_depth
+from devices.pairing import FramePair
 from devices.sensor import ColorCamera, ColorImage
 from fusion.intrinsics import Intrinsics
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
-from recordings.writing.arrow_columns import own_values
+from recordings.writing.arrow_columns import depth_image, own_values, points
+from recordings.writing.changes import set_time
 from recordings.writing.checksums import image_checksum
 
 _POINTS = 10_000
@@ -23,15 +27,46 @@ _POINTS = 10_000
 _INFRARED_QUALITY = 80  # of the JPEG, per cent: 20 KB for an image of 320 × 288 pixels
 
 
-class ColorLog:
-    """Writes the colour images of both sensors to a stream. The caller sets the time of the stream."""
+class ImageLog:
+    """Writes the images of both sensors to a stream.
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
-        self._stream = stream
-        self._placed: set[str] = set()
+    Args:
+        every: Keep the images of every n-th pair; 0 for none.
+        shown: Whether point clouds and infrared images are added, for a viewer.
+    """
 
-    def record(self, side: str, frame: int, color: ColorImage) -> None:
-        """Logs an image under the number of its frame."""
+    def __init__(self, stream: rr.RecordingStream, setup: FusionSetup, every: int, shown: bool) -> None:
+        self._stream, self._every, self._shown = stream, every, shown
+        self._cameras = {"a": setup.intrinsics_a, "b": setup.intrinsics_b}
+        self._placed: set[str] = set()  # colour cameras
+        if shown:  # takes longer than a frame
+            for camera in self._cameras.values():
+                _thin_rays(camera)
+
+    def record(self, frame: int, time_ns: int, pair: FramePair) -> None:
+        """Logs the images of a pair, if they are to be kept."""
+        if self._every == 0 or frame % self._every:
+            return
+        for side, seen in (("a", pair.a), ("b", pair.b)):
+            if seen is not None and seen.depth is not None:
+                self.depth(side, frame, time_ns, seen.depth)
+                if self._shown and seen.ir is not None:
+                    _show_infrared(self._stream, side, seen.ir)
+            if seen is not None and seen.color is not None:
+                self.color(side, frame, time_ns, seen.color)
+
+    def depth(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
+        """Logs a depth image losslessly: (height, width) millimetres."""
+        blob = encode_depth(depth)
+        set_time(self._stream, frame, time_ns)
+        image = depth_image(blob, MEDIA_TYPE, meter=1000.0)
+        self._stream.log(layout.depth(side), image, own_values(crc32=image_checksum(frame, blob)))
+        if self._shown:
+            self._stream.log(layout.points(side), points(thin_points(depth, self._cameras[side])))
+
+    def color(self, side: str, frame: int, time_ns: int, color: ColorImage) -> None:
+        """Logs a colour image."""
+        set_time(self._stream, frame, time_ns)
         entity, camera = layout.color(side), color.camera
         if side not in self._placed:
             self._placed.add(side)
@@ -57,7 +92,7 @@ def _camera_values(camera: ColorCamera) -> NDArray[np.float64]:
     return np.array([*size, *pose.rotation.ravel(), *pose.translation, *of.distortion], dtype=np.float64)
 
 
-def show_infrared(stream: rr.RecordingStream, side: str, image: NDArray[np.uint16]) -> None:
+def _show_infrared(stream: rr.RecordingStream, side: str, image: NDArray[np.uint16]) -> None:
     """Logs an infrared image as the body tracker sees it, at the stream's current time.
 
     Args:
@@ -81,12 +116,6 @@ def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.flo
     """
     step, rays = _thin_rays(camera)
     return depth_to_points(depth[::step, ::step], rays)
-
-
-def prepare_points(*cameras: Intrinsics) -> None:
-    """Precomputes the rays that :func:`thin_points` needs, because this takes longer than a frame."""
-    for camera in cameras:
-        _thin_rays(camera)
 
 
 @lru_cache(maxsize=4)

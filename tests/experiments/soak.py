@@ -105,11 +105,10 @@ class _TimedRecorder(Recorder):
     shown: ClassVar[list[float]] = []
 
     def record_all(self, frames, numbers=None):
-        rows = super().record_all(frames, numbers)
+        super().record_all(frames, numbers)
         now = time.perf_counter_ns()
-        if self._points:  # otherwise the call is the file's
+        if self._plots_later:  # otherwise the call is the file's
             self.shown.extend((now - _arrived(frame)) * 1e-6 for frame in frames)
-        return rows
 
 
 def _arrived(frame):
