@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 
 from tests.helpers import scripted_sensor
 
@@ -15,6 +15,10 @@ settings.register_profile(
     "duplex", deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 settings.load_profile("duplex")
+# for one long run of a state machine: pytest --hypothesis-profile many FILE
+settings.register_profile(
+    "many", max_examples=2000, stateful_step_count=10, phases=[Phase.generate], print_blob=True
+)
 
 # A shell without job control starts background jobs with SIGINT ignored, and child processes inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -11,6 +11,7 @@ import math
 import mmap
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -155,12 +156,13 @@ class RrdFile:
                 yield chunk
 
     def identity(self) -> tuple[str, str] | None:
-        """Application and recording id; None before the first chunk."""
+        """Application and recording id, by the first whole chunk; None without one."""
         for kind, begin, end in self.messages():
             if kind == _CHUNK:
-                store = _fields(_fields(self._data[begin:end])[_STORE])
-                if store.get(1) == _RECORDING:
-                    return _fields(store[3])[1].decode(), store[2].decode()
+                with suppress(*_DAMAGED):
+                    store = _fields(_fields(self._data[begin:end])[_STORE])
+                    if store.get(1) == _RECORDING:
+                        return _fields(store[3])[1].decode(), store[2].decode()
         return None
 
     def unread(self, entity: str) -> int:
