@@ -33,9 +33,10 @@ class HostClock:
     """The offset host − sensor of one sensor's clock, kept up to date.
 
     A frame arrives after its capture by the least delay there is plus some jitter, never earlier. So the
-    offset is the least arrival − capture of the last ten seconds: jitter only adds and does not disturb it,
-    and a clock that drifts by 50 ppm moves 0.5 ms in that time. A jump by more than half a second is a reset;
-    where it looks like lateness, only after a second frame with the same offset.
+    offset is the least arrival − capture of the last ten seconds that have frames: jitter only adds and does
+    not disturb it, and a clock that drifts by 50 ppm moves 0.5 ms in that time. Seconds that are a minute old
+    do not count. A jump by more than half a second is a reset; where it looks like lateness, only after a
+    second frame with the same offset.
 
     Attributes:
         offset_ns: Host time minus sensor time, least delay included; None before the first frame.
@@ -95,8 +96,8 @@ class HostClock:
             self._minima[-1] = at, min(least, offset_ns)
         else:
             self._minima.append((block, offset_ns))
-        recent = [least for at, least in self._minima if at > block - _WINDOW_BLOCKS]
-        self.offset_ns = min(recent)
+        recent = [least for at, least in self._minima if at > block - _DRIFT_BLOCKS]
+        self.offset_ns = min(recent[-_WINDOW_BLOCKS:])
 
 
 class ContinuousTime:

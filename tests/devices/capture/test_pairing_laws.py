@@ -16,6 +16,7 @@ from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS
 MS = 1_000_000
 LATENCY_NS, JITTER_NS = 20 * MS, 5 * MS
 POLL_NS = 10 * MS
+MINUTE_NS = 60 * SECOND_NS
 TIMES_NS = 60 * MS
 """How far a pair's time may be from the true one. The clocks differ by 50 ppm, 15 ms in five minutes. Each
 of at most eight new clocks of A is found by one frame, to the jitter of 5 ms."""
@@ -27,7 +28,8 @@ class Camera:
 
     def __init__(self, delay_ns, clock_ns, ppm):
         self.delay_ns, self.clock_ns, self.ppm = delay_ns, clock_ns, ppm
-        self.lost = self.opening = self.delivered = 0
+        self.lost = self.opening = 0
+        self.heard_ns = -MINUTE_NS
         self.late_ns = self.held_until_ns = self.off_until_ns = 0
         self.twice = False
 
@@ -68,7 +70,7 @@ class Pairing(RuleBasedStateMachine):
                 self._capture(side, camera)
             self._pass(self.pulse_ns)
 
-    @precondition(lambda self: all(camera.delivered for camera in self.cameras.values()))
+    @precondition(lambda self: self.delay_is_known())
     @rule(side=SIDES, late_ms=st.integers(0, 400))
     def late(self, side, late_ms):
         self.cameras[side].late_ns = late_ms * MS
@@ -84,7 +86,7 @@ class Pairing(RuleBasedStateMachine):
         self.cameras[side].twice = True
         self.run(1)
 
-    @precondition(lambda self: all(camera.delivered for camera in self.cameras.values()))
+    @precondition(lambda self: self.delay_is_known())
     @rule(side=st.sampled_from(["a", "b", "ab"]), seconds=st.floats(0.1, 3.0))
     def hold_up(self, side, seconds):
         for each in side:
@@ -142,12 +144,16 @@ class Pairing(RuleBasedStateMachine):
 
     # --- How it is done
 
+    def delay_is_known(self):
+        """The first frames after a minute, or of a new clock, tell the delay."""
+        return all(self.now_ns - camera.heard_ns < MINUTE_NS - 5 * SECOND_NS for camera in self.cameras.values())
+
     def _switch_off(self, side, seconds):
         camera = self.cameras[side]  # what is on its way does not arrive
         self.flying = [each for each in self.flying if each[2] != side]
         heapq.heapify(self.flying)
         camera.off_until_ns = self.pulse_ns + round(seconds * SECOND_NS)
-        camera.delivered = camera.late_ns = camera.held_until_ns = 0
+        camera.heard_ns, camera.late_ns, camera.held_until_ns = -MINUTE_NS, 0, 0
         self.run(int(seconds * SECOND_NS / (self.step * INTERVAL_NS)) + 2)
 
     def _capture(self, side, camera):
@@ -175,7 +181,7 @@ class Pairing(RuleBasedStateMachine):
                     opened[side] = opening
                     self._check(self.pairing.restart(side), at_ns)
                 self.delivered += 1
-                self.cameras[side].delivered += 1
+                self.cameras[side].heard_ns = at_ns
                 self.came.setdefault(id(frame), at_ns)
                 self._check(self.pairing.add(side, frame, at_ns), at_ns)
             self.now_ns = next_ns
