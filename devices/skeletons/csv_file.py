@@ -37,15 +37,20 @@ from fusion.skeleton import TrackingState, checked_joints
 LATEST_US = 9 * 10**15
 """Largest time, so that nanoseconds fit into 64 bits."""
 
-_BLOCK = 4_000_000  # bytes that are read at once
+_BLOCK = 4_000_000  # bytes
 
 
-def read_csv(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> ReadFile:
+def read_csv(
+    path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly, block: int = _BLOCK
+) -> ReadFile:
     """Reads a CSV file. Columns are separated by commas, semicolons or tabs.
 
     Where commas do not separate columns, numbers may have a decimal comma. ``state`` is tracked, inferred or
     not_tracked, or 2, 1, 0; without this column every joint counts as tracked. A joint is not tracked in a
     frame in which it has no row or an empty coordinate.
+
+    Args:
+        block: Bytes that are read at once; -1 for all. The result does not depend on it.
 
     Raises:
         DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, a
@@ -53,7 +58,7 @@ def read_csv(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = q
             behind the sensor, or of a person who is a mirror image by the stated axes.
     """
     try:
-        return _Reader(path, stated).read(_BLOCK, progress)
+        return _Reader(path, stated).read(block, progress)
     except _NotInBlocksError:
         return _Reader(path, stated).read(-1, progress)
 

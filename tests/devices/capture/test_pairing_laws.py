@@ -146,7 +146,9 @@ class Pairing(RuleBasedStateMachine):
 
     def delay_is_known(self):
         """The first frames after a minute, or of a new clock, tell the delay."""
-        return all(self.now_ns - camera.heard_ns < MINUTE_NS - 5 * SECOND_NS for camera in self.cameras.values())
+        return all(
+            self.now_ns - camera.heard_ns < MINUTE_NS - 5 * SECOND_NS for camera in self.cameras.values()
+        )
 
     def _switch_off(self, side, seconds):
         camera = self.cameras[side]  # what is on its way does not arrive

@@ -92,18 +92,6 @@ def test_no_interval_has_two_units():
         assert not (without_question[:, column] & others).any()
 
 
-def test_times_with_decimal_commas_in_blocks_are_those_of_the_whole_file(tmp_path, good, monkeypatch):
-    table = retimed("time_s", 1.0)(pandas.read_csv(good))
-    path = tmp_path / "a.csv"
-    table.to_csv(path, index=False, sep=";", decimal=",")
-    whole = read_csv(path)
-    monkeypatch.setattr("devices.skeletons.csv_file._BLOCK", 20_000)
-    in_blocks = read_csv(path)
-    np.testing.assert_array_equal(in_blocks.people.time_ns, whole.people.time_ns)
-    np.testing.assert_array_equal(in_blocks.people.time_ns, np.rint(np.arange(FRAMES) / 30 * 1e6) * 1000)
-    assert whole.warnings == in_blocks.warnings == ()
-
-
 @pytest.mark.parametrize("spelling", ["name", "list"])
 @pytest.mark.parametrize("axes", SENSOR_FROM)
 def test_axes_of_other_programs_are_turned(tmp_path, good, axes, spelling):
