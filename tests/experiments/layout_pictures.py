@@ -29,9 +29,11 @@ from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main
 from viewer_app.viewer.blueprint import LAYOUTS, session_blueprint
-from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
+from viewer_app.viewer.hub import Hub
+from viewer_app.viewer.rerun_process import stop
 from viewer_app.viewer.stored_clouds import has_depth, send_clouds
 from viewer_app.viewer.viewer_choice import Viewing
+from viewer_app.viewer.window import start_viewer
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / "docs" / "pictures"

@@ -25,8 +25,10 @@ from recordings.appearance.body_shape import capsule_lengths, capsule_radii, cap
 from recordings.appearance.colors import SKELETON_COLORS
 from recordings.appearance.floor import find_floor
 from tests.helpers.waiting import eventually
+from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main
-from viewer_app.viewer.rerun_process import LOOPBACK, start_viewer, stop
+from viewer_app.viewer.rerun_process import stop
+from viewer_app.viewer.window import start_viewer
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "pictures" / "moving.webp"
 LIMIT = 3_000_000

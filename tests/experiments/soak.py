@@ -33,7 +33,7 @@ from viewer_app.running.loop import run_live
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.blueprint import session_blueprint
-from viewer_app.viewer.rerun_process import Hub
+from viewer_app.viewer.hub import Hub
 from viewer_app.viewer.viewer_choice import Viewing
 
 FPS = 30

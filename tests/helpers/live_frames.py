@@ -12,7 +12,7 @@ from tests.helpers.frame_pairs import frame_pair
 from tests.helpers.two_views import FRAME_NS, calibration_of, pair_of, standing
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint
-from viewer_app.viewer.viewer_choice import Viewing
+from viewer_app.viewer.viewer_choice import LiveWindow, Viewing
 
 BODY = KINECT_V2
 
@@ -36,7 +36,7 @@ def frames(fuser, count, depth=False):
 
 def session(fuser, file=None, hub=None, window=False, active="inspect", headless=True):
     """A session into a file, a hub or both."""
-    viewing = Viewing(window=window, hub=hub, headless=headless)
+    viewing = LiveWindow(hub, headless) if window else Viewing(hub)
     blueprint = session_blueprint(fuser.setup, np.array([0.0, 0.0, 2.6]), active)
     return LiveSession(fuser.setup, ("a", "b"), blueprint, file=file, viewing=viewing)
 

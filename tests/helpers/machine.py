@@ -19,7 +19,8 @@ from rerun.experimental import ViewerClient
 from devices.blazepose.networks.files import cache_folder, missing
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
-from viewer_app.viewer.rerun_process import start_viewer, stop
+from viewer_app.viewer.rerun_process import stop
+from viewer_app.viewer.window import start_viewer
 
 _LACKS = "this machine lacks"
 _COMPILERS = ("cc", "gcc", "clang")

@@ -5,7 +5,7 @@ import numpy as np
 from devices.network.messages import FrameMessage, encode_frame
 from devices.sensor import SensorFrame
 from viewer_app.addresses import LOOPBACK
-from viewer_app.viewer.rerun_process import free_port
+from viewer_app.viewer.hub import free_port
 
 
 def free_address():

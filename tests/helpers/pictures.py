@@ -9,7 +9,8 @@ from recordings import layout
 from recordings.appearance.colors import SKELETON_COLORS
 from tests.helpers.machine import need_viewer
 from viewer_app.addresses import LOOPBACK
-from viewer_app.viewer.rerun_process import start_viewer, stop
+from viewer_app.viewer.rerun_process import stop
+from viewer_app.viewer.window import start_viewer
 
 
 @contextlib.contextmanager

@@ -44,7 +44,6 @@ from viewer_app.running.runner import Runner
 from viewer_app.sensors.raw_files import RawFiles, raw_files
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display
-from viewer_app.viewer.viewer_choice import stay_for_visitors
 
 if TYPE_CHECKING:
     from devices.blazepose.pace import TrackingPace
@@ -132,7 +131,7 @@ def _show(
             with suppress(KeyboardInterrupt):  # after Ctrl-C, do not wait for another one
                 again = threading.Event()
                 ctrl_c.calls(again.set)
-                stay_for_visitors(runner.viewing, console, again)
+                runner.viewing.stay(console, again)
         runner.summarise(setup, frames, sensors)
         left_out = a.images_left_out + b.images_left_out
         if left_out:

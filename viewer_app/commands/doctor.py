@@ -26,7 +26,7 @@ from viewer_app.sensors.bundle import SECONDS, collecting
 from viewer_app.sensors.raw_files import RawFiles
 from viewer_app.sensors.tracker import tracker_of
 from viewer_app.viewer.display import environment_of_window, why_no_window, why_no_x
-from viewer_app.viewer.rerun_process import why_nothing_is_drawn
+from viewer_app.viewer.window import why_nothing_is_drawn
 
 _GREY = "bright_black"
 _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program from a slow disk

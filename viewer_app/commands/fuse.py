@@ -34,7 +34,7 @@ from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
 from viewer_app.viewer.file_window import served, write_for_viewer, written_and_shown
-from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
+from viewer_app.viewer.viewer_choice import FileWindow, choose_viewing
 
 
 def run(options: FuseOptions) -> None:
@@ -69,8 +69,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     session = fused_session(read, plan, segments, blocks, sources, options.depth, progress)
     del plan, blocks  # ends the bar, and frees the labels, 30 bytes of each pair
     figures = report(session)
-    hub = None if viewing is None else viewing.hub
-    window = viewing is not None and viewing.window
+    hub, window = viewing.hub, isinstance(viewing, FileWindow)
 
     def write(path: Path) -> int:
         page = session_page(setup, figures)
@@ -79,8 +78,8 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     with written_and_shown(options.save, write, window=window, served=hub is not None) as (file, _):
         _summarise(console, options, session, figures)
         with served(file, hub) if file is not None and hub is not None else nullcontext():
-            announce(viewing, console)
-            stay_for_visitors(viewing, console)
+            viewing.announce(console)
+            viewing.stay(console)
     return session, figures
 
 

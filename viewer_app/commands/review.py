@@ -16,9 +16,8 @@ from viewer_app.report.events import (
 from viewer_app.report.figures import report, truth_free_figures
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_events, print_summary, say_more
-from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import in_this_layout, served, show
-from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
+from viewer_app.viewer.viewer_choice import NoViewer, choose_viewing
 
 
 def run(options: ReviewOptions) -> None:
@@ -46,17 +45,17 @@ def run(options: ReviewOptions) -> None:
         console.print(f"Wrote {options.html}.", markup=False, soft_wrap=True)
     elif not options.verbose:
         say_more(console, "every bone, with plots, with --html FILE.html")
-    if viewing is None:
+    if viewing == NoViewer():  # none is wanted
         return
     page = session_page(session.last_setup, figures)
     in_layout = in_this_layout(session, options.session, page)
     if viewing.hub is not None:
         with in_layout as file, served(file, viewing.hub):
-            announce(viewing, console)
+            viewing.announce(console)
             console.print(f"Move its time cursor by hand; a window would open {where}.", markup=False)
-            stay_for_visitors(viewing, console)
-    elif not has_display():
-        console.print(f"There is no display; a viewer would open {where}.", markup=False)
+            viewing.stay(console)
+    elif isinstance(viewing, NoViewer):
+        console.print(f"{viewing.why_not}; a viewer would open {where}.", markup=False)
     else:
         console.print(f"The viewer opens {where}.", markup=False)
         with in_layout as file:

@@ -26,7 +26,7 @@ from viewer_app.report.terminal import print_details, print_summary, say_more, s
 from viewer_app.running.interruption import call_after
 from viewer_app.running.status import LiveDisplay
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.viewer.viewer_choice import announce, choose_viewing
+from viewer_app.viewer.viewer_choice import choose_viewing
 
 _REVIEWED = 18_000
 """Frames of the longest session that is read again for its summary: 100 MB."""
@@ -89,7 +89,7 @@ class Runner:
                 about={"tracker": tracker_name(a)} if tracker_name(a) else None,
             )
         )
-        announce(self.viewing, console, live=True)
+        self.viewing.announce(console)
         return stack.enter_context(LiveDisplay(console, self.session, coach, options.quiet, options.verbose))
 
     def summarise(self, setup: FusionSetup, frames: Sequence[SessionFrame], sensors: TwoSensors) -> None:

@@ -21,8 +21,10 @@ from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.errors import UsageError
 from viewer_app.sinks.queued_sink import Item, Opening, QueuedSink, write_items
-from viewer_app.viewer.rerun_process import STARTS_TRIED, ViewerWindow, not_started, start_window, stop
-from viewer_app.viewer.viewer_choice import Viewing
+from viewer_app.viewer.hub import SERVER, STARTS_TRIED
+from viewer_app.viewer.rerun_process import not_started, stop
+from viewer_app.viewer.viewer_choice import LiveWindow, Viewing
+from viewer_app.viewer.window import ViewerWindow, start_window
 
 _KEEP = 60
 """Maximum number of queued frames: two seconds; older frames are dropped."""
@@ -213,11 +215,11 @@ class ViewerSink(ViewerFeed):
         while not hub.listens(started := self.process):  # the feed starts another one if it has ended
             if self.starts >= STARTS_TRIED or started.poll() is None:
                 super().close()
-                raise not_started()
+                raise not_started(SERVER)
             time.sleep(_WATCHED_EVERY)
         # While a hub takes the static data, it would hold up the first frames.
         self.wait_until_free(_BEGINS_WITHIN)
-        if viewing.window:
+        if isinstance(viewing, LiveWindow):
             try:
                 self.window = ViewerWindow(lambda: start_window(hub, viewing.headless))
             except UsageError as error:

@@ -20,8 +20,10 @@ from recordings.session import Session
 from viewer_app.addresses import LOOPBACK
 from viewer_app.output_files import whole_file
 from viewer_app.viewer.blueprint import Layout, session_blueprint
-from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
+from viewer_app.viewer.hub import Hub
+from viewer_app.viewer.rerun_process import stop
 from viewer_app.viewer.stored_clouds import add_clouds, has_depth, has_depth_images
+from viewer_app.viewer.window import start_viewer
 
 T = TypeVar("T")
 _READS_WITHIN, _LOOKS_EVERY = 20.0, 0.1  # seconds

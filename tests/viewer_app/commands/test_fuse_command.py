@@ -209,8 +209,8 @@ def test_a_browser_is_served_the_whole_session(recordings, monkeypatch, capsys):
     monkeypatch.setattr(
         fuse_command, "served", lambda path, _: nullcontext(served.append(len(Session.open(path))))
     )
-    monkeypatch.setattr(fuse_command, "stay_for_visitors", lambda *_: None)
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.WebPage.stay", lambda *_: None)
+    monkeypatch.setattr("viewer_app.viewer.web_page.has_display", lambda: False)
     assert duplex("fuse", *recordings, *QUICKLY[1:], "--web") == 0
     assert served == [70]
     assert "Viewer: http://127.0.0.1:" in capsys.readouterr().out

@@ -14,6 +14,7 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.two_views import calibration_of
 from viewer_app.commands import review
+from viewer_app.viewer import viewer_choice
 
 EVENTS = (
     Event("calibrated: known", "INFO"),
@@ -42,7 +43,7 @@ def shown(monkeypatch):
     """Replaces the viewer."""
     viewer = MagicMock(return_value=True)
     monkeypatch.setattr(review, "show", viewer)
-    monkeypatch.setattr(review, "has_display", lambda: True)
+    monkeypatch.setattr(viewer_choice, "why_no_window", lambda: None)
     return viewer
 
 
@@ -64,7 +65,7 @@ def test_the_viewer_opens_at_the_first_warning_or_as_asked(options, at_ns, words
 
 
 def test_without_a_display_it_says_where_a_viewer_would_open(path, shown, monkeypatch, capsys):
-    monkeypatch.setattr(review, "has_display", lambda: False)
+    monkeypatch.setattr(viewer_choice, "why_no_window", lambda: "There is no display")
     assert duplex("review", path, "--event", 2) == 0
     assert "There is no display; a viewer would open at 0.50 s, event 2." in capsys.readouterr().out
     shown.assert_not_called()
@@ -73,8 +74,8 @@ def test_without_a_display_it_says_where_a_viewer_would_open(path, shown, monkey
 def test_a_browser_is_served_the_session(path, monkeypatch, capsys):
     served = []
     monkeypatch.setattr(review, "served", lambda file, hub: nullcontext(served.append((file, hub.web_port))))
-    monkeypatch.setattr(review, "stay_for_visitors", lambda *_: None)
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
+    monkeypatch.setattr(viewer_choice.WebPage, "stay", lambda *_: None)
+    monkeypatch.setattr("viewer_app.viewer.web_page.has_display", lambda: False)
     assert duplex("review", path, "--web") == 0
     ((file, port),) = served
     assert file == path

@@ -18,7 +18,8 @@ from tests.helpers.waiting import eventually
 from viewer_app.sinks.queued_sink import QueuedFrame
 from viewer_app.sinks.session_file import SessionFile
 from viewer_app.sinks.viewer_sink import ImageTurns, ViewerFeed
-from viewer_app.viewer.rerun_process import Hub, stop
+from viewer_app.viewer.hub import Hub
+from viewer_app.viewer.rerun_process import stop
 
 STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
 """A process that never reads: a frozen viewer."""

@@ -22,8 +22,9 @@ from tests.helpers.recorded_pairs import write_pair
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
-from viewer_app.viewer import file_window, rerun_process
+from viewer_app.viewer import file_window, window
 from viewer_app.viewer.blueprint import SCENE
+from viewer_app.viewer.hub import free_port
 from viewer_app.viewer.rerun_process import stop
 
 DATA = Path(__file__).parents[2] / "data"
@@ -49,7 +50,7 @@ def headless(monkeypatch):
     started = []
 
     def start(arguments, stdin):
-        started.append(rerun_process.start_viewer(["--headless", *arguments], stdin))
+        started.append(window.start_viewer(["--headless", *arguments], stdin))
         return started[-1]
 
     monkeypatch.setattr(file_window, "start_viewer", start)
@@ -116,11 +117,11 @@ def test_a_viewer_that_is_interrupted_while_it_starts_is_gone(monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(rerun_process, "_start", lambda *_: process)
-    monkeypatch.setattr(rerun_process, "_listens", interrupt)
+    monkeypatch.setattr(window, "start", lambda *_: process)
+    monkeypatch.setattr(window, "listens", interrupt)
     try:
         with pytest.raises(KeyboardInterrupt):
-            rerun_process.start_viewer(["--headless"])
+            window.start_viewer(["--headless"])
         assert process.poll() is not None
     finally:
         stop(process)
@@ -181,7 +182,7 @@ def test_a_window_that_takes_no_time_or_is_closed_is_given_up(exit_code, within,
     path = tmp_path / "s.rrd"
     path.write_bytes(b"")
     process = SimpleNamespace(poll=lambda: exit_code)
-    monkeypatch.setattr(file_window, "start_viewer", lambda *_: (process, rerun_process.free_port()))
+    monkeypatch.setattr(file_window, "start_viewer", lambda *_: (process, free_port()))
     monkeypatch.setattr(file_window, "_READS_WITHIN", within)
     assert file_window.show(path, 1) is False
 
@@ -189,7 +190,7 @@ def test_a_window_that_takes_no_time_or_is_closed_is_given_up(exit_code, within,
 ROOT = Path(__file__).resolve().parents[3]
 _STARTS_A_HUB = """
 import sys
-from viewer_app.viewer.rerun_process import Hub
+from viewer_app.viewer.hub import Hub
 print(Hub.on_free_ports(web=False).start().pid, flush=True)
 sys.stdin.read()
 """

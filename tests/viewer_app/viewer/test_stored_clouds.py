@@ -12,8 +12,9 @@ from tests.helpers.machine import need_viewer
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.viewer import stored_clouds
-from viewer_app.viewer.rerun_process import start_viewer, stop
+from viewer_app.viewer.rerun_process import stop
 from viewer_app.viewer.stored_clouds import add_clouds, clouds, has_depth_images
+from viewer_app.viewer.window import start_viewer
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,11 @@ from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import ViewerOptions
-from viewer_app.viewer import rerun_process
-from viewer_app.viewer.rerun_process import DATA_PORT, PAGE_PORT, Hub, free_port, start_viewer, stop
-from viewer_app.viewer.viewer_choice import Viewing, announce, choose_viewing
+from viewer_app.viewer import hub as hub_module
+from viewer_app.viewer.hub import DATA_PORT, PAGE_PORT, Hub, free_port
+from viewer_app.viewer.rerun_process import stop
+from viewer_app.viewer.viewer_choice import NoViewer, WebPage, choose_viewing
+from viewer_app.viewer.window import start_viewer
 
 
 def web_hub(address=LOOPBACK):
@@ -82,31 +84,31 @@ def test_the_page_is_the_viewer_with_the_session(served):
     assert f":{hub.port}/proxy" in hub.page
 
 
-def said(viewing, monkeypatch, live=False):
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
+def said(viewing, monkeypatch):
+    monkeypatch.setattr("viewer_app.viewer.web_page.has_display", lambda: False)
     out = io.StringIO()
-    announce(viewing, Console(file=out, width=300), live)
+    viewing.announce(Console(file=out, width=300))
     return out.getvalue()
 
 
 def test_listening_to_others_is_warned_of(monkeypatch):
     alone, open_to_all = (
-        said(Viewing(hub=web_hub(address)), monkeypatch) for address in (LOOPBACK, "0.0.0.0")
+        said(WebPage(hub=web_hub(address)), monkeypatch) for address in (LOOPBACK, "0.0.0.0")
     )
     assert "Warning" not in alone
     assert "http://127.0.0.1:" in alone
     assert "Warning" in open_to_all
     assert "video included" in open_to_all
-    assert said(None, monkeypatch) == ""
+    assert said(NoViewer(), monkeypatch) == ""
 
 
 def test_a_terminal_shows_the_address_for_a_camera(monkeypatch):
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
+    monkeypatch.setattr("viewer_app.viewer.web_page.has_display", lambda: False)
     printed = {}
     for address in (LOOPBACK, "0.0.0.0"):
         hub = Hub(DATA_PORT, PAGE_PORT, address)
         out = io.StringIO()
-        announce(Viewing(hub=hub), Console(file=out, width=300, force_terminal=True))
+        WebPage(hub=hub).announce(Console(file=out, width=300, force_terminal=True))
         printed[address] = [line for line in out.getvalue().splitlines() if set(line) & set("▀▄█")]
     assert printed[LOOPBACK] == []
     light = {"█": (1, 1), "▀": (1, 0), "▄": (0, 1), " ": (0, 0)}  # upper and lower half of a character
@@ -129,7 +131,7 @@ def own_address():
 
 def test_a_browser_elsewhere_gets_an_address_that_it_reaches_and_may_read(own_address, fuser, monkeypatch):
     hub = web_hub("0.0.0.0")
-    text = said(Viewing(hub=hub), monkeypatch)
+    text = said(WebPage(hub=hub), monkeypatch)
     assert "127.0.0.1" not in text
     assert text.count(f"http://{own_address}:") == 2  # the page, and in its address the data
     with session(fuser, None, hub):
@@ -141,19 +143,19 @@ def test_a_browser_elsewhere_gets_an_address_that_it_reaches_and_may_read(own_ad
 
 
 def test_the_ports_for_browsers_are_fixed_and_the_next_ones_where_they_are_taken(monkeypatch):
-    monkeypatch.setattr(rerun_process, "PAGE_PORT", free_port())
+    monkeypatch.setattr(hub_module, "PAGE_PORT", free_port())
     with socket.socket() as other:
         other.bind((LOOPBACK, 0))
         other.listen()
         taken = int(other.getsockname()[1])
-        monkeypatch.setattr(rerun_process, "DATA_PORT", taken)
+        monkeypatch.setattr(hub_module, "DATA_PORT", taken)
         hub = Hub.on_free_ports(web=True)
-    assert hub.web_port == rerun_process.PAGE_PORT
+    assert hub.web_port == hub_module.PAGE_PORT
     assert taken < hub.port < taken + 20
-    usual = said(Viewing(hub=Hub(DATA_PORT, PAGE_PORT)), monkeypatch)
+    usual = said(WebPage(hub=Hub(DATA_PORT, PAGE_PORT)), monkeypatch)
     assert usual == "Viewer: http://127.0.0.1:9090/?url=rerun%2Bhttp://127.0.0.1:9876/proxy\n"
-    assert "latency" in said(Viewing(hub=Hub(DATA_PORT, PAGE_PORT)), monkeypatch, live=True)
-    moved = said(Viewing(hub=Hub(DATA_PORT + 1, PAGE_PORT)), monkeypatch)
+    assert "latency" in said(WebPage(Hub(DATA_PORT, PAGE_PORT), live=True), monkeypatch)
+    moved = said(WebPage(hub=Hub(DATA_PORT + 1, PAGE_PORT)), monkeypatch)
     assert moved.startswith("Port 9876 is taken: using 9877.\n")
 
 
@@ -204,7 +206,7 @@ def test_a_session_that_is_saved_goes_on_without_a_window(monkeypatch, tmp_path)
         return choose_viewing(ViewerOptions(), save, live=True)
 
     viewing = chosen(tmp_path)
-    assert (viewing.window, viewing.hub) == (False, None)
+    assert isinstance(viewing, NoViewer)
     assert ":48731" in viewing.why_not
     with pytest.raises(UsageError, match=r":48731 .* does not answer.* --save FILE.rrd"):
         chosen(None)
@@ -218,9 +220,9 @@ def test_a_browser_is_not_waited_for(monkeypatch, tmp_path):
     browser.write_text(f'#!/bin/sh\necho "$1" > {opened}\n{wait}\ntouch {ended}\n')
     browser.chmod(0o755)
     monkeypatch.setenv("BROWSER", f"{browser} %s")
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: True)
+    monkeypatch.setattr("viewer_app.viewer.web_page.has_display", lambda: True)
     hub = Hub(DATA_PORT, PAGE_PORT)
-    announce(Viewing(hub=hub), Console(file=io.StringIO()))
+    WebPage(hub=hub).announce(Console(file=io.StringIO()))
     assert not ended.exists()
     assert eventually(lambda: opened.exists() and opened.read_text().strip() == hub.page)
     closed.touch()

@@ -11,8 +11,10 @@ from tests.helpers.live_frames import frames, known_fuser, numbers_in, session
 from tests.helpers.machine import need_viewer
 from tests.helpers.waiting import eventually
 from viewer_app.errors import UsageError
-from viewer_app.viewer import rerun_process
-from viewer_app.viewer.rerun_process import Hub, ViewerWindow, start_viewer, stop
+from viewer_app.viewer import window as window_module
+from viewer_app.viewer.hub import Hub
+from viewer_app.viewer.rerun_process import stop
+from viewer_app.viewer.window import ViewerWindow, start_viewer
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="X is a display of Linux")
 
@@ -46,7 +48,7 @@ def test_a_window_that_is_started_is_on_the_screen_and_opens_again(screen):
 
 def test_a_viewer_that_hangs_while_it_opens_is_started_once_more(screen, monkeypatch):
     """As graphics drivers make it: it listens, and neither answers nor computes."""
-    listens, hung = rerun_process._listens, []
+    listens, hung = window_module.listens, []
 
     def listens_and_hangs(process, ports):
         found = listens(process, ports)
@@ -55,8 +57,8 @@ def test_a_viewer_that_hangs_while_it_opens_is_started_once_more(screen, monkeyp
             os.kill(process.pid, signal.SIGSTOP)
         return found
 
-    monkeypatch.setattr(rerun_process, "_listens", listens_and_hangs)
-    monkeypatch.setattr(rerun_process, "_HANGS_AFTER", 1.0)
+    monkeypatch.setattr(window_module, "listens", listens_and_hangs)
+    monkeypatch.setattr(window_module, "_HANGS_AFTER", 1.0)
     viewer, _ = start_viewer([])
     try:
         assert hung[0].poll() is not None

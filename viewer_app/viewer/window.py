@@ -1,0 +1,162 @@
+"""Viewers in a window: started, watched, and opened again after a crash."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import IO
+
+import psutil
+
+from viewer_app.addresses import LOOPBACK
+from viewer_app.errors import UsageError
+from viewer_app.viewer.display import environment_of_window
+from viewer_app.viewer.hub import Hub, free_port
+from viewer_app.viewer.rerun_process import STARTS_WITHIN, listens, not_started, rerun_program, start, stop
+
+_ENDS_WITHIN = 1.0  # seconds
+_HANGS_AFTER, _IDLE_SHARE = 5.0, 0.05  # seconds; of a processor
+_REOPENED = 3  # times in a row
+_VIEWER = "Rerun's viewer"
+_VIEWER_MEMORY = "2GiB"
+_LOOKED_AFTER_EVERY = 0.5  # seconds
+
+
+def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
+    """Starts a viewer that shows what the hub has; `headless` is for tests."""
+    arguments = ["--connect", hub.url, "--hide-welcome-screen", *(["--headless"] if headless else [])]
+    return start_viewer(arguments)[0]
+
+
+def start_viewer(
+    arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL
+) -> tuple[subprocess.Popen[bytes], int]:
+    """Starts a viewer with a bounded memory that listens on a port of the loopback address; returns both.
+
+    A viewer listens first, and then opens its window: it runs when it answers a request. A graphics driver
+    may hang while it opens the window, so a viewer that neither answers nor computes is started once more.
+
+    Raises:
+        UsageError: It does not start, or it cannot open its window; with its own last words.
+    """
+    for last in (False, True):
+        port = free_port()
+        own = ["--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY]
+        viewer = start([*own, *arguments], stdin)
+        try:
+            if not listens(viewer, {port}):
+                raise not_started(_VIEWER)
+            hangs = _hangs(viewer, port)
+        except BaseException:  # Ctrl-C, too: nobody would have the process
+            stop(viewer)
+            raise
+        if not hangs or last:
+            break
+        stop(viewer)
+        if not isinstance(stdin, int):
+            stdin.seek(0)
+    if viewer.poll():  # a user who closes the window at once ends it with 0
+        raise not_started(_VIEWER, _last_words([*own, *(set(arguments) & {"--headless"})]))
+    return viewer, port
+
+
+def _hangs(viewer: subprocess.Popen[bytes], port: int) -> bool:
+    """Waits until a viewer answers a request, has ended, takes long, or has not computed for five seconds;
+    returns whether it is the last.
+    """
+    answered, runs = threading.Event(), []
+
+    def ask() -> None:
+        from rerun.experimental import ViewerClient
+
+        # the interface is experimental: whatever fails in it must not end a viewer that runs
+        with contextlib.suppress(Exception):
+            ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy").get_state()
+            runs.append(True)
+        answered.set()
+
+    threading.Thread(target=ask, name="viewer's first answer", daemon=True).start()
+    began = worked = time.monotonic()
+    spent = 0.0
+    while viewer.poll() is None and time.monotonic() - began < STARTS_WITHIN and not answered.wait(0.05):
+        with contextlib.suppress(psutil.Error):
+            used = sum(psutil.Process(viewer.pid).cpu_times()[:2])
+            if used > spent + _IDLE_SHARE * (time.monotonic() - worked):
+                spent, worked = used, time.monotonic()
+        if time.monotonic() - worked > _HANGS_AFTER:
+            return True
+    if not runs:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            viewer.wait(_ENDS_WITHIN)  # one that cannot open its window answers with an error first
+    return False
+
+
+def _last_words(arguments: Sequence[str]) -> str:
+    """Why a viewer ends at once, in its own words: it is started once more, with nothing to show."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        said = subprocess.run(
+            [*rerun_program(), *arguments],
+            env={**environment_of_window(), "RERUN_ANALYTICS": "0", "RUST_LOG": "off"},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=STARTS_WITHIN,
+            check=False,
+        ).stderr.decode(errors="replace")
+        words = re.findall(r"^(?:Error: |thread .* panicked at )(.*)$", said, re.MULTILINE)
+        return re.sub(r"os error at \S+ ", "", words[-1]).strip("'.") if words else ""
+    return ""
+
+
+def why_nothing_is_drawn() -> str:
+    """Why no viewer can draw on this machine, as text; empty if one can. It starts one, without a window."""
+    try:
+        stop(start_viewer(["--headless"])[0])
+    except UsageError as error:
+        return str(error).partition(". Use ")[0]
+    return ""
+
+
+class ViewerWindow:
+    """A viewer window that reopens after a crash, and stays closed when the user closes it.
+
+    Attributes:
+        failure: Why it is not opened again; empty as long as it is.
+    """
+
+    def __init__(self, start: Callable[[], subprocess.Popen[bytes]]) -> None:
+        self._start = start
+        self._leaving = threading.Event()
+        self.process = start()
+        self.starts = 1
+        self.closed, self.failure = False, ""
+        self._thread = threading.Thread(target=self._look_after, name="viewer window", daemon=True)
+        self._thread.start()
+
+    def leave(self) -> None:
+        """Stops the supervision. The window stays open with its content."""
+        self._leaving.set()
+        self._thread.join(timeout=1.0)
+
+    def _look_after(self) -> None:
+        failed = 0
+        while not self._leaving.wait(_LOOKED_AFTER_EVERY):
+            if self.process.poll() is None:
+                continue
+            if self.process.returncode == 0:
+                self.closed = True
+                return
+            try:
+                self.process = self._start()
+                self.starts, failed = self.starts + 1, 0
+            except UsageError as error:
+                failed += 1
+                if failed == _REOPENED:
+                    self.failure = str(error)
+                    return
+                continue
+            if self._leaving.is_set():
+                stop(self.process)
