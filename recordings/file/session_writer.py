@@ -91,7 +91,7 @@ def write_session(
             recorder.event(Event(f"calibrated: {segments[0][0].calibration.how}"), placed=True)
         for event in _lasting(session.events, first):
             recorder.event(event.placed(0, 0), placed=True)
-        events = deque(sorted((e for e in session.events if first <= e.frame < end), key=lambda e: e.frame))
+        events = deque(sorted((e for e in session.events if first <= e.frame), key=lambda e: e.frame))
         for setup, own in segments:
             if own.start > first:
                 recorder.recalibrated(setup)
@@ -103,7 +103,8 @@ def write_session(
                 rows = replace(rows, frame=rows.frame - first, time_ns=rows.time_ns - start_ns)
                 recorder.record_rows(rows, (session.fused_checksums[part], session.joint_digests[part]))
                 # with their frames: a file that is cut off keeps the events up to the cut
-                while events and events[0].frame < part.stop:
+                # the last ones may be of frames that a damaged session has lost
+                while events and (events[0].frame < part.stop or part.stop == len(session)):
                     event = events.popleft()
                     moment = event.frame - first, event.time_ns - start_ns
                     recorder.event(event.placed(*moment), placed=True)

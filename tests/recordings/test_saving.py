@@ -98,6 +98,8 @@ class Model:
         self.whole = True  # whether all frames are here that S* was made of
 
     def cut(self, first, end):
+        # events may be there of frames that are lost
+        last = np.inf if end == len(self.fused) else end
         for name, values in self.rows.items():
             self.rows[name] = values[first:end]
         self.fused, self.time_ns = self.fused[first:end], self.time_ns[first:end] - self.time_ns[first]
@@ -108,9 +110,9 @@ class Model:
             for side, some in self.images.items()
         }
         self.spells = [
-            (max(a - first, 0), None if b is None or b >= end else b - first)
+            (max(a - first, 0), None if b is None or b >= last else b - first)
             for a, b in self.spells
-            if a < end and (b is None or b >= first)
+            if a < last and (b is None or b >= first)
         ]
         later = self.settings.method == "duplex" and self.settings.hindsight == "whole"
         self.whole &= first == 0 and not (later and end < len(self.fused) + first)
