@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from devices.capture.host_clock import HostClock
 from fusion.body import Body
-from viewer_app.sinks.queued_sink import Item, QueuedFrame
+from viewer_app.sinks.item_queue import Item, QueuedFrame
 
 _FARTHEST_NS = (
     300_000_000  # S* is not predicted farther ahead, and moments that are farther behind are left out

@@ -19,7 +19,7 @@ from fusion.fused_frame import FusedFrame
 from viewer_app.errors import UsageError
 from viewer_app.outputs.live_movement import LiveMovement
 from viewer_app.outputs.output import LiveOutput, confidence
-from viewer_app.sinks.queued_sink import QueuedFrame
+from viewer_app.sinks.item_queue import QueuedFrame
 
 _KEEP = 64  # frames; a recorder wants all of them
 _THIS_MACHINE = """

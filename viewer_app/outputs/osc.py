@@ -16,7 +16,7 @@ from pythonosc.osc_message_builder import build_msg
 from viewer_app.addresses import LOOPBACK, in_url
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LiveOutput
-from viewer_app.sinks.queued_sink import QueuedFrame
+from viewer_app.sinks.item_queue import QueuedFrame
 
 LARGEST_DATAGRAM = 1472
 """Bytes: what fits into one Ethernet frame with the headers of IPv4 and UDP."""

@@ -12,7 +12,8 @@ from fusion.fused_frame import FusedFrame
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from viewer_app.outputs.even_samples import EvenSamples
-from viewer_app.sinks.queued_sink import Item, QueuedFrame, QueuedSink
+from viewer_app.sinks.item_queue import DropOldest, Item, QueuedFrame
+from viewer_app.sinks.queued_sink import QueuedSink
 
 LATE_NS = 33_333_333
 """A frame that is sent later than this after its fusion is late: the next one is there already."""
@@ -50,12 +51,13 @@ class LiveOutput(QueuedSink):
     even: EvenSamples | None = None
 
     def __init__(self, name: str, keep: int = 1, clock: Callable[[], int] = time.perf_counter_ns) -> None:
-        super().__init__(f"output {name.partition(' ')[0].lower()}", keep, clock)
+        self._drop_oldest = DropOldest(keep)
+        super().__init__(f"output {name.partition(' ')[0].lower()}", self._drop_oldest, clock)
         self.name = name
         self.failure: str | None = None
         self.page = self.note = ""
         self._closed = False
-        self._sent = self._late = 0
+        self._sent = self._late = self._not_sent = 0
 
     def start(self) -> None:
         """Starts the thread."""
@@ -64,7 +66,7 @@ class LiveOutput(QueuedSink):
     @property
     def counts(self) -> OutputCounts:
         """The counts so far."""
-        return OutputCounts(self._sent, self.dropped, self._late)
+        return OutputCounts(self._sent, self._drop_oldest.dropped + self._not_sent, self._late)
 
     def figures(self) -> dict[str, object]:
         """Where it sent and its counts, as plain data for a report."""
@@ -78,7 +80,7 @@ class LiveOutput(QueuedSink):
         if self._closed:
             return
         self._closed = True
-        self._end()
+        self._queue.end()
         if self._thread.is_alive():
             self._thread.join(_CLOSES_WITHIN)
         self.shut()
@@ -107,8 +109,8 @@ class LiveOutput(QueuedSink):
         try:
             while True:
                 wait_s = None if self.even is None else self.even.wait_s(self._clock())
-                items: Sequence[Item] = self._take(wait_s, most=1)
-                if not items and self._ending:
+                items: Sequence[Item] = self._queue.take(wait_s, most=1)
+                if not items and self._queue.ended:
                     break
                 if self.even is not None:
                     items = self.even.passed_on(items, self._clock())
@@ -116,9 +118,8 @@ class LiveOutput(QueuedSink):
                     self._send(item)
         except Exception as fault:  # an output must not end the session
             self.failure = f"{self.name} stopped: {type(fault).__name__}: {fault}"
-            self._end()
-            self._unsent(sum(isinstance(item, QueuedFrame) for item in self._queue))
-            self._queue.clear()
+            self._queue.end()
+            self._unsent(sum(isinstance(item, QueuedFrame) for item in self._queue.take(0.0)))
 
     def _send(self, item: Item) -> None:
         try:
@@ -140,8 +141,8 @@ class LiveOutput(QueuedSink):
             self._late += self._clock() - written_ns > LATE_NS
 
     def _unsent(self, frames: int) -> None:
-        with self._more:
-            self.dropped += frames
+        with self._queue.changed:
+            self._not_sent += frames
 
 
 def confidence(fused: FusedFrame) -> NDArray[np.float64]:

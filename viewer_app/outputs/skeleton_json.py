@@ -17,7 +17,7 @@ from fusion.joint_rotations import JointRotations
 from fusion.setup import FusionSetup
 from viewer_app.outputs.live_movement import LiveMovement
 from viewer_app.outputs.output import confidence
-from viewer_app.sinks.queued_sink import QueuedFrame
+from viewer_app.sinks.item_queue import QueuedFrame
 
 SCHEMA, VERSION = "duplex-kinects/skeleton", 1
 

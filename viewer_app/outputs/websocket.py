@@ -26,7 +26,7 @@ from viewer_app.addresses import LOOPBACK, in_url, is_loopback, reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LATE_NS, LiveOutput
 from viewer_app.outputs.skeleton_json import SkeletonJson
-from viewer_app.sinks.queued_sink import QueuedFrame
+from viewer_app.sinks.item_queue import QueuedFrame
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection

@@ -8,7 +8,7 @@ from fusion.setup import FusionSetup
 from viewer_app.addresses import zenoh_warning
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.outputs.skeleton_json import SkeletonJson
-from viewer_app.sinks.queued_sink import QueuedFrame
+from viewer_app.sinks.item_queue import QueuedFrame
 
 _KEEP = 64
 _HELLO_EVERY_NS = 1_000_000_000  # for those who come later

@@ -13,7 +13,8 @@ from devices.depth.image_thinning import has_images
 from recordings.file.growing_file import partial_beside
 from recordings.file.session_writer import LEFT_AFTER, check_whole, disconnect
 from recordings.writing.recorder import Recorder
-from viewer_app.sinks.queued_sink import Item, Opening, QueuedFrame, write_items
+from viewer_app.sinks.item_queue import Item, QueuedFrame
+from viewer_app.sinks.queued_sink import Opening, write_items
 
 _BLOCK = 600
 """Items per block: 20 s, which need less than half the space of blocks of half a second."""

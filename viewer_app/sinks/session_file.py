@@ -1,6 +1,7 @@
 """A session file, written on a separate thread."""
 
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -12,7 +13,8 @@ from devices.depth.image_thinning import has_images, without_images
 from recordings.file.growing_file import GrowingFile
 from recordings.writing.recorder import Recorder
 from viewer_app.sinks.compact_copy import CompactCopy
-from viewer_app.sinks.queued_sink import Item, Opening, QueuedFrame, QueuedSink, write_items
+from viewer_app.sinks.item_queue import Item, QueuedFrame
+from viewer_app.sinks.queued_sink import Opening, QueuedSink, write_items
 
 _KEEP_WITH_IMAGES = 60
 """Maximum number of queued frames with images: 90 MB."""
@@ -55,12 +57,12 @@ class SessionFile(QueuedSink):
         turn: Callable[[float], object] | None = None,
         on_failure: Callable[[str], None] = lambda _: None,
     ) -> None:
-        super().__init__("session file", keep=None, daemon=False)
+        super().__init__("session file", self._admitted, daemon=False)
         self.path = path
         self.failure: str | None = None
         self.saved = self.lost = self.without_images = 0
         self._open_stream, self._begin, self._overwrite = open_stream, begin, overwrite
-        self._turn, self._on_failure = turn or self._wait_for_end, on_failure
+        self._turn, self._on_failure = turn or self._queue.wait_for_end, on_failure
         self._whole = False
         self._fault: Exception | None = None
         self._thread.start()
@@ -77,18 +79,18 @@ class SessionFile(QueuedSink):
             return 0
 
     def close(self) -> None:
-        self._end()
+        self._queue.end()
         self._thread.join()
         fault, self._fault = self._fault, None
         if fault is not None:
             raise fault
 
-    def _admitted(self, item: Item) -> Item | None:
+    def _admitted(self, queued: deque[Item], item: Item) -> Item | None:
         if isinstance(item, QueuedFrame):
-            if len(self._queue) >= _KEEP:
+            if len(queued) >= _KEEP:
                 self.lost += 1
                 return None
-            if len(self._queue) >= _KEEP_WITH_IMAGES and has_images(item.frame.pair):
+            if len(queued) >= _KEEP_WITH_IMAGES and has_images(item.frame.pair):
                 self.without_images += 1
                 return _without_images(item)
         return item
@@ -101,8 +103,8 @@ class SessionFile(QueuedSink):
         except Exception as fault:
             self._fault = fault
         finally:
-            self._end()
-            self._queue.clear()
+            self._queue.end()
+            self._queue.take(0.0)
 
     def _write_growing(self) -> None:
         stream = self._open_stream()
@@ -137,9 +139,10 @@ class SessionFile(QueuedSink):
         ending = False
         while not ending and time.monotonic() - begun < _BLOCK_SECONDS:
             self._turn(_LOOK_SECONDS)
-            ending = self._ending  # before the last items are taken
+            ending = self._queue.ended  # before the last items are taken
             for _ in range(len(self._queue)):
-                (item,) = self._take(0.0, most=1)  # the others stay in the queue, whose length is limited
+                # the others stay in the queue, whose length is limited
+                (item,) = self._queue.take(0.0, most=1)
                 compact.add([item])
                 if isinstance(item, QueuedFrame):
                     recorder.record_images(item.number, item.frame)
@@ -148,10 +151,6 @@ class SessionFile(QueuedSink):
         if not ending:
             self._turn(_LOOK_SECONDS)
         return ending, block
-
-    def _wait_for_end(self, seconds: float) -> None:
-        with self._more:
-            self._more.wait_for(lambda: self._ending, timeout=seconds)
 
     def _fail(self, error: OSError) -> None:
         why = error.strerror or error

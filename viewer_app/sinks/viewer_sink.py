@@ -7,6 +7,7 @@ frames are counted. A hub that dies or hangs is replaced by a new one on the sam
 import subprocess
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from uuid import UUID
@@ -20,7 +21,8 @@ from recordings import layout
 from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.errors import UsageError
-from viewer_app.sinks.queued_sink import Item, Opening, QueuedSink, write_items
+from viewer_app.sinks.item_queue import DropOldest, Item
+from viewer_app.sinks.queued_sink import Opening, QueuedSink, write_items
 from viewer_app.viewer.hub import SERVER, STARTS_TRIED
 from viewer_app.viewer.rerun_process import not_started, stop
 from viewer_app.viewer.viewer_choice import LiveWindow, Viewing
@@ -61,7 +63,8 @@ class ViewerFeed(QueuedSink):
         patience: float = 10.0,
         retry: float = 0.5,
     ) -> None:
-        super().__init__("viewer feed", keep)
+        super().__init__("viewer feed", self._admitted)
+        self._drop_oldest = DropOldest(keep)
         self._start, self._stream, self._begin = start, stream, begin
         self._patience, self._retry = patience, retry
         self._turn_over, self._free, self._ended = (threading.Event() for _ in range(3))
@@ -71,12 +74,14 @@ class ViewerFeed(QueuedSink):
         self._thread.start()
         threading.Thread(target=self._watch, name="viewer watch", daemon=True).start()
 
-    def offer(self, item: Item) -> None:
-        """Queues an item; the oldest frame makes room for it."""
-        with self._more:
-            if not self._ending:
-                self._free.clear()
-            super().offer(item)
+    @property
+    def dropped(self) -> int:
+        """Frames that were not shown, because the viewer was too slow."""
+        return self._drop_oldest.dropped
+
+    def _admitted(self, queued: deque[Item], item: Item) -> Item:
+        self._free.clear()
+        return self._drop_oldest(queued, item)
 
     def wait_for_turn(self, seconds: float) -> None:
         """Waits until the next items are written, at most the given seconds."""
@@ -89,7 +94,7 @@ class ViewerFeed(QueuedSink):
 
     def close(self) -> None:
         """Stops feeding at once, and ends the process."""
-        self._end()
+        self._queue.end()
         stop(self.process)  # which ends a write that waits
         self._thread.join(timeout=1.0)
         stop(self.process)  # one that was just started
@@ -98,7 +103,7 @@ class ViewerFeed(QueuedSink):
         try:
             self._feed_each()
         finally:
-            self._end()
+            self._queue.end()
             self._ended.set()
             self._free.set()  # nobody waits for a thread that has ended
             self._stream.disconnect()
@@ -111,13 +116,11 @@ class ViewerFeed(QueuedSink):
                 stop(self.process)
 
     def _feed_each(self) -> None:
-        while not self._ending:
+        while not self._queue.ended:
             if self.process.poll() is None:
                 self._feed(self.process)
             stop(self.process)
-            with self._more:
-                self._more.wait_for(lambda: self._ending, timeout=self._retry)
-            if not self._ending:
+            if not self._queue.wait_for_end(self._retry):
                 try:
                     self.process = self._start()
                     self.starts += 1
@@ -133,11 +136,11 @@ class ViewerFeed(QueuedSink):
                 if recorder.unplotted >= _PLOTTED_TOGETHER:  # sent with the next frame
                     recorder.plot()
                 self._turn_over.set()
-                with self._more:
+                with self._queue.changed:
                     if not self._queue:
                         self._free.set()
-                items = self._take(0.2)
-                if self._ending:
+                items = self._queue.take(0.2)
+                if self._queue.ended:
                     return
                 write_items(recorder, items)
                 if not items:  # the session stands still: show the plots of its last frames, too
@@ -150,7 +153,7 @@ class ViewerFeed(QueuedSink):
         stopping."""
         assert process.stdin is not None
         rest = memoryview(data)
-        while rest and not self._ending:
+        while rest and not self._queue.ended:
             self._writing_since = time.monotonic()
             try:
                 rest = rest[process.stdin.write(rest[:_BLOCK]) :]

@@ -8,7 +8,7 @@ import pytest
 from fusion.calibration.bone_lengths import bone_lengths_of
 from tests.helpers.live_frames import frames
 from viewer_app.outputs.even_samples import EvenSamples
-from viewer_app.sinks.queued_sink import QueuedFrame
+from viewer_app.sinks.item_queue import QueuedFrame
 
 MS = 1_000_000
 

@@ -18,7 +18,7 @@ from tests.helpers.live_frames import frames
 from viewer_app.outputs.lab_streaming import LabStreamingOutput
 from viewer_app.outputs.live_movement import LiveMovement
 from viewer_app.outputs.skeleton_json import SkeletonJson
-from viewer_app.sinks.queued_sink import QueuedFrame
+from viewer_app.sinks.item_queue import QueuedFrame
 
 SETUP = FusionSetup(nominal_calibration(AZURE_KINECT))
 

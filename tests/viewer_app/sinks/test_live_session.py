@@ -15,7 +15,7 @@ from tests.helpers.live_frames import frames, numbers_in, session
 from tests.helpers.machine import need_viewer
 from tests.helpers.pictures import headless_viewer
 from tests.helpers.waiting import eventually
-from viewer_app.sinks.queued_sink import QueuedFrame
+from viewer_app.sinks.item_queue import QueuedFrame
 from viewer_app.sinks.session_file import SessionFile
 from viewer_app.sinks.viewer_sink import ImageTurns, ViewerFeed
 from viewer_app.viewer.hub import Hub
@@ -52,7 +52,7 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(stuc
         slowest = max(slowest, time.perf_counter() - before)
         time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
     assert stuck.dropped >= 50
-    waiting = [item.number for item in stuck._queue if isinstance(item, QueuedFrame)]
+    waiting = [item.number for item in stuck._queue.take(0.0) if isinstance(item, QueuedFrame)]
     assert waiting == list(range(90, 100))
     assert slowest < 3.0  # it would be 60 s, the patience, if it waited
 
@@ -100,9 +100,8 @@ def test_a_blocked_disk_costs_images_first(fuser, tmp_path, monkeypatch):
         file.write(made[number % 70])
     assert file.without_images == 1800 - 60
     assert file.lost == 200
-    with_images = [
-        item for item in file._queue if isinstance(item, QueuedFrame) and item.frame.pair.a.depth is not None
-    ]
+    queued = [item for item in file._queue.take(0.0) if isinstance(item, QueuedFrame)]
+    with_images = [item for item in queued if item.frame.pair.a.depth is not None]
     assert len(with_images) == 60
 
 
