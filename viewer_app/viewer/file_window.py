@@ -1,11 +1,10 @@
 """Shows a file in a viewer window after writing it, so that no viewer can block the writing."""
 
-import contextlib
 import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -45,12 +44,9 @@ def write_for_viewer(
     Args:
         setup: The last setup of the frames; None: of the session.
     """
-    blueprint = session_blueprint(
-        setup or session.last_setup, session.whereabouts, active, depth=has_depth(session)
-    )
-    return write_session(
-        session, path, blueprint=blueprint, page=page, first=first, end=end, progress=progress
-    )
+    setup = setup or session.last_setup
+    drawn = session_blueprint(setup, session.whereabouts, active, depth=has_depth(session))
+    return write_session(session, path, blueprint=drawn, page=page, first=first, end=end, progress=progress)
 
 
 @contextmanager
@@ -133,7 +129,7 @@ def _set_time(process: subprocess.Popen[bytes], url: str, at_ns: int) -> bool:
     deadline = time.monotonic() + _READS_WITHIN
     while process.poll() is None and time.monotonic() < deadline:
         # The interface is experimental: whatever fails in it must not end a command that is done.
-        with contextlib.suppress(Exception):
+        with suppress(Exception):
             viewer = ViewerClient.connect(url)
             state = viewer.get_state()
             read = [line for each in state.recordings for line in each.timelines if line.name == layout.TIME]
