@@ -46,6 +46,8 @@ _WRITTEN_ANEW = (
     *("first_frame", "made_of_damaged", "made_without_frames"),
 )
 """Properties that are not copied when a session is saved, trimmed or replayed: they are written anew."""
+OF_DAMAGED = "it was made of a session that was not: "
+"""Begins the damage of a session that is whole itself."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

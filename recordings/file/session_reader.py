@@ -21,7 +21,7 @@ from recordings.file.rrd_file import Columns, read_columns
 from recordings.file.stored_images import FileImages
 from recordings.frame_fields import FRAME_FIELDS, FrameField
 from recordings.session_arrays import SessionArrays
-from recordings.session_data import SessionData
+from recordings.session_data import OF_DAMAGED, SessionData
 from recordings.writing.checksums import (
     CHECKS_CRC,
     FRAME_CRC,
@@ -62,7 +62,7 @@ def read_session(path: Path) -> SessionData:
         damage = damage or f"frame {len(rows)} does not match its checksum or is missing"
     session, cameras = about["session"], about["intrinsics"]
     if "made_of_damaged" in session:
-        damage = damage or f"it was made of a session that was not: {session['made_of_damaged'][0]}"
+        damage = damage or f"{OF_DAMAGED}{session['made_of_damaged'][0]}"
         lost += int(session["made_without_frames"][0])
     if len(rows) == 0:
         raise RecordingError(

@@ -30,7 +30,7 @@ from recordings.appearance.coach_page import CoachPage
 from recordings.errors import RecordingError
 from recordings.file.growing_file import partial_beside
 from recordings.file.rrd_file import RrdFile, damage_of
-from recordings.session_data import SessionData
+from recordings.session_data import OF_DAMAGED, SessionData
 from recordings.writing.recorder import Recorder
 
 _BLOCK, _MOST_BLOCKS = 300, 256
@@ -80,7 +80,8 @@ def write_session(
     if (first, end) != (0, len(session)):  # nobody knows which frames were dropped in this part
         about = {name: value for name, value in about.items() if not name.startswith("dropped")}
     if session.damage is not None:
-        about |= {"made_of_damaged": session.damage, "made_without_frames": session.frames_lost}
+        first_damage = session.damage.removeprefix(OF_DAMAGED)
+        about |= {"made_of_damaged": first_damage, "made_without_frames": session.frames_lost}
     with whole_recording(path, blueprint, recording_id=_kept_id(session, path, first, end)) as stream:
         segments = [(setup, own) for setup, own in session.setups() if own.stop > first and own.start < end]
         recorder = Recorder(stream, segments[0][0], session.sources, about=about)
