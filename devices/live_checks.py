@@ -8,6 +8,7 @@ from devices.azure import checks as azure
 from devices.blazepose.checks import networks_check
 from devices.capture import usb
 from devices.capture.sensor_choice import (
+    PLUG_IN_TWO,
     ConnectedSensor,
     NeedsChoiceError,
     cable_unknown,
@@ -139,7 +140,7 @@ def _what_to_do(there: list[ConnectedSensor], sdks: dict[str, Check], root: Path
     if without_library:
         return library_for(without_library[0])
     if there:
-        return "Plug in two: USB 3 and a power supply each, on two USB controllers."
+        return PLUG_IN_TWO
     ready = ", ".join(sdk.serves for sdk in sdks.values() if sdk.ok)
     if ready:
         return f"Plug in two sensors that an installed library runs: {ready}."

@@ -35,7 +35,7 @@ class Cause(Enum):
     # Starting fails, and libk4a does not log why.
     CAMERAS_NOT_STARTED = (
         "{label} {what}{said}. {advice}Check that no other program keeps it busy ({programs}), its "
-        "USB 3 port and power supply (two sensors need two USB controllers), and on Linux that OpenGL is "
+        "USB port and power supply (two sensors need two USB controllers), and on Linux that OpenGL is "
         "there: {programs} must show its depth."
     )
     # --- Frames stop
@@ -49,7 +49,7 @@ class Cause(Enum):
     # No depth image, though it is connected.
     NO_DEPTH = (
         "{label} stalls: no depth for {seconds:.0f} s. Check its "
-        "USB 3 port and power supply; two sensors need two USB controllers."
+        "USB port and power supply; two sensors need two USB controllers."
     )
     # The same of a subordinate.
     NO_PULSES = "{label} stalls: no depth for {seconds:.0f} s on the sync cable. {advice}"

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 
 from devices.sensor import DeviceError
 
+_PLUG = "USB 3 (a Kinect v1: USB 2) and a power supply"
+PLUG_IN_TWO = f"Plug in two: {_PLUG} each, on two USB controllers."
+
 
 @dataclass(frozen=True)
 class ConnectedSensor:
@@ -54,7 +57,7 @@ def choose_one(connected: Sequence[ConnectedSensor], serial: str | None, option:
     if serial is not None:
         return serial
     if len(there) != 1:
-        advice = f"Name one with {option}." if there else "Plug it in: USB 3 and its power supply."
+        advice = f"Name one with {option}." if there else f"Plug it in: {_PLUG}."
         raise DeviceError(f"Connected sensors: {', '.join(there) or 'none'}. {advice}")
     return there[0]
 
@@ -82,7 +85,7 @@ def choose_two(
     if a is not None and b is not None:
         return a, b
     if not there:
-        raise DeviceError(f"No sensor is connected. Plug in two: USB 3 and a power supply each. {_LIBRARIES}")
+        raise DeviceError(f"No sensor is connected. {PLUG_IN_TWO} {_LIBRARIES}")
     if len(there) == 1:
         raise DeviceError(
             f"Only one sensor is connected, {there[0]}; fusion needs two. Check the other one's USB and "

@@ -74,6 +74,8 @@ class Scene:
             raise DeviceError(f"A person's height is between 0.5 and 2.5 m; got {self.height}.")
         if self.seed < 0:
             raise DeviceError(f"A seed is 0 or more; got {self.seed}.")
+        if self.seconds is not None and not 0.0 < self.seconds < float("inf"):
+            raise DeviceError(f"A simulated scene lasts more than 0 s; got {self.seconds}.")
 
 
 @dataclass(frozen=True)
