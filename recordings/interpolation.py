@@ -84,8 +84,16 @@ def _bone_lengths(rows: SessionArrays, frames: Ints) -> Array:
 
 
 def _whole(time_ns: ArrayLike) -> Ints:
-    """(N,) nanoseconds; times that are not finite, or beyond 290 years, become one before every session."""
+    """(N,) nanoseconds; times that are not finite, or beyond 290 years, become one before every session.
+
+    Raises:
+        RecordingError: They are neither numbers nor numpy's durations, or have more than one dimension.
+    """
     times = np.asarray(time_ns)
+    if times.dtype.kind == "m":
+        times = np.where(np.isnat(times), np.nan, times / np.timedelta64(1, "ns"))
+    if times.dtype.kind not in "iuf":
+        raise RecordingError(f"Times are numbers of nanoseconds; got an array of {times.dtype}.")
     if times.ndim > 1:
         raise RecordingError(f"Times are one number or (N,) nanoseconds; got an array of {times.shape}.")
     known = np.isfinite(times) & (np.abs(times) < _LATEST_NS)

@@ -4,6 +4,7 @@ test fails. Every run of pytest imports it, so it imports no more than pytest an
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 import shlex
@@ -12,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -50,7 +51,14 @@ def simulated_session() -> Callable[..., Session]:
 
     The arguments are those of recordings.testing.simulated_session; equal ones give the same object.
     """
-    return cache(testing.simulated_session)
+    made, signature = cache(testing.simulated_session), inspect.signature(testing.simulated_session)
+
+    def factory(*args: Any, **arguments: Any) -> Session:
+        given = signature.bind(*args, **arguments)
+        given.apply_defaults()
+        return made(*given.args, **given.kwargs)
+
+    return factory
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -72,7 +72,7 @@ class QualitySeries:
     Attributes:
         bone_error: (T,) largest absolute error of a bone length of S*, metres; NaN without S*.
         disagreement: (T,) median distance between p and R q + t, metres; NaN if no joint is in both views.
-        skew_ns: (T,) capture time of B minus capture time of A.
+        skew_ns: (T,) capture time of B minus capture time of A; 0 where only one of them gave a frame.
         fuse_ms: (T,) duration of the fusion, milliseconds.
         iterations: (T,) iterations of the solver.
         predicted: (T, J) whether a joint of S* has no data.

@@ -109,19 +109,22 @@ def simulated_session(
         settings: Settings of the method.
 
     Raises:
-        DeviceError: There is no such movement.
+        DeviceError: There is no such movement or body, or the duration is not positive.
         FusionError: The views cannot be calibrated, as in a session of a few frames.
     """
     from dataclasses import replace
 
     from devices.pairing import pair_views
     from devices.people import RecordedPeople
+    from devices.sensor import DeviceError
     from devices.simulated.kinect import simulated_pair
     from devices.two_recordings import TwoRecordings
     from fusion.body import BODIES
     from fusion.setup import FuserSettings
     from recordings.fusing.files import fuse_read
 
+    if body not in BODIES:
+        raise DeviceError(f"There is no body {body!r}. Choose one of {', '.join(BODIES)}.")
     settings = settings or FuserSettings(hindsight="labels")
     sensors = simulated_pair(
         motion=movement, seed=seed, body=BODIES[body], angle_deg=angle_deg, seconds=seconds

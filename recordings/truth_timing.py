@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _LONGEST_GAP = 0.1  # seconds without a point that are interpolated
-_SEARCH_RATE = 60.0  # Hz of the truth in the search of the offset, at most
+_SEARCH_RATE = 60.0  # Hz of the truth in the search of the offset
 _HALF_SPAN = 0.1  # seconds before and after, between which a displacement is measured
 _STEPS = 5
 _FITTED = 250  # frames that the rotation is fitted to
@@ -97,8 +97,7 @@ def find_offset(body: Body, views: Sequence[Joints], fused: Joints, truth: Joint
         views: S_A and S_B, which decide: S* may lag behind them.
     """
     span, true_span = (float(np.ptp(times)) for times in (fused.seconds, truth.seconds))
-    rate = min(_SEARCH_RATE, 1.0 / float(np.median(np.diff(truth.seconds))))
-    even = truth.seconds[0] + np.arange(int(true_span * rate) + 1) / rate
+    even = truth.seconds[0] + np.arange(int(true_span * _SEARCH_RATE) + 1) / _SEARCH_RATE
     own, true = _view(fused), _view(Joints(even, truth.at(even)))
     shorter = true_span < span  # the frames of the first view are compared
     pair, sign = ((true, own), -1) if shorter else ((own, true), 1)

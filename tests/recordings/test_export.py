@@ -266,8 +266,13 @@ def test_s_star_between_two_frames_keeps_its_bones_and_turns_evenly(session):
     outside = [rows.time_ns[0] - 1, rows.time_ns[-1] + 1, -(2**63), 2**63 - 1]
     assert np.isnan(session.at(outside)).all()
     assert np.isnan(session.at([np.nan, np.inf, -1e300])).all()
+    moments = [*times.astype("timedelta64[ns]"), np.timedelta64("NaT")]
+    np.testing.assert_array_equal(session.at(moments), [*found, np.full_like(found[0], np.nan)])
     with pytest.raises(RecordingError, match=r"got an array of \(2, 2\)"):
         session.at([[0, 1], [2, 3]])
+    for wrong in ("1", None, ["1", "2"], True):
+        with pytest.raises(RecordingError, match="Times are numbers of nanoseconds; got an array of"):
+            session.sigma_at(wrong)
 
 
 def test_bones_that_turn_round_between_frames_are_somewhere(session):

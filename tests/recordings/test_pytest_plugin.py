@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from devices.sensor import DeviceError
 from fusion.body import KINECT_V1
 from fusion.setup import FuserSettings
 from recordings import Session, fuse
@@ -122,7 +123,7 @@ def test_sessions_in_memory_are_kept_without_a_cache(run, pytester, walks):
 
         def test_two(simulated_session):
             pair = [simulated_session(seconds=1.0, seed=seed) for seed in (7, 8)]
-            assert pair[0] is simulated_session(seconds=1.0, seed=7)
+            assert pair[0] is simulated_session(seconds=1.0, seed=7) is simulated_session("walk", 1.0, 7)
             assert_sessions_match(*pair)
     """)
     said, _, failed = run("-p", "no:cacheprovider")
@@ -204,3 +205,17 @@ def test_sessions_that_match_and_that_do_not(fused_run):
     with pytest.raises(AssertionError, match=r"frame 0: S\* differs"):
         assert_sessions_match(nudged, one, position_mm=0.0)
     assert_sessions_match(nudged, one)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"body": "kinect_v3"}, "There is no body 'kinect_v3'. Choose one of kinect_v1, kinect_v2"),
+        ({"seconds": 0}, "lasts more than 0 s; got 0"),
+        ({"seconds": float("nan")}, "lasts more than 0 s; got nan"),
+        ({"movement": "wlak"}, "wlak"),
+    ],
+)
+def test_a_session_that_cannot_be_simulated_is_refused(arguments, said):
+    with pytest.raises(DeviceError, match=re.escape(said)):
+        simulated_session(**arguments)

@@ -66,6 +66,13 @@ def test_the_offset_of_a_few_steps_is_found_or_listed(walk, offset, seconds):
         assert abs(found.seconds - offset) == pytest.approx(11.5, abs=0.003)
 
 
+@pytest.mark.parametrize("rate", [12.0, 8.0, 5.0])
+def test_a_truth_of_few_frames_per_second_is_found(walk, rate):
+    found = TruthComparison.of(walk.session, truth_of(walk, offset_s=3.7, seconds=15.0, rate=rate)).offset
+    assert found.seconds == pytest.approx(3.7, abs=0.002)
+    assert found.others == ()
+
+
 @pytest.mark.parametrize(("sd", "lag"), [(0.05, 0.0), (0.001, -0.2)])
 def test_an_offset_that_is_not_certain_is_refused_unless_it_is_given(walk, sd, lag, monkeypatch):
     monkeypatch.setattr(
