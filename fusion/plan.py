@@ -5,7 +5,7 @@ registration and bones from the whole recording. The second finds the labels aga
 live run has neither pass, because both use later frames.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -112,10 +112,24 @@ def _difference(pairs: Pairs, segments: Segments) -> float:
 def _b_in_a(pairs: PairArrays, part: slice, segments: Segments) -> NDArray[np.float64]:
     """(T, J, 3) view B of a part of the pairs in K_A's frame."""
     in_a = np.empty(pairs.b.shape)
-    for calibration, own in segments:
-        held = slice(max(own.start - part.start, 0), max(min(own.stop, part.stop) - part.start, 0))
+    for calibration, held in _held(part, segments):
         in_a[held] = calibration.a_from_b.apply(pairs.b[held])
     return in_a
+
+
+def _place_of_b(part: slice, segments: Segments) -> NDArray[np.float64]:
+    """(T, 3) the position of K_B in K_A's frame during a part of the pairs."""
+    place = np.empty((part.stop - part.start, 3))
+    for calibration, held in _held(part, segments):
+        place[held] = calibration.a_from_b.translation
+    return place
+
+
+def _held(part: slice, segments: Segments) -> Iterator[tuple[Calibration, slice]]:
+    """Each calibration, and the pairs of a part that it holds for."""
+    for calibration, own in segments:
+        first, end = (min(max(at - part.start, 0), part.stop - part.start) for at in (own.start, own.stop))
+        yield calibration, slice(first, end)
 
 
 def _labels(pairs: Pairs, segments: Segments, progress: Progress) -> Labels:
@@ -125,8 +139,9 @@ def _labels(pairs: Pairs, segments: Segments, progress: Progress) -> Labels:
         around = slice(max(part.start - _AROUND, 0), min(part.stop + _AROUND, len(pairs)))
         of = pairs[around].arrays()
         views = of.a, _b_in_a(of, around, segments)
-        t = segments[0][0].a_from_b.translation
-        reported = reported_pairs(pairs.body, views, (of.states_a, of.states_b), t)
+        reported = reported_pairs(
+            pairs.body, views, (of.states_a, of.states_b), _place_of_b(around, segments)
+        )
         found = relabel_sequence(pairs.body, reported, of.time_ns)
         own = slice(part.start - around.start, part.stop - around.start)
         labels.append(found.rows(own).as_stored())

@@ -14,7 +14,7 @@ from fusion.calibration.online import CalibrationChange, CalibrationLearner, Lea
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.large_arrays import PART, give_back, parts
-from fusion.pair_arrays import Pairs
+from fusion.pair_arrays import Pairs, stale_frames
 from fusion.progress import Progress, quietly
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.error_model import disagreement
@@ -201,21 +201,21 @@ def _is_knock(
 def fresh_pairs(pairs: Pairs) -> NDArray[np.int64]:
     """Indices of the pairs with two views, neither of which is stale."""
     fresh: list[NDArray[np.int64]] = []
+    j = len(pairs.body)
+    nobody = np.full((1, j, 3), np.nan, dtype=np.float32), np.zeros((1, j), dtype=np.uint8)
+    last = [nobody, nobody]  # each sensor's last skeleton in an earlier part: joints and states
     for part in parts(len(pairs)):
-        first = max(part.start - 1, 0)  # the pair before tells whether the first one is stale
-        now = pairs[first : part.stop].arrays()
-        both = now.states_a.any(axis=1) & now.states_b.any(axis=1)
-        both &= ~(_repeats(now.a, now.states_a) | _repeats(now.b, now.states_b))
-        both[: part.start - first] = False
-        fresh.append(first + np.flatnonzero(both))
+        now = pairs[part].arrays()
+        both = np.ones(part.stop - part.start, dtype=np.bool_)
+        for side, (at, states) in enumerate(((now.a, now.states_a), (now.b, now.states_b))):
+            (last_at, last_states), seen = last[side], states.any(axis=1)
+            after = np.concatenate((last_at, at)), np.concatenate((last_states, states))
+            both &= seen & ~stale_frames(*after)[1:]
+            if seen.any():
+                k = int(np.flatnonzero(seen)[-1])
+                last[side] = at[k : k + 1], states[k : k + 1]
+        fresh.append(part.start + np.flatnonzero(both))
     return np.concatenate([np.zeros(0, dtype=np.int64), *fresh])
-
-
-def _repeats(positions: NDArray[np.float32], states: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """(T,) whether a frame of a view repeats the one before."""
-    same = (positions[1:] == positions[:-1]) | (np.isnan(positions[1:]) & np.isnan(positions[:-1]))
-    again = same.all(axis=(1, 2)) & (states[1:] == states[:-1]).all(axis=1)
-    return np.concatenate(([False], again))
 
 
 def spaced(time_ns: NDArray[np.int64], chosen: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -61,6 +61,7 @@ class State(NamedTuple):
     usual_offsets: Annotated[Array, (2, "J", 3)]  # mean share of each view in the views' difference, metres
     agreed: Annotated[Array, ("J",)]  # seconds that these are means of, at most usual_seconds
     recalibrated: Annotated[Array, (1,), np.inf]  # seconds since the calibration changed
+    lag: Annotated[Array, ("J", 3)]  # what S* still has to go since the calibration changed, metres
     shared_error: Annotated[Array, ("J", 3, 3)]  # covariance of the slow error of S*, m²
     outlier_probability: Annotated[Array, (2, "J")]  # that the view's last measurement was an outlier
     view_outlier_probability: Annotated[Array, (2,)]  # its mean over the joints that the view measured

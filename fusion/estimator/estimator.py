@@ -18,7 +18,7 @@ from fusion.estimator.covariance import find_covers, set_covariances, set_rays
 from fusion.estimator.evidence import depth_evidence, length_evidence, measure_surface
 from fusion.estimator.heading import turn_girdles
 from fusion.estimator.kalman import kalman_update, predict, start_joints, update_common_error
-from fusion.estimator.offsets import decay_offsets, update_offsets, update_usual_offsets
+from fusion.estimator.offsets import add_lag, decay_offsets, update_offsets, update_usual_offsets
 from fusion.estimator.outliers import outlier_probabilities, store_outlier_state
 from fusion.estimator.process import (
     drop_wrong_offsets,
@@ -118,6 +118,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     state.last_time[0], state.last_time[1] = pairs.time_ns[k], 1
     # covariance of S*
     joint_covariances(model, solve, output.covariance[k], output.sigma[k])
+    add_lag(state, output.covariance[k], output.sigma[k])
     write_row(state, views, solve, output, k)
 
 

@@ -114,7 +114,7 @@ def start_joints(model, state, views, solve):  # type: ignore[no-untyped-def]
         inverse(sums, scratch)
         for r in range(3):
             state.positions[i, r] = scratch[r, 0] * x + scratch[r, 1] * y + scratch[r, 2] * z
-            state.velocities[i, r] = 0.0
+            state.velocities[i, r] = state.lag[i, r] = 0.0
             for c in range(3):
                 state.shared_error[i, r, c] = scratch[r, c]
             state.usual_offsets[0, i, r] = state.usual_offsets[1, i, r] = 0.0

@@ -33,7 +33,7 @@ def decay_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
     is trusted alone, because S* then follows that view.
 
     After a recalibration the offsets contain the change of the calibration, which is no error of a tracker.
-    They then decay faster, within a second, at a rate that grows from 0.
+    They then decay faster, within a second, at a rate that grows from 0, and with them what S* lags behind.
     """
     k = model.constants
     state.recalibrated[0] += dt
@@ -46,6 +46,8 @@ def decay_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
         both = views.states[0, i] != 0 and views.states[1, i] != 0
         agreed = both and state.outlier_probability[0, i] < 0.5 and state.outlier_probability[1, i] < 0.5
         kept = settled * (together if agreed else alone)
+        for c in range(3):
+            state.lag[i, c] *= kept
         for v in range(2):
             for c in range(3):
                 usual = state.usual_offsets[v, i, c]
@@ -59,6 +61,18 @@ def decay_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
                 state.offset_variances[v, i] += (1.0 - together * together) * (
                     slow - state.offset_variances[v, i]
                 )
+
+
+@inner_kernel
+def add_lag(state, covariance, sigma):  # type: ignore[no-untyped-def]
+    """Adds the square of what S* lags behind to its covariance, (J, 3, 3) m², and to sigma, (J,) metres."""
+    for i in range(len(sigma)):
+        lag, square = state.lag[i], 0.0
+        for r in range(3):
+            square += lag[r] * lag[r]
+            for c in range(3):
+                covariance[i, r, c] += lag[r] * lag[c]
+        sigma[i] = math.sqrt(sigma[i] * sigma[i] + square)
 
 
 @inner_kernel

@@ -22,7 +22,7 @@ from fusion.facing.model import (
     new_facing_model,
 )
 from fusion.facing.whole_body import retrodict, set_headings, set_turning
-from fusion.large_arrays import parts
+from fusion.pair_arrays import stale_frames
 
 Floats = NDArray[np.float64]
 
@@ -87,30 +87,28 @@ def reported_pairs(
     Args:
         views: A and B, (T, J, 3) in K_A's frame as reported, metres; NaN where not tracked.
         states: (T, J) tracking states of A and of B.
-        sensor_b: (3,) position of K_B in K_A's frame.
+        sensor_b: (3,) position of K_B in K_A's frame, or (T, 3) of each pair.
         up: (3,) against gravity; learned from the person where None.
     """
-    stale = np.stack([np.isnan(view).all(axis=(1, 2)) for view in map(np.asarray, views)], axis=1)
-    for of_view, view in zip(stale.T, map(np.asarray, views), strict=True):
-        seen = np.flatnonzero(~of_view)  # not where there is no person, or no frame
-        for part in parts(max(len(seen) - 1, 0)):
-            later, before = view[seen[1:][part]], view[seen[:-1][part]]
-            of_view[seen[1:][part]] = ((later == before) | np.isnan(later)).all(axis=(1, 2))
     positions = np.stack([np.asarray(view, dtype=np.float64) for view in views], axis=1)
+    state = np.stack([np.asarray(each, dtype=np.uint8) for each in states], axis=1)
+    stale = np.asarray(~state.any(axis=2))  # (T, 2); nobody is no evidence, either
+    for view in range(2):
+        stale[:, view] |= stale_frames(positions[:, view], state[:, view])
     if up is None:
         up = upright_direction(body, positions[:, 0], positions[:, 1])
     return ReportedPair(
         positions=positions,
-        states=np.stack([np.asarray(state, dtype=np.uint8) for state in states], axis=1),
+        states=state,
         stale=stale,
-        sensor_b=np.array(sensor_b, dtype=np.float64),
+        sensor_b=np.array(np.broadcast_to(sensor_b, (len(state), 3)), dtype=np.float64),
         up=np.array(up, dtype=np.float64),
     )
 
 
 @inner_kernel
 def _pair_of(pairs, k):  # type: ignore[no-untyped-def]
-    return ReportedPair(pairs.positions[k], pairs.states[k], pairs.stale[k], pairs.sensor_b, pairs.up)
+    return ReportedPair(pairs.positions[k], pairs.states[k], pairs.stale[k], pairs.sensor_b[k], pairs.up)
 
 
 @inner_kernel

@@ -6,21 +6,36 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
+from fusion.calibration.offline import CalibrationSpan, LearnedCalibration, fresh_pairs
+from fusion.facing.labels import Labels
+from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
+from fusion.large_arrays import parts
+from fusion.pair_arrays import Pairs, stale_frames
+from fusion.plan import plan_recording
+from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.laws import (
     BODY,
+    FRONT,
+    HIDDEN,
     SECOND,
+    SIDE,
     Stage,
     exchanged,
+    hidden,
+    joints_of,
     pairs_at,
+    person,
     setup_of,
     walking,
 )
+from tests.helpers.two_views import A_FROM_B, turned_around
 
 FEW = settings(max_examples=15)
-RATES = (10, 15, 30, 60, 90)
 
 
 def times_of(seconds, rate=30, start=100.0):
@@ -33,6 +48,10 @@ def walk(seconds, rate=30, start=100.0, **more):
     place = {name: more.pop(name) for name in ("place", "turned", "speed", "body") if name in more}
     truth = walking((times - times[0]) * 1e-9, **place)
     return pairs_at(times, truth, body=place.get("body", BODY), **more), truth
+
+
+def fused(pairs, **how):
+    return Fuser(setup_of(**how)).fuse_sequence(pairs)
 
 
 def distance(a, b):
@@ -89,3 +108,266 @@ def test_a_person_found_elsewhere_is_followed_within_a_second(views, metres, sec
     assert (
         distance(stage.frames[-1].positions, walking(stage.clock - 1 / 30, place=stage.place)[0]).max() < 0.1
     )
+
+
+# The smoother knows what the filter did
+
+
+def lifting(times, starts, speed):
+    """(T, J, 3) a person at rest who lifts the left arm, the wrist at so many m/s."""
+    at = person().copy()
+    arm, shoulder = (
+        joints_of("ElbowLeft", "WristLeft", "HandLeft", "HandTipLeft", "ThumbLeft"),
+        at[BODY.joint("ShoulderLeft")],
+    )
+    reach = float(np.linalg.norm(at[BODY.joint("WristLeft")] - shoulder))
+    angles = np.clip((times - starts) * speed / reach, 0.0, 1.3)
+    truth = np.repeat(at[None], len(times), axis=0)
+    for moved, angle in zip(truth, angles, strict=True):
+        moved[arm] = shoulder + Rotation.from_rotvec(angle * SIDE).apply(at[arm] - shoulder)
+    return truth
+
+
+@FEW
+@given(speed=st.floats(1.6, 7.0), seed=st.integers(0, 99))
+def test_smoothed_s_star_moves_no_earlier_than_the_person(speed, seed):
+    times = times_of(2.5)
+    seconds = (times - times[0]) * 1e-9
+    truth = lifting(seconds, 1.5, speed)
+    pairs = pairs_at(times, truth, sd=0.004, seed=seed)
+    filtered = fused(pairs)
+    smoothed = Fuser(setup_of()).smooth_sequence(pairs, None)
+    wrist, before = BODY.joint("WristLeft"), (seconds > 1.0) & (seconds < 1.5)
+    off = [
+        np.max([distance(frame.positions[wrist], at[wrist]) for frame, at in zip(run, truth, strict=True)][k])
+        for run in (filtered, smoothed)
+        for k in [slice(*np.flatnonzero(before)[[0, -1]])]
+    ]
+    assert off[1] < off[0] + 0.005
+
+
+@FEW
+@given(
+    missing=st.sampled_from(("arm", "legs", "half")),
+    frames=st.integers(1, 150),
+    seed=st.integers(0, 99),
+    smoothing=st.sampled_from((0.0, 0.5, 0.9)),
+)
+def test_what_comes_later_makes_s_star_no_less_certain(missing, frames, seed, smoothing):
+    pairs, _ = walk(1.0 + frames / 30 + 1.0, seed=seed)
+    for k in range(30, 30 + frames):
+        pairs[k] = replace(
+            pairs[k], a=hidden(pairs[k].a, HIDDEN[missing]), b=hidden(pairs[k].b, HIDDEN[missing])
+        )
+    filtered = fused(pairs, smoothing=smoothing)
+    smoothed = Fuser(setup_of(smoothing=smoothing)).smooth_sequence(pairs, None)
+    before, after = (np.array([frame.sigma for frame in run]) for run in (filtered, smoothed))
+    assert (after > 0.0).all()
+    assert ((after**2).sum(axis=1) <= 1.001 * (before**2).sum(axis=1)).all()
+
+
+# Per second, not per frame
+
+
+def test_sigma_is_the_same_at_any_rate():
+    """At the moments that all rates have; an arm is hidden for the second half of each second but these."""
+    found = []
+    for rate in (10, 30, 60, 90):
+        pairs, _ = walk(8.0, rate=rate, seed=rate)
+        for k, pair in enumerate(pairs):
+            if 2 * (k % rate) > rate:
+                arm = HIDDEN["arm"]
+                pairs[k] = replace(pair, a=hidden(pair.a, arm), b=hidden(pair.b, arm))
+        sigma = np.array([frame.sigma for frame in fused(pairs)])[2 * rate :: rate // 10]
+        found.append(np.sqrt(np.mean(sigma**2)))
+    assert max(found) < 1.1 * min(found)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_more_smoothing_is_smoother(seed):
+    pairs, _ = walk(8.0, seed=seed, sd=0.01, speed=1.0)
+    rough = []
+    for smoothing in (0.1, 0.3, 0.5, 0.7, 0.9):
+        frames = fused(pairs, smoothing=smoothing)
+        at = np.array([frame.positions for frame in frames])[60:]
+        rough.append(np.sqrt(np.mean(np.diff(at, 2, axis=0) ** 2)))
+    assert (np.diff(rough) < 0.0).all()
+
+
+# Symmetric and consistent
+
+views_seen = st.lists(
+    st.sampled_from(("both", "a", "b", "arm", "legs", "half", "exchanged")), min_size=8, max_size=25
+)
+
+
+def watched(seen, seed, **more):
+    """Pairs of a walk in which, for three frames each, views and joints are missing or exchanged."""
+    pairs, truth = walk(len(seen) / 10, seed=seed, **more)
+    random = np.random.default_rng(seed)
+    for k, pair in enumerate(pairs):
+        what = seen[k // 3]
+        a, b = pair.a, pair.b
+        if what in HIDDEN:
+            a = hidden(a, HIDDEN[what])
+        if what == "exchanged":
+            b = exchanged(b)
+        inferred = random.random(len(BODY)) < 0.2
+        b = Skeleton.of(BODY, b.positions, np.where(inferred, 1, b.states).astype(np.uint8), b.time_ns)
+        pairs[k] = replace(pair, a=None if what == "b" else a, b=None if what == "a" else b)
+    return pairs, truth
+
+
+@FEW
+@given(seen=views_seen, seed=st.integers(0, 99))
+def test_which_sensor_is_a_does_not_matter(seen, seed):
+    level = turned_around(90.0)  # the first sensor's upward direction is the first guess
+    pairs, _ = watched(seen, seed, a_from_b=level)
+    swapped = [replace(pair, a=pair.b, b=pair.a) for pair in pairs]
+    back = level.inverse()
+    for one, other in zip(fused(pairs, a_from_b=level), fused(swapped, a_from_b=back), strict=True):
+        np.testing.assert_allclose(other.positions, back.apply(one.positions), rtol=0.0, atol=1e-4)
+        np.testing.assert_allclose(other.sigma, one.sigma, rtol=1e-3)
+        assert (one.exchanged_a, one.exchanged_b) == (other.exchanged_b, other.exchanged_a)
+
+
+@FEW
+@given(seen=views_seen, seed=st.integers(0, 99), later_s=st.sampled_from((-90, 1, 86_400)))
+def test_s_star_does_not_depend_on_the_hour(seen, seed, later_s):
+    pairs, _ = watched(seen, seed)
+
+    def later(skeleton):
+        return skeleton and replace(skeleton, time_ns=skeleton.time_ns + later_s * SECOND)
+
+    moved = [
+        replace(pair, a=later(pair.a), b=later(pair.b), time_ns=pair.time_ns + later_s * SECOND)
+        for pair in pairs
+    ]
+    for one, other in zip(fused(pairs), fused(moved), strict=True):
+        np.testing.assert_array_equal(other.positions, one.positions)
+        np.testing.assert_array_equal(other.sigma, one.sigma)
+
+
+@FEW
+@given(seen=views_seen, seed=st.integers(0, 99))
+def test_s_star_of_the_mirror_image_is_the_mirror_image(seen, seed):
+    pairs, _ = watched(seen, seed)
+    flip = np.diag((-1.0, 1.0, 1.0))
+
+    def reflected(skeleton):
+        if skeleton is None:
+            return None
+        m = BODY.mirror
+        return Skeleton.of(BODY, skeleton.positions[m] @ flip, skeleton.states[m], skeleton.time_ns)
+
+    there = RigidTransform(flip @ A_FROM_B.rotation @ flip, flip @ A_FROM_B.translation)
+    images = [replace(pair, a=reflected(pair.a), b=reflected(pair.b)) for pair in pairs]
+    for one, other in zip(fused(pairs), fused(images, a_from_b=there), strict=True):
+        np.testing.assert_allclose(other.positions, (one.positions @ flip)[BODY.mirror], atol=1e-5)
+        np.testing.assert_allclose(other.sigma, one.sigma[BODY.mirror], rtol=1e-4)
+
+
+@FEW
+@given(degrees=st.floats(-8.0, 8.0), sides=st.sampled_from(("a", "b", "ab")), seed=st.integers(0, 99))
+def test_a_corrected_calibration_moves_s_star_no_further_with_exchanged_sides(degrees, sides, seed):
+    turn, middle = Rotation.from_euler("y", degrees, degrees=True).as_matrix(), person()[BODY.root]
+    wrong = RigidTransform(turn @ A_FROM_B.rotation, middle - turn @ (middle - A_FROM_B.translation))
+    steps = []
+    for exchanging in ("", sides):
+        pairs, _ = walk(1.1, seed=seed)
+        pairs = [replace(p, **{v: exchanged(getattr(p, v)) for v in exchanging}) for p in pairs]
+        codes = np.array([WHOLE if v in exchanging else 0 for v in "ab"]) + np.zeros(
+            (len(pairs), 2), dtype=int
+        )
+        labels = Labels.with_sides(codes, np.full(codes.shape, 0.01))
+        labels.heading[:] = FRONT
+        fuser = Fuser(setup_of(wrong))
+        *_, before = fuser.fuse_sequence(pairs[:30], labels.rows(slice(0, 30)))
+        fuser.recalibrate(setup_of())
+        (after,) = fuser.fuse_sequence(pairs[30:31], labels.rows(slice(30, 31)))
+        steps.append(distance(after.positions, before.positions).max())
+    assert steps[1] < steps[0] + 0.003
+
+
+@FEW
+@given(side=st.sampled_from("ab"), gone=st.sampled_from(("Left", "Right")), seed=st.integers(0, 99))
+def test_sides_are_held_where_the_trunk_no_longer_tells_them(side, gone, seed):
+    pairs, _ = walk(4.0, seed=seed, turned=180.0)
+    fuser, other = Fuser(setup_of()), "b" if side == "a" else "a"
+    trunk = joints_of(f"Shoulder{gone}", f"Hip{gone}")
+    for k, pair in enumerate(pairs):
+        view = exchanged(getattr(pair, side))
+        if k >= 90:
+            view = hidden(view, trunk)
+        frame = fuser.update(replace(pair, **{side: view, other: getattr(pair, other) if k < 90 else None}))
+        if k == 89:
+            held = getattr(frame, f"exchanged_{side}")
+            assert held == 3
+        if k >= 90:
+            assert getattr(frame, f"exchanged_{side}") == held or getattr(frame, f"doubt_{side}") > 0.4
+
+
+# A recording is what live saw
+
+FRAMES = st.lists(
+    st.sampled_from(("new", "again", "nobody", "lost joint", "other state")), min_size=2, max_size=40
+)
+
+
+def reported(kinds, seed):
+    """One view's skeletons of these kinds; None where the sensor sees no one."""
+    random, last, skeletons = np.random.default_rng(seed), None, []
+    for k, kind in enumerate(kinds):
+        if kind == "nobody":
+            skeletons.append(None)
+            continue
+        at, states = person() + random.normal(0.0, 0.01, person().shape), np.full(len(BODY), 2)
+        if last is not None and kind != "new":
+            at, states = last.positions.copy(), last.states.copy()
+            states[5] = {"lost joint": 0, "other state": 1}.get(kind, states[5])
+        last = Skeleton.of(BODY, at, states, k * SECOND // 30)
+        skeletons.append(last)
+    return skeletons
+
+
+@settings(max_examples=50)
+@given(a=FRAMES, b=FRAMES, part=st.integers(1, 7), seed=st.integers(0, 99))
+def test_what_is_stale_live_is_stale_in_a_recording(a, b, part, seed):
+    views = [reported(kinds, seed + k) for k, kinds in enumerate((a, b))]
+    pairs = [
+        SkeletonPair(*both, 100 * SECOND + k * SECOND // 30)
+        for k, both in enumerate(zip(*views, strict=False))
+    ]
+    live = fused(pairs)
+    arrays = Pairs.of(BODY, pairs).arrays()
+    stale = {"a": stale_frames(arrays.a, arrays.states_a), "b": stale_frames(arrays.b, arrays.states_b)}
+    seen = {side: np.array([getattr(pair, side) is not None for pair in pairs]) for side in "ab"}
+    for side in "ab":
+        assert [bool(getattr(frame, f"stale_{side}")) for frame in live] == stale[side].tolist()
+    both = seen["a"] & seen["b"] & ~stale["a"] & ~stale["b"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fusion.calibration.offline.parts", lambda count: parts(count, part))
+        assert fresh_pairs(Pairs.of(BODY, pairs)).tolist() == np.flatnonzero(both).tolist()
+
+
+@pytest.mark.parametrize("turned", [0.0, 180.0])
+def test_the_sides_of_a_part_are_those_of_the_part_alone(turned, monkeypatch):
+    """K_B is carried away while nobody is there."""
+    before, after = turned_around(90.0), turned_around(180.0)
+    pairs, _ = walk(3.0, a_from_b=before, turned=turned)
+    later, _ = walk(3.0, start=104.1, seed=1, a_from_b=after, turned=turned)
+    firsts, places = (0, len(pairs)), (before, after)
+    of_all = [*pairs, *later]
+    spans = tuple(
+        CalibrationSpan(of_all[k].time_ns, setup_of(place).calibration)
+        for k, place in zip(firsts, places, strict=True)
+    )
+    monkeypatch.setattr(
+        "fusion.plan.learn_from_recording", lambda *_, **__: LearnedCalibration(spans, None, ())
+    )
+    whole = plan_recording(BODY, of_all, FuserSettings(hindsight="labels"), spans[0].calibration).labels
+    alone = plan_recording(
+        BODY, later, FuserSettings(hindsight="labels"), spans[1].calibration, refine=False
+    ).labels
+    np.testing.assert_array_equal(whole.codes[len(pairs) :], alone.codes)
+    np.testing.assert_allclose(whole.heading[len(pairs) + 15 :], alone.heading[15:], atol=0.02)

@@ -17,7 +17,9 @@ from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, standing
 
 BODY = KINECT_V2
-SIDE = np.array((1.0, 0.0, -1.0)) / np.sqrt(2.0)
+FRONT = np.array((1.0, 0.0, -1.0)) / np.sqrt(2.0)
+"""Where the person looks: at 45° to both sensors."""
+SIDE = np.array((1.0, 0.0, 1.0)) / np.sqrt(2.0)
 """To the person's side: a movement forwards or backwards is evidence of the heading."""
 SECOND = 1_000_000_000
 
@@ -25,11 +27,13 @@ SECOND = 1_000_000_000
 @cache
 def person(body=BODY):
     """(J, 3) a person who faces both sensors: knees and elbows are bent, and the head is before the neck."""
-    at, front = standing(body), np.array((-1.0, 0.0, -1.0)) / np.sqrt(2.0)
+    at = standing(body)
+    middle, turn = at[body.root].copy(), Rotation.from_euler("y", -90.0, degrees=True)  # K_B was behind
+    at = turn.apply(at - middle) + middle
     for part, metres in (("Knee", 0.03), ("Elbow", -0.045)):
         for side in ("Left", "Right"):
-            at[body.joint(part + side)] += metres * front
-    at[body.joint("Head")] += 0.05 * front
+            at[body.joint(part + side)] += metres * FRONT
+    at[body.joint("Head")] += 0.05 * FRONT
     return at
 
 

@@ -161,7 +161,7 @@ def test_a_view_that_misses_frames_keeps_its_labels_in_between(smooth):
 def test_a_skeleton_is_repeated_also_after_moments_without_the_view():
     views = simulated_views("walk", seconds=4.0)
     b, states_b = views.b_in_a.copy(), views.states_b.copy()
-    b[40:80] = b[40]
+    b[40:80], states_b[40:80] = b[40], states_b[40]
     b[1::2], states_b[1::2] = np.nan, 0
     stale = replace(views, b_in_a=b, states_b=states_b).reported().stale[:, 1]
     assert stale[42:80].all()
