@@ -19,7 +19,7 @@ from devices.sensor import Sensor
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration
 from fusion.calibration.calibrator import Calibrator
-from fusion.calibration.online import CalibrationChange, CalibrationLearner, LearnerSettings
+from fusion.calibration.online import CalibrationLearner, LearnerSettings
 from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
 from fusion.registration.refinement import RefinementSettings
@@ -48,7 +48,6 @@ class LiveFusion:
         learns = setup.settings.method == "duplex" and (refine or not calibrated)
         settings = LearnerSettings(refinement=RefinementSettings(in_steps=True))
         self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if learns else None
-        self._changes: list[CalibrationChange] = []
         self._views = ViewEvents(setup.body)
 
     def frames(
@@ -87,9 +86,7 @@ class LiveFusion:
         if self._learner is not None and self.calibrator.final:
             codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
             stale = fused.stale_a, fused.stale_b
-            changes = self._learner.observe(pair.skeletons, codes, stale)
-            self._changes += changes
-            for change in changes:
+            for change in self._learner.observe(pair.skeletons, codes, stale):
                 knocked = change.kind == "knocked"
                 events.append(Event(change.event, "WARN" if knocked else "INFO"))
         return events
@@ -100,9 +97,8 @@ class LiveFusion:
         if found is not None:
             if self._learner is not None:  # it has learned nothing so far: it waits for a final calibration
                 self._learner.adopt(found)
-        elif self._changes:
-            found = self._changes[-1].calibration
-            self._changes.clear()
+        elif self._learner is not None:
+            found = self._learner.calibration
         if found is None or found is self.setup.calibration:
             return
         self.setup = FusionSetup(found, self.setup.settings, *self.setup.intrinsics)
