@@ -146,6 +146,8 @@ def test_trc_is_in_millimetres_x_forward_y_up_with_empty_cells_for_gaps(session)
     right, up, towards = np.moveaxis(1e3 * on_floor(session, session.rows.fused), -1, 0)
     np.testing.assert_allclose(joints, np.stack([towards, up, -right], axis=-1), atol=1e-4)
     np.testing.assert_allclose(table[1], session.rows.time_ns * 1e-9, atol=1e-6)
+    first = int(head["OrigDataStartFrame"])
+    assert table[0].tolist() == list(range(first, first + 60))
 
 
 def test_c3d_is_read_by_another_library(session):
@@ -246,6 +248,18 @@ def test_c3d_refuses_what_its_readers_would_silently_lose(tmp_path):
     with pytest.raises(RecordingError, match=r"holds 65535 frames, 36 min at 30 Hz; .* has 65536"):
         exported(session, "s.c3d")
     assert not (tmp_path / "s.c3d").exists()
+
+
+def test_bones_beside_a_new_calibration_are_those_of_the_frame_before(tmp_path):
+    first = calibration_of(KINECT_V2)
+    longer = replace(first, bone_lengths=1.1 * first.bone_lengths)
+    pairs = frame_pairs(KINECT_V2, 30)
+    session = record_recalibrated(tmp_path / "s.rrd", pairs, [(0, first), (12, longer), (20, first)])
+    rows, bones = session.rows, KINECT_V2.bone_joints
+    times = np.linspace(0, rows.time_ns[-1], 200, endpoint=False).astype(np.int64)
+    before = np.searchsorted(rows.time_ns, times, side="right") - 1
+    lengths = bone_lengths_of(KINECT_V2, session.at(times))
+    np.testing.assert_allclose(lengths[:, bones], rows.bone_lengths[before][:, bones], atol=1e-6)
 
 
 def test_s_star_between_two_frames_keeps_its_bones_and_turns_evenly(session):

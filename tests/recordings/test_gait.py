@@ -9,7 +9,7 @@ from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from fusion.angles import UP
 from fusion.body import AZURE_KINECT, BODIES
-from recordings.gait import SIDES, cycle_curves, find_gait
+from recordings.gait import SIDES, Gait, cycle_curves, find_gait
 from tests.helpers.footfalls import contacts
 
 SECONDS, RATE = 20.0, 30.0
@@ -105,6 +105,41 @@ def test_a_gap_divides_a_walk_and_nothing_is_invented_in_it():
     assert np.isnan(second[0].progress)
     strikes = np.array([step.strike for step in whole.steps])
     assert all(abs(strikes - step.strike).min() < 0.03 for step in (*first, *second))
+
+
+@pytest.mark.parametrize("begins", np.arange(9.0, 10.2, 0.1).round(1))
+def test_a_person_who_stands_still_for_a_while_takes_two_walks(begins):
+    """In whichever part of a step they stop, so that the next one may be the other foot's."""
+    joints, stops = truth_of("walk"), round(begins * RATE)
+    halted = np.concatenate([joints[:stops], joints[[stops] * 60], joints[stops:-60]])
+    first, second = find_gait(AZURE_KINECT, TIMES, halted, UP).walks
+    assert first[-1].strike < begins + 0.3
+    assert second[0].strike > begins + 1.7
+
+
+def test_uncertainties_are_the_spread_of_what_is_computed_from_uncertain_strikes():
+    sigma = np.full((len(TIMES), len(AZURE_KINECT)), 0.02)
+    joints = truth_of("walk")
+    joints[(TIMES > 10.0e9) & (TIMES < 11.0e9)] = np.nan
+    steps = [
+        step._replace(length_sigma=0.0) for step in find_gait(AZURE_KINECT, TIMES, joints, UP, sigma).steps
+    ]
+    random, drawn = np.random.default_rng(0), []
+    for _ in range(2000):
+        moved = [step.strike + random.normal(0.0, step.strike_sigma) for step in steps]
+        gait = Gait(
+            tuple(
+                step._replace(strike=moved[k], seconds=moved[k] - moved[k - 1])
+                if np.isfinite(step.seconds)
+                else step._replace(strike=moved[k])
+                for k, step in enumerate(steps)
+            )
+        )
+        drawn.append((gait.cadence.value, gait.speed.value))
+    gait = Gait(tuple(steps))
+    assert len(gait.walks) == 2
+    told = [gait.cadence.sigma, gait.speed.sigma]
+    np.testing.assert_allclose(np.std(drawn, axis=0), told, rtol=0.08)  # 2,000 draws tell it to 1.6 %
 
 
 def test_nobody_and_nothing_have_no_steps():

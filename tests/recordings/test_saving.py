@@ -6,11 +6,12 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 import rerun as rr
-from hypothesis import settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
@@ -25,6 +26,7 @@ from recordings.file.session_writer import write_session
 from recordings.replaying import Agreement, Replay
 from recordings.session_arrays import SessionFrame
 from recordings.session_comparison import Comparison
+from recordings.writing.checksums import image_checksum
 from tests.helpers.damage import damaged, opened
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import FrameImages
@@ -248,6 +250,35 @@ class Saving(RuleBasedStateMachine):
 TestSaving = Saving.TestCase
 if settings.get_current_profile_name() == "duplex":  # another profile has its own number of sessions
     TestSaving.settings = settings(max_examples=6, stateful_step_count=6)
+
+
+@settings(max_examples=20)
+@given(
+    cut=st.tuples(st.integers(0, _FRAMES - 1), st.integers(1, _FRAMES)).filter(lambda cut: cut[0] < cut[1])
+)
+def test_a_part_has_the_events_of_its_frames_and_no_counts_of_the_whole(tmp_path, cut):
+    session = made(0.5, False, {"dropped_a": 3, "dropped_b": 4, "subject": "P01"}, (), ())
+    each = [Event(f"in frame {k}").placed(k, int(ns)) for k, ns in enumerate(session.time_ns)]
+    first, end = cut
+    write_session(replace(session, events=each), tmp_path / "s.rrd", first=first, end=end)
+    part = Session.open(tmp_path / "s.rrd")
+    own = [event for event in part.events if event.text.startswith("in frame")]
+    since_ns = int(session.time_ns[first])
+    assert own == [event.placed(event.frame - first, event.time_ns - since_ns) for event in each[first:end]]
+    assert part.dropped == ((3, 4) if cut == (0, _FRAMES) else (None, None))
+    assert part.about["session"]["subject"] == session.about["session"]["subject"]
+
+
+def test_an_image_of_another_frame_is_a_damaged_one(tmp_path):
+    session = made(0.5, False, {}, (), ())
+    count = session.depth("a").count()
+    with patch(
+        "recordings.writing.shown_images.image_checksum", lambda frame, of: image_checksum(frame + 1, of)
+    ):
+        session.save(tmp_path / "s.rrd")
+    images = Session.open(tmp_path / "s.rrd").depth("a")
+    assert list(images) == []
+    assert images.damaged == count > 0
 
 
 def test_images_of_a_file_that_was_replaced_are_not_somebody_else_s(tmp_path):

@@ -60,6 +60,12 @@ def test_only_fusions_of_the_same_skeletons_are_compared(fused_run, tmp_path):
     chance = fused_run(frame_pairs(KINECT_V1, 40, noise=0.03), calibration)  # the same times
     with pytest.raises(RecordingError, match="40 frames of the same time, but S_A or S_B of frame 0"):
         Comparison.of(one, chance)
+    for name in ("clock_b", "positions_a", "positions_b", "states_a", "states_b"):
+        other = getattr(one.rows, name).copy()
+        other[23] += 1
+        for pair in ((one, changed := replace(one, rows=replace(one.rows, **{name: other}))), (changed, one)):
+            with pytest.raises(RecordingError, match="frame 23 differs from frame 23: not the same capture"):
+                Comparison.of(*pair)
     again = fused_run(frame_pairs(KINECT_V1, 40), calibration, FuserSettings("paper", h=0.9))
     write_session(again, tmp_path / "part.rrd", first=10, end=30)
     part = Comparison.of(one, Session.open(tmp_path / "part.rrd"))

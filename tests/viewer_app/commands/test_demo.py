@@ -1,5 +1,6 @@
 """``duplex demo``: what it tells a newcomer, its hard moments, and where its sensors stand."""
 
+import json
 from functools import cache
 
 import numpy as np
@@ -14,6 +15,7 @@ from fusion.intrinsics import NOMINAL_INTRINSICS
 from recordings import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.demonstrations import advice_over, fused_demonstration
+from tests.helpers.machine import small_disk
 from tests.helpers.session_text import rows_of
 from viewer_app.coach.advice import ANGLES
 
@@ -191,3 +193,12 @@ def test_a_bad_set_up_is_told_what_to_mend():
         assert wrong[f"distance {side}"].startswith(f"Too close to sensor {side}: 1.")
         assert wrong[f"feet {side}"].startswith(f"Sensor {side} does not see both feet in 100 % of frames")
     assert wrong["angle"].startswith("The sensors look 30° apart")
+
+
+def test_where_saving_fails_the_report_is_of_all_frames_all_the_same(tmp_path, capsys):
+    with small_disk(tmp_path / "small", 400) as disk:
+        shown = "--no-viewer", "--seconds", 3, "--save", disk / "s.rrd", "--report", tmp_path / "r.json"
+        assert duplex("demo", *shown) == 2
+        assert "s.rrd could not be written: No space left on device" in one_line(capsys)
+    figures = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
+    assert figures["fused_frames"] == figures["paired"] > 60

@@ -4,9 +4,12 @@ import json
 import math
 import socket
 import struct
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pythonosc import osc_packet
 from scipy.spatial.transform import Rotation
 
@@ -16,7 +19,7 @@ from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, turned_about, 
 from tests.helpers.two_views import FRAME_NS, moving
 from viewer_app.errors import UsageError
 from viewer_app.outputs import vrm as vrm_module
-from viewer_app.outputs.osc import Address, OscOutput
+from viewer_app.outputs.osc import Address, OscOutput, bundled
 from viewer_app.outputs.vmc import VmcEncoder
 from viewer_app.outputs.vrchat import VRChatEncoder, euler_degrees
 from viewer_app.outputs.vrm import read_avatar
@@ -115,6 +118,22 @@ def test_bent_limbs_have_the_rotations_computed_by_hand(body, directions, bone, 
     sent = bones(VmcEncoder(body).encode(posed(body, T_POSE | directions), 0))
     rotation = sent[bone][1]
     np.testing.assert_allclose(rotation * np.sign(rotation @ expected), expected, atol=FLOAT32)
+
+
+ARGUMENTS = st.one_of(st.integers(-9, 9), st.floats(0, 1, width=32))
+
+
+@given(
+    sent=st.lists(st.tuples(st.integers(1, 60), st.lists(ARGUMENTS, max_size=4)), min_size=40, max_size=60)
+)
+def test_any_messages_come_in_order_in_the_fewest_datagrams_that_they_fit_into(sent):
+    sent = [("/" + "x" * length, arguments) for length, arguments in sent]
+    datagrams = bundled(sent)
+    assert messages(datagrams) == sent
+    assert all(len(datagram) <= 1472 for datagram in datagrams)
+    for one, following in pairwise(datagrams):
+        first = len(bundled(messages([following])[:1])[0]) - 16
+        assert len(one) + first > 1472
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)

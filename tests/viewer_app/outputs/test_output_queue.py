@@ -1,9 +1,12 @@
 """An output never delays the loop: its queue is bounded, the oldest frames are dropped and counted."""
 
 import threading
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from devices.events import Event
 from tests.helpers.live_frames import frames
@@ -76,6 +79,35 @@ def test_a_candidate_that_the_network_rejects_is_dropped_and_the_next_is_tried(f
     output.write(frames(fuser, 1)[0])
     output.close()
     assert output.counts.sent == 1
+    assert output.failure is None
+
+
+@settings(max_examples=30, derandomize=True)
+@given(kinds=st.lists(st.tuples(st.booleans(), st.sampled_from(["sent", "refused", "nobody"])), max_size=12))
+def test_every_frame_is_sent_or_dropped_and_an_event_is_neither(fuser, kinds):
+    """Whatever the network refuses; without a receiver there is nothing to count."""
+    todo = deque(outcome for _, outcome in kinds)
+
+    class Output(LiveOutput):
+        def send_frame(self, _):
+            outcome = todo.popleft()
+            if outcome == "refused":
+                raise OSError("network unreachable")
+            return 1 if outcome == "sent" else None
+
+        def send_event(self, _):
+            self.send_frame(None)
+
+    output, (frame,) = Output("x", keep=20), frames(fuser, 1)
+    for is_frame, _ in kinds:
+        if is_frame:
+            output.write(frame)
+        else:
+            output.event(Event("something"))
+    output.start()
+    output.close()
+    counts, of_frames = output.counts, [outcome for is_frame, outcome in kinds if is_frame]
+    assert (counts.sent, counts.dropped) == (of_frames.count("sent"), of_frames.count("refused"))
     assert output.failure is None
 
 

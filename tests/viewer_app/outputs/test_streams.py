@@ -1,10 +1,13 @@
 """Lab Streaming Layer and Zenoh, read back by an inlet and by a second session."""
 
 import json
+import time
 from uuid import uuid4
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from devices.events import Event
 from devices.network.zenoh_session import LOOPBACK, ZenohAddresses, zenoh_session
@@ -17,6 +20,7 @@ from viewer_app.addresses import zenoh_warning
 from viewer_app.outputs.lab_streaming import LabStreamingOutput
 from viewer_app.outputs.output import confidence
 from viewer_app.outputs.zenoh_topic import ZenohOutput
+from viewer_app.sinks.queued_sink import QueuedFrame
 
 
 def lsl():
@@ -68,6 +72,37 @@ def test_an_inlet_reads_joints_confidences_times_and_events(fuser):
     assert labels[0] == ("SpineBase_PositionX", "SpineBase", "PositionX", "meters")
     assert labels[3] == ("SpineBase_Confidence", "SpineBase", "Confidence", "normalized")
     assert info.desc().child("acquisition").child_value("manufacturer") == "duplex-kinects"
+
+
+@settings(max_examples=30, derandomize=True)
+@given(
+    delays_ms=st.lists(st.one_of(st.integers(5, 40), st.integers(5, 450)), min_size=2, max_size=60),
+    interval_ms=st.sampled_from([1, 11, 33, 200]),
+)
+def test_lsl_stamps_go_forward_and_are_not_ahead_of_the_frames(fuser, monkeypatch, delays_ms, interval_ms):
+    """A frame that took less time than all before it moves what is known of the clocks back."""
+    stamps = []
+
+    class Outlet:
+        def __init__(self, info):
+            self.records = info.name() == "x"
+
+        def push_sample(self, _, stamp):
+            if self.records:
+                stamps.append(stamp)
+
+    pylsl = lsl()
+    monkeypatch.setattr(pylsl, "StreamOutlet", Outlet)
+    ahead_s = pylsl.local_clock() - time.perf_counter()
+    output, (frame,) = LabStreamingOutput("x", KINECT_V2, 30.0), frames(fuser, 1)
+    written_s = []
+    for number, delay_ms in enumerate(delays_ms):
+        time_ms = number * interval_ms
+        written_s.append(max((time_ms + delay_ms) * 1e-3, *written_s[-1:], 0.0))
+        output.send_frame(QueuedFrame(number, frame, time_ms * 1_000_000, round(written_s[-1] * 1e9)))
+    output.close()
+    assert (np.diff(stamps) > 0.0).all()
+    assert (np.array(stamps) - ahead_s <= np.array(written_s) + 1e-3).all()
 
 
 def test_a_second_session_reads_the_description_frames_and_events(fuser):

@@ -10,6 +10,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 
 from devices.events import Event
@@ -272,6 +274,21 @@ def sensors(links=(None, None), **counts):
     figures.resets = counts.pop("resets", 0)
     assert not counts
     return SimpleNamespace(**stream, figures=figures, links=links)
+
+
+@given(*[st.integers(0, 99)] * 6)
+def test_the_counts_of_a_sensor_add_up_to_its_frames(
+    pairs, alone_a, alone_b, unmatched_b, dropped_a, dropped_b
+):
+    counted = sensors(dropped_b=dropped_b)
+    counted.a.dropped = dropped_a
+    vars(counted.figures).update(pairs=pairs, alone_a=alone_a, alone_b=alone_b, unmatched_b=unmatched_b)
+    figures = stream_figures(counted)
+    for side, frames in (
+        ("a", pairs + alone_a + dropped_a),
+        ("b", pairs + alone_b + unmatched_b + dropped_b),
+    ):
+        assert figures["paired"] + figures["alone"][side] + figures["dropped"][side] == frames
 
 
 def trouble(sensors):

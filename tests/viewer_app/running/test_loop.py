@@ -11,6 +11,7 @@ import psutil
 import pytest
 
 from devices.depth import witness as depth_witness
+from devices.events import Event
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
@@ -22,7 +23,7 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings.fusing.live_fusion import LiveFusion
 from tests.experiments.soak import Soak, at_pace, soak
-from tests.helpers.frame_pairs import KnownSensors
+from tests.helpers.frame_pairs import KnownSensors, frame_pairs
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
 from viewer_app.running.loop import low_latency, run_live
 from viewer_app.running.runner import latency_figures
@@ -93,6 +94,35 @@ def test_latency_counts_from_the_images_that_arrived_first():
     assert figures["p99"] == pytest.approx(1_100.0 - 0.02 * 90.0)  # linear between the last two
     silent = [replace(frame, latency_ns=None) for frame in frames]
     assert latency_figures(silent) == {"p50": None, "p99": None, "max": None}
+
+
+def test_a_sink_is_told_each_setup_before_its_frames_and_every_event():
+    class Telling(KnownSensors):
+        told = 0
+
+        def events(self):
+            self.told += 1
+            return [Event(f"number {self.told}")]
+
+    class Told(Sink):
+        setup, setups, said = NOMINAL, 0, ()
+
+        def recalibrated(self, setup):
+            assert setup is not self.setup
+            self.setup, self.setups = setup, self.setups + 1
+
+        def write(self, frame):
+            assert frame.bone_lengths is self.setup.calibration.bone_lengths
+
+        def event(self, event):
+            self.said += (event.text,)
+
+    sensors, told = Telling(frame_pairs(KINECT_V1, 75)), Told()
+    run_live(sensors, NOMINAL, told)
+    assert told.setups == sum(text.startswith("calibrated") for text in told.said) > 0
+    numbers = [text for text in told.said if text.startswith("number")]
+    assert numbers == [f"number {k + 1}" for k in range(sensors.told)]
+    assert len(numbers) == 76, "after each pair, and after the last one"
 
 
 def test_latency_settings_apply_only_while_the_loop_runs():
