@@ -94,19 +94,21 @@ def in_this_layout(session: Session, path: Path, page: CoachPage) -> Iterator[Pa
         yield shown
 
 
-def show(path: Path, at_ns: int | None = None) -> bool:
+def show(path: Path, at_ns: int = 0) -> bool:
     """Opens a session in a new window; the file may be deleted as soon as this returns.
 
     Args:
-        at_ns: Where to put the time cursor, ns since the first pair; None: wherever the viewer puts it.
-            Returns whether it stands there.
+        at_ns: Where to put the time cursor, ns since the first pair. The viewer would put it at the end.
+
+    Returns:
+        Whether it stands there.
     """
     with path.open("rb") as file:
         process, port = start_viewer(["--hide-welcome-screen", "-"], file)
         url = f"rerun+http://{LOOPBACK}:{port}/proxy"
         if has_depth_images(path):
             add_clouds(file, url)
-    return at_ns is None or _set_time(process, url, at_ns)
+    return _set_time(process, url, at_ns)
 
 
 @contextmanager

@@ -40,7 +40,7 @@ class Opened:
     def __call__(self, arguments, stdin):
         assert "-" in arguments
         self.read.append(stdin.read())
-        return None, 0
+        return SimpleNamespace(poll=lambda: 0), 0  # a user has closed it
 
 
 @pytest.fixture
