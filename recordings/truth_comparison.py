@@ -24,9 +24,10 @@ from fusion.medians import median_of_known
 from fusion.registration.rigid_fit import LARGEST_RESIDUAL, fit_recording
 from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError
+from recordings.joint_path import JointPath, Joints
 from recordings.session import Session
 from recordings.truth_files import TruthFile
-from recordings.truth_timing import JointPath, Joints, TimeOffset, find_offset
+from recordings.truth_timing import TimeOffset, find_offset
 
 Array = NDArray[np.float64]
 

@@ -1,15 +1,25 @@
-"""The offset between a session's clock and that of motion capture, from the motion that both show."""
+"""The offset between a session's clock and that of motion capture, from the motion that both show.
+
+The offset δ is added to the truth's times. A joint is at p(t) in a view and at q(t) in the truth, R turns
+the truth's frame to the view's, and h is a tenth of a second. Displacements hardly depend on how a joint is
+defined: m = p(t + h) − p(t − h) and e = R (q(t − δ + h) − q(t − δ − h)), with e' its derivative by δ.
+
+1. The joints' speeds, which need no R, give candidates for δ.
+2. From each, Gauss-Newton steps minimise the errors r = m − e: R is fitted anew, and δ changes by
+   Σ w r · e' / Σ w |e'|², where w = (1 + (|r| / c)²)⁻² and c is 1.5 times the median of |r|.
+3. The standard deviation of δ is that of the jackknife: the last step without each eighth of the session.
+4. Those at which the registered views match best are the offset and, if the movement repeats itself, others.
+5. S* is refined from there. It must correlate, by Σ m · e / √(Σ |m|² Σ |e|²), and shows its lag.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from fusion.body import Body
 from fusion.errors import CalibrationError
@@ -17,11 +27,10 @@ from fusion.pair_arrays import View
 from fusion.registration.clock_search import best_offsets, part_offsets
 from fusion.registration.rigid_fit import fit_recording
 from fusion.skeleton import TRACKED
+from recordings.joint_path import Array, JointPath, Joints
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_LONGEST_GAP = 0.1  # seconds without a point that are interpolated
 _SEARCH_RATE = 60.0  # Hz of the truth in the search of the offset
 _HALF_SPAN = 0.1  # seconds before and after, between which a displacement is measured
 _STEPS = 5
@@ -56,42 +65,8 @@ class TimeOffset:
         return TimeOffset(seconds, instead_of=self.seconds if self.sure and not near else float("nan"))
 
 
-@dataclass(frozen=True, eq=False)
-class Joints:
-    """(N, J, 3) joints at (N,) times, metres; NaN where unknown."""
-
-    seconds: Array
-    positions: Array
-
-
-class JointPath:
-    """Joints over time, interpolated by cubic splines over short gaps only."""
-
-    def __init__(self, joints: Joints) -> None:
-        self.seconds, self._shape = joints.seconds, joints.positions.shape[1:]
-        longest = max(_LONGEST_GAP, 2.5 * float(np.median(np.diff(joints.seconds))))
-        self._splines: dict[int, tuple[Array, Any, NDArray[np.bool_]]] = {}
-        for joint in range(self._shape[0]):
-            known = np.isfinite(joints.positions[:, joint, 0])
-            if known.sum() > 1:
-                times = joints.seconds[known]
-                spline = CubicSpline(times, joints.positions[known, joint])
-                self._splines[joint] = times, spline, np.diff(times) <= longest
-
-    def at(self, times: Array, derivative: int = 0) -> Array:
-        """(T, J, 3) positions or velocities; NaN in gaps and outside."""
-        found = np.full((len(times), *self._shape), np.nan)
-        for joint, (known, spline, short) in self._splines.items():
-            before = np.clip(np.searchsorted(known, times, side="right") - 1, 0, len(known) - 2)
-            inside = (times >= known[0]) & (times <= known[-1]) & short[before]
-            found[inside, joint] = spline(times[inside], derivative)
-        return found
-
-
 def find_offset(body: Body, views: Sequence[Joints], fused: Joints, truth: JointPath) -> TimeOffset | None:
-    """The offset by the joints' speeds, refined by their displacements; None where no offset matches.
-
-    Displacements over a fifth of a second hardly change where the joints are defined in another way.
+    """The offset; None where none matches.
 
     Args:
         views: S_A and S_B, which decide: S* may lag behind them.
@@ -99,27 +74,22 @@ def find_offset(body: Body, views: Sequence[Joints], fused: Joints, truth: Joint
     span, true_span = (float(np.ptp(times)) for times in (fused.seconds, truth.seconds))
     even = truth.seconds[0] + np.arange(int(true_span * _SEARCH_RATE) + 1) / _SEARCH_RATE
     own, true = _view(fused), _view(Joints(even, truth.at(even)))
-    shorter = true_span < span  # the frames of the first view are compared
-    pair, sign = ((true, own), -1) if shorter else ((own, true), 1)
+    # the search takes the frames of the first view, the shorter one, and adds nanoseconds to the second
+    pair, ns = ((true, own), -1e9) if true_span < span else ((own, true), 1e9)
     refined = list[TimeOffset]()
-    for coarse in part_offsets(body, *pair):
-        found = _refined(views, truth, 1e-9 * sign * coarse)
+    for candidate in part_offsets(body, *pair):
+        found = _refined(views, truth, candidate / ns)
         if found and all(abs(found.seconds - other.seconds) > _HALF_SPAN for other in refined):
             refined.append(found)
-    equal = best_offsets(*pair, [sign * round(1e9 * found.seconds) for found in refined])
+    equal = best_offsets(*pair, [round(found.seconds * ns) for found in refined])
     if not equal:
         return None
     found, *others = (refined[k] for k in equal)
     of_fused = _refined([fused], truth, found.seconds)
     if of_fused is None or of_fused.correlation < _LEAST_CORRELATION:
         return None
-    lag = of_fused.seconds - found.seconds
-    return replace(
-        found,
-        correlation=of_fused.correlation,
-        lag_seconds=lag,
-        others=tuple(other.seconds for other in others),
-    )
+    lag, elsewhere = of_fused.seconds - found.seconds, tuple(other.seconds for other in others)
+    return replace(found, correlation=of_fused.correlation, lag_seconds=lag, others=elsewhere)
 
 
 def _view(joints: Joints) -> View:
@@ -131,7 +101,7 @@ def _view(joints: Joints) -> View:
 
 
 def _refined(views: Sequence[Joints], truth: JointPath, offset: float) -> TimeOffset | None:
-    """The offset, its standard deviation and the correlation by re-weighted Gauss-Newton steps.
+    """The offset near another one, its standard deviation and the correlation: steps 2 and 3.
 
     None where the joints that each view has in common with the truth determine no rotation.
     """
@@ -159,8 +129,7 @@ def _refined(views: Sequence[Joints], truth: JointPath, offset: float) -> TimeOf
 
 
 def _displacements(view: Joints, truth: JointPath, offset: float) -> tuple[Array, Array, Array, Ints]:
-    """(N, 3) displacements of a view and of the truth, derivatives of the latter by the offset, and (N,) the
-    part of the session."""
+    """(N, 3) m, e and e' of the joints and times of a view, and (N,) the part of the session."""
     step = max(1, round(_HALF_SPAN / max(float(np.median(np.diff(view.seconds))), 1e-3)))
     first, last = truth.seconds[[0, -1]] + offset
     inside = (view.seconds >= first) & (view.seconds <= last)
