@@ -14,6 +14,7 @@ _BLOCK_NS = 1_000_000_000
 _WINDOW_BLOCKS = 10
 _DRIFT_BLOCKS = 60
 _LATE_NS = 500_000_000
+_PASSED_NS = 50_000_000
 _EQUAL_NS, _APART_NS = 10_000_000, 20_000_000
 """Frames of a reset clock have offsets that are equal but for jitter, though they arrive one after the other.
 Frames that were held up arrive together, and the offset of each is an interval below that of the last one."""
@@ -128,6 +129,22 @@ class ContinuousTime:
         if self._from_host is None:
             self._from_host = first_ns - host_ns
         return host_ns + self._from_host
+
+
+class OutputTime(ContinuousTime):
+    """The time of pairs: that of A, continued. It never goes back."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._last_ns: int | None = None
+
+    def forward(self, time_ns: int) -> int | None:
+        """This time, or just after the last one given; None where it is more than 50 ms before that."""
+        given_ns = time_ns if self._last_ns is None else max(time_ns, self._last_ns + 1)
+        if given_ns - time_ns > _PASSED_NS:
+            return None
+        self._last_ns = given_ns
+        return given_ns
 
 
 def offset_by_arrival(a: NDArray[np.int64], b: NDArray[np.int64]) -> ClockOffset | None:

@@ -1,9 +1,10 @@
 """Two live streams → pairs of frames captured at the same time.
 
-The sensors' clocks start anywhere and drift apart. So each frame gets its moment on this machine's clock
-when it arrives, once; what waits depends on no sensor's clock. With a sync cable the sensors capture at the
-same moments, a fixed delay apart, and the pairs found so far tell the skew to the microsecond.
+The sensors' clocks start anywhere and drift apart. Arrivals tell the offset between them. With a sync cable
+the sensors capture at the same moments, a fixed delay apart, and the pairs found so far tell it to the
+microsecond.
 
+Each frame gets its moment on this machine's clock when it arrives, once. By it a frame waits for its partner.
 Pairs carry A's time, continued where A's clock is reset. It never goes back. The person has not been selected
 yet: see :mod:`devices.people`.
 
@@ -18,7 +19,7 @@ from itertools import islice, pairwise
 from statistics import median_low
 from typing import Literal, NamedTuple
 
-from devices.capture.host_clock import ContinuousTime, HostClock, Timing
+from devices.capture.host_clock import HostClock, OutputTime, Timing
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.skeleton import SkeletonPair
@@ -26,10 +27,7 @@ from fusion.skeleton import SkeletonPair
 Side = Literal["a", "b"]
 _PENDING = 8
 _SLOWEST_NS, _NEWEST_NS = 10_000_000_000, 1_000_000_000
-_SYNCED_PAIRS = 61
-_SYNCED_ENOUGH = 15
-_PASSED_NS = 50_000_000
-"""A frame that was captured so much earlier than the last one given is left out: it would turn time back."""
+_SYNCED_PAIRS, _SYNCED_ENOUGH = 61, 15  # pairs on a cable that tell the offset, at most and at least
 PATIENCE_NS = 5_000_000
 """A frame waits this much longer than the partner's slowest frame of the last ten seconds took."""
 
@@ -77,8 +75,20 @@ class _Stream:
     recent: deque[tuple[int, int, int]] = field(default_factory=deque)
     """Arrival, moment and own time of the frames of ten seconds; no frame, which would keep its images."""
     used_ns: int | None = None
-    came_ns: int | None = None
+    came_ns: int | None = None  # when the last one arrived, or the first one of the other sensor
     gone: bool = False
+
+    def oddity(self, frame: SensorFrame, now_ns: int) -> str:
+        """What is odd about a frame, as :class:`PairingFigures` counts it; else empty."""
+        times = [time_ns for _, _, time_ns in self.recent]
+        if frame.time_ns in times:
+            return "repeated"
+        timing = self.clock.observe(frame.time_ns, now_ns if frame.host_ns is None else frame.host_ns)
+        if timing is Timing.RESET:
+            return "resets"
+        if timing is Timing.LATE or (self.used_ns is not None and frame.time_ns <= self.used_ns):
+            return "late"
+        return "reordered" if frame.time_ns < max(times, default=frame.time_ns) else ""
 
     def take(self, frame: SensorFrame, now_ns: int) -> None:
         """Gives a frame its moment and its place among those that wait."""
@@ -92,7 +102,7 @@ class _Stream:
     def use(self, count: int) -> list[_Taken]:
         """Takes the first frames out."""
         used, self.waiting = self.waiting[:count], self.waiting[count:]
-        self.used_ns = used[-1].frame.time_ns if used else self.used_ns
+        self.used_ns = used[-1].frame.time_ns
         return used
 
     def forget(self) -> list[_Taken]:
@@ -123,6 +133,7 @@ class LivePairing:
     Every frame comes out, with its partner or alone, unless it is counted as late, repeated or unmatched.
 
     Attributes:
+        interval_ns: Time between two frames of the faster sensor.
         every_frame: Whether frames of B that merely find no partner come out, too. Else they are left out,
             because the paper's methods fuse pairs: a slower A would make their S* change between one and two
             views.
@@ -150,20 +161,17 @@ class LivePairing:
         self.set_interval(interval_ns)
         self.sync_delay_ns, self.every_frame = sync_delay_ns, True
         self._a, self._b = _Stream(), _Stream(sync_delay_ns or 0)
+        self._streams: dict[Side, _Stream] = {"a": self._a, "b": self._b}
         self._synced: deque[int] = deque(maxlen=_SYNCED_PAIRS)  # B's clock minus A's, of pairs on the cable
         self._counts: Counter[str] = Counter()
-        self._time = ContinuousTime()
-        self._first_ns: int | None = None  # arrival of the first frame
-        self._last_ns: int | None = None  # time of the newest pair
+        self._time = OutputTime()
         self._skew_ns: int | None = None
 
     @property
     def figures(self) -> PairingFigures:
         """How it goes so far."""
-        offset_ns = self._cable_offset_ns()
-        offset_ns = self._arrival_offset_ns() if offset_ns is None else offset_ns
         drift_ppm = self._b.clock.drift_ppm - self._a.clock.drift_ppm
-        now = PairingFigures(skew_ns=self._skew_ns, offset_ns=offset_ns, drift_ppm=drift_ppm)
+        now = PairingFigures(skew_ns=self._skew_ns, offset_ns=self._offset_ns(), drift_ppm=drift_ppm)
         return replace(now, **self._counts)  # type: ignore[arg-type]
 
     @property
@@ -172,14 +180,9 @@ class LivePairing:
         a, b = self._a.usual_lag_ns(), self._b.usual_lag_ns()
         return 0 if a is None or b is None else b - a
 
-    @property
-    def interval_ns(self) -> int:
-        """Time between two frames of the faster sensor."""
-        return self._interval_ns
-
     def set_interval(self, interval_ns: int) -> None:
         """Changes the time between two frames of the faster sensor, and the patience that follows from it."""
-        self._interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2
+        self.interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2
         self.max_lag_ns = max(self._least_lag_ns, interval_ns)  # a tracker may take nearly an interval
         self._gone_after_ns = max(self._least_gone_ns, 4 * interval_ns)
 
@@ -187,23 +190,16 @@ class LivePairing:
         """Takes a frame and gives the pairs that are complete now, in order. ``now_ns`` is on the clock of
         ``host_ns``, which relates the clocks of both sensors.
         """
-        self._first_ns = now_ns if self._first_ns is None else self._first_ns
-        stream, pairs = self._stream(side), list[FramePair]()
+        for each in self._streams.values():  # from the first frame on, both are expected
+            each.came_ns = now_ns if each.came_ns is None else each.came_ns
+        stream = self._streams[side]
         stream.came_ns, stream.gone = now_ns, False
-        times = [time_ns for _, _, time_ns in stream.recent]
-        if frame.time_ns in times:
-            self._counts["repeated"] += 1
-            return self.poll(now_ns)
-        timing = stream.clock.observe(frame.time_ns, now_ns if frame.host_ns is None else frame.host_ns)
-        if timing is Timing.RESET:
-            self._counts["resets"] += 1
-            pairs = self._forget(stream)
-        elif timing is Timing.LATE or (stream.used_ns is not None and frame.time_ns <= stream.used_ns):
-            self._counts["late"] += 1
-            return self.poll(now_ns)
-        elif frame.time_ns < max(times, default=frame.time_ns):
-            self._counts["reordered"] += 1
-        stream.take(frame, now_ns)
+        oddity = stream.oddity(frame, now_ns)
+        if oddity:
+            self._counts[oddity] += 1
+        pairs = self._forget(stream) if oddity == "resets" else []
+        if oddity not in ("repeated", "late"):
+            stream.take(frame, now_ns)
         return pairs + self.poll(now_ns)
 
     def poll(self, now_ns: int) -> list[FramePair]:
@@ -215,15 +211,12 @@ class LivePairing:
 
     def set_gone(self, side: Side, gone: bool) -> None:
         """Marks a sensor as lost, so that no frame waits for it; its next frame ends this state."""
-        self._stream(side).gone = gone
+        self._streams[side].gone = gone
 
     def restart(self, side: Side) -> list[FramePair]:
         """Reports that a sensor was reopened, so that its clock may have restarted; returns what waited."""
-        self._stream(side).clock.restart()
-        return self._forget(self._stream(side))
-
-    def _stream(self, side: Side) -> _Stream:
-        return self._a if side == "a" else self._b
+        self._streams[side].clock.restart()
+        return self._forget(self._streams[side])
 
     def _forget(self, stream: _Stream) -> list[FramePair]:
         """Forgets what is on a sensor's old clock; its frames that waited are given alone."""
@@ -237,7 +230,8 @@ class LivePairing:
         """Decides on the oldest frames: returns the resulting pairs, or None if it must wait."""
         a, b = self._a.waiting, self._b.waiting
         if a and b:
-            skews = [self._skew_of(a[0], other) for other in b]
+            partner_ns = a[0].frame.time_ns + (self._offset_ns() or 0) + self._b.delay_ns
+            skews = [other.frame.time_ns - partner_ns for other in b]
             nearest = min(range(len(b)), key=lambda index: abs(skews[index]))
             paired = abs(skews[nearest]) <= self._tolerance_ns
             earlier = nearest if paired else sum(skew < 0 for skew in skews)
@@ -250,29 +244,18 @@ class LivePairing:
                 return self._alone(stream, stream.use(1), unmatched=not gone)
         return None
 
-    def _skew_of(self, a: _Taken, b: _Taken) -> int:
-        """How far B's frame is from where A's partner should be."""
-        offset_ns = self._cable_offset_ns()
-        if offset_ns is None:
-            return b.moment_ns - a.moment_ns
-        return b.frame.time_ns - self._b.delay_ns - offset_ns - a.frame.time_ns
-
-    def _arrival_offset_ns(self) -> int | None:
-        """B's clock minus A's, as the frames' arrivals say."""
+    def _offset_ns(self) -> int | None:
+        """B's clock minus A's, as the pairs on a sync cable say; while they are few, as arrivals say."""
         a, b = self._a.clock.offset_ns, self._b.clock.offset_ns
-        return None if a is None or b is None else a - b
-
-    def _cable_offset_ns(self) -> int | None:
-        """B's clock minus A's, as the pairs on a sync cable say; None while they are few."""
-        by_arrival = self._arrival_offset_ns()
-        if len(self._synced) < _SYNCED_ENOUGH or by_arrival is None:
-            return None
+        by_arrival = None if a is None or b is None else a - b
+        if by_arrival is None or len(self._synced) < _SYNCED_ENOUGH:
+            return by_arrival
         by_capture = median_low(self._synced)
-        if abs(by_capture - by_arrival) <= self._interval_ns:
+        if abs(by_capture - by_arrival) <= self.interval_ns:
             return by_capture
         # A frame or more apart from what arrivals say: the pairs it came from were wrong.
         self._synced.clear()
-        return None
+        return by_arrival
 
     def _pair(self, skew_ns: int) -> list[FramePair]:
         """The oldest frames as a pair."""
@@ -297,13 +280,12 @@ class LivePairing:
             time_ns = self._time.of_sensor(a.frame.time_ns, a.moment_ns)
         elif b is not None:
             time_ns = self._time.of_host(b.moment_ns + self._b.delay_ns, b.frame.time_ns)
-        given_ns = time_ns if self._last_ns is None else max(time_ns, self._last_ns + 1)
-        if given_ns - time_ns > _PASSED_NS:
+        given_ns = self._time.forward(time_ns)
+        if given_ns is None:
             self._counts["late"] += (a is not None) + (b is not None)
             return []
         self._counts["pairs" if a and b else "alone_a" if a else "alone_b"] += 1
-        self._last_ns, skew_ns = given_ns, skew_ns if a else time_ns - given_ns
-        pair = SkeletonPair(None, None, given_ns, skew_ns)
+        pair = SkeletonPair(None, None, given_ns, skew_ns if a else time_ns - given_ns)
         return [FramePair(a and a.frame, b and b.frame, pair)]
 
     def _has_waited(self, stream: _Stream, other: _Stream, now_ns: int) -> bool:
@@ -321,16 +303,16 @@ class LivePairing:
         machine does, delays the partner too, so the patience begins with the arrival at the earliest.
         """
         at_ns, due_ns, _ = stream.waiting[0]
-        patience_ns, next_ns = self._interval_ns, other.next_after(due_ns - self._tolerance_ns)
+        patience_ns, next_ns = self.interval_ns, other.next_after(due_ns - self._tolerance_ns)
         if next_ns is not None:
             if next_ns > due_ns + self._tolerance_ns + PATIENCE_NS:
                 return True
             due_ns, patience_ns = max(due_ns, next_ns), PATIENCE_NS
         slowest_ns = max((at - moment for at, moment, _ in other.recent), default=self.max_lag_ns)
         until_ns = max(due_ns + min(slowest_ns, self.max_lag_ns), at_ns) + patience_ns
-        longest_ns = at_ns + self.max_lag_ns + self._interval_ns
+        longest_ns = at_ns + self.max_lag_ns + self.interval_ns
         return now_ns >= min(until_ns, longest_ns) or len(stream.waiting) > _PENDING
 
     def _is_gone(self, stream: _Stream, now_ns: int) -> bool:
-        since = stream.came_ns if stream.came_ns is not None else self._first_ns
-        return stream.gone or (since is not None and now_ns - since > self._gone_after_ns)
+        silent_ns = 0 if stream.came_ns is None else now_ns - stream.came_ns
+        return stream.gone or silent_ns > self._gone_after_ns

@@ -190,7 +190,7 @@ class Pairing(RuleBasedStateMachine):
             self._check(self.pairing.poll(next_ns), next_ns)
 
     def _check(self, pairs, now_ns):
-        self.longest_ns = max(self.longest_ns, self.pairing.max_lag_ns + self.pairing._interval_ns)
+        self.longest_ns = max(self.longest_ns, self.pairing.max_lag_ns + self.pairing.interval_ns)
         for pair in pairs:
             assert self.last_ns is None or pair.time_ns > self.last_ns
             self.last_ns = pair.time_ns
