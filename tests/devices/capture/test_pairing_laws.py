@@ -28,7 +28,7 @@ class Camera:
 
     def __init__(self, delay_ns, clock_ns, ppm):
         self.delay_ns, self.clock_ns, self.ppm = delay_ns, clock_ns, ppm
-        self.lost = self.opening = 0
+        self.lost = self.opening = self.newest_ns = 0
         self.heard_ns = -MINUTE_NS
         self.late_ns = self.held_until_ns = self.off_until_ns = 0
         self.twice = False
@@ -58,6 +58,7 @@ class Pairing(RuleBasedStateMachine):
         self.now_ns = self.pulse_ns = 5 * SECOND_NS
         self.flying, self.order = [], count()
         self.truth, self.came, self.delivered = {}, {}, 0
+        self.doubled = self.overtaken = 0
         self.out, self.last_ns, self.behind_ns, self.longest_ns = set(), None, None, 0
 
     # --- What happens
@@ -136,6 +137,8 @@ class Pairing(RuleBasedStateMachine):
         assert len(self.out) + waiting + left_out == self.delivered
         assert waiting <= 9
         assert len(self.out) == 2 * figures.pairs + figures.alone_a + figures.alone_b
+        assert figures.repeated <= self.doubled
+        assert figures.reordered <= self.overtaken
 
     def teardown(self):
         if hasattr(self, "pairing"):
@@ -184,6 +187,9 @@ class Pairing(RuleBasedStateMachine):
                     self._check(self.pairing.restart(side), at_ns)
                 self.delivered += 1
                 self.cameras[side].heard_ns = at_ns
+                self.doubled += id(frame) in self.came
+                self.overtaken += self.truth[id(frame)][0] < self.cameras[side].newest_ns
+                self.cameras[side].newest_ns = max(self.cameras[side].newest_ns, self.truth[id(frame)][0])
                 self.came.setdefault(id(frame), at_ns)
                 self._check(self.pairing.add(side, frame, at_ns), at_ns)
             self.now_ns = next_ns
