@@ -5,10 +5,11 @@ from itertools import count
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from devices.capture.host_clock import HostClock
 from devices.capture.stream_pairing import LivePairing
 from devices.sensor import SensorFrame
 from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS
@@ -218,3 +219,24 @@ class Pairing(RuleBasedStateMachine):
 TestPairing = Pairing.TestCase
 TestPairing.settings = settings(max_examples=25, stateful_step_count=25, deadline=None, derandomize=True)
 TestPairing = pytest.mark.filterwarnings("error")(TestPairing)
+
+
+@given(
+    silent_s=st.one_of(st.integers(0, 100), st.integers(0, 4000)),
+    ppm=st.integers(-100, 100),
+    late_ms=st.integers(0, 400),
+)
+def test_silence_costs_a_clock_no_more_than_its_drift_of_a_minute(silent_s, ppm, late_ms):
+    """The first frame after it may be late; after more than a minute, it is all that is known."""
+    clock, at_ns = HostClock(), 0
+
+    def off_ns(at_ns, late_ns=0):
+        sensor_ns = round(at_ns * (1 + ppm * 1e-6))
+        clock.observe(sensor_ns, at_ns + LATENCY_NS + late_ns)
+        return clock.offset_ns - (at_ns + LATENCY_NS - sensor_ns)
+
+    for at_ns in range(0, 20 * SECOND_NS, INTERVAL_NS):
+        off_ns(at_ns)
+    off = off_ns(at_ns + silent_s * SECOND_NS, late_ms * MS)
+    drift_ns = abs(ppm) * 1e-6 * (min(silent_s, 60) + 12) * SECOND_NS
+    assert abs(off) <= drift_ns + (late_ms * MS if silent_s > 45 else 0)
