@@ -196,10 +196,12 @@ def test_it_goes_on_with_a_while_b_is_gone_and_takes_b_back():
     assert all(pair.b is not None for pair in pairs[-80:])
 
 
-def test_it_goes_on_with_b_while_a_is_gone_and_takes_a_back():
+@pytest.mark.parametrize("every_frame", [True, False])
+def test_it_goes_on_with_b_while_a_is_gone_and_takes_a_back(every_frame):
     a, b = shots("a", 9), shots("b", 9, clock_ns=7 * SECOND_NS)
     a = [shot for shot in a if not 3 * SECOND_NS < shot.true_ns - a[0].true_ns < 6 * SECOND_NS]
     pairing = LivePairing(INTERVAL_NS)
+    pairing.every_frame = every_frame
     pairs = run(pairing, a, b)
     figures = pairing.figures
     assert figures.pairs == len(a)
