@@ -114,13 +114,17 @@ class Pairing(RuleBasedStateMachine):
         self._switch_off(side, seconds)
 
     @precondition(lambda self: self.replugged < 8)
-    @rule(side=SIDES, ahead=st.booleans(), seconds=st.floats(0.6, 1e8))
-    def reset_clock(self, side, ahead, seconds):
-        """The firmware starts anew, and nobody is told."""
+    @rule(
+        side=SIDES,
+        ahead=st.booleans(),
+        seconds=st.one_of(st.floats(0.6, 20.0), st.floats(0.6, 1e8)),
+        silent_s=st.sampled_from([0.0, 1.0, 5.0, 12.0]),
+    )
+    def reset_clock(self, side, ahead, seconds, silent_s):
+        """The firmware starts anew, at once or after a while, and nobody is told."""
         self.replugged += 1
-        self._switch_off(side, 0.0)
         self.cameras[side].clock_ns += round((1 if ahead else -1) * seconds * SECOND_NS)
-        self.run(3)
+        self._switch_off(side, silent_s)
 
     @rule(step=st.integers(1, 6))
     def set_interval(self, step):
