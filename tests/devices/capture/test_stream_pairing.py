@@ -196,11 +196,12 @@ def test_it_goes_on_with_a_while_b_is_gone_and_takes_b_back():
     assert all(pair.b is not None for pair in pairs[-80:])
 
 
-@pytest.mark.parametrize("every_frame", [True, False])
-def test_it_goes_on_with_b_while_a_is_gone_and_takes_a_back(every_frame):
-    a, b = shots("a", 9), shots("b", 9, clock_ns=7 * SECOND_NS)
+@pytest.mark.parametrize(("every_frame", "cable_ms"), [(True, None), (False, None), (True, 12)])
+def test_it_goes_on_with_b_while_a_is_gone_and_takes_a_back(every_frame, cable_ms):
+    delay_ns = None if cable_ms is None else cable_ms * MILLISECOND_NS
+    a, b = shots("a", 9), shots("b", 9, clock_ns=7 * SECOND_NS, phase_ns=delay_ns or 0)
     a = [shot for shot in a if not 3 * SECOND_NS < shot.true_ns - a[0].true_ns < 6 * SECOND_NS]
-    pairing = LivePairing(INTERVAL_NS)
+    pairing = LivePairing(INTERVAL_NS, sync_delay_ns=delay_ns)
     pairing.every_frame = every_frame
     pairs = run(pairing, a, b)
     figures = pairing.figures
@@ -214,6 +215,7 @@ def test_it_goes_on_with_b_while_a_is_gone_and_takes_a_back(every_frame):
     truth = {id(shot.frame): shot.true_ns for shot in b}
     # On A's clock, which here is the host's: off by latency jitter only.
     assert alone.time_ns == pytest.approx(truth[id(alone.b)], abs=MILLISECOND_NS)
+    assert abs(pairing.lag_ns) < 3 * MILLISECOND_NS, "a later capture is no longer way"
 
 
 def test_a_sensor_reported_as_gone_is_not_waited_for():
