@@ -28,7 +28,7 @@ from recordings.file.rrd_file import RrdFile
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main
-from viewer_app.viewer.blueprint import LAYOUTS, session_blueprint
+from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.hub import Hub
 from viewer_app.viewer.rerun_process import stop
 from viewer_app.viewer.stored_clouds import has_depth, send_clouds
@@ -170,7 +170,8 @@ def of_walk(out, folder):
     file = folder / "walk.rrd"
     main(["fuse", str(WALK / "a.csv"), str(WALK / "b.csv"), "--no-viewer", "--save", str(file)])
     moment = hard_moment(Session.open(file))
-    for name, picture in drawn(file, dict.fromkeys(LAYOUTS, moment), clouds=False).items():
+    moments = dict.fromkeys(("setup", "inspect", "report"), moment)
+    for name, picture in drawn(file, moments, clouds=False).items():
         write_png(out / f"{name}_real.png", picture)
 
 
