@@ -307,6 +307,29 @@ def test_sides_are_held_where_the_trunk_no_longer_tells_them(side, gone, seed):
             assert getattr(frame, f"exchanged_{side}") == held or getattr(frame, f"doubt_{side}") > 0.4
 
 
+# Positions, velocities and times belong together
+
+
+@FEW
+@given(
+    speed=st.floats(0.2, 1.2),
+    skew_ms=st.integers(-30, 30),
+    rate=st.sampled_from((15, 30, 60)),
+    seed=st.integers(0, 99),
+)
+def test_s_star_is_of_the_time_of_a_and_moves_as_fast_as_the_person(speed, skew_ms, rate, seed):
+    pairs, truth = walk(4.0, rate=rate, seed=seed, speed=speed)
+    times, skew_ns = np.array([pair.time_ns for pair in pairs]), skew_ms * 1_000_000
+    later = pairs_at(times + skew_ns, walking((times - times[0] + skew_ns) * 1e-9, speed=speed), seed=seed)
+    frames = fused([replace(a, b=b.b, skew_ns=skew_ns) for a, b in zip(pairs, later, strict=True)])
+    at, velocity = (
+        np.array([getattr(frame, name) for frame in frames])[rate:] for name in ("positions", "velocities")
+    )
+    assert distance(at, truth[rate:]).mean() < 0.012
+    true = np.gradient(truth, 1.0 / rate, axis=0)[rate:]
+    assert distance(velocity, true).mean() < 0.4 * np.linalg.norm(true, axis=-1).mean()
+
+
 # A recording is what live saw
 
 FRAMES = st.lists(
