@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from devices.blazepose.grey_image import compressed, evened
 from devices.blazepose.joints import joints_of
 from devices.blazepose.landmark_kinds import TRUNK
-from devices.blazepose.lifting import BodyLandmarks, lift, rays
+from devices.blazepose.lifting import BodyLandmarks, lift
 from devices.blazepose.limbs import LimbLengths, with_lengths
 from devices.blazepose.networks.files import LANDMARKS as LANDMARK_FILES
 from devices.blazepose.networks.files import cache_folder, checked_content, files_of
@@ -27,6 +27,7 @@ from devices.blazepose.networks.inference import (
 )
 from devices.blazepose.regions import Region, transformed, whole_image
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
+from devices.depth.point_cloud import pixels_of
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
@@ -82,7 +83,7 @@ class _Sighting(NamedTuple):
             return False
         if middle[2] > expected[2] - _BEFORE or expected[2] <= 0.1:
             return True
-        u, v = camera.project(expected)
+        u, v = pixels_of(expected[None], camera)[0]
         return _distance(u, v, _HIPS * self.region.side, depth) > float(expected[2]) + _BEFORE
 
 
@@ -202,7 +203,7 @@ class BlazePose:
         wanted = self.settings.person
         if self._last is not None:
             expected, wanted = self._last.expected(time_ns), "middle"
-            middle = camera.project(expected) if expected[2] > 0.1 else middle
+            middle = pixels_of(expected[None], camera)[0] if expected[2] > 0.1 else middle
 
         def rank(region: Region) -> float:
             if wanted == "nearest":
@@ -246,7 +247,7 @@ class BlazePose:
         self._last = still if self._last is None else self._last.next(self.region, middle, time_ns)
         pixels = pixels[:LANDMARKS]
         self._limbs.observe(lifted.positions, lifted.seen)
-        at = rays(pixels, intrinsics)
+        at = lifted.positions[:, :2] / lifted.positions[:, 2:]
         moved, seen = with_lengths(lifted.positions, lifted.seen, at, self._limbs.lengths())
         lifted = replace(lifted, positions=moved, seen=seen)
         return Skeleton.of(BLAZEPOSE, *joints_of(lifted, pixels, depth), time_ns)

@@ -8,11 +8,11 @@ surface, and then decides which readings are its own: what lies before it covers
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.blazepose.landmark_kinds import EARS, FACE, LONG_BONE_LENGTHS, LONG_BONES, column, opposite
+from devices.depth.point_cloud import rays
 from fusion.compiling.kernels import kernel
 from fusion.errors import CalibrationError
 from fusion.intrinsics import Intrinsics
@@ -46,7 +46,8 @@ class Lifted:
     positions: Array  # (33, 3) metres, sensor frame
     seen: NDArray[np.bool_]  # (33,) whether a depth reading of the landmark's own surface gave its position
     known: NDArray[np.bool_]
-    """(33,) whether it has a position: seen, or stated by the network and near the image."""
+    """(33,) whether it has a position: seen, or stated by the network, near the image, where the lens images
+    points."""
     size: float  # the person's size relative to the network's mean person
 
 
@@ -71,17 +72,18 @@ def lift(landmarks: BodyLandmarks, depth: NDArray[np.uint16], camera: Intrinsics
         return None
     body, size, _ = laid
     at = rays(pixels, camera)
-    inside = _within(pixels, camera, 0.0)
+    imaged = np.isfinite(at[:, 0])
+    inside = imaged & _within(pixels, camera, 0.0)
     image = np.ascontiguousarray(depth)
     expected, reach = body[:, 2] - size * _BENEATH, camera.fx * _SURFACE_RADIUS
     reading, share = _surfaces(image, pixels, inside, reach, expected - _FRONT, expected + _BACK)
     seen = inside & (share >= _OWN_SHARE) & (visibility >= _VISIBILITY) & (_outward(body) <= _TURNED)
     z = np.where(seen, reading + size * _BENEATH, np.maximum(body[:, 2], 0.1))
-    points = np.column_stack((at * z[:, None], z))
+    points = np.column_stack((np.where(imaged[:, None], at * z[:, None], body[:, :2]), z))
     seen[LONG_BONES[~_possible_bones(points, size), 1]] = False
     if np.count_nonzero(seen) < _FEWEST:
         return None
-    near = _within(pixels, camera, _MARGIN * max(camera.width, camera.height))
+    near = imaged & _within(pixels, camera, _MARGIN * max(camera.width, camera.height))
     return Lifted(points, seen, near, size)
 
 
@@ -96,10 +98,12 @@ def lay_body(
     """
     pixels, visibility, presence, world = landmarks
     at = rays(pixels, camera)
-    inside = _within(pixels, camera, 0.0)
+    imaged = np.isfinite(at[:, 0])
+    at = np.where(imaged[:, None], at, 0.0)  # without weight
+    inside = imaged & _within(pixels, camera, 0.0)
     trust = visibility * presence * inside
     image = np.ascontiguousarray(depth)
-    body = world + _placement(at, world, trust + 1e-3)
+    body = world + _placement(at, world, np.where(imaged, trust + 1e-3, 0.0))
     reach = camera.fx * _SURFACE_RADIUS
     reading, _ = _surfaces(image, pixels, inside, reach, np.zeros(len(at)), np.full(len(at), np.inf))
     usable = np.isfinite(reading) & (trust > 0.3) & (body[:, 2] > 0.1)
@@ -121,18 +125,6 @@ def lay_body(
         except CalibrationError:  # all on one line
             break
     return body, size, reading
-
-
-def rays(pixels: Array, camera: Intrinsics) -> Array:
-    """(N, 2) the points x/z, y/z that the camera images at (N, 2) pixels; the lens's distortion is undone."""
-    matrix = np.array(((camera.fx, 0.0, camera.cx), (0.0, camera.fy, camera.cy), (0.0, 0.0, 1.0)))
-    if not camera.distortion:
-        straight: Array = (pixels - matrix[:2, 2]) / (camera.fx, camera.fy)
-        return straight
-    lens = np.zeros(8)
-    lens[: len(camera.distortion)] = camera.distortion
-    undone = cv2.undistortPoints(np.ascontiguousarray(pixels[:, None]), matrix, lens)
-    return np.asarray(undone, dtype=np.float64)[:, 0]
 
 
 def _within(pixels: Array, camera: Intrinsics, margin: float) -> NDArray[np.bool_]:

@@ -14,6 +14,8 @@ from fusion.intrinsics import Intrinsics
 
 CAMERA = Intrinsics(640, 576, 504.0, 504.0, 319.5, 287.5)
 """The depth camera of an Azure Kinect in the mode NFOV_UNBINNED."""
+WIDE = Intrinsics(512, 512, 252.0, 252.0, 255.5, 255.5, (0.5, -0.02, 2e-4, -1e-4, -0.003, 0.9, 0.09, -0.014))
+"""One with a lens as in the mode WFOV_2X2BINNED."""
 FRAME_NS = 33_333_333
 
 Images = tuple[NDArray[np.uint16], NDArray[np.uint16]]

@@ -3,14 +3,24 @@
 import numpy as np
 import pytest
 
-from devices.blazepose.blazepose import BlazePose
+from devices.blazepose.blazepose import BlazePose, _Sighting
+from devices.blazepose.regions import Region
 from devices.blazepose.settings import BlazePoseSettings
+from devices.depth.point_cloud import pixels_of
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import TrackingState
 from tests.helpers.machine import need_networks
-from tests.helpers.rendered_people import CAMERA, FRAME_NS, images_of, landmarks_at, share_seen, true_joints
+from tests.helpers.rendered_people import (
+    CAMERA,
+    FRAME_NS,
+    WIDE,
+    images_of,
+    landmarks_at,
+    share_seen,
+    true_joints,
+)
 
 BESIDE = np.array((1.1, 0.0, 0.4))  # metres: a second person
 
@@ -192,6 +202,20 @@ def test_a_person_who_leaves_the_view_has_no_tracked_joint_outside(tracker):
             assert (pixels > -0.5).all()
             assert (pixels[:, 0] < CAMERA.width).all()
     assert outside >= 15  # of a person who is still found
+
+
+@pytest.mark.parametrize("degrees", [-50, -30, 0, 20, 40])
+def test_who_stands_before_the_person_is_not_taken_for_them_at_the_side_of_a_lens(degrees):
+    at = np.array((2.5 * np.tan(np.radians(degrees)), 0.0, 2.5))
+    u, v = pixels_of(at[None], WIDE)[0]
+    half = round(0.11 * WIDE.fx / at[2])
+    depth = np.full((WIDE.height, WIDE.width), 4000, np.uint16)
+    depth[:, round(u) - half : round(u) + half + 1] = 2500
+    last = _Sighting(Region(u, v, WIDE.fx / at[2]), at, np.zeros(3), 0)
+    nearer = at - (0.0, 0.0, 0.45)
+    assert not last.may_be(nearer, 3 * FRAME_NS, depth, WIDE)
+    gone = np.full_like(depth, 4000)
+    assert last.may_be(nearer, 3 * FRAME_NS, gone, WIDE)
 
 
 def test_images_of_different_sizes_are_refused_in_one_line(tracker):

@@ -1,16 +1,18 @@
 """From landmarks in an image to landmarks in space, on made-up bodies."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from devices.blazepose.joints import JOINT_WEIGHTS, joints_of
 from devices.blazepose.landmark_kinds import CONSTANTS, INDEX, KINDS, LANDMARK_NAMES, column
-from devices.blazepose.lifting import BodyLandmarks, Lifted, lift, rays
+from devices.blazepose.lifting import BodyLandmarks, Lifted, lift
 from devices.blazepose.networks.files import DETECTOR, checked_content
 from devices.blazepose.networks.inference import Detector
 from devices.blazepose.regions import Region, transformed, whole_image
+from devices.depth.point_cloud import pixels_of
 from fusion.body import BLAZEPOSE
-from fusion.intrinsics import Intrinsics
 from fusion.skeleton import TrackingState
 from tests.helpers.machine import need_networks
 from tests.helpers.rendered_people import CAMERA
@@ -34,12 +36,12 @@ def body():
     return at + (0.0, 0.0, 2.5)
 
 
-def depth_of(points, beneath=None, radius=8):
+def depth_of(points, beneath=None, radius=8, camera=CAMERA):
     """A depth image with a patch over each landmark, as deep above it as its kind says; a wall at 4 m."""
     depth = np.full((CAMERA.height, CAMERA.width), 4000, dtype=np.uint16)
     surface = points[:, 2] - (column("beneath") if beneath is None else beneath)
     for j in np.argsort(-points[:, 2]):
-        u, v = np.rint(CAMERA.project(points[j])).astype(int)
+        u, v = np.rint(pixels_of(points[j : j + 1], camera)[0]).astype(int)
         depth[v - radius : v + radius + 1, u - radius : u + radius + 1] = round(1000 * surface[j])
     return depth
 
@@ -99,16 +101,17 @@ def test_an_impossible_size_is_no_person(size):
     assert lift(BodyLandmarks(CAMERA.project(points), SEEN, SEEN, world_of(points)), depth, CAMERA) is None
 
 
-def test_rays_undo_the_lens():
-    lens = Intrinsics(640, 576, 504.0, 505.0, 320.0, 290.0, (0.5, -0.3, 1e-4, -5e-5, 0.02, 0.8, -0.2, 0.05))
-    straight = np.array([[0.3, -0.2], [0.0, 0.0], [-0.4, 0.35]])
-    x, y = straight.T
-    r2 = x**2 + y**2
-    k1, k2, p1, p2, k3, k4, k5, k6 = lens.distortion
-    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
-    u = lens.fx * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)) + lens.cx
-    v = lens.fy * (y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y) + lens.cy
-    np.testing.assert_allclose(rays(np.column_stack((u, v)), lens), straight, atol=1e-4)
+def test_a_landmark_where_the_lens_images_nothing_has_no_position():
+    lens = replace(CAMERA, distortion=(-0.5, 0.0, 0.0, 0.0))  # as in test_depth_images.py
+    points, wrist = body(), INDEX["WRIST_LEFT"]
+    pixels = pixels_of(points, lens)
+    depth = depth_of(points, camera=lens)
+    pixels[wrist] = 5.0
+    lifted = lift(BodyLandmarks(pixels, SEEN, SEEN, world_of(points)), depth, lens)
+    assert np.flatnonzero(~lifted.known).tolist() == [wrist]
+    assert np.isfinite(lifted.positions).all()
+    alone = of_kinds("ELBOW", "KNEE", "ANKLE")
+    np.testing.assert_allclose(lifted.positions[alone], points[alone], atol=2e-3)
 
 
 def test_every_joint_is_a_mean_of_landmarks():

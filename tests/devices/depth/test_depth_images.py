@@ -10,12 +10,13 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from devices.azure.mkv import MkvRecording
 from devices.depth.image_thinning import has_images, thinned, thinned_camera, with_depth, without_images
-from devices.depth.point_cloud import depth_to_points, ray_table
+from devices.depth.point_cloud import depth_to_points, pixels_of, ray_table, rays
 from devices.depth.rvl import decode_depth, encode_depth
 from devices.sensor import DeviceError
 from fusion.body import AZURE_KINECT
 from fusion.intrinsics import Intrinsics
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.rendered_people import WIDE
 
 
 def wall(height=576, width=640):
@@ -117,6 +118,14 @@ def test_real_points_project_back_onto_their_pixels(shared):
     np.testing.assert_allclose(points[:, 2], frame.depth[rows, columns] / 1000, rtol=1e-6)
 
 
+@given(degrees=st.floats(0.0, 62.0), way=st.floats(0.0, 2.0 * np.pi))
+def test_rays_undo_the_lens_to_the_edge_of_a_wide_image(degrees, way):
+    point = np.append(np.tan(np.radians(degrees)) * np.array((np.cos(way), np.sin(way))), 1.0)[None]
+    pixel = pixels_of(point, WIDE)
+    np.testing.assert_allclose(pixel, _project(point, WIDE), atol=1e-9)
+    np.testing.assert_allclose(rays(pixel, WIDE), point[:, :2], atol=1e-4)
+
+
 def test_a_pixel_right_and_below_the_centre_is_right_and_below():
     depth = np.zeros((48, 64), np.uint16)
     depth[40, 60] = 2000
@@ -127,11 +136,11 @@ def test_a_pixel_right_and_below_the_centre_is_right_and_below():
 def test_pixels_outside_the_lens_model_give_no_point():
     # With this k1 no ray reaches beyond r(1 - 0.5 r²) = 0.544, but the image's corner is at 0.78.
     lens = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, (-0.5, 0.0, 0.0, 0.0))
-    rays = ray_table(lens)
-    assert np.isnan(rays[0, 0]).all()
-    assert np.isfinite(rays[23, 31]).all()
-    points = depth_to_points(np.full((48, 64), 1000, np.uint16), rays)
-    assert len(points) == np.isfinite(rays[..., 0]).sum() < 48 * 64
+    table = ray_table(lens)
+    assert np.isnan(table[0, 0]).all()
+    assert np.isfinite(table[23, 31]).all()
+    points = depth_to_points(np.full((48, 64), 1000, np.uint16), table)
+    assert len(points) == np.isfinite(table[..., 0]).sum() < 48 * 64
     assert np.isfinite(points).all()
 
 
