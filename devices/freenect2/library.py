@@ -54,6 +54,8 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {  # the result, then the arguments; bi
 }
 _one_at_a_time = threading.RLock()  # a context is not made for several threads
 _opened: set[str] = set()  # serial numbers
+_failed: dict[Path, subprocess.CalledProcessError] = {}
+"""Bindings that this process could not compile, which takes seconds each time."""
 
 
 def installed_prefix() -> Path | None:
@@ -111,14 +113,18 @@ def _compiled(prefix: Path) -> Path:
     states = [f"{one} {one.stat().st_mtime_ns}".encode() for one in sorted(libraries)]
     key = hashlib.sha256(b"\n".join((*(one.read_bytes() for one in _SOURCES), *states))).hexdigest()
     file = user_cache("freenect2") / f"{key[:16]}.module"
+    if file in _failed:
+        raise _failed[file]
     if not file.is_file():
         with tempfile.TemporaryDirectory() as folder:
             configure = ("-S", str(_SOURCES[0].parent), "-B", folder, "-DCMAKE_BUILD_TYPE=Release")
             build = ("--build", folder, "--config", "Release")
             for given in ((*configure, f"-DCMAKE_PREFIX_PATH={prefix}"), build):
-                subprocess.run(
-                    ["cmake", *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True
-                )
+                command = ["cmake", *given]
+                done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+                if done.returncode:
+                    _failed[file] = subprocess.CalledProcessError(done.returncode, command, done.stdout)
+                    raise _failed[file]
             file.parent.mkdir(parents=True, exist_ok=True)
             ready = shutil.copy(Path(folder) / "binding.module", file.with_suffix(f".{os.getpid()}"))
             Path(ready).replace(file)

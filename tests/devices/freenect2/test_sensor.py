@@ -158,10 +158,14 @@ def test_a_binding_that_cannot_be_compiled_says_why(standin_prefix, tmp_path, mo
     shutil.copytree(standin_prefix / "include", tmp_path / "include")
     monkeypatch.setattr(library, "installed_prefix", lambda: tmp_path)
     monkeypatch.setattr(library, "user_cache", lambda name: tmp_path / name)
-    with pytest.raises(
-        DeviceError, match=r"cannot be compiled or loaded \(.*LIBRARY.*\)\. It needs CMake and"
-    ):
+    why = r"cannot be compiled or loaded \(.*LIBRARY.*\)\. It needs CMake and"
+    with pytest.raises(DeviceError, match=why):
         library.load_library()
+    with monkeypatch.context() as patch:
+        patch.setattr(subprocess, "run", None)
+        with pytest.raises(DeviceError, match=why):
+            library.load_library()  # it is not compiled a second time
+    library._failed.clear()
     monkeypatch.setenv("PATH", "")
     check = library.library_check()
     assert (check.ok, "cmake" in check.detail) == (False, True)
