@@ -31,7 +31,7 @@ class MkvInfo:
     """Metadata of a recording and of its sensor."""
 
     serial: str  # the sensor's serial number; empty if the file has none
-    depth_mode: str  # a key of ``DEPTH_MODES``
+    depth_mode: str  # a key of ``DEPTH_MODES``; of another vendor's sensor its size, as in 640X480
     sync_mode: str  # ``STANDALONE``, ``MASTER`` or ``SUBORDINATE``
     subordinate_delay_ns: int  # delay of a subordinate's captures after the master's
     start_offset_ns: int  # device time of the file's time 0

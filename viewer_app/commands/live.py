@@ -63,7 +63,7 @@ def _played(options: LiveOptions) -> list[Path]:
 
 def _check(options: LiveOptions) -> FuserSettings:
     """Checks the other options before any sensor is opened; returns the method's."""
-    check_modes(capture_settings(options, "", None))
+    check_modes(capture_settings(options))
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
     read = _played(options) + ([] if options.calibrate == "auto" else [Path(options.calibrate)])
     check_outputs((options.report, options.save_calibration), read, options.force, options.save)

@@ -18,7 +18,7 @@ from viewer_app.sensors.remote import names_remote
 def run(options: RecordOptions) -> None:
     """Runs the command."""
     console = output_console()
-    check_modes(capture_settings(options, "", None))
+    check_modes(capture_settings(options))
     check_seconds(options.seconds)
     if names_remote(options):
         raise UsageError("duplex record records sensors of this PC: run it on the sensor's own PC.")

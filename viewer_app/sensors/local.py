@@ -57,11 +57,11 @@ def two_connected_sensors(options: LiveOptions | RecordOptions, console: Console
         if options.processing == "tensorrt" and tracker.name == "k4abt":
             console.print("TensorRT builds its engine; minutes the first time.")
     decimation = decimation_of(tracker, options.fps)
-    a, b = (
-        live_sensor(kinect, capture_settings(options, str(kinect.serial), master), tracker, decimation)
-        for kinect in (kinect_a, kinect_b)
-    )
-    delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
+    settings_a, settings_b = (capture_settings(options, kinect, master) for kinect in (kinect_a, kinect_b))
+    a = live_sensor(kinect_a, settings_a, tracker, decimation)
+    b = live_sensor(kinect_b, settings_b, tracker, decimation)
+    later_us = settings_b.delay_us if master == serials[0] else -settings_a.delay_us
+    delay_ns = None if master is None else 1000 * later_us
     pairing = LivePairing(round(1e9 / options.fps), sync_delay_ns=delay_ns)
     return TwoSensors(
         a,
@@ -77,7 +77,7 @@ def one_of_live(options: LiveOptions, console: Console, serial: str | None) -> S
     """The sensor of this PC, where the other one is on another PC; it runs without a sync cable."""
     tracker = tracker_of(options)
     named = "--kinect-a or --kinect-b"
-    return one_sensor(serial, named, tracker, capture_settings(options, "", None), console)
+    return one_sensor(serial, named, tracker, capture_settings(options), console)
 
 
 def one_sensor(
@@ -141,13 +141,20 @@ def _ask(choice: NeedsChoiceError, console: Console) -> str:
             return two
 
 
-def capture_settings(options: LiveOptions | RecordOptions, serial: str, master: str | None) -> KinectSettings:
-    """The settings of a libk4a sensor, which has its place on the cable that leads out of ``master``."""
+def capture_settings(
+    options: LiveOptions | RecordOptions, sensor: ConnectedSensor | None = None, master: str | None = None
+) -> KinectSettings:
+    """The settings of a sensor, which has its place on the cable that leads out of ``master``.
+
+    A RealSense captures at its master's pulse; the other vendors' sensors can be told to wait.
+    """
+    leads = sensor is not None and sensor.serial == master
     return KinectSettings(
         depth_mode=options.depth_mode,
         fps=options.fps,
         color=None if options.color == "off" else options.color,
-        sync="standalone" if master is None else "master" if serial == master else "subordinate",
+        sync="standalone" if master is None else "master" if leads else "subordinate",
+        delay_us=0 if sensor is not None and sensor.sdk == "realsense" else LASER_GAP_US,
         trust_jacks=options.sync_master is None,
         start_s=opens_within(options),
     )

@@ -6,6 +6,7 @@ import sys
 import pytest
 from rich.console import Console
 
+from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from tests.helpers.command_line import duplex
@@ -31,6 +32,16 @@ def _pairing_settings(monkeypatch, **options):
 def test_b_captures_later_where_a_leads_and_earlier_where_it_follows(principal, b_later_ns, monkeypatch):
     # the cable leads from 000456 to 000123
     assert _pairing_settings(monkeypatch, principal=principal)["sync_delay_ns"] == b_later_ns
+
+
+def test_a_realsense_captures_at_its_masters_pulse(monkeypatch):
+    two = [
+        ConnectedSensor(k, serial, False, False, sdk="realsense", tells_jacks=False)
+        for k, serial in enumerate(("1001", "1002"))
+    ]
+    monkeypatch.setattr("viewer_app.sensors.local.connected_sensors", lambda _: two)
+    options = {"principal": "1001", "sync_master": "1002", "tracker": "blazepose"}
+    assert _pairing_settings(monkeypatch, **options)["sync_delay_ns"] == 0
 
 
 @pytest.mark.parametrize("fps", [5, 15, 30])
