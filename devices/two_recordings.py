@@ -168,12 +168,13 @@ def read_two(
     )
     clock = by_arrival = None
     if offset_ns is None:
-        read_arrivals = read_a.arrivals, read_b.arrivals
-        by_arrival = offset_by_arrival(*read_arrivals)
+        clock = by_arrival = offset_by_arrival(read_a.arrivals, read_b.arrivals)
         delay_ns = cable_delay_ns(read_a.info, read_b.info)
-        if by_arrival is not None and delay_ns is not None:
-            by_arrival = clock_by_cable(by_arrival, delay_ns, read_a.person.time_ns, read_b.person.time_ns)
-        clock = by_arrival or clock_by_motion(body, read_a.seen, read_b.seen)
+        if by_arrival is None:
+            clock = clock_by_motion(body, read_a.seen, read_b.seen)
+        elif delay_ns is not None:
+            times = read_a.person.time_ns, read_b.person.time_ns
+            clock = by_arrival = clock_by_cable(by_arrival, delay_ns, *times)
         give_back()
     # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
     tolerance_ns = None if clock is None else median_interval(read_a.seen.time_ns)

@@ -1,11 +1,17 @@
 """``duplex fuse`` on Azure Kinect recordings, written by the tests in the real layout."""
 
+import numpy as np
 import pytest
 
+from devices.azure.mkv_writer import MkvWriter
+from devices.capture.settings import CaptureSettings
+from devices.sensor import SensorFrame
+from devices.skeletons.file_sensor import SkeletonRecording
+from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import AZURE_KINECT
 from recordings.session import Session
 from tests.helpers.command_line import duplex
-from tests.helpers.mkv_writer import depth_image, write_mkv
+from tests.helpers.mkv_writer import depth_image, lens_of, write_mkv
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.session_text import events_of, rows_of
 from tests.helpers.two_views import A_FROM_B, moving
@@ -79,6 +85,29 @@ def test_a_clock_that_the_master_did_not_set_is_reported(recorded, tmp_path, cap
     assert fuse({**recorded, "b": b, "skeletons_b": skeletons}) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "captured 0.16 ms apart by their cable, but their times lie 9.2 ms apart" in said
+
+
+@pytest.mark.parametrize("arrivals", [True, False])
+def test_the_motion_is_not_asked_for_what_arrivals_and_cable_tell(arrivals, tmp_path, monkeypatch):
+    asked, choices, late = [], [], A_FROM_B.inverse()
+    monkeypatch.setattr("devices.two_recordings.clock_by_motion", lambda *_: asked.append(True))
+    for side, sync, delay_us, place in (("a", "master", 0, None), ("b", "subordinate", DELAY_US, late)):
+        path, image = tmp_path / f"{side}.mkv", np.ones((288, 320), np.uint16)
+        skeletons = write_skeletons(tmp_path / f"{side}.csv", START_US + delay_us, place)
+        with SkeletonRecording(skeletons) as recording:
+            times = [frame.time_ns for frame in recording.frames()]
+        frames = [
+            SensorFrame(t, depth=image, ir=image, host_ns=t + 10**13 if arrivals else None) for t in times
+        ]
+        given = CaptureSettings(sync=sync), lens_of("NFOV_2X2BINNED"), frames[0]
+        with MkvWriter(path, side, *given) as writer:
+            for frame in frames:
+                writer.write(frame)
+        choices.append(RecordingChoice(path, skeletons))
+    read = read_two(*choices)
+    assert len(read.pairing.pairs) == FRAMES
+    assert read.clock is None
+    assert asked == ([] if arrivals else [True])
 
 
 def test_sensors_without_a_cable_have_no_common_clock(recorded, tmp_path, capsys):
