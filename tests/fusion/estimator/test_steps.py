@@ -340,6 +340,13 @@ def test_a_skeleton_that_is_too_large_is_brought_to_its_size(scene):
     # Kalman's gain leaves a share of about noise / (noise + variance) / 15 of a scale
     np.testing.assert_allclose(state.scales, (0.04, -0.03), rtol=0.06)
     np.testing.assert_allclose(seen.positions, [truth, truth], atol=0.003)
+    # where too few bones are tracked to measure it, the scale that is known is removed
+    seen.states[:] = 1
+    seen.positions[0] = truth[root] + 1.04 * (truth - truth[root])
+    interpreted(views.remove_scales)(model, state, seen, DT)
+    assert state.scales[0] > 0.03
+    left = 1.04 / (1.0 + state.scales[0])
+    np.testing.assert_allclose(seen.positions[0], truth[root] + left * (truth - truth[root]), atol=1e-9)
 
 
 def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene):
