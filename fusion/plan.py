@@ -104,7 +104,7 @@ def _difference(pairs: Pairs, segments: Segments) -> float:
         for part in parts(len(pairs))
         for of in [pairs[part].arrays()]
     ]
-    known = np.concatenate(apart)
+    known = np.concatenate([np.zeros(0), *apart])
     known = known[np.isfinite(known)]
     return float(np.median(known)) if len(known) else float("nan")
 

@@ -125,10 +125,11 @@ def learn_from_recording(
         )
         spans.append(CalibrationSpan(begin_ns, calibration))
         within = seen.within(begin_ns, end_ns)
-        even = np.arange(within.start, within.stop, max(1, (within.stop - within.start) // _BONE_PAIRS))
+        count = within.stop - within.start
+        even = within.start + np.arange(min(count, _BONE_PAIRS)) * count // max(min(count, _BONE_PAIRS), 1)
         evidence = evidence_of(body, seen.pairs[even], seen.codes[even].tolist())
         match_sides(body, evidence, calibration.a_from_b)
-        bone_evidence.append((evidence, calibration))
+        bone_evidence.append((count, evidence, calibration))
     if settings.bones:
         spans = _with_bones(body, spans, bone_evidence)
     clock = None
@@ -275,10 +276,10 @@ def _refit(body: Body, evidence: Evidence, start: Calibration, settings: Learner
 
 
 def _with_bones(
-    body: Body, spans: list[CalibrationSpan], seen: list[tuple[Evidence, Calibration]]
+    body: Body, spans: list[CalibrationSpan], seen: list[tuple[int, Evidence, Calibration]]
 ) -> list[CalibrationSpan]:
     """The spans with one set of bone lengths, because a knock does not change the person."""
-    evidence, calibration = max(seen, key=lambda item: len(item[0].a))
+    _, evidence, calibration = max(seen, key=lambda item: item[0])  # the longest span
     if len(evidence.a) < _FEWEST:
         return spans
     try:

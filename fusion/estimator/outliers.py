@@ -27,8 +27,8 @@ def outlier_probabilities(model, state, views, dt):  # type: ignore[no-untyped-d
 
     A fifth hypothesis says that both are good and the prediction is wrong, because the person moved
     unexpectedly. Then the two agree with each other and may be anywhere: N(y_A - y_B; 0, noise_A + noise_B)
-    over the cube. Its posterior is the surprise, which :func:`fusion.estimator.process.inflate_on_surprise`
-    acts on.
+    over the cube. Earlier doubts do not count where the prediction itself is as uncertain as it is off. Its
+    posterior is the surprise, which :func:`fusion.estimator.process.inflate_on_surprise` acts on.
 
     An outlier lasts for 1/30 s with probability ``outlier_lasts``; β is 0 without a measurement.
     """
@@ -51,17 +51,20 @@ def outlier_probabilities(model, state, views, dt):  # type: ignore[no-untyped-d
             Sb = P + views.fast[1, i] + state.offset_variances[1, i]
             gain = P / Sa
             Sab = P * (1.0 - gain) + views.fast[1, i] + state.offset_variances[1, i]
-            square_a = square_b = square_ab = apart = 0.0
+            square_a = square_b = square_ab = apart = off = 0.0
             for c in range(3):
                 ea, eb = innovation(state, views, 0, i, c), innovation(state, views, 1, i, c)
                 square_a += ea * ea
                 square_b += eb * eb
                 square_ab += (eb - gain * ea) ** 2
                 apart += (eb - ea) ** 2
+                off += 0.25 * (ea + eb) ** 2
             good_a, good_b = normal(square_a, Sa), normal(square_b, Sb)
             right = math.log((1.0 - a) * (1.0 - b))
             both = good_a + normal(square_ab, Sab) + right
-            turn = uniform + normal(apart, Sa + Sb - 2.0 * P) + right + surprising
+            turn = uniform + normal(apart, Sa + Sb - 2.0 * P) + surprising
+            if off >= 3.0 * P:  # else earlier doubts may have come from this prediction
+                turn += right
             only_a = good_a + uniform + math.log((1.0 - a) * b)
             only_b = good_b + uniform + math.log(a * (1.0 - b))
             none = 2.0 * uniform + math.log(a * b)

@@ -18,7 +18,6 @@ _LARGEST_STEP = 0.15  # m, largest standard deviation that acceleration adds in 
 _LEAST_STEP_SECONDS = 1.0 / 60.0  # half a frame: a movement that surprises takes at least so long
 _LEAST_SURPRISE = 1e-3  # a smaller surprise has no visible effect
 _AGREED, _DISPROVED = 0.05, 0.2  # m: views that are as near as that have no offsets that are so far apart
-_DOUBTED, _DOUBTFUL = 0.9, 0.04  # probability that both views of a joint are outliers; m that they are off
 _ASTRAY = 0.08  # m from where the views see a point of the body
 _ASTRAY_SECONDS = 0.1  # over which the variance grows to the square of that distance
 _IMPOSSIBLE = 0.3, 6.0  # m and m/s: nobody moves farther between two frames
@@ -92,26 +91,20 @@ def grow(state, trace, k, i, square, slope):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def drop_wrong_offsets(model, state, views, trace, k):  # type: ignore[no-untyped-def]
-    """Starts a joint again whose views agree with each other, and not with what the filter knows of it.
+    """Starts a joint again whose views agree without their offsets, and not with them.
 
-    Either the views agree without their offsets only: these were those of a wrong label, a sensor in another
-    place, or another calibration, and would last for seconds. Or both have counted as outliers, though they
-    lie within the uncertainty of the prediction: S* would stay where it is while an outlier lasts.
+    Such offsets were those of a wrong label, a sensor in another place, or another calibration; they would
+    last for seconds, and a view that is right would count as an outlier.
     """
     for i in range(len(model.parents)):
         if not state.known[i] or views.states[0, i] == 0 or views.states[1, i] == 0:
             continue
-        apart = expected = off = 0.0
+        apart = expected = 0.0
         for c in range(3):
             offset = state.offsets[0, i, c] - state.offsets[1, i, c]
             expected += offset * offset
-            a, b = innovation(state, views, 0, i, c), innovation(state, views, 1, i, c)
-            apart += (a - b + offset) ** 2
-            off += 0.25 * (a + b) ** 2
-        doubted = min(state.outlier_probability[0, i], state.outlier_probability[1, i]) > _DOUBTED
-        unsure = doubted and _DOUBTFUL**2 < off < 3.0 * state.variances[i, 0]
-        disproved = expected > _DISPROVED**2 or unsure
-        if apart < _AGREED**2 and disproved:
+            apart += (innovation(state, views, 0, i, c) - innovation(state, views, 1, i, c) + offset) ** 2
+        if apart < _AGREED**2 and expected > _DISPROVED**2:
             state.known[i] = False
             if len(trace.seconds) > 0:
                 trace.predicted_variances[k, i, 0] = 0.0

@@ -10,6 +10,7 @@ from fusion.facing.model import FRAME_SECONDS, WHOLE
 from fusion.facing.whole_body import correct, log_likelihood, predict, prior_belief, set_headings, set_turning
 
 _SHORTEST = 1e-3  # seconds between two pairs
+_CERTAIN = 0.9  # probability of labels that change without the sight of shoulders and hips
 _ABANDONED = 0.2  # labels with a smaller probability are given up
 
 
@@ -92,21 +93,26 @@ def set_sensor_directions(state, sensor_b):  # type: ignore[no-untyped-def]
 @inner_kernel
 def decide(model, state, belief):  # type: ignore[no-untyped-def]
     """Chooses the labels from a belief, with hysteresis; codes, heading, confidence and doubt."""
-    best, a, b = -1.0, 0, 0
     for x in range(2):
         for y in range(2):
             total = 0.0
             for n in range(len(belief)):
                 total += belief[n, x, y]
             state.belief.labels[x, y] = total
-            if total > best:
-                best, a, b = total, x, y
+    labels, whole = state.belief.labels, state.belief.whole
+    state.result.mirrored[0] = labels[1, 0] + labels[1, 1]
+    state.result.mirrored[1] = labels[0, 1] + labels[1, 1]
+    best, a, b = -1.0, 0, 0
+    for x in range(2):
+        for y in range(2):
+            # without shoulders and hips nothing shows an exchange: the labels are held until it is certain
+            kept = (x == whole[0] or _may_change(state, 0)) and (y == whole[1] or _may_change(state, 1))
+            if kept and labels[x, y] > best:
+                best, a, b = labels[x, y], x, y
     held = state.belief.labels[state.belief.whole[0], state.belief.whole[1]]
     if state.belief.started[0] == 0 or best >= model.constants.change_from or held < _ABANDONED:
         state.belief.whole[0], state.belief.whole[1] = a, b
     state.belief.started[0] = 1
-    state.result.mirrored[0] = state.belief.labels[1, 0] + state.belief.labels[1, 1]
-    state.result.mirrored[1] = state.belief.labels[0, 1] + state.belief.labels[1, 1]
     average_heading(state, belief)
     for view in range(2):
         sign = 1.0 - 2.0 * state.belief.whole[view]
@@ -117,11 +123,23 @@ def decide(model, state, belief):  # type: ignore[no-untyped-def]
                 trust += 1.0
                 for c in range(3):
                     along += sign * state.evidence.axes[view, girdle, c] * state.result.facing[c]
+        if trust == 0.0:
+            wrong = min(wrong, 0.5)  # unknown
         contradicted = max(0.0, min(1.0, 0.5 - along / trust)) if trust > 0.0 else 0.0
         state.result.doubt[view] = max(wrong, contradicted)
         # where neither shoulders nor hips are seen, the labels that are held apply to the limbs
         gone = state.memory.since[view] > CONTINUOUS_SECONDS
         state.result.codes[view] = 0 if gone else WHOLE * state.belief.whole[view]
+
+
+@inner_kernel
+def _may_change(state, view):  # type: ignore[no-untyped-def]
+    """Whether a view's labels may change: its shoulders or hips are seen, or the belief is certain."""
+    trust = state.evidence.axis_trust
+    seen = trust[view, 0] > 0.0 or trust[view, 1] > 0.0
+    mirrored = state.result.mirrored[view]
+    certain = max(mirrored, 1.0 - mirrored) > _CERTAIN
+    return seen or certain or state.belief.started[0] == 0
 
 
 @inner_kernel

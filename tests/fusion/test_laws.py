@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.calibration.offline import CalibrationSpan, LearnedCalibration, fresh_pairs
 from fusion.facing.labels import Labels
 from fusion.facing.model import WHOLE
@@ -27,6 +28,7 @@ from tests.helpers.laws import (
     Stage,
     exchanged,
     hidden,
+    joint,
     joints_of,
     pairs_at,
     person,
@@ -290,11 +292,16 @@ def test_a_corrected_calibration_moves_s_star_no_further_with_exchanged_sides(de
 
 
 @FEW
-@given(side=st.sampled_from("ab"), gone=st.sampled_from(("Left", "Right")), seed=st.integers(0, 99))
-def test_sides_are_held_where_the_trunk_no_longer_tells_them(side, gone, seed):
-    pairs, _ = walk(4.0, seed=seed, turned=180.0)
-    fuser, other = Fuser(setup_of()), "b" if side == "a" else "a"
-    trunk = joints_of(f"Shoulder{gone}", f"Hip{gone}")
+@given(
+    body=st.sampled_from((KINECT_V2, AZURE_KINECT)),
+    side=st.sampled_from("ab"),
+    gone=st.sampled_from(("Left", "Right")),
+    seed=st.integers(0, 99),
+)
+def test_sides_are_held_where_the_trunk_no_longer_tells_them(body, side, gone, seed):
+    pairs, _ = walk(5.0, seed=seed, turned=180.0, body=body)
+    fuser, other = Fuser(setup_of(body=body)), "b" if side == "a" else "a"
+    trunk = [joint(body, part, gone) for part in ("Shoulder", "Hip")]
     for k, pair in enumerate(pairs):
         view = exchanged(getattr(pair, side))
         if k >= 90:

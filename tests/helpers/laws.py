@@ -24,6 +24,11 @@ SIDE = np.array((1.0, 0.0, 1.0)) / np.sqrt(2.0)
 SECOND = 1_000_000_000
 
 
+def joint(body, *words):
+    """The joint that a Kinect v2 calls KneeLeft, and an Azure Kinect KNEE_LEFT."""
+    return body.joint("".join(words) if body is KINECT_V2 else "_".join(words).upper())
+
+
 @cache
 def person(body=BODY):
     """(J, 3) a person who faces both sensors: knees and elbows are bent, and the head is before the neck."""
@@ -32,8 +37,8 @@ def person(body=BODY):
     at = turn.apply(at - middle) + middle
     for part, metres in (("Knee", 0.03), ("Elbow", -0.045)):
         for side in ("Left", "Right"):
-            at[body.joint(part + side)] += metres * FRONT
-    at[body.joint("Head")] += 0.05 * FRONT
+            at[joint(body, part, side)] += metres * FRONT
+    at[joint(body, "Head")] += 0.05 * FRONT
     return at
 
 
