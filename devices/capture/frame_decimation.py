@@ -22,50 +22,52 @@ _HOLD_NS, _LONGEST_HOLD_NS = 5_000_000_000, 80_000_000_000
 _SILENT_NS = 2_000_000_000
 _REGRID = 0.6  # of a period: beyond half of one, so that a sensor midway between the other's does not swing
 _SAME_STREAM_NS = 1_000_000_000
+_NEVER = -math.inf
 
 
 @dataclass(eq=False)
-class _Place:
-    """A sensor's newest moment, by its own clock, by this machine's, and by its number."""
+class _Grid:
+    """One sensor's moments: the newest on its own clock, and where they lie on this machine's."""
 
     clock: HostClock = field(default_factory=HostClock)
-    time_ns: int | None = None
-    moment_ns: int | None = None
+    newest_ns: float = _NEVER
     number: int = 0
+    zero_ns: int | None = None  # when moment 0 was, by this machine's clock
 
 
 class MomentGrid:
     """Numbers the moments at which two sensors capture, so that equal numbers mean the same moment.
 
-    Moments are counted on by the sensor's own clock. Where a sensor's grid begins, and whether the second
-    sensor's still fits the first's, is told by this machine's clock.
+    Each sensor counts on by its own clock. This machine's clock tells where it begins. It also tells whether
+    the second sensor's grid still fits the first's.
     """
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
-        self._places: dict[Hashable, _Place] = {}
+        self._grids: dict[Hashable, _Grid] = {}
 
     def restart(self, sensor: Hashable) -> None:
         """Forgets a sensor, because its clock restarts."""
-        self._places[sensor] = _Place()
+        self._grids[sensor] = _Grid()
 
     def number(self, sensor: Hashable, time_ns: int, host_ns: int) -> int:
         """The number of the moment that a sensor captured at ``time_ns`` and that arrived at ``host_ns``."""
-        mine = self._places.setdefault(sensor, _Place())
+        mine = self._grids.setdefault(sensor, _Grid())
         timing = mine.clock.observe(time_ns, host_ns)
-        gap_ns = -1 if mine.time_ns is None or timing is Timing.RESET else time_ns - mine.time_ns
-        follows, mine.time_ns = 0 <= gap_ns < _SAME_STREAM_NS, time_ns
+        gap_ns, mine.newest_ns = time_ns - mine.newest_ns, time_ns
+        follows = 0 <= gap_ns < _SAME_STREAM_NS and timing is not Timing.RESET
         if follows:
             mine.number += round(gap_ns / self._period_ns)
         if timing is Timing.LATE:  # held up, or the first of a new clock: its arrival tells nothing
             return mine.number
-        mine.moment_ns = time_ns + (mine.clock.offset_ns or 0)
-        leads = follows and mine is next(iter(self._places.values()))
-        for other in self._places.values():
-            if other is not mine and other.moment_ns is not None and not leads:
-                ahead = (mine.moment_ns - other.moment_ns) / self._period_ns
-                off = ahead - (mine.number - other.number)
-                mine.number += 0 if follows and abs(off) <= _REGRID else round(off)
+        moment_ns = time_ns + (mine.clock.offset_ns or 0)
+        leads = follows and mine is next(iter(self._grids.values()))
+        for other in self._grids.values():
+            if other is not mine and other.zero_ns is not None and not leads:
+                number = (moment_ns - other.zero_ns) / self._period_ns
+                if not follows or abs(number - mine.number) > _REGRID:
+                    mine.number = round(number)
+        mine.zero_ns = moment_ns - mine.number * self._period_ns
         return mine.number
 
 

@@ -211,6 +211,28 @@ def test_a_clock_that_is_reset_finds_its_place_again(phase, reset, moved_ms, tol
             assert numbers["a"] == numbers["b"], index
 
 
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(
+    late=st.sampled_from("ab"),
+    phase=st.floats(-0.4, 0.4),
+    begin=st.integers(1, 60),
+    held=st.integers(1, 90),
+    apart=st.floats(0.0, 0.6),
+)
+def test_frames_that_were_held_up_change_no_number(late, phase, begin, held, apart):
+    """They come ``apart`` of a period after each other until no more wait."""
+    decimation, arrivals, free_ns = FrameDecimation(30), [], 10**12 + (begin + held) * PERIOD_NS
+    for index in range(400):
+        for name in "ab":
+            at_ns = host_ns = 10**12 + round((index + (phase if name == "b" else 0)) * PERIOD_NS)
+            if name == late and index >= begin:
+                host_ns = max(at_ns, free_ns)
+                free_ns = host_ns + round(apart * PERIOD_NS)
+            arrivals.append((host_ns, index, name, at_ns))
+    for host_ns, index, name, at_ns in sorted(arrivals):
+        assert decimation.moment(name, at_ns, host_ns) == index
+
+
 def test_two_sensors_of_one_name_have_clocks_and_trackers_of_their_own():
     frames = [SensorFrame(k * PERIOD_NS, depth=np.ones((2, 2), np.uint16)) for k in range(60)]
 
