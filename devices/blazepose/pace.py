@@ -22,47 +22,36 @@ class TrackingPace(FrameDecimation):
     ``TwoSensors``.
 
     Attributes:
-        simulated: Whether the sensors are simulated, so that there is nothing to record.
+        settings: The tracker's settings, with the network at the start.
+        network: The landmark network that both trackers are to use.
     """
 
     def __init__(
         self,
         fps: float,
-        settings: BlazePoseSettings | None = None,
+        settings: BlazePoseSettings,
         clock: Callable[[], int] = time.perf_counter_ns,
         *,
-        simulated: bool = False,
+        simulated: bool = False,  # then there is nothing to record
     ) -> None:
         super().__init__(fps, clock)
-        settings = settings or BlazePoseSettings()
-        self.settings, self._simulated = settings, simulated
-        self._network: NetworkName = settings.network
-        folder = settings.models or cache_folder()
-        wants_lighter, lacks_lite = settings.network == "full", bool(missing("lite", folder))
-        self._has_lighter = wants_lighter and not lacks_lite
-        self._fetch_lighter = fetch_command("lite", folder) if wants_lighter and lacks_lite else ""
+        self.settings = settings
+        self.network: NetworkName = settings.network
+        folder, full = settings.models or cache_folder(), settings.network == "full"
+        fetch = fetch_command("lite", folder) if full and missing("lite", folder) else ""
+        lighter = f" Or get its faster network: {fetch}." if fetch else ""
+        later = "" if simulated else " Or record now and track later (duplex fuse a.mkv b.mkv)."
+        self.advice = f"It is the tracker, which needs a faster processor, not USB or light.{lighter}{later}"
+        self._has_lighter = full and not fetch
         self._slow_ns: int | None = None  # since when fewer frames are needed
         self._news: list[str] = []
-
-    @property
-    def network(self) -> NetworkName:
-        """The landmark network that both trackers are to use."""
-        return self._network
-
-    @property
-    def advice(self) -> str:
-        lighter = f"Or get its faster network: {self._fetch_lighter}. " if self._fetch_lighter else ""
-        later = "" if self._simulated else "Or record now and track later (duplex fuse a.mkv b.mkv)."
-        text = f"It is the tracker, which needs a faster processor, not USB or light. {lighter}{later}"
-        return text.rstrip()
 
     def _chosen(self, now_ns: int) -> None:
         slow = self.step > 1 and self.choice.easy_ns is None
         self._slow_ns = (self._slow_ns or now_ns) if slow else None
         lasts = self._slow_ns is not None and now_ns - self._slow_ns >= _PATIENCE_NS
         if self._has_lighter and (self.choice.taken_back or lasts):
-            self._has_lighter = False
-            self._network = "lite"
+            self._has_lighter, self.network = False, "lite"
             self.choice.learn_anew()
             self._news.append(
                 "The body tracker goes on with its network lite, which is faster and less accurate than full."
@@ -70,10 +59,9 @@ class TrackingPace(FrameDecimation):
 
     def stay(self, network: NetworkName, why: DeviceError) -> None:
         """Goes on with the network that a tracker has, because the other one cannot be loaded."""
-        self._network = network
+        self.network = network
         self._news.append(f"{why} The body tracker goes on with its network {network}.")
 
     def take_news(self) -> list[str]:
-        """Changes other than the decimation, one line each. Each is reported once."""
         news, self._news = self._news, []
         return news

@@ -97,18 +97,22 @@ class StepChoice:
     """
 
     def __init__(self, period_ns: int) -> None:
-        self.step = 1
+        self.step, self.taken_back = 1, False
         self.slowest: Hashable | None = None
         self.slowest_s = 0.0
-        self.taken_back = self._sped_up = False
         self.easy_ns: int | None = None
-        self._period_ns, self._hold_ns, self._changed_ns = period_ns, _HOLD_NS, 0
+        self._period_ns, self._hold_ns, self._sped_up_ns = period_ns, _HOLD_NS, _NEVER
         self._trackers: dict[Hashable, _Tracker] = {}
 
     def restart(self, sensor: Hashable) -> None:
         """Forgets a sensor's tracker, because it restarts."""
-        self._trackers[sensor] = _Tracker()
-        self._sped_up = False
+        self._trackers[sensor], self._sped_up_ns = _Tracker(), _NEVER
+
+    def learn_anew(self, hold_ns: int = 0) -> None:
+        """Forgets all times. Fewer moments are left out once trackers were fast enough for ``hold_ns``."""
+        self.easy_ns, self._hold_ns = None, hold_ns
+        for tracker in self._trackers.values():
+            tracker.took_ns.clear()
 
     def tracked(self, sensor: Hashable, took_ns: int, now_ns: int) -> None:
         """Records how long a sensor's tracker worked on one frame, and chooses the step."""
@@ -121,42 +125,27 @@ class StepChoice:
             if other.took_ns and now_ns - other.last_ns > _SILENT_NS + 2 * other.took_ns[-1]:
                 other.took_ns.clear()
         times = {key: each.took_ns for key, each in self._trackers.items() if len(each.took_ns) >= _ENOUGH}
-        if not times:
-            return
+        if times:
+            self._choose(times, now_ns)
+
+    def _choose(self, times: dict[Hashable, deque[int]], now_ns: int) -> None:
         slowest = max(times, key=lambda key: median(times[key]))
-        needed = self._needed(median(times[slowest]), _USED_TO_SLOW)
-        if needed > self.step:
-            self.taken_back = self._sped_up and now_ns - self._changed_ns < self._hold_ns
-            longer_ns = min(2 * self._hold_ns, _LONGEST_HOLD_NS) if self.taken_back else 0
-            self._hold_ns = max(_HOLD_NS, longer_ns)
-            self._change(needed, slowest, now_ns)
-            return
+        slowest_ns = median(times[slowest])
+        needed = math.ceil(slowest_ns / (_USED_TO_SLOW * self._period_ns))
         # The mean, because of two trackers on one GPU each waits for the other in turn.
-        needed = self._needed(max(map(fmean, times.values())), _USED_TO_SPEED)
-        if needed >= self.step:
-            self.easy_ns = None
-        elif self.easy_ns is None:
-            self.easy_ns = now_ns
-        elif now_ns - self.easy_ns > self._hold_ns:
-            self._change(needed, slowest, now_ns)
-
-    def learn_anew(self) -> None:
-        """Forgets all times and what had to be taken back, because the trackers are others from now on."""
-        self._hold_ns = 0
-        self._forget_times()
-
-    def _needed(self, took_ns: float, used: float) -> int:
-        return max(1, math.ceil(took_ns / (used * self._period_ns)))
-
-    def _change(self, step: int, slowest: Hashable, now_ns: int) -> None:
-        self._sped_up, self.step, self._changed_ns = step < self.step, step, now_ns
-        self.slowest, self.slowest_s = slowest, median(self._trackers[slowest].took_ns) * 1e-9
-        self._forget_times()
-
-    def _forget_times(self) -> None:
-        self.easy_ns = None
-        for tracker in self._trackers.values():
-            tracker.took_ns.clear()
+        busiest_ns = max(map(fmean, times.values()))
+        easy = max(1, math.ceil(busiest_ns / (_USED_TO_SPEED * self._period_ns)))
+        self.easy_ns = (self.easy_ns or now_ns) if easy < self.step else None
+        if needed > self.step:
+            self.taken_back = now_ns - self._sped_up_ns < self._hold_ns
+            hold_ns = min(2 * self._hold_ns, _LONGEST_HOLD_NS) if self.taken_back else _HOLD_NS
+            self.step, self._sped_up_ns = needed, _NEVER
+        elif self.easy_ns is not None and now_ns - self.easy_ns > self._hold_ns:
+            self.step, self._sped_up_ns, hold_ns = easy, now_ns, self._hold_ns
+        else:
+            return
+        self.slowest, self.slowest_s = slowest, slowest_ns * 1e-9
+        self.learn_anew(hold_ns)
 
 
 class FrameDecimation:
@@ -167,7 +156,13 @@ class FrameDecimation:
     Attributes:
         period_ns: Time between two frames of the cameras.
         choice: How many moments are kept.
+        advice: What to do about a tracker that is too slow.
     """
+
+    advice = (
+        "It is the tracker, not USB or light: a faster GPU, or record now and track later "
+        "(duplex fuse a.mkv b.mkv)."
+    )
 
     def __init__(self, fps: float, clock: Callable[[], int] = time.perf_counter_ns) -> None:
         self.period_ns = round(1e9 / fps)
@@ -185,14 +180,6 @@ class FrameDecimation:
         """Time between two kept moments."""
         return self.step * self.period_ns
 
-    @property
-    def advice(self) -> str:
-        """What to do about a tracker that is too slow."""
-        return (
-            "It is the tracker, not USB or light: a faster GPU, or record now and track later "
-            "(duplex fuse a.mkv b.mkv)."
-        )
-
     def take_news(self) -> list[str]:
         """What changed besides the frames that are kept, one line each; once."""
         return []
@@ -204,7 +191,7 @@ class FrameDecimation:
             self.choice.restart(sensor)
 
     def moment(self, sensor: Hashable, time_ns: int, host_ns: int) -> int:
-        """The number of a sensor's moment; see :meth:`MomentGrid.number`."""
+        """As :meth:`MomentGrid.number`."""
         with self._lock:
             return self._grid.number(sensor, time_ns, host_ns)
 
