@@ -93,6 +93,8 @@ def _sides(files: Iterable[str]) -> dict[str, dict[str, dict[str, str]]]:
     """File names by stem without the side, by suffix, and by side."""
     sides: dict[str, dict[str, dict[str, str]]] = {}
     for file in sorted(files):
+        if file.startswith("."):  # macOS keeps a file's attributes in ._NAME on the disks of others
+            continue
         stem, suffix = Path(file).stem, Path(file).suffix
         rest, separator, side = stem.rpartition("_")
         if suffix.lower() in SUFFIXES and side.lower() in ("a", "b") and (rest or not separator):

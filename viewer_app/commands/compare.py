@@ -43,8 +43,8 @@ from viewer_app.report.truth_figures import (
     truth_lines,
 )
 from viewer_app.report.words import Line, in_mm
-from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
+from viewer_app.viewer.viewer_choice import window_opens
 
 _APPLICATION_ID = f"{layout.APPLICATION_ID}_compare"
 _EYE = np.array([-0.9, -0.3, -2.0])  # metres, from the person in K_A's frame
@@ -85,7 +85,7 @@ def _compare_with_truth(options: CompareOptions, console: Console) -> None:
 
         write_text(options.html, truth_page(session, comparison, figures))
     save_report(options.report, figures)
-    window = not options.no_viewer and has_display()
+    window = window_opens(options.no_viewer, console)
 
     def write(path: Path) -> None:
         scene = "S_A, S_B, S* and the truth (green)"
@@ -122,7 +122,7 @@ def _compare_sessions(options: CompareOptions, console: Console) -> None:
         print_damage(console, session)
     comparison = Comparison.of(*sessions)
     worst = comparison.worst(_WORST if options.worst is None else options.worst)
-    window = not options.no_viewer and has_display()
+    window = window_opens(options.no_viewer, console)
 
     def write(path: Path) -> None:
         scene = "first S* violet, second green"

@@ -28,8 +28,8 @@ from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images, print_summary, say_more, say_saved
 from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut
-from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import write_for_viewer, written_and_shown
+from viewer_app.viewer.viewer_choice import window_opens
 
 
 def run(options: ReplayOptions) -> None:
@@ -65,7 +65,7 @@ def run(options: ReplayOptions) -> None:
         blocks = _fused(options, replay, outputs, console)
         replayed = replay.fused(blocks, images=options.save is not None)
     figures = report(replayed)
-    window = not options.no_viewer and not options.verify and has_display()
+    window = not options.verify and window_opens(options.no_viewer, console)
 
     def write(path: Path) -> int:
         return write_for_viewer(replayed, path, session_page(replay.segments[-1][0], figures))
@@ -144,6 +144,8 @@ def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bo
             joint = "" if found.joint is None else f", joint {found.joint}, by {by}"
             missing = np.isnan(found.worst)
             worst = "only one has an S* in some frame" if missing else f"at most {found.worst * 1e3:.3g} mm"
+            if session.first_frame:
+                console.print("The session is trimmed at its beginning; frames before it decide, too.")
             console.print(
                 f"[bold]S* differs[/] from the recorded one in {found.differing} of {len(session)} frames, "
                 f"first at frame {found.frame}{joint}; {worst}."

@@ -30,10 +30,10 @@ _UNPAIRED = (0.1, 0.3)
 _OUT_OF_RANGE = 0.25
 _MIRRORED = 0.8
 _CALIBRATE = "Calibrate: stand still for a second, arms and legs apart, where both sensors see all of you"
-_ANOTHER_PART = "Calibrate on another part: --calibrate seconds:N"
+_ANOTHER_PART = "Calibrate on another part: duplex fuse --calibrate seconds:N"
 _SAME_MOMENT = (
     "Check that both recordings show one person at the same time, and their clocks; or calibrate on another "
-    "part: --calibrate seconds:N"
+    "part: duplex fuse --calibrate seconds:N"
 )
 
 
@@ -67,7 +67,7 @@ def _shortcomings(figures: Figures) -> Iterator[Verdict]:
         remedy = "Switch the mirroring off" if live else f"Change the sign of x {files}"
         yield Verdict("poor", f"{' and '.join(mirrored)} {image} of a person", remedy)
     if calibration["provisional"]:
-        yield Verdict("unknown", "not calibrated yet", calibrate)
+        yield Verdict("unknown", "the calibration is provisional", calibrate)
     elif calibration["residual_mm"] is not None and calibration["frames"] < FEWEST_PAIRS:
         few = f"calibrated on {calibration['frames']} frames; at least {FEWEST_PAIRS} are needed"
         yield Verdict("unknown", few, calibrate)

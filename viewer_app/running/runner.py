@@ -125,7 +125,7 @@ class Runner:
                 (file.lost, "not saved: the disk was too slow"),
                 (file.without_images, "saved without their images: this machine was too slow"),
             ):
-                if count:
+                if count and file.failure is None:  # else that says what is saved
                     console.print(f"[yellow]{count} frames are {what}.[/]")
         if not self._options.verbose:
             say_more(console)

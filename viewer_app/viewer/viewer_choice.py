@@ -83,6 +83,14 @@ class WebPage(Viewing):
                 pass
 
 
+def window_opens(no_viewer: bool, console: Console) -> bool:
+    """Whether a command that prints its result opens a window, too; says why none can open."""
+    why_not = None if no_viewer else why_no_window()
+    if why_not is not None:
+        console.print(f"{why_not}; no window opens.", markup=False)
+    return not no_viewer and why_not is None
+
+
 def choose_viewing(options: WebOptions, save: Path | None, *, live: bool, served: bool = False) -> Viewing:
     """The way that the options ask for.
 

@@ -38,6 +38,23 @@ def test_pairs_by_folder_and_by_name(tmp_path):
     assert not alone
 
 
+def test_files_that_macos_adds_are_none_of_a_recording(tmp_path):
+    touch(
+        tmp_path,
+        "a.csv",
+        "b.csv",
+        "._a.csv",
+        "._b.csv",
+        "walk/a.csv",
+        "walk/b.csv",
+        "walk/._a.csv",
+        ".DS_Store",
+    )
+    pairs, alone = find_pairs(tmp_path, tmp_path / "out")
+    assert [pair.name for pair in pairs] == [tmp_path.name, "walk"]
+    assert not alone
+
+
 def test_a_recording_without_partner_is_named(tmp_path):
     touch(tmp_path, "walk_a.csv", "walk_b.json", "run_a.csv", "run_b.csv")
     pairs, alone = find_pairs(tmp_path, tmp_path / "out")
@@ -130,9 +147,14 @@ def test_usage_errors_give_one_line_and_exit_code_2(arguments, words, tmp_path, 
     assert words in one_line(capsys)
 
 
-def test_workers_in_another_folder_find_the_files_of_the_options(tmp_path, monkeypatch):
-    names = "k.json", "libk4abt.so"
-    touch(tmp_path, "pairs/a.csv", "pairs/b.csv", "networks/full", "elsewhere/x", *names)
+@pytest.mark.parametrize(
+    ("tracker", "option", "name"),
+    [("blazepose", "tracker_model", "networks"), ("k4abt", "k4abt", "libk4abt.so")],
+)
+def test_workers_in_another_folder_find_the_files_of_the_options(
+    tracker, option, name, tmp_path, monkeypatch
+):
+    touch(tmp_path, "pairs/a.mkv", "pairs/b.mkv", "networks/full", "elsewhere/x", "k.json", "libk4abt.so")
     seen = []
 
     def run(jobs, _):
@@ -142,11 +164,11 @@ def test_workers_in_another_folder_find_the_files_of_the_options(tmp_path, monke
 
     monkeypatch.setattr(processes, "run_in_processes", run)
     monkeypatch.chdir(tmp_path)
-    files = "--calibrate", "k.json", "--tracker-model", "networks", "--k4abt", "libk4abt.so"
+    files = "--calibrate", "k.json", "--tracker", tracker, f"--{option.replace('_', '-')}", name
     assert duplex("batch", "pairs", "--out", "out", *files) == 1
     options, identity = seen[0].options, seen[0].identity()["options"]
     assert (options.source, options.out) == (tmp_path / "pairs", tmp_path / "out")
-    assert (options.tracker_model, options.k4abt) == (tmp_path / "networks", tmp_path / "libk4abt.so")
+    assert getattr(options, option) == tmp_path / name
     assert options.calibrate == str(tmp_path / "k.json")
     assert identity["calibrate"] == f"sha256:{checksum(tmp_path / 'k.json')}"
     (tmp_path / "k.json").unlink()  # as if the worker did not see this folder

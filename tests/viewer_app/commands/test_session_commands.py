@@ -89,15 +89,23 @@ def test_where_no_window_opens_the_report_and_the_session_are_written(session, t
         raise UsageError("no driver")
 
     report, saved = tmp_path / "r.json", tmp_path / "again.rrd"
-    monkeypatch.setattr("viewer_app.commands.replay.has_display", lambda: True)
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: None)
     monkeypatch.setattr("viewer_app.viewer.file_window.start_viewer", no_window)
     assert duplex("replay", session, "--report", report, "--save", saved) == 2
     assert capsys.readouterr().err == "duplex: no driver\n"
     assert len(Session.open(saved)) == 90
     assert report.exists()
-    monkeypatch.setattr("viewer_app.commands.compare.has_display", lambda: True)
     assert duplex("compare", session, saved) == 2
     assert "S* is the same in every frame they share." in capsys.readouterr().out
+
+
+def test_where_no_display_is_a_replay_and_a_comparison_say_so(session, monkeypatch, capsys):
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
+    for command in (("replay", session), ("compare", session, session)):
+        assert duplex(*command) == 0
+        assert "There is no display; no window opens." in capsys.readouterr().out
+        assert duplex(*command, "--no-viewer") == 0
+        assert "no window" not in capsys.readouterr().out
 
 
 def test_outputs_of_a_replay_get_the_session_s_rate(tmp_path, monkeypatch, capsys):

@@ -132,7 +132,7 @@ def test_the_verdict_names_what_is_worst(figures, changed, words):
         ({"axes_angle_deg": 45.0}, "usable: the sensors look 45° apart; good is 60° to 120°. Record with"),
         ({"rotation_sd_deg": 2.1}, "usable: B's rotation is certain to 2.1° only"),
         ({"frames": FEWEST_PAIRS - 1}, "unknown: calibrated on 14 frames; at least 15 are needed"),
-        ({"provisional": True}, "unknown: not calibrated yet"),
+        ({"provisional": True}, "unknown: the calibration is provisional"),
     ],
 )
 def test_the_verdict_judges_the_calibration(figures, changed, words):
