@@ -36,19 +36,22 @@ Policy = Callable[[deque[Item], Item], Item | None]
 
 
 class DropOldest:
-    """The policy that drops the oldest frame where `keep` are queued; and counts these."""
+    """The policy that drops the oldest frame where `keep` are queued, and counts these.
+
+    Of events, setups and pages the newest 256 are kept.
+    """
 
     def __init__(self, keep: int) -> None:
         self._keep, self.dropped = keep, 0
 
     def __call__(self, queued: deque[Item], item: Item) -> Item:
-        if len(queued) >= self._keep:
-            frames = [k for k, other in enumerate(queued) if isinstance(other, QueuedFrame)]
-            if isinstance(item, QueuedFrame) and len(frames) >= self._keep:
-                del queued[frames[0]]
-                self.dropped += 1
-            elif len(queued) - len(frames) >= _KEPT_OTHERS:
-                queued.popleft()
+        is_frame = isinstance(item, QueuedFrame)
+        most = self._keep if is_frame else _KEPT_OTHERS
+        if len(queued) >= most:
+            alike = [k for k, other in enumerate(queued) if isinstance(other, QueuedFrame) is is_frame]
+            if len(alike) >= most:
+                del queued[alike[0]]
+                self.dropped += is_frame
         return item
 
 
