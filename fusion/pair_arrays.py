@@ -233,23 +233,6 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-def stale_frames(positions: NDArray[np.floating], states: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """(T,) whether a view's skeleton repeats the last one that its sensor gave, joints and states alike.
-
-    Args:
-        positions: (T, J, 3); NaN where not tracked.
-        states: (T, J) tracking states; all 0 where the sensor sees no one, which is no repetition.
-    """
-    stale = np.zeros(len(states), dtype=np.bool_)
-    seen = np.flatnonzero(states.any(axis=1))
-    for part in parts(max(len(seen) - 1, 0)):
-        before, later = seen[:-1][part], seen[1:][part]
-        same = (positions[later] == positions[before]) | np.isnan(positions[later] + positions[before])
-        alike = (states[later] == states[before]).all(axis=1)
-        stale[later] = same.all(axis=(1, 2)) & alike
-    return stale
-
-
 @inner_kernel
 def repeats(positions, states, last, last_states):  # type: ignore[no-untyped-def]
     """Whether a sensor repeats its last skeleton; stores the new one. An empty skeleton is no repetition."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
 from fusion.errors import BodyError, FusionError
+from fusion.large_arrays import parts
 
 
 class TrackingState(IntEnum):
@@ -112,6 +113,23 @@ class Skeleton:
             and np.array_equal(self.positions, earlier.positions, equal_nan=True)
             and np.array_equal(self.states, earlier.states)
         )
+
+
+def stale_frames(positions: NDArray[np.floating], states: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """(T,) whether a view's skeleton repeats the last one that its sensor gave, joints and states alike.
+
+    Args:
+        positions: (T, J, 3); NaN where not tracked.
+        states: (T, J) tracking states; all 0 where the sensor sees no one, which is no repetition.
+    """
+    stale = np.zeros(len(states), dtype=np.bool_)
+    seen = np.flatnonzero(states.any(axis=1))
+    for part in parts(max(len(seen) - 1, 0)):
+        before, later = seen[:-1][part], seen[1:][part]
+        same = (positions[later] == positions[before]) | np.isnan(positions[later] + positions[before])
+        alike = (states[later] == states[before]).all(axis=1)
+        stale[later] = same.all(axis=(1, 2)) & alike
+    return stale
 
 
 def nobody(body: Body) -> Skeleton:

@@ -203,11 +203,11 @@ class FrameDecimation:
         """How many of the ``count`` moments before one are kept."""
         return (moment - 1) // self.step - (moment - count - 1) // self.step
 
-    def tracked(self, sensor: Hashable, time_ns: int) -> None:
+    def tracked(self, sensor: Hashable, took_ns: int) -> None:
         """Records how long a sensor's tracker worked on one frame."""
         with self._lock:
             now_ns = self._clock()
-            self.choice.tracked(sensor, time_ns, now_ns)
+            self.choice.tracked(sensor, took_ns, now_ns)
             self._chosen(now_ns)
 
     def _chosen(self, now_ns: int) -> None:

@@ -14,7 +14,7 @@ from fusion.calibration.online import CalibrationChange, CalibrationLearner, Lea
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.large_arrays import PART, give_back, parts
-from fusion.pair_arrays import Pairs, stale_frames
+from fusion.pair_arrays import Pairs
 from fusion.progress import Progress, quietly
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.error_model import disagreement
@@ -24,7 +24,7 @@ from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import label_free_fit
 from fusion.registration.robust_fit import RobustFit, fit_robust, registration_of
 from fusion.rigid import RigidTransform
-from fusion.skeleton import NO_FRAME, SkeletonPair
+from fusion.skeleton import NO_FRAME, SkeletonPair, stale_frames
 
 _KEYFRAMES = 128  # per span; the tempering of the fit was chosen for this number
 _BONE_PAIRS = 256

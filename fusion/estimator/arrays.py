@@ -50,7 +50,11 @@ class Model(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter knows of the person; :func:`fusion.estimator.process.forget` resets all of it."""
+    """What the filter knows of the person.
+
+    :func:`fusion.estimator.process.forget` makes all of it unknown: what belongs to a joint counts only where
+    the joint is known, and S* of the last frame only after one.
+    """
 
     positions: Annotated[Array, ("J", 3)]  # S*, metres, K_A's frame
     velocities: Annotated[Array, ("J", 3)]  # m/s

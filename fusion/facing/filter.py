@@ -127,7 +127,7 @@ def decide(model, state, belief):  # type: ignore[no-untyped-def]
             wrong = min(wrong, 0.5)  # unknown
         contradicted = max(0.0, min(1.0, 0.5 - along / trust)) if trust > 0.0 else 0.0
         state.result.doubt[view] = max(wrong, contradicted)
-        # where neither shoulders nor hips are seen, the labels that are held apply to the limbs
+        # without a fresh skeleton nothing is exchanged; without shoulders and hips the held labels apply
         gone = state.memory.since[view] > CONTINUOUS_SECONDS
         state.result.codes[view] = 0 if gone else WHOLE * state.belief.whole[view]
 

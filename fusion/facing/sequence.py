@@ -22,7 +22,7 @@ from fusion.facing.model import (
     new_facing_model,
 )
 from fusion.facing.whole_body import retrodict, set_headings, set_turning
-from fusion.pair_arrays import stale_frames
+from fusion.skeleton import stale_frames
 
 Floats = NDArray[np.float64]
 

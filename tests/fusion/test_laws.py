@@ -14,11 +14,11 @@ from fusion.facing.labels import Labels
 from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
 from fusion.large_arrays import parts
-from fusion.pair_arrays import Pairs, stale_frames
+from fusion.pair_arrays import Pairs
 from fusion.plan import plan_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
-from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.skeleton import Skeleton, SkeletonPair, stale_frames
 from tests.helpers.laws import (
     BODY,
     FRONT,

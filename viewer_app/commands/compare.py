@@ -130,7 +130,8 @@ def _compare_sessions(options: CompareOptions, console: Console) -> None:
         with whole_recording(path, blueprint, _APPLICATION_ID) as stream:
             record_comparison(stream, comparison, worst)
 
-    with written_and_shown(options.save, write, window=window):
+    at_ns = int(comparison.first.time_ns[worst[0][0]]) if worst else 0
+    with written_and_shown(options.save, write, window=window, at_ns=at_ns):
         _print_comparison(options, console, sessions, comparison, worst)
 
 

@@ -51,7 +51,7 @@ def write_for_viewer(
 
 @contextmanager
 def written_and_shown(
-    save: Path | None, write: Callable[[Path], T], *, window: bool, served: bool = False
+    save: Path | None, write: Callable[[Path], T], *, window: bool, served: bool = False, at_ns: int = 0
 ) -> Iterator[tuple[Path | None, T | None]]:
     """Writes a session, and shows it in a new window after the block, which says and writes all the rest.
 
@@ -62,6 +62,7 @@ def written_and_shown(
         save: The file's name; None: it has none, and is written only for a window or a server.
         write: Writes it. The file gets its name when it is whole.
         served: Whether the block serves the file to browsers.
+        at_ns: Where the window opens, ns since the first pair.
 
     Yields:
         The file and what `write` returned; None if nothing is written.
@@ -75,7 +76,7 @@ def written_and_shown(
             written = write(partial)
         yield file, written
         if window:
-            show(file)
+            show(file, at_ns)
 
 
 @contextmanager

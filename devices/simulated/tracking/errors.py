@@ -1,7 +1,7 @@
-"""The errors of a body tracker, one class each. What an error draws, only this error uses.
+"""The errors of a body tracker, one class each. Each has random numbers of its own.
 
 An error has a method ``apply`` that changes the report of a frame, and the state that it keeps from frame to
-frame. ``tracker`` applies them in their order. An error of size zero has the value None instead.
+frame. ``tracker`` applies them in their order, without those of size zero.
 """
 
 import math
