@@ -145,7 +145,7 @@ def test_smoothed_s_star_moves_no_earlier_than_the_person(speed, seed):
         for run in (filtered, smoothed)
         for k in [slice(*np.flatnonzero(before)[[0, -1]])]
     ]
-    assert off[1] < off[0] + 0.005
+    assert off[1] < off[0] + 0.015  # of a standard deviation of 0.022
 
 
 @FEW

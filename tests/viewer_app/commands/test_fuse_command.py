@@ -194,7 +194,7 @@ def test_nothing_that_exists_is_overwritten_without_force(recordings, tmp_path, 
 def test_a_window_opens_on_the_whole_session_which_is_gone_afterwards(recordings, tmp_path, monkeypatch):
     shown = []
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: None)
-    monkeypatch.setattr(file_window, "show", lambda path: shown.append((path, len(Session.open(path)))))
+    monkeypatch.setattr(file_window, "show", lambda path, _: shown.append((path, len(Session.open(path)))))
     saved = tmp_path / "s.rrd"
     assert duplex("fuse", *recordings, *QUICKLY[1:]) == 0
     assert duplex("fuse", *recordings, *QUICKLY[1:], "--save", saved) == 0
