@@ -5,7 +5,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
@@ -231,7 +231,11 @@ TestPairing = pytest.mark.filterwarnings("error")(TestPairing)
     late_ms=st.integers(0, 400),
 )
 def test_silence_costs_a_clock_no_more_than_its_drift_of_a_minute(silent_s, ppm, late_ms):
-    """The first frame after it may be late; after more than a minute, it is all that is known."""
+    """The first frame after it may be late; after more than a minute, it is all that is known.
+
+    It is not believed alone where it is half a second off, as after a reset.
+    """
+    assume(abs(ppm) * 1e-3 * (silent_s + 20) + late_ms < 490)
     clock, at_ns = HostClock(), 0
 
     def off_ns(at_ns, late_ns=0):
