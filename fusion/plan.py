@@ -126,7 +126,7 @@ def _place_of_b(part: slice, segments: Segments) -> NDArray[np.float64]:
 
 
 def _held(part: slice, segments: Segments) -> Iterator[tuple[Calibration, slice]]:
-    """Each calibration, and the pairs of a part that it holds for."""
+    """Yields each calibration, with the slice of a part's pairs that were taken under it."""
     for calibration, own in segments:
         first, end = (min(max(at - part.start, 0), part.stop - part.start) for at in (own.start, own.stop))
         yield calibration, slice(first, end)

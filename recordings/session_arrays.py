@@ -266,7 +266,7 @@ class SessionArrays:
 
 
 def _figures_of(frame: SessionFrame | SessionFrames) -> dict[str, Any]:
-    """The figures of a frame, or of T frames with T rows, by name; None where there is none."""
+    """The value of each figure, by name: of a frame, or of T frames with T rows; None if it has none."""
     pair, fused = frame.pair, frame.fused
     skeletons = pair if isinstance(pair, PairBlock) else pair.skeletons
     exchanged = doubt = None

@@ -132,7 +132,7 @@ class StepChoice:
         slowest = max(times, key=lambda key: median(times[key]))
         slowest_ns = median(times[slowest])
         needed = math.ceil(slowest_ns / (_USED_TO_SLOW * self._period_ns))
-        # The mean, because of two trackers on one GPU each waits for the other in turn.
+        # The mean: two trackers on one GPU wait for each other in turn, which the median may not show.
         busiest_ns = max(map(fmean, times.values()))
         easy = max(1, math.ceil(busiest_ns / (_USED_TO_SPEED * self._period_ns)))
         self.easy_ns = (self.easy_ns or now_ns) if easy < self.step else None

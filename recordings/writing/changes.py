@@ -114,7 +114,7 @@ class QualityLog:
             stream.log(layout.stream_figure(name), lines, static=True)
 
     def record(self, rows: SessionArrays) -> None:
-        """Takes frames in time order."""
+        """Logs the changes in the following frames, which are in order of time."""
         views: list[NDArray[np.floating]] = [rows.positions_a, rows.positions_b, rows.fused]
         tracks = zip(self._tracks, views, strict=True)
         self._kept.append(np.stack([track.add(view, rows.time_ns) for track, view in tracks]))

@@ -31,7 +31,7 @@ from viewer_app.viewer.rerun_process import stop
 from viewer_app.viewer.window import start_viewer
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "pictures" / "moving.webp"
-LIMIT = 3_000_000
+LIMIT = 1_000_000
 """Bytes; a README that loads slowly is not read."""
 FAR = 0.2
 """Metres from the truth from which on a joint is red."""

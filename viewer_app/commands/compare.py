@@ -130,7 +130,7 @@ def _compare_sessions(options: CompareOptions, console: Console) -> None:
         with whole_recording(path, blueprint, _APPLICATION_ID) as stream:
             record_comparison(stream, comparison, worst)
 
-    at_ns = int(comparison.first.time_ns[worst[0][0]]) if worst else 0
+    at_ns = next((int(comparison.first.time_ns[t]) for t, _ in comparison.worst(1)), 0)
     with written_and_shown(options.save, write, window=window, at_ns=at_ns):
         _print_comparison(options, console, sessions, comparison, worst)
 

@@ -61,7 +61,7 @@ class Hub:
 
     @property
     def site(self) -> str:
-        """Where the web viewer is."""
+        """The URL of the web viewer."""
         return f"http://{reached_at(self.address)}:{self.web_port}"
 
     @property

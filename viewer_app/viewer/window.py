@@ -35,7 +35,7 @@ def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
 def start_viewer(
     arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL
 ) -> tuple[subprocess.Popen[bytes], int]:
-    """Starts a viewer with a bounded memory that listens on a port of the loopback address; returns both.
+    """Starts a viewer that listens on a loopback port, with bounded memory; returns its process and the port.
 
     A viewer listens first, and then opens its window: it runs when it answers a request. A graphics driver
     may hang while it opens the window, so a viewer that neither answers nor computes is started once more.

@@ -147,6 +147,11 @@ def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_
     said = capsys.readouterr().out
     assert "in 2 of 90 frames, first at frame 12, joint WristLeft, by" in said
     assert ("by less than the file's float32 shows" in said) is not seen
+    assert "trimmed" not in said
+    about = {**recorded.about, "session": {**recorded.about["session"], "first_frame": [7]}}
+    fused[80:] += 1.0
+    assert verify(Console(width=300), replace(recorded, about=about), fused) is False
+    assert "trimmed at its beginning; frames before it decide, too." in capsys.readouterr().out
 
 
 def test_a_replay_with_other_settings_is_compared_with_the_first(session, tmp_path, capsys):
@@ -165,6 +170,20 @@ def test_a_replay_with_other_settings_is_compared_with_the_first(session, tmp_pa
     assert "the same in every frame" not in said
     assert duplex("compare", session, session, "--no-viewer") == 0
     assert "S* is the same in every frame" in capsys.readouterr().out
+
+
+def test_the_window_of_a_comparison_opens_where_s_star_differs_most(session, tmp_path, monkeypatch):
+    other, opened = tmp_path / "paper.rrd", []
+    assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: None)
+    monkeypatch.setattr("viewer_app.viewer.file_window.show", lambda _, at_ns: opened.append(at_ns))
+    for worst in ("0", "2"):
+        assert duplex("compare", session, other, "--worst", worst) == 0
+    one, two = Session.open(session), Session.open(other)
+    apart = np.nanmax(np.linalg.norm(one.fused - two.fused, axis=2), axis=1, initial=0.0)
+    assert opened == 2 * [one.time_ns[np.argmax(apart)]]
+    assert duplex("compare", session, session) == 0
+    assert opened[2:] == [0]
 
 
 @pytest.mark.parametrize(
