@@ -232,12 +232,9 @@ class SessionArrays:
         """Frames per second of the faster sensor without its pauses: 1 / mean interval, as 5, 15, 30, 60 or
         90 if within 5 % of it. 30 for a single frame.
         """
-        rates = [30.0] if len(self) < 2 else []
-        for clock in (self.clock_a, self.clock_b):
-            steps = np.diff(self.time_ns[clock != layout.NO_FRAME]) * 1e-9
-            if len(steps):
-                rates.append(float(1.0 / steps[steps <= _LONG_PAUSE * np.median(steps)].mean()))
-        fastest = max(rates, default=30.0)
+        clocks = () if len(self) < 2 else (self.clock_a, self.clock_b)
+        rates = (rate_without_pauses(self.time_ns[clock != layout.NO_FRAME]) for clock in clocks)
+        fastest = max((rate for rate in rates if rate is not None), default=30.0)
         nearest = min(_STANDARD_RATES, key=lambda rate: abs(rate - fastest))
         return nearest if abs(nearest - fastest) <= _STANDARD_WITHIN * nearest else fastest
 
@@ -263,6 +260,12 @@ class SessionArrays:
     def disagreement(self) -> NDArray[np.float64]:
         """(T,) metres between p and R q + t, median over the joints that both see; NaN without any."""
         return np.concatenate([median_of_known(rows.view_difference) for rows in self.parts()])
+
+
+def rate_without_pauses(time_ns: NDArray[np.int64]) -> float | None:
+    """Frames per second at (T,) increasing times, between pauses; None where all have one time."""
+    steps = np.diff(time_ns) * 1e-9
+    return float(1.0 / steps[steps <= _LONG_PAUSE * np.median(steps)].mean()) if steps.any() else None
 
 
 def _figures_of(frame: SessionFrame | SessionFrames) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from fusion.skeleton import NO_FRAME
 from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without_truth, judge_registration
 from recordings.appearance.joint_trust import SeenJoints
 from recordings.session import Session
-from recordings.session_arrays import SessionArrays
+from recordings.session_arrays import SessionArrays, rate_without_pauses
 from recordings.session_data import ViewsAgree
 from viewer_app.coach.standing_spot import FARTHEST, nearest
 from viewer_app.output_files import write_text
@@ -147,11 +147,10 @@ def method_figures(rows: SessionArrays) -> Figures:
             }
         of_bone["fused"]["max_error_mm"] = known_or_none(1e3 * worst[2, joint])
         bones[rows.body.bones[joint]] = of_bone
-    seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
     return {
         "fused_frames": len(rows),
-        "seconds": seconds,
-        "frames_per_second": (len(rows) - 1) / seconds if seconds > 0.0 else None,
+        "seconds": float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9,
+        "frames_per_second": rate_without_pauses(rows.time_ns),
         "repaired": _repaired(rows),
         "mirrored": {
             "a": mirrored_share(rows.body, rows.positions_a),

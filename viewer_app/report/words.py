@@ -12,6 +12,7 @@ from viewer_app.coach.advice import ANGLES
 from viewer_app.report.figures import Figures
 from viewer_app.report.verdict import Verdict, in_words, precision_in_words
 
+_PAUSED = 0.9  # of the time: with less there are pauses
 _MICROMETRE = 1e-3  # millimetres; what a file stores of S* is no more exact
 
 
@@ -106,7 +107,8 @@ def _repaired(repaired: Figures) -> Line:
 def _pace(figures: Figures) -> str:
     frames, seconds, rate = figures["fused_frames"], figures["seconds"], figures["frames_per_second"]
     latency_ms = figures.get("latency_ms", {})
-    each = "" if rate is None else f", {rate:.1f} per second"
+    paused = rate is not None and (frames - 1) / rate < _PAUSED * seconds
+    each = "" if rate is None else f", {rate:.1f} per second" + " between pauses" * paused
     if latency_ms.get("p50") is None:
         counted = "1 frame" if frames == 1 else f"{frames} frames"
         return f"{counted} in {seconds:.1f} s{each}."
