@@ -188,7 +188,7 @@ def find_clock_skew(a: View, b: View, middle: ClockOffset) -> ClockOffset:
 def _usual_times(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """The times without those of another day: within four times the usual length of so many frames."""
     usual = 4 * len(time_ns) * int(np.median(np.diff(time_ns)))
-    middle = time_ns[len(time_ns) // 2]  # a frame: the median may lie in a gap
+    middle = int(time_ns[len(time_ns) // 2])  # a frame: the median may lie in a gap
     return time_ns[np.abs(time_ns - middle) <= usual]
 
 
