@@ -12,6 +12,7 @@ from viewer_app.report.svg_plots import cycle_plot, line_plot
 
 _OF_A_SIDE = ("hip_flexion", "knee_flexion", "hip_abduction", "shoulder_flexion", "elbow_flexion")
 _FEWEST_CYCLES = 2  # of a side, for a mean
+_MOTION = 3.0  # seconds, of which it is said that they have no steps
 GAIT_HEAD = ("mean ± standard deviation", "left", "right")
 
 
@@ -19,7 +20,7 @@ class Movement(NamedTuple):
     """What the page shows of the person's movement."""
 
     angles: Markup  # plots over time
-    summary: str  # of the gait; empty where the person does not walk
+    summary: str  # of the gait; empty where the person hardly moves
     rows: list[tuple[str, ...]]  # of the gait, with the columns of GAIT_HEAD
     cycles: Markup  # plots over the gait cycle
 
@@ -64,13 +65,15 @@ def _over_cycles(session: Session, angles: AngleSeries, gait: Gait) -> Iterator[
 
 
 def _summary(gait: Gait) -> str:
+    left_out = ", ".join(f"{seconds:.0f} s {why}" for why, seconds in gait.left_out.items() if seconds >= 0.5)
+    left_out = f"left out of {gait.moving_seconds:.0f} s of motion: {left_out}" if left_out else ""
     if not gait.steps:
-        return ""
+        return f"No steps; {left_out}." if gait.moving_seconds > _MOTION else ""
     walks = len(gait.walks)
     return (
-        f"{len(gait.steps)} steps in {walks} {'walk' if walks == 1 else 'walks'} "
-        f"({gait.walking_seconds:.0f} of {gait.moving_seconds:.0f} s of motion); cadence "
-        f"{_in_words(gait.cadence, 1)} steps/min, speed {_in_words(gait.speed, 2)} m/s (± standard error)."
+        f"{len(gait.steps)} steps in {walks} {'walk' if walks == 1 else 'walks'} of "
+        f"{gait.walking_seconds:.0f} s; cadence {_in_words(gait.cadence, 1)} steps/min, speed "
+        f"{_in_words(gait.speed, 2)} m/s (± standard error){left_out and '; '}{left_out}."
     )
 
 
@@ -100,7 +103,7 @@ def _mean(values: object, digits: int) -> str:
     known = known[np.isfinite(known)]
     if not len(known):
         return "–"
-    return _in_words(Measured(known.mean(), known.std() if len(known) > 1 else np.nan), digits)
+    return _in_words(Measured(known.mean(), known.std(ddof=1) if len(known) > 1 else np.nan), digits)
 
 
 def _median(values: object) -> float:

@@ -15,7 +15,7 @@ from fusion.body import KINECT_V2
 from recordings.appearance.colors import PREDICTED_COLOR
 from recordings.appearance.floor import floor_under
 from recordings.fusing.files import without_folders
-from recordings.gait import Measured
+from recordings.gait import Gait, Measured
 from tests.helpers.command_line import duplex
 from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs
@@ -27,7 +27,7 @@ from viewer_app.report.figures import report, truth_free_figures
 from viewer_app.report.motion import _kept_frames, encoded_motion
 from viewer_app.report.review_page import review_page
 from viewer_app.report.svg_plots import _columns_of_time, line_plot, skeleton_color, trust_map
-from viewer_app.report.walking import _in_words, _mean
+from viewer_app.report.walking import _in_words, _mean, _summary
 from viewer_app.report.words import in_percent
 
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
@@ -75,8 +75,9 @@ def test_the_page_has_the_gait_of_people_who_walk_and_of_no_others(page, tmp_pat
     walking = walking_session(tmp_path / "walk.rrd")
     text = review_page(walking, report(walking) | {"without_truth": truth_free_figures(walking)})
     assert re.search(
-        rf"{len(walking.gait.steps)} steps in 1 walk \(7 of 9 s of motion\); "
-        r"cadence 104\.\d ± \d+\.\d steps/min, .* \(± standard error\)",  # a stride takes 1.15 s
+        rf"{len(walking.gait.steps)} steps in 1 walk of 7 s; "
+        r"cadence 104\.\d ± \d+\.\d steps/min, .* \(± standard error\); "  # a stride takes 1.15 s
+        r"left out of 9 s of motion: \d s no three strikes in turn\.",
         text,
     )
     assert text.count("over the gait cycle") == 6
@@ -86,6 +87,13 @@ def test_the_page_has_the_gait_of_people_who_walk_and_of_no_others(page, tmp_pat
     text = page.read_text(encoding="utf-8")
     assert "gait" not in text.lower()
     assert 'aria-label="knee flexion, 1 σ about ' in text
+
+
+def test_motion_without_steps_is_told_in_seconds_with_the_reason():
+    assert _summary(Gait((), {"not forwards": 4.2, "no three strikes in turn": 0.2})) == (
+        "No steps; left out of 4 s of motion: 4 s not forwards."
+    )
+    assert _summary(Gait((), {"not forwards": 0.0, "no three strikes in turn": 1.5})) == ""
 
 
 def test_no_value_is_more_certain_than_it_is_rounded():
