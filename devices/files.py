@@ -17,9 +17,8 @@ from devices.orbbec.playback import OrbbecRecording
 from devices.realsense.sensors import SUFFIX as DB3
 from devices.realsense.sensors import RealSenseRecording, is_realsense_bag
 from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
-from devices.skeletons.conventions import Unit
 from devices.skeletons.file_sensor import SkeletonRecording
-from devices.skeletons.stated_format import StatedFormat
+from devices.skeletons.stated_format import StatedFormat, Unit
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.progress import Progress, quietly
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from devices.skeletons.conventions import METRES
+from devices.skeletons.border import METRES
 from devices.skeletons.name_tables import NameTable, fitting_table, listed
 from fusion.angles import joint_angles
 from fusion.body import Body

@@ -10,8 +10,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
-from devices.skeletons.conventions import find_time_unit
-from devices.skeletons.csv_text import codes, refuse_cut_off, text_rows
+from devices.skeletons.csv_files.text import codes, refuse_cut_off, text_rows
+from devices.skeletons.times import capture_times
 from recordings.errors import RecordingError
 
 SUFFIXES = (".c3d", ".trc", ".csv")
@@ -124,9 +124,9 @@ def _without_origin(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _read_csv(path: Path) -> _Read:
     """A row for each joint and frame, or for each frame with columns such as HEAD_x, HEAD_y and HEAD_z."""
-    text = next(text_rows(path, -1, required=()))
-    times, frame = np.unique(text.times(), return_inverse=True)
-    us, warning = find_time_unit(path, text.time, times)
+    (text,) = text_rows(path, -1, required=())
+    time_ns, told = capture_times(path, *text.times(), shortest_us=2_000.0)  # motion capture is fast
+    times, frame = np.unique(time_ns, return_inverse=True)
     refuse_cut_off(text, None, frame)
     names = text.table.column_names
     wide = [name[:-2] for name in names if name.endswith("_x")]
@@ -158,7 +158,8 @@ def _read_csv(path: Path) -> _Read:
         )
     points = np.full((len(times) * len(labels), 3), np.nan)
     points[slot] = values
-    return labels, 1e-6 * us * times, points.reshape(len(times), -1, 3), warning
+    text.decimals.check(path)
+    return labels, times.astype(np.float64) * 1e-9, points.reshape(len(times), -1, 3), " ".join(told)
 
 
 _READERS = {".c3d": _read_c3d, ".trc": _read_trc, ".csv": _read_csv}

@@ -8,17 +8,17 @@ from types import MappingProxyType
 
 from devices.people import RecordedPeople
 from devices.sensor import DeviceError, Sensor, SensorFrame
-from devices.skeletons.conventions import frozen, upside_down
-from devices.skeletons.csv_file import read_csv
+from devices.skeletons.border import ReadFile, checked
+from devices.skeletons.csv_files.reader import read_csv
 from devices.skeletons.ntu import read_ntu
 from devices.skeletons.offline_processor import read_json
-from devices.skeletons.read_file import ReadFile
+from devices.skeletons.read_file import FoundPoints
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 from fusion.progress import Progress, quietly
 
-Reader = Callable[[Path, StatedFormat, Progress], ReadFile]
+Reader = Callable[[Path, StatedFormat, Progress], FoundPoints]
 
 READERS: MappingProxyType[str, Reader] = MappingProxyType(
     {".csv": read_csv, ".json": read_json, ".skeleton": read_ntu}
@@ -35,15 +35,20 @@ class SkeletonRecording(Sensor):
         self.warnings: Sequence[str] = ()
         self._path = path
         self._stated, self._progress = stated, progress
+        self._read: ReadFile | None = None
         self._body: Body | None = None
-        self._people: RecordedPeople | None = None
+
+    @property
+    def content(self) -> ReadFile:
+        """The content of the file; known while it is open."""
+        if self._read is None:
+            raise DeviceError(f"{self.name} is not open.")
+        return self._read
 
     @property
     def people(self) -> RecordedPeople:
-        """The content of the file; known while it is open."""
-        if self._people is None:
-            raise DeviceError(f"{self.name} is not open.")
-        return self._people
+        """The people in it; known while it is open."""
+        return self.content.people
 
     @property
     def body(self) -> Body:  # type: ignore[override]
@@ -62,27 +67,19 @@ class SkeletonRecording(Sensor):
                 f"Known: {', '.join(READERS)}; with images: .mkv, .bag."
             )
         try:
-            read = reader(self._path, self._stated, self._progress)
+            found = reader(self._path, self._stated, self._progress)
+            read = checked(self._path, found, self._stated)
         except FileNotFoundError:
             raise DeviceError(f"No file {self.name}.") from None
         except OSError as error:
             raise DeviceError(f"{self.name} cannot be read: {error.strerror or error}.") from None
         except MemoryError:
             raise DeviceError(f"{self.name} is too large for the memory of this machine.") from None
-        if not read.people:
-            raise DeviceError(f"{self.name} has no frames.")
-        if read.people.ids and not read.people.skeletons.states.any():
-            raise DeviceError(f"{self.name}: no joint has a position in any frame.")
-        self._body, self._people = read.body, read.people
-        self.warnings = [
-            *read.warnings,
-            *upside_down(self.name, read.body, read.people),
-            *frozen(self.name, read.people),
-        ]
+        self._read, self._body, self.warnings = read, read.body, list(read.warnings)
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        self._people = None
+        self._read = None
 
     def frames(self) -> Iterator[SensorFrame]:
-        return iter(self._people or ())
+        return iter(self._read.people if self._read else ())

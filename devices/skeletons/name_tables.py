@@ -118,22 +118,25 @@ def _alternatives(table: str | Path, joint: str, value: Any) -> list[Points]:
     raise DeviceError(f"{table}: {joint} must be the name of a point or a list of names; it is {value!r}.")
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
+    """A name without case and punctuation."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def _by_plain_name(labels: Iterable[str]) -> dict[str, int]:
-    """By whole label, and by the part after the last colon where only one label has it."""
+    """By whole label, and by the part after a subject's name or Mixamo's prefix where only one has it."""
     index: dict[str, int] = {}
     for short in (False, True):
-        names = [label.rpartition(":")[2] if short else label for label in labels]
-        plain = [_plain(name) for name in names]
-        for k, name in enumerate(plain):
-            if name and (not short or plain.count(name) == 1):
+        names = [
+            re.sub(r"^mixamorig\d*", "", plain(label.rpartition(":")[2])) if short else plain(label)
+            for label in labels
+        ]
+        for k, name in enumerate(names):
+            if name and (not short or names.count(name) == 1):
                 index.setdefault(name, k)
     return index
 
 
 def _find(index: Mapping[str, int], point: str) -> int | None:
-    whole = index.get(_plain(point))
-    return index.get(_plain(point.rpartition(":")[2])) if whole is None else whole
+    whole = index.get(plain(point))
+    return index.get(plain(point.rpartition(":")[2])) if whole is None else whole

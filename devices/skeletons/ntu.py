@@ -1,17 +1,14 @@
 """Reads skeletons of the NTU RGB+D data set: ``.skeleton`` text files of a Kinect v2, without times."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from devices.people import RecordedPeople
-from devices.sensor import DeviceError, SensorFrame
-from devices.skeletons.read_file import ReadFile, text_bytes
-from devices.skeletons.stated_format import UNSTATED, StatedFormat
+from devices.sensor import DeviceError
+from devices.skeletons.read_file import Bodies, FoundPoints, found_of, text_bytes
+from devices.skeletons.stated_format import UNSTATED, FilePoints, StatedFormat
 from fusion.body import KINECT_V2
 from fusion.progress import Progress, quietly
-from fusion.skeleton import Skeleton
 
 FRAME_NS = 33_333_333
 """Frame interval. The files contain no times; the frame rate is 30 Hz."""
@@ -20,8 +17,8 @@ FRAME_NS = 33_333_333
 _SENSOR_FROM_CAMERA_SPACE = np.array([-1.0, -1.0, 1.0])
 
 
-def read_ntu(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> ReadFile:
-    """Reads a ``.skeleton`` file; its positions are always metres.
+def read_ntu(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> FoundPoints:
+    """Reads a ``.skeleton`` file.
 
     Raises:
         DeviceError: The file is empty or cut off, or has an invalid line; the message names the line.
@@ -29,10 +26,10 @@ def read_ntu(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = q
     stated.refuse_for(path)
     del progress
     lines = _Lines(path)
-    frames = []
-    for number in range(lines.whole_number("frame count")):
-        time_ns = number * FRAME_NS
-        people = {}
+    stated_count = lines.whole_number("frame count")
+    frames: list[Bodies] = []
+    while len(frames) < stated_count or lines.more:
+        people = []
         for _ in range(lines.whole_number("body count")):
             person = lines.take("body").split()[0]
             joints = lines.whole_number("joint count")
@@ -41,29 +38,36 @@ def read_ntu(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = q
                     f"{lines.here}: a body has {joints} joints; Kinect v2 has {len(KINECT_V2)}."
                 )
             rows = np.array([lines.joint() for _ in range(joints)])
-            people[person] = Skeleton.of(
-                KINECT_V2, rows[:, :3] * _SENSOR_FROM_CAMERA_SPACE, rows[:, 3].astype(int), time_ns
-            )
-        frames.append(SensorFrame(time_ns, people))
-    return ReadFile(KINECT_V2, RecordedPeople.of(KINECT_V2, frames))
+            people.append((person, rows[:, :3] * _SENSOR_FROM_CAMERA_SPACE, rows[:, 3].astype(np.uint8)))
+        frames.append(Bodies(len(frames) * FRAME_NS, people))
+    told = (f"{path}: it states {stated_count} frames and has {len(frames)}; all were read.",)
+    return found_of(path, _POINTS, "time_ns", frames, warnings=told if len(frames) > stated_count else ())
+
+
+_POINTS = FilePoints(KINECT_V2, {name: k for k, name in enumerate(KINECT_V2.joints)})
 
 
 class _Lines:
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._lines: Iterator[str] = iter(text_bytes(path).decode("utf-8-sig").splitlines())
+        lines = text_bytes(path).decode("utf-8-sig").splitlines()
+        self._lines = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()][::-1]
         self._number = 0
 
     @property
     def here(self) -> str:
         return f"{self._path}, line {self._number}"
 
+    @property
+    def more(self) -> bool:
+        return bool(self._lines)
+
     def take(self, what: str) -> str:
-        self._number += 1
-        line = next(self._lines, "")
-        if not line.strip():
-            ended = "is empty" if self._number == 1 else f"is cut off at line {self._number}"
+        """The next line that is not blank."""
+        if not self._lines:
+            ended = f"is cut off at line {self._number + 1}" if self._number else "is empty"
             raise DeviceError(f"{self._path} {ended}, where a {what} is expected.")
+        self._number, line = self._lines.pop()
         return line
 
     def whole_number(self, what: str) -> int:

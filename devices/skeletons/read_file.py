@@ -1,13 +1,19 @@
-"""What a reader of skeleton files takes and gives: the bytes of a text file, and the recording in it."""
+"""What a reader of skeleton files takes and gives: the bytes of a text file, and the points in it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-from devices.people import RecordedPeople
-from devices.sensor import DeviceError, SensorFrame
-from fusion.body import Body
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.sensor import DeviceError
+from devices.skeletons.stated_format import FilePoints, Unit
+from devices.skeletons.times import capture_times
+from fusion.pair_arrays import View, joined_views
+from fusion.skeleton import TrackingState
 
 _KINDS = (
     (b"RRF", "a session or another Rerun recording; look at it with duplex review"),
@@ -22,12 +28,79 @@ _FEWEST_NULS = 8  # bytes in a row that a power cut leaves; a single one may be 
 
 
 @dataclass(frozen=True, eq=False)
-class ReadFile:
-    """The content of a skeleton file."""
+class FoundPoints:
+    """The points of a file as it has them, in the sensor's axes.
 
-    body: Body
-    people: RecordedPeople
-    warnings: tuple[str, ...] = ()  # what the user should know about the file, a line each
+    Attributes:
+        points: Which joints they are.
+        time_ns: (T,) times of the frames, in order.
+        ids: The tracker's ids of the people.
+        frame, person: (N,) of each skeleton: number of its frame, in order, and index of its id.
+        view: N rows of P points, in the file's unit.
+        unit: The unit that the format defines.
+        warnings: What the user should know about the file, a line each.
+        ignored: Names of columns that are not read.
+        where: Where in the file a point of a skeleton is, for messages, by their numbers.
+    """
+
+    points: FilePoints
+    time_ns: NDArray[np.int64]
+    ids: Sequence[str]
+    frame: NDArray[np.int64]
+    person: NDArray[np.int64]
+    view: View
+    unit: Unit = "m"
+    warnings: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
+    where: Callable[[int, int], str] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """The people of one frame: their points (P, 3) and states (P,) by id."""
+
+    time: int  # in the unit of the file's column
+    people: Sequence[tuple[str, NDArray[np.float64], NDArray[np.uint8] | None]]
+
+
+def found_of(
+    path: Path, points: FilePoints, column: str, frames: Sequence[Bodies], **about: Any
+) -> FoundPoints:
+    """The points of frames, sorted by time.
+
+    Args:
+        column: The unit of their times, of :data:`devices.skeletons.times.TIME_COLUMNS`.
+        about: Further attributes of the result.
+
+    Raises:
+        DeviceError: Two frames have one time, or two people of a frame one id.
+    """
+    if not frames:
+        raise DeviceError(f"{path} has no frames.")
+    times, told = capture_times(path, column, np.array([frame.time for frame in frames], dtype=np.int64))
+    back = np.flatnonzero(np.diff(times) < 0)
+    if len(back):
+        told.append(f"{path}: the time goes back at frame {back[0] + 1}; the frames were sorted by time.")
+    order = np.argsort(times, kind="stable")
+    for before, after in pairwise(times[order]):
+        if before == after:
+            raise DeviceError(f"{path}: two frames have the same time, {after // 1000} µs.")
+    numbers: dict[str, int] = {}
+    index: list[tuple[int, int]] = []
+    rows: list[tuple[NDArray[np.float64], NDArray[np.uint8]]] = []
+    for number, k in enumerate(order):
+        names = [name for name, _, _ in frames[k].people]
+        if again := [name for name in names if names.count(name) > 1]:
+            raise DeviceError(f"{path}: frame {k} has two people of one id, {again[0]}.")
+        for name, at, states in frames[k].people:
+            index.append((number, numbers.setdefault(name, len(numbers))))
+            rows.append((at, np.full(len(at), TrackingState.TRACKED) if states is None else states))
+    frame, person = np.array(index, dtype=np.int64).reshape(-1, 2).T
+    at = np.array([xyz for xyz, _ in rows], dtype=np.float64).reshape(-1, len(points), 3)
+    states = np.array([state for _, state in rows], dtype=np.uint8).reshape(-1, len(points))
+    view = joined_views([View(times[order][frame], at, states)])  # type: ignore[arg-type]
+    warnings = (*about.pop("warnings", ()), *told)
+    return FoundPoints(points, times[order], list(numbers), frame, person, view, warnings=warnings, **about)
 
 
 def text_bytes(path: Path) -> bytes:
@@ -96,22 +169,3 @@ def _line(path: Path, byte: int) -> int:
             if byte < 0:
                 return number
     raise AssertionError(f"{path} became shorter")
-
-
-def in_time_order(
-    path: Path, body: Body, frames: list[SensorFrame]
-) -> tuple[RecordedPeople, tuple[str, ...]]:
-    """The frames sorted by time, with a warning if they were not.
-
-    Raises:
-        DeviceError: Two frames have the same time.
-    """
-    ordered = sorted(frames, key=lambda frame: frame.time_ns)
-    for before, after in pairwise(ordered):
-        if before.time_ns == after.time_ns:
-            raise DeviceError(f"{path}: two frames have the same time, {after.time_ns // 1000} µs.")
-    for number, (before, after) in enumerate(pairwise(frames), start=1):
-        if after.time_ns < before.time_ns:
-            warning = f"{path}: the time goes back at frame {number}; the frames were sorted by time."
-            return RecordedPeople.of(body, ordered), (warning,)
-    return RecordedPeople.of(body, ordered), ()

@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
-from devices.skeletons.conventions import Unit
 from devices.skeletons.name_tables import NameTable, listed, name_table
 from fusion.body import BODIES, Body, body_of
 from fusion.errors import FusionError
@@ -27,6 +27,8 @@ AXES: MappingProxyType[str, str] = MappingProxyType(
 Kinect is the SDK of Kinect v1 and v2. Unity's axes are left-handed, so that one changes its sign.
 """
 _MIRRORED = 0.5
+Unit = Literal["auto", "m", "cm", "mm", "ft", "in"]
+"""Unit of a file's positions; auto: found from the size of the person."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class StatedFormat:
         signs = [-1.0 if part.startswith("-") else 1.0 for part in parts]
         return xyz[..., ["xyz".index(axis) for axis in used]] * signs
 
-    def check_handed(self, name: object, body: Body, positions: NDArray[np.floating]) -> str:
+    def check_handed(self, name: object, body: Body, positions: NDArray[np.floating]) -> list[str]:
         """Refuses stated axes by which the person is a mirror image.
 
         Returns:
@@ -97,16 +99,16 @@ class StatedFormat:
         """
         share = mirrored_share(body, positions) if self.axes else 0.0
         if share is None:
-            return (
+            return [
                 f"{name}: whether the person is a mirror image by --axes {self.axes} is unknown, because it "
                 "has no feet or no trunk. Raise the left arm, and see whether S* does."
-            )
+            ]
         if share > _MIRRORED:
             raise DeviceError(
                 f"{name}: by --axes {self.axes} the person is a mirror image, so the result is left-handed. "
                 "Change the sign of one axis."
             )
-        return ""
+        return []
 
     def points(self, name: object, labels: Sequence[str]) -> FilePoints:
         """The joints that the points of a file are.
@@ -180,7 +182,7 @@ class FilePoints:
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         """Positions (N, J, 3) and states (N, J) of the joints from those of the points.
 
-        A joint is tracked as its worst point is.
+        A joint is tracked as its worst point is, and has no position where one of its points has none.
         """
         if self.groups is None:
             return positions, states

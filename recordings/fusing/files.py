@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from devices.depth.image_thinning import Depth
 from devices.events import Event
 from devices.sensor import DeviceError
-from devices.skeletons.conventions import Unit
-from devices.skeletons.stated_format import StatedFormat
+from devices.skeletons.stated_format import StatedFormat, Unit
 from devices.tracker_choice import TrackerChoice, WantedTracker, choose_tracker
 from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
 from fusion.body import BODIES

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from devices.simulated.kinect import simulated_pair
+from fusion.body import BODIES
 from recordings import fuse
+from tests.helpers.command_line import duplex, one_line
 from viewer_app.report.figures import report
 from viewer_app.report.words import lead_lines
 
@@ -21,6 +24,11 @@ def case(shared):
     return files
 
 
+def said(session):
+    """All that a session tells of its files."""
+    return "\n".join(event.text for event in session.events)
+
+
 def pace(session):
     """What the summary says of S*."""
     return next(line.text for line in lead_lines(report(session)) if line.label == "S*")
@@ -31,3 +39,57 @@ def test_case_1_a_gap_of_minutes_in_the_middle(case):
     np.testing.assert_array_equal(session.fused, expected.fused)
     assert len(session) == 52
     assert pace(session) == "52 frames in 601.7 s, 30.0 per second between pauses."
+
+
+def test_case_2_feet_that_were_never_seen_are_no_unit(case):
+    session, expected = fuse(*case(2)), fuse(*case(2), unit="m")
+    assert not [event for event in session.events if "are taken as" in event.text]
+    np.testing.assert_array_equal(session.fused, expected.fused)
+    pelvis = session.fused[:, session.body.root]
+    assert np.linalg.norm(pelvis, axis=1).mean() == pytest.approx(2.57, abs=0.1)
+
+
+def test_case_3_ticks_of_100_ns(case):
+    session = fuse(*case(3))
+    assert (session.time_ns[-1] - session.time_ns[0]) * 1e-9 == pytest.approx(59 / 30, abs=1e-3)
+    assert session.frame_rate == 30.0
+    assert "ticks of 100 ns, so that there are 30 frames per second" in said(session)
+
+
+@pytest.mark.parametrize("lines", [2, 3])
+def test_case_5_a_program_that_logs_faster_than_its_tracker(tmp_path, lines):
+    """A walk, each frame logged ``lines`` times; as without repeated lines."""
+    body = BODIES["kinect_v1"]
+    a, b, _ = simulated_pair(motion="walk", seed=0, body=body, angle_deg=90.0, seconds=8.0)
+    for sensor, name in ((a, "a.csv"), (b, "b.csv")):
+        once, often = (["time_us,body,joint,x,y,z"] for _ in range(2))
+        for frame in sensor.frames():
+            for again in range(lines):
+                rows = [
+                    f"{frame.time_ns // 1000 + again * 33_333 // lines},1,{joint},{x:.4f},{y:.4f},{z:.4f}"
+                    for person in frame.people.values()
+                    for joint, (x, y, z) in zip(body.joints, person.positions, strict=True)
+                    if np.isfinite(x)
+                ]
+                often += rows
+                once += rows if again == 0 else []
+        (tmp_path / name).write_text("\n".join(often) + "\n")
+        (tmp_path / f"once_{name}").write_text("\n".join(once) + "\n")
+    session = fuse(tmp_path / "a.csv", tmp_path / "b.csv")
+    expected = fuse(tmp_path / "once_a.csv", tmp_path / "once_b.csv")
+    np.testing.assert_array_equal(session.fused, expected.fused)
+    assert "did not follow the person" not in said(session)
+    assert f"{1 - 1 / lines:.0%} of the frames repeat the one before" in said(session)
+
+
+def test_case_8_confidence_is_a_state(case, tmp_path):
+    files = []
+    for path in case(8):
+        files.append(tmp_path / path.name)
+        files[-1].write_text(path.read_text().replace("confidence", "state"))
+    np.testing.assert_array_equal(fuse(*case(8)).fused, fuse(*files).fused)
+
+
+def test_case_10_times_that_lost_their_digits(case, capsys):
+    assert duplex("fuse", *case(10), "--no-viewer") == 2
+    assert "the times lost their digits: 800 rows have one time, such as 1.59379e+15" in one_line(capsys)

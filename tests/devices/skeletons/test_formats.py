@@ -92,7 +92,7 @@ def test_csv_coordinates_that_are_no_numbers_count_as_not_tracked(tmp_path):
 @pytest.mark.parametrize(
     ("broken", "message"),
     [
-        (lambda rows: (["t,body,joint,x,y,z"], rows), "no column time_us"),
+        (lambda rows: (["moment,body,joint,x,y,z"], rows), "no column time_us"),
         (lambda rows: ([HEADER + ",x"], rows), "repeats a column name"),
         (lambda rows: ([HEADER], [rows[0].replace("HipCenter", "Tail"), *rows[1:]]), "Unknown joint 'Tail'"),
         (

@@ -1,24 +1,26 @@
 """Laws of skeleton files: they hold for any file, not only for those of the other tests."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.people import RecordedPeople
-from devices.sensor import DeviceError, SensorFrame
-from devices.skeletons.conventions import (
+from devices.sensor import DeviceError
+from devices.skeletons.border import (
     METRES,
     check_metres_forward,
+    checked,
     find_unit,
-    frozen,
     impossible,
     upside_down,
 )
-from devices.skeletons.csv_file import read_csv
+from devices.skeletons.csv_files.reader import read_csv
+from devices.skeletons.read_file import Bodies, found_of
 from devices.skeletons.stated_format import FilePoints
 from fusion.body import BODIES, KINECT_V2
-from fusion.skeleton import FARTHEST, Skeleton
+from fusion.skeleton import FARTHEST
 from tests.helpers.two_views import FRAME_NS, moving, standing
 
 BODY = KINECT_V2
@@ -29,7 +31,7 @@ FAULTS = {  # what is done to a row, and what is told of it; None: nothing
     "none": (lambda row: [row], None),
     "a word": (lambda row: [[*row[:4], "one", *row[5:]]], "y must be a number; got 'one'"),
     "a time of no number": (lambda row: [["now", *row[1:]]], "time_us must be a number; got 'now'"),
-    "an unknown state": (lambda row: [[*row[:6], "seen"]], "state 'seen' is none of"),
+    "an unknown state": (lambda row: [[*row[:6], "maybe"]], "state 'maybe' is none of"),
     "too few cells": (lambda row: [row[:6]], "does not have 7 columns"),
     "a row twice": (lambda row: [row, row], "has two rows in one frame"),
     "a joint behind the sensor": (lambda row: [[*row[:5], "-1", "tracked"]], "1 position is impossible"),
@@ -53,7 +55,7 @@ def outcome(path, block):
         return blocks
 
     try:
-        read = read_csv(path, progress=progress, block=block)
+        read = checked(path, read_csv(path, progress=progress, block=block))
     except DeviceError as error:
         return None, {str(error)}, passes
     return read.people, set(read.warnings), passes
@@ -170,28 +172,24 @@ def test_a_position_behind_the_sensor_is_impossible(xy, z):
 
 def recorded(*people):
     """The recording of (T, J, 3) people."""
-    times = range(0, len(people[0]) * FRAME_NS, FRAME_NS)
-    return RecordedPeople.of(
-        BODY,
-        [
-            SensorFrame(
-                time_ns, {str(k): Skeleton.of(BODY, of[t], None, time_ns) for k, of in enumerate(people)}
-            )
-            for t, time_ns in enumerate(times)
-        ],
-    )
+    points = FilePoints(BODY, {name: k for k, name in enumerate(BODY.joints)})
+    frames = [
+        Bodies(t * FRAME_NS, [(str(k), at, None) for k, at in enumerate(each)])
+        for t, each in enumerate(zip(*people, strict=True))
+    ]
+    return found_of(Path("a.json"), points, "time_ns", frames)
 
 
 @LAWS
 @given(still=st.lists(st.booleans(), min_size=1, max_size=3), share=st.floats(0, 1))
-def test_one_of_several_people_who_stands_still_is_told(still, share):
-    """Repeated in more than 90 % of the frames."""
+def test_a_person_who_is_followed_and_stands_still_is_told(still, share):
+    """Repeated in more than 90 % of the frames; of people who are seen as long, the last one is followed."""
     shaken = np.random.default_rng(0).normal(0.0, 0.01, (60, len(BODY), 3)) + standing(BODY)
     frames = round(share * 59)
     held = shaken.copy()
     held[59 - frames :] = held[59 - frames]
-    told = frozen("a.csv", recorded(*(held if each else shaken for each in still)))
-    assert len(told) == (any(still) and frames > 0.9 * 59)
+    told = checked(Path("a.json"), recorded(*(held if each else shaken for each in still))).warnings
+    assert any("repeats the one before" in line for line in told) == (still[-1] and frames > 0.9 * 59)
 
 
 @LAWS
@@ -205,7 +203,7 @@ def test_a_y_axis_that_points_up_is_told_whichever_leg_is_lifted(y_up, lifted, h
     for side in lifted:
         positions[:, BODY.joint(f"ankle {side}"), 1] -= height
     positions[..., 1] *= -1.0 if y_up else 1.0
-    assert bool(upside_down("a.csv", BODY, recorded(positions))) == y_up
+    assert bool(upside_down("a.csv", BODY, positions)) == y_up
 
 
 @LAWS

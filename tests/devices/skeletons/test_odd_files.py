@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from devices.sensor import DeviceError
-from devices.skeletons.conventions import METRES
+from devices.skeletons.border import METRES
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import StatedFormat
 from devices.two_recordings import RecordingChoice, read_two
@@ -91,8 +91,8 @@ REFUSED = {
         "two rows in one frame, the second in line 252. Are two recordings",
     ),
     "empty lines, a bad state": (
-        lambda text: text.replace("\n", "\n\n").replace("tracked", "seen"),
-        "line 3: state 'seen'",
+        lambda text: text.replace("\n", "\n\n").replace("tracked", "maybe"),
+        "line 3: state 'maybe'",
     ),
     "decimal commas": (
         lambda text: rewritten(text, lambda _, c: [*c[:3], *(with_commas(v) for v in c[3:6]), *c[6:]]),
@@ -110,7 +110,7 @@ REFUSED = {
         "time_us goes beyond",
     ),
     "noise": (lambda _: bytes(range(128, 256)), "not text in UTF-8: byte 1, in line 1"),
-    "a wide table": (lambda _: "time,head_x\n1,2\n", "no column body, joint, x, y, z"),
+    "a wide table": (lambda _: "time,head_x\n1,2\n", "no column joint, x, y, z"),
     "backward z": (
         lambda text: rewritten(text, lambda _, c: [*c[:5], f"-{c[5]}", *c[6:]]),
         "The z axis must point forward",

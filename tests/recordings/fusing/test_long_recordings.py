@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from devices.sensor import DeviceError
-from devices.skeletons import csv_file
-from devices.skeletons.csv_file import read_csv
+from devices.skeletons.border import checked
+from devices.skeletons.csv_files import reader
+from devices.skeletons.csv_files.reader import read_csv
 from devices.two_recordings import RecordingChoice, read_two
 from fusion import large_arrays, plan
 from fusion.body import KINECT_V2
@@ -80,7 +81,7 @@ def test_a_part_that_looks_wrong_by_itself_is_judged_by_the_whole(change, line_e
     path, _ = write_walk(tmp_path / "walk", 40)
     header, *rows = path.read_text().splitlines()
     path.write_text(line_end.join([header, *change(rows)]) + line_end, newline="")
-    whole, in_blocks = read_csv(path, block=-1), read_csv(path, block=5000)  # three frames
+    whole, in_blocks = (checked(path, read_csv(path, block=size)) for size in (-1, 5000))  # three frames
     assert in_blocks.warnings == whole.warnings
     for values, expected in zip(in_blocks.people.skeletons[:3], whole.people.skeletons[:3], strict=True):
         np.testing.assert_array_equal(values, expected)
@@ -157,7 +158,7 @@ def test_no_room_for_a_large_array_is_said_in_one_line(monkeypatch):
 
 
 def test_every_pass_shows_how_far_it_is(tmp_path, monkeypatch):
-    monkeypatch.setattr(csv_file, "_BLOCK", 50_000)  # bytes: about 30 frames
+    monkeypatch.setattr(reader, "_BLOCK", 50_000)  # bytes: about 30 frames
     monkeypatch.setattr(plan, "_LONG", 60)
     files, shown = write_walk(tmp_path / "walk", 100), []
 

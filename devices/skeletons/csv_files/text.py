@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Collection, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,17 +16,51 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
-from devices.skeletons.conventions import TIME_COLUMNS
+from devices.skeletons.csv_files.columns import COLUMNS, columns_of, header_of
 from devices.skeletons.read_file import text_blocks
-from fusion.skeleton import TrackingState
+from devices.skeletons.times import moments_of
 
-COLUMNS = ("body", "joint", "x", "y", "z")
-_LONGEST_HEADER = 65_536  # bytes
-_SEPARATORS = (",", ";", "\t")
-_STATES = {
-    **{state.name.lower(): state for state in TrackingState},
-    **{str(state.value): state for state in TrackingState},
-}
+_EMPTY = r"^(?i:nan|null|none|na|n/a|#n/a|-|-?1\.#[a-z]+)?$"
+_THOUSANDS = r"^[+-]?[1-9][0-9]{0,2}(,[0-9]{3})+$"
+
+
+@dataclass
+class Decimals:
+    """How the numbers of a file are written, as far as it was read."""
+
+    comma: bool = False
+    """Whether numbers may be written with a comma, because something else separates columns."""
+    seen: dict[str, str] = field(default_factory=dict)
+    """A number with a point, one with a comma, and one whose comma can only be a decimal one."""
+
+    def note(self, text: pa.ChunkedArray) -> None:
+        """Notes how numbers are written."""
+        if not self.comma or len(self.seen) == 3:
+            return
+        commas = pc.match_substring(text, ",")
+        thousands = pc.match_substring_regex(text, _THOUSANDS)
+        for kind, there in (
+            ("point", pc.match_substring(text, ".")),
+            ("comma", commas),
+            ("decimal", pc.and_not(commas, thousands)),
+        ):
+            if kind not in self.seen and (row := pc.index(there, True).as_py()) >= 0:
+                self.seen[kind] = text[row].as_py()
+
+    def check(self, path: Path) -> None:
+        """Refuses a file whose commas may be either.
+
+        Raises:
+            DeviceError: Its numbers have points and commas, or every comma stands before three digits.
+        """
+        point, comma = self.seen.get("point"), self.seen.get("comma")
+        if comma is None or (point is None and "decimal" in self.seen):
+            return
+        why = f"there is {point!r}, too" if point else "in no number it is certain to be a decimal comma"
+        raise DeviceError(
+            f"{path}: whether the comma in {comma!r} separates thousands is unclear: {why}. Write all "
+            "numbers with a decimal point, and without separators of thousands."
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +71,8 @@ class TextRows:
     raw: bytes
     path: Path
     first: int  # number of the first of these rows in the file
-    time: str  # name of the column of times
-    decimal_comma: bool  # whether numbers may be written with a comma
+    time: str  # of times, of devices.skeletons.times; a column of another name is called so
+    decimals: Decimals
 
     def line(self, row: int) -> int:
         """The number of a row's line in the file, from 1."""
@@ -47,12 +80,16 @@ class TextRows:
 
     def numbers(self, column: str, kind: pa.DataType) -> NDArray[Any]:
         """A column as numbers; an empty coordinate is NaN."""
+        text = self.table[column]
         with suppress(pa.ArrowInvalid):
-            return np.asarray(pc.cast(self.table[column], kind).to_numpy())
-        text = pc.utf8_trim_whitespace(self.table[column])
+            found = np.asarray(pc.cast(text, kind).to_numpy())
+            self.decimals.note(text)
+            return found
+        text = pc.utf8_trim_whitespace(text)
         if kind == pa.float64():
-            text = pc.if_else(pc.equal(text, ""), "nan", text)
-            if self.decimal_comma:
+            text = pc.replace_substring_regex(text, _EMPTY, "nan")
+            self.decimals.note(text)
+            if self.decimals.comma:
                 text = pc.replace_substring(text, ",", ".")
         else:
             text = pc.replace_substring_regex(text, r"^([0-9]+)\.0*$", r"\1")  # as pandas writes times
@@ -67,14 +104,18 @@ class TextRows:
                     raise self._not(wanted, column, row, value) from None
             raise
 
-    def times(self) -> NDArray[Any]:
-        """The times as whole numbers, or as decimals where one of them is."""
+    def times(self) -> tuple[str, NDArray[Any]]:
+        """The column of the times' unit, and the times: whole numbers, or decimals where one of them is."""
         with suppress(DeviceError):
-            return self.numbers(self.time, pa.int64())
+            return self.time, self.numbers(self.time, pa.int64())
+        texts, code = codes(self.table, self.time)
+        moments = moments_of(texts)
+        if moments is not None:
+            return "time_ns", moments[code]
         values = self.numbers(self.time, pa.float64())
         for row in np.flatnonzero(~np.isfinite(values))[:1]:
             raise self._not("a number", self.time, int(row), self.table[self.time][int(row)].as_py())
-        return values
+        return self.time, values
 
     def _not(self, wanted: str, column: str, row: int, value: str) -> DeviceError:
         return DeviceError(
@@ -86,60 +127,41 @@ def text_rows(path: Path, size: int, required: Collection[str] = COLUMNS) -> Ite
     """The rows of a file in blocks of this many bytes, at least one.
 
     Raises:
-        DeviceError: There is no row, no time, or one of the required columns is missing.
+        DeviceError: There is no row, no time, or one of the required columns is missing; or numbers have
+            commas that may separate thousands.
     """
     columns: list[str] = []
-    separator, first = ",", 0
+    separator, first, time = ",", 0, ""
+    decimals = Decimals()
     for raw in text_blocks(path, size):
-        header = not columns
-        if header:
-            columns, separator = _columns(path, raw, required)
+        skipped = 0
+        if not columns:
+            columns, separator, time, skipped = columns_of(path, raw, required)
+            decimals.comma = separator != ","
         elif not raw.strip():
             continue
-        table = _table(path, raw, columns, separator, header)
+        table = _table(path, raw, columns, separator, skipped)
         if table.num_rows:
-            time = next(name for name in TIME_COLUMNS if name in columns)
-            yield TextRows(table, raw, path, first, time, decimal_comma=separator != ",")
+            yield TextRows(table, raw, path, first, time, decimals)
         first += table.num_rows
     if first == 0:
         raise DeviceError(f"{path} has a header and no rows.")
+    decimals.check(path)
 
 
-def _columns(path: Path, raw: bytes, required: Collection[str]) -> tuple[list[str], str]:
-    """The names of the columns in the first line, and what separates them."""
-    header = raw[:_LONGEST_HEADER].splitlines()[0].decode("utf-8-sig", "replace")
-    separator = max(_SEPARATORS, key=header.count)
-    columns = [name.strip() for name in next(csv.reader([header], delimiter=separator), [])]
-    if not set(required) <= set(columns) or not TIME_COLUMNS.keys() & set(columns):
-        columns = [name.lower() for name in columns]  # X beside x is a column of its own
-    missing = [name for name in required if name not in columns]
-    if not TIME_COLUMNS.keys() & set(columns):
-        missing.insert(0, next(iter(TIME_COLUMNS)))
-    if missing:
-        raise DeviceError(
-            f"{path}: no column {', '.join(missing)}. Columns must be time_us,{','.join(COLUMNS)} and "
-            f"optionally state; the file begins with {header[:80]!r}."
-            + (" This looks like JSON: name it .json." if header.lstrip().startswith(("{", "[")) else "")
-        )
-    if len(set(columns)) < len(columns):
-        raise DeviceError(f"{path}: {header!r} repeats a column name.")
-    return columns, separator
-
-
-def _table(path: Path, raw: bytes, columns: list[str], separator: str, header: bool) -> pa.Table:
+def _table(path: Path, raw: bytes, columns: list[str], separator: str, skipped: int) -> pa.Table:
     """Reads all columns as text."""
     wrong: list[str] = []
 
     def remember(row: pyarrow.csv.InvalidRow) -> str:
-        wrong.append(row.text)
+        if not row.text.startswith("#"):
+            wrong.append(row.text)
         return "skip"
 
     try:
         table = pyarrow.csv.read_csv(
             pa.BufferReader(raw),
-            read_options=pyarrow.csv.ReadOptions(
-                column_names=columns, skip_rows=int(header), use_threads=False
-            ),
+            read_options=pyarrow.csv.ReadOptions(column_names=columns, skip_rows=skipped, use_threads=False),
             parse_options=pyarrow.csv.ParseOptions(delimiter=separator, invalid_row_handler=remember),
             convert_options=pyarrow.csv.ConvertOptions(
                 column_types=dict.fromkeys(columns, pa.string()), strings_can_be_null=False
@@ -150,7 +172,7 @@ def _table(path: Path, raw: bytes, columns: list[str], separator: str, header: b
             raise DeviceError(f"{path} has a header and no rows.") from None
         raise DeviceError(f"{path} cannot be read as CSV: {str(error).splitlines()[0]}.") from None
     if wrong:
-        last = raw.rstrip(b"\r\n").endswith(wrong[-1].encode())
+        last = len(wrong) == 1 and raw.rstrip(b"\r\n").endswith(wrong[-1].encode())
         cells = wrong[0].count(",") + 1
         commas = separator == "," and cells in (len(columns) + 3, len(columns) + 4)
         raise DeviceError(
@@ -166,33 +188,23 @@ def _table(path: Path, raw: bytes, columns: list[str], separator: str, header: b
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """The lines of a file that are not empty, and their numbers from 1."""
-    with path.open(encoding="utf-8", errors="replace") as file:
-        yield from ((number, line) for number, line in enumerate(file, start=1) if line.strip("\n"))
+    """The header of a file, its lines that are neither empty nor comments, and their numbers from 1."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        begin = list(islice(file, 100))
+        header = header_of(begin)
+        file.seek(0)
+        for number, line in enumerate(file, start=1):
+            if number > header and line.strip("\n") and (number == header + 1 or not line.startswith("#")):
+                yield number, line
 
 
 def line_of_row(path: Path, row: int) -> int:
-    """The number of a row's line in the file; empty lines are not rows."""
+    """The number of a row's line in the file; empty lines and comments are not rows."""
     return next((number for number, _ in islice(_lines(path), row + 1, None)), row + 2)
 
 
 def _line_of(path: Path, text: str) -> str:
     return next((f", line {k}" for k, line in _lines(path) if line.strip() == text.strip()), "")
-
-
-def states_of(text: TextRows) -> NDArray[np.uint8]:
-    table = text.table
-    if "state" not in table.column_names:
-        return np.full(table.num_rows, TrackingState.TRACKED, dtype=np.uint8)
-    values, code = codes(table, "state")
-    for k, value in enumerate(values):
-        if value.lower() not in _STATES:
-            row = int(np.flatnonzero(code == k)[0])
-            raise DeviceError(
-                f"{text.path}, line {text.line(row)}: state {value[:40]!r} is none of tracked, inferred, "
-                "not_tracked, 2, 1, 0."
-            )
-    return np.array([_STATES[value.lower()] for value in values], dtype=np.uint8)[code]
 
 
 def codes(table: pa.Table, column: str) -> tuple[list[str], NDArray[np.int64]]:
@@ -210,11 +222,26 @@ def refuse_cut_off(text: TextRows, before: pa.Table | None, time_us: NDArray[np.
         return
     _, rows = np.unique(time_us, return_counts=True)
     name = text.table.column_names[-1]
-    last = pa.concat_tables([text.table] if before is None else [before, text.table])[name]
+    table = text.table if before is None else pa.concat_tables([before, text.table])
+    last = table[name]
     decimals = pc.utf8_length(pc.replace_substring_regex(last, r"^[^.]*\.?", "")).to_numpy()
-    if (len(rows) > 1 and rows[-1] < rows[-2]) or (name in "xyz" and decimals[-1] < decimals.max()):
+    if (
+        (len(rows) > 1 and rows[-1] < rows[-2])
+        or (name in "xyz" and decimals[-1] < decimals.max())
+        or (name in "xyz" and _lost_digits(table["joint"].to_pylist(), last.to_pylist()))
+    ):
         line = text.raw.splitlines()[-1].decode()[-40:]
         raise DeviceError(
             f"{text.path} seems to be cut off in its last line, {line!r}. Copy "
             "it again; if that line is complete, end it with a newline."
         )
+
+
+def _lost_digits(joints: list[str], values: list[str]) -> bool:
+    """Whether the last whole number is a tenth of its joint's number before, or less."""
+    before = [value for joint, value in zip(joints, values, strict=True) if joint == joints[-1]][-2:]
+    try:
+        old, new = map(int, before)
+    except ValueError:
+        return False
+    return abs(old) >= 10 and abs(new) <= 0.11 * abs(old)

@@ -1,0 +1,88 @@
+"""The columns of a CSV file, by the names that several programs give them."""
+
+import csv
+import re
+from collections.abc import Collection
+from pathlib import Path
+
+from devices.sensor import DeviceError
+from devices.skeletons.name_tables import plain
+from devices.skeletons.times import FRAME_NUMBERS, TIME_COLUMNS
+
+COLUMNS = ("body", "joint", "x", "y", "z")
+_LONGEST_HEADER = 65_536  # bytes
+_SEPARATORS = (",", ";", "\t")
+_SPACE = r"(?:joint|position|pos|camera|world|p)*"
+_LENGTH = r"(?:m|cm|mm|metres?|meters?)?"
+_SPELLED = {
+    "body": r"(?:body|person|user|player|subject)(?:id|index|number|nr)?|trackingid|id",
+    "joint": r"(?:joint|bodypart|part|landmark|keypoint|bone)(?:type|name|id|index|number)?",
+    **{axis: rf"{_SPACE}{axis}{_LENGTH}" for axis in "xyz"},
+}
+_CLOCK = (
+    r"(?:device|capture|sensor|system|host|relative|frame|unix|elapsed|body)*(?:timestamp|time|datetime|ts|t)"
+)
+_CLOCKS = {
+    "time": _CLOCK,
+    "time_us": rf"{_CLOCK}(?:us|usec|microseconds?)|microseconds",
+    "time_ms": rf"{_CLOCK}(?:ms|msec|millis|milliseconds?)|milliseconds|ms",
+    "time_ns": rf"{_CLOCK}(?:ns|nsec|nanoseconds?)|nanoseconds",
+    "time_s": rf"{_CLOCK}(?:s|sec|secs|seconds?)|seconds|sec",
+    "time_ticks": rf"{_CLOCK}ticks|ticks",
+    FRAME_NUMBERS: r"frame(?:number|nr|no|id|index|count)?",
+}
+"""Other spellings of the columns, without case and punctuation. A column's own name comes first."""
+
+
+def columns_of(path: Path, raw: bytes, required: Collection[str]) -> tuple[list[str], str, str, int]:
+    """The names of the columns, what separates them, the column of times, and the lines up to the header's.
+
+    Columns of other spellings get the names that this program uses.
+    """
+    lines = raw[:_LONGEST_HEADER].decode("utf-8-sig", "replace").splitlines()
+    at = header_of(lines)
+    header = lines[at].lstrip("# ")
+    separator = max(_SEPARATORS, key=header.count)
+    columns = [name.strip() for name in next(csv.reader([header], delimiter=separator), [])]
+    if not set(required) <= set(columns) or not TIME_COLUMNS.keys() & set(columns):
+        columns = [name.lower() for name in columns]  # X beside x is a column of its own
+    for wanted in required:
+        _spell(columns, wanted, _SPELLED[wanted])
+    time = next((name for name in TIME_COLUMNS if name in columns), "")
+    for wanted, spelled in _CLOCKS.items():
+        if not time and _spell(columns, wanted, spelled):
+            time = wanted
+    missing = [name for name in required if name not in columns and name != "body"]
+    if not time:
+        missing.insert(0, next(iter(TIME_COLUMNS)))
+    if missing:
+        raise DeviceError(
+            f"{path}: no column {', '.join(missing)}. Columns must be time_us,{','.join(COLUMNS)} and "
+            f"optionally state; the file begins with {header[:80]!r}."
+            + (" This looks like JSON: name it .json." if header.lstrip().startswith(("{", "[")) else "")
+        )
+    if len(set(columns)) < len(columns):
+        raise DeviceError(f"{path}: {header!r} repeats a column name.")
+    row = next(csv.reader(lines[at + 1 : at + 2], delimiter=separator), [])
+    if len(row) == len(columns) + 1 and not row[-1].strip():
+        columns.append("")  # a separator ends every row
+    return columns, separator, time, at + 1
+
+
+def header_of(lines: list[str]) -> int:
+    """The line of the header: after empty ones, Excel's sep=, and comments."""
+    there = [k for k, line in enumerate(lines) if line.strip() and not re.match(r"\s*sep=.\s*$", line)]
+    plainly = [k for k in there if not lines[k].startswith("#")]
+    first = (plainly or there or [0])[0]
+    before = [k for k in there if k < first]
+    return before[-1] if before and re.match(r"\s*[-+\d]", lines[first]) else first
+
+
+def _spell(columns: list[str], wanted: str, spelled: str) -> bool:
+    """Renames the first column of another spelling, if there is none of the wanted name; whether there is."""
+    if wanted not in columns:
+        for k, name in enumerate(columns):
+            if name not in COLUMNS and re.fullmatch(spelled, plain(name)):
+                columns[k] = wanted
+                break
+    return wanted in columns

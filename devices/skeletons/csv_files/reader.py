@@ -1,0 +1,215 @@
+"""Reads skeletons from CSV, one row per joint: ``time_us,body,joint,x,y,z[,state]``; metres, sensor frame.
+
+The files of other programs may have other units, axes, names and spellings of the columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from devices.sensor import DeviceError
+from devices.skeletons.csv_files.columns import COLUMNS
+from devices.skeletons.csv_files.states import StateColumn
+from devices.skeletons.csv_files.text import codes, line_of_row, refuse_cut_off, text_rows
+from devices.skeletons.name_tables import listed
+from devices.skeletons.read_file import FoundPoints
+from devices.skeletons.stated_format import UNSTATED, FilePoints, StatedFormat
+from devices.skeletons.times import capture_times
+from fusion.body import BODIES
+from fusion.large_arrays import GrowingArray, parts
+from fusion.pair_arrays import View, joined_views
+from fusion.progress import Progress, quietly
+from fusion.skeleton import TrackingState
+
+_BLOCK = 4_000_000  # bytes
+_OFTEN = 0.2  # of the rows: as where each frame is logged more than once, or where times lost digits
+_MOST, _FEWEST_TIMES = 0.7, 3  # the share of rows, or the number of times, at which digits are certainly lost
+
+
+def read_csv(
+    path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly, block: int = _BLOCK
+) -> FoundPoints:
+    """Reads a CSV file. Columns are separated by commas, semicolons or tabs.
+
+    Where commas do not separate columns, numbers may have a decimal comma. Without a column of states every
+    joint counts as tracked. A joint is not tracked in a frame in which it has no row or an empty coordinate.
+
+    Args:
+        block: Bytes that are read at once; -1 for all. The result does not depend on it.
+
+    Raises:
+        DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, a
+            repeated joint; the message names the line. Or times of an unknown unit.
+    """
+    rows = _rows(path, block, progress)
+    points, labels, about_points = _points(path, stated, rows.labels)
+    time_ns, about_times = capture_times(path, rows.clock, rows.time)
+    label = np.array([points.find(name) for name in labels], dtype=np.int64)[rows.label]
+    backward = _backward(path, time_ns, rows.person * len(points) + label)
+    times, frame = np.unique(time_ns, return_inverse=True)
+    key, skeleton = np.unique(frame * len(rows.people) + rows.person, return_inverse=True)
+    slot = skeleton * len(points) + label
+    order, repeated = _once(path, rows, points, slot, len(times), bool(backward))
+    states, about_states, ignored = _states(path, rows)
+    by = slot[order]
+
+    def blocks() -> Iterator[View]:
+        for part in parts(len(key)):
+            first, end = np.searchsorted(by, (part.start * len(points), part.stop * len(points)))
+            of, count = order[first:end], part.stop - part.start
+            at = np.full((count * len(points), 3), np.nan)
+            state = np.zeros(count * len(points), dtype=np.uint8)
+            here = by[first:end] - part.start * len(points)
+            at[here], state[here] = stated.turned(rows.xyz[of]), states[of]
+            time = times[key[part] // len(rows.people)]
+            yield View(time, at.reshape(count, -1, 3), state.reshape(count, -1))
+
+    def where(k: int, point: int) -> str:
+        row = int(order[np.searchsorted(by, k * len(points) + point)])
+        return f"in line {line_of_row(path, row)}"
+
+    view = joined_views(blocks())
+    return FoundPoints(
+        points, times, rows.people, key // len(rows.people), key % len(rows.people), view, "m",
+        (*about_points, *about_times, *backward, *repeated, *about_states), ignored, where,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """All rows of a file."""
+
+    clock: str  # the column of the times' unit
+    time: NDArray[Any]
+    people: list[str]
+    person: NDArray[np.int64]  # index of each row's person
+    labels: list[str]
+    label: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    states: list[StateColumn]
+    other_columns: tuple[str, ...]
+
+
+def _rows(path: Path, block: int, progress: Progress) -> _Rows:
+    people, labels = dict[str, int](), dict[str, int]()
+    person, label, xyz = GrowingArray(), GrowingArray(), GrowingArray()
+    times: list[NDArray[Any]] = []
+    states: list[StateColumn] = []
+    names: list[str] = []
+    count = -(-path.stat().st_size // block) if block > 0 and path.is_file() else 1
+    before: pa.Table | None = None
+    table: pa.Table | None = None
+    text, clock = None, ""
+    for text in progress(text_rows(path, block), f"reading {path.name}", count):
+        before, table = table, text.table
+        clock, time = text.times()
+        times.append(time)
+        xyz.append(np.stack([text.numbers(axis, pa.float64()) for axis in "xyz"], axis=1))
+        for known, column, rows in ((people, "body", person), (labels, "joint", label)):
+            there = column in table.column_names
+            values, code = codes(table, column) if there else (["0"], np.zeros(len(time), dtype=np.int64))
+            rows.append(np.array([known.setdefault(value, len(known)) for value in values])[code])
+        if len(times) == 1:
+            names = [name for name in table.column_names if name not in (*COLUMNS, text.time, "")]
+            states = [StateColumn(name) for name in names if StateColumn.is_like(name)]
+        for column_of_states in states:
+            column_of_states.append(*codes(table, column_of_states.name))
+    assert text is not None
+    refuse_cut_off(text, before, np.concatenate(times[-2:]))
+    pa.default_memory_pool().release_unused()
+    persons, joints, places = GrowingArray.wholes((person, label, xyz))
+    time = np.concatenate(times)
+    return _Rows(clock, time, list(people), persons, list(labels), joints, places, states, tuple(names))
+
+
+def _points(path: Path, stated: StatedFormat, labels: list[str]) -> tuple[FilePoints, list[str], list[str]]:
+    """What the points of a file are, their names, and lines for the user."""
+    told = []
+    if all(label.isdecimal() for label in labels) and not stated.names:
+        body = next((body for body in BODIES.values() if len(body) == 1 + max(map(int, labels))), None)
+        if body is not None:
+            told = [f"{path}: the numbers of joints are taken as those of {body.name}, from 0 on."]
+            labels = [body.joints[int(label)] for label in labels]
+    points = stated.points(path, labels)
+    if left_out := points.left_out:
+        told.append(f"{path}: by {stated.names} these points are no joints: {listed(left_out)}.")
+    return points, labels, told
+
+
+def _backward(path: Path, time_ns: NDArray[np.int64], joint: NDArray[np.int64]) -> list[str]:
+    """A warning if the time of a joint goes back from one row to its next."""
+    if (np.diff(time_ns) >= 0).all():
+        return []
+    order = np.argsort(joint, kind="stable")
+    back = order[1:][(np.diff(time_ns[order]) < 0) & (np.diff(joint[order]) == 0)]
+    if not len(back):
+        return []
+    line = line_of_row(path, int(back.min()))
+    return [f"{path}: the time goes back in line {line}; the frames were sorted by time."]
+
+
+def _states(path: Path, rows: _Rows) -> tuple[NDArray[np.uint8], list[str], tuple[str, ...]]:
+    """The states of all rows, lines for the user, and the columns that are ignored."""
+    for column in rows.states:
+        states = column.states()
+        if states is not None:
+            return states, [], tuple(name for name in rows.other_columns if name != column.name)
+        if column.name == "state":
+            row, value = column.refused()
+            raise DeviceError(
+                f"{path}, line {line_of_row(path, row)}: state {value[:40]!r} is none of tracked, inferred, "
+                "not_tracked, 2, 1, 0."
+            )
+    told = [
+        f"{path}: column {column.name} is ignored, because its values, such as {column.refused()[1][:20]!r}, "
+        "are no states: tracked, inferred, not_tracked, or 3, 2, 1, 0. Every joint counts as tracked."
+        for column in rows.states
+    ]
+    return np.full(len(rows.time), TrackingState.TRACKED, dtype=np.uint8), told, rows.other_columns
+
+
+def _once(
+    path: Path, rows: _Rows, points: FilePoints, slot: NDArray[np.int64], frames: int, backward: bool
+) -> tuple[NDArray[np.int64], list[str]]:
+    """The rows in the order of their slots, each slot once, and a line where many rows were repeated.
+
+    Raises:
+        DeviceError: Two different rows are of one joint of a person in a frame, or some rows are twice.
+    """
+    order = np.argsort(slot, kind="stable")
+    again = np.append(False, np.diff(slot[order]) == 0)
+    if not again.any():
+        return order, []
+    share = float(again.mean())
+    later, earlier = order[again], order[np.flatnonzero(again) - 1]
+    row = int(later.min())
+    if share > _OFTEN:
+        if np.array_equal(rows.xyz[later], rows.xyz[earlier], equal_nan=True):
+            return order[~again], [
+                f"{path}: {share:.0%} of the rows repeat another one of the same time, and are left out."
+            ]
+        if frames < _FEWEST_TIMES or share > _MOST:
+            there = "one time" if frames == 1 else f"{frames} different times"
+            raise DeviceError(
+                f"{path}: the times lost their digits: {len(slot)} rows have {there}, such as "
+                f"{rows.time[row]:.6g} in line {line_of_row(path, row)}. Write them with all digits."
+            )
+    joint = points.named(int(slot[row]) % len(points))
+    raise DeviceError(
+        f"{path}: joint {joint} of one person has two rows in one frame, the second in line "
+        f"{line_of_row(path, row)}."
+        + (
+            " Are two recordings in one file?"
+            if backward
+            else " Have two people one id, or did the times lose digits?"
+            if share > _OFTEN
+            else ""
+        )
+    )

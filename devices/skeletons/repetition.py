@@ -1,0 +1,89 @@
+"""What repeats in a recording although people move: frames that are logged again, joints that nobody sees."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.skeletons.name_tables import listed
+from devices.skeletons.read_file import FoundPoints
+from fusion.large_arrays import parts
+
+FEWEST = 15
+"""Frames: a person can be seen as standing still for fewer."""
+_LOGGED_TWICE = 0.2  # of the frames: more repeat the one before where a program logs faster than its tracker
+_ONE_FRAME_NS = 250_000_000  # the longest time between two frames of a tracker
+_MOVES = 0.5  # of the other points, while a joint keeps its place
+
+
+def repeats_of(found: FoundPoints) -> NDArray[np.bool_]:
+    """(N,) which skeletons repeat that of the same person in the frame before."""
+    repeats = np.zeros(len(found.frame), dtype=np.bool_)
+    order = np.argsort(found.person, kind="stable")
+    before, after = order[:-1], order[1:]
+    near = (found.person[before] == found.person[after]) & (found.frame[before] + 1 == found.frame[after])
+    before, after = before[near], after[near]
+    for part in parts(len(after)):
+        one, other = before[part], after[part]
+        states = (found.view.states[one] == found.view.states[other]).all(axis=1)
+        same = _same(found.view.positions[one], found.view.positions[other]).all(axis=1)
+        repeats[other] = same & states
+    return repeats
+
+
+def _same(one: NDArray[np.floating], other: NDArray[np.floating]) -> NDArray[np.bool_]:
+    return np.asarray(((one == other) | (np.isnan(one) & np.isnan(other))).all(axis=2))
+
+
+def logged_again(
+    path: Path, found: FoundPoints, repeats: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], list[str]]:
+    """(T,) which frames are left out because they repeat the one before, and a line for the user.
+
+    A few repeated frames are left to the estimator, and a person who stands still for longer than a frame
+    takes is none.
+    """
+    count = np.bincount(found.frame, minlength=len(found.time_ns))
+    again = np.bincount(found.frame, weights=repeats, minlength=len(found.time_ns)) == count
+    again &= (count > 0) & (count == np.append(0, count[:-1]))
+    begins = np.flatnonzero(~again)
+    run = np.cumsum(~again) - 1
+    lasts = found.time_ns[np.append(begins[1:] - 1, len(again) - 1)] - found.time_ns[begins]
+    drop = again & (lasts[run] < _ONE_FRAME_NS)
+    share = float(drop.mean())
+    if share < _LOGGED_TWICE or len(begins) < FEWEST:
+        return np.zeros_like(drop), []
+    return drop, [
+        f"{path}: {share:.0%} of the frames repeat the one before, as where a program logs them faster than "
+        "its tracker finds people; they are left out."
+    ]
+
+
+def kept_places(
+    path: Path, found: FoundPoints, repeats: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], list[str]]:
+    """(N, P) which points keep their place while the others move, and a line for the user."""
+    count = len(found.points)
+    order = np.argsort(found.person, kind="stable")
+    order = order[~repeats[order]]
+    keeps = np.zeros((len(found.frame), count), dtype=np.bool_)
+    if len(order) < FEWEST:
+        return keeps, []
+    same = np.zeros((len(order), count), dtype=np.bool_)
+    for part in parts(len(order) - 1):
+        one, other = order[:-1][part], order[1:][part]
+        at, after = found.view.positions[one], found.view.positions[other]
+        known = np.isfinite(after).all(axis=2) & (after != 0.0).any(axis=2) & (found.view.states[other] > 0)
+        equal = (at == after).all(axis=2) & known
+        moving = (known & ~equal).sum(axis=1) > _MOVES * known.sum(axis=1)
+        same[1:][part] = equal & (moving & (found.person[one] == found.person[other]))[:, None]
+    for point in range(count):
+        run = np.cumsum(~same[:, point])
+        keeps[order, point] = np.bincount(run)[run] >= FEWEST
+    if not keeps.any():
+        return keeps, []
+    names = [found.points.named(int(point)) for point in np.flatnonzero(keeps.any(axis=0))]
+    return keeps, [
+        f"{path}: {listed(names)} {'keeps its place' if len(names) == 1 else 'keep their places'} to the "
+        "last digit while the other joints move, and count as not tracked there."
+    ]

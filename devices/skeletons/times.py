@@ -1,0 +1,190 @@
+"""Capture times as files have them: their unit by the frame rate, midnight, and times of text."""
+
+import re
+from datetime import UTC, datetime
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.sensor import DeviceError
+
+TIME_COLUMNS: MappingProxyType[str, tuple[float, str]] = MappingProxyType(
+    {
+        "time_us": (1.0, "microseconds"),
+        "time_ms": (1e3, "milliseconds"),
+        "time_s": (1e6, "seconds"),
+        "time_ns": (1e-3, "nanoseconds"),
+        "time_ticks": (0.1, "ticks of 100 ns"),
+        "time": (1.0, "microseconds"),
+    }
+)
+"""Microseconds per unit, and the unit's name, by the name of a column of times; ``time`` names no unit."""
+FRAME_NUMBERS = "frame"
+"""The name of a column that counts frames."""
+_UNITS = (
+    *((us, words, column) for column, (us, words) in TIME_COLUMNS.items() if column != "time"),
+    *((125.0, "eighths of a millisecond", ""), (1.0 / 60.0, "ticks of 60 MHz", ""), (8.64e10, "days", "")),
+)
+"""Microseconds per unit, the unit's name, and the column that states it, if any."""
+_FRAME_US = 1e6 / 30.0
+_LATEST_US = 9 * 10**15
+"""Largest time, so that nanoseconds fit into 64 bits."""
+_EPOCHS_S = (62_135_596_800, 11_644_473_600)
+"""Seconds from the year 1 and from 1601, where .NET and Windows begin to count, to 1970."""
+_FEWEST = 3  # times; fewer tell no unit
+_TRACKER_US = 6_000.0, 250_000.0
+"""Body trackers give 5 to 120 frames per second; with a tolerance."""
+_SLOW_US, _ODD_US = 1e6 / 12.0, (2_000.0, 5_000_000.0)
+"""The longest interval for which the unit that a column names is taken without a question, and those with
+one: a recording may have few frames per second, or those of a sensor in another unit."""
+_RATES, _RATE_WITHIN = (5.0, 30.0, 15.0, 60.0, 90.0), 0.02
+"""Usual rates of sensors."""
+_WRAPS = (
+    (8.64e10, "midnight"),
+    (4.32e10, "noon"),
+    (None, "the end of a counter of 32 bits"),  # of the file's own units
+)
+_PAUSE_US = 6e7  # the longest pause in which a wrap is recognised
+_CLOCK = re.compile(
+    r"(?:^|[ T])(?:(\d+)\.)?(\d+):(\d\d):(\d\d(?:[.,]\d*)?)\s*(?:([AaPp])[Mm])?"
+    r"(?:Z|[+-]\d\d:?\d\d)?$"
+)
+
+
+def capture_times(
+    name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0]
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Nanoseconds of the times of a file, in its order, and lines for the user.
+
+    Args:
+        column: A name of :data:`TIME_COLUMNS`, or :data:`FRAME_NUMBERS`.
+        times: (N,) as the file has them, of rows or of frames.
+        shortest_us: Interval of frames that is not unusual.
+
+    Raises:
+        DeviceError: The interval is no body tracker's in any unit, or nanoseconds exceed 64 bits.
+    """
+    us, told = find_time_unit(name, column, np.unique(times), shortest_us)
+    times, wrapped = _unwrapped(times, us)
+    told = [*told, f"{name}: the times go on over {wrapped}."] if wrapped else told
+    for epoch_s in _EPOCHS_S:
+        if times.min() * us >= _LATEST_US:
+            times = times - times.dtype.type(epoch_s * 1e6 / us)
+    if max(float(times.max()), -float(times.min())) * us >= _LATEST_US:
+        raise DeviceError(f"{name}: {column} goes beyond {_LATEST_US} microseconds.")
+    if times.dtype == np.int64 and (ns := round(1000.0 * us)) == 1000.0 * us:
+        return times * ns, told
+    return np.rint(times * us).astype(np.int64) * 1000, told
+
+
+def find_time_unit(
+    name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0]
+) -> tuple[float, list[str]]:
+    """Finds the unit of capture times from their interval.
+
+    Args:
+        column: The name of the column, of :data:`TIME_COLUMNS` or :data:`FRAME_NUMBERS`.
+        times: (T,) different times as the file has them, ascending.
+
+    Returns:
+        Microseconds per unit, and a line for the user if it is not the unit that the column names, or an
+        unusual one.
+
+    Raises:
+        DeviceError: The median interval is no body tracker's in any unit.
+    """
+    if column == FRAME_NUMBERS:
+        return _FRAME_US, [_numbered(name, column)]
+    own, _ = TIME_COLUMNS[column]
+    if len(times) < _FEWEST:
+        return own, []
+    interval = float(np.median(np.diff(times)))
+    own_us, states = interval * own, column != "time"
+    if states and shortest_us <= own_us <= _SLOW_US:
+        return own, []
+    fitting = [unit for unit in _UNITS if _fits(interval * unit[0], unit[2] != "")]
+    odd = states and _ODD_US[0] <= own_us <= _ODD_US[1]
+    if odd:
+        fitting = [unit for unit in fitting if _is_usual(interval * unit[0], _RATES[1:])]
+    by_own = f"{name}: by {column} there are {1e6 / own_us:.3g} frames per second; "
+    if odd and _fits(own_us, named=True):
+        return own, [
+            f"{by_own}if it holds {words}, there are {1e6 / (interval * us):.3g}. State times by a column "
+            f"{key or 'time_s'} then."
+            for us, words, key in [unit for unit in _UNITS if _is_usual(interval * unit[0], _RATES[1:])][:1]
+        ]
+    if fitting:
+        us, words, key = min(
+            fitting,
+            key=lambda unit: (
+                not _is_usual(interval * unit[0], _RATES),
+                abs(np.log(interval * unit[0] / _FRAME_US)),
+            ),
+        )
+        way = f" Name the column {key} to state this unit." if key else ""
+        per_second = f"{1e6 / (interval * us):.3g} frames per second"
+        return us, [f"{name}: {column} is taken as {words}, so that there are {per_second}.{way}"]
+    if interval == 1.0 and (times == np.rint(times)).all():
+        return _FRAME_US, [_numbered(name, column)]
+    if odd:
+        return own, [f"{by_own}body trackers give 5 to 120. Check its unit."]
+    raise DeviceError(
+        f"{name}: the unit of {column} is unclear; its median interval of {interval:g} is in no unit that of "
+        "5 to 120 frames per second. Name the column time_s, time_ms, time_us or time_ns by its unit."
+    )
+
+
+def _fits(interval_us: float, named: bool) -> bool:
+    """Whether it is a body tracker's; in a unit that is seldom used, whether it is just that of a sensor."""
+    tracker = _TRACKER_US[0] <= interval_us <= _TRACKER_US[1]
+    return tracker and (named or _is_usual(interval_us, _RATES[1:3]))
+
+
+def _is_usual(interval_us: float, rates: tuple[float, ...]) -> bool:
+    return any(abs(interval_us * rate * 1e-6 - 1.0) <= _RATE_WITHIN for rate in rates)
+
+
+def _numbered(name: object, column: str) -> str:
+    return f"{name}: {column} counts frames; 30 per second are assumed. A column time_s states the times."
+
+
+def _unwrapped(times: NDArray[Any], us: float) -> tuple[NDArray[Any], str]:
+    """Times that go on where a clock begins anew, as at midnight, and what was passed."""
+    steps = np.diff(times)
+    for period_us, words in _WRAPS:
+        period = times.dtype.type(2**32 if period_us is None else period_us / us)
+        reach = min(_PAUSE_US / us, period / 8)
+        over = (np.abs(steps + period) < reach).astype(np.int64) - (np.abs(steps - period) < reach)
+        if over.any() and over[over != 0][0] > 0:
+            return times + period * np.append(0, np.cumsum(over)).astype(times.dtype), words
+    return times, ""
+
+
+def moments_of(texts: list[str]) -> NDArray[np.int64] | None:
+    """Nanoseconds of times such as 2026-11-25T12:30:00.033, 12:30:00.033 or .NET's 00:00:01.0333333.
+
+    A time of the day has no date, whatever stands before it. None where one of them is no time.
+    """
+    found = [_moment(text) for text in texts]
+    return None if None in found else np.array(found, dtype=np.int64)
+
+
+def _moment(text: str) -> int | None:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        moment = None
+    clock = _CLOCK.search(text)
+    if clock is None:
+        return None
+    days, hours, minutes, seconds, half = clock.groups()
+    whole, _, decimals = seconds.replace(",", ".").partition(".")
+    hour = int(hours) % 12 + 12 * (half.lower() == "p") if half else int(hours)
+    of_day = (int(days or 0) * 24 + hour) * 3600 + int(minutes) * 60 + int(whole)
+    if moment is not None:
+        zone = moment.tzinfo or UTC
+        midnight = datetime(moment.year, moment.month, moment.day, tzinfo=zone)
+        of_day += round(midnight.timestamp())
+    return of_day * 10**9 + int(decimals.ljust(9, "0")[:9])
