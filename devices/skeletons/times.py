@@ -34,7 +34,7 @@ _LATEST_US = 9 * 10**15
 _EPOCHS_S = (62_135_596_800, 11_644_473_600)
 """Seconds from the year 1 and from 1601, where .NET and Windows begin to count, to 1970."""
 _FEWEST = 3  # times; fewer tell no unit
-_TRACKER_US = 6_000.0, 250_000.0
+_TRACKER_US = 8_000.0, 205_000.0
 """Body trackers give 5 to 120 frames per second; with a tolerance."""
 _SLOW_US, _ODD_US = 1e6 / 12.0, (2_000.0, 5_000_000.0)
 """The longest interval for which the unit that a column names is taken without a question, and those with
