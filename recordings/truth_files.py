@@ -93,18 +93,20 @@ def _read_trc(path: Path) -> _Read:
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     if len(lines) <= _TRC_HEAD or not lines[3].lower().startswith("frame#"):
         raise RecordingError(f"{path} is not a .trc: its fourth line does not begin with Frame#.")
-    labels = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
+    tabs = "\t" if "\t" in lines[3] else None  # else spaces, between which no cell can be empty
+    labels = [name.strip() for name in lines[3].split(tabs)[2:] if name.strip()]
     width = 2 + 3 * len(labels)
-    heads, values = (line.split("\t") for line in lines[1:3])
+    heads, values = (line.split(tabs) for line in lines[1:3])
     stated = dict(zip(heads, values, strict=False)).get("NumFrames", "").strip()
     rows = []
     for number, line in enumerate(lines[_TRC_HEAD:], start=_TRC_HEAD + 1):
         if not line.strip():
             continue
-        cells = line.split("\t")
+        cells = line.split(tabs)
         if len(cells) < width:
+            what = "is cut off" if tabs else "has spaces instead of tabs and lacks cells"
             raise RecordingError(
-                f"{path}, line {number} is cut off: {len(labels)} points need {width} columns, and it has "
+                f"{path}, line {number} {what}: {len(labels)} points need {width} columns, and it has "
                 f"{len(cells)}."
             )
         try:

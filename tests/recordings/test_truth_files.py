@@ -56,6 +56,11 @@ def test_what_this_program_exports_is_read(fused_run, tmp_path, name, table):
         ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t1\t2\t3\n2\t0\t1\t2\t3\n", "times that increase"),
         ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t\t\t\n2\t1\t\t\t\n", "has no points"),
         ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t1\t2\t3\n2\t1\t1\t2\n", "line 7 is cut off"),
+        (
+            "t.trc",
+            "\n\n\nFrame# Time A\n\n1 0 1 2 3\n2 1   1 2\n",
+            "line 7 has spaces instead of tabs and lacks",
+        ),
         ("t.csv", "a,b\n1,2\n", "no column time_us"),
         ("t.csv", "time_s,HEAD_x,HEAD_y\n0,1,2\n", "it has no column HEAD_z"),
         ("t.csv", "time_s,joint,x,y,z\n0,HEAD,1,2,3\n0,HEAD,1,2,3\n", "line 3: HEAD has a second row"),
@@ -75,6 +80,16 @@ def test_a_file_that_cannot_be_read_says_why(name, text, message, tmp_path):
     with pytest.raises(RecordingError, match=message) as raised:
         read_truth(tmp_path / name)
     assert "\n" not in str(raised.value)
+
+
+def test_a_trc_of_spaces_is_read(tmp_path):
+    times, points = points_of(50)
+    path = write_trc(tmp_path / "t.trc", LABELS, times, np.nan_to_num(points))
+    expected = read_truth(path)
+    path.write_text(path.read_text().replace("\t\t\t", "\t").replace("\t", "  "))
+    read = read_truth(path)
+    assert read.labels == LABELS
+    np.testing.assert_array_equal(read.points, expected.points)
 
 
 def test_a_c3d_that_is_cut_off_says_so(tmp_path):

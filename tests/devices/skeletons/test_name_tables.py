@@ -28,6 +28,8 @@ MIXAMO = """
         ("plug-in-gait", [*PLUG_IN_GAIT, "LFEO"], {"KNEE_LEFT": ["LFEO"], "KNEE_RIGHT": ["RKNE"]}),
         ("gait2392", [name.lower() for name in GAIT2392], {"KNEE_LEFT": ["L.Knee.Lat", "L.Knee.Med"]}),
         ("mixamo", [f"mixamorig:{name}" for name in MIXAMO], {"SHOULDER_LEFT": ["LeftArm"]}),
+        ("mixamo", [f"mixamorig{name}" for name in MIXAMO], {"SHOULDER_LEFT": ["mixamorigLeftArm"]}),
+        ("mixamo", [f"mixamorig1_{name}" for name in MIXAMO], {"HEAD": ["mixamorig1_Head"]}),
         ("bodies", KINECT_V2.joints, {"PELVIS": ["SpineBase"], "ELBOW_LEFT": ["ElbowLeft"]}),
     ],
 )
