@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, Calibration
 
 Level = Literal["INFO", "WARN"]
@@ -37,8 +39,8 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
         way = "further apart" if angle < low else "closer together"
         yield Advice(
             "angle",
-            f"The sensors look {angle:.0f}° apart; between {low:.0f}° and {high:.0f}° (best: 90°) each "
-            f"sees what the other cannot. Move them {way} round the person.",
+            f"The sensors look {beside(angle, low, high)}° apart; between {low:.0f}° and {high:.0f}° (best: "
+            f"90°) each sees what the other cannot. Move them {way} round the person.",
             "WARN",
         )
     yield verdict(calibration)
@@ -60,14 +62,25 @@ def verdict(calibration: Calibration) -> Advice:
     limit = f"limited by {worst}" if worst else "no joint was seen by both"
     if (uncertain := math.degrees(registration.rotation_sd)) > CERTAIN_TURN_DEG:
         limit += (
-            f"; its rotation is certain to {uncertain:.1f}° only (limit {CERTAIN_TURN_DEG:g}°): step about "
-            "while it is made"
+            f"; its rotation is certain to {beside(uncertain, CERTAIN_TURN_DEG, digits=1)}° only (limit "
+            f"{CERTAIN_TURN_DEG:g}°): step about while it is made"
         )
     return Advice(
         "calibration",
-        f"Calibration {word}: on its {registration.frames} frames the views differ by {apart:.0f} mm (good "
-        f"below {GOOD:.0f}, usable below {USABLE:.0f}); {limit}.",
+        f"Calibration {word}: on its {registration.frames} frames the views differ by "
+        f"{beside(apart, GOOD, USABLE)} mm (good below {GOOD:.0f}, usable below {USABLE:.0f}); {limit}.",
         "WARN" if word == "poor" else "INFO",
+    )
+
+
+def beside(value: float, *limits: float, digits: int = 0) -> str:
+    """A number with so many digits, or as many more as keep it on its side of the limits."""
+    sides = [np.sign(value - each) for each in limits]
+    return next(
+        text
+        for more in range(digits, 18)
+        for text in [f"{value:.{more}f}"]
+        if more == 17 or [np.sign(float(text) - each) for each in limits] == sides
     )
 
 
