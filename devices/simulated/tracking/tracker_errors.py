@@ -91,10 +91,11 @@ _KINECT_V1 = replace(
     _KINECT_V2,
     view_bias=0.03, stretch=0.5, bones=0.03, inferred_error=0.16,
     jitter={kind: 2.0 * size for kind, size in _KINECT_V2.jitter.items()},
-    mirroring=Mirroring(back=0.97), stale=0.0,
+    mirroring=Mirroring(back=0.97, faces_sensor=0.5), stale=0.0,
 )  # fmt: skip
 """Assumed: no recordings of two of them are published. Its tracker takes backs for fronts, too, but does not
-hold bone lengths, and its depth image is rougher. How far shoulders turn to it is not known."""
+hold bone lengths, and its depth image is rougher. How far a person turns to it is
+not known; half is assumed."""
 _AZURE = TrackerErrors(
     view_bias=0.009, skin=0.15, seen_share=0.35,
     unsure=_SURE | {"hand": 0.10, "tip": 0.2, "thumb": 0.3, "foot": 0.16},
