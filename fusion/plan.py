@@ -76,7 +76,7 @@ def plan_recording(
         CalibrationError: None is given, and none can be found.
     """
     pairs = Pairs.of(body, pairs)
-    start = calibration or start_up_calibration(body, pairs)
+    start = calibration or start_up_calibration(body, pairs, frontal=settings.method == "duplex")
     segments: tuple[tuple[Calibration, slice], ...] = ((start, slice(0, len(pairs))),)
     if settings.method != "duplex":
         return RecordingPlan(segments, views_differ=_difference(pairs, segments))

@@ -17,10 +17,11 @@ FEWEST_PAIRS = 15
 CERTAIN_TURN_DEG = 2.0
 """Largest standard deviation of a good rotation: 17 mm at half a metre from the torso."""
 POSE_TURN, POSE_APART = np.radians(2.3), 0.05
-"""Of a start-up pose seen in part: largest standard error of R, radians; distance of the views, metres."""
+"""Of a start-up pose seen in part: largest standard deviation of R without the trackers' turn of the person,
+radians; distance of the views, metres."""
 MOVEMENT_TURN, MOVEMENT_SHIFT, MOVEMENT_APART = np.radians(1.5), 0.06, 0.08
-"""Of movement: largest standard deviations of R, radians, and of t, metres at the person; median distance of
-the views' joints, metres."""
+"""Of movement: largest standard deviations of R, radians, and of t, metres at the person, without lasting
+errors of the trackers; median distance of the views' joints, metres."""
 MOVEMENT_SAME, MOVEMENT_GAIN = np.radians(3.0), 10.0
 """Of movement: largest angle between fits that are one solution, radians; log likelihood by which the best
 one must beat the others."""
@@ -58,8 +59,11 @@ def nominal_calibration(body: Body) -> Calibration:
     return Calibration(body, RigidTransform.identity(), body.nominal_lengths, how, provisional=True)
 
 
-def calibrate(body: Body, pairs: Sequence[SkeletonPair], how: str) -> Calibration:
+def calibrate(body: Body, pairs: Sequence[SkeletonPair], how: str, *, frontal: bool = False) -> Calibration:
     """Registration (eq. (12)) and bone lengths (eq. (13)) from the given pairs.
+
+    Args:
+        frontal: See :func:`fusion.registration.rigid_fit.register`.
 
     Raises:
         BodyError: A skeleton is of another body.
@@ -67,6 +71,6 @@ def calibrate(body: Body, pairs: Sequence[SkeletonPair], how: str) -> Calibratio
     """
     for pair in pairs:
         pair.require(body)
-    registration = register(pairs)
+    registration = register(pairs, frontal=frontal)
     lengths = measure_bone_lengths(body, pairs, registration.a_from_b)
     return Calibration(body, registration.a_from_b, lengths, how, registration)

@@ -14,8 +14,6 @@ from collections.abc import Generator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
@@ -33,10 +31,12 @@ from fusion.calibration.calibration import (
 )
 from fusion.calibration.start_up_pose import StartUpPose
 from fusion.errors import CalibrationError
-from fusion.registration.error_model import RobustFitSettings, disagreement
-from fusion.registration.keyframes import Evidence, KeyframeSet, match_sides
+from fusion.registration.error_model import RobustFitSettings
+from fusion.registration.keyframes import Evidence, KeyframeSet
+from fusion.registration.lasting_errors import FrontalTurn, common_variance
 from fusion.registration.rigid_fit import label_free_fit
-from fusion.registration.robust_fit import RobustFit, fit_robust, registration_of
+from fusion.registration.robust_fit import RobustFit, registration_of, with_frontal_sd
+from fusion.registration.starts import Found, fits_from
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
@@ -87,7 +87,12 @@ class GradualCalibration:
         fit, evidence = found
         self._before, self._last = fit, fit.a_from_b
         agree = before is not None and before.a_from_b.angle_to(fit.a_from_b) < MOVEMENT_SAME
-        return found if agree and _certain(fit, evidence) else None
+        if not (agree and _certain(fit, evidence)):
+            return None
+        try:
+            return with_frontal_sd(self._body, evidence, fit, self._settings), evidence
+        except CalibrationError:
+            return None
 
     def _best(self, provisional: RigidTransform) -> Generator[None, None, tuple[RobustFit, Evidence] | None]:
         """Returns the best fit, None if another solution is nearly as good; yields after each fit."""
@@ -95,28 +100,19 @@ class GradualCalibration:
         starts = [provisional if self._last is None else self._last]
         free = label_free_fit(self._body, evidence)
         starts += [] if free is None else [free]
-        fits: list[tuple[float, RobustFit, Evidence]] = []
-        for start in starts:
-            for one in (start, _turned(start, evidence)):
-                copy = evidence.copy()
-                match_sides(self._body, copy, one)
-                try:
-                    fit = fit_robust(self._body, copy, one, self._settings, iterations=6, noise_sd=0.03)
-                    match_sides(self._body, copy, fit.a_from_b)
-                    fit = fit_robust(
-                        self._body, copy, fit.a_from_b, self._settings,
-                        iterations=4, noise_sd=fit.noise_sd, biases=fit.biases,
-                    )  # fmt: skip
-                except CalibrationError:
-                    continue
-                cost = disagreement(self._body, copy, fit.a_from_b, self._settings, 0.03)
-                fits.append((cost, fit, copy))
-                yield
+        fits: list[Found] = []
+        for found in fits_from(self._body, evidence, starts, self._settings):
+            fits.append(found)
+            yield
         if not fits:
             return None
-        cost, best, shown = min(fits, key=lambda item: item[0])
-        others = [c for c, fit, _ in fits if fit.a_from_b.angle_to(best.a_from_b) > MOVEMENT_SAME]
-        return (best, shown) if min(others, default=np.inf) > cost + MOVEMENT_GAIN else None
+        best = min(fits, key=lambda found: found.cost)
+        others = [
+            found.cost for found in fits if found.fit.a_from_b.angle_to(best.fit.a_from_b) > MOVEMENT_SAME
+        ]
+        if min(others, default=np.inf) <= best.cost + MOVEMENT_GAIN:
+            return None
+        return best.fit, best.evidence
 
 
 def _certain(fit: RobustFit, evidence: Evidence) -> bool:
@@ -124,20 +120,10 @@ def _certain(fit: RobustFit, evidence: Evidence) -> bool:
     apart = np.linalg.norm((evidence.a - fit.a_from_b.apply(evidence.b))[sure], axis=1)
     return bool(
         fit.rotation_sd < MOVEMENT_TURN
-        and fit.translation_sd < MOVEMENT_SHIFT
+        and fit.translation_sd**2 < MOVEMENT_SHIFT**2 + common_variance(fit.a_from_b, fit.centre)
         and len(apart) > 0
         and np.median(apart) < MOVEMENT_APART
     )
-
-
-def _turned(a_from_b: RigidTransform, evidence: Evidence) -> RigidTransform:
-    """The transform followed by half a turn about A's y axis through the person.
-
-    The axis is vertical only where sensor A is not tilted. The result is the start of a fit.
-    """
-    centre: NDArray[np.float64] = evidence.a[evidence.weights > 0.5].mean(axis=0)
-    half = Rotation.from_euler("y", 180.0, degrees=True).as_matrix()
-    return RigidTransform.of(half, centre - half @ centre) @ a_from_b
 
 
 class Calibrator:
@@ -145,10 +131,12 @@ class Calibrator:
 
     Args:
         calibration: An earlier calibration, which is then kept.
+        frontal: Whether a pose's R allows for the trackers' turn of a standing person; see
+            :func:`fusion.registration.rigid_fit.register`. The paper's methods do not.
     """
 
-    def __init__(self, body: Body, calibration: Calibration | None = None) -> None:
-        self._body = body
+    def __init__(self, body: Body, calibration: Calibration | None = None, *, frontal: bool = True) -> None:
+        self._body, self._frontal = body, frontal
         self._pose, self._partly = StartUpPose(body), StartUpPose(body, partly=True)
         self._gradual = GradualCalibration(body)
         self._seen: list[SkeletonPair] = []
@@ -190,11 +178,17 @@ class Calibrator:
         held, partly = self._pose.watch(pair), self._partly.watch(pair)
         try:
             if held is not None:
-                return calibrate(self._body, held, f"start-up pose, {len(held)} frames")
+                how = f"start-up pose, {len(held)} frames"
+                return calibrate(self._body, held, how, frontal=self._frontal)
             if partly is not None and self._pose.held == 0.0:
-                found = calibrate(self._body, partly, f"start-up pose seen in part, {len(partly)} frames")
-                known = found.registration
-                if known is not None and known.rotation_sd < POSE_TURN and known.residual_median < POSE_APART:
+                how = f"start-up pose seen in part, {len(partly)} frames"
+                found = calibrate(self._body, partly, how, frontal=self._frontal)
+                known, angle = found.registration, found.axes_angle
+                lasting = FrontalTurn.of(self._body).sd_where(
+                    np.sin(angle), np.cos(angle), known=self._frontal
+                )
+                most = np.hypot(POSE_TURN, lasting)
+                if known is not None and known.rotation_sd < most and known.residual_median < POSE_APART:
                     return found
         except CalibrationError:
             pass
@@ -217,7 +211,9 @@ class Calibrator:
 
     def _try(self, pairs: list[SkeletonPair], how: str) -> Calibration | None:
         try:
-            self.calibration = replace(calibrate(self._body, pairs, how), provisional=True)
+            self.calibration = replace(
+                calibrate(self._body, pairs, how, frontal=self._frontal), provisional=True
+            )
         except CalibrationError:
             return None
         return self.calibration

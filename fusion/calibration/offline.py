@@ -17,12 +17,12 @@ from fusion.large_arrays import PART, give_back, parts
 from fusion.pair_arrays import Pairs
 from fusion.progress import Progress, quietly
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
-from fusion.registration.error_model import disagreement
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
 from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import label_free_fit
-from fusion.registration.robust_fit import RobustFit, fit_robust, registration_of
+from fusion.registration.robust_fit import RobustFit, fit_robust, registration_of, with_frontal_sd
+from fusion.registration.starts import better_fit
 from fusion.rigid import RigidTransform
 from fusion.skeleton import NO_FRAME, SkeletonPair, stale_frames
 
@@ -34,7 +34,7 @@ _FEWEST = 12
 _SPACING_NS, _PROPOSED_NS = 95_000_000, 3_000_000_000
 """Pairs and refinements of the first pass, which only has to find when a sensor was moved."""
 _PROPOSALS = 200  # at most; in recordings longer than ten minutes the refinements are farther apart
-_LABEL_FREE = "label-free fit of the first half minute"
+_OTHER_START = "fit of the first half minute"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +55,13 @@ class LearnedCalibration:
     events: tuple[CalibrationChange, ...]  # events of the learner, as live; knocks with their times
 
 
-def start_up_calibration(body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
+def start_up_calibration(body: Body, pairs: Sequence[SkeletonPair], *, frontal: bool = True) -> Calibration:
     """The calibration on a recording's start-up pose; on its calmest window where there is none.
 
     Where one view of the pose is mirrored, R and t are those of the label-free fit of the recording.
+
+    Args:
+        frontal: See :func:`fusion.registration.rigid_fit.register`.
 
     Raises:
         CalibrationError: No frame shows a person to both sensors, or the views cannot be registered.
@@ -66,7 +69,7 @@ def start_up_calibration(body: Body, pairs: Sequence[SkeletonPair]) -> Calibrati
     pairs = Pairs.of(body, pairs)
     held, how = find_start_up_pose(body, pairs)
     try:
-        return calibrate(body, held, how)
+        return calibrate(body, held, how, frontal=frontal)
     except CalibrationError:
         fresh = fresh_pairs(pairs)
         found = label_free_fit(body, evidence_of(body, pairs[fresh[:: max(1, len(fresh) // _KEYFRAMES)]]))
@@ -230,22 +233,17 @@ def spaced(time_ns: NDArray[np.int64], chosen: NDArray[np.int64]) -> NDArray[np.
 
 
 def _best_start(seen: _Fresh, start: Calibration, settings: LearnerSettings) -> Calibration:
-    """The given start, or the label-free fit of the first half minute if that fits it far better."""
-    body = seen.pairs.body
+    """The given start, or the fit of the first half minute from another start if it is certainly better."""
+    body, fit_settings = seen.pairs.body, settings.refinement.fit
     evidence = seen.keyframes(NO_FRAME, int(seen.pairs.time_ns[:1].sum()) + 30_000_000_001)
     if len(evidence.a) < _FEWEST:
         return start
-    other = label_free_fit(body, evidence)
-    if other is None:
+    best = better_fit(body, evidence, start.a_from_b, fit_settings)
+    if best is None:
         return start
-    costs = []
-    for transform in (start.a_from_b, other):
-        copy = evidence.copy()
-        match_sides(body, copy, transform)
-        costs.append(disagreement(body, copy, transform, settings.refinement.fit, 0.03))
-    if costs[1] > costs[0] - max(settings.refinement.gain, 0.2 * costs[0]):
-        return start
-    return replace(start, a_from_b=other, how=_LABEL_FREE)
+    fit = with_frontal_sd(body, best.evidence, best.fit, fit_settings)
+    registration = registration_of(body, best.evidence, fit)
+    return replace(start, a_from_b=fit.a_from_b, how=_OTHER_START, registration=registration)
 
 
 def _refit(body: Body, evidence: Evidence, start: Calibration, settings: LearnerSettings) -> Calibration:
@@ -253,20 +251,21 @@ def _refit(body: Body, evidence: Evidence, start: Calibration, settings: Learner
     fit_settings = settings.refinement.fit
     if len(evidence.a) < _FEWEST:
         return start
+    prior = None if start.how == _OTHER_START else prior_of(start)
     try:
         match_sides(body, evidence, start.a_from_b)
-        prior = prior_of(start)
         fit: RobustFit = fit_robust(body, evidence, start.a_from_b, fit_settings, prior=prior)
         match_sides(body, evidence, fit.a_from_b)
-        fit = fit_robust(body, evidence, fit.a_from_b, fit_settings, noise_sd=fit.noise_sd, biases=fit.biases)
+        fit = fit_robust(
+            body, evidence, fit.a_from_b, fit_settings,
+            noise_sd=fit.noise_sd, biases=fit.biases, prior=prior,
+        )  # fmt: skip
         gain = held_out_gain(body, evidence, start.a_from_b, fit, fit_settings, prior)
+        fit = with_frontal_sd(body, evidence, fit, fit_settings, prior)
     except CalibrationError:
         return start
-    if gain < settings.refinement.gain:
-        if start.how != _LABEL_FREE:
-            return start
-        kept = replace(fit, a_from_b=start.a_from_b)  # the start-up pose's registration is of another R and t
-        return replace(start, registration=registration_of(body, evidence, kept))
+    if gain < settings.refinement.gain and start.how != _OTHER_START:
+        return start
     return replace(
         start,
         a_from_b=fit.a_from_b,

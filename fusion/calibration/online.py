@@ -1,6 +1,7 @@
 """Refinement of a calibration while pairs come in: R, t and bone lengths, with events."""
 
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -14,7 +15,7 @@ from fusion.registration.clock_offset import ClockOffset, ClockOffsetEstimator
 from fusion.registration.keyframes import Evidence, evidence_of, match_sides
 from fusion.registration.knock import KnockDetector, KnockFit, KnockSettings, fit_knock
 from fusion.registration.refinement import Refinement, RefinementSettings
-from fusion.registration.robust_fit import Prior, RobustFit, registration_of
+from fusion.registration.robust_fit import Prior, RobustFit, registration_of, with_frontal_sd
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
@@ -176,6 +177,8 @@ class CalibrationLearner:
         self._knock.adopt(fit.a_from_b)
         evidence = self._evidence_since(still_ns)
         match_sides(self._body, evidence, fit.a_from_b)
+        with suppress(CalibrationError):
+            fit = with_frontal_sd(self._body, evidence, fit, self._settings.refinement.fit, prior)
         self._replace(fit, evidence, f"registered anew on {len(evidence.a)} frames after a sensor moved")
         turn, shift = _difference(old, fit)
         event = (

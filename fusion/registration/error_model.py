@@ -21,6 +21,7 @@ from fusion.body import Body
 from fusion.compiling.kernels import kernel
 from fusion.joint_kinds import by_joint
 from fusion.registration.keyframes import Evidence
+from fusion.registration.lasting_errors import COMMON_SD
 from fusion.rigid import RigidTransform
 
 Array = NDArray[np.float64]
@@ -52,8 +53,7 @@ class RobustFitSettings:
     """Factor on the covariance, for effects outside the model. On the simulator the error of R then lies
     within 1 and 2 stated standard deviations in 59 and 93 % of the recordings of the Azure Kinect, but in 27
     and 64 % of those of the Kinect v2."""
-    common_sd: float = 0.025
-    """Metres, error common to all joints: each sensor sees the skin and not the joint."""
+    common_sd: float = COMMON_SD  # metres, error common to all joints; see fusion.registration.lasting_errors
 
 
 @cache

@@ -10,7 +10,7 @@ from fusion.body import Body
 from fusion.errors import CalibrationError
 from fusion.registration.error_model import RobustFitSettings, disagreement
 from fusion.registration.keyframes import Evidence, KeyframeSet
-from fusion.registration.robust_fit import Prior, RobustFit, fit_robust
+from fusion.registration.robust_fit import Prior, RobustFit, fit_robust, with_frontal_sd
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
@@ -123,6 +123,7 @@ class Refinement:
                 )
             if gain < settings.gain:
                 return None
+            candidate = with_frontal_sd(self._body, evidence, candidate, settings.fit, self.prior)
         except CalibrationError:
             return None
         self._in_force = candidate.a_from_b

@@ -12,6 +12,13 @@ from scipy.spatial.transform import Rotation
 from fusion.body import Body
 from fusion.errors import CalibrationError
 from fusion.registration.keyframes import Evidence
+from fusion.registration.lasting_errors import (
+    COMMON_SD,
+    FrontalTurn,
+    common_variance,
+    opposition,
+    turned_apart,
+)
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
@@ -25,6 +32,7 @@ Array = NDArray[np.float64]
 _FEWEST_JOINTS = 5
 _STEPS = 12  # of a robust fit
 _TUNING = 1.4826  # times the median distance: a larger residual counts less than a quarter
+_OF_RESIDUAL = 0.3  # depth error of a pose, as a share of the residual, where that is larger than usual
 _THINNEST = 0.02  # second to first singular value of the joints' spread: below, they lie on a line
 
 
@@ -93,13 +101,14 @@ class Registration:
     joint_residuals: NDArray[np.float64]
     """(J,) metres, the median of each joint; NaN for a joint never tracked in both views."""
     rotation_sd: float
-    """Radians, standard error of R about its least certain axis. It counts every joint as one observation,
-    because a joint's bias is the same in all frames."""
+    """Radians, standard deviation of R about its least certain axis, with the errors of
+    :mod:`fusion.registration.lasting_errors`. It counts every joint of a pose as one observation, because a
+    joint's bias is the same in all frames."""
     frames: int  # how many pairs were used
     body: Body  # the body the joints belong to
     translation_sd: float = float("nan")
-    """Metres, standard error of R q + t at the person's centre, along the least certain axis; NaN where a
-    session does not have it."""
+    """Metres, standard deviation of R q + t at the person's centre, along the least certain axis, with the
+    trackers' lasting errors; NaN where a session does not have it."""
 
     @staticmethod
     def between(
@@ -115,6 +124,10 @@ class Registration:
         rotation_sd, *translation_sd = sd
         return Registration(a_from_b, median, rms, joints, rotation_sd, len(p), body, *translation_sd)
 
+    def sd_at(self, distance: float) -> float:
+        """Metres, standard deviation of R q + t at this distance from the person's centre, at most."""
+        return float(np.hypot(self.translation_sd, distance * self.rotation_sd))
+
     def worst_joints(self, count: int = 3) -> list[tuple[str, float]]:
         """The joints that disagree most: (name, median residual in metres), worst first."""
         known = np.flatnonzero(np.isfinite(self.joint_residuals))
@@ -122,11 +135,15 @@ class Registration:
         return [(self.body.joints[j], float(self.joint_residuals[j])) for j in worst]
 
 
-def register(pairs: Sequence[SkeletonPair]) -> Registration:
+def register(pairs: Sequence[SkeletonPair], *, frontal: bool = False) -> Registration:
     """R and t from all joints tracked in both views, over all given pairs at once.
 
-    Assumes that the sensors do not move. The person may move; poses all over the room make the transform more
-    certain.
+    Assumes that the sensors do not move. The person may move.
+
+    Args:
+        frontal: Whether to turn the sensors apart by as much as trackers show a standing person too frontal
+            (:class:`fusion.registration.lasting_errors.FrontalTurn`). Otherwise the standard deviation
+            contains it.
 
     Raises:
         CalibrationError: Too few joints tracked in both views, a degenerate configuration, or a residual
@@ -147,9 +164,19 @@ def register(pairs: Sequence[SkeletonPair]) -> Registration:
         )
     a_from_b = fit_rigid(p[both], q[both])
     mean_square = float(np.mean(np.linalg.norm(p[both] - a_from_b.apply(q[both]), axis=1) ** 2))
-    registration = Registration.between(
-        body, p, q, both, a_from_b, *_standard_errors(p[both], mean_square, joints)
+    middle, of_tracker = p[both].mean(axis=0), FrontalTurn.of(body)
+    sine, cosine = opposition(a_from_b, middle)
+    rotation_se, translation_se = _standard_errors(p[both], mean_square, joints)
+    # Of opposite sides of the body few joints are seen by both, and whole limbs are off at once.
+    rotation_se *= float(np.hypot(1.0, 0.5 * (1.0 - cosine)))
+    common_sd = max(COMMON_SD, _OF_RESIDUAL * float(np.sqrt(mean_square)))
+    sd = (
+        float(np.hypot(rotation_se, of_tracker.sd_where(sine, cosine, known=frontal))),
+        float(np.sqrt(translation_se**2 + common_variance(a_from_b, middle, common_sd))),
     )
+    if frontal:
+        a_from_b = turned_apart(a_from_b, middle, of_tracker.turn)
+    registration = Registration.between(body, p, q, both, a_from_b, *sd)
     if registration.residual_median > LARGEST_RESIDUAL:
         raise CalibrationError(
             f"The two views disagree by {registration.residual_median * 1000:.0f} mm (median) after the best "
@@ -163,12 +190,14 @@ def register(pairs: Sequence[SkeletonPair]) -> Registration:
 def _standard_errors(points: NDArray[np.float64], mean_square: float, joints: int) -> tuple[float, float]:
     """Those of R, radians, and of the centre, metres, along the least certain axis of each."""
     # A rotation by a small θ moves a point at r from the centre by θ × r, so the information about θ
-    # is Σ (|r|² I − r rᵀ) / σ², here per joint, with σ² the residual's variance along one axis.
+    # is Σ (|r|² I − r rᵀ) / σ², here per joint, with σ² the residual's variance along one axis. The residual
+    # of J joints has lost the fit's 6 of 3 J degrees of freedom.
     r = points - points.mean(axis=0)
     information = (np.sum(r * r) * np.eye(3) - r.T @ r) * (joints / len(points))
     least = float(np.linalg.eigvalsh(information)[0])
-    rotation_sd = float(np.sqrt(mean_square / 3.0 / least)) if least > 0.0 else np.inf
-    return rotation_sd, float(np.sqrt(mean_square / 3.0 / joints))
+    variance = mean_square / (3.0 - 6.0 / joints)
+    rotation_se = float(np.sqrt(variance / least)) if least > 0.0 else np.inf
+    return rotation_se, float(np.sqrt(variance / joints))
 
 
 def label_free_fit(body: Body, evidence: Evidence) -> RigidTransform | None:

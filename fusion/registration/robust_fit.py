@@ -3,7 +3,7 @@
 The fit is Gauss-Newton on (θ, dt) with iterated weights; β is eliminated joint by joint.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from fusion.body import Body
 from fusion.errors import CalibrationError
 from fusion.registration.error_model import RobustFitSettings, accumulated, eliminate_biases, error_model
 from fusion.registration.keyframes import Evidence
+from fusion.registration.lasting_errors import FrontalTurn, common_variance, turned_back
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 
@@ -102,8 +103,27 @@ def fit_robust(
         )
     U, _, Vt = np.linalg.svd(R)
     covariance = np.asarray(settings.inflation * np.linalg.inv(information), dtype=np.float64)
-    covariance[:3, :3] += settings.common_sd**2 * np.eye(3)
-    return RobustFit(RigidTransform.of(U @ Vt, t), covariance, centre, beta, noise_sd)
+    found = RigidTransform.of(U @ Vt, t)
+    covariance[:3, :3] += common_variance(found, centre, settings.common_sd) * np.eye(3)
+    return RobustFit(found, covariance, centre, beta, noise_sd)
+
+
+def with_frontal_sd(
+    body: Body, evidence: Evidence, fit: RobustFit, settings: RobustFitSettings, prior: Prior | None = None
+) -> RobustFit:
+    """A fit whose covariance contains the trackers' turn of the person.
+
+    The fit is repeated with B's views turned by as much. Of one pose, R follows the turn; of a person who
+    walks about, it hardly does.
+    """
+    turned = turned_back(evidence, fit.a_from_b, float(np.hypot(*FrontalTurn.of(body))))
+    other = fit_robust(
+        body, turned, fit.a_from_b, settings,
+        iterations=3, noise_sd=fit.noise_sd, biases=fit.biases, prior=prior,
+    )  # fmt: skip
+    step = other.a_from_b @ fit.a_from_b.inverse()
+    moved = np.append(step.apply(fit.centre) - fit.centre, Rotation.from_matrix(step.rotation).as_rotvec())
+    return replace(fit, covariance=fit.covariance + np.outer(moved, moved))
 
 
 def registration_of(body: Body, evidence: Evidence, fit: RobustFit) -> Registration:

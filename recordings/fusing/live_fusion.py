@@ -42,7 +42,8 @@ class LiveFusion:
     def __init__(self, setup: FusionSetup, calibrated: bool = False, refine: bool = False) -> None:
         self.setup = setup
         """The setup with which the last pair was fused."""
-        self.calibrator = Calibrator(setup.body, setup.calibration if calibrated or refine else None)
+        kept = setup.calibration if calibrated or refine else None
+        self.calibrator = Calibrator(setup.body, kept, frontal=setup.settings.method == "duplex")
         self._fuser = Fuser(setup)
         self._people = PersonOfPair()
         learns = setup.settings.method == "duplex" and (refine or not calibrated)

@@ -5,8 +5,8 @@ import pytest
 
 from devices.simulated.kinect import simulated_pair
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2
-from fusion.calibration import calibrator
 from fusion.calibration.calibrator import Calibrator
+from fusion.registration import robust_fit, starts
 from fusion.skeleton import SkeletonPair
 from tests.helpers.frame_pairs import paired
 from tests.helpers.two_views import FRAME_NS, calibration_of, moving, pair_of
@@ -42,7 +42,8 @@ def test_sensors_that_each_see_one_side_are_calibrated(body, angle):
     assert calibrator.final
     assert seconds < 12.0  # on the pose after three seconds, or on the movement that follows
     turn, shift = errors(calibrator.calibration.a_from_b, truth)
-    assert turn < 5.0
+    assert turn < 2.5 * np.degrees(calibrator.calibration.registration.rotation_sd)
+    assert turn < 10.0  # a Kinect v2 turns a person at 60° by 15°
     assert shift < 0.1
 
 
@@ -77,7 +78,7 @@ def test_a_person_who_shows_too_little_leaves_the_calibration_provisional():
 def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch):
     """All starts together take longer than a frame; each is a rough fit and a better one."""
     fits, of_pairs = [0], []
-    fit, watch = calibrator.fit_robust, Calibrator.watch
+    fit, watch = starts.fit_robust, Calibrator.watch
 
     def counted(*given, **more):
         fits[0] += 1
@@ -89,7 +90,8 @@ def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch):
         of_pairs.append(fits[0])
         return found
 
-    monkeypatch.setattr(calibrator, "fit_robust", counted)
+    monkeypatch.setattr(starts, "fit_robust", counted)
+    monkeypatch.setattr(robust_fit, "fit_robust", counted)
     monkeypatch.setattr(Calibrator, "watch", watched_closely)
     watched(KINECT_V2, "walk", 90.0, 12.0, from_second=5.0)
     assert sum(of_pairs) >= 4
@@ -97,7 +99,7 @@ def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch):
 
 
 def test_calibration_is_provisional_at_first_and_settles_on_the_start_up_pose():
-    calibrator = Calibrator(KINECT_V2)
+    calibrator = Calibrator(KINECT_V2, frontal=False)
     found = []
     for t, joints in enumerate(moving(KINECT_V2, 120)):
         calibration = calibrator.watch(pair_of(KINECT_V2, joints, t * FRAME_NS))

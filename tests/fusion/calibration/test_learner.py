@@ -5,7 +5,7 @@ import pytest
 from numba.core import event
 from scipy.spatial.transform import Rotation
 
-from fusion.body import KINECT_V2
+from fusion.body import AZURE_KINECT as BODY
 from fusion.calibration.bone_lengths import bone_lengths_of, robust_bone_lengths
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import learn_from_recording
@@ -30,17 +30,19 @@ OFF = (
 def walk(count=450, noise=0.01, mirrored=False):
     rng = np.random.default_rng(6)
     pairs = []
-    for k, truth in enumerate(moving(KINECT_V2, count)):
+    for k, truth in enumerate(moving(BODY, count)):
         place = truth + [0.6 * np.sin(0.02 * k), 0.0, 0.5 * np.cos(0.03 * k)]
         a, b = (
             view + rng.normal(0.0, noise, view.shape) for view in (place, A_FROM_B.inverse().apply(place))
         )
         if mirrored and (k // 60) % 2:
-            b = b[KINECT_V2.mirror]
+            b = b[BODY.mirror]
         time_ns = k * FRAME_NS
         pairs.append(
             SkeletonPair(
-                Skeleton.of(KINECT_V2, a, None, time_ns), Skeleton.of(KINECT_V2, b, None, time_ns), time_ns
+                Skeleton.of(BODY, a, None, time_ns),
+                Skeleton.of(BODY, b, None, time_ns),
+                time_ns,
             )
         )
     return pairs
@@ -48,7 +50,7 @@ def walk(count=450, noise=0.01, mirrored=False):
 
 def learned(pairs, start, settings=None):
     learner = CalibrationLearner(
-        KINECT_V2, Calibration(KINECT_V2, start, KINECT_V2.nominal_lengths * 1.1, "start"), settings
+        BODY, Calibration(BODY, start, BODY.nominal_lengths * 1.1, "start"), settings
     )
     return learner, [change for pair in pairs for change in learner.observe(pair)]
 
@@ -76,7 +78,7 @@ def test_mirrored_spells_of_one_view_do_not_mislead():
 
 
 def test_stale_and_one_sided_pairs_teach_nothing():
-    learner = CalibrationLearner(KINECT_V2, Calibration(KINECT_V2, OFF, KINECT_V2.nominal_lengths, "start"))
+    learner = CalibrationLearner(BODY, Calibration(BODY, OFF, BODY.nominal_lengths, "start"))
     for pair in walk():
         assert learner.observe(pair, stale=(False, True)) == []
         assert learner.observe(SkeletonPair(pair.a, None, pair.time_ns)) == []
@@ -88,8 +90,8 @@ def test_bones_are_learned_and_the_change_is_reported():
     bones = [change for change in changes if change.kind == "bones"]
     assert bones
     assert "Bone lengths learned" in bones[0].event
-    true = bone_lengths_of(KINECT_V2, moving(KINECT_V2, 1)[0])
-    joints = KINECT_V2.bone_joints
+    true = bone_lengths_of(BODY, moving(BODY, 1)[0])
+    joints = BODY.bone_joints
     error = np.abs(learner.calibration.bone_lengths - true)[joints]
     assert error.mean() < 0.2 * (0.1 * true[joints]).mean()
 
@@ -97,17 +99,17 @@ def test_bones_are_learned_and_the_change_is_reported():
 def test_the_bones_of_a_person_who_stands_still_are_learned_from_a_recording():
     """Ten seconds of one pose hold too few keyframes for a registration, but many moments."""
     rng = np.random.default_rng(3)
-    still = moving(KINECT_V2, 1)[0]
+    still = moving(BODY, 1)[0]
     pairs = []
     for k in range(300):
         a, b = (
-            Skeleton.of(KINECT_V2, at + rng.normal(0.0, 0.003, at.shape), None, k * FRAME_NS)
+            Skeleton.of(BODY, at + rng.normal(0.0, 0.003, at.shape), None, k * FRAME_NS)
             for at in (still, A_FROM_B.inverse().apply(still))
         )
         pairs.append(SkeletonPair(a, b, k * FRAME_NS))
-    start = Calibration(KINECT_V2, A_FROM_B, KINECT_V2.nominal_lengths * 1.1, "start")
-    found = learn_from_recording(KINECT_V2, pairs, start=start).spans[0].calibration
-    error = np.abs(found.bone_lengths - bone_lengths_of(KINECT_V2, still))[KINECT_V2.bone_joints]
+    start = Calibration(BODY, A_FROM_B, BODY.nominal_lengths * 1.1, "start")
+    found = learn_from_recording(BODY, pairs, start=start).spans[0].calibration
+    error = np.abs(found.bone_lengths - bone_lengths_of(BODY, still))[BODY.bone_joints]
     # Jitter of 3 mm per axis at both ends lengthens a bone of 0.1 m by (3² + 3²)/100 = 0.2 mm; the median of
     # some 250 pairs adds 1.25 · 4.2/√500 = 0.24 mm of noise; short bones (thumb, 4 cm) 0.5 mm.
     assert error.max() < 0.0015
@@ -115,12 +117,12 @@ def test_the_bones_of_a_person_who_stands_still_are_learned_from_a_recording():
 
 def test_one_sides_outliers_do_not_lengthen_a_bone_and_sides_agree():
     pairs = walk(200, noise=0.003)
-    evidence = evidence_of(KINECT_V2, pairs)
-    evidence.a[::4, KINECT_V2.joint("WristLeft")] += [0.0, 0.5, 0.0]
-    lengths = robust_bone_lengths(KINECT_V2, evidence, A_FROM_B, KINECT_V2.nominal_lengths)
-    np.testing.assert_allclose(lengths, lengths[KINECT_V2.mirror])
-    forearm = KINECT_V2.joint("WristLeft")
-    true = bone_lengths_of(KINECT_V2, moving(KINECT_V2, 1)[0])[forearm]
+    evidence = evidence_of(BODY, pairs)
+    evidence.a[::4, BODY.joint("WristLeft")] += [0.0, 0.5, 0.0]
+    lengths = robust_bone_lengths(BODY, evidence, A_FROM_B, BODY.nominal_lengths)
+    np.testing.assert_allclose(lengths, lengths[BODY.mirror])
+    forearm = BODY.joint("WristLeft")
+    true = bone_lengths_of(BODY, moving(BODY, 1)[0])[forearm]
     assert abs(lengths[forearm] - true) < 0.003
 
 
@@ -128,22 +130,22 @@ def test_one_sides_outliers_do_not_lengthen_a_bone_and_sides_agree():
 def test_both_sides_of_a_bone_are_told_apart_or_neither(longer):
     """Two sides that differ by at most 5 % get one length; others get a length each."""
     pairs = walk(200, noise=0.0)
-    evidence = evidence_of(KINECT_V2, pairs)
-    elbow, wrist = KINECT_V2.joint("ElbowLeft"), KINECT_V2.joint("WristLeft")
-    other = KINECT_V2.joint("WristRight")
+    evidence = evidence_of(BODY, pairs)
+    elbow, wrist = BODY.joint("ElbowLeft"), BODY.joint("WristLeft")
+    other = BODY.joint("WristRight")
     for view in (evidence.a, evidence.b):
         forearm = view[:, wrist] - view[:, elbow]
-        right = np.linalg.norm(view[:, other] - view[:, KINECT_V2.joint("ElbowRight")], axis=1)
+        right = np.linalg.norm(view[:, other] - view[:, BODY.joint("ElbowRight")], axis=1)
         forearm *= (longer * right / np.linalg.norm(forearm, axis=1))[:, None]
         view[:, wrist] = view[:, elbow] + forearm
-    lengths = robust_bone_lengths(KINECT_V2, evidence, A_FROM_B, KINECT_V2.nominal_lengths)
+    lengths = robust_bone_lengths(BODY, evidence, A_FROM_B, BODY.nominal_lengths)
     assert lengths[wrist] / lengths[other] == pytest.approx(longer if longer > 1.05 else 1.0, abs=1e-4)
 
 
 def test_a_recording_whose_start_is_half_a_turn_off_is_registered_from_the_walk():
     wrong = RigidTransform.of(Rotation.from_euler("y", 150.0, degrees=True).as_matrix(), [0.0, 0.0, 4.0])
-    start = Calibration(KINECT_V2, wrong, KINECT_V2.nominal_lengths, "wrong")
-    found = learn_from_recording(KINECT_V2, walk(mirrored=True), start=start)
+    start = Calibration(BODY, wrong, BODY.nominal_lengths, "wrong")
+    found = learn_from_recording(BODY, walk(mirrored=True), start=start)
     assert np.degrees(found.spans[0].calibration.a_from_b.angle_to(A_FROM_B)) < 0.7
 
 
@@ -157,15 +159,15 @@ def test_a_learner_compiles_nothing_after_the_fuser_is_warm(monkeypatch):
     fresh = kernel(error_model._accumulate.py_func)  # as in a new process
     monkeypatch.setattr(error_model, "_accumulate", fresh)
     pairs = walk(200)
-    start = Calibration(KINECT_V2, OFF, KINECT_V2.nominal_lengths, "start")
+    start = Calibration(BODY, OFF, BODY.nominal_lengths, "start")
     Fuser(FusionSetup(start)).warm_up()
     assert len(fresh.signatures) == 1
     with event.install_recorder("numba:compile") as compiling:
         _, changes = learned(pairs, OFF)
-        learn_from_recording(KINECT_V2, pairs)
+        learn_from_recording(BODY, pairs)
         transposed = RigidTransform(np.asfortranarray(OFF.rotation), OFF.translation)  # as an inverse is
-        half = evidence_of(KINECT_V2, pairs[:100]), evidence_of(KINECT_V2, pairs[100:])
-        fit_knock(KINECT_V2, *half, transposed, RobustFitSettings())
+        half = evidence_of(BODY, pairs[:100]), evidence_of(BODY, pairs[100:])
+        fit_knock(BODY, *half, transposed, RobustFitSettings())
     assert any(change.kind == "refined" for change in changes)
     assert compiling.buffer == []
     assert len(fresh.signatures) == 1  # a kernel found on disk here would have to be compiled elsewhere
@@ -177,9 +179,7 @@ def test_a_refinement_in_steps_is_the_same_two_pairs_later(monkeypatch):
     monkeypatch.setattr(refinement, "fit_robust", lambda *of, **more: (fits.append(1), fit(*of, **more))[1])
     pairs = walk(120)
     in_steps = LearnerSettings(refinement=RefinementSettings(in_steps=True))
-    learner = CalibrationLearner(
-        KINECT_V2, Calibration(KINECT_V2, OFF, KINECT_V2.nominal_lengths, "start"), in_steps
-    )
+    learner = CalibrationLearner(BODY, Calibration(BODY, OFF, BODY.nominal_lengths, "start"), in_steps)
     each, stepwise = [], []
     for pair in pairs:
         before = len(fits)
