@@ -6,8 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, Calibration
 
 Level = Literal["INFO", "WARN"]
@@ -30,17 +28,21 @@ class Advice:
 
 
 def placement(calibration: Calibration) -> Iterator[Advice]:
-    """Advice on the placement of the sensors, once the registration is known."""
+    """Advice on the placement of the sensors, once the registration is known.
+
+    The angle counts once it is certain: two standard deviations outside its limits, and not provisional.
+    """
     if calibration.registration is None:
         return
     angle = math.degrees(calibration.axes_angle)
+    certain = 2.0 * math.degrees(calibration.registration.rotation_sd)
     low, high = ANGLES
-    if not low <= angle <= high:
+    if not calibration.provisional and not low - certain <= angle <= high + certain:
         way = "further apart" if angle < low else "closer together"
         yield Advice(
             "angle",
-            f"The sensors look {beside(angle, low, high)}° apart; between {low:.0f}° and {high:.0f}° (best: "
-            f"90°) each sees what the other cannot. Move them {way} round the person.",
+            f"The sensors look {angle:.0f}° apart; between {low:.0f}° and {high:.0f}° (best: 90°) each "
+            f"sees what the other cannot. Move them {way} round the person.",
             "WARN",
         )
     yield verdict(calibration)
@@ -52,35 +54,29 @@ def graded(value: float, limits: tuple[float, float]) -> Literal["good", "usable
 
 
 def verdict(calibration: Calibration) -> Advice:
-    """Advice that rates a calibration in millimetres and names the limiting factor."""
+    """Advice that rates a calibration in millimetres and names the limiting factor.
+
+    None is good whose rotation is uncertain, as that of a single pose is.
+    """
     registration = calibration.registration
     if registration is None:
         return Advice("calibration", f"Calibration: {calibration.how}; its quality is unknown.")
     apart = registration.residual_median * 1e3
+    uncertain = math.degrees(registration.rotation_sd)
     word = graded(apart, (GOOD, USABLE))
+    word = "usable" if word == "good" and uncertain > CERTAIN_TURN_DEG else word
     worst = ", ".join(f"{spoken(name)} {1e3 * off:.0f} mm" for name, off in registration.worst_joints(2))
     limit = f"limited by {worst}" if worst else "no joint was seen by both"
-    if (uncertain := math.degrees(registration.rotation_sd)) > CERTAIN_TURN_DEG:
-        limit += (
-            f"; its rotation is certain to {beside(uncertain, CERTAIN_TURN_DEG, digits=1)}° only (limit "
-            f"{CERTAIN_TURN_DEG:g}°): step about while it is made"
-        )
+    if uncertain > CERTAIN_TURN_DEG:
+        only = f"its rotation is certain to {uncertain:.1f}° only (limit {CERTAIN_TURN_DEG:g}°)"
+        limit += f"; {only}: walk some steps"
+    frames = "frame" if registration.frames == 1 else f"{registration.frames} frames"
+    begins = "Provisional calibration" if calibration.provisional else "Calibration"
     return Advice(
         "calibration",
-        f"Calibration {word}: on its {registration.frames} frames the views differ by "
-        f"{beside(apart, GOOD, USABLE)} mm (good below {GOOD:.0f}, usable below {USABLE:.0f}); {limit}.",
+        f"{begins} {word}: on its {frames} the views differ by {apart:.0f} mm (good below {GOOD:.0f}, "
+        f"usable below {USABLE:.0f}); {limit}.",
         "WARN" if word == "poor" else "INFO",
-    )
-
-
-def beside(value: float, *limits: float, digits: int = 0) -> str:
-    """A number with so many digits, or as many more as keep it on its side of the limits."""
-    sides = [np.sign(value - each) for each in limits]
-    return next(
-        text
-        for more in range(digits, 18)
-        for text in [f"{value:.{more}f}"]
-        if more == 17 or [np.sign(float(text) - each) for each in limits] == sides
     )
 
 

@@ -15,7 +15,6 @@ from viewer_app.options.shared import (
     WHOLE_NUMBER,
     LiveOutputOptions,
     OutputOptions,
-    OwnFileOptions,
     SummaryOptions,
     WebOptions,
 )
@@ -54,15 +53,12 @@ class ReplayOptions(LiveOutputOptions, SummaryOptions, OutputOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class InfoOptions(OwnFileOptions):
-    """Show what is in a file.
+class InfoOptions:
+    """Show the contents of a session: body, frames, length, settings, calibration, size, and whether it is
+    whole."""
 
-    Of a session: body, frames, settings, calibration, and whether it is whole. Of a recording or of motion
-    capture: format, joints, people, rate, gaps, unit, what is ignored, and the command that takes it.
-    """
-
-    file: Annotated[Path, ARGUMENT] = field(kw_only=False)
-    """The file to read: .rrd, .csv, .json, .skeleton, .mkv, .bag, .db3, .c3d or .trc."""
+    session: Annotated[Path, ARGUMENT] = field(kw_only=False)
+    """The .rrd to read."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,6 @@ import csv
 import re
 from collections.abc import Collection
 from pathlib import Path
-from typing import NamedTuple
 
 from devices.sensor import DeviceError
 from devices.skeletons.name_tables import plain
@@ -21,8 +20,7 @@ _SPELLED = {
     **{axis: rf"{_SPACE}{axis}{_LENGTH}" for axis in "xyz"},
 }
 _CLOCK = (
-    r"(?:device|capture|sensor|system|host|relative|frame|unix|elapsed|body)*"
-    r"(?:timestamp|timeofday|time|datetime|clock|ts|t)"
+    r"(?:device|capture|sensor|system|host|relative|frame|unix|elapsed|body)*(?:timestamp|time|datetime|ts|t)"
 )
 _CLOCKS = {
     "time": _CLOCK,
@@ -36,21 +34,10 @@ _CLOCKS = {
 """Other spellings of the columns, without case and punctuation. A column's own name comes first."""
 
 
-class Columns(NamedTuple):
-    """The columns of a file; those of other spellings have the names that this program uses."""
+def columns_of(path: Path, raw: bytes, required: Collection[str]) -> tuple[list[str], str, str, int]:
+    """The names of the columns, what separates them, the column of times, and the lines up to the header's.
 
-    names: list[str]
-    separator: str
-    time: str  # of the times, of devices.skeletons.times
-    time_in_file: str
-    begin: int  # lines before the first row
-
-
-def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
-    """The columns of a file that begins with these bytes.
-
-    Raises:
-        DeviceError: One is missing, or is there twice.
+    Columns of other spellings get the names that this program uses.
     """
     lines = raw[:_LONGEST_HEADER].decode("utf-8-sig", "replace").splitlines()
     at = header_of(lines)
@@ -62,7 +49,6 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
     for wanted in required:
         _spell(columns, wanted, _SPELLED[wanted])
     time = next((name for name in TIME_COLUMNS if name in columns), "")
-    in_file = list(columns)
     for wanted, spelled in _CLOCKS.items():
         if not time and _spell(columns, wanted, spelled):
             time = wanted
@@ -80,7 +66,7 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
     row = next(csv.reader(lines[at + 1 : at + 2], delimiter=separator), [])
     if len(row) == len(columns) + 1 and not row[-1].strip():
         columns.append("")  # a separator ends every row
-    return Columns(columns, separator, time, in_file[columns.index(time)], at + 1)
+    return columns, separator, time, at + 1
 
 
 def header_of(lines: list[str]) -> int:

@@ -7,17 +7,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from devices.sensor import SensorFrame
-from fusion.body import KINECT_V2
+from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
+from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
 from recordings.fusing.pairs import fuse_one
 from tests.helpers.frame_pairs import frame_pair
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibrated_on, pair_of, standing, turned_around
-from viewer_app.coach.advice import to_markdown, verdict
+from viewer_app.coach.advice import placement, to_markdown, verdict
 from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
 from viewer_app.coach.standing_spot import FARTHEST, nearest
 
@@ -117,8 +118,9 @@ def test_a_tall_person_fits_into_the_image_at_the_nearest_distance():
 )
 def test_the_angle_between_the_sensors_is_judged(angle, advice):
     a_from_b = turned_around(angle)
-    now = Situation(calibrated_on(BODY, a_from_b), final=True, held=0.0)
-    said = watched(now=now, really=a_from_b)
+    pose = calibrated_on(BODY, a_from_b)
+    walked = replace(pose, registration=replace(pose.registration, rotation_sd=np.radians(0.5)))
+    said = watched(now=Situation(walked, final=True, held=0.0), really=a_from_b)
     if advice is None:
         assert "angle" not in said
     else:
@@ -196,3 +198,49 @@ def test_problems_come_first_on_the_page():
     assert page.startswith("**Fix:** Sensor B has seen no one")
     assert "arms out" in page
     assert to_markdown([]).startswith("## All is well")
+
+
+def a_calibration(angle, sd_deg, *, residual=0.03, provisional=False, frames=40):
+    """A calibration of sensors so many degrees apart, with its standard deviation."""
+    R = Rotation.from_euler("y", angle, degrees=True).as_matrix()
+    a_from_b = RigidTransform.of(R, np.zeros(3))
+    joints = np.full(len(BODY), residual)
+    sds = np.radians(sd_deg), 0.03
+    registration = Registration(a_from_b, residual, residual, joints, sds[0], frames, BODY, sds[1])
+    return Calibration(BODY, a_from_b, BODY.nominal_lengths, "known", registration, provisional)
+
+
+@pytest.mark.parametrize(
+    ("angle", "sd_deg", "provisional", "advised"),
+    [
+        (50.0, 0.5, False, True),
+        (50.0, 6.0, False, False),  # it may be 60°
+        (130.0, 0.5, False, True),
+        (130.0, 6.0, False, False),
+        (90.0, 0.5, False, False),
+        (15.0, 2.0, True, False),  # of one frame
+    ],
+)
+def test_the_angle_is_judged_once_it_is_certain(angle, sd_deg, provisional, advised):
+    said = {each.topic: each for each in placement(a_calibration(angle, sd_deg, provisional=provisional))}
+    assert ("angle" in said) == advised
+
+
+@pytest.mark.parametrize("sd_deg", [0.5, 3.2])
+def test_a_calibration_whose_rotation_is_uncertain_is_not_good(sd_deg):
+    said = verdict(a_calibration(90.0, sd_deg)).text
+    assert ("Calibration good" in said) == (sd_deg < 2.0)
+    assert ("walk some steps" in said) == (sd_deg > 2.0)
+
+
+def test_a_calibration_of_one_frame_says_that_it_is_provisional():
+    said = verdict(a_calibration(90.0, 3.2, provisional=True, frames=1)).text
+    assert said.startswith("Provisional calibration usable: on its frame the views")
+
+
+def test_a_single_pose_is_never_good():
+    for body in BODIES.values():
+        pose = [pair_of(body, standing(body))]
+        assert verdict(calibrate(body, pose, "start-up pose", frontal=True)).text.startswith(
+            "Calibration usable"
+        )
