@@ -32,7 +32,7 @@ _STANDS = 0.65  # of the pelvis' speed; half to two thirds suit labelled walks a
 _SLOWEST = 0.06  # of the pelvis, lengths of the leg per second
 _LEAST_SWING = 0.06  # of the ankle's place from the pelvis, lengths of the leg
 _OWN_SWING = 0.3  # the least swing, of the median of the part
-_RISEN = 0.1  # the least of a swing that began before the part, of the same median
+_SEEN = 0.1  # the least of what is seen of a swing at an end of the part, of the same median
 _SHORTEST_STEP = -0.04  # lengths of the leg; in a tight curve the inner foot lands beside the other
 _FORWARDS = math.cos(math.radians(50.0))  # between the directions of facing and of moving
 _BETWEEN = 0.4, 2.0  # of the median time between strikes of both feet
@@ -396,19 +396,19 @@ def _swings(ahead: Array, walking: NDArray[np.bool_], leg: float) -> tuple[Array
     """Where an ankle is farthest in front of the pelvis and farthest behind it, at the ends of its swings."""
     from scipy.signal import find_peaks
 
-    # the swing before the first peak may have begun before the part
+    # the part may begin in a swing, or end before the pelvis has passed the foot
     (fronts, swing), (backs, swing_back) = (
-        (peaks - 1, more["prominences"])
+        (peaks - 1, np.minimum(more["prominences"], np.ptp(ahead)))
         for peaks, more in (
-            find_peaks(np.insert(values, 0, -_FARTHEST), prominence=_LEAST_SWING * leg)
+            find_peaks(np.pad(values, 1, constant_values=-_FARTHEST), prominence=_LEAST_SWING * leg)
             for values in (ahead, -ahead)
         )
     )
     of_walks = swing[walking[fronts]]
     own = float(np.median(of_walks)) if len(of_walks) else 0.0
-    risen = np.array([ahead[k] - ahead[: k + 1].min() for k in fronts])
+    moved = np.array([ahead[k] - max(ahead[: k + 1].min(), ahead[k:].min()) for k in fronts])
     return (
-        fronts[(swing > _OWN_SWING * own) & (risen > _RISEN * own)],
+        fronts[(swing > _OWN_SWING * own) & (moved > _SEEN * own)],
         backs[(swing_back > _OWN_SWING * own) & (backs > 0)],
     )
 

@@ -202,6 +202,18 @@ def test_every_rate_shows_the_same_walk(how, rate):
             assert abs(step.strike - strikes[k]) < 2.5 * step.strike_sigma
 
 
+@given(st.fixed_dictionaries(WALKS), st.floats(0.0, 4.0), st.floats(0.0, 4.0))
+def test_a_part_of_a_recording_has_the_strikes_a_quarter_of_a_stride_within_it(how, before, after):
+    times, joints = walker(14.0, RATE, **how)
+    strikes = [step.strike for step in find_gait(AZURE_KINECT, times, joints, UP).steps]
+    part = (times >= before * 1e9) & (times <= (14.0 - after) * 1e9)
+    found = np.array([step.strike for step in find_gait(AZURE_KINECT, times[part], joints[part], UP).steps])
+    margin = 0.25 * how["stride"]
+    for strike in strikes:
+        if before + margin < strike < 14.0 - after - margin:
+            assert np.abs(found - strike).min() < 0.05
+
+
 def events(gait):
     """(N, 2) seconds of strikes and toe-offs."""
     return np.array([(step.strike, step.toe_off) for step in gait.steps])
