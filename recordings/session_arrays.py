@@ -268,6 +268,14 @@ def rate_without_pauses(time_ns: NDArray[np.int64]) -> float | None:
     return float(1.0 / steps[steps <= _LONG_PAUSE * np.median(steps)].mean()) if steps.any() else None
 
 
+def pauses_of(time_ns: NDArray[np.int64]) -> list[tuple[float, float]]:
+    """Where the pauses begin, and how long they are, in seconds from the first of (T,) increasing times."""
+    steps = np.diff(time_ns)
+    usual = np.median(steps) if len(steps) else 0.0
+    long = np.flatnonzero(steps > _LONG_PAUSE * usual)
+    return [((time_ns[k] - time_ns[0]) * 1e-9, steps[k] * 1e-9) for k in long]
+
+
 def _figures_of(frame: SessionFrame | SessionFrames) -> dict[str, Any]:
     """The value of each figure, by name: of a frame, or of T frames with T rows; None if it has none."""
     pair, fused = frame.pair, frame.fused

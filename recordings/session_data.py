@@ -155,14 +155,19 @@ class SessionData:
 
     @property
     def views_agree(self) -> ViewsAgree:
-        """How far apart the views are, over all frames since the calibration: the figure of every report.
+        """How far apart the views are, over all frames since the calibration: the figure of every report."""
+        return ViewsAgree.of(self.rows[self.first_compared_frame :].disagreement)
 
-        If all calibrations are provisional, over all frames since the first one that has data.
+    @property
+    def first_compared_frame(self) -> int:
+        """The first frame at which the distance of the views counts.
+
+        If all calibrations are provisional, that of the first one that has data.
         """
         first = self.first_calibrated_frame
         if first is None:
             first = next((n for n, one in self.calibrations if one.registration is not None), len(self))
-        return ViewsAgree.of(self.rows[first:].disagreement if first < len(self) else np.empty(0))
+        return first
 
     @property
     def last_setup(self) -> FusionSetup:

@@ -54,7 +54,7 @@ _CLOCK = re.compile(
 
 
 def capture_times(
-    name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0]
+    name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0], called: str = ""
 ) -> tuple[NDArray[np.int64], list[str]]:
     """Nanoseconds of the times of a file, in its order, and lines for the user.
 
@@ -62,25 +62,26 @@ def capture_times(
         column: A name of :data:`TIME_COLUMNS`, or :data:`FRAME_NUMBERS`.
         times: (N,) as the file has them, of rows or of frames.
         shortest_us: Interval of frames that is not unusual.
+        called: The column's name in the file, if another.
 
     Raises:
         DeviceError: The interval is no body tracker's in any unit, or nanoseconds exceed 64 bits.
     """
-    us, told = find_time_unit(name, column, np.unique(times), shortest_us)
+    us, told = find_time_unit(name, column, np.unique(times), shortest_us, called)
     times, wrapped = _unwrapped(times, us)
     told = [*told, f"{name}: the times go on over {wrapped}."] if wrapped else told
     for epoch_s in _EPOCHS_S:
         if times.min() * us >= _LATEST_US:
             times = times - times.dtype.type(epoch_s * 1e6 / us)
     if max(float(times.max()), -float(times.min())) * us >= _LATEST_US:
-        raise DeviceError(f"{name}: {column} goes beyond {_LATEST_US} microseconds.")
+        raise DeviceError(f"{name}: {called or column} goes beyond {_LATEST_US} microseconds.")
     if times.dtype == np.int64 and (ns := round(1000.0 * us)) == 1000.0 * us:
         return times * ns, told
     return np.rint(times * us).astype(np.int64) * 1000, told
 
 
 def find_time_unit(
-    name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0]
+    name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0], called: str = ""
 ) -> tuple[float, list[str]]:
     """Finds the unit of capture times from their interval.
 
@@ -95,8 +96,9 @@ def find_time_unit(
     Raises:
         DeviceError: The median interval is no body tracker's in any unit.
     """
+    called = called or column
     if column == FRAME_NUMBERS:
-        return _FRAME_US, [_numbered(name, column)]
+        return _FRAME_US, [_numbered(name, called)]
     own, _ = TIME_COLUMNS[column]
     if len(times) < _FEWEST:
         return own, []
@@ -108,7 +110,7 @@ def find_time_unit(
     odd = states and _ODD_US[0] <= own_us <= _ODD_US[1]
     if odd:
         fitting = [unit for unit in fitting if _is_usual(interval * unit[0], _RATES[1:])]
-    by_own = f"{name}: by {column} there are {1e6 / own_us:.3g} frames per second; "
+    by_own = f"{name}: by {called} there are {1e6 / own_us:.3g} frames per second; "
     if odd and _fits(own_us, named=True):
         return own, [
             f"{by_own}if it holds {words}, there are {1e6 / (interval * us):.3g}. State times by a column "
@@ -125,13 +127,13 @@ def find_time_unit(
         )
         way = f" Name the column {key} to state this unit." if key else ""
         per_second = f"{1e6 / (interval * us):.3g} frames per second"
-        return us, [f"{name}: {column} is taken as {words}, so that there are {per_second}.{way}"]
+        return us, [f"{name}: {called} is taken as {words}, so that there are {per_second}.{way}"]
     if interval == 1.0 and (times == np.rint(times)).all():
-        return _FRAME_US, [_numbered(name, column)]
+        return _FRAME_US, [_numbered(name, called)]
     if odd:
         return own, [f"{by_own}body trackers give 5 to 120. Check its unit."]
     raise DeviceError(
-        f"{name}: the unit of {column} is unclear; its median interval of {interval:g} is in no unit that of "
+        f"{name}: the unit of {called} is unclear; its median interval of {interval:g} is in no unit that of "
         "5 to 120 frames per second. Name the column time_s, time_ms, time_us or time_ns by its unit."
     )
 

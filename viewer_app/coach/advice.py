@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, Calibration
 
 Level = Literal["INFO", "WARN"]
@@ -41,8 +43,8 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
         way = "further apart" if angle < low else "closer together"
         yield Advice(
             "angle",
-            f"The sensors look {angle:.0f}° apart; between {low:.0f}° and {high:.0f}° (best: 90°) each "
-            f"sees what the other cannot. Move them {way} round the person.",
+            f"The sensors look {beside(angle, low, high)}° apart; between {low:.0f}° and {high:.0f}° (best: "
+            f"90°) each sees what the other cannot. Move them {way} round the person.",
             "WARN",
         )
     yield verdict(calibration)
@@ -68,15 +70,29 @@ def verdict(calibration: Calibration) -> Advice:
     worst = ", ".join(f"{spoken(name)} {1e3 * off:.0f} mm" for name, off in registration.worst_joints(2))
     limit = f"limited by {worst}" if worst else "no joint was seen by both"
     if uncertain > CERTAIN_TURN_DEG:
-        only = f"its rotation is certain to {uncertain:.1f}° only (limit {CERTAIN_TURN_DEG:g}°)"
+        only = (
+            f"its rotation is certain to {beside(uncertain, CERTAIN_TURN_DEG, digits=1)}° only (limit "
+            f"{CERTAIN_TURN_DEG:g}°)"
+        )
         limit += f"; {only}: walk some steps"
     frames = "frame" if registration.frames == 1 else f"{registration.frames} frames"
     begins = "Provisional calibration" if calibration.provisional else "Calibration"
     return Advice(
         "calibration",
-        f"{begins} {word}: on its {frames} the views differ by {apart:.0f} mm (good below {GOOD:.0f}, "
-        f"usable below {USABLE:.0f}); {limit}.",
+        f"{begins} {word}: on its {frames} the views differ by {beside(apart, GOOD, USABLE)} mm (good below "
+        f"{GOOD:.0f}, usable below {USABLE:.0f}); {limit}.",
         "WARN" if word == "poor" else "INFO",
+    )
+
+
+def beside(value: float, *limits: float, digits: int = 0) -> str:
+    """A number with so many digits, or as many more as keep it on its side of the limits."""
+    sides = [np.sign(value - each) for each in limits]
+    return next(
+        text
+        for more in range(digits, 18)
+        for text in [f"{value:.{more}f}"]
+        if more == 17 or [np.sign(float(text) - each) for each in limits] == sides
     )
 
 

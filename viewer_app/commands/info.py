@@ -1,13 +1,28 @@
-"""``duplex info``: prints the contents of a session."""
+"""``duplex info``: what is in a file, whether a session, a recording or motion capture."""
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.markup import escape
 from rich.table import Table
 
+from devices.azure.mkv import MkvInfo, MkvRecording
+from devices.files import has_images, open_images
+from devices.sensor import DeviceError
+from devices.skeletons.border import METRES, ReadFile
+from devices.skeletons.file_sensor import READERS, SkeletonRecording
+from devices.skeletons.name_tables import listed
+from devices.skeletons.stated_format import StatedFormat
+from fusion.handedness import mirrored_share
 from recordings import layout
+from recordings.errors import RecordingError
 from recordings.images import Images
 from recordings.session import Session
+from recordings.session_arrays import pauses_of, rate_without_pauses
+from recordings.truth_files import TruthFile, read_truth
 from viewer_app.options.sessions import InfoOptions
 from viewer_app.output_console import output_console
 from viewer_app.report.events import list_events
@@ -15,33 +30,170 @@ from viewer_app.report.figures import calibration_figures
 from viewer_app.report.terminal import print_events
 from viewer_app.report.words import calibration_in_words
 
+Rows = Iterator[tuple[str, object]]
+_FORMATS = {
+    ".csv": "skeletons, a row for each joint and frame",
+    ".json": "skeletons of Microsoft's offline_processor",
+    ".skeleton": "skeletons of NTU RGB+D",
+    ".mkv": "images of an Azure Kinect",
+    ".bag": "images of Orbbec's SDK v2 or a RealSense",
+    ".db3": "images of a RealSense",
+    ".c3d": "motion capture",
+    ".trc": "motion capture of OpenSim",
+}
+_MOST_PEOPLE = 8
+
 
 def run(options: InfoOptions) -> None:
     """Runs the command."""
-    session = Session.open(options.session)
+    path, console = options.file, output_console()
+    table = Table(show_header=False, box=None)
+    suffix = path.suffix.lower()
+    other = path.is_file() and suffix != ".rrd" and not _begins(path).startswith("'RRF")
+    session = None if other else Session.open(path)
+    rows = _of_session(session, path) if session is not None else _of_file(path, options.stated)
+    try:
+        for name, value in rows:
+            table.add_row(f"[bold]{name}[/]", escape(str(value)))
+    finally:  # of a file that cannot be read, what is known of it
+        console.print(table)
+    if session is not None and (events := list_events(session.events)):
+        print_events(console, events, all_of_them=True)
+
+
+def _of_file(path: Path, stated: StatedFormat) -> Rows:
+    suffix = path.suffix.lower()
+    yield "file", f"{path.name}, {path.stat().st_size / 1e3:.0f} kB"
+    if suffix not in _FORMATS:
+        yield "begins with", _begins(path)
+        raise DeviceError(
+            f"{path}: {suffix or 'no ending'} is no format that is read. Known: .rrd, {', '.join(_FORMATS)}. "
+            "A file of one of these needs its ending."
+        )
+    if has_images(path):
+        yield "format", _FORMATS[suffix]
+        yield from _of_images(path)
+        return
+    try:
+        if suffix in READERS:
+            with SkeletonRecording(path, stated) as recording:
+                yield "format", _FORMATS[suffix]
+                yield from _of_skeletons(path, recording.content, stated)
+                return
+        truth = read_truth(path)
+    except (DeviceError, RecordingError) as fault:
+        try:
+            if suffix != ".csv":
+                raise
+            truth = read_truth(path)
+        except (DeviceError, RecordingError):
+            yield "format", f"{_FORMATS[suffix]}; it cannot be read"
+            yield "begins with", _begins(path)
+            raise fault from None
+    yield "format", "motion capture" if suffix in READERS else _FORMATS[suffix]
+    yield from _of_motion_capture(path, truth)
+
+
+def _begins(path: Path) -> str:
+    with path.open("rb") as file:
+        return ascii(file.read(60).decode("utf-8", "replace"))
+
+
+def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
+    people, body = read.people, read.body
+    states, positions = people.skeletons.states, people.skeletons.positions
+    seen = np.array(states.any(axis=0))
+    yield "joints", f"{np.count_nonzero(seen)} of {len(body)} of {body.name}"
+    if not seen.all():
+        yield "never seen", listed([name for name, there in zip(body.joints, seen, strict=True) if not there])
+    shares = [f"{np.mean(states[:, seen] == k):.1%} {word}" for k, word in ((2, "tracked"), (1, "inferred"))]
+    yield "states", f"{', '.join(shares)} of these joints"
+    counts = np.bincount(people.person, minlength=len(people.ids))
+    first = np.argsort(-counts, kind="stable")[:_MOST_PEOPLE]
+    named = ", ".join(f"{people.ids[k]!r} in {counts[k]} frames" for k in first)
+    yield "people", named + " …" * (len(counts) > _MOST_PEOPLE) or "none"
+    yield from _of_times(people.time_ns)
+    away = np.linalg.norm(positions[:, body.root], axis=1)
+    place = (
+        f"the person is {np.nanmedian(away):.2f} m away"
+        if np.isfinite(away).any()
+        else "its root is never seen"
+    )
+    yield "unit", f"{read.unit}; {place}"
+    share = mirrored_share(body, positions)
+    hands = "unknown, without feet or trunk" if share is None else "yes" if share > 0.5 else "no"
+    yield "axes", stated.axes or "x right, y down, z forward, as the sensor sees"
+    yield "mirror image", hands
+    if read.ignored:
+        yield "ignored", f"columns {listed(read.ignored)}"
+    for k, line in enumerate(read.warnings):
+        yield "" if k else "note", line.removeprefix(f"{path}: ")
+    yield "fuse it", f"duplex fuse {path} OTHER{path.suffix}{_options(read, stated)} --save s.rrd"
+
+
+def _options(read: ReadFile, stated: StatedFormat) -> str:
+    """The options by which a file is read so without a question."""
+    unit = next(key for key, (_, words) in METRES.items() if words == read.unit)
+    asked = stated.unit != "auto" or any("--unit" in line for line in read.warnings)
+    options = (("unit", unit if asked else ""), ("axes", stated.axes), ("names", stated.names))
+    return "".join(f" --{name} {value}" for name, value in options if value)
+
+
+def _of_times(time_ns: NDArray[np.int64]) -> Rows:
+    seconds = float(time_ns[-1] - time_ns[0]) * 1e-9
+    rate = rate_without_pauses(time_ns)
+    yield "frames", f"{len(time_ns)} in {seconds:.2f} s" + (f", {rate:.1f} per second" if rate else "")
+    if len(pauses := pauses_of(time_ns)):
+        at, longest = max(pauses, key=lambda pause: pause[1])
+        counted = "1, of" if len(pauses) == 1 else f"{len(pauses)}, the longest of"
+        yield "gaps", f"{counted} {longest:.2f} s at {at:.2f} s"
+
+
+def _of_images(path: Path) -> Rows:
+    with open_images(path) as recording:
+        camera = recording.intrinsics
+        info = recording.info if isinstance(recording, MkvRecording) else recording
+        assert info is not None
+        if isinstance(info, MkvInfo):
+            yield "sensor", f"{info.serial or 'unknown'}, {info.depth_mode}, {info.sync_mode.lower()}"
+        if camera is not None:
+            yield "depth", f"{camera.width} × {camera.height} pixels, focal length {camera.fx:.0f} pixels"
+        seconds, rate = info.duration_ns * 1e-9, 1e9 / info.interval_ns
+        yield "frames", f"{1 + seconds * rate:.0f} in {seconds:.2f} s, {rate:.3g} per second"
+        yield "people", "found by a body tracker while the file is fused"
+        for k, line in enumerate(recording.warnings):
+            yield "" if k else "note", line
+    yield "fuse it", f"duplex fuse {path} OTHER{path.suffix} --save s.rrd"
+
+
+def _of_motion_capture(path: Path, truth: TruthFile) -> Rows:
+    missing = ~np.isfinite(truth.points).any(axis=(0, 2))
+    yield "points", f"{len(truth.labels)}: {listed(truth.labels)}"
+    if missing.any():
+        yield "never seen", listed([truth.labels[k] for k in np.flatnonzero(missing)])
+    yield from _of_times(np.rint(truth.seconds * 1e9).astype(np.int64))
+    if truth.warning:
+        yield "note", truth.warning.removeprefix(f"{path}: ")
+    yield "compare it", f"duplex compare s.rrd {path}"
+
+
+def _of_session(session: Session, path: Path) -> Rows:
     rows = session.rows
     seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
-    size = options.session.stat().st_size
-    table = Table(show_header=False, box=None)
-
-    def row(name: str, value: object) -> None:
-        table.add_row(f"[bold]{name}[/]", escape(str(value)))
-
-    row("session", session)
+    size = path.stat().st_size
     about = session.about["session"]
-    row("written by", f"{about['written_by'][0]}, layout {about['layout_version'][0]}")
-    row("body", f"{session.body.name}, {len(session.body)} joints")
-    row("sensors", f"A {session.sources[0]}, B {session.sources[1]}")
+    yield "session", session
+    yield "written by", f"{about['written_by'][0]}, layout {about['layout_version'][0]}"
+    yield "body", f"{session.body.name}, {len(session.body)} joints"
+    yield "sensors", f"A {session.sources[0]}, B {session.sources[1]}"
     if session.tracker:
-        row("body tracker", session.tracker)
-    row(
-        "frames",
-        f"{len(session)} in {seconds:.2f} s; the faster sensor gives {session.frame_rate:.3g} per second",
-    )
-    row("without S*", int(rows.predicted.all(axis=1).sum()))
-    row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))
+        yield "body tracker", session.tracker
+    rate = f"the faster sensor gives {session.frame_rate:.3g} per second"
+    yield "frames", f"{len(session)} in {seconds:.2f} s; {rate}"
+    yield "without S*", int(rows.predicted.all(axis=1).sum())
+    yield "settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items())
     for k, line in enumerate(calibration_in_words(calibration_figures(session.calibration))):
-        row("" if k else "calibration", line)
+        yield "" if k else "calibration", line
     images: dict[str, dict[str, Images[Any]]] = {
         "depth": {side: session.depth(side) for side in layout.SIDES},
         "colour": {side: session.color(side) for side in layout.SIDES},
@@ -50,17 +202,12 @@ def run(options: InfoOptions) -> None:
     for kind, of_sides in images.items():
         counts = {side: reader.count() for side, reader in of_sides.items()}
         if kind == "depth" or any(counts.values()):
-            row(f"{kind} images", ", ".join(f"{side.upper()} {count}" for side, count in counts.items()))
+            yield f"{kind} images", ", ".join(f"{side.upper()} {count}" for side, count in counts.items())
         damage += [
             f"{reader.damaged} damaged {kind} images of {side.upper()}"
             for side, reader in of_sides.items()
             if reader.damaged
         ]
-    row("size", f"{size / 1e6:.1f} MB, {size / max(seconds, 1e-9) * 60 / 1e6:.1f} MB a minute")
-    events = list_events(session.events)
-    row("events", len(events))
-    row("whole", f"no: {', '.join(damage)}" if damage else "yes")
-    console = output_console()
-    console.print(table)
-    if events:
-        print_events(console, events, all_of_them=True)
+    yield "size", f"{size / 1e6:.1f} MB, {size / max(seconds, 1e-9) * 60 / 1e6:.1f} MB a minute"
+    yield "events", len(list_events(session.events))
+    yield "whole", f"no: {', '.join(damage)}" if damage else "yes"

@@ -15,6 +15,7 @@ from viewer_app.options.shared import (
     WHOLE_NUMBER,
     LiveOutputOptions,
     OutputOptions,
+    OwnFileOptions,
     SummaryOptions,
     WebOptions,
 )
@@ -53,12 +54,15 @@ class ReplayOptions(LiveOutputOptions, SummaryOptions, OutputOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class InfoOptions:
-    """Show the contents of a session: body, frames, length, settings, calibration, size, and whether it is
-    whole."""
+class InfoOptions(OwnFileOptions):
+    """Show what is in a file.
 
-    session: Annotated[Path, ARGUMENT] = field(kw_only=False)
-    """The .rrd to read."""
+    Of a session: body, frames, settings, calibration, and whether it is whole. Of a recording or of motion
+    capture: format, joints, people, rate, gaps, unit, what is ignored, and the command that takes it.
+    """
+
+    file: Annotated[Path, ARGUMENT] = field(kw_only=False)
+    """The file to read: .rrd, .csv, .json, .skeleton, .mkv, .bag, .db3, .c3d or .trc."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -113,7 +113,7 @@ class OwnFileOptions:
     """How the .csv files of other programs are read."""
 
     unit: Annotated[Literal["auto", "m", "cm", "mm", "ft", "in"], SENSORS] = "auto"
-    """Unit of the positions in .csv files. auto: found from the size of the person."""
+    """Unit of the positions in .csv, .json and .skeleton files. auto: found from the size of the person."""
     axes: Annotated[str, SENSORS, Parameter(allow_leading_hyphen=True)] = ""
     """Axes of .csv files: kinect, unity, opengl, ros, or those that are right, down and forward: x,-y,z."""
     names: Annotated[str, SENSORS] = ""

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
+from fusion.facing.evidence import upright_direction
 from fusion.handedness import mirrored_share
 from fusion.large_arrays import parts
 from fusion.registration.rigid_fit import fit_recording
@@ -19,16 +21,17 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import NO_FRAME
 from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without_truth, judge_registration
-from recordings.appearance.joint_trust import SeenJoints
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays, rate_without_pauses
 from recordings.session_data import ViewsAgree
 from viewer_app.coach.standing_spot import FARTHEST, nearest
 from viewer_app.output_files import write_text
+from viewer_app.report.doubtful_time import doubtful_seconds, seen_people
 from viewer_app.report.verdict import Figures as Figures
 from viewer_app.report.verdict import verdict
 
 _SAMPLES = 100_000  # frames, from which a median distance is found
+_STANDING = 10_000  # frames, from which the vertical is found
 
 
 def report(session: Session) -> Figures:
@@ -42,7 +45,7 @@ def report(session: Session) -> Figures:
             "alone": alone,
             "dropped": dict(zip("ab", session.dropped, strict=True)),
             "clock": session.clock,
-            **fusion_figures(session.last_setup, session.rows, session.views_agree),
+            **fusion_figures(session.last_setup, session.rows, session.first_compared_frame),
         }
     )
 
@@ -52,42 +55,67 @@ def with_verdict(figures: Figures) -> Figures:
     return figures | {"verdict": verdict(figures)._asdict()}
 
 
-def fusion_figures(setup: FusionSetup, rows: SessionArrays, apart: ViewsAgree) -> Figures:
+def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figures:
     """The figures of fused frames from any source, with the last setup that applies to them.
 
     Args:
-        apart: How far the views are apart since the calibration.
+        first: The first frame at which the distance of the views counts.
     """
     settings = setup.settings
     empty_a, empty_b = ((states == 0).all(axis=1) for states in (rows.states_a, rows.states_b))
     gave_a, gave_b = (clock != NO_FRAME for clock in (rows.clock_a, rows.clock_b))
+    seen, apart = seen_people(rows), rows[first:].disagreement
+    agree = ViewsAgree.of(apart)
     return {
         "stale": {"a": int(rows.stale_a.sum()), "b": int(rows.stale_b.sum())},
         "without_person": {
             "a": int((empty_a & gave_a).sum()),
             "b": int((empty_b & gave_b).sum()),
-            "both": _without_person(rows),
+            "both": int((~seen.any(axis=0)).sum()),
         },
         "settings": {name: getattr(settings, name) for name in ("method", "h", "weights", "smoothing")},
-        "calibration": calibration_figures(setup.calibration),
+        "calibration": {
+            **calibration_figures(setup.calibration),
+            "angle_deg": _angle(setup.calibration.a_from_b.rotation, rows.body, rows.fused),
+        },
         "distance_m": _distances(setup, rows),
         **method_figures(rows),
         "views_agree_mm": {
-            "median": known_or_none(apart.median * 1e3),
-            "p95": known_or_none(apart.percentile_95 * 1e3),
+            "median": known_or_none(agree.median * 1e3),
+            "p95": known_or_none(agree.percentile_95 * 1e3),
         },
+        "seconds_of": doubtful_seconds(rows, apart, seen),
+        "upside_down": {side: _upside_down(rows, side) for side in "ab"},
+        "in_no_frame": [
+            name
+            for name, *states in zip(rows.body.joints, rows.states_a.T, rows.states_b.T, strict=True)
+            if not np.any(states)
+        ],
     }
 
 
-def _without_person(rows: SessionArrays) -> int:
-    """Frames in which nobody is in the newest frame of either sensor."""
-    a, b = SeenJoints(len(rows.body)), SeenJoints(len(rows.body))
-    count = 0
-    for part in rows.parts():
-        seen = a.add(part.states_a, part.clock_a, part.time_ns)
-        seen |= b.add(part.states_b, part.clock_b, part.time_ns)
-        count += int((~seen.any(axis=1)).sum())
-    return count
+def _angle(rotation: NDArray[np.float64], body: Body, fused: NDArray[np.floating]) -> float:
+    """Degrees between the directions in which the sensors look, about the vertical.
+
+    The axes of tilted sensors have another angle: two that face each other and look down by 20° have 140°.
+
+    Args:
+        rotation: (3, 3) K_A from K_B.
+        fused: (T, J, 3) of S*.
+    """
+    up = upright_direction(body, fused[:: max(1, len(fused) // _STANDING)].astype(np.float64))
+    floor = np.eye(3) - np.outer(up, up)
+    a, b = floor[:, 2], floor @ rotation[:, 2]
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
+
+def _upside_down(rows: SessionArrays, side: str) -> float | None:
+    """The share of frames in which the head is below both ankles, in the sensor's own axes."""
+    positions = rows.positions_a if side == "a" else rows.positions_b
+    y = positions[:: max(1, len(rows) // _SAMPLES), :, 1]
+    head, *ankles = (y[:, rows.body.joint(name)] for name in ("head", "ankle left", "ankle right"))
+    above = head - np.maximum(*ankles)
+    return of_finite(lambda known: np.mean(known > 0.0), above)
 
 
 def calibration_figures(calibration: Calibration) -> Figures:

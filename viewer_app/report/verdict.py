@@ -4,14 +4,19 @@
 figure                                                 good       usable
 =====================================================  =========  =========
 views agree, median over all frames since calibration  < 40 mm    < 80 mm
+of the time the views are more than 80 mm apart        < 5 %      < 50 %
+they are more than 0.5 m apart                         < 5 %
+a wrist or ankle is uncertain by more than 150 mm      < 10 %     < 50 %
+one view alone has the person                          < 10 %     < 50 %
 rotation of B certain to (standard deviation)          <= 2°      <= 4°
-angle between the sensors                              60–120°    40–140°
+angle between the sensors about the vertical           60–120°    40–140°
 distance of the person, of the sensor's range          within     25 % off
 offset between the clocks less two standard deviations < 17 ms    < 50 ms
 frames without a partner                               < 10 %     < 30 %
 =====================================================  =========  =========
 
-Anything beyond is poor, and so is a view that is the mirror image of a body.
+Anything beyond is poor, and so is a view that is the mirror image of a body. Usable are views of which one is
+upside down, or that both lack a joint. More doubtful seconds never give a better word.
 """
 
 import math
@@ -19,7 +24,8 @@ from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, FEWEST_PAIRS
-from viewer_app.coach.advice import ANGLES, GOOD, USABLE, graded
+from viewer_app.coach.advice import ANGLES, GOOD, USABLE, beside, graded, spoken
+from viewer_app.report.doubtful_time import UNCERTAIN
 
 Figures = dict[str, Any]
 Word = Literal["good", "usable", "poor", "unknown"]
@@ -27,6 +33,11 @@ Word = Literal["good", "usable", "poor", "unknown"]
 USABLE_ANGLES = (40.0, 140.0)
 _OFFSETS = (17.0, 50.0)  # ms: half a frame, one and a half
 _UNPAIRED = (0.1, 0.3)
+_LONG_APART = 0.05  # of the time
+_OTHERS = 500.0  # mm for that time; 20 real pairs of one person are within 340 mm
+_DOUBTFUL = (0.1, 0.5)  # of the time
+_HEAD_DOWN = 0.9
+_NAMED = 3  # joints
 _OUT_OF_RANGE = 0.25
 _MIRRORED = 0.8
 _CALIBRATE = "Calibrate: stand still for a second, arms and legs apart, where both sensors see all of you"
@@ -76,28 +87,27 @@ def _shortcomings(figures: Figures) -> Iterator[Verdict]:
         text = f"B captures {clock['offset_ms']:+.0f} ± {clock['sd_ms']:.0f} ms off its time stamps"
         certain = abs(clock["offset_ms"]) - 2.0 * clock["sd_ms"]
         yield Verdict(graded(certain, _OFFSETS), text, "Check the clocks")
+    yield from _missing(figures, live)
     if apart is None:
         yield Verdict("unknown", "no joint was seen by both sensors", "Check that both see the person")
     else:
-        word = graded(apart, (GOOD, USABLE))
-        limit = f"good is below {GOOD:.0f}" if word == "usable" else f"usable is below {USABLE:.0f}"
-        remedy = _CALIBRATE if live else _SAME_MOMENT
-        text = f"the views differ by {_beyond(apart, GOOD, USABLE)} mm; {limit}"
-        yield Verdict(word, text, remedy if word == "poor" else "")
-    angle, (low, high), (least, most) = calibration["axes_angle_deg"], ANGLES, USABLE_ANGLES
+        yield from _views(figures, live)
+    yield from _doubts(figures, live)
+    angle, (low, high), (least, most) = calibration["angle_deg"], ANGLES, USABLE_ANGLES
     if calibration["residual_mm"] is not None and not low <= angle <= high:
         way = "further apart" if angle < low else "closer together"
         yield Verdict(
             "usable" if least <= angle <= most else "poor",
-            f"the sensors look {angle:.0f}° apart; good is {low:.0f}° to {high:.0f}°",
+            f"the sensors look {beside(angle, low, high)}° apart; good is {low:.0f}° to {high:.0f}°",
             f"Move them {way} round the person" if live else f"Record with them {way}",
         )
     for side, distance in figures["distance_m"].items():
         yield from _distance(side.upper(), live, **distance)
     turn = calibration["rotation_sd_deg"]
     if turn is not None and turn > CERTAIN_TURN_DEG:
-        word = "usable" if turn <= 2.0 * CERTAIN_TURN_DEG else "poor"
-        text = f"B's rotation is certain to {turn:.1f}° only; good is {CERTAIN_TURN_DEG:g}°"
+        word: Word = "usable" if turn <= 2.0 * CERTAIN_TURN_DEG else "poor"
+        certain = beside(turn, CERTAIN_TURN_DEG, digits=1)
+        text = f"B's rotation is certain to {certain}° only; good is {CERTAIN_TURN_DEG:g}°"
         yield Verdict(word, text, "Walk about while both sensors see you" if live else _ANOTHER_PART)
     share = _unpaired_share(figures)
     if share >= _UNPAIRED[0]:
@@ -106,13 +116,67 @@ def _shortcomings(figures: Figures) -> Iterator[Verdict]:
         yield Verdict(graded(share, _UNPAIRED), text, remedy)
 
 
+def _missing(figures: Figures, live: bool) -> Iterator[Verdict]:
+    """Views that are upside down, and joints that neither has."""
+    down = [side.upper() for side, share in figures["upside_down"].items() if (share or 0.0) > _HEAD_DOWN]
+    if down:
+        text = f"{' and '.join(down)} {'is' if len(down) == 1 else 'are'} upside down"
+        righted = "If it is a .csv file with the axes of the Kinect SDK, state --axes kinect"
+        yield Verdict("usable", text, "Turn the sensor round" if live else righted)
+    lacking = [spoken(name) for name in figures["in_no_frame"]]
+    if lacking and figures["views_agree_mm"]["median"] is not None:
+        more = f" and {len(lacking) - _NAMED} more" if len(lacking) > _NAMED else ""
+        which = f"{', '.join(lacking[:_NAMED])}{more}"
+        yield Verdict("usable", f"no view has {which} in any frame, and S* predicts what is not measured")
+
+
+def _views(figures: Figures, live: bool) -> Iterator[Verdict]:
+    """How far the views are apart, in the median and for how long."""
+    apart, high = figures["views_agree_mm"]["median"], figures["views_agree_mm"]["p95"]
+    remedy = _CALIBRATE if live else _SAME_MOMENT
+    if high > _OTHERS:
+        text = (
+            f"a twentieth of the time the views differ by more than {high:.0f} mm, as those of two people do"
+        )
+        yield Verdict("poor", text, remedy)
+    word: Word = graded(apart, (GOOD, USABLE))
+    limit = f"good is below {GOOD:.0f}" if word == "usable" else f"usable is below {USABLE:.0f}"
+    text = f"the views differ by {beside(apart, GOOD, USABLE)} mm; {limit}"
+    lasts, share = doubt(figures, "views_apart")
+    if share >= _LONG_APART and word != "poor":
+        long = f"more than {USABLE:.0f} mm for {lasts}"
+        text = f"the views differ by {long}" if word == "good" else f"{text}, and they differ by {long}"
+        word = "usable" if word == "good" else word
+    yield Verdict(word, text, remedy if word == "poor" else "")
+
+
+def _doubts(figures: Figures, live: bool) -> Iterator[Verdict]:
+    """For how long a limb is uncertain, and a view is missing."""
+    lasts, share = doubt(figures, "limb_uncertain")
+    limb = figures["seconds_of"]["limb"]
+    text = f"a limb, mostly the {limb}, is uncertain by more than {UNCERTAIN:.0f} mm for {lasts}"
+    remedy = "Stand where a sensor sees it" if live else "Record it where a sensor sees it"
+    yield Verdict(graded(share, _DOUBTFUL), text, remedy)
+    lasts, share = doubt(figures, "one_view")
+    remedy = "Stay where both sensors see all of you" if live else "Record where both see all of the person"
+    yield Verdict(graded(share, _DOUBTFUL), f"one view alone has the person for {lasts}", remedy)
+
+
+def doubt(figures: Figures, name: str) -> tuple[str, float]:
+    """How long a doubt of ``seconds_of`` lasts, such as ``8.1 s (28 %)``, and its share of the session."""
+    lasts, every = figures["seconds_of"][name] or 0.0, figures["seconds_of"]["all"]
+    share = lasts / every if every > 0.0 else 0.0
+    return f"{lasts:.1f} s ({100.0 * share:.0f} %)", share
+
+
 def _distance(side: str, live: bool, median: float | None, near: float, far: float) -> Iterator[Verdict]:
     if median is None or near <= median <= far:
         return
     way = "further away" if median < near else "nearer"
+    away = beside(median, near, far, digits=1)
     yield Verdict(
         "usable" if (1.0 - _OUT_OF_RANGE) * near <= median <= (1.0 + _OUT_OF_RANGE) * far else "poor",
-        f"the person is {median:.2g} m from {side}; good is {near:.2g} to {far:.2g} m",
+        f"the person is {away} m from {side}; good is {near:.2g} to {far:.2g} m",
         f"Stand {way}" if live else f"Record with the person {way}",
     )
 
@@ -122,14 +186,6 @@ def _unpaired_share(figures: Figures) -> float:
     unpaired: int = min((figures["dropped"][side] or 0) + figures["alone"][side] for side in "ab")
     paired: int = figures["paired"]
     return unpaired / max(1, unpaired + paired)  # a live sensor's dropped ones are no frames of it
-
-
-def _beyond(value: float, *limits: float) -> str:
-    """A number with the digits that keep it on its side of the limits."""
-    digits = next(
-        (d for d in range(3) if all((round(value, d) < each) == (value < each) for each in limits)), 3
-    )
-    return f"{value:.{digits}f}"
 
 
 def in_words(found: Verdict) -> str:

@@ -8,11 +8,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from viewer_app.coach.advice import ANGLES
+from viewer_app.coach.advice import ANGLES, USABLE
+from viewer_app.report.doubtful_time import UNCERTAIN
 from viewer_app.report.figures import Figures
-from viewer_app.report.verdict import Verdict, in_words, precision_in_words
+from viewer_app.report.verdict import Verdict, doubt, in_words, precision_in_words
 
 _PAUSED = 0.9  # of the time: with less there are pauses
+_SOME_TIME = 0.5  # seconds
 _MICROMETRE = 1e-3  # millimetres; what a file stores of S* is no more exact
 
 
@@ -35,6 +37,8 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
         median, high = (in_mm(figures["views_agree_mm"][key]) for key in ("median", "p95"))
         text = f"median {median}, 95 % {high}, over all frames since the calibration."
         yield Line("Views agree", text, figure=median)
+        if doubts := [f"{words} {lasts}" for words, lasts in _doubts(figures)]:
+            yield Line("Doubtful", f"{', '.join(doubts)}.")
         turn = figures["calibration"]["rotation_sd_deg"]
         precision = f"{precision_in_words(figures['calibration'])}."
         yield Line("Calibration", precision, figure="–" if turn is None else f"± {turn:.1f}°")
@@ -93,6 +97,17 @@ def bone_rows(figures: Figures) -> Iterator[list[str]]:
 
 BONE_HEAD = ("bone", "target", "S_A", "S_B", "S*")
 """The columns of :func:`bone_rows`."""
+
+
+def _doubts(figures: Figures) -> Iterator[tuple[str, str]]:
+    """What is doubtful for half a second or longer, and for how long."""
+    for name, words in (
+        ("views_apart", f"views more than {USABLE:.0f} mm apart"),
+        ("limb_uncertain", f"a limb uncertain by more than {UNCERTAIN:.0f} mm"),
+        ("one_view", "one view missing"),
+    ):
+        if (figures["seconds_of"][name] or 0.0) >= _SOME_TIME:
+            yield words, doubt(figures, name)[0]
 
 
 def _repaired(repaired: Figures) -> Line:

@@ -14,7 +14,6 @@ from devices.tracker_choice import tracker_name
 from fusion.setup import FusionSetup
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays, SessionFrame
-from recordings.session_data import ViewsAgree
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions
@@ -167,10 +166,10 @@ def session_report(
     if rows is None:
         return figures
     if session is not None:
-        setup, apart = session.last_setup, session.views_agree
-    else:  # the newest frames only, which are seldom older than the calibration
-        apart = ViewsAgree.of(rows.disagreement)
-    return with_verdict(figures | fusion_figures(setup, rows, apart))
+        setup = session.last_setup
+    # else the newest frames only, which are seldom older than the calibration
+    first = 0 if session is None else session.first_compared_frame
+    return with_verdict(figures | fusion_figures(setup, rows, first))
 
 
 def stream_figures(sensors: TwoSensors) -> Figures:

@@ -4,6 +4,7 @@ import csv
 import re
 from collections.abc import Collection
 from pathlib import Path
+from typing import NamedTuple
 
 from devices.sensor import DeviceError
 from devices.skeletons.name_tables import plain
@@ -20,7 +21,8 @@ _SPELLED = {
     **{axis: rf"{_SPACE}{axis}{_LENGTH}" for axis in "xyz"},
 }
 _CLOCK = (
-    r"(?:device|capture|sensor|system|host|relative|frame|unix|elapsed|body)*(?:timestamp|time|datetime|ts|t)"
+    r"(?:device|capture|sensor|system|host|relative|frame|unix|elapsed|body)*"
+    r"(?:timestamp|timeofday|time|datetime|clock|ts|t)"
 )
 _CLOCKS = {
     "time": _CLOCK,
@@ -34,10 +36,21 @@ _CLOCKS = {
 """Other spellings of the columns, without case and punctuation. A column's own name comes first."""
 
 
-def columns_of(path: Path, raw: bytes, required: Collection[str]) -> tuple[list[str], str, str, int]:
-    """The names of the columns, what separates them, the column of times, and the lines up to the header's.
+class Columns(NamedTuple):
+    """The columns of a file; those of other spellings have the names that this program uses."""
 
-    Columns of other spellings get the names that this program uses.
+    names: list[str]
+    separator: str
+    time: str  # of the times, of devices.skeletons.times
+    time_in_file: str
+    begin: int  # lines before the first row
+
+
+def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
+    """The columns of a file that begins with these bytes.
+
+    Raises:
+        DeviceError: One is missing, or is there twice.
     """
     lines = raw[:_LONGEST_HEADER].decode("utf-8-sig", "replace").splitlines()
     at = header_of(lines)
@@ -49,6 +62,7 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> tuple[list[
     for wanted in required:
         _spell(columns, wanted, _SPELLED[wanted])
     time = next((name for name in TIME_COLUMNS if name in columns), "")
+    in_file = list(columns)
     for wanted, spelled in _CLOCKS.items():
         if not time and _spell(columns, wanted, spelled):
             time = wanted
@@ -66,7 +80,7 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> tuple[list[
     row = next(csv.reader(lines[at + 1 : at + 2], delimiter=separator), [])
     if len(row) == len(columns) + 1 and not row[-1].strip():
         columns.append("")  # a separator ends every row
-    return columns, separator, time, at + 1
+    return Columns(columns, separator, time, in_file[columns.index(time)], at + 1)
 
 
 def header_of(lines: list[str]) -> int:

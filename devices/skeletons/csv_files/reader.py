@@ -50,7 +50,7 @@ def read_csv(
     """
     rows = _rows(path, block, progress)
     points, labels, about_points = _points(path, stated, rows.labels)
-    time_ns, about_times = capture_times(path, rows.clock, rows.time)
+    time_ns, about_times = capture_times(path, rows.clock, rows.time, called=rows.called)
     label = np.array([points.find(name) for name in labels], dtype=np.int64)[rows.label]
     backward = _backward(path, time_ns, rows.person * len(points) + label)
     times, frame = np.unique(time_ns, return_inverse=True)
@@ -87,6 +87,7 @@ class _Rows:
     """All rows of a file."""
 
     clock: str  # the column of the times' unit
+    called: str  # what the file calls it
     time: NDArray[Any]
     people: list[str]
     person: NDArray[np.int64]  # index of each row's person
@@ -117,7 +118,7 @@ def _rows(path: Path, block: int, progress: Progress) -> _Rows:
             values, code = codes(table, column) if there else (["0"], np.zeros(len(time), dtype=np.int64))
             rows.append(np.array([known.setdefault(value, len(known)) for value in values])[code])
         if len(times) == 1:
-            names = [name for name in table.column_names if name not in (*COLUMNS, text.time, "")]
+            names = [name for name in table.column_names if name not in (*COLUMNS, text.columns.time, "")]
             states = [StateColumn(name) for name in names if StateColumn.is_like(name)]
         for column_of_states in states:
             column_of_states.append(*codes(table, column_of_states.name))
@@ -126,7 +127,10 @@ def _rows(path: Path, block: int, progress: Progress) -> _Rows:
     pa.default_memory_pool().release_unused()
     persons, joints, places = GrowingArray.wholes((person, label, xyz))
     time = np.concatenate(times)
-    return _Rows(clock, time, list(people), persons, list(labels), joints, places, states, tuple(names))
+    called = text.columns.time_in_file
+    return _Rows(
+        clock, called, time, list(people), persons, list(labels), joints, places, states, tuple(names)
+    )
 
 
 def _points(path: Path, stated: StatedFormat, labels: list[str]) -> tuple[FilePoints, list[str], list[str]]:

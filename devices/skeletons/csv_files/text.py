@@ -16,7 +16,7 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
-from devices.skeletons.csv_files.columns import COLUMNS, columns_of, header_of
+from devices.skeletons.csv_files.columns import COLUMNS, Columns, columns_of, header_of
 from devices.skeletons.read_file import text_blocks
 from devices.skeletons.times import moments_of
 
@@ -71,7 +71,7 @@ class TextRows:
     raw: bytes
     path: Path
     first: int  # number of the first of these rows in the file
-    time: str  # of times, of devices.skeletons.times; a column of another name is called so
+    columns: Columns
     decimals: Decimals
 
     def line(self, row: int) -> int:
@@ -106,16 +106,17 @@ class TextRows:
 
     def times(self) -> tuple[str, NDArray[Any]]:
         """The column of the times' unit, and the times: whole numbers, or decimals where one of them is."""
+        time = self.columns.time
         with suppress(DeviceError):
-            return self.time, self.numbers(self.time, pa.int64())
-        texts, code = codes(self.table, self.time)
+            return time, self.numbers(time, pa.int64())
+        texts, code = codes(self.table, time)
         moments = moments_of(texts)
         if moments is not None:
             return "time_ns", moments[code]
-        values = self.numbers(self.time, pa.float64())
+        values = self.numbers(time, pa.float64())
         for row in np.flatnonzero(~np.isfinite(values))[:1]:
-            raise self._not("a number", self.time, int(row), self.table[self.time][int(row)].as_py())
-        return self.time, values
+            raise self._not("a number", time, int(row), self.table[time][int(row)].as_py())
+        return time, values
 
     def _not(self, wanted: str, column: str, row: int, value: str) -> DeviceError:
         return DeviceError(
@@ -130,19 +131,18 @@ def text_rows(path: Path, size: int, required: Collection[str] = COLUMNS) -> Ite
         DeviceError: There is no row, no time, or one of the required columns is missing; or numbers have
             commas that may separate thousands.
     """
-    columns: list[str] = []
-    separator, first, time = ",", 0, ""
-    decimals = Decimals()
+    columns: Columns | None = None
+    first, decimals = 0, Decimals()
     for raw in text_blocks(path, size):
         skipped = 0
-        if not columns:
-            columns, separator, time, skipped = columns_of(path, raw, required)
-            decimals.comma = separator != ","
+        if columns is None:
+            columns = columns_of(path, raw, required)
+            skipped, decimals.comma = columns.begin, columns.separator != ","
         elif not raw.strip():
             continue
-        table = _table(path, raw, columns, separator, skipped)
+        table = _table(path, raw, columns.names, columns.separator, skipped)
         if table.num_rows:
-            yield TextRows(table, raw, path, first, time, decimals)
+            yield TextRows(table, raw, path, first, columns, decimals)
         first += table.num_rows
     if first == 0:
         raise DeviceError(f"{path} has a header and no rows.")

@@ -338,8 +338,8 @@ def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(tmp_path, cap
     assert {path.name for path in tmp_path.iterdir()} == {"demo.rrd", "r.json"}
     session = Session.open(saved)
     live, reviewed = json.loads(told.read_text(encoding="utf-8")), json.loads(json.dumps(report(session)))
-    apart = session.views_agree
-    same = fusion_figures(session.last_setup, session.rows, apart).keys()  # of the whole session
+    first = session.first_compared_frame
+    same = fusion_figures(session.last_setup, session.rows, first).keys()  # of the whole session
     assert {name: live[name] for name in same} == {name: reviewed[name] for name in same}
     assert live["seconds"] > 4.5
     assert session.damage is None

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
+from scipy.spatial.transform import Rotation
 
 from devices.events import Event
 from devices.sensor import LinkFigures
@@ -21,9 +22,11 @@ from fusion.calibration.calibration import FEWEST_PAIRS
 from fusion.registration.rigid_fit import Registration
 from fusion.skeleton import NO_FRAME
 from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.two_views import calibration_of
+from tests.helpers.two_views import calibration_of, standing
 from viewer_app.batch.worker import _session_figures
-from viewer_app.report.figures import report, save_report, truth_free_figures, with_verdict
+from viewer_app.coach.advice import beside
+from viewer_app.report.doubtful_time import doubtful_seconds, seen_people
+from viewer_app.report.figures import _angle, report, save_report, truth_free_figures, with_verdict
 from viewer_app.report.review_page import review_page
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_lines, print_summary, say_saved
@@ -87,7 +90,7 @@ def test_the_verdict_leads_in_at_most_six_short_lines(figures):
     ("median_mm", "words", "warning"),
     [
         (39.0, "good.", False),
-        (40.2, "usable: the views differ by 40 mm; good is below 40.", False),
+        (40.2, "usable: the views differ by 40.2 mm; good is below 40.", False),
         (79.6, "usable: the views differ by 79.6 mm", False),
         (81.0, "poor: the views differ by 81 mm; usable is below 80. Check that both recordings", True),
         (None, "unknown: no joint was seen by both sensors", True),
@@ -129,7 +132,7 @@ def test_the_verdict_names_what_is_worst(figures, changed, words):
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"axes_angle_deg": 45.0}, "usable: the sensors look 45° apart; good is 60° to 120°. Record with"),
+        ({"angle_deg": 45.0}, "usable: the sensors look 45° apart; good is 60° to 120°. Record with"),
         ({"rotation_sd_deg": 2.1}, "usable: B's rotation is certain to 2.1° only"),
         ({"frames": FEWEST_PAIRS - 1}, "unknown: calibrated on 14 frames; at least 15 are needed"),
         ({"provisional": True}, "unknown: the calibration is provisional"),
@@ -146,7 +149,7 @@ def test_the_verdict_judges_the_calibration(figures, changed, words):
     [
         ({"views_agree_mm": {"median": 81.0, "p95": 90.0}}, "Calibrate: stand still"),
         ({"mirrored": {"a": 0.0, "b": 0.97}}, "Switch the mirroring off."),
-        ({"calibration": {"axes_angle_deg": 45.0}}, "Move them further apart round the person."),
+        ({"calibration": {"angle_deg": 45.0}}, "Move them further apart round the person."),
         (seen_at(4.2), "Stand nearer."),
         ({"calibration": {"rotation_sd_deg": 2.1}}, "Walk about while both sensors see you."),
         ({"dropped": {"a": 20, "b": 22}}, "Check the frame rates of both sensors."),
@@ -179,6 +182,129 @@ def test_how_far_the_views_are_apart_is_one_figure_everywhere(session, tmp_path)
     viewer = session_page(session.last_setup, figures).text
     for told in (said(figures, width=200), viewer, unescape(review_page(session, figures))):
         assert words in told
+
+
+WORDS = "good", "usable", "unknown", "poor"
+DOUBTS = "views_apart", "limb_uncertain", "one_view"
+
+
+def with_doubts(figures, median_mm, p95_mm, **seconds):
+    """Figures of a hundred seconds."""
+    lasts = {"all": 100.0, **dict.fromkeys(DOUBTS, 0.0), "limb": "left arm", **seconds}
+    return figures | {"views_agree_mm": {"median": median_mm, "p95": p95_mm}, "seconds_of": lasts}
+
+
+@given(
+    median_mm=st.floats(5.0, 120.0),
+    beyond_mm=st.floats(0.0, 2000.0),
+    lasts=st.tuples(*[st.floats(0.0, 100.0)] * 3),
+    longer=st.tuples(*[st.floats(0.0, 100.0)] * 3),
+    more_mm=st.tuples(st.floats(0.0, 100.0), st.floats(0.0, 1000.0)),
+)
+def test_what_is_worse_never_gets_a_better_word(figures, median_mm, beyond_mm, lasts, longer, more_mm):
+    before = with_doubts(figures, median_mm, median_mm + beyond_mm, **dict(zip(DOUBTS, lasts, strict=True)))
+    worse = {name: min(100.0, a + b) for name, a, b in zip(DOUBTS, lasts, longer, strict=True)}
+    after = with_doubts(figures, median_mm + more_mm[0], median_mm + beyond_mm + sum(more_mm), **worse)
+    assert WORDS.index(verdict(before).word) <= WORDS.index(verdict(after).word)
+
+
+@pytest.mark.parametrize(
+    ("median_mm", "p95_mm", "seconds", "words"),
+    [
+        (
+            60.0,
+            282.0,
+            {"views_apart": 28.1},
+            "usable: the views differ by 60 mm; good is below 40, and they differ by more than 80 mm for "
+            "28.1 s (28 %).",
+        ),
+        (31.0, 97.0, {"views_apart": 7.0}, "usable: the views differ by more than 80 mm for 7.0 s (7 %)."),
+        (31.0, 60.0, {"views_apart": 3.0}, "good."),
+        (
+            31.0,
+            1926.0,
+            {},
+            "poor: a twentieth of the time the views differ by more than 1926 mm, as those of two people do. "
+            "Check that both",
+        ),
+        (
+            31.0,
+            60.0,
+            {"limb_uncertain": 17.0},
+            "usable: a limb, mostly the left arm, is uncertain by more than 150 mm for 17.0 s (17 %). Record",
+        ),
+        (
+            31.0,
+            60.0,
+            {"one_view": 60.0},
+            "poor: one view alone has the person for 60.0 s (60 %). Record where",
+        ),
+    ],
+)
+def test_the_verdict_looks_at_time(figures, median_mm, p95_mm, seconds, words):
+    assert in_words(verdict(with_doubts(figures, median_mm, p95_mm, **seconds))).startswith(words)
+
+
+def test_how_long_a_session_is_doubtful_is_counted_without_its_gaps(session):
+    """60 frames of 1/30 s, with a minute between two of them."""
+    rows = session.rows
+    time_ns, states_b, sigma = rows.time_ns.copy(), rows.states_b.copy(), rows.sigma.copy()
+    time_ns[30:] += 60_000_000_000
+    states_b[40:46] = 0
+    sigma[:] = 0.02
+    sigma[10:28, KINECT_V2.joint("AnkleRight")] = 0.2
+    sigma[12:15, KINECT_V2.joint("WristLeft")] = 0.2
+    apart = np.full(50, 0.02)  # of the frames since the calibration
+    apart[20:29] = 0.09
+    changed = replace(rows, time_ns=time_ns, states_b=states_b, sigma=sigma)
+    seconds = doubtful_seconds(changed, apart, seen_people(changed))
+    assert seconds == {
+        "all": pytest.approx(62 / 30, abs=1e-3),  # the gap counts as three frames
+        "views_apart": pytest.approx(9 / 30, abs=0.07),
+        "limb_uncertain": pytest.approx(18 / 30, abs=1e-3),
+        "limb": "right leg",
+        "one_view": pytest.approx(6 / 30, abs=1e-3),
+    }
+    assert "Doubtful     a limb uncertain by more than 150 mm 0.6 s (30 %)." in said(
+        report(replace(session, rows=replace(rows, sigma=sigma)))
+    )
+
+
+def test_views_that_are_upside_down_and_joints_that_none_has_are_named(session):
+    rows = session.rows
+    turned = rows.positions_a * np.float32((-1.0, -1.0, 1.0))
+    figures = with_views(report(replace(session, rows=replace(rows, positions_a=turned))), 30.0)
+    assert in_words(verdict(figures)) == (
+        "usable: A is upside down. If it is a .csv file with the axes of the Kinect SDK, state --axes kinect."
+    )
+    lacking = [KINECT_V2.joint(name) for name in ("SpineBase", "ShoulderLeft")]
+    states_a, states_b = rows.states_a.copy(), rows.states_b.copy()
+    states_a[:, lacking] = 0
+    assert (
+        with_views(report(replace(session, rows=replace(rows, states_a=states_a))), 30.0)["in_no_frame"] == []
+    )
+    states_b[:, lacking] = 0
+    changed = replace(session, rows=replace(rows, states_a=states_a, states_b=states_b))
+    assert in_words(verdict(with_views(report(changed), 30.0))) == (
+        "usable: no view has spine base, left shoulder in any frame, and S* predicts what is not measured."
+    )
+
+
+@given(st.tuples(*[st.floats(-40.0, 40.0)] * 2), st.floats(0.0, 180.0))
+def test_the_angle_of_the_sensors_is_that_about_the_vertical_however_they_are_tilted(tilts, angle):
+    tilt_a, tilt_b = (Rotation.from_euler("x", tilt, degrees=True) for tilt in tilts)
+    turn = Rotation.from_euler("y", -angle, degrees=True)
+    found = _angle((tilt_a * turn * tilt_b).as_matrix(), KINECT_V2, tilt_a.apply(standing(KINECT_V2))[None])
+    assert found == pytest.approx(angle, abs=0.5)
+
+
+@given(st.floats(0.1, 200.0), st.lists(st.floats(1.0, 150.0), min_size=1, max_size=2), st.integers(0, 2))
+def test_no_number_is_rounded_across_a_limit(value, limits, digits):
+    told = float(beside(value, *limits, digits=digits))
+    assert all((told < each, told > each) == (value < each, value > each) for each in limits)
+    assert beside(60.2, 60.0) == "60.2"
+    assert beside(59.97, 60.0) == "59.97"
+    assert beside(45.2, 60.0) == "45"
 
 
 def with_repairs(rows):

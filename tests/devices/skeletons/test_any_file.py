@@ -1,0 +1,163 @@
+"""Files as they come, drawn at random of a known recording: what is read is right, or a line says more."""
+
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from devices.sensor import DeviceError
+from devices.skeletons.border import METRES
+from devices.skeletons.file_sensor import SkeletonRecording
+from fusion.body import BODIES
+from tests.helpers.two_views import moving
+
+FRAMES, INTERVAL_NS = 45, 33_333_333
+LIMBS = {
+    "feet": ("foot",),
+    "legs": ("foot", "ankle", "knee"),
+    "legs and hips": ("foot", "ankle", "knee", "hip"),
+    "hands": ("hand", "thumb"),
+    "an arm": ("elbowleft", "wristleft", "handleft", "handtipleft", "thumbleft"),
+}
+UNSEEN = {
+    "zeros": ("0", "0", "0", "0"),
+    "zeros that count as tracked": ("0", "0", "0", "2"),
+    "empty": ("", "", "", ""),
+    "NaN": ("NaN", "nan", "N/A", "0"),
+    "a constant place": ("0.25", "0.5", "1.5", "2"),
+    "behind": ("-1", "-1", "-1", "2"),
+    "far": ("99999", "99999", "99999", "2"),
+}
+TIMES = {
+    "time_us": lambda ns: str(ns // 1000),
+    "time_ms": lambda ns: f"{ns / 1e6:.3f}",
+    "time_s": lambda ns: f"{ns / 1e9:.6f}",
+    "time_ns": str,
+    "time": lambda ns: str(ns // 100),
+    "Timestamp": lambda ns: f"{ns / 1e6:.2f}",
+    "timestamp_usec": lambda ns: str(ns // 1000),
+    "Relative Time (ticks)": lambda ns: str(ns // 100),
+    "t": lambda ns: f"{ns / 1e9:.4f}",
+    "device_time": lambda ns: str(round(ns * 0.06)),
+    "clock": lambda ns: str(ns),
+    "DateTime": lambda ns: (datetime(2026, 11, 25, 12) + timedelta(microseconds=ns // 1000)).isoformat(),
+    "time_of_day": lambda ns: str(timedelta(microseconds=ns // 1000)),
+    "seconds": lambda ns: f"{(86_399.5 + ns / 1e9) % 86_400:.6f}",
+    "time_us in ticks": lambda ns: str(ns // 100),
+    "time_us in milliseconds": lambda ns: f"{ns / 1e6:.1f}",
+    "time_us in 60 MHz": lambda ns: str(round(ns * 0.06)),
+    "time_ms in eighths": lambda ns: str(round(ns / 125_000)),
+    "time_s in exponent form": lambda ns: f"{1.7e9 + ns / 1e9:.4E}",
+    "frame": lambda ns: str(ns // INTERVAL_NS),
+    "time_s in whole seconds": lambda ns: str(ns // 10**9),
+}
+STATES = {
+    "": None,
+    "state": ("not_tracked", "inferred", "tracked"),
+    "TrackingState": ("NotTracked", "Inferred", "Tracked"),
+    "confidence": ("0", "1", "2"),
+    "Confidence": ("None", "Low", "Medium"),
+    "joint_score": ("0.1", "0.45", "0.97"),
+}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A way in which a file may be written."""
+
+    body: str
+    unit: str
+    limb: str
+    unseen: str
+    time: str
+    state: str
+    lines: int  # how often each frame is logged
+    gap: bool  # of ten minutes
+    separator: str
+    decimal_comma: bool
+    two_people: bool
+    seed: int
+
+
+DRAWN = st.builds(
+    Drawn,
+    st.sampled_from(["kinect_v1", "kinect_v2", "azure_kinect"]),
+    st.sampled_from(list(METRES)),
+    st.sampled_from(list(LIMBS)),
+    st.sampled_from(list(UNSEEN)),
+    st.sampled_from(list(TIMES)),
+    st.sampled_from(list(STATES)),
+    st.sampled_from([1, 1, 2, 3]),
+    st.booleans(),
+    st.sampled_from([",", ";", "\t"]),
+    st.booleans(),
+    st.booleans(),
+    st.integers(0, 2**32),
+)
+
+
+LOST = ("time_s in exponent form", "time_s in whole seconds")
+"""These times tell frames apart no more."""
+UNCLEAR = ("device_time", "time_us in ticks", "time_us in 60 MHz", "time_ms in eighths")
+"""The same where a program logs faster than its tracker: two units have rates that trackers have."""
+
+
+def written(drawn, path):
+    """Writes a file; the times (T,), positions (T, J, 3) and states (T, J) of its first person."""
+    body = BODIES[drawn.body]
+    random = np.random.default_rng(drawn.seed)
+    truth = moving(body, FRAMES, drawn.seed % 7) + random.normal(0.0, 0.005, (FRAMES, len(body), 3))
+    times = np.arange(FRAMES, dtype=np.int64) * INTERVAL_NS
+    times[FRAMES // 2 :] += 600_000_000_000 * drawn.gap
+    plain = [name.lower().replace("_", "") for name in body.joints]
+    unseen = np.array([any(part in name for part in LIMBS[drawn.limb]) for name in plain])
+    states = random.choice([1, 2], (FRAMES, len(body)), p=[0.1, 0.9])
+    words, scale = STATES[drawn.state], METRES[drawn.unit][0]
+    rows = [[drawn.time.split(" in ")[0], "body", "joint", *"xyz", *([drawn.state] if words else [])]]
+    for t, time in enumerate(times):
+        for again in range(drawn.lines):
+            told = TIMES[drawn.time](int(time + again * INTERVAL_NS // drawn.lines))
+            for person in range(1 + drawn.two_people):
+                for joint, name in enumerate(body.joints):
+                    place = (truth[t, joint] + [0.8 * person, 0.0, 0.5 * person]) / scale
+                    at = [*(f"{v:.6f}" for v in place), str(states[t, joint])]
+                    *at, seen = UNSEEN[drawn.unseen] if unseen[joint] else at
+                    rows.append([told, f"{person}", name, *at, *([words[int(seen or 0)]] if words else [])])
+    comma = drawn.decimal_comma and drawn.separator != ","
+    cells = (
+        [cell.replace(".", ",") if comma and k != 2 else cell for k, cell in enumerate(row)] for row in rows
+    )
+    path.write_text("\n".join(map(drawn.separator.join, cells)) + "\n", encoding="utf-8")
+    truth[:, unseen] = np.nan
+    states[:, unseen] = 0
+    return times, truth, states if words and drawn.state != "joint_score" else np.where(states, 2, 0)
+
+
+def is_right(read, times, truth, states):
+    """Whether the first person's frames are those of the recording, but for one time added to all."""
+    view = read.people.view(("0",))
+    if len(view.time_ns) != FRAMES or (view.states != states).any():
+        return False
+    off_ns = np.ptp(view.time_ns - times)
+    return off_ns < 3_000_000 and np.nanmax(np.abs(view.positions - truth)) < 1e-4
+
+
+@settings(max_examples=150, derandomize=True, deadline=None)
+@given(drawn=DRAWN)
+def test_what_is_read_is_right_or_said(tmp_path, drawn):
+    path = tmp_path / "a.csv"
+    recorded = written(drawn, path)
+    often = drawn.lines > 1
+    if drawn.time in LOST:
+        with pytest.raises(DeviceError, match=r"digits|unit of time_s is unclear"), SkeletonRecording(path):
+            pass
+        return
+    with SkeletonRecording(path) as recording:
+        read = recording.content
+    if not is_right(read, *recorded):
+        assert often
+        assert drawn.time in UNCLEAR
+        assert any("frames per second" in line for line in read.warnings)
