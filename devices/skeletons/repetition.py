@@ -54,8 +54,8 @@ def logged_again(
     if share < _LOGGED_TWICE or len(begins) < FEWEST:
         return np.zeros_like(drop), []
     return drop, [
-        f"{path}: {share:.0%} of the frames repeat the one before, as where a program logs them faster than "
-        "its tracker finds people; they are left out."
+        f"{path}: {100.0 * share:.0f} % of the frames repeat the one before, as where a program logs them "
+        "faster than its tracker finds people; they are left out."
     ]
 
 

@@ -155,7 +155,7 @@ def _numbered(name: object, column: str) -> str:
 def _unwrapped(times: NDArray[Any], us: float) -> tuple[NDArray[Any], str]:
     """Times that go on where a clock begins anew, as at midnight, and what was passed."""
     steps = np.diff(times)
-    for period_us, words in _WRAPS:
+    for period_us, words in _WRAPS if (steps < 0).any() else ():
         period = times.dtype.type(2**32 if period_us is None else period_us / us)
         reach = min(_PAUSE_US / us, period / 8)
         over = (np.abs(steps + period) < reach).astype(np.int64) - (np.abs(steps - period) < reach)

@@ -79,7 +79,7 @@ def test_case_5_a_program_that_logs_faster_than_its_tracker(tmp_path, lines):
     expected = fuse(tmp_path / "once_a.csv", tmp_path / "once_b.csv")
     np.testing.assert_array_equal(session.fused, expected.fused)
     assert "did not follow the person" not in said(session)
-    assert f"{1 - 1 / lines:.0%} of the frames repeat the one before" in said(session)
+    assert f"{100 - 100 / lines:.0f} % of the frames repeat the one before" in said(session)
 
 
 def test_case_8_confidence_is_a_state(case, tmp_path):

@@ -28,7 +28,7 @@ from viewer_app.output_console import output_console
 from viewer_app.report.events import list_events
 from viewer_app.report.figures import calibration_figures
 from viewer_app.report.terminal import print_events
-from viewer_app.report.words import calibration_in_words
+from viewer_app.report.words import calibration_in_words, in_percent
 
 Rows = Iterator[tuple[str, object]]
 _FORMATS = {
@@ -106,7 +106,10 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
     yield "joints", f"{np.count_nonzero(seen)} of {len(body)} of {body.name}"
     if not seen.all():
         yield "never seen", listed([name for name, there in zip(body.joints, seen, strict=True) if not there])
-    shares = [f"{np.mean(states[:, seen] == k):.1%} {word}" for k, word in ((2, "tracked"), (1, "inferred"))]
+    shares = [
+        f"{in_percent(float(np.mean(states[:, seen] == k)))} {word}"
+        for k, word in ((2, "tracked"), (1, "inferred"))
+    ]
     yield "states", f"{', '.join(shares)} of these joints"
     counts = np.bincount(people.person, minlength=len(people.ids))
     first = np.argsort(-counts, kind="stable")[:_MOST_PEOPLE]

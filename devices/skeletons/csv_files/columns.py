@@ -21,7 +21,7 @@ _SPELLED = {
     **{axis: rf"{_SPACE}{axis}{_LENGTH}" for axis in "xyz"},
 }
 _CLOCK = (
-    r"(?:device|capture|sensor|system|host|relative|frame|unix|elapsed|body)*"
+    r"(?:device|capture|sensor|system|host|relative|frame|file|unix|elapsed|body)*"
     r"(?:timestamp|timeofday|time|datetime|clock|ts|t)"
 )
 _CLOCKS = {

@@ -90,9 +90,9 @@ class _Rows:
     called: str  # what the file calls it
     time: NDArray[Any]
     people: list[str]
-    person: NDArray[np.int64]  # index of each row's person
+    person: NDArray[np.int32]  # index of each row's person
     labels: list[str]
-    label: NDArray[np.int64]
+    label: NDArray[np.int32]
     xyz: NDArray[np.float64]
     states: list[StateColumn]
     other_columns: tuple[str, ...]
@@ -116,7 +116,8 @@ def _rows(path: Path, block: int, progress: Progress) -> _Rows:
         for known, column, rows in ((people, "body", person), (labels, "joint", label)):
             there = column in table.column_names
             values, code = codes(table, column) if there else (["0"], np.zeros(len(time), dtype=np.int64))
-            rows.append(np.array([known.setdefault(value, len(known)) for value in values])[code])
+            numbers = [known.setdefault(value, len(known)) for value in values]
+            rows.append(np.array(numbers, dtype=np.int32)[code])
         if len(times) == 1:
             names = [name for name in table.column_names if name not in (*COLUMNS, text.columns.time, "")]
             states = [StateColumn(name) for name in names if StateColumn.is_like(name)]
@@ -197,7 +198,8 @@ def _once(
     if share > _OFTEN:
         if np.array_equal(rows.xyz[later], rows.xyz[earlier], equal_nan=True):
             return order[~again], [
-                f"{path}: {share:.0%} of the rows repeat another one of the same time, and are left out."
+                f"{path}: {100.0 * share:.0f} % of the rows repeat another one of the same time, and "
+                "are left out."
             ]
         if frames < _FEWEST_TIMES or share > _MOST:
             there = "one time" if frames == 1 else f"{frames} different times"
