@@ -13,6 +13,7 @@ FEWEST = 15
 """Frames: a person can be seen as standing still for fewer."""
 _LOGGED_TWICE = 0.2  # of the frames: more repeat the one before where a program logs faster than its tracker
 _ONE_FRAME_NS = 250_000_000  # the longest time between two frames of a tracker
+_DIGITS = 200  # steps within a person: centimetres are fewer, millimetres more
 _MOVES = 0.5  # of the other points, while a joint keeps its place
 
 
@@ -59,6 +60,18 @@ def logged_again(
     ]
 
 
+def _is_coarse(found: FoundPoints) -> bool:
+    """Whether numbers have so few digits that a calm joint keeps its place for a while."""
+    some = found.view.positions[:: max(1, len(found.view.positions) // 200)]
+    some = np.where(np.isfinite(some), some, np.nan)[np.isfinite(some).all(axis=2).any(axis=1)]
+    if not len(some):
+        return False
+    low, high = np.nanpercentile(some, [10, 90], axis=1)
+    reach = np.median((high - low).max(axis=1))
+    some = some[np.isfinite(some)]
+    return bool(np.median(np.diff(np.unique(some))) > reach / _DIGITS)
+
+
 def kept_places(
     path: Path, found: FoundPoints, repeats: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], list[str]]:
@@ -77,9 +90,10 @@ def kept_places(
         equal = (at == after).all(axis=2) & known
         moving = (known & ~equal).sum(axis=1) > _MOVES * known.sum(axis=1)
         same[1:][part] = equal & (moving & (found.person[one] == found.person[other]))[:, None]
+    frames = 0.9 * len(order) if _is_coarse(found) else FEWEST
     for point in range(count):
         run = np.cumsum(~same[:, point])
-        keeps[order, point] = np.bincount(run)[run] >= FEWEST
+        keeps[order, point] = np.bincount(run)[run] >= max(frames, FEWEST)
     if not keeps.any():
         return keeps, []
     names = [found.points.named(int(point)) for point in np.flatnonzero(keeps.any(axis=0))]

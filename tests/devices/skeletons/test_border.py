@@ -268,3 +268,15 @@ def test_lines_of_dump_kinect_skeleton_are_read(tmp_path):
     assert read.people.time_ns[-1] == pytest.approx(29 * FRAME_NS, abs=2000)
     assert "numbers of joints are taken as those of kinect_v2" in read.warnings[0]
     assert "are taken as" not in "".join(read.warnings[1:])
+
+
+def test_a_calm_joint_in_centimetres_is_not_taken_for_unseen(tmp_path):
+    """Whole centimetres, a trunk that moves by some centimetres in a second, and limbs that wave."""
+    waving = moving(KINECT_V2, 120)
+    waving[:, KINECT_V2.root] = TRUE[0, KINECT_V2.root] + np.linspace(0.0, 0.05, 120)[:, None]
+    waving += (
+        np.sin(np.arange(120))[:, None, None] * np.where(np.arange(25) == KINECT_V2.root, 0.0, 0.05)[:, None]
+    )
+    read = opened(write_view(tmp_path / "a.csv", KINECT_V2, np.rint(100.0 * waving)))
+    assert "keep" not in "".join(read.warnings)
+    assert (read.people.skeletons.states == 2).all()
