@@ -13,7 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from recordings.gait import Step
+from recordings.gait import SIDES, Step
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 
@@ -103,7 +103,8 @@ def long_table(session: Session) -> pa.Table:
 
 def wide_table(session: Session) -> pa.Table:
     """One row per frame: ``frame, time_s, <joint>_x, <joint>_y, <joint>_z, …`` of S*, its angles in degrees,
-    and ``gait``: the events nearest to the frame, such as ``heel_strike_left``."""
+    ``contact_left`` and ``contact_right``: the probability that the foot is on the floor while the person
+    walks, and ``gait``: the events nearest to the frame, such as ``heel_strike_left``."""
     rows, angles = session.rows, session.angles
     columns: dict[str, pa.Array] = {"frame": pa.array(rows.frame), "time_s": pa.array(rows.time_ns * 1e-9)}
     for j, joint in enumerate(rows.body.joints):
@@ -111,8 +112,12 @@ def wide_table(session: Session) -> pa.Table:
             columns[f"{joint}_{'xyz'[axis]}"] = pa.array(rows.fused[:, j, axis], from_pandas=True)
     for name in angles.names:
         columns[name] = pa.array(angles[name], from_pandas=True)
+    gait = session.gait
+    for side in SIDES:
+        contact = gait.contact(side, rows.time_ns * 1e-9)
+        columns[f"contact_{side}"] = pa.array(contact, from_pandas=True)
     happened: list[str | None] = [None] * len(rows)
-    for seconds, event in session.gait.events:
+    for seconds, event in gait.events:
         k = int(np.abs(rows.time_ns - 1e9 * seconds).argmin())
         happened[k] = " ".join(filter(None, (happened[k], event)))
     return pa.table({**columns, "gait": pa.array(happened, pa.string())})

@@ -20,6 +20,7 @@ from recordings.export import writer_for
 from recordings.export.bvh import _continuous_angles
 from recordings.export.even_frames import even_moments
 from recordings.file.session_writer import write_session
+from recordings.gait import SIDES
 from recordings.interpolation import positions_at, sigma_at
 from recordings.session import Session
 from tests.helpers.animations import bvh_joints
@@ -69,10 +70,10 @@ def test_wide_csv_has_a_row_a_frame(session):
     joint = session.body.joints[5]
     np.testing.assert_allclose(table[f"{joint}_y"].to_numpy(), session.rows.fused[:, 5, 1], atol=1e-9)
     np.testing.assert_allclose(table.time_s.to_numpy(), session.rows.time_ns * 1e-9, atol=1e-9)
-    assert len(table.columns) == 2 + 3 * len(session.body) + len(ANGLES) + 1
+    assert len(table.columns) == 2 + 3 * len(session.body) + len(ANGLES) + 3
     angles = joint_angles(session.body, session.fused, session.up)
     np.testing.assert_allclose(table[list(ANGLES)].to_numpy(), angles, atol=1e-9)
-    assert table.gait.isna().all()
+    assert table[["contact_left", "contact_right", "gait"]].isna().all(axis=None)
 
 
 def test_a_walk_s_steps_are_in_the_wide_tables_and_in_npz(tmp_path):
@@ -86,6 +87,10 @@ def test_a_walk_s_steps_are_in_the_wide_tables_and_in_npz(tmp_path):
         told = table[table.gait.notna()]
         assert told.gait.tolist() == [event for _, event in session.gait.events]
         np.testing.assert_allclose(told.time_s, [seconds for seconds, _ in session.gait.events], atol=0.017)
+        for side in SIDES:
+            contact = session.gait.contact(side, session.time_ns * 1e-9)
+            np.testing.assert_allclose(table[f"contact_{side}"], contact, atol=1e-9)
+            assert {0.0, 1.0} <= set(np.round(contact[np.isfinite(contact)]))
     with np.load(exported(session, "s.npz")) as arrays:
         assert tuple(arrays["angle_names"]) == ANGLES
         np.testing.assert_array_equal(arrays["angles"], session.angles.degrees)

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from viewer_app.coach.advice import ANGLES, USABLE
+from viewer_app.coach.advice import USABLE
 from viewer_app.report.doubtful_time import UNCERTAIN
 from viewer_app.report.figures import Figures
 from viewer_app.report.verdict import Verdict, doubt, in_words, precision_in_words
@@ -70,16 +70,14 @@ def calibration_in_words(figures: Figures) -> list[str]:
     """The source of a calibration, and how certain it is, as lines."""
     lines = [f"{figures['how']}."]
     angle, residual, frames = figures["axes_angle_deg"], figures["residual_mm"], figures["frames"]
-    low, high = ANGLES
-    advice = "" if low <= angle <= high else " (about 90° lets each sensor see most of what the other cannot)"
     if residual is None:
-        return [*lines, f"The sensors' axes are {angle:.0f}° apart{advice}."]
+        return [*lines, f"The sensors' axes are {angle:.0f}° apart."]
     worst = ", ".join(f"{name} {distance:.0f} mm" for name, distance in figures["worst_joints_mm"].items())
     return [
         *lines,
         f"In its {frames} frames the views differ by {residual['median']:.0f} mm (median), "
         f"{residual['rms']:.0f} mm (RMS); worst: {worst}.",
-        f"The sensors' axes are {angle:.0f}° apart{advice}; "
+        f"The sensors' axes are {angle:.0f}° apart; "
         f"that rotation is certain to about {figures['rotation_sd_deg']:.1f}°.",
     ]
 
