@@ -63,7 +63,8 @@ def logged_again(
 def _is_coarse(found: FoundPoints) -> bool:
     """Whether numbers have so few digits that a calm joint keeps its place for a while."""
     some = found.view.positions[:: max(1, len(found.view.positions) // 200)]
-    some = np.where(np.isfinite(some), some, np.nan)[np.isfinite(some).all(axis=2).any(axis=1)]
+    places = np.asarray(np.isfinite(some).all(axis=2))
+    some = np.where(np.isfinite(some), some, np.nan)[places.any(axis=1)]
     if not len(some):
         return False
     low, high = np.nanpercentile(some, [10, 90], axis=1)
