@@ -87,6 +87,9 @@ def checked(path: Path, found: FoundPoints, stated: StatedFormat = UNSTATED) -> 
     check_metres_forward(path, sample * metres)
     rows = np.flatnonzero(~drop[found.frame])
     skeletons, about_positions = _possible(path, found, keeps, rows, metres)
+    there = skeletons.states.any(axis=1)
+    if len(rows) and there.any() and not there.all():  # bodies that a program logs although nobody is there
+        rows, skeletons = rows[there], skeletons.chosen_whole(np.flatnonzero(there))
     about_hands = stated.check_handed(path, body, skeletons.positions)
     frame = (np.cumsum(~drop) - 1)[found.frame[rows]]
     people = RecordedPeople(body, found.time_ns[~drop], found.ids, frame, found.person[rows], skeletons)

@@ -52,7 +52,7 @@ def read_json(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = 
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise DeviceError(f"{path}, {where}: not as offline_processor writes it ({what}).") from None
-    return found_of(path, points, "time_us", frames, unit="mm", warnings=told)
+    return found_of(path, points, "time_us", frames, "timestamp_usec", unit="mm", warnings=told)
 
 
 _NOT_WRITTEN_SO = (

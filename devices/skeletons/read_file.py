@@ -64,12 +64,13 @@ class Bodies:
 
 
 def found_of(
-    path: Path, points: FilePoints, column: str, frames: Sequence[Bodies], **about: Any
+    path: Path, points: FilePoints, column: str, frames: Sequence[Bodies], called: str = "", **about: Any
 ) -> FoundPoints:
     """The points of frames, sorted by time.
 
     Args:
         column: The unit of their times, of :data:`devices.skeletons.times.TIME_COLUMNS`.
+        called: What the file calls them.
         about: Further attributes of the result.
 
     Raises:
@@ -77,7 +78,8 @@ def found_of(
     """
     if not frames:
         raise DeviceError(f"{path} has no frames.")
-    times, told = capture_times(path, column, np.array([frame.time for frame in frames], dtype=np.int64))
+    moments = np.array([frame.time for frame in frames], dtype=np.int64)
+    times, told = capture_times(path, column, moments, called=called)
     back = np.flatnonzero(np.diff(times) < 0)
     if len(back):
         told.append(f"{path}: the time goes back at frame {back[0] + 1}; the frames were sorted by time.")

@@ -189,6 +189,10 @@ def _once(
         DeviceError: Two different rows are of one joint of a person in a frame, or some rows are twice.
     """
     order = np.argsort(slot, kind="stable")
+    if not (np.diff(slot[order]) == 0).any():
+        return order, []
+    # bodies that are not there have zeros, and often one id
+    order = order[(np.nan_to_num(rows.xyz[order]) != 0.0).any(axis=1)]
     again = np.append(False, np.diff(slot[order]) == 0)
     if not again.any():
         return order, []

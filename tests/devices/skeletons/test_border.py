@@ -280,3 +280,17 @@ def test_a_calm_joint_in_centimetres_is_not_taken_for_unseen(tmp_path):
     read = opened(write_view(tmp_path / "a.csv", KINECT_V2, np.rint(100.0 * waving)))
     assert "keep" not in "".join(read.warnings)
     assert (read.people.skeletons.states == 2).all()
+
+
+def test_bodies_that_are_not_there_are_left_out(tmp_path):
+    """Kinect v2's SDK has six bodies in every frame; those that are not tracked have zeros and id 0."""
+    path = tmp_path / "a.csv"
+    lines = write_view(path, KINECT_V2, TRUE).read_text().splitlines()
+    others = [re.sub(r",0,(\w+),.*", r",0,\1,0,0,0,not_tracked", line) for line in lines[1:]]
+    seen = [line.replace(",0,", ",72057594037931101,", 1) for line in lines[1:]]
+    late = seen[5 * len(KINECT_V2) :]  # the person is seen in fewer frames than the others are logged
+    path.write_text("\n".join([lines[0], *others, *others, *others, *late]) + "\n")
+    read = opened(path)
+    assert read.people.choose_person(None, "a.csv", "") == "72057594037931101"
+    np.testing.assert_allclose(positions_of(read), TRUE[5:], atol=1e-6)
+    assert len(read.people) == FRAMES
