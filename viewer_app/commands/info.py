@@ -1,6 +1,7 @@
 """``duplex info``: what is in a file, whether a session, a recording or motion capture."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from devices.sensor import DeviceError
 from devices.skeletons.border import METRES, ReadFile
 from devices.skeletons.file_sensor import READERS, SkeletonRecording
 from devices.skeletons.name_tables import listed
-from devices.skeletons.stated_format import StatedFormat
+from devices.skeletons.stated_format import AXES, StatedFormat
 from fusion.handedness import mirrored_share
 from recordings import layout
 from recordings.errors import RecordingError
@@ -76,10 +77,10 @@ def _of_file(path: Path, stated: StatedFormat) -> Rows:
         return
     try:
         if suffix in READERS:
-            with SkeletonRecording(path, stated) as recording:
-                yield "format", _FORMATS[suffix]
-                yield from _of_skeletons(path, recording.content, stated)
-                return
+            read, by = _read(path, stated)
+            yield "format", _FORMATS[suffix]
+            yield from _of_skeletons(path, read, by)
+            return
         truth = read_truth(path)
     except (DeviceError, RecordingError) as fault:
         try:
@@ -94,6 +95,33 @@ def _of_file(path: Path, stated: StatedFormat) -> Rows:
     yield from _of_motion_capture(path, truth)
 
 
+def _read(path: Path, stated: StatedFormat) -> tuple[ReadFile, StatedFormat]:
+    """A file's skeletons; where no axes are stated, by those of which a person stands before the sensor.
+
+    Raises:
+        DeviceError: It cannot be read.
+    """
+    fault: DeviceError | None = None
+    fallback: tuple[ReadFile, StatedFormat] | None = None
+    others = AXES if path.suffix.lower() == ".csv" and not stated.axes else ()
+    for axes in (stated.axes, *others):
+        by = replace(stated, axes=axes)
+        try:
+            with SkeletonRecording(path, by) as recording:
+                read = recording.content
+        except DeviceError as error:
+            fault = fault or error
+            continue
+        mirrored = mirrored_share(read.body, read.people.skeletons.positions) or 0.0
+        if mirrored <= 0.5 and not any("--axes" in line for line in read.warnings):
+            return read, by
+        fallback = fallback or (read, by)
+    if fallback is None and fault is not None:
+        raise fault
+    assert fallback is not None
+    return fallback
+
+
 def _begins(path: Path) -> str:
     with path.open("rb") as file:
         return ascii(file.read(60).decode("utf-8", "replace"))
@@ -103,6 +131,10 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
     people, body = read.people, read.body
     states, positions = people.skeletons.states, people.skeletons.positions
     seen = np.array(states.any(axis=0))
+    if not seen.any():
+        yield "people", "none in any frame"
+        yield from _of_times(people.time_ns)
+        return
     yield "joints", f"{np.count_nonzero(seen)} of {len(body)} of {body.name}"
     if not seen.all():
         yield "never seen", listed([name for name, there in zip(body.joints, seen, strict=True) if not there])
@@ -114,7 +146,7 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
     counts = np.bincount(people.person, minlength=len(people.ids))
     first = np.argsort(-counts, kind="stable")[:_MOST_PEOPLE]
     named = ", ".join(f"{people.ids[k]!r} in {counts[k]} frames" for k in first)
-    yield "people", named + " …" * (len(counts) > _MOST_PEOPLE) or "none"
+    yield "people", named + " …" * (len(counts) > _MOST_PEOPLE)
     yield from _of_times(people.time_ns)
     away = np.linalg.norm(positions[:, body.root], axis=1)
     place = (

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from devices.skeletons.stated_format import AXES
 from fusion.body import KINECT_V2
 from tests.helpers.command_line import duplex
 from tests.helpers.motion_capture import write_c3d, write_trc
@@ -49,6 +50,22 @@ def test_what_is_in_a_recording_of_skeletons(recording, capsys):
     rows, code, _ = told(capsys, recording, "--unit", "mm")
     assert "note" not in rows
     assert rows["fuse it"].endswith("--unit mm --save s.rrd")
+
+
+@pytest.mark.parametrize("axes", AXES)
+def test_the_axes_of_another_program_are_recognised(tmp_path, capsys, axes):
+    theirs = moving(KINECT_V2, 20) + np.random.default_rng(0).normal(0.0, 0.005, (20, 25, 3))
+    sources = [part.strip("-") for part in AXES[axes].split(",")]
+    signs = [-1.0 if part.startswith("-") else 1.0 for part in AXES[axes].split(",")]
+    written = np.stack(
+        [theirs[..., sources.index(axis)] * signs[sources.index(axis)] for axis in "xyz"], axis=-1
+    )
+    path = write_view(tmp_path / "a.csv", KINECT_V2, written)
+    rows, code, _ = told(capsys, path)
+    assert code == 0
+    assert rows["axes"] == axes
+    assert rows["mirror image"] == "no"
+    assert rows["fuse it"] == f"duplex fuse {path} OTHER.csv --axes {axes} --save s.rrd"
 
 
 def test_a_recording_that_cannot_be_read_is_described_and_says_why(recording, capsys):
