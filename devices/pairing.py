@@ -11,12 +11,14 @@ from devices.sensor import DeviceError, SensorFrame
 from fusion.body import Body
 from fusion.large_arrays import Rows, stored
 from fusion.pair_arrays import Pairs, View
+from fusion.registration.clock_course import find_clock_course
 from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.clock_search import find_clock_offset, find_clock_skew
+from fusion.registration.clock_search import find_clock_offset
 from fusion.skeleton import SkeletonPair
 
 PERSON = "0"
 """The id of the only person in recorded pairs."""
+_CERTAIN = 4.0  # standard deviations of the growth of an offset that is corrected
 _GAP = 1.5
 """Frame intervals: if the nearest frame of the other recording is farther away, the other recording has a
 gap."""
@@ -185,18 +187,18 @@ def _span(times: NDArray[np.int64]) -> str:
 def clock_by_motion(body: Body, a: View, b: View) -> ClockOffset | None:
     """The offset of B's clock, where the motion shows one of two thirds of a frame or more, certain to two.
 
-    It may be that large at the ends of the recording only.
+    It may be that large in a part of the recording only, where it grows or changes in steps.
     """
     found = find_clock_offset(body, a, b)
     interval = median_interval(a.time_ns)
     if found is None or found.sd_ns > 2.0 * interval:
-        return None
-    found = find_clock_skew(a, b, found)
-    if not abs(found.skew_ppm) > 3.0 * found.skew_sd_ppm:
+        found = ClockOffset(0.0, float("inf"))
+    found = find_clock_course(a, b, found)
+    if not abs(found.skew_ppm) > _CERTAIN * found.skew_sd_ppm:
         found = replace(found, skew_ppm=0.0)
-    at_ends = np.abs(found.at(b.time_ns[[0, -1]])).max()
-    grows = found.skew_ppm != 0.0
-    return found if at_ends >= 2 * interval / 3 and (grows or found.significant) else None
+    most = np.abs(found.at(b.time_ns)).max()
+    changes = found.skew_ppm != 0.0 or bool(found.steps)
+    return found if most >= 2 * interval / 3 and (changes or found.significant) else None
 
 
 def clock_by_cable(

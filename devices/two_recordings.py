@@ -194,7 +194,7 @@ def read_two(
     elif clock is not None:
         about_clocks = [
             f"The clocks differ: {clock.offset_ns * 1e-6:+.0f} ± {clock.sd_ns * 1e-6:.0f} ms"
-            f"{_skew_in_words(clock)} were added to B's times, so that both views show one motion. "
+            f"{_course_in_words(clock)} were added to B's times, so that both views show one motion. "
             "--offset MS sets another correction."
         ]
     warnings = *read_a.warnings, *read_b.warnings, *about_body, *about_clocks
@@ -264,7 +264,10 @@ def _as_body(view: View, body: Body, other: Body) -> View:
     return joined_views(block(rows) for rows in parts(len(view.time_ns)))
 
 
-def _skew_in_words(clock: ClockOffset) -> str:
+def _course_in_words(clock: ClockOffset) -> str:
+    if clock.steps:
+        longer = ", ".join(f"{longer_ns * 1e-6:+.0f}" for _, longer_ns in clock.steps)
+        return f", changing in steps of {longer} ms, as where times are frame numbers and frames were lost,"
     return f", growing by {clock.skew_ppm:+.1f} millionths of the time," if clock.skew_ppm else ""
 
 

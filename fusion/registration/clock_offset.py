@@ -47,10 +47,14 @@ class ClockOffset:
     skew_sd_ppm: float = float("inf")  # standard deviation of the skew; infinite where unknown
     windows: int = 0  # seconds of motion that it is based on
     middle_ns: float = 0.0  # the time at which the delay is ``offset_ns``, where it grows
+    steps: tuple[tuple[float, float], ...] = ()
+    """Times of B's clock, ns, from which on the delay is longer, and by how much, ns; in order."""
 
     def at(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """The delay at (T,) times, ns."""
         grown = 1e-6 * self.skew_ppm * (time_ns - self.middle_ns)
+        for from_ns, longer_ns in self.steps:
+            grown = grown + longer_ns * (time_ns >= from_ns)
         return np.asarray(round(self.offset_ns) + np.rint(grown).astype(np.int64))
 
     @property

@@ -6,7 +6,6 @@ tells which one puts the person in the same place.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,17 +34,17 @@ _PART_CANDIDATES = 32  # a walk repeats itself twice a second
 _COARSE = 2.5  # cost at an offset that is not refined: a larger one is of other places
 _LEAST_CORRELATION = 0.2
 _AMBIGUOUS = 1.6  # a candidate whose 1 - r is smaller by this factor is right where the places do not tell
+_LESS = 0.9  # of the mean cost of any other candidate, and without an offset, where it is uncertain
 _STEP_NS, _STEPS = 16_666_667, 8  # of the fine search, down to 15 frames per second
 _STEP = 0.25  # usual intervals: the same below that
 _PARTS = 8  # of the recording
-_LEAST_SD_NS = 2_000_000.0
+_LASTING_SD_NS = 8_000_000.0
+"""Part of the deviation that the jackknife does not see: errors that follow the motion as long as it is."""
 _APART = 9  # grid steps between two peaks
 _COMPARED = 192  # frames
 _FEWEST, _FEWEST_JOINTS = 24, 5
 _FAR = 0.05  # metres: a joint's distance beyond this counts less and less
 _CERTAIN = 3.0  # standard errors by which a candidate must be better than any other
-_DRIFT_WINDOWS, _FEWEST_WINDOWS, _DRIFT_SPAN_NS, _DRIFT_STEPS = 12, 6, 60_000_000_000, 4
-_CERTAIN_NS = 15_000_000  # standard deviation of the offset in a window that counts
 _CORRELATED = 2.0  # standard errors are larger by this factor, because neighbouring frames are alike
 
 
@@ -73,11 +72,12 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     peaks = _peaks(body, a, shifted, () if apart else (0,))
     if len(peaks) == (not apart):
         return None
-    offsets = [offset for offset, _ in peaks]
-    costs = np.array([_costs(a, shifted, offset) for offset in offsets])  # (candidates, frames)
+    offsets = [offset if offset == 0 else _near(a, shifted, offset) for offset, _ in peaks]
+    costs = np.array([frame_costs(a, shifted, offset) for offset in offsets])  # (candidates, frames)
     if not (known := np.isfinite(costs).sum(axis=1) >= _FEWEST).any():
         return None
-    best = int(np.argmin(np.where(known, _means(costs), np.inf)))
+    means = np.where(known, _means(costs), np.inf)
+    best = int(np.argmin(means))
     least_ns = 0.0
     for other in np.flatnonzero(known):
         if other == best or _better(costs[best], costs[other]):
@@ -86,9 +86,9 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
         if abs(offsets[other] - offsets[best]) < _APART * _GRID_NS:  # both lead to one minimum
             if offsets[other] == 0:  # views of one moment show offsets below a frame, too
                 least_ns = float(np.median(np.diff(a.time_ns)))
-        elif mismatch[0] < _AMBIGUOUS * mismatch[1] or _better(costs[other], costs[best]):
+        elif mismatch[0] < _AMBIGUOUS * mismatch[1] or means[best] > _LESS * means[other]:
             return None
-    found = _refined(a, shifted, offsets[best], base)
+    found = refined_offset(a, shifted, offsets[best], base)
     return None if found is None or abs(found.offset_ns - base) < least_ns else found
 
 
@@ -113,7 +113,7 @@ def part_offsets(body: Body, a: View, b: View) -> list[int]:
     power_y = (_correlate(known_x, y * y) - count * mean_y**2).sum(axis=1)
     r = _coefficients(product, power_x, power_y, _PART_OVERLAP)
     offsets = [offset for offset, _ in _largest(r, reach, _PART_CANDIDATES)]
-    mean = _means(np.array([_costs(a, shifted, offset) for offset in offsets]))
+    mean = _means(np.array([frame_costs(a, shifted, offset) for offset in offsets]))
     most = max(_COARSE, min(mean, default=0.0))
     return [base + offset for offset, cost in zip(offsets, mean, strict=True) if cost <= most]
 
@@ -125,7 +125,7 @@ def best_offsets(a: View, b: View, offsets: Sequence[int]) -> list[int]:
         The indices of those that match about as well as the best one, as where a movement repeats itself.
         Those that are not certainly worse are first, and of them those with most frames in common.
     """
-    costs = [_costs(a, b, offset) for offset in offsets]
+    costs = [frame_costs(a, b, offset) for offset in offsets]
     frames = [int(np.isfinite(cost).sum()) for cost in costs]
     if not (known := [k for k, count in enumerate(frames) if count >= _FEWEST]):
         return []
@@ -139,52 +139,6 @@ def best_offsets(a: View, b: View, offsets: Sequence[int]) -> list[int]:
     return sorted(equal, key=lambda k: (worse[k], frames[k] < enough, mean[k]))
 
 
-def find_clock_skew(a: View, b: View, middle: ClockOffset) -> ClockOffset:
-    """Adds the growth of an offset over a long recording: a line through the offsets of single minutes.
-
-    Args:
-        a, b: As for :func:`find_clock_offset`.
-        middle: Its result.
-
-    Returns:
-        The same offset where the recordings overlap for less than twelve minutes, or where the motion tells
-        too little.
-    """
-    b = b._replace(time_ns=b.time_ns + round(middle.offset_ns))
-    first, last = max(a.time_ns[0], b.time_ns[0]), min(a.time_ns[-1], b.time_ns[-1])
-    if last - first < _DRIFT_WINDOWS * _DRIFT_SPAN_NS:
-        return middle
-    from scipy.stats import theilslopes  # loads for a second, and few recordings are so long
-
-    centre, reach = first + (last - first) // 2, _DRIFT_SPAN_NS // 2
-    moments = np.linspace(first + reach, last - reach, _DRIFT_WINDOWS).astype(np.int64)
-    lever, offset, slope = list[float](), list[float](), 0.0
-    for moment in moments[np.argsort(np.abs(moments - centre), kind="stable")]:
-        expected = int(slope * (moment - centre))
-        seen, near = (
-            view.chosen(np.flatnonzero(np.abs(view.time_ns - moment) < within))
-            for view, within in ((a, reach), (b, reach + abs(expected) + 1_000_000_000))
-        )
-        few = min(len(seen.time_ns), len(near.time_ns)) < 2
-        found = None if few else _refined(seen, near, expected, 0, _DRIFT_STEPS)
-        if found is None or found.sd_ns > _CERTAIN_NS:
-            continue
-        lever.append(float(moment - centre))
-        offset.append(found.offset_ns)
-        if len(lever) > 1:
-            slope = float(theilslopes(offset, lever).slope)
-    if len(lever) < _FEWEST_WINDOWS:
-        return middle
-    line = theilslopes(offset, lever, alpha=0.95)
-    return replace(
-        middle,
-        offset_ns=middle.offset_ns + float(line.intercept),
-        skew_ppm=1e6 * float(line.slope),
-        skew_sd_ppm=1e6 * float(line.high_slope - line.low_slope) / (2.0 * 1.96),
-        middle_ns=float(centre - round(middle.offset_ns)),
-    )
-
-
 def _usual_times(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """The times without those of another day: within four times the usual length of so many frames."""
     usual = 4 * len(time_ns) * int(np.median(np.diff(time_ns)))
@@ -192,18 +146,26 @@ def _usual_times(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     return time_ns[np.abs(time_ns - middle) <= usual]
 
 
-def _refined(a: View, b: View, near_ns: int, base_ns: int, steps: int = _STEPS) -> ClockOffset | None:
+def _near(a: View, b: View, offset: int) -> int:
+    """The offset within two steps at which the registered views differ least: peaks are some frames off."""
+    offsets = [offset + k * _GRID_NS for k in (-2, -1, 0, 1, 2)]
+    return offsets[int(np.argmin(_means(np.array([frame_costs(a, b, each) for each in offsets]))))]
+
+
+def refined_offset(a: View, b: View, near_ns: int, base_ns: int, steps: int = _STEPS) -> ClockOffset | None:
     """The offset nearby at which the registered views differ least, its deviation by the jackknife."""
     step_ns = max(_STEP_NS, round(_STEP * max(Sampling.of(view.time_ns).interval_ns for view in (a, b))))
     offsets = near_ns + step_ns * np.arange(-steps, steps + 1)
-    costs = np.array([_costs(a, b, int(offset)) for offset in offsets])
+    costs = np.array([frame_costs(a, b, int(offset)) for offset in offsets])
     part = np.arange(_COMPARED) * _PARTS // _COMPARED
     best = _minimum(costs)
     others = np.array([_minimum(costs[:, part != k]) for k in range(_PARTS)])
     if not 0.0 < best < 2.0 * steps:
         return None  # no offset nearby is better than all others
     sd = np.sqrt((_PARTS - 1) * np.mean((others - best) ** 2))
-    return ClockOffset(base_ns + float(offsets[0] + best * step_ns), max(float(sd * step_ns), _LEAST_SD_NS))
+    return ClockOffset(
+        base_ns + float(offsets[0] + best * step_ns), float(np.hypot(sd * step_ns, _LASTING_SD_NS))
+    )
 
 
 def _minimum(costs: Array) -> float:
@@ -312,7 +274,7 @@ def _speed(time_ns: NDArray[np.int64], at: Array, sampling: Sampling) -> Array:
     return speed
 
 
-def _costs(a: View, b: View, offset_ns: int) -> Array:
+def frame_costs(a: View, b: View, offset_ns: int) -> Array:
     """(_COMPARED,) mean robust penalty of the joints of registered views, by frames of A; NaN without B."""
     chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
     p, q = _tracked(a, chosen), _at_times(b, a.time_ns[chosen] - offset_ns)

@@ -8,11 +8,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from devices.pairing import clock_by_motion
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.registration import clock_search
+from fusion.registration.clock_course import find_clock_course
 from fusion.registration.clock_offset import ClockOffsetEstimator, clock_offset_of
-from fusion.registration.clock_search import View, find_clock_offset, find_clock_skew
+from fusion.registration.clock_search import View, find_clock_offset
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.continuous_motion import RATES, as_pairs, as_view, views_at
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, standing
@@ -174,22 +176,45 @@ def test_long_recordings_are_compared_where_they_overlap(monkeypatch):
 
 
 @pytest.mark.filterwarnings("error")
-def test_the_growth_of_an_offset_is_found(monkeypatch):
-    monkeypatch.setattr(clock_search, "_DRIFT_SPAN_NS", 6_000_000_000)
-    monkeypatch.setattr(clock_search, "_DRIFT_WINDOWS", 8)
+def test_the_growth_of_an_offset_is_found():
     a, b = long_views(50)
-    for ppm, far_ns in ((1000.0, 0), (0.0, 8_999_000_000_000_000_000)):
+    for ppm, far_ns in ((1000.0, 0), (5000.0, 0), (0.0, 8_999_000_000_000_000_000)):
         times = (b.time_ns * (1.0 + 1e-6 * ppm)).astype(np.int64) - 400_000_000
         a, fast = a._replace(time_ns=a.time_ns + far_ns), b._replace(time_ns=times + far_ns)
         found = find_clock_offset(KINECT_V2, a, fast)
         assert found is not None
-        found = find_clock_skew(a, fast, found)
+        found = find_clock_course(a, fast, found)
+        assert found.steps == ()
         assert found.skew_ppm == pytest.approx(-ppm, abs=3.0 * found.skew_sd_ppm)
-        assert found.skew_sd_ppm < 60.0
+        assert found.skew_sd_ppm < 200.0
         np.testing.assert_allclose(
             fast.time_ns + found.at(fast.time_ns) - far_ns, b.time_ns, atol=FRAME_NS / 5
         )
-        assert find_clock_skew(a, fast.chosen(np.arange(1400)), found) is found, "too short"
+        assert find_clock_course(a, fast.chosen(np.arange(500)), found) is found, "too short"
+
+
+@pytest.mark.parametrize("lost", [[300], [200, 201, 900]])
+def test_lost_frames_of_a_file_timed_by_frame_numbers_are_steps(lost):
+    a, b = long_views(50)
+    numbered = b.chosen(np.setdiff1d(np.arange(len(b.time_ns)), lost))
+    numbered = numbered._replace(time_ns=b.time_ns[: len(numbered.time_ns)])
+    found = clock_by_motion(KINECT_V2, a, numbered)
+    assert found is not None
+    true = np.delete(b.time_ns, lost)
+    off = np.abs(numbered.time_ns + found.at(numbered.time_ns) - true)
+    assert found.steps
+    assert sum(longer for _, longer in found.steps) == pytest.approx(len(lost) * FRAME_NS, abs=1e6)
+    assert np.mean(off < FRAME_NS / 2) > 0.95  # a step is found to within a second
+
+
+def test_a_rate_is_found_in_half_a_minute_without_an_offset():
+    a, b = long_views(30)
+    slow = b._replace(time_ns=(b.time_ns[0] + 0.996 * (b.time_ns - b.time_ns[0])).astype(np.int64))
+    found = clock_by_motion(KINECT_V2, a, slow)
+    assert found is not None
+    assert found.steps == ()
+    np.testing.assert_allclose(slow.time_ns + found.at(slow.time_ns), b.time_ns, atol=FRAME_NS / 3)
+    assert clock_by_motion(KINECT_V2, a, b) is None
 
 
 def test_people_who_hardly_move_tell_no_offset():
