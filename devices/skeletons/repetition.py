@@ -11,7 +11,7 @@ from fusion.large_arrays import parts
 
 FEWEST = 15
 """Frames: a person can be seen as standing still for fewer."""
-_LOGGED_TWICE = 0.2  # of the frames: more repeat the one before where a program logs faster than its tracker
+LOGGED_TWICE = 0.2  # of the frames: more repeat the one before where a program logs faster than its tracker
 _ONE_FRAME_NS = 250_000_000  # the longest time between two frames of a tracker
 _DIGITS = 200  # steps within a person: centimetres are fewer, millimetres more
 _MOVES = 0.5  # of the other points, while a joint keeps its place
@@ -52,7 +52,7 @@ def logged_again(
     lasts = found.time_ns[np.append(begins[1:] - 1, len(again) - 1)] - found.time_ns[begins]
     drop = again & (lasts[run] < _ONE_FRAME_NS)
     share = float(drop.mean())
-    if share < _LOGGED_TWICE or len(begins) < FEWEST:
+    if share < LOGGED_TWICE or len(begins) < FEWEST:
         return np.zeros_like(drop), []
     return drop, [
         f"{path}: {100.0 * share:.0f} % of the frames repeat the one before, as where a program logs them "

@@ -54,7 +54,12 @@ _CLOCK = re.compile(
 
 
 def capture_times(
-    name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0], called: str = ""
+    name: object,
+    column: str,
+    times: NDArray[Any],
+    shortest_us: float = _TRACKER_US[0],
+    called: str = "",
+    telling: NDArray[Any] | None = None,
 ) -> tuple[NDArray[np.int64], list[str]]:
     """Nanoseconds of the times of a file, in its order, and lines for the user.
 
@@ -63,11 +68,13 @@ def capture_times(
         times: (N,) as the file has them, of rows or of frames.
         shortest_us: Interval of frames that is not unusual.
         called: The column's name in the file, if another.
+        telling: (T,) those by which the unit is found, different and ascending. None: all.
 
     Raises:
         DeviceError: The interval is no body tracker's in any unit, or nanoseconds exceed 64 bits.
     """
-    us, told = find_time_unit(name, column, np.unique(times), shortest_us, called)
+    telling = np.unique(times) if telling is None else telling
+    us, told = find_time_unit(name, column, telling, shortest_us, called)
     times, wrapped = _unwrapped(times, us)
     told = [*told, f"{name}: the times go on over {wrapped}."] if wrapped else told
     for epoch_s in _EPOCHS_S:
