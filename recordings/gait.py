@@ -92,6 +92,8 @@ class Gait:
     steps: tuple[Step, ...]
     left_out: Mapping[str, float] = field(default_factory=dict)
     """Seconds in which the pelvis moves and that are no walk, by the reason."""
+    begun: tuple[tuple[float, str], ...] = ()
+    """Seconds at which a foot left the floor for a step that is not recorded to its end, and its side."""
 
     @property
     def moving_seconds(self) -> float:
@@ -139,7 +141,8 @@ class Gait:
     def events(self) -> list[tuple[float, str]]:
         """Seconds and names, such as ``heel_strike_left`` and ``toe_off_right``, in time order."""
         strikes = [(step.strike, f"heel_strike_{step.side}") for step in self.steps]
-        toe_offs = [(step.toe_off, f"toe_off_{step.side}") for step in self.steps]
+        lifted = [(step.toe_off, step.side) for step in self.steps] + list(self.begun)
+        toe_offs = [(seconds, f"toe_off_{side}") for seconds, side in lifted]
         return sorted(event for event in strikes + toe_offs if math.isfinite(event[0]))
 
     def of_side(self, side: str) -> list[Step]:
@@ -229,16 +232,23 @@ def find_gait(
     """
     seconds = np.asarray(time_ns, dtype=np.float64) * 1e-9
     steps: list[Step] = []
+    begun: list[tuple[float, str]] = []
     left_out = dict.fromkeys(("not forwards", "no three strikes in turn"), 0.0)
     for part in _parts(body, seconds, positions, np.asarray(up, dtype=np.float64), sigma):
         walking = np.zeros(len(part.t), dtype=bool)
-        for walk in _walks(_strikes(part)):
+        strikes, lifted = _strikes(part)
+        for walk in _walks(strikes):
             number = steps[-1].walk + 1 if steps else 0
             steps += [step._replace(walk=number) for step in walk]
             walking |= (part.t >= walk[0].strike) & (part.t <= walk[-1].strike)
+            begun += [
+                (at, side)
+                for at, side in lifted
+                if side != walk[-1].side and 0.0 < at - walk[-1].strike < walk[-1].seconds
+            ]
         for reason, of_reason in zip(left_out, (~part.forwards, part.forwards), strict=True):
             left_out[reason] += float(np.mean(part.moving & of_reason & ~walking)) * len(part.t) / _RATE
-    return Gait(tuple(steps), left_out)
+    return Gait(tuple(steps), left_out, tuple(begun))
 
 
 def cycle_curves(seconds: NDArray[np.floating], values: Array, cycles: Array) -> Array:
@@ -343,13 +353,17 @@ def _smoothed(values: Array) -> Array:
     return np.asarray(gaussian_filter1d(values, _WINDOW * _RATE, axis=0, mode="nearest"))
 
 
-def _strikes(part: _Part) -> list[Step]:
-    """The heel strikes of both feet while the person walks, in time order; not yet in turn."""
+def _strikes(part: _Part) -> tuple[list[Step], list[tuple[float, str]]]:
+    """The heel strikes of both feet while the person walks, in time order; not yet in turn.
+
+    Besides, seconds and side of toe-offs without a strike at the end of the part.
+    """
     t, walking, direction = part.t, part.moving & part.forwards, part.direction
     way = np.cumsum(part.speed) / _RATE
     heading = np.unwrap(np.arctan2(direction[:, 1], direction[:, 0]))
-    found = []
+    found, lifted = [], []
     for side in (0, 1):
+        half = 0
         # how much farther the foot went than the pelvis at a part of its speed: less while the foot stands
         ankle, toes = (
             np.cumsum(np.sum(np.gradient(each[side], axis=0) * direction, axis=1)) - _STANDS * way
@@ -368,12 +382,7 @@ def _strikes(part: _Part) -> list[Step]:
             strike, toe_off = _turn(part, ankle, errors[0], k), _UNKNOWN
             if i:
                 half = (k - before) // 2
-                first = max(before - half, 0)
-                off = first + int(np.argmin(toes[first : before + half + 1]))
-                if first < off < before + half:
-                    toe_off = _turn(part, toes, errors[1], off)
-                else:  # toes that S* lost
-                    toe_off = Measured(float(t[before]), half / _RATE)
+                toe_off = _toe_off(part, toes, errors[1], before, half)
             found.append(
                 Step(
                     side=SIDES[side],
@@ -389,7 +398,18 @@ def _strikes(part: _Part) -> list[Step]:
                     turned=float(heading[k]),
                 )
             )
-    return sorted(found, key=lambda step: step.strike)
+        if half and backs[-1] > fronts[-1]:
+            lifted.append((_toe_off(part, toes, errors[1], int(backs[-1]), half).value, SIDES[side]))
+    return sorted(found, key=lambda step: step.strike), lifted
+
+
+def _toe_off(part: _Part, toes: Array, errors: Array, back: int, half: int) -> Measured:
+    """When the toes leave the floor, within half a swing of where the ankle is farthest behind."""
+    first, last = max(back - half, 0), min(back + half, len(toes) - 1)
+    k = first + int(np.argmin(toes[first : last + 1]))
+    if first < k < last:
+        return _turn(part, toes, errors, k)
+    return Measured(float(part.t[back]), half / _RATE)  # toes that S* lost
 
 
 def _swings(ahead: Array, walking: NDArray[np.bool_], leg: float) -> tuple[Array, Array]:
@@ -406,10 +426,11 @@ def _swings(ahead: Array, walking: NDArray[np.bool_], leg: float) -> tuple[Array
     )
     of_walks = swing[walking[fronts]]
     own = float(np.median(of_walks)) if len(of_walks) else 0.0
-    moved = np.array([ahead[k] - max(ahead[: k + 1].min(), ahead[k:].min()) for k in fronts])
+    seen = np.array([min(np.ptp(ahead[: k + 1]), np.ptp(ahead[k:])) for k in fronts])
+    begun = np.array([np.ptp(ahead[k:]) for k in backs])
     return (
-        fronts[(swing > _OWN_SWING * own) & (moved > _SEEN * own)],
-        backs[(swing_back > _OWN_SWING * own) & (backs > 0)],
+        fronts[(swing > _OWN_SWING * own) & (seen > _SEEN * own)],
+        backs[(swing_back > _OWN_SWING * own) & (begun > _SEEN * own) & (backs > 0)],
     )
 
 
