@@ -92,6 +92,7 @@ class _Rows:
     clock: str  # the column of the times' unit
     called: str  # what the file calls it
     time: NDArray[Any]
+    has_body: bool
     people: list[str]
     person: NDArray[np.int32]  # index of each row's person
     labels: list[str]
@@ -130,11 +131,10 @@ def _rows(path: Path, block: int, progress: Progress) -> _Rows:
     refuse_cut_off(text, before, np.concatenate(times[-2:]))
     pa.default_memory_pool().release_unused()
     persons, joints, places = GrowingArray.wholes((person, label, xyz))
-    time = np.concatenate(times)
-    called = text.columns.time_in_file
     return _Rows(
-        clock, called, time, list(people), persons, list(labels), joints, places, states, tuple(names)
-    )
+        clock, text.columns.time_in_file, np.concatenate(times), "body" in text.table.column_names,
+        list(people), persons, list(labels), joints, places, states, tuple(names),
+    )  # fmt: skip
 
 
 def _times_of_new_frames(rows: _Rows) -> NDArray[Any]:
@@ -227,7 +227,9 @@ def _once(
         f"{path}: joint {joint} of one person has two rows in one frame, the second in line "
         f"{line_of_row(path, row)}."
         + (
-            " Are two recordings in one file?"
+            " There is no column body: name the one that tells people apart so."
+            if not rows.has_body
+            else " Are two recordings in one file?"
             if backward
             else " Have two people one id, or did the times lose digits?"
             if share > _OFTEN

@@ -1,4 +1,4 @@
-"""Files as they come, drawn at random of a known recording: what is read is right, or a line says more."""
+"""Files as they come, drawn at random of a known recording: what is read is right, or a line says why."""
 
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -145,7 +145,7 @@ def is_right(read, times, truth, states):
 
 @settings(max_examples=150, derandomize=True, deadline=None)
 @given(drawn=DRAWN)
-def test_what_is_read_is_right_or_said(tmp_path, drawn):
+def test_a_file_is_read_right_or_refused(tmp_path, drawn):
     path = tmp_path / "a.csv"
     recorded = written(drawn, path)
     if drawn.time in LOST:

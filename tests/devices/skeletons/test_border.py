@@ -56,7 +56,7 @@ def as_skeleton(path, positions, count=None, ids=("7",)):
 WRITERS = {".json": (as_json, 1e3), ".skeleton": (as_skeleton, 1.0)}
 
 
-@pytest.mark.parametrize("stated", ["auto", "m", "cm", "mm"])
+@pytest.mark.parametrize("stated", [False, True])
 @pytest.mark.parametrize("written", ["m", "cm", "mm"])
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_b2_every_format_has_a_unit(tmp_path, suffix, written, stated):
@@ -64,11 +64,9 @@ def test_b2_every_format_has_a_unit(tmp_path, suffix, written, stated):
     write, of_format = WRITERS[suffix]
     scale = {"m": 1.0, "cm": 1e2, "mm": 1e3}[written]
     path = write(tmp_path / f"a{suffix}", TRUE * scale)
-    if stated not in ("auto", written):
-        return
-    read = opened(path, StatedFormat(stated))
+    read = opened(path, StatedFormat(written if stated else "auto"))
     np.testing.assert_allclose(positions_of(read), TRUE, atol=1e-5)
-    assert any("are taken as" in line for line in read.warnings) == (stated == "auto" and scale != of_format)
+    assert any("are taken as" in line for line in read.warnings) == (not stated and scale != of_format)
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
@@ -280,6 +278,16 @@ def test_a_calm_joint_in_centimetres_is_not_taken_for_unseen(tmp_path):
     read = opened(write_view(tmp_path / "a.csv", KINECT_V2, np.rint(100.0 * waving)))
     assert "keep" not in "".join(read.warnings)
     assert (read.people.skeletons.states == 2).all()
+
+
+def test_people_without_a_column_body_are_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    lines = write_view(path, KINECT_V2, TRUE).read_text().splitlines()
+    other = [line.replace(",tracked", "5,tracked") for line in lines[1:]]
+    both = [re.sub(r"^([^,]*),[^,]*", r"\1", line) for line in [*lines, *other]]
+    path.write_text("\n".join(both) + "\n")
+    with pytest.raises(DeviceError, match="There is no column body: name the one that tells people apart so"):
+        opened(path)
 
 
 def test_bodies_that_are_not_there_are_left_out(tmp_path):
