@@ -189,6 +189,8 @@ def clock_by_motion(body: Body, a: View, b: View) -> ClockOffset | None:
 
     It may be that large in a part of the recording only, where it grows or changes in steps.
     """
+    if not min(len(a.time_ns), len(b.time_ns)):
+        return None
     found = find_clock_offset(body, a, b)
     interval = median_interval(a.time_ns)
     if found is None or found.sd_ns > 2.0 * interval:
