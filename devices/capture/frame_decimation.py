@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from statistics import fmean, median
 
-from devices.capture.host_clock import HostClock, Timing
+from devices.capture.moment_grid import MomentGrid
 
 _FIRST_RESULTS = 2  # not counted: a tracker loads and compiles its network then
 _ENOUGH, _RECENT = 5, 15  # results
@@ -20,55 +20,7 @@ _USED_TO_SLOW = 0.95  # of the time between two kept moments: a tracker busier t
 _USED_TO_SPEED = 0.8
 _HOLD_NS, _LONGEST_HOLD_NS = 5_000_000_000, 80_000_000_000
 _SILENT_NS = 2_000_000_000
-_REGRID = 0.6  # of a period: beyond half of one, so that a sensor midway between the other's does not swing
-_SAME_STREAM_NS = 1_000_000_000
 _NEVER = -math.inf
-
-
-@dataclass(eq=False)
-class _Grid:
-    """One sensor's moments: the newest on its own clock, and where they lie on this machine's."""
-
-    clock: HostClock = field(default_factory=HostClock)
-    newest_ns: float = _NEVER
-    number: int = 0
-    zero_ns: int | None = None  # when moment 0 was, by this machine's clock
-
-
-class MomentGrid:
-    """Numbers the moments at which two sensors capture, so that equal numbers mean the same moment.
-
-    Each sensor counts on by its own clock. This machine's clock tells where it begins. It also tells whether
-    the second sensor's grid still fits the first's.
-    """
-
-    def __init__(self, period_ns: int) -> None:
-        self._period_ns = period_ns
-        self._grids: dict[Hashable, _Grid] = {}
-
-    def restart(self, sensor: Hashable) -> None:
-        """Forgets a sensor, because its clock restarts."""
-        self._grids[sensor] = _Grid()
-
-    def number(self, sensor: Hashable, time_ns: int, host_ns: int) -> int:
-        """The number of the moment that a sensor captured at ``time_ns`` and that arrived at ``host_ns``."""
-        mine = self._grids.setdefault(sensor, _Grid())
-        timing = mine.clock.observe(time_ns, host_ns)
-        gap_ns, mine.newest_ns = time_ns - mine.newest_ns, time_ns
-        follows = 0 <= gap_ns < _SAME_STREAM_NS and timing is not Timing.RESET
-        if follows:
-            mine.number += round(gap_ns / self._period_ns)
-        if timing is Timing.LATE:  # held up, or the first of a new clock: its arrival tells nothing
-            return mine.number
-        moment_ns = time_ns + (mine.clock.offset_ns or 0)
-        leads = follows and mine is next(iter(self._grids.values()))
-        for other in self._grids.values():
-            if other is not mine and other.zero_ns is not None and not leads:
-                number = (moment_ns - other.zero_ns) / self._period_ns
-                if not follows or abs(number - mine.number) > _REGRID:
-                    mine.number = round(number)
-        mine.zero_ns = moment_ns - mine.number * self._period_ns
-        return mine.number
 
 
 @dataclass(eq=False)
@@ -191,7 +143,7 @@ class FrameDecimation:
             self.choice.restart(sensor)
 
     def moment(self, sensor: Hashable, time_ns: int, host_ns: int) -> int:
-        """As :meth:`MomentGrid.number`."""
+        """As :meth:`~devices.capture.moment_grid.MomentGrid.number`."""
         with self._lock:
             return self._grid.number(sensor, time_ns, host_ns)
 
