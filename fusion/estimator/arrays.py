@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.estimator.constants import Constants, JointErrors, acceleration_shares, calmness
 from fusion.facing.model import FacingModel, FacingState
-from fusion.joint_kinds import by_joint
+from fusion.joint_kinds import by_joint, of_kind
 from fusion.rigid import RigidTransform
 from fusion.setup import DEFAULT_SMOOTHING
 from fusion.solvers.tree_start import TreeWorkspace
@@ -32,6 +32,7 @@ class Model(NamedTuple):
     rest: Array  # (J, 3)
     linked: NDArray[np.bool_]  # (J, J)
     mirror: NDArray[np.int64]  # (J,) a joint's counterpart on the other side; itself on the middle line
+    limb: NDArray[np.bool_]  # (J,) joints of arms and legs beyond shoulders and hips
     hinges: NDArray[np.int64]  # (4, 3) near end, hinge, far end: both knees, both elbows
     bend_signs: Array  # (4,) 1 where the hinge lies before the line of its ends, -1 behind
     sides: NDArray[np.int64]  # (4,) left and right hip, left and right shoulder
@@ -41,6 +42,7 @@ class Model(NamedTuple):
     bone_lengths: Array  # (J,) metres
     rotation: Array  # (3, 3) R of a_from_b
     translation: Array  # (3,) t, which is where K_B stands
+    registration_variances: Array  # (2,) of R, rad², and of R q + t at the person, m², along an axis
     rotations: Array  # (2, 3, 3) from each sensor's frame to K_A's: I, and R
     translations: Array  # (2, 3) likewise: 0, and t
     witness: WitnessModel  # tables for the evidence of depth images
@@ -63,9 +65,11 @@ class State(NamedTuple):
     offsets: Annotated[Array, (2, "J", 3)]  # lasting error of each view relative to S*, metres
     offset_variances: Annotated[Array, (2, "J")]
     usual_offsets: Annotated[Array, (2, "J", 3)]  # mean share of each view in the views' difference, metres
+    from_b: Annotated[Array, ("J",)]  # B's share of the information when a view had the joint last
     agreed: Annotated[Array, ("J",)]  # seconds that these are means of, at most usual_seconds
     recalibrated: Annotated[Array, (1,), np.inf]  # seconds since the calibration changed
     lag: Annotated[Array, ("J", 3)]  # what S* still has to go since the calibration changed, metres
+    error_size: Annotated[Array, ("J",)]  # factor on the variance of slow errors, from the views' difference
     shared_error: Annotated[Array, ("J", 3, 3)]  # covariance of the slow error of S*, m²
     outlier_probability: Annotated[Array, (2, "J")]  # that the view's last measurement was an outlier
     view_outlier_probability: Annotated[Array, (2,)]  # its mean over the joints that the view measured
@@ -165,6 +169,7 @@ def new_model(
     a_from_b: RigidTransform,
     smoothing: float = DEFAULT_SMOOTHING,
     constants: Constants | None = None,
+    registration_variances: tuple[float, float] = (0.0, 0.0),
 ) -> Model:
     """The model of one body and calibration."""
     errors = JointErrors.of(body)
@@ -174,6 +179,7 @@ def new_model(
         rest=np.ascontiguousarray(body.rest),
         linked=body.linked,
         mirror=np.ascontiguousarray(body.mirror, dtype=np.int64),
+        limb=of_kind(body, "elbow", "wrist", "hand", "tip", "thumb", "knee", "ankle", "foot"),
         hinges=np.array(
             [[body.joint(joint + side) for joint in limb] for limb in _LIMBS for side in ("Left", "Right")],
             dtype=np.int64,
@@ -188,6 +194,7 @@ def new_model(
         bone_lengths=np.array(bone_lengths, dtype=np.float64),
         rotation=np.array(a_from_b.rotation, dtype=np.float64),
         translation=np.array(a_from_b.translation, dtype=np.float64),
+        registration_variances=np.array(registration_variances, dtype=np.float64),
         rotations=np.array((np.eye(3), a_from_b.rotation), dtype=np.float64),
         translations=np.array((np.zeros(3), a_from_b.translation), dtype=np.float64),
         witness=new_witness_model(body),

@@ -14,6 +14,7 @@ from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_start import copy
 
 _FASTEST = 20.0  # m/s: no joint of a person is faster
+_LEAST_ACROSS = 0.1  # a covariance that is reduced by more across its bone is reduced in all directions
 _PRIOR_INFORMATION = 1.0  # 1/m²: a joint that was never seen has a standard deviation of one metre
 
 
@@ -149,7 +150,10 @@ def joint_covariances(model, solve, covariance, sigma):  # type: ignore[no-untyp
     Args:
         model, solve: After the bones; the information in ``solve`` is that of the targets.
         covariance: (J, 3, 3) out, m².
-        sigma: (J,) out: the square root of its trace, m: one standard deviation of the distance to the truth.
+        sigma: (J,) out: the square root of its trace: one standard deviation of the distance to the truth, m.
+
+    A joint that nobody sees keeps its bone: if its direction is not known at all, the mean square of the
+    distance is σ_parent² + 2 l². The covariance is reduced to that.
     """
     A, scratch = solve.covariance, solve.scratch  # A is information first, covariance in the end
     order, parents = model.order, model.parents
@@ -175,12 +179,70 @@ def joint_covariances(model, solve, covariance, sigma):  # type: ignore[no-untyp
         _add_along(A[p], nx, ny, nz, below)
         _add_along(A[i], nx, ny, nz, information)
     square = model.constants.spread**2
-    for i in range(len(parents)):
+    for n in range(len(order)):
+        i = order[n]
         inverse(A[i], scratch)
+        trace = square * (scratch[0, 0] + scratch[1, 1] + scratch[2, 2])
+        most = math.inf if n == 0 else sigma[parents[i]] ** 2 + 2.0 * model.bone_lengths[i] ** 2
         for r in range(3):
             for c in range(3):
                 covariance[i, r, c] = square * scratch[r, c]
-        sigma[i] = math.sqrt(covariance[i, 0, 0] + covariance[i, 1, 1] + covariance[i, 2, 2])
+        if trace > most:
+            _shrink_across(covariance[i], solve.upward[i], trace, most)
+        sigma[i] = math.sqrt(min(trace, most))
+
+
+@inner_kernel
+def add_registration_error(model, positions, shares, covariance, sigma):  # type: ignore[no-untyped-def]
+    """Adds the uncertainty of R and t: joint i comes from B by its share w_i, at r from the person's centre.
+
+        Σ ← Σ + w_i² (σ_t² I + σ_R² (|r|² I - r rᵀ))
+
+    Args:
+        positions, shares: (J, 3) S*, metres; (J,) B's share of each joint.
+        covariance, sigma: (J, 3, 3) m², (J,) metres; changed.
+    """
+    turn, shift = model.registration_variances[0], model.registration_variances[1]
+    for i in range(len(sigma)):
+        square = 0.0
+        for c in range(3):
+            r = positions[i, c] - positions[model.order[0], c]
+            square += r * r
+        added = shares[i] * shares[i]
+        for r in range(3):
+            from_r = positions[i, r] - positions[model.order[0], r]
+            covariance[i, r, r] += added * (shift + turn * square)
+            for c in range(3):
+                from_c = positions[i, c] - positions[model.order[0], c]
+                covariance[i, r, c] -= added * turn * from_r * from_c
+        sigma[i] = math.sqrt(sigma[i] * sigma[i] + added * (3.0 * shift + 2.0 * turn * square))
+
+
+@inner_kernel
+def _shrink_across(covariance, up, trace, most):  # type: ignore[no-untyped-def]
+    """Reduces the trace of a covariance to ``most``, across its bone's direction n if that is enough:
+    C ← S C S with S = n nᵀ + g (I - n nᵀ).
+    """
+    along = 0.0
+    for r in range(3):
+        for c in range(3):
+            along += up[r] * covariance[r, c] * up[c]
+    kept, across = 1.0, math.sqrt(max(most - along, 0.0) / (trace - along))
+    if across < _LEAST_ACROSS:
+        kept = across = math.sqrt(most / trace)
+    x, y, z = 0.0, 0.0, 0.0  # C n
+    for c in range(3):
+        x += covariance[0, c] * up[c]
+        y += covariance[1, c] * up[c]
+        z += covariance[2, c] * up[c]
+    v, more = (x, y, z), kept - across
+    for r in range(3):
+        for c in range(3):
+            covariance[r, c] = (
+                across * across * covariance[r, c]
+                + across * more * (up[r] * v[c] + v[r] * up[c])
+                + more * more * along * up[r] * up[c]
+            )
 
 
 @inner_kernel

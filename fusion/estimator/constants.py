@@ -91,6 +91,9 @@ class Constants(NamedTuple):
     velocity_seconds: float = 0.4  # how long a joint keeps its velocity relative to its parent's
     agreement_seconds: float = 1.0  # how long an offset between the views lasts while both see the joint
     alone_seconds: float = 0.85  # how long an offset lasts while one view sees it
+    freedom: float = 3.0
+    """Degrees of freedom of the t distribution of slow errors. The fewer there are, the more the views'
+    difference tells of their size."""
     usual_seconds: float = 20.0  # over how long the usual offsets are averaged, to which offsets decay
     outlier: float = 0.02  # probability that a tracked joint is an outlier
     inferred_outlier: float = 0.2  # the same of an inferred joint
@@ -109,6 +112,9 @@ class Constants(NamedTuple):
     """Error of a bone's length added for each m/s between its ends, s. A tracker smears a limb that
     swings."""
     length_limit: float = 4.0  # largest logarithm of that factor
+    other_limb_sd: float = 0.1
+    """Deviation of a joint between views that both have it right, metres."""
+    other_limb_limit: float = 6.0  # largest logarithm of the odds that a joint lies on the other limb
     scale_sd: float = 0.035
     """Standard deviation of a view's scale about 1; of the body's tracker, see :meth:`of`."""
     scale_seconds: float = 0.6  # how long a scale lasts

@@ -8,6 +8,7 @@ import numpy as np
 from numba import typeof
 
 from fusion.array_fields import new_arrays
+from fusion.calibration.calibration import Calibration
 from fusion.estimator.arrays import Filter, LastSkeletons, Model, Output, Solve, State, Views, new_model
 from fusion.estimator.constants import Constants
 from fusion.estimator.estimator import boxed, estimate_pairs
@@ -17,6 +18,7 @@ from fusion.facing.exchange import exchange
 from fusion.facing.model import FacingState, new_facing_model
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays
+from fusion.registration.lasting_errors import COMMON_SD
 from fusion.setup import FusionSetup
 
 
@@ -84,6 +86,7 @@ class DuplexFusion:
             calibration.a_from_b,
             setup.settings.smoothing,
             self._constants,
+            _registration_variances(calibration),
         )
 
     def run(self, pairs: PairArrays, smooth: bool = False) -> FusedFrames:
@@ -102,3 +105,14 @@ class DuplexFusion:
             estimate_pairs(boxed(self._filter, trace), pairs, output)
             smooth_pairs(self._filter.model, self._filter.solve, trace, output)
         return FusedFrames(output, self._setup.calibration.a_from_b, pairs.time_ns)
+
+
+def _registration_variances(calibration: Calibration) -> tuple[float, float]:
+    """Variances of R, rad², and of R q + t at the person, m², beyond the trackers' lasting errors, which the
+    estimator knows; 0 where the calibration does not say.
+    """
+    registration = calibration.registration
+    if registration is None:
+        return 0.0, 0.0
+    turn, shift = registration.rotation_sd**2, registration.translation_sd**2 - COMMON_SD**2
+    return (turn if np.isfinite(turn) else 0.0), (max(shift, 0.0) if np.isfinite(shift) else 0.0)

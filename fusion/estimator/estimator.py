@@ -8,6 +8,7 @@ from numba.typed import List
 
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.estimator.bones import (
+    add_registration_error,
     correct_state,
     enforce_hinges,
     joint_covariances,
@@ -15,7 +16,12 @@ from fusion.estimator.bones import (
     solve_bones,
 )
 from fusion.estimator.covariance import find_covers, set_covariances, set_rays
-from fusion.estimator.evidence import depth_evidence, length_evidence, measure_surface
+from fusion.estimator.evidence import (
+    depth_evidence,
+    length_evidence,
+    measure_surface,
+    other_limb_evidence,
+)
 from fusion.estimator.heading import turn_girdles
 from fusion.estimator.kalman import kalman_update, predict, start_joints, update_common_error
 from fusion.estimator.offsets import add_lag, decay_offsets, update_offsets, update_usual_offsets
@@ -79,6 +85,8 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     remove_scales(model, state, views, dt)
     # evidence of the bones' lengths within each view
     length_evidence(model, state, views)
+    # evidence of joints that lie on the other limb
+    other_limb_evidence(model, views)
     # shoulders and hips towards the heading
     if model.constants.heading:
         turn_girdles(filter.facing_model, filter.facing.memory.frame_up, model.translations, views)
@@ -120,6 +128,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     joint_covariances(model, solve, output.covariance[k], output.sigma[k])
     add_lag(state, output.covariance[k], output.sigma[k])
     write_row(state, views, solve, output, k)
+    add_registration_error(model, output.positions[k], state.from_b, output.covariance[k], output.sigma[k])
 
 
 @inner_kernel
@@ -150,6 +159,8 @@ def write_row(state, views, solve, output, k):  # type: ignore[no-untyped-def]
         information_b = _information(views, 1, i)
         total = information_a + information_b
         output.predicted[k, i] = total == 0.0
+        if total > 0.0:
+            state.from_b[i] = information_b / total
         output.weights_a[k, i] = information_a / total if total > 0.0 else 0.0
         output.weights_b[k, i] = information_b / total if total > 0.0 else 0.0
         nearer_b = views.cover_distances[1, i] < views.cover_distances[0, i]

@@ -115,3 +115,38 @@ def length_evidence(model, state, views):  # type: ignore[no-untyped-def]
         for i in range(len(model.parents)):
             if errors[i] > 0.0:
                 views.log_odds[v, i] -= min(errors[i], k.length_limit)
+
+
+@inner_kernel
+def other_limb_evidence(model, views):  # type: ignore[no-untyped-def]
+    """Adds the evidence that a view places a joint on the other limb: the mis-leading joint of sec. 3.
+
+        l_vi = - min((|y_vi - y_wi|² - max(|y_vi - y_wm|², |y_vm - y_wm|²)) / (2 s²), other_limb_limit)
+
+    where it is positive, with m the joint's counterpart on the other side and w the other view: view v has
+    both joints where w has m, and w has i elsewhere. Hands that touch are together in both views, and are no
+    such evidence.
+    """
+    k = model.constants
+    scale = 0.5 / (k.other_limb_sd * k.other_limb_sd)
+    for i in range(len(model.parents)):
+        m = model.mirror[i]
+        seen = True
+        for v in range(2):
+            seen = seen and views.states[v, i] != 0 and views.states[v, m] != 0
+        if not (model.limb[i] and seen):
+            continue
+        for v in range(2):
+            mine, others = views.positions[v], views.positions[1 - v]
+            there = max(_square(mine[i], others[m]), _square(mine[m], others[m]))
+            evidence = scale * (_square(mine[i], others[i]) - there)
+            if evidence > 0.0:
+                views.log_odds[v, i] -= min(evidence, k.other_limb_limit)
+
+
+@inner_kernel
+def _square(x, y):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for c in range(3):
+        total += (x[c] - y[c]) ** 2
+    return total

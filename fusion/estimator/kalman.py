@@ -119,6 +119,7 @@ def start_joints(model, state, views, solve):  # type: ignore[no-untyped-def]
                 state.shared_error[i, r, c] = scratch[r, c]
             state.usual_offsets[0, i, r] = state.usual_offsets[1, i, r] = 0.0
         state.agreed[i] = 0.0
+        state.error_size[i] = 1.0
         state.variances[i, 0] = 1.0 / information
         state.variances[i, 1], state.variances[i, 2] = 0.0, _FIRST_SPEED**2
         for s in range(2):
@@ -135,10 +136,16 @@ def start_joints(model, state, views, solve):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def update_common_error(model, state, views, solve, dt):  # type: ignore[no-untyped-def]
-    """Updates the slow error of S*: M ← M + (1 - φ) ((Σ_v β_v C_v⁻¹)⁻¹ - M), at the pace of the offsets.
+    """Updates the slow error of S*: M ← M + (1 - φ) (λ (Σ_v β_v C_v⁻¹)⁻¹ - M), at the pace of the offsets.
 
-    No measurement shows this error: it is common to the views once their difference is known. Without a
-    measurement it is kept, and only the uncertainty of the prediction grows.
+    No measurement shows this error: it is common to the views once their difference d is known. But slow
+    errors are large together and small together, so that d tells of their size. With a t distribution of ν
+    degrees of freedom their variance given d is C times
+
+        λ = (ν + 3 |d|² / tr(C_A + C_B)) / (ν + 3)
+
+    averaged over the time that offsets last; with one view it is kept. Without a measurement M is kept, and
+    only the uncertainty of the prediction grows.
     """
     k, sums, scratch = model.constants, solve.sums, solve.scratch
     kept_together, kept_alone = math.exp(-dt / k.agreement_seconds), math.exp(-dt / k.alone_seconds)
@@ -154,7 +161,24 @@ def update_common_error(model, state, views, solve, dt):  # type: ignore[no-unty
                 add_inverse(views.slow[s, i], views.trust[s, i], sums, scratch)
         inverse(sums, scratch)
         agreed = views.trust[0, i] * views.trust[1, i] > 0.25
-        pace = (1.0 - (kept_together if agreed else kept_alone)) * min(total, 1.0)
+        kept = kept_together if agreed else kept_alone
+        if agreed:
+            size = _error_size(model, state, views, i)
+            state.error_size[i] = size + kept * (state.error_size[i] - size)
+        pace = (1.0 - kept) * min(total, 1.0)
         for r in range(3):
             for c in range(3):
-                state.shared_error[i, r, c] += pace * (scratch[r, c] - state.shared_error[i, r, c])
+                target = state.error_size[i] * scratch[r, c]
+                state.shared_error[i, r, c] += pace * (target - state.shared_error[i, r, c])
+
+
+@inner_kernel
+def _error_size(model, state, views, i):  # type: ignore[no-untyped-def]
+    """λ of one pair."""
+    A, B, freedom = views.slow[0, i], views.slow[1, i], model.constants.freedom
+    later = views.delays[0] - views.delays[1]
+    square = 0.0
+    for c in range(3):
+        square += (views.positions[0, i, c] - views.positions[1, i, c] - state.velocities[i, c] * later) ** 2
+    expected = A[0, 0] + A[1, 1] + A[2, 2] + B[0, 0] + B[1, 1] + B[2, 2]
+    return (freedom + 3.0 * square / expected) / (freedom + 3.0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.estimator.bones import joint_covariances
+from fusion.estimator.bones import add_registration_error, joint_covariances
 from fusion.solvers.small_matrices import inverse
 from fusion.solvers.tree_solver import solve_tree
 
@@ -117,6 +117,7 @@ def _solve_bones(model, solve, trace, output, k, later):  # type: ignore[no-unty
         start, solve.tree_work, solve.positions,
     )  # fmt: skip
     joint_covariances(model, solve, output.covariance[k], output.sigma[k])
+    add_registration_error(model, solve.positions, output.weights_b[k], output.covariance[k], output.sigma[k])
     for i in range(len(model.parents)):
         for c in range(3):
             output.positions[k, i, c] = solve.positions[i, c]

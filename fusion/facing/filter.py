@@ -52,7 +52,7 @@ def update_evidence(model, state, pair, dt):  # type: ignore[no-untyped-def]
         state.memory.velocity[c] += changes[0, c] + changes[1, c]
     set_sensor_directions(state, pair.sensor_b)
     set_turning(model.constants, state, dt)
-    log_likelihood(model, state, pair.stale)
+    log_likelihood(model, state, pair)
 
 
 @inner_kernel

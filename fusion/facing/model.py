@@ -102,6 +102,9 @@ class FacingConstants(NamedTuple):
     continuity: float = 100.0
     """Weight of the agreement of labels with the previous frame, 1/m²; see
     :func:`fusion.facing.evidence.exchange_odds`."""
+    limb_sigma: float = 0.1  # deviation of an elbow or knee between the views along one axis, metres
+    limb_floor: float = 4.0  # largest cost of an elbow or knee in another place, in log density
+    limb_weight: float = 0.05  # weight of elbows and knees in a frame
     leak: float = 1e-9  # lower limit of the probability of every state, so that no state becomes impossible
     change_from: float = 0.5  # probability above which a different exchange is adopted
 

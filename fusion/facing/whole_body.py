@@ -33,7 +33,7 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel
-from fusion.facing.model import FRAME_SECONDS, TAPS
+from fusion.facing.model import ELBOW, FRAME_SECONDS, KNEE, TAPS
 
 _INTERVALS = 4  # of the tables over the cosine
 _MOST_FRAMES = 6.0  # a longer time than 0.2 s without evidence of motion gives a frame no larger weight
@@ -166,15 +166,16 @@ def retrodict(state, after, before, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def log_likelihood(model, state, stale):  # type: ignore[no-untyped-def]
+def log_likelihood(model, state, pair):  # type: ignore[no-untyped-def]
     """Writes the log-likelihood of the frame for every state; a stale view is no evidence."""
-    k = model.constants
+    k, stale = model.constants, pair.stale
     v, likelihood = state.memory.velocity, state.evidence.likelihood
     speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     weight = k.motion_weight * min(state.evidence.frames[2], _MOST_FRAMES)
     pace = weight * min(speed, k.motion_cap) ** 4 / max(speed, 1e-9)
     if stale[0] and stale[1]:
         pace = 0.0
+    equal, other = _agreement(model, state, pair) if not (stale[0] or stale[1]) else (0.0, 0.0)
     for n in range(len(state.memory.headings)):
         f = state.memory.headings[n]
         common = pace * (v[0] * f[0] + v[1] * f[1] + v[2] * f[2])
@@ -191,10 +192,39 @@ def log_likelihood(model, state, stale):  # type: ignore[no-untyped-def]
                 axis_a = 0.5 * (straight - back)
             else:
                 axis_b = 0.5 * (straight - back)
-        likelihood[n, 0, 0] = common + axis_a + axis_b
-        likelihood[n, 0, 1] = common + axis_a - axis_b
-        likelihood[n, 1, 0] = common - axis_a + axis_b
-        likelihood[n, 1, 1] = common - axis_a - axis_b
+        likelihood[n, 0, 0] = common + axis_a + axis_b + equal
+        likelihood[n, 0, 1] = common + axis_a - axis_b + other
+        likelihood[n, 1, 0] = common - axis_a + axis_b + other
+        likelihood[n, 1, 1] = common - axis_a - axis_b + equal
+
+
+@inner_kernel
+def _agreement(model, state, pair):  # type: ignore[no-untyped-def]
+    """Log densities of elbows and knees if A and B label them alike, and if one of them exchanges them.
+
+    Shoulders and hips are as near to each other as two views of them are. Elbows and knees tell whether the
+    views differ, and the heading tells which of them is mirrored.
+    """
+    k = model.constants
+    equal = other = 0.0
+    a, b = pair.positions[0], pair.positions[1]
+    for row in (ELBOW, KNEE):
+        left, right = model.pairs[row, 0], model.pairs[row, 1]
+        equal += _apart(k, a, left, b, left) + _apart(k, a, right, b, right)
+        other += _apart(k, a, left, b, right) + _apart(k, a, right, b, left)
+    weight = min(k.limb_weight * state.evidence.frames[2], 1.0)
+    return -weight * equal, -weight * other
+
+
+@inner_kernel
+def _apart(k, a, i, b, j):  # type: ignore[no-untyped-def]
+    """Cost of joint i of A and joint j of B as one joint; 0 where a view does not have it."""
+    square = 0.0
+    for c in range(3):
+        square += (a[i, c] - b[j, c]) ** 2
+    return (
+        _bounded(0.5 * square / (k.limb_sigma * k.limb_sigma), k.limb_floor) if math.isfinite(square) else 0.0
+    )
 
 
 @inner_kernel

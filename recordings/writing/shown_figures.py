@@ -17,7 +17,6 @@ from recordings.appearance.body_shape import (
     capsule_lengths,
     capsule_rotations,
     nose_vectors,
-    parents,
     pelvis_rotations,
 )
 from recordings.appearance.colors import VIEW_COLORS
@@ -54,7 +53,7 @@ def _view_figures(side: str) -> Iterator[ShownFigure]:
     entity, ids = layout.skeleton(side), [layout.CLASS_IDS[key] for key in (side, layout.exchanged(side))]
 
     def exchanged(rows: SessionArrays) -> NDArray[np.bool_]:
-        return np.asarray(rows.filled("exchanged")[:, layout.SIDES.index(side), None] != 0)
+        return rows.corrects(layout.SIDES.index(side))[:, None]
 
     def colors(rows: SessionArrays) -> NDArray[Any]:
         untracked = getattr(rows, f"states_{side}") != TrackingState.TRACKED
@@ -72,18 +71,10 @@ def _view_figures(side: str) -> Iterator[ShownFigure]:
 
 
 def _sigma_spheres(rows: SessionArrays) -> NDArray[Any] | None:
-    """(T, J, 3) half sizes of spheres of one standard deviation, in steps that compress well.
-
-    A joint whose bone could have any direction is off by √(σ² of its parent + 2 L²): it lies on a sphere of
-    radius L about its parent. A larger σ, which a joint without data may have, is drawn as that, so that the
-    sphere of a thumb does not hide the person.
-    """
+    """(T, J, 3) half sizes of spheres of one standard deviation, in steps that compress well."""
     if rows.sigma is None:
         return None
-    sigma, to_parent = rows.sigma, parents(rows.body)
-    most = np.sqrt(sigma[:, to_parent] ** 2 + 2.0 * rows.bone_lengths**2)
-    most[:, rows.body.root] = np.inf
-    radii = np.round(np.fmin(sigma, most) / _SPHERE_STEP) * _SPHERE_STEP
+    radii = np.round(rows.sigma / _SPHERE_STEP) * _SPHERE_STEP
     return np.repeat(radii[..., None], 3, axis=2)
 
 

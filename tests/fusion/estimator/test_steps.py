@@ -5,6 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
@@ -12,7 +15,7 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion import joint_kinds
 from fusion.array_fields import new_arrays
 from fusion.body import AZURE_KINECT, KINECT_V2
-from fusion.estimator import covariance, kalman, offsets, outliers, process, smoother, views
+from fusion.estimator import covariance, evidence, kalman, offsets, outliers, process, smoother, views
 from fusion.estimator.arrays import Model, Solve, State, Views, new_model
 from fusion.estimator.bones import enforce_hinges, joint_covariances
 from fusion.estimator.constants import Constants
@@ -314,6 +317,11 @@ def test_the_slow_error_approaches_that_of_the_trusted_views(scene):
     state, seen = scene.state, scene.views
     seen.trust[:, 3] = 0.02, 0.0
     before, k, dt = state.shared_error.copy(), scene.model.constants, 0.3
+    state.error_size[:] = sizes = scene.random.uniform(0.5, 2.0, J)
+    apart = seen.positions[0] - seen.positions[1] + state.velocities * seen.delays[1]
+    known = (
+        k.freedom + 3.0 * np.sum(apart**2, axis=1) / np.trace(seen.slow.sum(axis=0), axis1=1, axis2=2)
+    ) / (k.freedom + 3.0)
     together, alone = math.exp(-dt / k.agreement_seconds), math.exp(-dt / k.alone_seconds)
     interpreted(kalman.update_common_error)(scene.model, state, seen, scene.solve, dt)
     paces = set()
@@ -324,7 +332,8 @@ def test_the_slow_error_approaches_that_of_the_trusted_views(scene):
         W = sum(
             trust * np.linalg.inv(slow) for trust, slow in zip(seen.trust[:, i], seen.slow[:, i], strict=True)
         )
-        expected = before[i] + pace * (np.linalg.inv(W) - before[i]) if pace else before[i]
+        size = known[i] + kept * (sizes[i] - known[i]) if kept == together else sizes[i]
+        expected = before[i] + pace * (size * np.linalg.inv(W) - before[i]) if pace else before[i]
         np.testing.assert_allclose(state.shared_error[i], expected, rtol=1e-7, atol=1e-12)
         paces.add(0.0 if not pace else kept)
     assert paces == {0.0, together, alone}
@@ -353,12 +362,13 @@ def test_a_skeleton_that_is_too_large_is_brought_to_its_size(scene):
 
 def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene):
     solve = scene.solve
+    model = scene.model._replace(bone_lengths=np.full(J, 9.0))  # no joint is as uncertain as its bone is long
     solve.positions[:] = standing(BODY)
     for i in range(J):
         solve.information[i] = np.linalg.inv(scene.state.shared_error[i])
     solve.information[4] = 0.0  # it was never seen
     found, sigma = np.zeros((J, 3, 3)), np.zeros(J)
-    interpreted(joint_covariances)(scene.model, solve, found, sigma)
+    interpreted(joint_covariances)(model, solve, found, sigma)
     W, constraints = np.zeros((3 * J, 3 * J)), []
     for i in range(J):
         W[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = solve.information[i] + np.eye(3)  # within a metre
@@ -374,6 +384,64 @@ def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene):
         block = dense[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         np.testing.assert_allclose(found[i], scene.model.constants.spread**2 * block, rtol=1e-6, atol=1e-12)
         assert sigma[i] == pytest.approx(math.sqrt(np.trace(found[i])))
+
+
+@given(
+    shares=arrays(float, J, elements=st.floats(0.01, 1.0)),
+    lengths=arrays(float, J, elements=st.floats(0.01, 1.0)),
+)
+def test_no_joint_is_more_uncertain_than_its_bone_allows(shares, lengths):
+    """And what its bone does not limit is as uncertain as without that limit."""
+    model = new_model(BODY, lengths, A_FROM_B)
+    found, free = (np.zeros((J, 3, 3)) for _ in range(2))
+    sigma, without = np.zeros(J), np.zeros(J)
+    solve = new_arrays(Solve, J=J)
+    solve.positions[:] = standing(BODY)
+    solve.information[:] = np.eye(3) / shares[:, None, None] ** 2
+    interpreted(joint_covariances)(model, solve, found, sigma)
+    interpreted(joint_covariances)(model._replace(bone_lengths=np.full(J, 99.0)), solve, free, without)
+    for i in BODY.order:
+        parent = BODY.parents[i]
+        most = math.hypot(sigma[parent], math.sqrt(2.0) * lengths[i]) if parent >= 0 else math.inf
+        assert sigma[i] == pytest.approx(min(without[i], most), rel=1e-9)
+        assert np.linalg.eigvalsh(found[i])[0] > 0.0
+        assert math.sqrt(np.trace(found[i])) == pytest.approx(sigma[i], rel=1e-9)
+
+
+def evidence_of(scene):
+    scene.views.log_odds[:] = 0.0
+    interpreted(evidence.other_limb_evidence)(scene.model, scene.views)
+    return scene.views.log_odds
+
+
+@given(moved=arrays(float, (2, J, 3), elements=st.floats(-0.5, 0.5)))
+def test_evidence_of_the_other_limb_is_symmetric_and_never_for_a_joint(moved):
+    seen = new_arrays(Views, J=J)
+    seen.states[:], seen.positions[:] = 2, standing(BODY) + moved
+    scene = Scene(new_model(BODY, BODY.nominal_lengths, A_FROM_B), None, seen, None, None)
+    told = evidence_of(scene).copy()
+    assert (told <= 0.0).all()
+    assert (told >= -scene.model.constants.other_limb_limit).all()
+    assert (told[:, ~scene.model.limb] == 0.0).all()
+    seen.positions[:] = seen.positions[::-1].copy()
+    np.testing.assert_allclose(evidence_of(scene), told[::-1], atol=1e-12)
+    seen.positions[:] = seen.positions[:, BODY.mirror].copy()
+    np.testing.assert_allclose(evidence_of(scene), told[::-1, BODY.mirror], atol=1e-12)
+
+
+def test_a_hand_on_the_other_hand_is_doubted_and_hands_that_touch_are_not():
+    seen = new_arrays(Views, J=J)
+    seen.states[:], seen.positions[:] = 2, standing(BODY)
+    scene = Scene(new_model(BODY, BODY.nominal_lengths, A_FROM_B), None, seen, None, None)
+    left, right = BODY.joint("WristLeft"), BODY.joint("WristRight")
+    assert not evidence_of(scene).any()
+    seen.positions[1, left] = seen.positions[1, right] + 0.05
+    told = evidence_of(scene)
+    assert told[1, left] == -scene.model.constants.other_limb_limit
+    told[1, left] = 0.0
+    assert (told > -0.5).all()
+    seen.positions[0, left] = seen.positions[0, right] - 0.02
+    assert (evidence_of(scene) > -1.0).all()
 
 
 def test_a_step_back_is_that_of_rauch_tung_and_striebel(scene):

@@ -81,10 +81,21 @@ def reference_likelihood(c, views, k, state):
             both.append(c.axis_weight * total)
         axis.append(both)
     (a_right, a_wrong), (b_right, b_wrong) = axis
+    limbs = [(body.joint(f"{n}Left"), body.joint(f"{n}Right")) for n in ("Elbow", "Knee")]
+    a, b = views.a[k], views.b_in_a[k]
+    alike, other = (
+        -c.limb_weight * sum(apart(c, a[i] - b[j]) for i, j in pairs)
+        for pairs in ([(j, j) for limb in limbs for j in limb], [*limbs, *(limb[::-1] for limb in limbs)])
+    )
     return np.array(
-        [[common + a_right + b_right, common + a_right + b_wrong],
-         [common + a_wrong + b_right, common + a_wrong + b_wrong]]
+        [[common + a_right + b_right + alike, common + a_right + b_wrong + other],
+         [common + a_wrong + b_right + other, common + a_wrong + b_wrong + alike]]
     ).transpose(2, 0, 1)  # fmt: skip
+
+
+def apart(c, difference):
+    cost = 0.5 * difference @ difference / c.limb_sigma**2
+    return cost / (1.0 + cost / c.limb_floor)
 
 
 def reference_prediction(before, state):
