@@ -20,6 +20,7 @@ from fusion.medians import median_of_known
 from fusion.pair_arrays import View
 from fusion.skeleton import Skeleton
 from recordings import layout
+from recordings.corrected_sides import corrects_sides
 from recordings.frame_fields import FRAME_FIELDS, FrameField
 
 
@@ -226,6 +227,13 @@ class SessionArrays:
             np.einsum("tij,tkj->tki", self.rotation, self.positions_b.astype(np.float64))
             + self.translation[:, None]
         )
+
+    def corrects(self, side: int) -> NDArray[np.bool_]:
+        """(T,) whether A (0) or B (1) reports left and right exchanged, and S* corrects this."""
+        codes = self.filled("exchanged")[:, side]
+        if side == 0:
+            return corrects_sides(self.body, self.fused, self.positions_a, self.states_a, codes)
+        return corrects_sides(self.body, self.fused, self.b_in_a, self.states_b, codes)
 
     @property
     def frame_rate(self) -> float:

@@ -15,16 +15,17 @@ from fusion.fused_frame import FusedFrame
 from fusion.joint_kinds import of_kind
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair, TrackingState
+from recordings.corrected_sides import corrects_sides
 from recordings.session_arrays import SessionFrames
 
 Array = NDArray[Any]
-_PARTS = {0: "trunk", 1: "arms", 2: "legs", 3: "whole body"}
 _LIMBS = {"arm": ("elbow", "wrist", "hand", "tip"), "leg": ("knee", "ankle", "foot")}  # kinds of joints
 _FEWEST = 2  # joints
 _OVERRULED = 0.1  # share in S* below which a view does not count
 _FAR = 0.2  # metres from S*: seven times the usual distance of a view's joint
 _SHORTEST_NS = 500_000_000  # a shorter spell has no event
-_OVER_NS = 200_000_000  # a limb that is right for so long is found again
+_OVER_NS = 100_000_000  # a limb that is right for so long is found again
+_CORRECTED_NS = 150_000_000  # a correction that does not last for so long has no event
 
 
 @dataclass
@@ -41,8 +42,9 @@ class ViewEvents:
     """Detects when a view starts and stops exchanging left and right, and loses and finds a limb.
 
     A limb is lost while at least two of its joints are tracked by the view, lie more than 0.2 m from S* and
-    have a share below 0.1 in it: S* then follows the other view. A view whose sides are exchanged loses no
-    limb. Where time goes back, S* starts again.
+    have a share below 0.1 in it, and S* is nearer to the other view. Sides are exchanged while S* is nearer
+    to the view with left and right exchanged than to the view as reported; such a view loses no limb. So
+    both are true of S*. Where time goes back, S* starts again.
     """
 
     def __init__(self, body: Body) -> None:
@@ -53,6 +55,8 @@ class ViewEvents:
             for limb, kinds in _LIMBS.items()
             for side in ("left", "right")
         }
+        self._body = body
+        self._corrected_ns: dict[str, int] = {}  # since when S* corrects a view, or has ceased to
         self._exchanged_since_ns: dict[str, int] = {}
         self._lost: dict[tuple[str, str], _LostLimb] = {}
         self._last_ns: int | None = None
@@ -83,24 +87,36 @@ class ViewEvents:
         a_from_b: RigidTransform,
     ) -> list[tuple[int, Event]]:  # fmt: skip
         lost: dict[int, list[tuple[str, str, float]]] = {}
+        corrected = np.zeros(codes.shape, dtype=np.bool_)
+        off: list[Array | None] = [None, None]  # (T, J) distance of S* to each view, as it was labelled
         for side, view in enumerate(views):
             if view is None:
+                continue
+            there = a_from_b.apply(view[0]) if side else view[0]
+            corrected[:, side] = corrects_sides(self._body, fused, there, view[1], codes[:, side])
+            labelled = np.where(corrected[:, side, None, None], there[:, self._body.mirror], there)
+            off[side] = np.where(view[1] != 0, np.linalg.norm(labelled - fused, axis=2), np.nan)
+        for side, view in enumerate(views):
+            distance, others = off[side], off[1 - side]
+            if view is None or distance is None or others is None:
                 continue
             overruled = (view[1] == TrackingState.TRACKED) & (weights[side] < _OVERRULED)
             if np.count_nonzero(overruled) < _FEWEST:
                 continue
-            off = np.linalg.norm((a_from_b.apply(view[0]) if side else view[0]) - fused, axis=2)
-            wrong = overruled & (off > _FAR) & (codes[:, side, None] == 0)
+            wrong = overruled & (distance > _FAR) & (codes[:, side, None] == 0)
             for limb, joints in self._limbs.items():
-                for k in np.flatnonzero(np.count_nonzero(wrong[:, joints], axis=1) >= _FEWEST).tolist():
-                    farthest = float(off[k, joints][wrong[k, joints]].max())
+                lost_here = np.count_nonzero(wrong[:, joints], axis=1) >= _FEWEST
+                nearer = np.nansum(others[:, joints] - distance[:, joints], axis=1) < 0.0
+                for k in np.flatnonzero(lost_here & nearer).tolist():
+                    farthest = float(distance[k, joints][wrong[k, joints]].max())
                     lost.setdefault(k, []).append(("AB"[side], limb, farthest))
         events: list[tuple[int, Event]] = []
-        for k, (time_ns, code) in enumerate(zip(times.tolist(), codes.tolist(), strict=True)):
+        rows = zip(times.tolist(), corrected.tolist(), (codes != 0).tolist(), strict=True)
+        for k, (time_ns, (a, b), (a_is, b_is)) in enumerate(rows):
             now = [
                 *self._time(time_ns),
-                *self._exchanges("A", code[0], time_ns),
-                *self._exchanges("B", code[1], time_ns),
+                *self._exchanges("A", a, a_is, time_ns),
+                *self._exchanges("B", b, b_is, time_ns),
             ]
             for sensor, limb, farthest in lost.get(k, ()):
                 limb_lost = self._lost.setdefault((sensor, limb), _LostLimb(time_ns, time_ns, farthest))
@@ -114,6 +130,7 @@ class ViewEvents:
         if before is None or time_ns >= before:
             return []
         self._exchanged_since_ns = dict.fromkeys(self._exchanged_since_ns, time_ns)
+        self._corrected_ns.clear()
         self._lost.clear()
         seconds = 1e-9 * (before - time_ns)
         return [
@@ -123,19 +140,26 @@ class ViewEvents:
             )
         ]
 
-    def _exchanges(self, sensor: str, code: int, time_ns: int) -> list[Event]:
-        since_ns = self._exchanged_since_ns.get(sensor)
+    def _exchanges(self, sensor: str, corrected: bool, labelled: bool, time_ns: int) -> list[Event]:
+        begun_ns = self._exchanged_since_ns.get(sensor)
+        if corrected is (begun_ns is not None):
+            self._corrected_ns.pop(sensor, None)
+            return []
+        since_ns = self._corrected_ns.setdefault(sensor, time_ns)
         topic = f"exchanged_{sensor.lower()}"
-        if code and since_ns is None:
-            self._exchanged_since_ns[sensor] = time_ns
-            text = f"{sensor} reports left and right exchanged ({_PARTS[code & 3]}); S* corrects this."
-            return [Event(text, "INFO", topic, "start")]
-        if not code and since_ns is not None:
-            del self._exchanged_since_ns[sensor]
-            seconds = (time_ns - since_ns) * 1e-9
-            text = f"{sensor} reports left and right correctly again, after {seconds:.1f} s."
+        if begun_ns is not None:
+            del self._exchanged_since_ns[sensor], self._corrected_ns[sensor]
+            seconds = (time_ns - begun_ns) * 1e-9
+            if labelled:
+                text = f"Left and right of {sensor} are uncertain, after {seconds:.1f} s."
+            else:
+                text = f"{sensor} reports left and right correctly again, after {seconds:.1f} s."
             return [Event(text, "INFO", topic, "end")]
-        return []
+        if time_ns - since_ns < _CORRECTED_NS:
+            return []
+        self._exchanged_since_ns[sensor] = self._corrected_ns.pop(sensor)
+        text = f"{sensor} reports left and right exchanged (whole body); S* corrects this."
+        return [Event(text, "INFO", topic, "start")]
 
     def _losses(self, time_ns: int) -> list[Event]:
         events: list[Event] = []

@@ -55,8 +55,9 @@ ARM = [BODY.joint(f"{name}_LEFT") for name in ("ELBOW", "WRIST", "HAND")]
 
 
 def told_of(
-    wrong_frames, *, sensor="B", off=0.5, share=0.0, joints=3, state=TrackingState.TRACKED, exchanged=0
-):
+    wrong_frames, *, sensor="B", off=0.5, share=0.0, joints=3, state=TrackingState.TRACKED, exchanged=0,
+    mirrored=False,
+):  # fmt: skip
     """The events, with their frames, of a view whose left arm is wrong from frame 10 on."""
     views_of, truth = ViewEvents(BODY), standing(BODY)
     told = []
@@ -67,6 +68,8 @@ def told_of(
             shift[ARM[:joints], 1], weights[ARM], states[ARM] = off, share, state
         views = {"A": truth.copy(), "B": truth.copy()}
         views[sensor] += shift
+        if mirrored:  # S* has the sides that the views exchange
+            views = {side: at[BODY.mirror] for side, at in views.items()}
         whole = np.full(len(BODY), TrackingState.TRACKED)
         pair = SkeletonPair(
             Skeleton.of(BODY, views["A"], states if sensor == "A" else whole, k * FRAME_NS),
@@ -88,9 +91,9 @@ def test_a_lost_arm_is_told_with_its_distance_and_its_end(sensor, other):
     text = f"{sensor} loses the left arm, 0.5 m off; S* follows {other}."
     assert start == Event(text, "INFO", f"lost_{sensor.lower()}_left_arm", "start")
     assert begun == 10 + 16  # 15 intervals of 33.3 ms are just short of half a second
-    # 30 frames are 29 intervals; 0.2 s later it is certain
+    # 30 frames are 29 intervals; 0.1 s later it is certain
     assert end == Event(f"{sensor} finds the left arm again, after 1.0 s.", "INFO", start.topic, "end")
-    assert ended == 39 + 7
+    assert ended == 39 + 4
 
 
 def test_what_is_short_near_counted_guessed_single_or_exchanged_is_no_lost_limb():
@@ -100,5 +103,14 @@ def test_what_is_short_near_counted_guessed_single_or_exchanged_is_no_lost_limb(
     assert told_of(30, share=0.2) == []
     assert told_of(30, state=TrackingState.INFERRED) == []
     assert told_of(30, joints=1) == []
-    exchanged = told_of(30, exchanged=3)
-    assert [event.topic for _, event in exchanged] == ["exchanged_a", "exchanged_b"]
+    assert told_of(30, exchanged=3) == []
+
+
+def test_exchanged_sides_are_told_where_s_star_corrects_them_only():
+    told = told_of(0, exchanged=3, mirrored=True)
+    assert [(k, event.topic, event.phase) for k, event in told] == [
+        (5, "exchanged_a", "start"),  # 0.15 s later it is certain
+        (5, "exchanged_b", "start"),
+    ]
+    assert told_of(0, exchanged=3) == []  # a label that S* does not follow
+    assert told_of(0, exchanged=0, mirrored=True) == []

@@ -241,16 +241,14 @@ def _distances(setup: FusionSetup, rows: SessionArrays) -> Figures:
 
 
 def _repaired(rows: SessionArrays) -> Figures:
-    """Shares of frames whose sides were exchanged in each view, and of joints that neither view has.
+    """Shares of frames in which S* corrects the sides of each view, and of joints that neither view has.
 
     Frames without any person do not count. ``exchanged`` is None for methods that do not look for it.
     """
     seen = ~rows.predicted.all(axis=1)
     exchanged = None
     if rows.exchanged is not None:
-        exchanged = {
-            key: of_finite(np.mean, rows.exchanged[seen, k] != 0) for k, key in enumerate(("a", "b"))
-        }
+        exchanged = {key: of_finite(np.mean, rows.corrects(k)[seen]) for k, key in enumerate(("a", "b"))}
     return {
         "exchanged": exchanged,
         "unseen_joints": float(rows.predicted[seen].mean()) if seen.any() else None,
