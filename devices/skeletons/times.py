@@ -78,7 +78,7 @@ def capture_times(
     times, wrapped = _unwrapped(times, us)
     told = [*told, f"{name}: the times go on over {wrapped}."] if wrapped else told
     for epoch_s in _EPOCHS_S:
-        if times.min() * us >= _LATEST_US:
+        if times.min() * us >= max(_LATEST_US, epoch_s * 1e6):
             times = times - times.dtype.type(epoch_s * 1e6 / us)
     if max(float(times.max()), -float(times.min())) * us >= _LATEST_US:
         raise DeviceError(f"{name}: {called or column} goes beyond {_LATEST_US} microseconds.")

@@ -41,6 +41,8 @@ TIMES = {
     "timestamp_usec": lambda ns: str(ns // 1000),
     "Relative Time (ticks)": lambda ns: str(ns // 100),
     "t": lambda ns: f"{ns / 1e9:.4f}",
+    "Ticks": lambda ns: str(638_000_000_000_000_000 + ns // 100),
+    "file_time": lambda ns: str(133_000_000_000_000_000 + ns // 100),
     "device_time": lambda ns: str(round(ns * 0.06)),
     "clock": lambda ns: str(ns),
     "DateTime": lambda ns: (datetime(2026, 11, 25, 12) + timedelta(microseconds=ns // 1000)).isoformat(),
