@@ -114,6 +114,11 @@ class Cause(Enum):
         "The frames of {label} come {late_ms:.0f} ms later than those of {other}, which wait for them. Its "
         "network, its USB controller, its colour camera (--color) or its tracker is slower."
     )
+    # On a sync cable, its images come half a frame or more later than the other sensor's of the same pulse.
+    LATE_ON_CABLE = (
+        "The images of {label} come {late_ms:.0f} ms later than those of {other} of the same moment, which "
+        "wait for them. Its USB controller or its colour camera (--color) is slower."
+    )
     # The same, by more than a frame waits for its partner.
     TOO_LATE = (
         "The frames of {label} come {late_ms:.0f} ms later than those of {other}: too late for pairs. Its "

@@ -62,7 +62,7 @@ class TwoSensors:
         """Nominal frames per second of the faster sensor, before a tracker leaves any out."""
         self._decimation, self.step = decimation, 1
         self._clock, self._tell = clock, tell
-        self._stopped, self._late_told = False, False
+        self._stopped = self._late_told = self._late_images_told = False
         self._openings: dict[Side, int] = {"a": 0, "b": 0}  # of the newest frames
         self._events: list[Event] = []
 
@@ -189,6 +189,7 @@ class TwoSensors:
     def _name_late_sensor(self) -> None:
         signed_ns = self._pairing.lag_ns
         lag_ns = abs(signed_ns)
+        self._name_late_images()
         if lag_ns < _LATE_NS / 2:
             self._late_told = False
         if lag_ns < _LATE_NS or self._late_told:
@@ -197,6 +198,17 @@ class TwoSensors:
         other, late = (self.a, self.b) if signed_ns > 0 else (self.b, self.a)
         cause = Cause.LATE if lag_ns <= self._pairing.max_lag_ns else Cause.TOO_LATE
         self._say(cause.says(label=late.sensor.name, other=other.sensor.name, late_ms=lag_ns / 1e6))
+
+    def _name_late_images(self) -> None:
+        late_ns, least_ns = self._pairing.images_late_ns, self._pairing.interval_ns // 2
+        if abs(late_ns) < least_ns // 2:
+            self._late_images_told = False
+        if abs(late_ns) < least_ns or self._late_images_told:
+            return
+        self._late_images_told = self._late_told = True  # one reason is enough
+        other, late = (self.a, self.b) if late_ns > 0 else (self.b, self.a)
+        names = {"label": late.sensor.name, "other": other.sensor.name}
+        self._say(Cause.LATE_ON_CABLE.says(late_ms=abs(late_ns) / 1e6, **names))
 
     def _say(self, text: str) -> None:
         event = Event(text, "WARN", time_ns=_ns(self._clock()))

@@ -1,8 +1,9 @@
 """Two live streams → pairs of frames captured at the same time.
 
 The sensors' clocks start anywhere and drift apart. Arrivals tell the offset between them. With a sync cable
-the sensors capture at the same moments, a fixed delay apart, and the pairs found so far tell it to the
-microsecond.
+the sensors capture at the same moments, a fixed delay apart. The master sets the subordinate's clock, so that
+both are one, whatever the arrivals say: frames whose own times agree are of one moment. Where it does not set
+it, the pairs found so far tell the offset to the microsecond.
 
 Each frame gets its moment on this machine's clock when it arrives, once. By it a frame waits for its partner.
 Pairs carry A's time, continued where A's clock is reset. It never goes back. The person has not been selected
@@ -28,6 +29,8 @@ Side = Literal["a", "b"]
 _PENDING = 8
 _SLOWEST_NS, _NEWEST_NS = 10_000_000_000, 1_000_000_000
 _SYNCED_PAIRS, _SYNCED_ENOUGH = 61, 15  # pairs on a cable that tell the offset, at most and at least
+_ONE_CLOCK_NS = 1_000_000  # own times of two frames on a cable that agree to so much are of one clock
+_AGREE, _AGREE_ENOUGH = 8, 3  # newest frames of a sensor that tell it, and how many of them must agree
 PATIENCE_NS = 5_000_000
 """A frame waits this much longer than the partner's slowest frame of the last ten seconds took."""
 
@@ -74,6 +77,8 @@ class _Stream:
     waiting: list[_Taken] = field(default_factory=list)
     recent: deque[tuple[int, int, int]] = field(default_factory=deque)
     """Arrival, moment and own time of the frames of ten seconds; no frame, which would keep its images."""
+    agree: deque[bool] = field(default_factory=lambda: deque(maxlen=_AGREE))
+    """On a cable, of the newest frames: whether the other sensor had given one of the same time before."""
     used_ns: int | None = None
     came_ns: int | None = None  # when the last one arrived, or the first one of the other sensor
     gone: bool = False
@@ -90,9 +95,13 @@ class _Stream:
             return "late"
         return "reordered" if frame.time_ns < max(times, default=frame.time_ns) else ""
 
-    def take(self, frame: SensorFrame, now_ns: int) -> None:
-        """Gives a frame its moment and its place among those that wait."""
-        taken = _Taken(now_ns, frame.time_ns + (self.clock.offset_ns or 0) - self.delay_ns, frame)
+    def take(self, frame: SensorFrame, now_ns: int, clock_ns: int | None) -> None:
+        """Gives a frame its moment and its place among those that wait.
+
+        Args:
+            clock_ns: This machine's clock minus the sensor's; None before any frame told it.
+        """
+        taken = _Taken(now_ns, frame.time_ns + (clock_ns or 0) - self.delay_ns, frame)
         self.waiting.append(taken)
         self.waiting.sort(key=lambda each: each.frame.time_ns)
         self.recent.append((now_ns, taken.moment_ns, frame.time_ns))
@@ -109,7 +118,14 @@ class _Stream:
         """Starts anew, because the clock does; returns what waited."""
         waited, self.waiting, self.used_ns = self.waiting, [], None
         self.recent.clear()
+        self.agree.clear()
         return waited
+
+    def set_clock(self, clock_ns: int) -> None:
+        """Gives the frames so far their moments by another offset of the clock."""
+        shift_ns = clock_ns - self.delay_ns
+        self.waiting = [each._replace(moment_ns=each.frame.time_ns + shift_ns) for each in self.waiting]
+        self.recent = deque((at, time_ns + shift_ns, time_ns) for at, _, time_ns in self.recent)
 
     def usual_lag_ns(self) -> int | None:
         """Median time from capture to arrival of the newest second; None before a few frames came."""
@@ -163,6 +179,7 @@ class LivePairing:
         self._a, self._b = _Stream(), _Stream(sync_delay_ns or 0)
         self._streams: dict[Side, _Stream] = {"a": self._a, "b": self._b}
         self._synced: deque[int] = deque(maxlen=_SYNCED_PAIRS)  # B's clock minus A's, of pairs on the cable
+        self._one_clock = False  # whether the master on the cable has set the subordinate's clock
         self._counts: Counter[str] = Counter()
         self._time = OutputTime()
         self._skew_ns: int | None = None
@@ -179,6 +196,17 @@ class LivePairing:
         """How much later after their capture B's frames come than A's: median of one second, ns."""
         a, b = self._a.usual_lag_ns(), self._b.usual_lag_ns()
         return 0 if a is None or b is None else b - a
+
+    @property
+    def images_late_ns(self) -> int:
+        """How much later B's images come than A's of one moment, by the least delays, ns; 0 unless both have
+        one clock and two seconds of frames."""
+        a, b = self._a.clock.offset_ns, self._b.clock.offset_ns
+        recent = [each.recent for each in self._streams.values()]
+        settled = all(each and each[-1][0] - each[0][0] >= 2 * _NEWEST_NS for each in recent)
+        if not self._one_clock or not settled or a is None or b is None:
+            return 0
+        return b - a + self._one_clock_ns()
 
     def set_interval(self, interval_ns: int) -> None:
         """Changes the time between two frames of the faster sensor, and the patience that follows from it."""
@@ -199,7 +227,8 @@ class LivePairing:
             self._counts[oddity] += 1
         pairs = self._forget(stream) if oddity == "resets" else []
         if oddity not in ("repeated", "late"):
-            stream.take(frame, now_ns)
+            self._compare_clocks(stream, frame.time_ns)
+            stream.take(frame, now_ns, self._clock_ns(stream))
         return pairs + self.poll(now_ns)
 
     def poll(self, now_ns: int) -> list[FramePair]:
@@ -222,6 +251,9 @@ class LivePairing:
         """Forgets what is on a sensor's old clock; its frames that waited are given alone."""
         pairs = self._alone(stream, stream.forget())
         self._synced.clear()
+        self._one_clock = False
+        for each in self._streams.values():
+            each.agree.clear()
         if stream is self._a:
             self._time.restart()
         return pairs
@@ -244,8 +276,44 @@ class LivePairing:
                 return self._alone(stream, stream.use(1), unmatched=not gone)
         return None
 
+    def _compare_clocks(self, stream: _Stream, time_ns: int) -> None:
+        """Finds whether both clocks are one, from a new frame of one sensor and the other's frames so far.
+
+        The frames of the sensor that comes later find their partners there.
+        """
+        a, b = self._a.clock.offset_ns, self._b.clock.offset_ns
+        if self.sync_delay_ns is None or a is None or b is None:
+            return
+        other, ahead_ns = self._b, self._one_clock_ns()
+        if stream is self._b:
+            other, ahead_ns = self._a, -ahead_ns
+        wanted_ns = time_ns - stream.delay_ns + other.delay_ns + ahead_ns
+        near = (abs(own_ns - wanted_ns) for _, _, own_ns in islice(reversed(other.recent), 4 * _PENDING))
+        stream.agree.append(min(near, default=_ONE_CLOCK_NS) < _ONE_CLOCK_NS)
+        before, most = self._one_clock, max(sum(each.agree) for each in self._streams.values())
+        self._one_clock = abs(a - b) <= self.max_lag_ns and most >= _AGREE_ENOUGH
+        if self._one_clock and not before:
+            self._synced.clear()
+            for each in self._streams.values():
+                each.set_clock(self._clock_ns(each) or 0)
+
+    def _clock_ns(self, stream: _Stream) -> int | None:
+        """This machine's clock minus a sensor's; where theirs are one, by the sensor with the least delay."""
+        a, b = self._a.clock.offset_ns, self._b.clock.offset_ns
+        if not self._one_clock or a is None or b is None:
+            return stream.clock.offset_ns
+        ahead_ns = self._one_clock_ns()
+        return min(a, b + ahead_ns) - (ahead_ns if stream is self._b else 0)
+
+    def _one_clock_ns(self) -> int:
+        """B's clock minus A's where the cable has made them one: 0, and what they have drifted since."""
+        known = self._one_clock and len(self._synced) >= _SYNCED_ENOUGH
+        return median_low(self._synced) if known else 0
+
     def _offset_ns(self) -> int | None:
-        """B's clock minus A's, as the pairs on a sync cable say; while they are few, as arrivals say."""
+        """B's clock minus A's, as the cable says, or the pairs on it; while they are few, as arrivals say."""
+        if self._one_clock:
+            return self._one_clock_ns()
         a, b = self._a.clock.offset_ns, self._b.clock.offset_ns
         by_arrival = None if a is None or b is None else a - b
         if by_arrival is None or len(self._synced) < _SYNCED_ENOUGH:

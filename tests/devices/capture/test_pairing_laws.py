@@ -53,6 +53,7 @@ class Pairing(RuleBasedStateMachine):
         self.cable = cable_ms is not None
         delay_ns = round((phase_ms if cable_ms is None else cable_ms) * MS)
         self.cameras = {"a": Camera(0, clocks[0], ppm[0]), "b": Camera(delay_ns, clocks[1], ppm[1])}
+        self.set_by_master()
         self.pairing = LivePairing(INTERVAL_NS, sync_delay_ns=delay_ns if self.cable else None)
         self.pairing.every_frame = every_frame
         self.random, self.step, self.replugged = np.random.default_rng(seed), 1, 0
@@ -61,6 +62,12 @@ class Pairing(RuleBasedStateMachine):
         self.truth, self.came, self.delivered = {}, {}, 0
         self.doubled = self.overtaken = 0
         self.out, self.last_ns, self.behind_ns, self.longest_ns = set(), None, None, 0
+
+    def set_by_master(self):
+        """On a cable the clocks are one, or far apart where the master did not set them."""
+        a, b = self.cameras.values()
+        if self.cable and abs(b.clock_ns - a.clock_ns) < SECOND_NS:
+            b.clock_ns = a.clock_ns
 
     # --- What happens
 
@@ -110,6 +117,7 @@ class Pairing(RuleBasedStateMachine):
     def replug(self, side, seconds, moved_ns):
         self.replugged += 1
         self.cameras[side].clock_ns += moved_ns
+        self.set_by_master()
         self.cameras[side].opening += 1
         self._switch_off(side, seconds)
 
@@ -124,6 +132,7 @@ class Pairing(RuleBasedStateMachine):
         """The firmware starts anew, at once or after a while, and nobody is told."""
         self.replugged += 1
         self.cameras[side].clock_ns += round((1 if ahead else -1) * seconds * SECOND_NS)
+        self.set_by_master()
         self._switch_off(side, silent_s)
 
     @rule(step=st.integers(1, 6))
