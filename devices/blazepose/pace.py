@@ -17,8 +17,9 @@ class TrackingPace(FrameDecimation):
     """The moments that two trackers of this program work on, and the network that they use.
 
     Where a tracker is slower than the cameras, both sensors keep the same fewer frames, as with any tracker.
-    If that lasts, both change to the network ``lite`` for good, and get every frame again if it is fast
-    enough. Share it between both sensors' ``TrackedImages``, between the sensors themselves, and
+    If that lasts two seconds, or more frames were tried and were too many, both change to the network
+    ``lite`` and stay with it, unless it cannot be loaded (:meth:`stay`). They get every frame again if it is
+    fast enough. Share it between both sensors' ``TrackedImages``, between the sensors themselves, and
     ``TwoSensors``.
 
     Attributes:

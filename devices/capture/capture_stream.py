@@ -81,7 +81,9 @@ class CaptureStream(ABC):
         return moment
 
     def take(self, wait: bool = True) -> Moment | None:
-        """The newest wanted moment, with the one before where that was held back; None if there is none yet.
+        """The newest wanted moment, or None if there is none yet.
+
+        One before it that waited for an image in vain comes first, by a call of its own.
 
         Raises:
             DeviceError: Unplugged, or stalled.

@@ -23,8 +23,8 @@ class _Grid:
 class MomentGrid:
     """Numbers the moments at which two sensors capture, so that equal numbers mean the same moment.
 
-    Each sensor counts on by its own clock. This machine's clock tells where it begins. It also tells whether
-    the second sensor's grid still fits the first's.
+    Each sensor counts on by its own clock. The sensor that called :meth:`restart` or :meth:`number` first
+    leads; this machine's clock tells where a sensor begins, and whether the other's grid still fits.
     """
 
     def __init__(self, period_ns: int) -> None:

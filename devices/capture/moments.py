@@ -43,7 +43,8 @@ class _Images:
         self.period_ns, self.wait_ns, self.late_ns = period_ns, wait_ns, 0
         kept = 2 + (2 * wait_ns + depth_period_ns) // period_ns
         self.newest: deque[tuple[int, Any]] = deque(maxlen=kept)
-        self.joined_ns: int | None = None  # time of the last depth image that had one
+        # time of the last depth image that had one; at first, and when images come again, of the newest
+        self.joined_ns: int | None = None
 
     def near(self, time_ns: int, half_ns: int) -> tuple[Any, bool]:
         """The image nearest to a time, None if it is more than half a frame away; and whether no nearer one

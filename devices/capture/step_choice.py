@@ -28,8 +28,9 @@ class StepChoice:
     """How many moments the trackers keep up with: every one, or every second, third …
 
     The slowest tracker decides. More are left out as soon as it falls behind; fewer, only after it was fast
-    enough for five seconds. If that was too many before as long a time is over, the next attempt waits twice
-    as long: a tracker may be fast only while it has fewer frames, because the two share a GPU. A tracker
+    enough for five seconds. If the tracker falls behind again within that waiting time, the attempt is taken
+    back, and the next one waits twice as long, at most 80 s: a tracker may be fast only while it has fewer
+    frames, because the two share a GPU. A tracker
     that gives nothing for two seconds does not count.
 
     Attributes:
@@ -37,7 +38,8 @@ class StepChoice:
         slowest: The sensor whose tracker decided the step last; None before.
         slowest_s: Seconds per frame that this tracker took then.
         taken_back: Whether more frames were tried and were too many.
-        easy_ns: Since when fewer moments need be left out; None where they must be.
+        easy_ns: Since when a smaller step would do; None where it would not, and after a choice until five
+            new times tell.
     """
 
     def __init__(self, period_ns: int) -> None:

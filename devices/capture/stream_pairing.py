@@ -84,7 +84,11 @@ class _Stream:
     gone: bool = False
 
     def oddity(self, frame: SensorFrame, now_ns: int) -> str:
-        """What is odd about a frame, as :class:`PairingFigures` counts it; else empty."""
+        """Feeds the clock with a frame, once, before :meth:`take`.
+
+        Returns:
+            What is odd about the frame, as :class:`PairingFigures` counts it; else empty.
+        """
         times = [time_ns for _, _, time_ns in self.recent]
         if frame.time_ns in times:
             return "repeated"
@@ -248,7 +252,10 @@ class LivePairing:
         return self._forget(self._streams[side])
 
     def _forget(self, stream: _Stream) -> list[FramePair]:
-        """Forgets what is on a sensor's old clock; its frames that waited are given alone."""
+        """Forgets what is on a sensor's old clock.
+
+        Its frames that waited are given alone, those of B only with ``every_frame``.
+        """
         pairs = self._alone(stream, stream.forget())
         self._synced.clear()
         self._one_clock = False

@@ -65,8 +65,8 @@ class State(NamedTuple):
     offsets: Annotated[Array, (2, "J", 3)]  # lasting error of each view relative to S*, metres
     offset_variances: Annotated[Array, (2, "J")]
     usual_offsets: Annotated[Array, (2, "J", 3)]  # mean share of each view in the views' difference, metres
+    agreed: Annotated[Array, ("J",)]  # seconds that usual_offsets are means of, at most usual_seconds
     from_b: Annotated[Array, ("J",)]  # B's share of the information when a view had the joint last
-    agreed: Annotated[Array, ("J",)]  # seconds that these are means of, at most usual_seconds
     recalibrated: Annotated[Array, (1,), np.inf]  # seconds since the calibration changed
     lag: Annotated[Array, ("J", 3)]  # what S* still has to go since the calibration changed, metres
     error_size: Annotated[Array, ("J",)]  # factor on the variance of slow errors, from the views' difference

@@ -45,7 +45,7 @@ def forget(model, state, facing):  # type: ignore[no-untyped-def]
         state.scale_variances[v] = model.constants.scale_sd**2
     for i in range(len(state.known)):
         state.known[i] = False
-        state.agreed[i] = 0.0
+        state.agreed[i] = state.from_b[i] = 0.0
         for v in range(2):
             state.outlier_probability[v, i] = state.offset_variances[v, i] = 0.0
         for c in range(3):
@@ -57,7 +57,9 @@ def forget(model, state, facing):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def process(state, trace, k, i, kept, dt, density):  # type: ignore[no-untyped-def]
-    """The variance of joint i after dt seconds of white acceleration.
+    """The variance of joint i after dt seconds of white acceleration, ``density`` limited by _LARGEST_STEP.
+
+    Call it after position and velocity are predicted: it writes all of them to the trace.
 
         P ← F P Fᵀ + density [dt³/3, dt²/2; dt²/2, dt],    F = [1, κ dt; 0, κ]
 
@@ -137,7 +139,8 @@ def inflate_where_astray(model, state, views, trace, k, dt):  # type: ignore[no-
     A point is astray if every view that measures it is farther away than half of the views' distance and
     8 cm; the offset of a view alone counts as right. S* is astray while more than half of the points are. Its
     variance then grows to the mean square of that distance within a tenth of a second. After 0.3 s, and at
-    once where both views show a jump that nobody can make, S* starts anew (:func:`elapsed`).
+    once where both views show a jump that nobody can make, S* starts anew with the next pair
+    (:func:`elapsed`). Where too little is seen, nothing changes.
     """
     seen = far = jumped = every = 0
     total = 0.0

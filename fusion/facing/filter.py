@@ -92,7 +92,11 @@ def set_sensor_directions(state, sensor_b):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def decide(model, state, belief):  # type: ignore[no-untyped-def]
-    """Chooses the labels from a belief, with hysteresis; codes, heading, confidence and doubt."""
+    """Chooses the labels from (N, 2, 2) probabilities, with hysteresis; codes, heading, confidence and doubt.
+
+    Needs the pair's axes (:func:`fusion.facing.evidence.measure_view`) and ``memory.since``, which
+    :func:`fusion.facing.evidence.update_motion` resets, before.
+    """
     for x in range(2):
         for y in range(2):
             total = 0.0

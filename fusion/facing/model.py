@@ -167,14 +167,19 @@ class ReportedPair(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What a pair says; a view whose skeleton is stale says nothing."""
+    """What a pair says.
+
+    Axes, cues and spans of a stale view stay those of its last fresh skeleton. They are no likelihood, but
+    :func:`fusion.facing.filter.decide` reads its axes.
+    """
 
     axes: Annotated[Floats, (2, 2, 3)]  # view; shoulders, hips: horizontal direction that they face
     axis_trust: Annotated[Floats, (2, 2)]
     cues: Annotated[Floats, (2, 5, 3)]  # view; knees, elbows, head
     cue_trust: Annotated[Floats, (2, 5)]
     spans: Annotated[Floats, (2, 6, 3), np.nan]  # from the right to the left joint of each pair
-    frames: Annotated[Floats, (3,)]  # 1/30 s since the last evidence: of A, of B, of any
+    frames: Annotated[Floats, (3,)]
+    """In 1/30 s: since the last fresh skeleton of A, of B (kept while stale); since the last pair."""
     velocity_change: Annotated[Floats, (2, 3)]  # of the trunk, by each view
     toward: Annotated[Floats, (2, 3)]  # horizontal unit vectors from the person to the sensors
     likelihood: Annotated[Floats, (HEADINGS, 2, 2)]  # log-likelihood
@@ -190,7 +195,7 @@ class Belief(NamedTuple):
 
     probabilities: Annotated[Floats, (HEADINGS, 2, 2)]  # after the pair's evidence
     predicted: Annotated[Floats, (HEADINGS, 2, 2)]  # before it
-    labels: Annotated[Floats, (2, 2)]  # summed over the headings
+    labels: Annotated[Floats, (2, 2)]  # P(A mirrored, B mirrored): the probabilities summed over the headings
     whole: Annotated[Ints, (2,)]  # the labels chosen: whether the whole body is taken as mirrored
     started: Annotated[Ints, (1,)]  # 0 before the person's first pair
 

@@ -137,7 +137,18 @@ def test_the_uncertainty_is_the_spread_of_angles_of_joints_that_err_so():
     erring = joints + random.normal(size=(count, *joints.shape)) * sigma[:, None] / np.sqrt(3.0)
     spread = joint_angles(AZURE_KINECT, erring).std(axis=0)
     # the spread of so many is known within 0.4 %; the rest is curvature
-    np.testing.assert_allclose(angle_sigma(AZURE_KINECT, joints, sigma), spread, rtol=0.03)
+    np.testing.assert_allclose(angle_sigma(AZURE_KINECT, joints, sigma, up_sd=0.0), spread, rtol=0.03)
+
+
+@pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.1, -0.9, 0.4), (1.0, 0.0, 0.0)])
+def test_an_uncertain_up_direction_makes_the_trunk_alone_uncertain(up):
+    joints, nothing = posed(AZURE_KINECT, {}), np.zeros(len(AZURE_KINECT))
+    joints = Rotation.align_vectors([up], [UP])[0].apply(joints)
+    exact, found = (angle_sigma(AZURE_KINECT, joints, nothing, up, up_sd=sd) for sd in (0.0, 2.0))
+    assert (exact == 0.0).all()
+    trunk = np.array([name.startswith("trunk") for name in ANGLES])
+    np.testing.assert_allclose(found[trunk], 2.0, rtol=1e-3)  # upright: each angle is a tilt about one axis
+    np.testing.assert_allclose(found[~trunk], 0.0, atol=1e-6)
 
 
 def test_the_rotation_sequences_of_another_library_give_the_same_angles():

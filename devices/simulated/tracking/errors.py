@@ -1,7 +1,8 @@
 """The errors of a body tracker, one class each. Each has random numbers of its own.
 
 An error has a method ``apply`` that changes the report of a frame, and the state that it keeps from frame to
-frame. ``tracker`` applies them in their order, without those of size zero.
+frame. ``tracker`` applies them in ``ORDER``, on one another's results: those that the tracker has, and with a
+script also those in ``SCRIPTED``.
 """
 
 import math
@@ -90,7 +91,7 @@ def _hold(held, at, joints, order, parents, factor, stretch):  # type: ignore[no
 
 
 class Outliers:
-    """A joint is elsewhere for a moment, and reported as before."""
+    """A joint is reported elsewhere for a moment. Its tracking state does not show it."""
 
     def __init__(self, of: Tracked) -> None:
         self._random, self._size = of.streams.named("outliers"), of.errors.outlier_size
@@ -193,17 +194,17 @@ class Loss:
 
 
 ORDER: tuple[tuple[Callable[[Tracked], Error], Callable[[TrackerErrors], bool]], ...] = (
-    (ViewBias, lambda of: of.view_bias > 0.0),
-    (Skin, lambda of: of.skin > 0.0),
-    (Hiding, lambda of: of.seen_share > 0.0 or any(of.unsure.values())),
-    (BoneLengths, lambda of: of.stretch != 1.0 or of.bones > 0.0),
-    (Outliers, lambda of: of.outliers > 0.0),
-    (Added, lambda of: of.added is not None),
-    (Scale, lambda of: of.rescale > 0.0),
-    (Jitter, lambda of: any(of.jitter.values()) or of.moving_jitter > 0.0),
-    (Mirrored, lambda of: of.mirroring.back > 0.0 or of.mirroring.faces_sensor > 0.0),
-    (Stale, lambda of: of.stale > 0.0),
-    (Loss, lambda of: of.lost > 0.0 or of.seen_share > 0.0),
+    (ViewBias, lambda errors: errors.view_bias > 0.0),
+    (Skin, lambda errors: errors.skin > 0.0),
+    (Hiding, lambda errors: errors.seen_share > 0.0 or any(errors.unsure.values())),
+    (BoneLengths, lambda errors: errors.stretch != 1.0 or errors.bones > 0.0),
+    (Outliers, lambda errors: errors.outliers > 0.0),
+    (Added, lambda errors: errors.added is not None),
+    (Scale, lambda errors: errors.rescale > 0.0),
+    (Jitter, lambda errors: any(errors.jitter.values()) or errors.moving_jitter > 0.0),
+    (Mirrored, lambda errors: errors.mirroring.back > 0.0 or errors.mirroring.faces_sensor > 0.0),
+    (Stale, lambda errors: errors.stale > 0.0),
+    (Loss, lambda errors: errors.lost > 0.0 or errors.seen_share > 0.0),
 )
 """The errors in the order in which they apply, and which of them a tracker has."""
 SCRIPTED = (Hiding, Mirrored)

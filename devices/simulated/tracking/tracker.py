@@ -9,7 +9,11 @@ from fusion.skeleton import TRACKED, Skeleton
 
 
 class Tracker:
-    """The body tracker of one sensor. The same seed gives the same reports."""
+    """The body tracker of one sensor.
+
+    Call :meth:`report` once for each frame, in order: a call draws random numbers and is a step of
+    ``frame_seconds``. The same streams of random numbers and frames give the same reports.
+    """
 
     def __init__(self, of: Tracked) -> None:
         self._of = of
