@@ -267,7 +267,8 @@ class SessionArrays:
     @property
     def disagreement(self) -> NDArray[np.float64]:
         """(T,) metres between p and R q + t, median over the joints that both see; NaN without any."""
-        return np.concatenate([median_of_known(rows.view_difference) for rows in self.parts()])
+        parts = (median_of_known(rows.view_difference) for rows in self.parts())
+        return np.concatenate([np.zeros(0), *parts])
 
 
 def rate_without_pauses(time_ns: NDArray[np.int64]) -> float | None:
