@@ -177,6 +177,41 @@ def exchange_odds(model, state, view):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
+def agreement(model, state, pair):  # type: ignore[no-untyped-def]
+    """Log densities of elbows and knees if A and B label them alike, and if one of them exchanges them.
+
+    Shoulders and hips are as near to each other as two views of them are. Elbows and knees tell whether the
+    views differ, and the heading tells which of them is mirrored.
+    """
+    k = model.constants
+    equal = other = 0.0
+    a, b = pair.positions[0], pair.positions[1]
+    for row in (ELBOW, KNEE):
+        left, right = model.pairs[row, 0], model.pairs[row, 1]
+        equal += _apart(k, a, left, b, left) + _apart(k, a, right, b, right)
+        other += _apart(k, a, left, b, right) + _apart(k, a, right, b, left)
+    weight = min(k.limb_weight * state.evidence.frames[2], 1.0)
+    return -weight * equal, -weight * other
+
+
+@inner_kernel
+def _apart(k, a, i, b, j):  # type: ignore[no-untyped-def]
+    """Cost of joint i of A and joint j of B as one joint; 0 where a view does not have it."""
+    square = 0.0
+    for c in range(3):
+        square += (a[i, c] - b[j, c]) ** 2
+    return (
+        bounded(0.5 * square / (k.limb_sigma * k.limb_sigma), k.limb_floor) if math.isfinite(square) else 0.0
+    )
+
+
+@inner_kernel
+def bounded(cost, most):  # type: ignore[no-untyped-def]
+    """A cost that never exceeds ``most``, and equals the given one while small."""
+    return cost / (1.0 + cost / most)
+
+
+@inner_kernel
 def learn_up(model, state, positions, dt):  # type: ignore[no-untyped-def]
     """Updates the upward direction with one view in which the person stands, dt s after the last pair."""
     trunk_trunk = legs_legs = trunk_legs = 0.0

@@ -25,6 +25,8 @@ correlated. It is in proportion to the time since the last frame, and at most 1:
   densities are mixtures;
 * cues: −β(½ ((x − μ)/σ)²) − log σ, a normal density of x = cue · f, with μ and σ by the cosine to the sensor;
   β(c) = c / (1 + c / most) limits the effect of a single outlier, and more so that of a bent knee;
+* agreement: elbows and knees of both views, as labelled and with one view exchanged
+  (:func:`fusion.facing.evidence.agreement`);
 * motion: w |v|⁴ cos(v, f), with |v| capped: people walk backwards slowly, hardly ever fast.
 """
 
@@ -33,7 +35,8 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel
-from fusion.facing.model import ELBOW, FRAME_SECONDS, KNEE, TAPS
+from fusion.facing.evidence import agreement, bounded
+from fusion.facing.model import FRAME_SECONDS, TAPS
 
 _INTERVALS = 4  # of the tables over the cosine
 _MOST_FRAMES = 6.0  # a longer time than 0.2 s without evidence of motion gives a frame no larger weight
@@ -175,7 +178,7 @@ def log_likelihood(model, state, pair):  # type: ignore[no-untyped-def]
     pace = weight * min(speed, k.motion_cap) ** 4 / max(speed, 1e-9)
     if stale[0] and stale[1]:
         pace = 0.0
-    equal, other = _agreement(model, state, pair) if not (stale[0] or stale[1]) else (0.0, 0.0)
+    equal, other = agreement(model, state, pair) if not (stale[0] or stale[1]) else (0.0, 0.0)
     for n in range(len(state.memory.headings)):
         f = state.memory.headings[n]
         common = pace * (v[0] * f[0] + v[1] * f[1] + v[2] * f[2])
@@ -199,35 +202,6 @@ def log_likelihood(model, state, pair):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _agreement(model, state, pair):  # type: ignore[no-untyped-def]
-    """Log densities of elbows and knees if A and B label them alike, and if one of them exchanges them.
-
-    Shoulders and hips are as near to each other as two views of them are. Elbows and knees tell whether the
-    views differ, and the heading tells which of them is mirrored.
-    """
-    k = model.constants
-    equal = other = 0.0
-    a, b = pair.positions[0], pair.positions[1]
-    for row in (ELBOW, KNEE):
-        left, right = model.pairs[row, 0], model.pairs[row, 1]
-        equal += _apart(k, a, left, b, left) + _apart(k, a, right, b, right)
-        other += _apart(k, a, left, b, right) + _apart(k, a, right, b, left)
-    weight = min(k.limb_weight * state.evidence.frames[2], 1.0)
-    return -weight * equal, -weight * other
-
-
-@inner_kernel
-def _apart(k, a, i, b, j):  # type: ignore[no-untyped-def]
-    """Cost of joint i of A and joint j of B as one joint; 0 where a view does not have it."""
-    square = 0.0
-    for c in range(3):
-        square += (a[i, c] - b[j, c]) ** 2
-    return (
-        _bounded(0.5 * square / (k.limb_sigma * k.limb_sigma), k.limb_floor) if math.isfinite(square) else 0.0
-    )
-
-
-@inner_kernel
 def in_table(table, cosine):  # type: ignore[no-untyped-def]
     """A value of a table of :class:`fusion.facing.model.FacingConstants`."""
     node = 2.0 * (1.0 - max(-1.0, min(1.0, cosine)))
@@ -247,7 +221,7 @@ def _cue_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def
             d = state.evidence.cues[view, row]
             z = (d[0] * f[0] + d[1] * f[1] + d[2] * f[2] - in_table(model.cue_mean[kind], cosine)) / sigma
             most = k.bent_floor if kind == 0 and z > 0.0 else k.cue_floor
-            total -= trust * (_bounded(0.5 * z * z, most) + in_table(model.cue_log[kind], cosine))
+            total -= trust * (bounded(0.5 * z * z, most) + in_table(model.cue_log[kind], cosine))
     still = max(k.still_weight, min(1.0, state.memory.speed[view] / k.moving_speed))
     return min(k.cue_weight * still * state.evidence.frames[view], 1.0) * total
 
@@ -271,11 +245,11 @@ def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-de
             along = g[0] * f[0] + g[1] * f[1] + g[2] * f[2]
             nearing = g[0] * s[0] + g[1] * s[1] + g[2] * s[2]
             peak = 0.5 * math.log(kappa)
-            as_shown, mirrored = _bounded(kappa * (1.0 - along), most), _bounded(kappa * (1.0 + along), most)
+            as_shown, mirrored = bounded(kappa * (1.0 - along), most), bounded(kappa * (1.0 + along), most)
             if folded > 0.0:
-                other = _bounded(kappa * (1.0 - toward * nearing - across * along), most)
+                other = bounded(kappa * (1.0 - toward * nearing - across * along), most)
                 as_shown = _mixture(as_shown, other, 1.0 - model.constants.unbiased)
-                other = _bounded(kappa * (1.0 - along + 2.0 * cosine * nearing), most)
+                other = bounded(kappa * (1.0 - along + 2.0 * cosine * nearing), most)
                 mirrored = _mixture(mirrored, other, folded)
             straight += trust * (peak - as_shown)
             back += trust * (peak - mirrored)
@@ -287,12 +261,6 @@ def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-de
 def _mixture(cost, other, share):  # type: ignore[no-untyped-def]
     """The cost of a mixture of two densities; ``share`` is that of the other."""
     return -math.log((1.0 - share) * math.exp(-cost) + share * math.exp(-other))
-
-
-@inner_kernel
-def _bounded(cost, most):  # type: ignore[no-untyped-def]
-    """A cost that never exceeds ``most``, and equals the given one while small."""
-    return cost / (1.0 + cost / most)
 
 
 @inner_kernel
