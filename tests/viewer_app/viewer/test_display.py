@@ -167,7 +167,7 @@ HOSTS = st.sampled_from(
     ["", "unix", "[::1]", "a..b", "\udcff", "x" * 64, "unix/", "tcp/127.0.0.1", "127.0.0.1"]
 )
 NAMES = st.builds("{}:{}".format, HOSTS, st.integers(40_000, 1_000_000)) | st.text(
-    st.characters(exclude_characters="\0:")
+    st.characters(codec="utf-8", exclude_characters="\0:")
 )
 
 
