@@ -30,6 +30,8 @@ _MOVED, _TURNED = 0.03, math.radians(1.0)
 _CENTIMETRE = 0.01
 _SAMPLES = 9000
 """Frames from which the floor of a session is found."""
+_STEEP = math.cos(math.radians(3.0))
+"""Of the angle between gravity and the view's axis: nearer to it, the axis has no horizontal direction."""
 
 
 class FloorFinder:
@@ -93,11 +95,17 @@ def floor_under(rows: SessionArrays) -> RigidTransform:
 def floor_frame(up: NDArray[np.float64], height: float) -> RigidTransform:
     """K_A ← floor. The floor's y is down along gravity, its z where K_A looks, its origin below K_A.
 
+    The axes do not depend on how K_A is rolled. Where K_A looks straight down or up, z is where the top or
+    the bottom of its image points.
+
     Args:
         up: (3,) unit vector against gravity in K_A's frame.
         height: Metres of K_A above the floor.
     """
     down = -up
-    right = np.array([1.0, 0.0, 0.0]) - down[0] * down
+    looks = np.array([0.0, 0.0, 1.0])
+    if abs(down[2]) > _STEEP:
+        looks = np.array([0.0, -np.sign(down[2]), 0.0])
+    right = np.cross(down, looks)
     right /= np.linalg.norm(right)
     return RigidTransform.of(np.stack((right, down, np.cross(right, down)), axis=1), height * down)

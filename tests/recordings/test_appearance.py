@@ -5,6 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from skimage.color import deltaE_ciede2000, rgb2lab
 
@@ -24,7 +26,7 @@ from recordings.appearance.colors import (
     STATE_COLORS,
     VIEW_COLORS,
 )
-from recordings.appearance.floor import ANKLE, CAMERA_HEIGHT, FloorFinder, find_floor
+from recordings.appearance.floor import ANKLE, CAMERA_HEIGHT, FloorFinder, find_floor, floor_frame
 from tests.helpers.two_views import standing
 
 STEP = 1.0 / 256.0
@@ -170,6 +172,25 @@ def test_the_ankles_are_above_the_floor_and_down_is_down(tilt_deg):
     heights = floor.inverse().apply(fused[0, ANKLES])[:, 1]  # y is down: above the floor is negative
     # rounded to centimetres; 1° of lean at 2.6 m moves the floor by 45 mm at most
     np.testing.assert_allclose(heights.max(), -ANKLE, atol=0.005 + 0.045)
+
+
+@given(roll=st.floats(-180.0, 180.0), tilt=st.floats(-75.0, 75.0))
+def test_the_floor_of_a_rolled_sensor_lies_as_that_of_one_that_stands(roll, tilt):
+    turn = Rotation.from_euler("z", roll, degrees=True).as_matrix()
+    fused, _ = seen_by(tilt)
+    rolled = RigidTransform.of(turn, np.zeros(3)).apply(fused)
+    upright, found = find_floor(KINECT_V2, fused), find_floor(KINECT_V2, rolled)
+    # heights are rounded to centimetres
+    np.testing.assert_allclose(found.inverse().apply(rolled), upright.inverse().apply(fused), atol=0.0101)
+    assert found.rotation[2, 2] > 0.0  # z is where the sensor looks
+
+
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (0.0, 0.02, -0.9998)])
+def test_a_sensor_that_looks_straight_down_or_up_has_a_floor(up):
+    up = np.array(up) / np.linalg.norm(up)
+    floor = floor_frame(up, 2.0)
+    np.testing.assert_allclose(floor.rotation.T @ floor.rotation, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(floor.rotation[:, 1], -up, atol=1e-12)
 
 
 def test_the_origin_is_below_the_sensor():
