@@ -151,9 +151,27 @@ class RecordedPeople(Rows[SensorFrame]):
         people = {self.ids[self.person[i]]: self.skeletons.row(self.body, i) for i in range(first, end)}
         return SensorFrame(int(self.time_ns[k]), people)
 
+    @property
+    def crowded(self) -> bool:
+        """Whether a frame has several people."""
+        return bool((self.frame[1:] == self.frame[:-1]).any())
+
+    def only(self, name: str) -> RecordedPeople:
+        """The frames with one person."""
+        rows = self.rows_of([name])
+        skeletons = self.skeletons.chosen_whole(rows)
+        return replace(self, ids=[name], frame=self.frame[rows], person=0 * rows, skeletons=skeletons)
+
+    def rows_of(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """The skeletons that have these ids."""
+        return np.flatnonzero(np.isin(self.person, [self.ids.index(name) for name in names]))
+
     def view(self, names: Sequence[str]) -> View:
         """The frames with one person, who has these ids one after the other."""
-        rows = np.flatnonzero(np.isin(self.person, [self.ids.index(name) for name in names]))
+        return self.view_of(self.rows_of(names))
+
+    def view_of(self, rows: NDArray[np.int64]) -> View:
+        """The frames with one person, whose skeletons are these, at most one in a frame."""
         index = np.full(len(self), -1, dtype=np.int64)
         index[self.frame[rows]] = rows
         if len(rows) == len(self) == len(self.frame):

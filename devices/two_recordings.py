@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.association import follow_one
 from devices.azure.mkv import MkvInfo, MkvRecording
 from devices.capture.host_clock import offset_by_arrival
 from devices.depth.image_thinning import Depth, thinned, thinned_camera
@@ -161,6 +162,7 @@ def read_two(
         for choice in (choice_a, choice_b)
     )
     read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
+    read_a, read_b = _with_person((read_a, read_b), (choice_a, choice_b), offset_ns)
     body, about_body = _body_of_both((a, b), (read_a, read_b), choice_a.body)
     read_a, read_b = (
         replace(read, person=_as_body(read.person, source.body, body))
@@ -322,11 +324,13 @@ def refuse_same(a: Path, b: Path) -> None:
 class _Read:
     """One recording without images, and the person to fuse."""
 
-    person: View
+    name: str
+    people: RecordedPeople
     info: MkvInfo | None
     warnings: list[str]
     arrivals: NDArray[np.int64]
     """(T, 2) capture and arrival times, where they were recorded."""
+    person: View
 
     @property
     def seen(self) -> View:
@@ -341,24 +345,79 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
         if isinstance(source, SkeletonRecording):
             people = source.people
         else:
-            frames = without_images(source)
-            if choice.person is None:
-                frames = one_person(frames)  # a body tracker gives one person several ids
             work = "tracking" if choice.is_tracked else "reading"
-            read = progress(frames, f"{work} {source.name}", frame_count(source))
+            read = progress(without_images(source), f"{work} {source.name}", frame_count(source))
             people = RecordedPeople.of(source.body, read)
+            if choice.person is None and not people.crowded:
+                people = RecordedPeople.of(source.body, one_person(people))  # one person gets several ids
             images = images_of(source)
             if isinstance(images, MkvRecording):
                 info, arrivals = images.info, images.arrivals
         warnings = list(source.warnings)
-    person = people.choose_person(choice.person, source.name, choice.person_option)
-    others = () if choice.person is not None else people.successors(person)
-    if others:
-        named = ", ".join(map(repr, others[:5])) + (" …" if len(others) > 5 else "")
-        warnings.append(
-            f"{source.name}: person {named} is followed while {person!r} is not seen. "
-            f"{choice.person_option} {person} follows {person!r} alone."
-        )
+    people.choose_person(choice.person, source.name, choice.person_option)
+    if choice.person is not None:
+        people = people.only(choice.person)
     give_back()
     times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
-    return _Read(people.view((person, *others)), info, warnings, times)
+    return _Read(source.name, people, info, warnings, times, people.skeletons)
+
+
+def _with_person(
+    reads: tuple[_Read, _Read], choices: tuple[RecordingChoice, RecordingChoice], offset_ns: int | None
+) -> tuple[_Read, _Read]:
+    """Chooses the person to fuse: the same one in both, where one of them shows several at a time."""
+    read_a, read_b = reads
+    a, b = read_a.people, read_b.people
+    if not (a.crowded or b.crowded) or a.body is not b.body:
+        return _alone(read_a, choices[0]), _alone(read_b, choices[1])
+    if offset_ns is None and (clock := offset_by_arrival(read_a.arrivals, read_b.arrivals)) is not None:
+        found = follow_one(a, b, clock.at(b.time_ns))
+    else:
+        found = follow_one(a, b, offset_ns)
+    give_back()
+    options = [choice.person_option for choice in choices if choice.person is None]
+    choose = " and ".join(options) + (" choose" if len(options) > 1 else " chooses")
+    has = " and ".join(f"{_listed(read.people)} by {side}" for read, side in zip(reads, "AB", strict=True))
+    if found is None:
+        line = (
+            f"Several people are seen, {has}, and their motion does not tell who is the same in both: those "
+        )
+        line += f"seen longest are followed. {choose} the person."
+        return _told(_alone(read_a, choices[0]), line), _alone(read_b, choices[1])
+    names = " and ".join(
+        f"{_listed(read.people, rows)} of {side}"
+        for read, rows, side in zip(reads, found.rows, "AB", strict=True)
+    )
+    line = f"{found.people} people are seen, {has}. The one followed is {names}; {choose} another."
+    chosen_a, chosen_b = (
+        replace(read, person=read.people.view_of(rows)) for read, rows in zip(reads, found.rows, strict=True)
+    )
+    return _told(chosen_a, line), chosen_b
+
+
+def _alone(read: _Read, choice: RecordingChoice) -> _Read:
+    """The person seen longest in one recording, and those seen while that one is not."""
+    people = read.people
+    person = people.choose_person(choice.person, read.name, choice.person_option)
+    others = () if choice.person is not None else people.successors(person)
+    read = replace(read, person=people.view((person, *others)))
+    if not others:
+        return read
+    named = ", ".join(map(repr, others[:5])) + (" …" if len(others) > 5 else "")
+    return _told(
+        read,
+        f"{read.name}: person {named} is followed while {person!r} is not seen. "
+        f"{choice.person_option} {person} follows {person!r} alone.",
+    )
+
+
+def _told(read: _Read, line: str) -> _Read:
+    return replace(read, warnings=[*read.warnings, line])
+
+
+def _listed(people: RecordedPeople, rows: NDArray[np.int64] | None = None) -> str:
+    """The ids of people, or of some skeletons, in the order in which they were seen."""
+    of = people.person if rows is None else people.person[rows]
+    ids, first = np.unique(of, return_index=True)
+    named = [repr(people.ids[k]) for k in ids[np.argsort(first)]]
+    return ", ".join(named[:5]) + (" …" if len(named) > 5 else "")

@@ -72,7 +72,7 @@ def fuse(
         calibration: An earlier calibration. None: calibrate on the start-up pose of the recordings, or on
             their calmest window if there is no such pose.
         settings: Settings of the method, except ``hindsight``.
-        person_a, person_b: Ids of the person. None: the person seen longest in each recording.
+        person_a, person_b: Ids of the person. None: the one seen longest by both sensors, whatever the ids.
         skeletons_a, skeletons_b: For an ``.mkv``: saved skeletons, used instead of the body tracker.
         unit: Unit of the positions of ``.csv`` files: ``m``, ``cm``, ``mm``, ``ft``, ``in``; ``auto``: found
             from the size of the person.

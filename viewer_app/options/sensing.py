@@ -46,9 +46,9 @@ class FuseOptions(
     b: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """Recording of the secondary sensor K_B."""
     person_a: Annotated[str | None, SENSORS] = None
-    """Id of the person in A; the one seen longest if not given."""
+    """Id of the person in A; the one seen longest by both sensors if not given."""
     person_b: Annotated[str | None, SENSORS] = None
-    """Id of the person in B; the one seen longest if not given."""
+    """Id of the person in B; the one seen longest by both sensors if not given."""
     skeletons_a: Annotated[Path | None, SENSORS] = None
     """For an .mkv: a file of saved skeletons of A, instead of the body tracker."""
     skeletons_b: Annotated[Path | None, SENSORS] = None

@@ -1,0 +1,484 @@
+"""Which skeletons of two recordings are one person, where a sensor sees several people at a time.
+
+A tracker's ids tell it neither within a view, where they are exchanged and lost, nor across views. Within a
+view a body is followed by its place (a track). Two tracks are one person where one registration of the
+sensors puts them in one place all the time, and with it the others as well. A track that begins after another
+ended continues it where no one else can be meant: by place, time and lengths of bones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.pairing import clock_by_motion, median_interval
+from devices.people import RecordedPeople
+from fusion.body import Body
+from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.compiling.kernels import inner_kernel, kernel
+from fusion.errors import CalibrationError
+from fusion.registration.rigid_fit import fit_recording
+from fusion.rigid import RigidTransform
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_SLOTS = 16  # bodies in one view at a time
+_HOLD_NS, _HOLD = 200_000_000, 2.5  # a body unseen for longer, and so many frames, begins a new track
+_REACH_M, _SPEED_M_S = 0.1, 3.0  # tracker noise; a running person
+_UNSURE_M = 0.05  # mean over the joints: two bodies this near to each other may be exchanged
+_FEWEST_JOINTS = 3
+_MOMENTS = 300  # at which the registration is looked for
+_FITTED = 60  # moments of one fit
+_TRIED = 3  # longest tracks of each view
+_SAME_M = 0.3  # mean distance of the joints of one person in two views, at most
+_SAME_PLACE_M = 0.3  # the same of the centres
+_LEAST_FIT, _CLEAR_FIT = 0.2, 0.8  # of the skeletons that can have a partner
+_MUTUAL = 0.5  # of the moments that two tracks have in common
+_ENOUGH = 15  # such moments; people who pass each other have less
+_DIFFERENT_BONES = 0.2  # of a length, median: other people, as a child and a grown-up
+_BONE_ERROR = 0.06
+_PLACE_M, _WALK_M_S, _ROOM_M = 0.3, 0.7, 2.0
+"""How far from where they were last seen people come back: at once, more with each second, at most."""
+_FAR = 4.0  # standard deviations: a farther place tells no more
+_MOST_TRACKS = 150  # the longest; shorter ones are nobody's
+_ABOUT_AS_LONG = 0.9
+_OTHERS = 0.05  # of the time of the person followed: those who are seen for less are not counted
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """One person of two recordings.
+
+    Attributes:
+        rows: Their skeletons in either recording, numbers of rows of ``RecordedPeople.skeletons``.
+        people: How many people there are.
+    """
+
+    rows: tuple[Index, Index]
+    people: int
+
+
+def follow_one(a: RecordedPeople, b: RecordedPeople, offset_ns: int | Index | None) -> Followed | None:
+    """The person whom both sensors see longest; of several seen about as long, the one nearest the middle.
+
+    Args:
+        offset_ns: Added to the times of B, one or (T,). None: found from the motion of the people.
+
+    Returns:
+        None where no registration of the sensors makes two people one.
+    """
+    tracks = _Tracks.of(a), _Tracks.of(b)
+    best: _Registered | None = None
+    known = 0 if offset_ns is None else offset_ns
+    for offset in (known, *(_by_motion(*tracks) if offset_ns is None else ())):
+        found = _Registered.best(*tracks, b.time_ns + offset)
+        if found is not None and (best is None or found.score > best.score):
+            best = found
+    return None if best is None else _chosen(*tracks, best)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracks:
+    """The tracks of one view."""
+
+    people: RecordedPeople
+    track: Index  # (N,) of each skeleton; -1 of none that counts
+    count: Index  # (M,) skeletons of each track
+
+    @staticmethod
+    def of(people: RecordedPeople) -> _Tracks:
+        track = tracks_of(people)
+        count = np.bincount(track[track >= 0])
+        if len(count) > _MOST_TRACKS:
+            kept = np.sort(np.argsort(-count, kind="stable")[:_MOST_TRACKS])
+            number = np.full(len(count) + 1, -1, dtype=np.int64)  # the last one is that of track -1
+            number[kept] = np.arange(len(kept))
+            track, count = number[track], count[kept]
+        return _Tracks(people, track, count)
+
+    def longest(self) -> list[int]:
+        return [int(k) for k in np.argsort(-self.count, kind="stable")[:_TRIED]]
+
+    def rows(self, tracks: Sequence[int]) -> Index:
+        return np.flatnonzero(np.isin(self.track, tracks))
+
+    def at(self, rows: Index) -> Array:
+        """(n, J, 3) metres."""
+        return np.asarray(self.people.skeletons.positions[rows], dtype=np.float64)
+
+    def centres(self, rows: Index) -> Array:
+        """(n, 3) middle of the torso; of all joints where none of those is tracked."""
+        at = self.at(rows)
+        torso = _mean(at[:, list(self.people.body.torso)])
+        return np.where(np.isnan(torso), _mean(at), torso)
+
+    def spans(self) -> tuple[Index, Index]:
+        """(M,) first and last frame of each track."""
+        some = self.track >= 0
+        first = np.full(len(self.count), len(self.people), dtype=np.int64)
+        last = np.full(len(self.count), -1, dtype=np.int64)
+        np.minimum.at(first, self.track[some], self.people.frame[some])
+        np.maximum.at(last, self.track[some], self.people.frame[some])
+        return first, last
+
+
+def tracks_of(people: RecordedPeople) -> Index:
+    """(N,) track of each skeleton: a body that goes on from frame to frame, whatever its ids; -1 of none."""
+    track = np.full(len(people.frame), -1, dtype=np.int64)
+    hold_ns = max(_HOLD_NS, int(_HOLD * median_interval(people.time_ns)))
+    mirror = np.ascontiguousarray(people.body.mirror)
+    _number_tracks(people.frame, people.time_ns, people.skeletons.positions, mirror, np.int64(hold_ns), track)
+    return track
+
+
+@kernel
+def _number_tracks(frame, time_ns, positions, mirror, hold_ns, track):  # type: ignore[no-untyped-def]
+    last = np.full(_SLOTS, -1, dtype=np.int64)  # the newest skeleton of each track that goes on
+    number = np.full(_SLOTS, -1, dtype=np.int64)
+    unsure = np.zeros(_SLOTS, dtype=np.bool_)
+    slot_of = np.full(_SLOTS, -1, dtype=np.int64)
+    owner = np.full(_SLOTS, -1, dtype=np.int64)
+    cost = np.full((_SLOTS, _SLOTS), np.inf)
+    count = first = 0
+    while first < len(frame):
+        end = first + 1
+        while end < len(frame) and frame[end] == frame[first]:
+            end += 1
+        here, now = min(end - first, _SLOTS), time_ns[frame[first]]
+        for s in range(_SLOTS):
+            owner[s] = -1
+            waited = np.int64(0) if last[s] < 0 else now - time_ns[frame[last[s]]]
+            if waited > hold_ns:
+                last[s] = -1
+            for r in range(here):
+                cost[r, s] = np.inf
+                if last[s] >= 0:
+                    apart = _apart(positions[first + r], positions[last[s]], mirror)
+                    if apart <= _REACH_M + _SPEED_M_S * 1e-9 * waited:
+                        cost[r, s] = apart
+        for r in range(here):
+            slot_of[r] = -1
+        for _ in range(here):
+            least, row, slot = np.inf, -1, -1
+            for r in range(here):
+                for s in range(_SLOTS):
+                    if slot_of[r] < 0 and owner[s] < 0 and cost[r, s] < least:
+                        least, row, slot = cost[r, s], r, s
+            if row < 0:
+                break
+            slot_of[row], owner[slot] = slot, row
+        for r in range(here):
+            s = slot_of[r]
+            if s < 0:
+                continue
+            doubtful = False
+            for other in range(here):
+                t = slot_of[other]
+                if other != r and t >= 0:
+                    as_they_are = cost[r, s] + cost[other, t]
+                    doubtful = doubtful or cost[r, t] + cost[other, s] - as_they_are < 2.0 * _UNSURE_M
+            if unsure[s] and not doubtful:  # after bodies that were in one place, nobody knows who is who
+                number[s] = count
+                count += 1
+            unsure[s] = doubtful
+        for r in range(here):
+            s = slot_of[r]
+            if s < 0:
+                for free in range(_SLOTS):
+                    if owner[free] < 0 and (s < 0 or last[free] < 0 <= last[s]):
+                        s = free
+                if s < 0:
+                    continue
+                owner[s], number[s], unsure[s] = r, count, False
+                count += 1
+            last[s] = first + r
+            track[first + r] = number[s]
+        first = end
+
+
+@inner_kernel
+def _apart(one, other, mirror):  # type: ignore[no-untyped-def]
+    """Mean distance of the joints that two skeletons have in common, whichever side is called left.
+
+    Infinite where the joints are too few.
+    """
+    least = np.inf
+    for exchanged in range(2):
+        total, joints = 0.0, 0
+        for j in range(len(one)):
+            k = mirror[j] if exchanged else j
+            x, y, z = one[j, 0] - other[k, 0], one[j, 1] - other[k, 1], one[j, 2] - other[k, 2]
+            square = x * x + y * y + z * z
+            if square >= 0.0:
+                total += np.sqrt(square)
+                joints += 1
+        if joints >= _FEWEST_JOINTS:
+            least = min(least, total / joints)
+    return least
+
+
+def _by_motion(a: _Tracks, b: _Tracks) -> list[Index]:
+    """Corrections of B's times with which two of the longest tracks show one motion."""
+    found = []
+    for i, j in product(a.longest(), b.longest()):
+        views = (of.people.view_of(of.rows([k])) for of, k in ((a, i), (b, j)))
+        seen = [view.chosen_whole(np.flatnonzero(view.states.any(axis=1))) for view in views]
+        clock = clock_by_motion(a.people.body, seen[0], seen[1])
+        if clock is not None:
+            found.append(np.asarray(clock.at(b.people.time_ns), dtype=np.int64))
+    return found
+
+
+def _meetings(a: _Tracks, b: _Tracks, time_b: Index, moments: int | None) -> tuple[Index, Index]:
+    """Rows of A and of B of one moment: each skeleton of A with each of B."""
+    frames = np.unique(a.people.frame)
+    if moments is not None and len(frames) > moments:
+        frames = frames[np.linspace(0, len(frames) - 1, moments).astype(np.int64)]
+    others = np.unique(b.people.frame)
+    if not len(frames) or not len(others):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    times, at = a.people.time_ns[frames], time_b[others]
+    after = np.clip(np.searchsorted(at, times), 1, max(len(at) - 1, 1))
+    after = np.minimum(after, len(at) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(at[before] - times) <= np.abs(at[after] - times), before, after)
+    tolerance = max(median_interval(a.people.time_ns), median_interval(b.people.time_ns))
+    near = np.abs(at[nearest] - times) <= tolerance
+    frames, others = frames[near], others[nearest[near]]
+    first_a, end_a = (np.searchsorted(a.people.frame, frames, side) for side in ("left", "right"))
+    first_b, end_b = (np.searchsorted(b.people.frame, others, side) for side in ("left", "right"))
+    rows_a, rows_b = [], []
+    most = [int((end - first).max(initial=0)) for first, end in ((first_a, end_a), (first_b, end_b))]
+    for i, j in product(*(range(n) for n in most)):
+        both = (first_a + i < end_a) & (first_b + j < end_b)
+        rows_a.append(first_a[both] + i)
+        rows_b.append(first_b[both] + j)
+    every_a, every_b = (np.concatenate(rows) if rows else np.zeros(0, np.int64) for rows in (rows_a, rows_b))
+    counts = (a.track[every_a] >= 0) & (b.track[every_b] >= 0)
+    return every_a[counts], every_b[counts]
+
+
+@dataclass(frozen=True, eq=False)
+class _Registered:
+    """A registration of the sensors, and how many skeletons it puts in one place."""
+
+    a_from_b: RigidTransform
+    time_b: Index
+    score: float
+
+    @staticmethod
+    def best(a: _Tracks, b: _Tracks, time_b: Index) -> _Registered | None:
+        """That with which most people of both views are in one place, from the motion of any two tracks."""
+        body = a.people.body
+        rows_a, rows_b = _meetings(a, b, time_b, _MOMENTS)
+        if not len(rows_a):
+            return None
+        p, q = a.at(rows_a), b.at(rows_b)
+        mirrored = q[:, body.mirror]
+        most_of_all = min(len(np.unique(rows_a)), len(np.unique(rows_b)))
+        best, score = None, _LEAST_FIT * most_of_all
+        pairs, counts = np.unique(np.stack((a.track[rows_a], b.track[rows_b])), axis=1, return_counts=True)
+        for k in np.argsort(-counts, kind="stable")[: _TRIED * _TRIED]:
+            of = np.flatnonzero((a.track[rows_a] == pairs[0, k]) & (b.track[rows_b] == pairs[1, k]))
+            of = of[np.linspace(0, len(of) - 1, min(_FITTED, len(of))).astype(np.int64)]
+            if score > _CLEAR_FIT * most_of_all:
+                break
+            for seen in (q, mirrored):
+                found = _fit(p[of], seen[of])
+                for _ in range(3):  # then of all who are in one place
+                    if found is None:
+                        break
+                    same, exchanged = _sameness(found, p, q), _sameness(found, p, mirrored)
+                    fits = np.maximum(same, exchanged)
+                    most = np.zeros(len(a.track))
+                    np.maximum.at(most, rows_a, fits)
+                    if most.sum() > score:
+                        best, score = found, float(most.sum())
+                    of = np.flatnonzero((fits > 0.0) & (fits == most[rows_a]))
+                    of = of[np.linspace(0, len(of) - 1, min(2 * _FITTED, len(of))).astype(np.int64)]
+                    turned = (exchanged > same)[of, None, None]
+                    found = _fit(p[of], np.where(turned, mirrored[of], q[of]))
+        return None if best is None else _Registered(best, time_b, score)
+
+
+def _fit(p: Array, q: Array) -> RigidTransform | None:
+    try:
+        return fit_recording(p, q)
+    except CalibrationError:
+        return None
+
+
+def _sameness(a_from_b: RigidTransform, p: Array, q: Array) -> Array:
+    """(n,) of two skeletons each: 1 where they are in one place, 0 where they cannot be one person."""
+    apart = np.minimum(np.linalg.norm(p - a_from_b.apply(q), axis=2), 2.0 * _SAME_M)
+    mean = _mean(apart[:, :, None])[:, 0]
+    return np.asarray(np.maximum(0.0, 1.0 - (np.nan_to_num(mean, nan=np.inf) / _SAME_M) ** 2))
+
+
+def _mean(values: Array) -> Array:
+    """(n, 3) of (n, J, 3); NaN where nothing is known."""
+    known = np.isfinite(values)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
+
+
+def _chosen(a: _Tracks, b: _Tracks, found: _Registered) -> Followed | None:
+    """The person to follow, of those whom the registration makes out of the tracks."""
+    rows = _meetings(a, b, found.time_b, None)
+    together, mutual = _in_one_place(a, b, found.a_from_b, *rows)
+    size = len(a.count) + len(b.count)
+    of_a, of_b = np.arange(len(a.count)), len(a.count) + np.arange(len(b.count))
+    begin, end = np.zeros((2, size), dtype=np.int64)
+    apart = np.zeros((size, size), dtype=np.bool_)  # whether two tracks cannot be one person
+    for of, tracks, times in ((of_a, a, a.people.time_ns), (of_b, b, found.time_b)):
+        first, last = tracks.spans()
+        begin[of], end[of] = times[first], times[last]
+        overlap = np.minimum(last[:, None], last) - np.maximum(first[:, None], first)
+        apart[np.ix_(of, of)] = (overlap > 0) & ~np.eye(len(of), dtype=np.bool_)
+    agree = mutual >= _MUTUAL * together
+    enough = np.minimum(_ENOUGH, 0.5 * np.minimum(a.count[:, None], b.count))
+    one = agree & (mutual >= enough)
+    apart[: len(of_a), len(of_a) :] = (together > 2) & ~agree
+    apart |= apart.T
+    groups = _Groups(apart)
+    for k in np.argsort(-mutual, axis=None, kind="stable"):
+        i, j = divmod(int(k), mutual.shape[1])
+        if one[i, j]:
+            groups.join(i, len(of_a) + j)
+    _join_returning(groups, a, b, found.a_from_b, begin, end)
+    everyone = groups.members()
+    seen = np.array([mutual[np.ix_(*_of_views(m, len(of_a)))].sum() for m in everyone])
+    if not seen.max(initial=0):
+        return None
+    off_axis = np.full(len(everyone), np.inf)
+    rows_of = [
+        tuple(of.rows(m) for of, m in zip((a, b), _of_views(m, len(of_a)), strict=True)) for m in everyone
+    ]
+    for k in np.flatnonzero(seen >= _ABOUT_AS_LONG * seen.max()):
+        off_axis[k] = sum(_off_axis(of, of_view) for of, of_view in zip((a, b), rows_of[k], strict=True))
+    followed = rows_of[int(np.argmin(off_axis))]
+    least = _OTHERS * sum(map(len, followed))
+    people = sum(sum(map(len, of_person)) >= least for of_person in rows_of)
+    return Followed((followed[0], followed[1]), people)
+
+
+def _of_views(members: list[int], count_a: int) -> tuple[list[int], list[int]]:
+    return [m for m in members if m < count_a], [m - count_a for m in members if m >= count_a]
+
+
+def _in_one_place(
+    a: _Tracks, b: _Tracks, a_from_b: RigidTransform, rows_a: Index, rows_b: Index
+) -> tuple[Index, Index]:
+    """(M_A, M_B) at how many moments two tracks are seen together, and are nearest to each other."""
+    every = np.arange(len(a.track)), np.arange(len(b.track))
+    at_a, at_b = a.centres(every[0]), a_from_b.apply(b.centres(every[1]))
+    apart = np.linalg.norm(at_a[rows_a] - at_b[rows_b], axis=1)
+    nearest_a, nearest_b = np.full(len(at_a), np.inf), np.full(len(at_b), np.inf)
+    np.fmin.at(nearest_a, rows_a, apart)
+    np.fmin.at(nearest_b, rows_b, apart)
+    mutual = (apart <= nearest_a[rows_a]) & (apart <= nearest_b[rows_b]) & (apart < _SAME_PLACE_M)
+    shape = len(a.count), len(b.count)
+    together, one = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    np.add.at(together, (a.track[rows_a], b.track[rows_b]), 1)
+    np.add.at(one, (a.track[rows_a], b.track[rows_b]), mutual.astype(np.int64))
+    return together, one
+
+
+class _Groups:
+    """Tracks that are one person each."""
+
+    def __init__(self, apart: NDArray[np.bool_]) -> None:
+        self._apart = apart
+        self._of = np.arange(len(apart))
+
+    def may_join(self, i: int, j: int) -> bool:
+        one, other = self._of == self._of[i], self._of == self._of[j]
+        return bool(self._of[i] != self._of[j]) and not self._apart[np.ix_(one, other)].any()
+
+    def join(self, i: int, j: int) -> None:
+        if self.may_join(i, j):
+            self._of[self._of == self._of[j]] = self._of[i]
+
+    def members(self) -> list[list[int]]:
+        return [np.flatnonzero(self._of == k).tolist() for k in np.unique(self._of)]
+
+
+def _join_returning(
+    groups: _Groups, a: _Tracks, b: _Tracks, a_from_b: RigidTransform, begin: Index, end: Index
+) -> None:
+    """Joins people who went and came back: those first who are most alike in bones, place and time."""
+    body, count_a = a.people.body, len(a.count)
+
+    def of_track(m: int) -> tuple[Array, Array, Array]:
+        tracks, k = (a, m) if m < count_a else (b, m - count_a)
+        rows = tracks.rows([k])
+        ends = tracks.centres(rows[[0, -1]])
+        if m >= count_a:
+            ends = a_from_b.apply(ends)
+        some = rows[np.linspace(0, len(rows) - 1, min(_FITTED, len(rows))).astype(np.int64)]
+        return _bones(body, tracks.at(some)), ends[0], ends[1]
+
+    known = [of_track(m) for m in range(len(begin))]
+    of_view = np.arange(len(begin)) < count_a
+    cost = np.full((len(begin), len(begin)), np.inf)  # of track i that goes on as track j
+    for i, j in zip(*np.nonzero(end[:, None] <= begin), strict=True):
+        ratio = np.abs(known[i][0] / known[j][0] - 1.0)
+        ratio = ratio[np.isfinite(ratio)]
+        bones = float(np.median(ratio)) if len(ratio) and of_view[i] == of_view[j] else _BONE_ERROR
+        far = float(np.linalg.norm(known[i][2] - known[j][1]))
+        sd = min(_PLACE_M + _WALK_M_S * 1e-9 * float(begin[j] - end[i]), _ROOM_M)
+        place = min(np.nan_to_num(far / sd, nan=_FAR), _FAR)
+        if bones <= _DIFFERENT_BONES:  # errors of the bones, and of a place on the floor
+            cost[i, j] = 0.5 * (bones / _BONE_ERROR) ** 2 + 0.5 * place**2 + 2.0 * np.log(sd)
+
+    def of_groups(one: list[int], other: list[int]) -> float:
+        if not groups.may_join(one[0], other[0]):
+            return np.inf
+        views: list[float] = []
+        for view in (True, False):
+            tracks = [m for m in (*one, *other) if of_view[m] == view]
+            views += _changeovers(cost, begin, tracks, set(one))
+        views = views or _changeovers(cost, begin, [*one, *other], set(one))
+        return float(np.mean(views)) if views else np.inf
+
+    members = groups.members()
+    costs = {(k, n): of_groups(members[k], members[n]) for k, n in combinations(range(len(members)), 2)}
+    while costs:
+        k, n = min(costs, key=costs.__getitem__)
+        if costs[k, n] == np.inf:
+            break
+        groups.join(members[k][0], members[n][0])
+        members[k] = sorted(members[k] + members[n])
+        costs = {pair: value for pair, value in costs.items() if n not in pair}
+        for pair in costs:
+            if k in pair:
+                costs[pair] = of_groups(members[pair[0]], members[pair[1]])
+
+
+def _changeovers(cost: Array, begin: Index, tracks: list[int], one: set[int]) -> list[float]:
+    """The mean cost where tracks of one group follow those of another; nothing where they never do."""
+    in_order = sorted(tracks, key=lambda m: int(begin[m]))
+    changes = [cost[i, j] for i, j in pairwise(in_order) if (i in one) != (j in one)]
+    return [float(np.mean(changes))] if changes else []
+
+
+def _bones(body: Body, positions: Array) -> Array:
+    """(J,) metres, medians of the lengths of the bones; NaN of those not seen."""
+    lengths = bone_lengths_of(body, positions)
+    lengths[lengths == 0.0] = np.nan
+    known = np.isfinite(lengths).any(axis=0)
+    medians = np.full(len(body), np.nan)
+    medians[known] = np.nanmedian(lengths[:, known], axis=0)
+    return medians
+
+
+def _off_axis(tracks: _Tracks, rows: Index) -> float:
+    """Radians, how far from the axis of the view a person is in the mean."""
+    at = tracks.centres(rows)
+    bearing = np.abs(np.arctan2(at[:, 0], at[:, 2]))
+    return float(np.nanmean(bearing)) if np.isfinite(bearing).any() else 0.0
