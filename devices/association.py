@@ -8,7 +8,6 @@ ended continues it where no one else can be meant: by place, time and lengths of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
 
@@ -17,9 +16,9 @@ from numpy.typing import NDArray
 
 from devices.pairing import clock_by_motion, median_interval
 from devices.people import RecordedPeople
+from devices.people_tracks import Tracks, mean_of_joints
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
-from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.errors import CalibrationError
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
@@ -27,14 +26,9 @@ from fusion.rigid import RigidTransform
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_SLOTS = 16  # bodies in one view at a time
-_HOLD_NS, _HOLD = 200_000_000, 2.5  # a body unseen for longer, and so many frames, begins a new track
-_REACH_M, _SPEED_M_S = 0.1, 3.0  # tracker noise; a running person
-_UNSURE_M = 0.05  # mean over the joints: two bodies this near to each other may be exchanged
-_FEWEST_JOINTS = 3
 _MOMENTS = 300  # at which the registration is looked for
-_FITTED = 60  # moments of one fit
 _TRIED = 3  # longest tracks of each view
+_FITTED = 60  # moments of one fit
 _SAME_M = 0.3  # mean distance of the joints of one person in two views, at most
 _SAME_PLACE_M = 0.3  # the same of the centres
 _LEAST_FIT, _CLEAR_FIT = 0.2, 0.8  # of the skeletons that can have a partner
@@ -45,7 +39,6 @@ _BONE_ERROR = 0.06
 _PLACE_M, _WALK_M_S, _ROOM_M = 0.3, 0.7, 2.0
 """How far from where they were last seen people come back: at once, more with each second, at most."""
 _FAR = 4.0  # standard deviations: a farther place tells no more
-_MOST_TRACKS = 150  # the longest; shorter ones are nobody's
 _ABOUT_AS_LONG = 0.9
 _OTHERS = 0.05  # of the time of the person followed: those who are seen for less are not counted
 
@@ -72,7 +65,7 @@ def follow_one(a: RecordedPeople, b: RecordedPeople, offset_ns: int | Index | No
     Returns:
         None where no registration of the sensors makes two people one.
     """
-    tracks = _Tracks.of(a), _Tracks.of(b)
+    tracks = Tracks.of(a), Tracks.of(b)
     best: _Registered | None = None
     known = 0 if offset_ns is None else offset_ns
     for offset in (known, *(_by_motion(*tracks) if offset_ns is None else ())):
@@ -82,150 +75,10 @@ def follow_one(a: RecordedPeople, b: RecordedPeople, offset_ns: int | Index | No
     return None if best is None else _chosen(*tracks, best)
 
 
-@dataclass(frozen=True, eq=False)
-class _Tracks:
-    """The tracks of one view."""
-
-    people: RecordedPeople
-    track: Index  # (N,) of each skeleton; -1 of none that counts
-    count: Index  # (M,) skeletons of each track
-
-    @staticmethod
-    def of(people: RecordedPeople) -> _Tracks:
-        track = tracks_of(people)
-        count = np.bincount(track[track >= 0])
-        if len(count) > _MOST_TRACKS:
-            kept = np.sort(np.argsort(-count, kind="stable")[:_MOST_TRACKS])
-            number = np.full(len(count) + 1, -1, dtype=np.int64)  # the last one is that of track -1
-            number[kept] = np.arange(len(kept))
-            track, count = number[track], count[kept]
-        return _Tracks(people, track, count)
-
-    def longest(self) -> list[int]:
-        return [int(k) for k in np.argsort(-self.count, kind="stable")[:_TRIED]]
-
-    def rows(self, tracks: Sequence[int]) -> Index:
-        return np.flatnonzero(np.isin(self.track, tracks))
-
-    def at(self, rows: Index) -> Array:
-        """(n, J, 3) metres."""
-        return np.asarray(self.people.skeletons.positions[rows], dtype=np.float64)
-
-    def centres(self, rows: Index) -> Array:
-        """(n, 3) middle of the torso; of all joints where none of those is tracked."""
-        at = self.at(rows)
-        torso = _mean(at[:, list(self.people.body.torso)])
-        return np.where(np.isnan(torso), _mean(at), torso)
-
-    def spans(self) -> tuple[Index, Index]:
-        """(M,) first and last frame of each track."""
-        some = self.track >= 0
-        first = np.full(len(self.count), len(self.people), dtype=np.int64)
-        last = np.full(len(self.count), -1, dtype=np.int64)
-        np.minimum.at(first, self.track[some], self.people.frame[some])
-        np.maximum.at(last, self.track[some], self.people.frame[some])
-        return first, last
-
-
-def tracks_of(people: RecordedPeople) -> Index:
-    """(N,) track of each skeleton: a body that goes on from frame to frame, whatever its ids; -1 of none."""
-    track = np.full(len(people.frame), -1, dtype=np.int64)
-    hold_ns = max(_HOLD_NS, int(_HOLD * median_interval(people.time_ns)))
-    mirror = np.ascontiguousarray(people.body.mirror)
-    _number_tracks(people.frame, people.time_ns, people.skeletons.positions, mirror, np.int64(hold_ns), track)
-    return track
-
-
-@kernel
-def _number_tracks(frame, time_ns, positions, mirror, hold_ns, track):  # type: ignore[no-untyped-def]
-    last = np.full(_SLOTS, -1, dtype=np.int64)  # the newest skeleton of each track that goes on
-    number = np.full(_SLOTS, -1, dtype=np.int64)
-    unsure = np.zeros(_SLOTS, dtype=np.bool_)
-    slot_of = np.full(_SLOTS, -1, dtype=np.int64)
-    owner = np.full(_SLOTS, -1, dtype=np.int64)
-    cost = np.full((_SLOTS, _SLOTS), np.inf)
-    count = first = 0
-    while first < len(frame):
-        end = first + 1
-        while end < len(frame) and frame[end] == frame[first]:
-            end += 1
-        here, now = min(end - first, _SLOTS), time_ns[frame[first]]
-        for s in range(_SLOTS):
-            owner[s] = -1
-            waited = np.int64(0) if last[s] < 0 else now - time_ns[frame[last[s]]]
-            if waited > hold_ns:
-                last[s] = -1
-            for r in range(here):
-                cost[r, s] = np.inf
-                if last[s] >= 0:
-                    apart = _apart(positions[first + r], positions[last[s]], mirror)
-                    if apart <= _REACH_M + _SPEED_M_S * 1e-9 * waited:
-                        cost[r, s] = apart
-        for r in range(here):
-            slot_of[r] = -1
-        for _ in range(here):
-            least, row, slot = np.inf, -1, -1
-            for r in range(here):
-                for s in range(_SLOTS):
-                    if slot_of[r] < 0 and owner[s] < 0 and cost[r, s] < least:
-                        least, row, slot = cost[r, s], r, s
-            if row < 0:
-                break
-            slot_of[row], owner[slot] = slot, row
-        for r in range(here):
-            s = slot_of[r]
-            if s < 0:
-                continue
-            doubtful = False
-            for other in range(here):
-                t = slot_of[other]
-                if other != r and t >= 0:
-                    as_they_are = cost[r, s] + cost[other, t]
-                    doubtful = doubtful or cost[r, t] + cost[other, s] - as_they_are < 2.0 * _UNSURE_M
-            if unsure[s] and not doubtful:  # after bodies that were in one place, nobody knows who is who
-                number[s] = count
-                count += 1
-            unsure[s] = doubtful
-        for r in range(here):
-            s = slot_of[r]
-            if s < 0:
-                for free in range(_SLOTS):
-                    if owner[free] < 0 and (s < 0 or last[free] < 0 <= last[s]):
-                        s = free
-                if s < 0:
-                    continue
-                owner[s], number[s], unsure[s] = r, count, False
-                count += 1
-            last[s] = first + r
-            track[first + r] = number[s]
-        first = end
-
-
-@inner_kernel
-def _apart(one, other, mirror):  # type: ignore[no-untyped-def]
-    """Mean distance of the joints that two skeletons have in common, whichever side is called left.
-
-    Infinite where the joints are too few.
-    """
-    least = np.inf
-    for exchanged in range(2):
-        total, joints = 0.0, 0
-        for j in range(len(one)):
-            k = mirror[j] if exchanged else j
-            x, y, z = one[j, 0] - other[k, 0], one[j, 1] - other[k, 1], one[j, 2] - other[k, 2]
-            square = x * x + y * y + z * z
-            if square >= 0.0:
-                total += np.sqrt(square)
-                joints += 1
-        if joints >= _FEWEST_JOINTS:
-            least = min(least, total / joints)
-    return least
-
-
-def _by_motion(a: _Tracks, b: _Tracks) -> list[Index]:
+def _by_motion(a: Tracks, b: Tracks) -> list[Index]:
     """Corrections of B's times with which two of the longest tracks show one motion."""
     found = []
-    for i, j in product(a.longest(), b.longest()):
+    for i, j in product(a.longest(_TRIED), b.longest(_TRIED)):
         views = (of.people.view_of(of.rows([k])) for of, k in ((a, i), (b, j)))
         seen = [view.chosen_whole(np.flatnonzero(view.states.any(axis=1))) for view in views]
         clock = clock_by_motion(a.people.body, seen[0], seen[1])
@@ -234,7 +87,7 @@ def _by_motion(a: _Tracks, b: _Tracks) -> list[Index]:
     return found
 
 
-def _meetings(a: _Tracks, b: _Tracks, time_b: Index, moments: int | None) -> tuple[Index, Index]:
+def _meetings(a: Tracks, b: Tracks, time_b: Index, moments: int | None) -> tuple[Index, Index]:
     """Rows of A and of B of one moment: each skeleton of A with each of B."""
     frames = np.unique(a.people.frame)
     if moments is not None and len(frames) > moments:
@@ -272,7 +125,7 @@ class _Registered:
     score: float
 
     @staticmethod
-    def best(a: _Tracks, b: _Tracks, time_b: Index) -> _Registered | None:
+    def best(a: Tracks, b: Tracks, time_b: Index) -> _Registered | None:
         """That with which most people of both views are in one place, from the motion of any two tracks."""
         body = a.people.body
         rows_a, rows_b = _meetings(a, b, time_b, _MOMENTS)
@@ -316,18 +169,11 @@ def _fit(p: Array, q: Array) -> RigidTransform | None:
 def _sameness(a_from_b: RigidTransform, p: Array, q: Array) -> Array:
     """(n,) of two skeletons each: 1 where they are in one place, 0 where they cannot be one person."""
     apart = np.minimum(np.linalg.norm(p - a_from_b.apply(q), axis=2), 2.0 * _SAME_M)
-    mean = _mean(apart[:, :, None])[:, 0]
+    mean = mean_of_joints(apart[:, :, None])[:, 0]
     return np.asarray(np.maximum(0.0, 1.0 - (np.nan_to_num(mean, nan=np.inf) / _SAME_M) ** 2))
 
 
-def _mean(values: Array) -> Array:
-    """(n, 3) of (n, J, 3); NaN where nothing is known."""
-    known = np.isfinite(values)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
-
-
-def _chosen(a: _Tracks, b: _Tracks, found: _Registered) -> Followed | None:
+def _chosen(a: Tracks, b: Tracks, found: _Registered) -> Followed | None:
     """The person to follow, of those whom the registration makes out of the tracks."""
     rows = _meetings(a, b, found.time_b, None)
     together, mutual = _in_one_place(a, b, found.a_from_b, *rows)
@@ -372,7 +218,7 @@ def _of_views(members: list[int], count_a: int) -> tuple[list[int], list[int]]:
 
 
 def _in_one_place(
-    a: _Tracks, b: _Tracks, a_from_b: RigidTransform, rows_a: Index, rows_b: Index
+    a: Tracks, b: Tracks, a_from_b: RigidTransform, rows_a: Index, rows_b: Index
 ) -> tuple[Index, Index]:
     """(M_A, M_B) at how many moments two tracks are seen together, and are nearest to each other."""
     every = np.arange(len(a.track)), np.arange(len(b.track))
@@ -409,7 +255,7 @@ class _Groups:
 
 
 def _join_returning(
-    groups: _Groups, a: _Tracks, b: _Tracks, a_from_b: RigidTransform, begin: Index, end: Index
+    groups: _Groups, a: Tracks, b: Tracks, a_from_b: RigidTransform, begin: Index, end: Index
 ) -> None:
     """Joins people who went and came back: those first who are most alike in bones, place and time."""
     body, count_a = a.people.body, len(a.count)
@@ -477,7 +323,7 @@ def _bones(body: Body, positions: Array) -> Array:
     return medians
 
 
-def _off_axis(tracks: _Tracks, rows: Index) -> float:
+def _off_axis(tracks: Tracks, rows: Index) -> float:
     """Radians, how far from the axis of the view a person is in the mean."""
     at = tracks.centres(rows)
     bearing = np.abs(np.arctan2(at[:, 0], at[:, 2]))

@@ -159,7 +159,7 @@ class RecordedPeople(Rows[SensorFrame]):
     def only(self, name: str) -> RecordedPeople:
         """The frames with one person."""
         rows = self.rows_of([name])
-        skeletons = self.skeletons.chosen_whole(rows)
+        skeletons = self.skeletons.chosen_whole(rows) if len(rows) else self.skeletons
         return replace(self, ids=[name], frame=self.frame[rows], person=0 * rows, skeletons=skeletons)
 
     def rows_of(self, names: Sequence[str]) -> NDArray[np.int64]:

@@ -381,8 +381,8 @@ def _with_person(
     if found is None:
         line = (
             f"Several people are seen, {has}, and their motion does not tell who is the same in both: those "
+            f"seen longest are followed. {choose} the person."
         )
-        line += f"seen longest are followed. {choose} the person."
         return _told(_alone(read_a, choices[0]), line), _alone(read_b, choices[1])
     names = " and ".join(
         f"{_listed(read.people, rows)} of {side}"

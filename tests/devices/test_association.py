@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.association import follow_one, tracks_of
+from devices.association import follow_one
 from devices.people import RecordedPeople
+from devices.people_tracks import tracks_of
 from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import KINECT_V2
 from tests.helpers.two_people import (
