@@ -254,16 +254,21 @@ class Session(SessionData):
             return upright_direction(self.body, np.asarray(self.rows.fused[::step]))
 
     @property
+    def never_seen(self) -> tuple[str, ...]:
+        """Names of the joints that no sensor reports in any frame. S* there is a guess by the bones."""
+        return tuple(np.array(self.body.joints)[self.rows.never_seen].tolist())
+
+    @property
     def angles(self) -> AngleSeries:
-        """Joint angles of S*, computed now."""
+        """Joint angles of S*, computed now; NaN where they need a joint that was never seen."""
         rows, up = self.rows, self.up
-        sigma = angle_sigma(self.body, rows.fused, rows.filled("sigma"), up)
-        return AngleSeries(ANGLES, joint_angles(self.body, rows.fused, up), sigma)
+        sigma = angle_sigma(self.body, rows.seen, rows.filled("sigma"), up)
+        return AngleSeries(ANGLES, joint_angles(self.body, rows.seen, up), sigma)
 
     @property
     def gait(self) -> Gait:
         """Heel strikes, toe-offs and steps of S*, computed now; see :mod:`recordings.gait`."""
-        return find_gait(self.body, self.time_ns, self.fused, self.up, self.rows.sigma)
+        return find_gait(self.body, self.time_ns, self.rows.seen, self.up, self.rows.sigma)
 
     @property
     def bone_lengths(self) -> NDArray[np.float64]:

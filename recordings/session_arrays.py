@@ -228,6 +228,17 @@ class SessionArrays:
             + self.translation[:, None]
         )
 
+    @property
+    def never_seen(self) -> NDArray[np.bool_]:
+        """(J,) whether no sensor reports the joint in any frame: S* there is a guess by its bones."""
+        return np.asarray(~(self.states_a.any(axis=0) | self.states_b.any(axis=0)))
+
+    @property
+    def seen(self) -> NDArray[np.float64]:
+        """(T, J, 3) S*; NaN for joints that were never seen."""
+        never = self.never_seen
+        return np.where(never[:, None], np.nan, self.fused) if never.any() else self.fused
+
     def corrects(self, side: int) -> NDArray[np.bool_]:
         """(T,) whether A (0) or B (1) reports left and right exchanged, and S* corrects this."""
         codes = self.filled("exchanged")[:, side]

@@ -1,7 +1,8 @@
 """Export to marker files of biomechanics: C3D and OpenSim's TRC, in millimetres above the floor.
 
 C3D has z up, an even rate, at which S* is interpolated, and residual -1 for a gap. TRC has y up, one time per
-frame, and empty cells for gaps; as in OpenSim's models, a person who faces the first sensor faces +x.
+frame, and empty cells for gaps; as in OpenSim's models, a person who faces the first sensor faces +x. A joint
+that was never seen is a gap in both.
 """
 
 import errno
@@ -45,6 +46,7 @@ def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
         )
     floor_from_a = floor_under(session.rows).inverse()
     positions = floor_from_a.apply(session.at(even.time_ns)) * 1e3  # (N, J, 3)
+    positions[:, session.rows.never_seen] = np.nan
     N, J = positions.shape[:2]
     points = np.full((4, J, N), np.nan)
     points[:3] = (positions[..., [0, 2, 1]] * [1.0, 1.0, -1.0]).transpose(2, 1, 0)
@@ -82,12 +84,15 @@ def write_trc(session: Session, path: Path) -> str:
         "\t\t" + "\t".join(f"X{j}\tY{j}\tZ{j}" for j in range(1, J + 1)),
         "",
     ]
-    floor_from_a = floor_under(rows).inverse()
+    floor_from_a, never = floor_under(rows).inverse(), rows.never_seen[:, None]
     with path.open("w", encoding="utf-8") as file:
         file.write("\n".join(lines) + "\n")
         number = count(1)
         for part in rows.parts():
-            millimetres = floor_from_a.apply(part.fused)[..., [2, 1, 0]].reshape(len(part), -1) * -1e3
+            millimetres = (
+                floor_from_a.apply(np.where(never, np.nan, part.fused))[..., [2, 1, 0]].reshape(len(part), -1)
+                * -1e3
+            )
             for time_ns, values in zip(part.time_ns.tolist(), millimetres.tolist(), strict=True):
                 cells = ("" if isnan(v) else f"{v:.4f}" for v in values)
                 file.write(f"{next(number)}\t{time_ns * 1e-9:.6f}\t" + "\t".join(cells) + "\n")

@@ -15,8 +15,12 @@ from recordings.session import AngleSeries, Session
 
 
 def write_mot(session: Session, path: Path) -> str:
-    """Writes one row per frame at the times they were recorded; nan where an angle is unknown."""
-    columns = coordinates(session.angles)
+    """Writes one row per frame at the times they were recorded; nan where an angle is unknown.
+
+    Angles that need a joint that was never seen have no column.
+    """
+    found = coordinates(session.angles)
+    columns = {name: values for name, values in found.items() if np.isfinite(values).any()}
     header = [session.name.removesuffix(".rrd"), "version=1", f"nRows={len(session)}"]
     header += [f"nColumns={len(columns) + 1}", "inDegrees=yes", "endheader", "\t".join(["time", *columns])]
     rows = np.stack([session.time_ns * 1e-9, *columns.values()], axis=1)

@@ -18,7 +18,7 @@ from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 
 _STATES = np.array(["not_tracked", "inferred", "tracked"])
-_FUSED_STATES = np.array(["fused", "predicted"])
+_FUSED_STATES = np.array(["fused", "predicted", "never_seen"])
 
 
 def write_long_csv(session: Session, path: Path) -> str:
@@ -64,6 +64,7 @@ def write_npz(session: Session, path: Path) -> str:
             **arrays,
             body=np.array(rows.body.name),
             joints=np.array(rows.body.joints),
+            never_seen=rows.never_seen,
             bones=np.array(rows.body.bones),
             parents=rows.body.parent_indices,
             angle_names=np.array(angles.names),
@@ -107,9 +108,10 @@ def wide_table(session: Session) -> pa.Table:
     walks, and ``gait``: the events nearest to the frame, such as ``heel_strike_left``."""
     rows, angles = session.rows, session.angles
     columns: dict[str, pa.Array] = {"frame": pa.array(rows.frame), "time_s": pa.array(rows.time_ns * 1e-9)}
+    positions = rows.seen
     for j, joint in enumerate(rows.body.joints):
         for axis in range(3):
-            columns[f"{joint}_{'xyz'[axis]}"] = pa.array(rows.fused[:, j, axis], from_pandas=True)
+            columns[f"{joint}_{'xyz'[axis]}"] = pa.array(positions[:, j, axis], from_pandas=True)
     for name in angles.names:
         columns[name] = pa.array(angles[name], from_pandas=True)
     gait = session.gait
@@ -129,4 +131,5 @@ def _skeletons(
     yield "a", rows.positions_a.astype(np.float64), _STATES[rows.states_a], rows.weights_a
     yield "b", rows.b_in_a, _STATES[rows.states_b], rows.weights_b
     nothing = np.full(rows.predicted.shape, np.nan, dtype=np.float32)
-    yield "fused", rows.fused, _FUSED_STATES[rows.predicted.astype(np.int64)], nothing
+    states = np.where(rows.never_seen, 2, rows.predicted.astype(np.int64))
+    yield "fused", rows.seen, _FUSED_STATES[states], nothing

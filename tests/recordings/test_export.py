@@ -19,6 +19,7 @@ from recordings.errors import RecordingError
 from recordings.export import writer_for
 from recordings.export.bvh import _continuous_angles
 from recordings.export.even_frames import even_moments
+from recordings.export.tables import long_table, wide_table
 from recordings.file.session_writer import write_session
 from recordings.gait import SIDES
 from recordings.interpolation import positions_at, sigma_at
@@ -50,6 +51,24 @@ def exported(session, name, **how):
     path = session.path.with_name(name)
     writer_for(path, **how)(session, path)
     return path
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_joint_that_was_never_seen_has_no_place_and_no_angle(session, seed):
+    rows, random = session.rows, np.random.default_rng(seed)
+    never = random.random(len(session.body)) < 0.2
+    states = {f"states_{view}": np.where(never, 0, getattr(rows, f"states_{view}")) for view in "ab"}
+    changed = replace(session, rows=replace(rows, **states))
+    assert changed.never_seen == tuple(np.array(session.body.joints)[never])
+    table = long_table(changed).to_pandas()
+    fused = table[table.skeleton == "fused"]
+    np.testing.assert_array_equal(fused.state == "never_seen", np.tile(never, len(rows)))
+    expected = np.where(never[:, None], np.nan, rows.fused)
+    np.testing.assert_array_equal(fused[["x", "y", "z"]], expected.reshape(-1, 3))
+    columns = [f"{joint}_{axis}" for joint in session.body.joints for axis in "xyz"]
+    wide = wide_table(changed).to_pandas()[columns]
+    np.testing.assert_array_equal(wide, expected.reshape(len(rows), -1))
+    np.testing.assert_array_equal(changed.angles.degrees, joint_angles(session.body, expected, changed.up))
 
 
 def test_long_csv_has_every_skeleton_in_k_a_s_frame(session):

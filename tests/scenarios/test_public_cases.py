@@ -5,7 +5,7 @@ import pytest
 
 from devices.simulated.kinect import simulated_pair
 from fusion.body import BODIES
-from recordings import fuse
+from recordings import Session, fuse
 from tests.helpers.command_line import duplex, one_line
 from viewer_app.report.figures import report
 from viewer_app.report.words import lead_lines
@@ -56,6 +56,12 @@ def test_case_3_ticks_of_100_ns(case):
     assert "ticks of 100 ns, so that there are 30 frames per second" in said(session)
 
 
+def test_case_4_two_people_whom_the_trackers_number_otherwise(case):
+    session = fuse(*case(4))
+    assert "The one followed is '1' of A and '2' of B" in said(session)
+    assert report(session)["views_agree_mm"]["median"] < 50.0
+
+
 @pytest.mark.parametrize("lines", [2, 3])
 def test_case_5_a_program_that_logs_faster_than_its_tracker(tmp_path, lines):
     """A walk, each frame logged ``lines`` times; as without repeated lines."""
@@ -93,3 +99,32 @@ def test_case_8_confidence_is_a_state(case, tmp_path):
 def test_case_10_times_that_lost_their_digits(case, capsys):
     assert duplex("fuse", *case(10), "--no-viewer") == 2
     assert "the times lost their digits: 800 rows have one time, such as 1.59379e+15" in one_line(capsys)
+
+
+def test_case_6_a_sensor_on_its_side_is_where_it_looks(case, tmp_path):
+    a, b = case(6)
+    assert duplex("fuse", a, b, "--no-viewer", "--save", tmp_path / "s.rrd") == 0
+    assert duplex("export", tmp_path / "s.rrd", "--to", tmp_path / "s.trc") == 0
+    lines = [line.split("\t") for line in (tmp_path / "s.trc").read_text().splitlines()]
+    pelvis = [float(cell) for cell in lines[6][2:5]]
+    np.testing.assert_allclose(pelvis, (-2580.0, 911.0, 0.0), atol=10.0)  # +x towards the first sensor
+
+
+def test_case_7_joints_that_were_never_seen_are_exported_as_gaps(case, tmp_path, capsys):
+    a, b = case(7)
+    session_file, trc, mot = (tmp_path / name for name in ("s.rrd", "s.trc", "s.mot"))
+    assert duplex("fuse", a, b, "--no-viewer", "--save", session_file) == 0
+    never = [joint for joint in Session.open(session_file).never_seen if "Knee" in joint]
+    assert never == ["KneeLeft", "KneeRight"]
+    capsys.readouterr()
+    for file in (trc, mot):
+        assert duplex("export", session_file, "--to", file) == 0
+        assert "No sensor ever saw" in capsys.readouterr().out
+    lines = [line.split("\t") for line in trc.read_text().splitlines()]
+    knee = lines[3].index("KneeLeft")
+    assert all(row[knee : knee + 3] == ["", "", ""] for row in lines[6:])
+    head = lines[3].index("Head")
+    assert all(all(row[head : head + 3]) for row in lines[6:])
+    columns = mot.read_text().split("endheader\n")[1].splitlines()[0].split("\t")
+    assert "knee_angle_l" not in columns
+    assert "elbow_flex_l" in columns

@@ -33,7 +33,8 @@ def doubtful_seconds(
 ) -> dict[str, float | str | None]:
     """How long each doubt lasts, in seconds; None where unknown.
 
-    ``all`` is how long the session lasts, without gaps; ``limb`` is uncertain for longest.
+    ``all`` is how long the session lasts, without gaps; ``limb`` is uncertain for longest. A wrist or ankle
+    that was never seen is not uncertain but missing.
 
     Args:
         apart: (N,) metres between the views in the last frames, those since the calibration.
@@ -53,7 +54,7 @@ def doubtful_seconds(
         figures["views_apart"] = float(lasts[len(lasts) - len(apart) :][1e3 * apart > USABLE].sum())
     if rows.sigma is not None:
         ends = [rows.body.joint(end) for end in _ENDS.values()]
-        uncertain = 1e3 * rows.sigma[:, ends] > UNCERTAIN
+        uncertain = (1e3 * rows.sigma[:, ends] > UNCERTAIN) & ~rows.never_seen[ends]
         figures["limb_uncertain"] = float(lasts[uncertain.any(axis=1)].sum())
         if uncertain.any():
             figures["limb"] = list(_ENDS)[int((lasts @ uncertain).argmax())]
