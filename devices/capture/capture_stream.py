@@ -81,9 +81,7 @@ class CaptureStream(ABC):
         return moment
 
     def take(self, wait: bool = True) -> Moment | None:
-        """The newest wanted moment, or None if there is none yet.
-
-        One before it that waited for an image in vain comes first, by a call of its own.
+        """The newest wanted moment, after one before it that waited for an image in vain; None without.
 
         Raises:
             DeviceError: Unplugged, or stalled.

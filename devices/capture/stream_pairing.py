@@ -15,22 +15,21 @@ Pure: time is passed in, nothing waits.
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass, field, replace
-from itertools import islice, pairwise
+from dataclasses import dataclass, replace
+from itertools import islice
 from statistics import median_low
-from typing import Literal, NamedTuple
+from typing import Literal
 
-from devices.capture.host_clock import HostClock, OutputTime, Timing
+from devices.capture.host_clock import OutputTime
+from devices.capture.incoming_stream import NEWEST_NS, PENDING, Arrived, IncomingStream
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.skeleton import SkeletonPair
 
 Side = Literal["a", "b"]
-_PENDING = 8
-_SLOWEST_NS, _NEWEST_NS = 10_000_000_000, 1_000_000_000
 _SYNCED_PAIRS, _SYNCED_ENOUGH = 61, 15  # pairs on a cable that tell the offset, at most and at least
 _ONE_CLOCK_NS = 1_000_000  # own times of two frames on a cable that agree to so much are of one clock
-_AGREE, _AGREE_ENOUGH = 8, 3  # newest frames of a sensor that tell it, and how many of them must agree
+_AGREE_ENOUGH = 3  # of the newest frames of a sensor must agree
 PATIENCE_NS = 5_000_000
 """A frame waits this much longer than the partner's slowest frame of the last ten seconds took."""
 
@@ -58,93 +57,6 @@ class PairingFigures:
     def unpaired(self) -> tuple[int, int]:
         """Frames of A and of B without a partner."""
         return self.alone_a, self.alone_b + self.unmatched_b
-
-
-class _Taken(NamedTuple):
-    """A frame that arrived, with what this machine's clock said then."""
-
-    at_ns: int
-    moment_ns: int  # its capture; of B the capture of A's partner, which is the cable's delay earlier
-    frame: SensorFrame
-
-
-@dataclass(eq=False)
-class _Stream:
-    """One sensor's frames that wait for a partner, in capture order, and how its frames come."""
-
-    delay_ns: int = 0  # how much later than its partner it captures
-    clock: HostClock = field(default_factory=HostClock)
-    waiting: list[_Taken] = field(default_factory=list)
-    recent: deque[tuple[int, int, int]] = field(default_factory=deque)
-    """Arrival, moment and own time of the frames of ten seconds; no frame, which would keep its images."""
-    agree: deque[bool] = field(default_factory=lambda: deque(maxlen=_AGREE))
-    """On a cable, of the newest frames: whether the other sensor had given one of the same time before."""
-    used_ns: int | None = None
-    came_ns: int | None = None  # when the last one arrived, or the first one of the other sensor
-    gone: bool = False
-
-    def oddity(self, frame: SensorFrame, now_ns: int) -> str:
-        """Feeds the clock with a frame, once, before :meth:`take`.
-
-        Returns:
-            What is odd about the frame, as :class:`PairingFigures` counts it; else empty.
-        """
-        times = [time_ns for _, _, time_ns in self.recent]
-        if frame.time_ns in times:
-            return "repeated"
-        timing = self.clock.observe(frame.time_ns, now_ns if frame.host_ns is None else frame.host_ns)
-        if timing is Timing.RESET:
-            return "resets"
-        if timing is Timing.LATE or (self.used_ns is not None and frame.time_ns <= self.used_ns):
-            return "late"
-        return "reordered" if frame.time_ns < max(times, default=frame.time_ns) else ""
-
-    def take(self, frame: SensorFrame, now_ns: int, clock_ns: int | None) -> None:
-        """Gives a frame its moment and its place among those that wait.
-
-        Args:
-            clock_ns: This machine's clock minus the sensor's; None before any frame told it.
-        """
-        taken = _Taken(now_ns, frame.time_ns + (clock_ns or 0) - self.delay_ns, frame)
-        self.waiting.append(taken)
-        self.waiting.sort(key=lambda each: each.frame.time_ns)
-        self.recent.append((now_ns, taken.moment_ns, frame.time_ns))
-        while self.recent[0][0] < now_ns - _SLOWEST_NS:
-            self.recent.popleft()
-
-    def use(self, count: int) -> list[_Taken]:
-        """Takes the first frames out."""
-        used, self.waiting = self.waiting[:count], self.waiting[count:]
-        self.used_ns = used[-1].frame.time_ns
-        return used
-
-    def forget(self) -> list[_Taken]:
-        """Starts anew, because the clock does; returns what waited."""
-        waited, self.waiting, self.used_ns = self.waiting, [], None
-        self.recent.clear()
-        self.agree.clear()
-        return waited
-
-    def set_clock(self, clock_ns: int) -> None:
-        """Gives the frames so far their moments by another offset of the clock."""
-        shift_ns = clock_ns - self.delay_ns
-        self.waiting = [each._replace(moment_ns=each.frame.time_ns + shift_ns) for each in self.waiting]
-        self.recent = deque((at, time_ns + shift_ns, time_ns) for at, _, time_ns in self.recent)
-
-    def usual_lag_ns(self) -> int | None:
-        """Median time from capture to arrival of the newest second; None before a few frames came."""
-        if len(self.recent) < _PENDING:
-            return None
-        since_ns = self.recent[-1][0] - _NEWEST_NS
-        return median_low(at - moment for at, moment, _ in self.recent if at >= since_ns) - self.delay_ns
-
-    def next_after(self, host_ns: int) -> int | None:
-        """The first moment from this time on, by the rate so far; None in the first second."""
-        if len(self.recent) < _PENDING or self.recent[-1][0] - self.recent[0][0] < _NEWEST_NS:
-            return None
-        moments = sorted(moment for _, moment, _ in islice(reversed(self.recent), 2 * _PENDING))
-        interval_ns = max(median_low(later - earlier for earlier, later in pairwise(moments)), 1)
-        return moments[-1] + max(-((moments[-1] - host_ns) // interval_ns), 1) * interval_ns
 
 
 class LivePairing:
@@ -180,8 +92,8 @@ class LivePairing:
         self._least_lag_ns, self._least_gone_ns = max_lag_ns, gone_after_ns
         self.set_interval(interval_ns)
         self.sync_delay_ns, self.every_frame = sync_delay_ns, True
-        self._a, self._b = _Stream(), _Stream(sync_delay_ns or 0)
-        self._streams: dict[Side, _Stream] = {"a": self._a, "b": self._b}
+        self._a, self._b = IncomingStream(), IncomingStream(sync_delay_ns or 0)
+        self._streams: dict[Side, IncomingStream] = {"a": self._a, "b": self._b}
         self._synced: deque[int] = deque(maxlen=_SYNCED_PAIRS)  # B's clock minus A's, of pairs on the cable
         self._one_clock = False  # whether the master on the cable has set the subordinate's clock
         self._counts: Counter[str] = Counter()
@@ -207,7 +119,7 @@ class LivePairing:
         one clock and two seconds of frames."""
         a, b = self._a.clock.offset_ns, self._b.clock.offset_ns
         recent = [each.recent for each in self._streams.values()]
-        settled = all(each and each[-1][0] - each[0][0] >= 2 * _NEWEST_NS for each in recent)
+        settled = all(each and each[-1][0] - each[0][0] >= 2 * NEWEST_NS for each in recent)
         if not self._one_clock or not settled or a is None or b is None:
             return 0
         return b - a + self._one_clock_ns()
@@ -251,7 +163,7 @@ class LivePairing:
         self._streams[side].clock.restart()
         return self._forget(self._streams[side])
 
-    def _forget(self, stream: _Stream) -> list[FramePair]:
+    def _forget(self, stream: IncomingStream) -> list[FramePair]:
         """Forgets what is on a sensor's old clock.
 
         Its frames that waited are given alone, those of B only with ``every_frame``.
@@ -283,7 +195,7 @@ class LivePairing:
                 return self._alone(stream, stream.use(1), unmatched=not gone)
         return None
 
-    def _compare_clocks(self, stream: _Stream, time_ns: int) -> None:
+    def _compare_clocks(self, stream: IncomingStream, time_ns: int) -> None:
         """Finds whether both clocks are one, from a new frame of one sensor and the other's frames so far.
 
         The frames of the sensor that comes later find their partners there.
@@ -295,7 +207,7 @@ class LivePairing:
         if stream is self._b:
             other, ahead_ns = self._a, -ahead_ns
         wanted_ns = time_ns - stream.delay_ns + other.delay_ns + ahead_ns
-        near = (abs(own_ns - wanted_ns) for _, _, own_ns in islice(reversed(other.recent), 4 * _PENDING))
+        near = (abs(own_ns - wanted_ns) for _, _, own_ns in islice(reversed(other.recent), 4 * PENDING))
         stream.agree.append(min(near, default=_ONE_CLOCK_NS) < _ONE_CLOCK_NS)
         before, most = self._one_clock, max(sum(each.agree) for each in self._streams.values())
         self._one_clock = abs(a - b) <= self.max_lag_ns and most >= _AGREE_ENOUGH
@@ -304,7 +216,7 @@ class LivePairing:
             for each in self._streams.values():
                 each.set_clock(self._clock_ns(each) or 0)
 
-    def _clock_ns(self, stream: _Stream) -> int | None:
+    def _clock_ns(self, stream: IncomingStream) -> int | None:
         """This machine's clock minus a sensor's; where theirs are one, by the sensor with the least delay."""
         a, b = self._a.clock.offset_ns, self._b.clock.offset_ns
         if not self._one_clock or a is None or b is None:
@@ -340,7 +252,9 @@ class LivePairing:
         self._skew_ns = skew_ns + self._b.delay_ns
         return self._given(a, b, self._skew_ns)
 
-    def _alone(self, stream: _Stream, frames: list[_Taken], unmatched: bool = True) -> list[FramePair]:
+    def _alone(
+        self, stream: IncomingStream, frames: list[Arrived], unmatched: bool = True
+    ) -> list[FramePair]:
         """Frames without a partner; ``unmatched`` where the other sensor is there all the same."""
         if stream is self._a:
             return [pair for taken in frames for pair in self._given(taken, None)]
@@ -349,7 +263,7 @@ class LivePairing:
             return []
         return [pair for taken in frames for pair in self._given(None, taken)]
 
-    def _given(self, a: _Taken | None, b: _Taken | None, skew_ns: int = 0) -> list[FramePair]:
+    def _given(self, a: Arrived | None, b: Arrived | None, skew_ns: int = 0) -> list[FramePair]:
         """The pair without a person, later than the last one; none where its time has passed."""
         if a is not None:
             time_ns = self._time.of_sensor(a.frame.time_ns, a.moment_ns)
@@ -363,7 +277,7 @@ class LivePairing:
         pair = SkeletonPair(None, None, given_ns, skew_ns if a else time_ns - given_ns)
         return [FramePair(a and a.frame, b and b.frame, pair)]
 
-    def _has_waited(self, stream: _Stream, other: _Stream, now_ns: int) -> bool:
+    def _has_waited(self, stream: IncomingStream, other: IncomingStream, now_ns: int) -> bool:
         """Whether the partner of a stream's oldest frame would have come by now, or too many frames wait.
 
         =============================== ============================================================
@@ -386,8 +300,8 @@ class LivePairing:
         slowest_ns = max((at - moment for at, moment, _ in other.recent), default=self.max_lag_ns)
         until_ns = max(due_ns + min(slowest_ns, self.max_lag_ns), at_ns) + patience_ns
         longest_ns = at_ns + self.max_lag_ns + self.interval_ns
-        return now_ns >= min(until_ns, longest_ns) or len(stream.waiting) > _PENDING
+        return now_ns >= min(until_ns, longest_ns) or len(stream.waiting) > PENDING
 
-    def _is_gone(self, stream: _Stream, now_ns: int) -> bool:
+    def _is_gone(self, stream: IncomingStream, now_ns: int) -> bool:
         silent_ns = 0 if stream.came_ns is None else now_ns - stream.came_ns
         return stream.gone or silent_ns > self._gone_after_ns
