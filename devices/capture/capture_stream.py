@@ -148,7 +148,8 @@ class LiveSensor(Sensor):
         decimation: Which moments are given. Those skipped on purpose do not count as missed.
         registered: Gives the RGB image on the depth's pixels of the frame given last, for sensors whose
             frames have no infrared; else None.
-        on_capture: Gets every frame of the SDK's queue, wanted or not, with all images, for a recording.
+        on_capture: Gets for a recording, with all images, every frame given and, while there is time
+            (``RecordingTime``), every other one of the SDK queue.
         color_camera: The camera of the frames' colour images, once it is open; None where they have none.
         calibration_json: What an Azure Kinect stores, once it is open; empty for other sensors.
         awaits: What opening, the body tracker or closing waits for, if that may take long; else empty.

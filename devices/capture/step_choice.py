@@ -30,8 +30,8 @@ class StepChoice:
     The slowest tracker decides. More are left out as soon as it falls behind; fewer, only after it was fast
     enough for five seconds. If the tracker falls behind again within that waiting time, the attempt is taken
     back, and the next one waits twice as long, at most 80 s: a tracker may be fast only while it has fewer
-    frames, because the two share a GPU. A tracker
-    that gives nothing for two seconds does not count.
+    frames, because the two share a GPU. A tracker that gives nothing for two seconds and twice its newest
+    time does not count from the next result on.
 
     Attributes:
         step: Every which moment is kept; 1 keeps all.

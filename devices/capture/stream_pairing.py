@@ -2,12 +2,12 @@
 
 The sensors' clocks start anywhere and drift apart. Arrivals tell the offset between them. With a sync cable
 the sensors capture at the same moments, a fixed delay apart. The master sets the subordinate's clock, so that
-both are one, whatever the arrivals say: frames whose own times agree are of one moment. Where it does not set
-it, the pairs found so far tell the offset to the microsecond.
+both are one, even where the arrivals say otherwise by up to the longest lag: frames whose own times agree are
+of one moment. Where it does not set it, the pairs found so far tell the offset to the microsecond.
 
-Each frame gets its moment on this machine's clock when it arrives, once. By it a frame waits for its partner.
-Pairs carry A's time, continued where A's clock is reset. It never goes back. The person has not been selected
-yet: see :mod:`devices.people`.
+Each frame gets its moment on this machine's clock when it arrives; those so far get a new one when the clocks
+are found to be one. By it a frame waits for its partner. Pairs carry A's time, continued where A's clock is
+reset. It never goes back. The person has not been selected yet: see :mod:`devices.people`.
 
 Pure: time is passed in, nothing waits.
 """

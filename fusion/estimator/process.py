@@ -19,7 +19,7 @@ _LEAST_STEP_SECONDS = 1.0 / 60.0  # half a frame: a movement that surprises take
 _LEAST_SURPRISE = 1e-3  # a smaller surprise has no visible effect
 _AGREED, _DISPROVED = 0.05, 0.2  # m: views that are as near as that have no offsets that are so far apart
 _ASTRAY = 0.08  # m from where the views see a point of the body
-_ASTRAY_SECONDS = 0.1  # over which the variance grows to the square of that distance
+_ASTRAY_SECONDS = 0.1  # in which the square of that distance is added to the variance
 _IMPOSSIBLE = 0.3, 6.0  # m and m/s: nobody moves farther between two frames
 
 
@@ -137,10 +137,10 @@ def inflate_where_astray(model, state, views, trace, k, dt):  # type: ignore[no-
 
     Points that no exchange of labels moves are compared: joints on the middle line, and the middles of pairs.
     A point is astray if every view that measures it is farther away than half of the views' distance and
-    8 cm; the offset of a view alone counts as right. S* is astray while more than half of the points are. Its
-    variance then grows to the mean square of that distance within a tenth of a second. After 0.3 s, and at
-    once where both views show a jump that nobody can make, S* starts anew with the next pair
-    (:func:`elapsed`). Where too little is seen, nothing changes.
+    8 cm; the offset of a view alone counts as right. S* is astray while more than half of the points are.
+    Each pair then adds to the variance the mean square of that distance, a third per axis, times dt over a
+    tenth of a second, at most once. After 0.3 s, and at once where both views show a jump that nobody can
+    make, S* starts anew with the next pair (:func:`elapsed`). Where too little is seen, nothing changes.
     """
     seen = far = jumped = every = 0
     total = 0.0
