@@ -148,7 +148,7 @@ def test_recordings_give_the_same_s_as_live_did(live, standin, tmp_path):
     given = (*tracker, "--no-viewer", "--calibrate", calibration, "--save")
     assert duplex("live", *files, *given, tmp_path / "l.rrd") == 0
     assert duplex("fuse", *files, *given, tmp_path / "f.rrd") == 0
-    for name, whole in (("l", np.max), ("f", np.median)):  # fuse knows later frames, too
+    for name in "lf":
         now = Session.open(tmp_path / f"{name}.rrd")
         for side in "ab":
             _, i, j = np.intersect1d(
@@ -160,6 +160,9 @@ def test_recordings_give_the_same_s_as_live_did(live, standin, tmp_path):
         # on a busy machine live loses frames, and S* of what follows is another
         same = _same_pairs(was, now)
         off = np.linalg.norm(was.fused[:same] - now.fused[:same], axis=2)
+        # fuse knows later frames; live may find later that both clocks are one, which is 0.16 ms of skew
+        skews = (_column(each, "skew_ns")[:same] for each in (was, now))
+        whole = np.max if name == "l" and np.array_equal(*skews) else np.median
         assert same == 0 or whole(off) < 1e-4, name
 
 
