@@ -92,13 +92,15 @@ def checked(path: Path, found: FoundPoints, stated: StatedFormat = UNSTATED) -> 
         rows, skeletons = rows[there], skeletons.chosen_whole(np.flatnonzero(there))
     about_hands = stated.check_handed(path, body, skeletons.positions)
     frame = (np.cumsum(~drop) - 1)[found.frame[rows]]
-    people = RecordedPeople(body, found.time_ns[~drop], found.ids, frame, found.person[rows], skeletons)
+    seen, person = np.unique(found.person[rows], return_inverse=True)
+    ids = [found.ids[k] for k in seen]
+    people = RecordedPeople(body, found.time_ns[~drop], ids, frame, person, skeletons)
     if people.ids and not skeletons.states.any():
         raise DeviceError(f"{path}: no joint has a position in any frame.")
     lines = [*found.warnings, *told, *about_places, *about_unit, *about_positions, *about_hands]
     if people.ids:
         first = people.ids.index(people.choose_person(None, str(path), ""))
-        of = found.person[rows] == first
+        of = person == first
         lines += upside_down(
             path, body, skeletons.positions[np.flatnonzero(of)[:: max(1, of.sum() // _SAMPLES)]]
         )
