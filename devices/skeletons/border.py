@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from devices.people import RecordedPeople
 from devices.sensor import DeviceError
 from devices.skeletons.read_file import FoundPoints
-from devices.skeletons.repetition import FEWEST, kept_places, logged_again, repeats_of
+from devices.skeletons.repetition import ALMOST_ALWAYS, FEWEST, kept_places, logged_again, repeats_of
 from devices.skeletons.stated_format import UNSTATED, StatedFormat, Unit
 from fusion.body import Body
 from fusion.large_arrays import parts
@@ -41,7 +41,6 @@ No other unit's range comes near."""
 _FEWEST_BONES = 3
 _LARGEST = 1e9  # in any unit; a larger number is an error
 _UPSIDE_DOWN_M = 0.3
-_ALMOST_ALWAYS = 0.9
 _SAMPLES = 1000
 
 
@@ -104,7 +103,7 @@ def checked(path: Path, found: FoundPoints, stated: StatedFormat = UNSTATED) -> 
         lines += upside_down(
             path, body, skeletons.positions[np.flatnonzero(of)[:: max(1, of.sum() // _SAMPLES)]]
         )
-        if of.sum() >= FEWEST and repeats[rows][of][1:].mean() > _ALMOST_ALWAYS:
+        if of.sum() >= FEWEST and repeats[rows][of][1:].mean() > ALMOST_ALWAYS:
             lines.append(
                 f"{path}: almost every frame repeats the one before. Its body tracker did not follow the "
                 "person."
@@ -240,7 +239,7 @@ def upside_down(name: object, body: Body, positions: NDArray[np.floating]) -> li
         y[:, body.joint("ankle left")], y[:, body.joint("ankle right")]
     )
     known = below[np.isfinite(below)]
-    if len(known) == 0 or np.mean(known > _UPSIDE_DOWN_M) <= _ALMOST_ALWAYS:
+    if len(known) == 0 or np.mean(known > _UPSIDE_DOWN_M) <= ALMOST_ALWAYS:
         return []
     return [
         f"{name}: the head is below the feet in almost every frame. The y axis must point down; state the "

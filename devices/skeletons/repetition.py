@@ -15,6 +15,7 @@ LOGGED_TWICE = 0.2  # of the frames: more repeat the one before where a program 
 _ONE_FRAME_NS = 250_000_000  # the longest time between two frames of a tracker
 _DIGITS = 200  # steps within a person: centimetres are fewer, millimetres more
 _MOVES = 0.5  # of the other points, while a joint keeps its place
+ALMOST_ALWAYS = 0.9  # of the frames of one person
 
 
 def repeats_of(found: FoundPoints) -> NDArray[np.bool_]:
@@ -91,10 +92,11 @@ def kept_places(
         equal = (at == after).all(axis=2) & known
         moving = (known & ~equal).sum(axis=1) > _MOVES * known.sum(axis=1)
         same[1:][part] = equal & (moving & (found.person[one] == found.person[other]))[:, None]
-    frames = 0.9 * len(order) if _is_coarse(found) else FEWEST
+    person = found.person[order]
+    frames = np.maximum(FEWEST, (ALMOST_ALWAYS if _is_coarse(found) else 0.0) * np.bincount(person)[person])
     for point in range(count):
         run = np.cumsum(~same[:, point])
-        keeps[order, point] = np.bincount(run)[run] >= max(frames, FEWEST)
+        keeps[order, point] = np.bincount(run)[run] >= frames
     if not keeps.any():
         return keeps, []
     names = [found.points.named(int(point)) for point in np.flatnonzero(keeps.any(axis=0))]

@@ -280,6 +280,22 @@ def test_a_calm_joint_in_centimetres_is_not_taken_for_unseen(tmp_path):
     assert (read.people.skeletons.states == 2).all()
 
 
+@pytest.mark.parametrize("people", [1, 2])
+def test_feet_at_a_constant_place_in_whole_centimetres_are_unseen(tmp_path, people):
+    path = tmp_path / "a.csv"
+    walking = TRUE + np.random.default_rng(1).normal(0.0, 0.02, (FRAMES, 1, 3))
+    feet = [k for k, name in enumerate(KINECT_V2.joints) if name.startswith("Foot")]
+    lines = []
+    for person in range(people):
+        whole = np.rint(100.0 * (walking + person))
+        whole[:, feet] = 30, 90, 140
+        header, *rows = write_view(path, KINECT_V2, whole).read_text().splitlines()
+        lines += [row.replace(",0,", f",{person},", 1) for row in rows]
+    path.write_text("\n".join([header, *lines]) + "\n")
+    seen = opened(path).people.skeletons.states.any(axis=0)
+    assert np.flatnonzero(~seen).tolist() == feet
+
+
 def test_people_without_a_column_body_are_refused(tmp_path):
     path = tmp_path / "a.csv"
     lines = write_view(path, KINECT_V2, TRUE).read_text().splitlines()
