@@ -14,7 +14,7 @@ from itertools import combinations, pairwise, product
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.pairing import clock_by_motion, median_interval
+from devices.pairing import clock_by_motion, median_interval, nearest_of
 from devices.people import RecordedPeople
 from devices.people_tracks import Tracks, mean_of_joints
 from fusion.body import Body
@@ -30,14 +30,14 @@ _MOMENTS = 300  # at which the registration is looked for
 _TRIED = 3  # longest tracks of each view
 _FITTED = 60  # moments of one fit
 _SAME_M = 0.3  # mean distance of the joints of one person in two views, at most
-_SAME_PLACE_M = 0.3  # the same of the centres
+_SAME_PLACE_M = 0.3  # distance of the centres of one person in two views, at most
 _LEAST_FIT, _CLEAR_FIT = 0.2, 0.8  # of the skeletons that can have a partner
 _MUTUAL = 0.5  # of the moments that two tracks have in common
 _ENOUGH = 15  # such moments; people who pass each other have less
 _DIFFERENT_BONES = 0.2  # of a length, median: other people, as a child and a grown-up
 _BONE_ERROR = 0.06
 _PLACE_M, _WALK_M_S, _ROOM_M = 0.3, 0.7, 2.0
-"""How far from where they were last seen people come back: at once, more with each second, at most."""
+"""People come back this far from where they were last seen: at once, more for each second, and at most."""
 _FAR = 4.0  # standard deviations: a farther place tells no more
 _ABOUT_AS_LONG = 0.9
 _OTHERS = 0.05  # of the time of the person followed: those who are seen for less are not counted
@@ -88,7 +88,11 @@ def _by_motion(a: Tracks, b: Tracks) -> list[Index]:
 
 
 def _meetings(a: Tracks, b: Tracks, time_b: Index, moments: int | None) -> tuple[Index, Index]:
-    """Rows of A and of B of one moment: each skeleton of A with each of B."""
+    """Rows of A and of B that are of one moment: each skeleton of A with each of B.
+
+    Args:
+        moments: The largest number of A's frames that are used. None: all.
+    """
     frames = np.unique(a.people.frame)
     if moments is not None and len(frames) > moments:
         frames = frames[np.linspace(0, len(frames) - 1, moments).astype(np.int64)]
@@ -96,10 +100,7 @@ def _meetings(a: Tracks, b: Tracks, time_b: Index, moments: int | None) -> tuple
     if not len(frames) or not len(others):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     times, at = a.people.time_ns[frames], time_b[others]
-    after = np.clip(np.searchsorted(at, times), 1, max(len(at) - 1, 1))
-    after = np.minimum(after, len(at) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(at[before] - times) <= np.abs(at[after] - times), before, after)
+    nearest = nearest_of(times, at)
     tolerance = max(median_interval(a.people.time_ns), median_interval(b.people.time_ns))
     near = np.abs(at[nearest] - times) <= tolerance
     frames, others = frames[near], others[nearest[near]]
@@ -118,7 +119,7 @@ def _meetings(a: Tracks, b: Tracks, time_b: Index, moments: int | None) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class _Registered:
-    """A registration of the sensors, and how many skeletons it puts in one place."""
+    """A registration of the sensors, B's corrected times, and how many skeletons it puts in one place."""
 
     a_from_b: RigidTransform
     time_b: Index
@@ -126,7 +127,11 @@ class _Registered:
 
     @staticmethod
     def best(a: Tracks, b: Tracks, time_b: Index) -> _Registered | None:
-        """That with which most people of both views are in one place, from the motion of any two tracks."""
+        """The registration that puts the most skeletons of both views in one place.
+
+        It is fitted to two tracks that are often seen together, then to all skeletons that are in one place.
+        None where no registration puts a fifth of the skeletons in one place.
+        """
         body = a.people.body
         rows_a, rows_b = _meetings(a, b, time_b, _MOMENTS)
         if not len(rows_a):
@@ -137,10 +142,10 @@ class _Registered:
         best, score = None, _LEAST_FIT * most_of_all
         pairs, counts = np.unique(np.stack((a.track[rows_a], b.track[rows_b])), axis=1, return_counts=True)
         for k in np.argsort(-counts, kind="stable")[: _TRIED * _TRIED]:
-            of = np.flatnonzero((a.track[rows_a] == pairs[0, k]) & (b.track[rows_b] == pairs[1, k]))
-            of = of[np.linspace(0, len(of) - 1, min(_FITTED, len(of))).astype(np.int64)]
             if score > _CLEAR_FIT * most_of_all:
                 break
+            of = np.flatnonzero((a.track[rows_a] == pairs[0, k]) & (b.track[rows_b] == pairs[1, k]))
+            of = of[np.linspace(0, len(of) - 1, min(_FITTED, len(of))).astype(np.int64)]
             for seen in (q, mirrored):
                 found = _fit(p[of], seen[of])
                 for _ in range(3):  # then of all who are in one place
@@ -167,7 +172,7 @@ def _fit(p: Array, q: Array) -> RigidTransform | None:
 
 
 def _sameness(a_from_b: RigidTransform, p: Array, q: Array) -> Array:
-    """(n,) of two skeletons each: 1 where they are in one place, 0 where they cannot be one person."""
+    """(n,) for each pair of skeletons: 1 if they are in one place, 0 if they cannot be one person."""
     apart = np.minimum(np.linalg.norm(p - a_from_b.apply(q), axis=2), 2.0 * _SAME_M)
     mean = mean_of_joints(apart[:, :, None])[:, 0]
     return np.asarray(np.maximum(0.0, 1.0 - (np.nan_to_num(mean, nan=np.inf) / _SAME_M) ** 2))
@@ -220,9 +225,9 @@ def _of_views(members: list[int], count_a: int) -> tuple[list[int], list[int]]:
 def _in_one_place(
     a: Tracks, b: Tracks, a_from_b: RigidTransform, rows_a: Index, rows_b: Index
 ) -> tuple[Index, Index]:
-    """(M_A, M_B) at how many moments two tracks are seen together, and are nearest to each other."""
-    every = np.arange(len(a.track)), np.arange(len(b.track))
-    at_a, at_b = a.centres(every[0]), a_from_b.apply(b.centres(every[1]))
+    """(M_A, M_B) number of moments at which two tracks are seen together, and are each other's nearest."""
+    at_a, at_b = (of.centres(np.arange(len(of.track))) for of in (a, b))
+    at_b = a_from_b.apply(at_b)
     apart = np.linalg.norm(at_a[rows_a] - at_b[rows_b], axis=1)
     nearest_a, nearest_b = np.full(len(at_a), np.inf), np.full(len(at_b), np.inf)
     np.fmin.at(nearest_a, rows_a, apart)
@@ -257,7 +262,7 @@ class _Groups:
 def _join_returning(
     groups: _Groups, a: Tracks, b: Tracks, a_from_b: RigidTransform, begin: Index, end: Index
 ) -> None:
-    """Joins people who went and came back: those first who are most alike in bones, place and time."""
+    """Joins people who left and came back. Those most alike in bones, place and time are joined first."""
     body, count_a = a.people.body, len(a.count)
 
     def of_track(m: int) -> tuple[Array, Array, Array]:
@@ -307,7 +312,7 @@ def _join_returning(
 
 
 def _changeovers(cost: Array, begin: Index, tracks: list[int], one: set[int]) -> list[float]:
-    """The mean cost where tracks of one group follow those of another; nothing where they never do."""
+    """The mean cost of the changes from one group's tracks to the other's; empty if there is none."""
     in_order = sorted(tracks, key=lambda m: int(begin[m]))
     changes = [cost[i, j] for i, j in pairwise(in_order) if (i in one) != (j in one)]
     return [float(np.mean(changes))] if changes else []
@@ -324,7 +329,7 @@ def _bones(body: Body, positions: Array) -> Array:
 
 
 def _off_axis(tracks: Tracks, rows: Index) -> float:
-    """Radians, how far from the axis of the view a person is in the mean."""
+    """The mean angle between a person and the axis of the view, radians; 0 if the place is unknown."""
     at = tracks.centres(rows)
     bearing = np.abs(np.arctan2(at[:, 0], at[:, 2]))
     return float(np.nanmean(bearing)) if np.isfinite(bearing).any() else 0.0

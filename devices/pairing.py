@@ -130,8 +130,8 @@ def _moments(
         raise DeviceError("A recording without frames cannot be paired.")
     if tolerance_ns is None:
         tolerance_ns = max(median_interval(time_a), median_interval(time_b)) // 2
-    nearest_b = _nearest(time_a, time_b)
-    mutual = _nearest(time_b, time_a)[nearest_b] == np.arange(len(time_a))
+    nearest_b = nearest_of(time_a, time_b)
+    mutual = nearest_of(time_b, time_a)[nearest_b] == np.arange(len(time_a))
     skew = time_b[nearest_b] - time_a
     chosen = np.flatnonzero(mutual & (np.abs(skew) <= tolerance_ns))
     if len(chosen) == 0:
@@ -162,15 +162,14 @@ def _without(count: int, some: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
     """The frames, by index, that lie in a gap of the other recording, and not before or after all of it."""
-    apart = np.abs(others[_nearest(times, others)] - times)
+    apart = np.abs(others[nearest_of(times, others)] - times)
     within = (times > others[0]) & (times < others[-1])
     return np.flatnonzero(within & (apart > _GAP * median_interval(others)))
 
 
-def _nearest(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
+def nearest_of(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
     """For each time the index of the nearest of the others, the earlier where two are as near."""
-    after = np.clip(np.searchsorted(others, times), 1, max(len(others) - 1, 1))
-    after = np.minimum(after, len(others) - 1)
+    after = np.minimum(np.searchsorted(others, times), len(others) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(np.abs(others[before] - times) <= np.abs(others[after] - times), before, after)
 

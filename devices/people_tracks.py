@@ -20,7 +20,7 @@ _HOLD_NS, _HOLD = 200_000_000, 2.5  # a body unseen for longer, and so many fram
 _REACH_M, _SPEED_M_S = 0.1, 3.0  # tracker noise; a running person
 _UNSURE_M = 0.05  # mean over the joints: two bodies this near to each other may be exchanged
 _FEWEST_JOINTS = 3
-_MOST_TRACKS = 150  # the longest; shorter ones are nobody's
+_MOST_TRACKS = 150  # the longest; the others are not used
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ def _apart(one, other, mirror):  # type: ignore[no-untyped-def]
 
 
 def mean_of_joints(values: Array) -> Array:
-    """(n, 3) of (n, J, 3); NaN where nothing is known."""
+    """(n, d) means over the joints of (n, J, d); NaN where no joint is known."""
     known = np.isfinite(values)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
