@@ -1,4 +1,4 @@
-"""What holds of every file of recorded skeletons: how its points become the joints of people."""
+"""Checks of every file of recorded skeletons, by which its points become the joints of people."""
 
 from __future__ import annotations
 
@@ -71,11 +71,9 @@ def checked(path: Path, found: FoundPoints, stated: StatedFormat = UNSTATED) -> 
     before, as where a program logs faster than its tracker gives frames, are left out.
 
     Raises:
-        DeviceError: There is no frame or no joint, the unit is unclear, or most joints are too far away or
+        DeviceError: No joint has a position, the unit is unclear, or most joints are too far away or
             behind the sensor; or by the stated axes the person is a mirror image.
     """
-    if not len(found.time_ns):
-        raise DeviceError(f"{path} has no frames.")
     repeats = repeats_of(found)
     drop, told = logged_again(path, found, repeats)
     keeps, about_places = kept_places(path, found, repeats)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +73,7 @@ def found_of(
         about: Further attributes of the result.
 
     Raises:
-        DeviceError: Two frames have one time, or two people of a frame one id.
+        DeviceError: There is no frame, two frames have one time, or two people of a frame one id.
     """
     if not frames:
         raise DeviceError(f"{path} has no frames.")
@@ -84,9 +83,8 @@ def found_of(
     if len(back):
         told.append(f"{path}: the time goes back at frame {back[0] + 1}; the frames were sorted by time.")
     order = np.argsort(times, kind="stable")
-    for before, after in pairwise(times[order]):
-        if before == after:
-            raise DeviceError(f"{path}: two frames have the same time, {after // 1000} µs.")
+    for time_ns in times[order][1:][np.diff(times[order]) == 0][:1]:
+        raise DeviceError(f"{path}: two frames have the same time, {time_ns // 1000} µs.")
     numbers: dict[str, int] = {}
     index: list[tuple[int, int]] = []
     rows: list[tuple[NDArray[np.float64], NDArray[np.uint8]]] = []
