@@ -31,7 +31,7 @@ _CENTIMETRE = 0.01
 _SAMPLES = 9000
 """Frames from which the floor of a session is found."""
 _STEEP = math.cos(math.radians(3.0))
-"""Of the angle between gravity and the view's axis: nearer to it, the axis has no horizontal direction."""
+"""Cosine of the largest angle between gravity and the view's axis at which the axis counts as vertical."""
 
 
 class FloorFinder:

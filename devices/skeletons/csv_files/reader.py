@@ -202,7 +202,7 @@ def _once(
     order = np.argsort(slot, kind="stable")
     if not (np.diff(slot[order]) == 0).any():
         return order, []
-    # bodies that are not there have zeros, and often one id
+    # Programs write zeros for bodies that are not tracked, and often give all of these the same id.
     order = order[(np.nan_to_num(rows.xyz[order]) != 0.0).any(axis=1)]
     again = np.append(False, np.diff(slot[order]) == 0)
     if not again.any():

@@ -215,12 +215,23 @@ def codes(table: pa.Table, column: str) -> tuple[list[str], NDArray[np.int64]]:
     return encoded.dictionary.to_pylist(), np.asarray(encoded.indices.to_numpy(), dtype=np.int64)
 
 
-def refuse_cut_off(text: TextRows, before: pa.Table | None, time_us: NDArray[np.int64]) -> None:
-    # Without a newline at the end, the last value may have lost digits. Some writers omit that newline, so
-    # the file is rejected only if this value is shorter than others, or if the last frame lacks rows.
+def refuse_cut_off(text: TextRows, before: pa.Table | None, times: NDArray[Any]) -> None:
+    """Refuses a file whose last line is not complete.
+
+    Without a newline at the end, the last value may have lost digits. Some writers omit that newline, so the
+    file is refused only if this value is shorter than others, or if the last frame lacks rows.
+
+    Args:
+        text: The last rows of the file.
+        before: The rows before them; None if there are no others.
+        times: Of all these rows.
+
+    Raises:
+        DeviceError: The file seems to be cut off.
+    """
     if text.raw.endswith(b"\n"):
         return
-    _, rows = np.unique(time_us, return_counts=True)
+    _, rows = np.unique(times, return_counts=True)
     name = text.table.column_names[-1]
     table = text.table if before is None else pa.concat_tables([before, text.table])
     last = table[name]
@@ -238,7 +249,7 @@ def refuse_cut_off(text: TextRows, before: pa.Table | None, time_us: NDArray[np.
 
 
 def _lost_digits(joints: list[str], values: list[str]) -> bool:
-    """Whether the last whole number is a tenth of its joint's number before, or less."""
+    """Whether the last whole number is at most about a tenth of the same joint's number before it."""
     before = [value for joint, value in zip(joints, values, strict=True) if joint == joints[-1]][-2:]
     try:
         old, new = map(int, before)
