@@ -26,7 +26,8 @@ AXES: MappingProxyType[str, str] = MappingProxyType(
 
 Kinect is the SDK of Kinect v1 and v2. Unity's axes are left-handed, so that one changes its sign.
 """
-_MIRRORED = 0.5
+MIRRORED = 0.5
+"""The value of :func:`fusion.handedness.mirrored_share` above which a person is a mirror image."""
 Unit = Literal["auto", "m", "cm", "mm", "ft", "in"]
 """Unit of a file's positions; auto: found from the size of the person."""
 
@@ -103,7 +104,7 @@ class StatedFormat:
                 f"{name}: whether the person is a mirror image by --axes {self.axes} is unknown, because it "
                 "has no feet or no trunk. Raise the left arm, and see whether S* does."
             ]
-        if share > _MIRRORED:
+        if share > MIRRORED:
             raise DeviceError(
                 f"{name}: by --axes {self.axes} the person is a mirror image, so the result is left-handed. "
                 "Change the sign of one axis."

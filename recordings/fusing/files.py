@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from devices.depth.image_thinning import Depth
 from devices.events import Event
 from devices.sensor import DeviceError
-from devices.skeletons.stated_format import StatedFormat, Unit
+from devices.skeletons.stated_format import MIRRORED, StatedFormat, Unit
 from devices.tracker_choice import TrackerChoice, WantedTracker, choose_tracker
 from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
 from fusion.body import BODIES
@@ -165,7 +165,7 @@ def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> N
     if not plan.views_differ > _UNRELATED:
         return
     for name, view in zip((a, b), read.pairing.pairs.skeletons.views, strict=True):
-        if (mirrored_share(read.body, view.positions) or 0.0) > 0.5:
+        if (mirrored_share(read.body, view.positions) or 0.0) > MIRRORED:
             raise CalibrationError(
                 f"{name} is the mirror image of a person: state its axes with --axes, or change the sign of "
                 "x in it. duplex fuse --force takes it as it is."

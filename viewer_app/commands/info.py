@@ -16,7 +16,7 @@ from devices.sensor import DeviceError
 from devices.skeletons.border import METRES, ReadFile
 from devices.skeletons.file_sensor import READERS, SkeletonRecording
 from devices.skeletons.name_tables import listed
-from devices.skeletons.stated_format import AXES, StatedFormat
+from devices.skeletons.stated_format import AXES, MIRRORED, StatedFormat
 from fusion.handedness import mirrored_share
 from recordings import layout
 from recordings.errors import RecordingError
@@ -113,7 +113,7 @@ def _read(path: Path, stated: StatedFormat) -> tuple[ReadFile, StatedFormat]:
             fault = fault or error
             continue
         mirrored = mirrored_share(read.body, read.people.skeletons.positions) or 0.0
-        if mirrored <= 0.5 and not any("--axes" in line for line in read.warnings):
+        if mirrored <= MIRRORED and not any("--axes" in line for line in read.warnings):
             return read, by
         fallback = fallback or (read, by)
     if fallback is None and fault is not None:
@@ -156,7 +156,7 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
     )
     yield "unit", f"{read.unit}; {place}"
     share = mirrored_share(body, positions)
-    hands = "unknown, without feet or trunk" if share is None else "yes" if share > 0.5 else "no"
+    hands = "unknown, without feet or trunk" if share is None else "yes" if share > MIRRORED else "no"
     yield "axes", stated.axes or "x right, y down, z forward, as the sensor sees"
     yield "mirror image", hands
     if read.ignored:
