@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import filecmp
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -103,7 +103,7 @@ class RecordingChoice:
     Attributes:
         path: Recorded skeletons, or a recording with images.
         skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
-        person: Id of the person; the one seen longest where None.
+        person: Id of the person; where None, the one seen longest by both sensors.
         stated: What is stated about a ``.csv``: unit, axes, names of the joints.
         body: Family of the body tracker, of both recordings; found from the joints of both where empty.
         skeletons_option, person_option: What the caller's user knows these two as, for messages.
@@ -388,7 +388,8 @@ def _with_person(
         f"{_listed(read.people, rows)} of {side}"
         for read, rows, side in zip(reads, found.rows, "AB", strict=True)
     )
-    line = f"{found.people} people are seen, {has}. The one followed is {names}; {choose} another."
+    count = "1 person is" if found.people == 1 else f"{found.people} people are"
+    line = f"{count} seen, {has}. The one followed is {names}; {choose} another."
     chosen_a, chosen_b = (
         replace(read, person=read.people.view_of(rows)) for read, rows in zip(reads, found.rows, strict=True)
     )
@@ -403,10 +404,9 @@ def _alone(read: _Read, choice: RecordingChoice) -> _Read:
     read = replace(read, person=people.view((person, *others)))
     if not others:
         return read
-    named = ", ".join(map(repr, others[:5])) + (" …" if len(others) > 5 else "")
     return _told(
         read,
-        f"{read.name}: person {named} is followed while {person!r} is not seen. "
+        f"{read.name}: person {_named(others)} is followed while {person!r} is not seen. "
         f"{choice.person_option} {person} follows {person!r} alone.",
     )
 
@@ -419,5 +419,8 @@ def _listed(people: RecordedPeople, rows: NDArray[np.int64] | None = None) -> st
     """The ids of people, or of some skeletons, in the order in which they were seen."""
     of = people.person if rows is None else people.person[rows]
     ids, first = np.unique(of, return_index=True)
-    named = [repr(people.ids[k]) for k in ids[np.argsort(first)]]
-    return ", ".join(named[:5]) + (" …" if len(named) > 5 else "")
+    return _named([people.ids[k] for k in ids[np.argsort(first)]])
+
+
+def _named(ids: Sequence[str]) -> str:
+    return ", ".join(map(repr, ids[:5])) + (" …" if len(ids) > 5 else "")

@@ -12,6 +12,7 @@ from devices.people import RecordedPeople
 from devices.people_tracks import tracks_of
 from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import KINECT_V2
+from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_people import (
     BEHIND,
     FOLLOWED,
@@ -23,6 +24,7 @@ from tests.helpers.two_people import (
     two_people,
     with_ids,
 )
+from tests.helpers.two_views import moving
 
 IDS = st.fixed_dictionaries(
     {
@@ -167,6 +169,21 @@ def test_a_track_has_one_person(ids, seed):
                 for t in people.frame[rows].tolist()
             }
             assert len(who) == 1
+
+
+@pytest.mark.parametrize(("frames", "told"), [(2, "1 person is seen, "), (60, "2 people are seen, ")])
+def test_those_who_are_seen_for_a_moment_are_not_counted(tmp_path, frames, told):
+    choices = []
+    for side in "ab":
+        seen = moving(KINECT_V2, 60) + np.random.default_rng(ord(side)).normal(0.0, 0.005, (60, 25, 3))
+        path = tmp_path / f"{side}.csv"
+        other = write_view(path, KINECT_V2, seen[:frames] + [1.5, 0.0, 0.5]).read_text().splitlines()[1:]
+        one = write_view(path, KINECT_V2, seen).read_text().splitlines()
+        path.write_text("\n".join([*one, *(row.replace(",0,", ",1,", 1) for row in other)]) + "\n")
+        choices.append(RecordingChoice(path, person_option=f"--person-{side}"))
+    (line,) = (line for line in read_two(*choices).warnings if "The one followed" in line)
+    assert line.startswith(told)
+    assert "The one followed is '0' of A and '0' of B" in line
 
 
 def test_people_whom_two_trackers_number_otherwise(shared):
