@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import get_args
 
 import numpy as np
+import pyarrow.csv
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -25,6 +26,7 @@ from recordings.gait import SIDES
 from recordings.interpolation import positions_at, sigma_at
 from recordings.session import Session
 from tests.helpers.animations import bvh_joints
+from tests.helpers.command_line import duplex
 from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
@@ -69,6 +71,23 @@ def test_a_joint_that_was_never_seen_has_no_place_and_no_angle(session, seed):
     wide = wide_table(changed).to_pandas()[columns]
     np.testing.assert_array_equal(wide, expected.reshape(len(rows), -1))
     np.testing.assert_array_equal(changed.angles.degrees, joint_angles(session.body, expected, changed.up))
+
+
+@pytest.mark.parametrize("name", ["s.csv", "s.npz", "s.NPZ"])
+def test_export_says_whether_joints_that_were_never_seen_have_places(session, tmp_path, capsys, name):
+    rows, never = session.rows, np.arange(len(session.body)) == len(session.body) - 1
+    states = {f"states_{view}": np.where(never, 0, getattr(rows, f"states_{view}")) for view in "ab"}
+    write_session(replace(session, rows=replace(rows, **states)), tmp_path / "never.rrd")
+    assert duplex("export", tmp_path / "never.rrd", "--to", tmp_path / name) == 0
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "No sensor ever saw" in line)
+    if name.endswith("csv"):
+        table = pyarrow.csv.read_csv(tmp_path / name).to_pandas()
+        fused = table[(table.skeleton == "fused") & (table.joint == session.body.joints[-1])]
+        has_places = fused[["x", "y", "z"]].notna().any(axis=None)
+    else:
+        with np.load(tmp_path / name) as arrays:
+            has_places = np.isfinite(arrays["fused"][:, never]).any()
+    assert ("places guessed by the bones" in line) == has_places
 
 
 def test_long_csv_has_every_skeleton_in_k_a_s_frame(session):

@@ -18,7 +18,8 @@ def run(options: ExportOptions) -> None:
     with whole_file(options.to) as partial:
         written = write(session, partial)
     console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)
-    if session.never_seen:
-        left = "are guessed by their bones" if options.to.suffix in (".bvh", ".glb") else "are left empty"
-        names = ", ".join(session.never_seen)
-        console.print(f"No sensor ever saw {names}: they {left}.", markup=False, soft_wrap=True)
+    if never := session.never_seen:
+        guessed = options.to.suffix.lower() in (".bvh", ".glb", ".npz")
+        places = "places guessed by the bones" if guessed else "no places"
+        line = f"No sensor ever saw {', '.join(never)}: the file has {places} there."
+        console.print(line, markup=False, soft_wrap=True)
