@@ -261,9 +261,9 @@ class Session(SessionData):
     @property
     def angles(self) -> AngleSeries:
         """Joint angles of S*, computed now; NaN where they need a joint that was never seen."""
-        rows, up = self.rows, self.up
-        sigma = angle_sigma(self.body, rows.seen, rows.filled("sigma"), up)
-        return AngleSeries(ANGLES, joint_angles(self.body, rows.seen, up), sigma)
+        rows, seen, up = self.rows, self.rows.seen, self.up
+        sigma = angle_sigma(self.body, seen, rows.filled("sigma"), up)
+        return AngleSeries(ANGLES, joint_angles(self.body, seen, up), sigma)
 
     @property
     def gait(self) -> Gait:
