@@ -44,6 +44,13 @@ def session(request, tmp_path):
     return record_fused(tmp_path / "s.rrd", pairs, calibration_of(body))
 
 
+def unseen(session, never):
+    """The session, but no sensor ever saw some of the joints."""
+    rows = session.rows
+    states = {f"states_{view}": np.where(never, 0, getattr(rows, f"states_{view}")) for view in "ab"}
+    return replace(session, rows=replace(rows, **states))
+
+
 def on_floor(session, positions):
     """Metres: x right, y up, z towards the sensor. test_animations.py has the floor on known truth."""
     return floor_under(session.rows).inverse().apply(positions) * [1.0, -1.0, -1.0]
@@ -59,8 +66,7 @@ def exported(session, name, **how):
 def test_a_joint_that_was_never_seen_has_no_place_and_no_angle(session, seed):
     rows, random = session.rows, np.random.default_rng(seed)
     never = random.random(len(session.body)) < 0.2
-    states = {f"states_{view}": np.where(never, 0, getattr(rows, f"states_{view}")) for view in "ab"}
-    changed = replace(session, rows=replace(rows, **states))
+    changed = unseen(session, never)
     assert changed.never_seen == tuple(np.array(session.body.joints)[never])
     table = long_table(changed).to_pandas()
     fused = table[table.skeleton == "fused"]
@@ -73,11 +79,21 @@ def test_a_joint_that_was_never_seen_has_no_place_and_no_angle(session, seed):
     np.testing.assert_array_equal(changed.angles.degrees, joint_angles(session.body, expected, changed.up))
 
 
+def test_a_joint_that_was_never_seen_is_a_gap_of_marker_files(session):
+    ezc3d, pandas = pytest.importorskip("ezc3d"), pytest.importorskip("pandas")
+    never = np.arange(len(session.body)) % 5 == 4
+    changed = unseen(session, never)
+    points = ezc3d.c3d(str(exported(changed, "s.c3d")))["data"]["points"]
+    lines = pandas.read_csv(exported(changed, "s.trc"), sep="\t", skiprows=6, header=None)
+    table = lines.iloc[:, 2:].to_numpy(dtype=float).reshape(-1, len(never), 3)
+    for places in (points[:3].transpose(2, 1, 0), table):
+        np.testing.assert_array_equal(np.isnan(places).all(axis=(0, 2)), never)
+
+
 @pytest.mark.parametrize("name", ["s.csv", "s.npz", "s.NPZ"])
 def test_export_says_whether_joints_that_were_never_seen_have_places(session, tmp_path, capsys, name):
-    rows, never = session.rows, np.arange(len(session.body)) == len(session.body) - 1
-    states = {f"states_{view}": np.where(never, 0, getattr(rows, f"states_{view}")) for view in "ab"}
-    write_session(replace(session, rows=replace(rows, **states)), tmp_path / "never.rrd")
+    never = np.arange(len(session.body)) == len(session.body) - 1
+    write_session(unseen(session, never), tmp_path / "never.rrd")
     assert duplex("export", tmp_path / "never.rrd", "--to", tmp_path / name) == 0
     (line,) = (line for line in capsys.readouterr().out.splitlines() if "No sensor ever saw" in line)
     if name.endswith("csv"):
