@@ -14,10 +14,9 @@ from devices.sensor import SensorFrame
 PENDING = 8
 """Frames that wait, at most, and that tell how a sensor's frames come, at least."""
 NEWEST_NS = 1_000_000_000
-"""Over which the newest frames tell a sensor's usual lag."""
-AGREE = 8
-"""Newest frames of a sensor that tell whether both clocks are one."""
-_SLOWEST_NS = 10_000_000_000
+"""A sensor's usual lag is the median over the frames that arrived in this time."""
+_AGREE = 8  # newest frames of a sensor that tell whether both clocks are one
+_SLOWEST_NS = 10_000_000_000  # for how long the arrivals of frames are kept
 
 
 class Arrived(NamedTuple):
@@ -37,7 +36,7 @@ class IncomingStream:
     waiting: list[Arrived] = field(default_factory=list)
     recent: deque[tuple[int, int, int]] = field(default_factory=deque)
     """Arrival, moment and own time of the frames of ten seconds; no frame, which would keep its images."""
-    agree: deque[bool] = field(default_factory=lambda: deque(maxlen=AGREE))
+    agree: deque[bool] = field(default_factory=lambda: deque(maxlen=_AGREE))
     """On a cable, of the newest frames: whether the other sensor had given one of the same time before."""
     used_ns: int | None = None
     came_ns: int | None = None  # when the last one arrived, or the first one of the other sensor
@@ -74,20 +73,28 @@ class IncomingStream:
             self.recent.popleft()
 
     def use(self, count: int) -> list[Arrived]:
-        """Takes the first frames out."""
+        """Removes the oldest frames from those that wait, and returns them."""
         used, self.waiting = self.waiting[:count], self.waiting[count:]
         self.used_ns = used[-1].frame.time_ns
         return used
 
     def forget(self) -> list[Arrived]:
-        """Starts anew, because the clock does; returns what waited."""
+        """Forgets all times, because the sensor's clock starts anew.
+
+        Returns:
+            The frames that waited, which wait no more.
+        """
         waited, self.waiting, self.used_ns = self.waiting, [], None
         self.recent.clear()
         self.agree.clear()
         return waited
 
     def set_clock(self, clock_ns: int) -> None:
-        """Gives the frames so far their moments by another offset of the clock."""
+        """Gives the frames so far their moments anew.
+
+        Args:
+            clock_ns: This machine's clock minus the sensor's.
+        """
         shift_ns = clock_ns - self.delay_ns
         self.waiting = [each._replace(moment_ns=each.frame.time_ns + shift_ns) for each in self.waiting]
         self.recent = deque((at, time_ns + shift_ns, time_ns) for at, _, time_ns in self.recent)

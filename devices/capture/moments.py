@@ -63,9 +63,9 @@ class ImageJoiner:
     """Joins each depth image with the nearest images of other streams, at most half a frame away.
 
     Images of one stream come in order. A depth image waits for a missing one until a later one of that stream
-    shows that it is missing, but no longer than 0.18 s by later depth images (0.36 s by other images). Two
-    seconds after the last one this shrinks, frame by frame, to 0. So every depth image is given, in order,
-    with what it lacks.
+    shows that it is missing, but no longer than 0.18 s by later depth images (0.36 s by other images). Once
+    no depth image has had one for two seconds, each further depth image shortens this by ``period_ns``, down
+    to 0. So every depth image is given, in order, with what it lacks.
 
     Args:
         period_ns: Time between two depth images.

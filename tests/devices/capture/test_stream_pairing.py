@@ -357,3 +357,14 @@ def test_frames_of_one_clock_pair_however_late_one_sensor_comes(late_ms, delay_m
     # the least of 300 jitters of 3 ms is 0.01 ms; the median of a second is 2 ms
     assert pairing.lag_ns == pytest.approx(late_ns, abs=3 * MILLISECOND_NS)
     assert pairing.images_late_ns == pytest.approx(late_ns, abs=0.5 * MILLISECOND_NS)
+
+
+@pytest.mark.parametrize("ppm", [-60.0, 60.0])
+def test_one_clock_that_drifts_by_more_than_a_millisecond_stays_one(ppm):
+    a, b = shots("a", 30), shots("b", 30, ppm=ppm, latency_ns=170_000_000)
+    pairing = LivePairing(INTERVAL_NS, sync_delay_ns=0)
+    both = _both(run(pairing, a, b))
+    assert len(both) >= 0.97 * len(a)
+    assert np.mean(true_skews(both, a, b) == 0) >= 0.98
+    # B's clock, of the middle of the last 61 pairs, a second before the end
+    assert pairing.figures.offset_ns == pytest.approx(34e9 * ppm * 1e-6, abs=2e9 * abs(ppm) * 1e-6)
