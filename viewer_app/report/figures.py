@@ -86,11 +86,7 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figur
         },
         "seconds_of": doubtful_seconds(rows, apart, seen),
         "upside_down": {side: _upside_down(rows, side) for side in "ab"},
-        "in_no_frame": [
-            name
-            for name, *states in zip(rows.body.joints, rows.states_a.T, rows.states_b.T, strict=True)
-            if not np.any(states)
-        ],
+        "in_no_frame": np.array(rows.body.joints)[rows.never_seen].tolist(),
     }
 
 

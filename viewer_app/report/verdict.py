@@ -176,7 +176,7 @@ def _distance(side: str, live: bool, median: float | None, near: float, far: flo
     away = beside(median, near, far, digits=1)
     yield Verdict(
         "usable" if (1.0 - _OUT_OF_RANGE) * near <= median <= (1.0 + _OUT_OF_RANGE) * far else "poor",
-        f"the person is {away} m from {side}; good is {near:.2g} to {far:.2g} m",
+        f"the person is {away} m from {side}; good is {near:.3g} to {far:.3g} m",
         f"Stand {way}" if live else f"Record with the person {way}",
     )
 
@@ -200,7 +200,7 @@ def precision_in_words(calibration: Figures) -> str:
     turn, shift, frames = (calibration[key] for key in ("rotation_sd_deg", "translation_sd_mm", "frames"))
     if turn is None or not math.isfinite(turn):
         return "precision unknown"
-    far = calibration.get("sd_at_3m_mm")
+    far = calibration["sd_at_3m_mm"]
     size = "" if shift is None else f", ± {shift:.0f} mm at the person"
     size += "" if far is None else f" and ± {far:.0f} mm 3 m from there"
     return f"± {turn:.1f}°{size}, from {frames} frames"

@@ -299,6 +299,12 @@ def test_the_angle_of_the_sensors_is_that_about_the_vertical_however_they_are_ti
     assert found == pytest.approx(angle, abs=0.5)
 
 
+def test_a_person_a_little_too_near_is_not_at_the_limit_in_words(figures):
+    limits = {"near": 1.724, "far": 4.5}  # of a Kinect v2
+    near = figures | {"distance_m": {side: {"median": 1.71, **limits} for side in "ab"}}
+    assert "the person is 1.7 m from A; good is 1.72 to 4.5 m" in in_words(verdict(with_views(near, 30.0)))
+
+
 @given(st.floats(0.1, 200.0), st.lists(st.floats(1.0, 150.0), min_size=1, max_size=2), st.integers(0, 2))
 def test_no_number_is_rounded_across_a_limit(value, limits, digits):
     told = float(beside(value, *limits, digits=digits))
