@@ -1,10 +1,10 @@
 """Heel strikes, toe-offs and steps, by the coordinate method of Zeni, Richards and Higginson (2008).
 
 A foot swings from where its ankle is farthest behind the pelvis, along the direction in which the pelvis
-moves, to where it is farthest in front. It stands while it is slower than 0.65 of the pelvis: the heel
-strikes when the ankle becomes so slow after a swing, and the toes leave the floor when they become faster
-before it. The pelvis is the middle of the hips. Only walking counts: the person moves to where they face, and
-the feet strike in turn. Limits are relative to the leg and to the person's own swings.
+moves, to where it is farthest in front. It stands while it is slower than 0.65 of the pelvis: the toes
+leave the floor when they become faster at the beginning of a swing, and the heel strikes when the ankle
+becomes slower at its end. The pelvis is the middle of the hips. Only walking counts: the person moves to
+where they face, and the feet strike in turn. Limits are relative to the leg and to the person's own swings.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Fits from several starts: a tracker that takes a back for a front gives a second, wrong solution.
+"""Fits of R and t from several starts, because a fit may end in a wrong solution.
 
-It is turned by half a circle about the person, and the sides of the limbs are exchanged in it.
+A tracker may show a person's back as their front, with left and right exchanged. R turned by half a circle
+about the person then fits nearly as well as the right one.
 """
 
 from collections.abc import Iterator, Sequence

@@ -42,9 +42,9 @@ class ViewEvents:
     """Detects when a view starts and stops exchanging left and right, and loses and finds a limb.
 
     A limb is lost while at least two of its joints are tracked by the view, lie more than 0.2 m from S* and
-    have a share below 0.1 in it, and S* is nearer to the other view. Sides are exchanged while S* is nearer
-    to the view with left and right exchanged than to the view as reported; such a view loses no limb. So
-    both are true of S*. Where time goes back, S* starts again.
+    have a share below 0.1 in it, and S* is nearer to the other view. Sides are exchanged while the view
+    has an exchange code and S* is nearer to the view with left and right exchanged than to the view as
+    reported. A view with an exchange code loses no limb. Where time goes back, S* starts again.
     """
 
     def __init__(self, body: Body) -> None:

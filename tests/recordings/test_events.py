@@ -56,7 +56,7 @@ ARM = [BODY.joint(f"{name}_LEFT") for name in ("ELBOW", "WRIST", "HAND")]
 
 def told_of(
     wrong_frames, *, sensor="B", off=0.5, share=0.0, joints=3, state=TrackingState.TRACKED, exchanged=0,
-    mirrored=False,
+    mirrored=False, other_off=0.0,
 ):  # fmt: skip
     """The events, with their frames, of a view whose left arm is wrong from frame 10 on."""
     views_of, truth = ViewEvents(BODY), standing(BODY)
@@ -68,6 +68,7 @@ def told_of(
             shift[ARM[:joints], 1], weights[ARM], states[ARM] = off, share, state
         views = {"A": truth.copy(), "B": truth.copy()}
         views[sensor] += shift
+        views["B" if sensor == "A" else "A"][ARM, 1] += other_off
         if mirrored:  # S* has the sides that the views exchange
             views = {side: at[BODY.mirror] for side, at in views.items()}
         whole = np.full(len(BODY), TrackingState.TRACKED)
@@ -104,6 +105,8 @@ def test_what_is_short_near_counted_guessed_single_or_exchanged_is_no_lost_limb(
     assert told_of(30, state=TrackingState.INFERRED) == []
     assert told_of(30, joints=1) == []
     assert told_of(30, exchanged=3) == []
+    assert told_of(30, other_off=0.4) != []
+    assert told_of(30, other_off=0.6) == []  # S* follows neither
 
 
 def test_exchanged_sides_are_told_where_s_star_corrects_them_only():

@@ -166,6 +166,16 @@ def test_a_step_too_many_or_too_few_is_within_the_uncertainty_of_the_cadence(cou
         assert abs(cadence.value - 100.0) < 2.5 * cadence.sigma
 
 
+def test_the_speed_is_as_uncertain_as_both_ends_of_a_walk_and_its_curves():
+    """The middle of two hips is half as uncertain as the distance of two ankles; in a curve half lasts."""
+    straight = gait_of(1.0 + 0.6 * np.arange(6), np.full(5, 0.7))
+    first, *later = straight.steps
+    half_circle = Gait((first, *(step._replace(turned=np.pi / 5) for step in later)))
+    end = 0.5 * STEP.length_sigma
+    assert straight.speed.sigma == pytest.approx(np.hypot(end, end) / 3.0)
+    assert half_circle.speed.sigma == pytest.approx(np.linalg.norm([end, end, end * np.pi / 2]) / 3.0)
+
+
 WALKS = {
     "speed": st.floats(0.15, 1.6),
     "stride": st.floats(0.95, 2.0),
