@@ -191,8 +191,8 @@ def _standard_errors(points: NDArray[np.float64], mean_square: float, joints: in
     """Those of R, radians, and of the centre, metres, along the least certain axis of each."""
     # A rotation by a small θ moves a point at r from the centre by θ × r, so the information about θ
     # is Σ (|r|² I − r rᵀ) / σ², with σ² the variance of a residual along one axis. A joint counts once,
-    # however many frames show it. The fit takes 6 of the 3 J degrees of freedom of J joints, so that σ² is the
-    # mean square over 3 − 6 / J.
+    # however many frames show it. The fit takes 6 of the 3 J degrees of freedom of J joints, so that σ² is
+    # the mean square over 3 − 6 / J.
     r = points - points.mean(axis=0)
     information = (np.sum(r * r) * np.eye(3) - r.T @ r) * (joints / len(points))
     least = float(np.linalg.eigvalsh(information)[0])
