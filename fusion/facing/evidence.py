@@ -1,6 +1,6 @@
-"""Evidence of one view on the direction that its person faces.
+"""Evidence of the views on the direction that the person faces, and on their labels.
 
-All evidence is horizontal vectors in K_A's frame:
+That of one view is horizontal vectors in K_A's frame:
 
 * **axes**: l × u of shoulders and hips, with l from the right joint to the left one and u the upward
   direction. They depend on the labels: exchanged, they point backwards.
@@ -9,6 +9,8 @@ All evidence is horizontal vectors in K_A's frame:
   depend on the labels of the whole body.
 * **spans** d: right joint to left joint of six pairs. Labels that are exchanged between two frames reverse
   every d, so that Σ d · d_before turns from positive to negative (:func:`exchange_odds`).
+
+That of both views is the places of elbows and knees (:func:`agreement`): labels that differ exchange them.
 
 The upward direction is learned from the person, because a tilted sensor's −y axis is not up and skeletons
 do not contain gravity. While a person stands, trunk and legs are in line and point up. The mean of both over

@@ -56,13 +56,16 @@ class ViewEvents:
             for side in ("left", "right")
         }
         self._body = body
-        self._corrected_ns: dict[str, int] = {}  # since when S* corrects a view, or has ceased to
+        self._corrected_since_ns: dict[str, int] = {}
         self._exchanged_since_ns: dict[str, int] = {}
         self._lost: dict[tuple[str, str], _LostLimb] = {}
         self._last_ns: int | None = None
 
     def observe(self, seen: SkeletonPair, fused: FusedFrame) -> list[Event]:
-        """Returns the events that start or end with the next frame; that of a lost limb starts 0.5 s late."""
+        """Returns the events that start or end with the next frame.
+
+        That of a lost limb starts 0.5 s late, that of exchanged sides 0.15 s.
+        """
         views = seen.a, seen.b
         rows = [None if view is None else (view.positions[None], view.states[None]) for view in views]
         weights = fused.weights_a[None], fused.weights_b[None]
@@ -88,22 +91,25 @@ class ViewEvents:
     ) -> list[tuple[int, Event]]:  # fmt: skip
         lost: dict[int, list[tuple[str, str, float]]] = {}
         corrected = np.zeros(codes.shape, dtype=np.bool_)
-        off: list[Array | None] = [None, None]  # (T, J) distance of S* to each view, as it was labelled
+        there: list[Any] = [  # in K_A's frame
+            None if view is None else (a_from_b.apply(view[0]) if side else view[0])
+            for side, view in enumerate(views)
+        ]
         for side, view in enumerate(views):
-            if view is None:
-                continue
-            there = a_from_b.apply(view[0]) if side else view[0]
-            corrected[:, side] = corrects_sides(self._body, fused, there, view[1], codes[:, side])
-            labelled = np.where(corrected[:, side, None, None], there[:, self._body.mirror], there)
-            off[side] = np.where(view[1] != 0, np.linalg.norm(labelled - fused, axis=2), np.nan)
+            if view is not None:
+                corrected[:, side] = corrects_sides(self._body, fused, there[side], view[1], codes[:, side])
         for side, view in enumerate(views):
-            distance, others = off[side], off[1 - side]
-            if view is None or distance is None or others is None:
+            other = views[1 - side]
+            if view is None or other is None:
                 continue
             overruled = (view[1] == TrackingState.TRACKED) & (weights[side] < _OVERRULED)
             if np.count_nonzero(overruled) < _FEWEST:
                 continue
+            distance = np.linalg.norm(there[side] - fused, axis=2)
             wrong = overruled & (distance > _FAR) & (codes[:, side, None] == 0)
+            labelled = there[1 - side]
+            labelled = np.where(corrected[:, 1 - side, None, None], labelled[:, self._body.mirror], labelled)
+            others = np.where(other[1] != 0, np.linalg.norm(labelled - fused, axis=2), np.nan)
             for limb, joints in self._limbs.items():
                 lost_here = np.count_nonzero(wrong[:, joints], axis=1) >= _FEWEST
                 nearer = np.nansum(others[:, joints] - distance[:, joints], axis=1) < 0.0
@@ -112,11 +118,11 @@ class ViewEvents:
                     lost.setdefault(k, []).append(("AB"[side], limb, farthest))
         events: list[tuple[int, Event]] = []
         rows = zip(times.tolist(), corrected.tolist(), (codes != 0).tolist(), strict=True)
-        for k, (time_ns, (a, b), (a_is, b_is)) in enumerate(rows):
+        for k, (time_ns, is_corrected, is_labelled) in enumerate(rows):
             now = [
                 *self._time(time_ns),
-                *self._exchanges("A", a, a_is, time_ns),
-                *self._exchanges("B", b, b_is, time_ns),
+                *self._exchanges("A", is_corrected[0], is_labelled[0], time_ns),
+                *self._exchanges("B", is_corrected[1], is_labelled[1], time_ns),
             ]
             for sensor, limb, farthest in lost.get(k, ()):
                 limb_lost = self._lost.setdefault((sensor, limb), _LostLimb(time_ns, time_ns, farthest))
@@ -130,7 +136,7 @@ class ViewEvents:
         if before is None or time_ns >= before:
             return []
         self._exchanged_since_ns = dict.fromkeys(self._exchanged_since_ns, time_ns)
-        self._corrected_ns.clear()
+        self._corrected_since_ns.clear()
         self._lost.clear()
         seconds = 1e-9 * (before - time_ns)
         return [
@@ -141,25 +147,26 @@ class ViewEvents:
         ]
 
     def _exchanges(self, sensor: str, corrected: bool, labelled: bool, time_ns: int) -> list[Event]:
-        begun_ns = self._exchanged_since_ns.get(sensor)
-        if corrected is (begun_ns is not None):
-            self._corrected_ns.pop(sensor, None)
+        begun_ns, topic = self._exchanged_since_ns.get(sensor), f"exchanged_{sensor.lower()}"
+        if corrected and begun_ns is None:
+            since_ns = self._corrected_since_ns.setdefault(sensor, time_ns)
+            if time_ns - since_ns < _CORRECTED_NS:
+                return []
+            self._exchanged_since_ns[sensor] = since_ns
+            text = f"{sensor} reports left and right exchanged (whole body); S* corrects this."
+            return [Event(text, "INFO", topic, "start")]
+        if corrected:
             return []
-        since_ns = self._corrected_ns.setdefault(sensor, time_ns)
-        topic = f"exchanged_{sensor.lower()}"
-        if begun_ns is not None:
-            del self._exchanged_since_ns[sensor], self._corrected_ns[sensor]
-            seconds = (time_ns - begun_ns) * 1e-9
-            if labelled:
-                text = f"Left and right of {sensor} are uncertain, after {seconds:.1f} s."
-            else:
-                text = f"{sensor} reports left and right correctly again, after {seconds:.1f} s."
-            return [Event(text, "INFO", topic, "end")]
-        if time_ns - since_ns < _CORRECTED_NS:
+        self._corrected_since_ns.pop(sensor, None)
+        if begun_ns is None:
             return []
-        self._exchanged_since_ns[sensor] = self._corrected_ns.pop(sensor)
-        text = f"{sensor} reports left and right exchanged (whole body); S* corrects this."
-        return [Event(text, "INFO", topic, "start")]
+        del self._exchanged_since_ns[sensor]
+        seconds = (time_ns - begun_ns) * 1e-9
+        if labelled:
+            text = f"Left and right of {sensor} are uncertain, after {seconds:.1f} s."
+        else:
+            text = f"{sensor} reports left and right correctly again, after {seconds:.1f} s."
+        return [Event(text, "INFO", topic, "end")]
 
     def _losses(self, time_ns: int) -> list[Event]:
         events: list[Event] = []

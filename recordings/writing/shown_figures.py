@@ -17,6 +17,7 @@ from recordings.appearance.body_shape import (
     capsule_lengths,
     capsule_rotations,
     nose_vectors,
+    parents,
     pelvis_rotations,
 )
 from recordings.appearance.colors import VIEW_COLORS
@@ -71,10 +72,17 @@ def _view_figures(side: str) -> Iterator[ShownFigure]:
 
 
 def _sigma_spheres(rows: SessionArrays) -> NDArray[Any] | None:
-    """(T, J, 3) half sizes of spheres of one standard deviation, in steps that compress well."""
+    """(T, J, 3) half sizes of spheres of one standard deviation, in steps that compress well.
+
+    Before revision 8 of the method, σ of a joint without data was not limited by its bone. It is drawn as
+    √(σ² of its parent + 2 L²) at most, so that the sphere of a thumb does not hide the person.
+    """
     if rows.sigma is None:
         return None
-    radii = np.round(rows.sigma / _SPHERE_STEP) * _SPHERE_STEP
+    sigma, to_parent = rows.sigma, parents(rows.body)
+    most = np.sqrt(sigma[:, to_parent] ** 2 + 2.0 * rows.bone_lengths**2)
+    most[:, rows.body.root] = np.inf
+    radii = np.round(np.fmin(sigma, most) / _SPHERE_STEP) * _SPHERE_STEP
     return np.repeat(radii[..., None], 3, axis=2)
 
 

@@ -241,6 +241,21 @@ def test_spheres_have_the_radius_of_one_standard_deviation():
     np.testing.assert_allclose(half_sizes, np.repeat(sigma[..., None], 3, axis=2), rtol=0, atol=0.51 * STEP)
 
 
+def test_a_sphere_of_an_older_session_is_no_larger_than_its_bone_allows():
+    """A point on a sphere of radius L is √2 L from a random one (RMS): L² (1 − cos) · 2 on average."""
+    made = frames(known_fuser(), 1)
+    thumb = BODY.joint("THUMB_LEFT")
+    parent = int(BODY.parents[thumb])
+    sigma = np.full(len(BODY), 0.03)
+    sigma[thumb] = 0.7
+    lost = [replace(made[0], fused=replace(made[0].fused, sigma=sigma))]
+    rows = SessionArrays.stack(BODY, BODY.nominal_lengths, lost)
+    drawn = shown_values(rows, layout.FUSED_SKELETON, layout.SIGMA_SPHERES)[0, :, 0]
+    most = np.hypot(sigma[parent], np.sqrt(2.0) * BODY.nominal_lengths[thumb])
+    assert drawn[thumb] == pytest.approx(most, abs=0.51 * STEP)
+    np.testing.assert_allclose(np.delete(drawn, thumb), 0.03, rtol=0, atol=0.51 * STEP)
+
+
 def test_the_papers_methods_have_no_spheres():
     fuser = known_fuser()
     setup = replace(fuser.setup, settings=FuserSettings(method="paper"))
