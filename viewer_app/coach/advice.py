@@ -74,7 +74,8 @@ def verdict(calibration: Calibration) -> Advice:
             f"its rotation is certain to {beside(uncertain, CERTAIN_TURN_DEG, digits=1)}° only (limit "
             f"{CERTAIN_TURN_DEG:g}°)"
         )
-        limit += f"; {only}: walk some steps"
+        # before the start-up pose the next thing to do is to hold it
+        limit += f"; {only}" if calibration.provisional else f"; {only}: walk some steps"
     frames = "frame" if registration.frames == 1 else f"{registration.frames} frames"
     begins = "Provisional calibration" if calibration.provisional else "Calibration"
     return Advice(

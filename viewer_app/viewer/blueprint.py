@@ -234,7 +234,7 @@ def _report(lengths: NDArray[np.float64], body: Body) -> rrb.Container:
             column_shares=[5, 3, 3, 3],
         ),
         *(rrb.Horizontal(*(plots[k] for k in row)) for row in rows),
-        row_shares=[4, *([2] * len(rows))],
+        row_shares=[5, *([2] * len(rows))],
         name="report",
     )
 

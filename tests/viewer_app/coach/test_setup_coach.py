@@ -236,6 +236,7 @@ def test_a_calibration_whose_rotation_is_uncertain_is_not_good(sd_deg):
 def test_a_calibration_of_one_frame_says_that_it_is_provisional():
     said = verdict(a_calibration(90.0, 3.2, provisional=True, frames=1)).text
     assert said.startswith("Provisional calibration usable: on its frame the views")
+    assert said.endswith("certain to 3.2° only (limit 2°).")  # who holds the start-up pose is not to walk
 
 
 def test_a_single_pose_is_never_good():
