@@ -55,8 +55,8 @@ ARM = [BODY.joint(f"{name}_LEFT") for name in ("ELBOW", "WRIST", "HAND")]
 
 
 def told_of(
-    wrong_frames, *, sensor="B", off=0.5, share=0.0, joints=3, state=TrackingState.TRACKED, exchanged=0,
-    mirrored=False, other_off=0.0,
+    wrong_frames, *, sensor="B", off=0.5, share=0.0, joints=3, state=TrackingState.TRACKED,
+    exchanged=(0, 0), mirrored="", mirrored_frames=90, other_off=0.0,
 ):  # fmt: skip
     """The events, with their frames, of a view whose left arm is wrong from frame 10 on."""
     views_of, truth = ViewEvents(BODY), standing(BODY)
@@ -69,8 +69,8 @@ def told_of(
         views = {"A": truth.copy(), "B": truth.copy()}
         views[sensor] += shift
         views["B" if sensor == "A" else "A"][ARM, 1] += other_off
-        if mirrored:  # S* has the sides that the views exchange
-            views = {side: at[BODY.mirror] for side, at in views.items()}
+        if k < mirrored_frames:  # S* has the sides that these views exchange
+            views |= {side: views[side][BODY.mirror] for side in mirrored}
         whole = np.full(len(BODY), TrackingState.TRACKED)
         pair = SkeletonPair(
             Skeleton.of(BODY, views["A"], states if sensor == "A" else whole, k * FRAME_NS),
@@ -80,7 +80,7 @@ def told_of(
         fused = FusedFrame(
             truth, np.zeros(len(BODY), bool), weights if sensor == "A" else 1.0 - weights,
             weights if sensor == "B" else 1.0 - weights, np.full(len(BODY), -1), A_FROM_B, 1, False, False,
-            k * FRAME_NS, exchanged_a=exchanged, exchanged_b=exchanged,
+            k * FRAME_NS, exchanged_a=exchanged[0], exchanged_b=exchanged[1],
         )  # fmt: skip
         told += [(k, each) for each in views_of.observe(pair, fused)]
     return told
@@ -104,16 +104,27 @@ def test_what_is_short_near_counted_guessed_single_or_exchanged_is_no_lost_limb(
     assert told_of(30, share=0.2) == []
     assert told_of(30, state=TrackingState.INFERRED) == []
     assert told_of(30, joints=1) == []
-    assert told_of(30, exchanged=3) == []
+    assert told_of(30, exchanged=(3, 3)) == []
     assert told_of(30, other_off=0.4) != []
     assert told_of(30, other_off=0.6) == []  # S* follows neither
 
 
+def test_a_limb_is_lost_beside_a_view_whose_sides_s_star_corrects():
+    told = told_of(30, sensor="A", exchanged=(0, 3), mirrored="B")
+    assert "A loses the left arm, 0.5 m off; S* follows B." in [event.text for _, event in told]
+
+
+def test_sides_that_s_star_no_longer_corrects_are_uncertain():
+    (_, start), (ended, end) = told_of(0, exchanged=(3, 0), mirrored="A", mirrored_frames=31)
+    assert (start.topic, start.phase, ended) == ("exchanged_a", "start", 31)
+    assert end == Event("Left and right of A are uncertain, after 1.0 s.", "INFO", "exchanged_a", "end")
+
+
 def test_exchanged_sides_are_told_where_s_star_corrects_them_only():
-    told = told_of(0, exchanged=3, mirrored=True)
+    told = told_of(0, exchanged=(3, 3), mirrored="AB")
     assert [(k, event.topic, event.phase) for k, event in told] == [
         (5, "exchanged_a", "start"),  # 0.15 s later it is certain
         (5, "exchanged_b", "start"),
     ]
-    assert told_of(0, exchanged=3) == []  # a label that S* does not follow
-    assert told_of(0, exchanged=0, mirrored=True) == []
+    assert told_of(0, exchanged=(3, 3)) == []  # a label that S* does not follow
+    assert told_of(0, exchanged=(0, 0), mirrored="AB") == []
