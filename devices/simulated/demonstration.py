@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from devices.depth.image_thinning import Depth
-from devices.simulated.kinect import Movement, Scene, SimulatedKinect, Truth, movement
+from devices.simulated.kinect import Beside, Movement, Scene, SimulatedKinect, Truth, movement
 from devices.simulated.person.gait import walking
+from devices.simulated.person.motion import STARTUP_SECONDS
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.scripted_faults import ScriptedFaults, Spells
 from fusion.body import KINECT_V1, Body
@@ -26,6 +27,11 @@ MISPLACED = Spells(7.0, 1.2, _EVERY)
 """The left arm in A's view. In badminton, the lunge: A stands on the right, so the trunk hides that arm."""
 MIRRORED = Spells(4.4, 1.0, _EVERY)
 """The whole person in B's view. In badminton, the wind-up: the back is half turned to B."""
+
+
+def therapist() -> Movement:
+    """Someone who walks behind the person to and fro, and past them in both views."""
+    return Beside(walking("walk", length=8.4, strides=10), (0.0, 0.0, 1.3), later=STARTUP_SECONDS)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """A simulated Kinect, a pair of simulated Kinects, and their ground truth."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -27,9 +27,11 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton
 
-PERSON = "1"
-"""The tracker's id of the only person."""
+PERSON, OTHER = "1", "2"
+"""The tracker's ids of the person and of the other one, until it exchanges or loses them."""
+_OTHER_HEIGHT = 0.94  # of the other person, as a share of the person's
 _CHUNK = 32  # frames whose poses are computed together: one call costs little more than one pose
 
 
@@ -60,14 +62,47 @@ def movement(name: str | Path) -> Movement:
 
 
 @dataclass(frozen=True)
+class Beside:
+    """A movement in another place: the person stands aside, or goes to and fro.
+
+    Attributes:
+        motion: The movement at the origin.
+        place: (3,) of the origin in the world, metres.
+        reach: (3,) metres, amplitude of going to and fro.
+        seconds: Of one period.
+        later: Seconds by which the movement has gone on at the start.
+    """
+
+    motion: Movement
+    place: tuple[float, float, float]
+    reach: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seconds: float = 9.0
+    later: float = 0.0
+
+    @property
+    def name(self) -> str:
+        return self.motion.name
+
+    def landmarks(self, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
+        """(T, N, 3) as :meth:`Movement.landmarks`."""
+        at = np.asarray(times, dtype=np.float64)
+        marks = self.motion.landmarks(at + self.later, height)
+        swing = np.sin(2.0 * np.pi * np.atleast_1d(at) / self.seconds)
+        moved: Array = marks + np.array(self.place) + swing[:, None, None] * np.array(self.reach)
+        return moved
+
+
+@dataclass(frozen=True)
 class Scene:
-    """One person who moves in front of the sensors."""
+    """One person who moves in front of the sensors, and perhaps another one."""
 
     motion: Movement
     body: Body = AZURE_KINECT  # the body that the sensors' trackers report
     height: float = anatomy.REFERENCE_HEIGHT  # the person's stature, metres
     seconds: float | None = None  # duration; None: endless
     seed: int = 0  # seed of all errors; the same seed gives the same frames
+    other: Movement | None = None  # of a second person in view
+    exchanged: float = 0.0  # how often a minute each tracker exchanges the ids of the two people
 
     def __post_init__(self) -> None:
         if not 0.5 <= self.height <= 2.5:
@@ -180,17 +215,27 @@ class SimulatedKinect(Sensor):
         self.images_wanted = self.images_left_out = 0
         dropping = self._streams.named("dropping")
         sensor_from_world = rig.world_from_sensor(which).inverse()
-        flesh = flesh_over(self.body) * (scene.height / anatomy.REFERENCE_HEIGHT)
-        tracked = Tracked(
-            self.body, self._errors, flesh, self._lens, rig.frame_seconds, self._streams, self._script
-        )
-        tracker = Tracker(tracked)
+        heights = self._heights
+        each_flesh = [flesh_over(self.body) * (height / anatomy.REFERENCE_HEIGHT) for height in heights]
+        trackers = [
+            Tracker(
+                Tracked(
+                    self.body, self._errors, flesh, self._lens, rig.frame_seconds,
+                    replace(self._streams, person=person), None if person else self._script,
+                )
+            )
+            for person, flesh in enumerate(each_flesh)
+        ]  # fmt: skip
+        ids = _Ids(self._streams, scene.exchanged * rig.frame_seconds / 60.0)
         for frame, marks in self._poses():
             positions = sensor_from_world.apply(marks)
-            shapes = capsules(positions, scene.height)
-            joints = positions[anatomy.landmarks_of(self.body)]
+            shapes = np.concatenate([capsules(*of) for of in zip(positions, heights, strict=True)])
             time_ns = rig.stamp(which, frame, scene.seed)
-            skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
+            skeletons = []
+            for tracker, flesh, at in zip(trackers, each_flesh, positions, strict=True):
+                joints = at[anatomy.landmarks_of(self.body)]
+                seen = visibility(joints, shapes, flesh, self._lens)
+                skeletons.append(tracker.report(joints, seen, time_ns))
             dropped = dropping.random() < rig.dropped
             depth = ir = None
             if self._depth != "none" and self.imaging:
@@ -199,35 +244,69 @@ class SimulatedKinect(Sensor):
                     self.images_left_out += 1
                 else:
                     depth, ir = self._images(positions, shapes, frame)
+            people = ids.of(skeletons)
             if not dropped:
-                people = {} if skeleton is None else {PERSON: skeleton}
                 yield with_witness(SensorFrame(time_ns, people, depth, ir=ir), self._lens)
 
     def _images(
         self, landmarks: Array, shapes: Array, frame: int
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint16] | None]:
-        """The depth and infrared image of a frame; landmarks and capsules are in the sensor's frame."""
+        """The depth and infrared image of a frame.
+
+        Landmarks (P, N, 3) and capsules are in the sensor's frame.
+        """
         sensor_from_world = self._rig.world_from_sensor(self._which).inverse()
         if self._infrared is not None:
-            shapes = clothed_capsules(landmarks, self._scene.height)
+            dressed = [clothed_capsules(*of) for of in zip(landmarks, self._heights, strict=True)]
+            shapes = np.concatenate(dressed)
         z, label, cosine = surface(shapes, sensor_from_world, self._lens)
         errors = self.depth_errors.of_sensor(self._streams.named("depth camera"))
         depth = depth_image(z, cosine, errors, self._streams.named("depth", frame), self._lens.fx)
         if self._infrared is None or self._light is None:
             return depth, None
         noise = self._streams.named("infrared", frame)
-        return depth, infrared_image(z, label, cosine, materials(), self._light, self._infrared, noise)
+        of = np.tile(materials(), len(landmarks))
+        return depth, infrared_image(z, label, cosine, of, self._light, self._infrared, noise)
+
+    @property
+    def _heights(self) -> list[float]:
+        height = self._scene.height
+        return [height] if self._scene.other is None else [height, _OTHER_HEIGHT * height]
 
     def _poses(self) -> Iterator[tuple[int, Array]]:
-        """Frame numbers and (N, 3) landmarks in the world."""
+        """Frame numbers and (P, N, 3) landmarks of each person in the world."""
         scene, rig = self._scene, self._rig
         count = None if scene.seconds is None else max(0, round(scene.seconds / rig.frame_seconds))
         first = 0
         while count is None or first < count:
             numbers = range(first, first + _CHUNK if count is None else min(first + _CHUNK, count))
             times = [rig.captured_at(self._which, k) for k in numbers]
-            yield from zip(numbers, scene.motion.landmarks(times, scene.height), strict=True)
+            motions = (scene.motion,) if scene.other is None else (scene.motion, scene.other)
+            each = [of.landmarks(times, height) for of, height in zip(motions, self._heights, strict=True)]
+            yield from zip(numbers, np.stack(each, axis=1), strict=True)
             first += _CHUNK
+
+
+class _Ids:
+    """The ids that a tracker gives to people. Of two, one who was out of sight comes back under a new one."""
+
+    def __init__(self, streams: Streams, exchanged: float) -> None:
+        self._random, self._exchanged = streams.named("ids"), exchanged
+        self._ids, self._count, self._lost = [PERSON, OTHER], 2, [False, False]
+
+    def of(self, skeletons: Sequence[Skeleton | None]) -> dict[str, Skeleton]:
+        """The people of the next frame."""
+        if len(skeletons) > 1 and self._random.random() < self._exchanged:
+            self._ids.reverse()
+        people = {}
+        for k, skeleton in enumerate(skeletons):
+            if skeleton is not None and self._lost[k] and len(skeletons) > 1:
+                self._count += 1
+                self._ids[k] = str(self._count)
+            self._lost[k] = skeleton is None
+            if skeleton is not None:
+                people[self._ids[k]] = skeleton
+        return dict(sorted(people.items()))
 
 
 def simulated_pair(
@@ -243,6 +322,8 @@ def simulated_pair(
     depth_errors: DepthErrors | None = None,
     rig: Rig | None = None,
     infrared: bool = False,
+    other: Movement | None = None,
+    exchanged: float = 0.0,
 ) -> tuple[SimulatedKinect, SimulatedKinect, Truth]:
     """Two sensors that watch one person, and the truth.
 
@@ -252,9 +333,11 @@ def simulated_pair(
         depth: Whether frames carry a depth image: ``none``, ``half`` or ``full``.
         errors: Of the body trackers; the real ones of the body where None.
         depth_errors: Of the depth images; those of the body's sensor where None.
+        other: The movement of a second person, who hides the first one and is hidden.
+        exchanged: How often a minute each tracker exchanges the ids of the two.
     """
     moving = movement(motion) if isinstance(motion, str | Path) else motion
-    scene = Scene(moving, body, height, seconds, seed)
+    scene = Scene(moving, body, height, seconds, seed, other, exchanged)
     rig = rig or Rig(angle_deg=angle_deg)
     a, b = (
         SimulatedKinect(scene, rig, which, errors=errors, depth=depth, infrared=infrared) for which in (0, 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,13 +20,14 @@ class Streams:
 
     seed: int
     which: int  # 0 for sensor A, 1 for B
+    person: int = 0  # of several people: whose errors these are
 
     def named(self, name: str, *numbers: int) -> np.random.Generator:
         """A new generator at the start of the stream of this name, and of these numbers (of a frame)."""
-        key = (self.which, zlib.crc32(name.encode()), *numbers)
+        key = (self.which + (_BOTH + 1) * self.person, zlib.crc32(name.encode()), *numbers)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
     @property
     def of_both(self) -> Streams:
         """The streams that both sensors share."""
-        return Streams(self.seed, _BOTH)
+        return replace(self, which=_BOTH)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from devices.association import follow_one
 from devices.people import RecordedPeople
 from devices.people_tracks import tracks_of
+from devices.simulated.kinect import Beside, movement
 from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import KINECT_V2
 from tests.helpers.recorded_pairs import write_view
@@ -18,7 +19,6 @@ from tests.helpers.two_people import (
     FOLLOWED,
     OTHER,
     THERAPIST,
-    Beside,
     recorded,
     share_right,
     two_people,
@@ -71,8 +71,8 @@ def test_ids_and_the_order_of_rows_do_not_change_who_is_followed(ids, seed):
     ("motion", "other"),
     [
         ("walk", BEHIND),
-        ("squat", Beside("steps", (1.3, 0.0, 0.3))),
-        ("walk", Beside("walk", (1.2, 0.0, 1.0))),
+        ("squat", Beside(movement("steps"), (1.3, 0.0, 0.3))),
+        ("walk", Beside(movement("walk"), (1.2, 0.0, 1.0))),
     ],
 )
 def test_one_person_is_followed_through_crossings_and_exchanged_ids(motion, other):
@@ -133,7 +133,7 @@ def _renamed(frames):
 
 
 def test_a_sensor_that_sees_one_of_two_people_follows_that_one():
-    views = two_people(("squat", Beside("steps", (1.2, 0.0, 0.4))))[0]
+    views = two_people(("squat", Beside(movement("steps"), (1.2, 0.0, 0.4))))[0]
     alone = [(time_ns, [None, people[OTHER]]) for time_ns, people in views[1]]
     a, b = recorded(views[0]), recorded(alone)
     assert_right((views[0], alone), followed(a, b), OTHER)

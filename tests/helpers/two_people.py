@@ -1,12 +1,10 @@
 """Two simulated people before two sensors, and trackers that exchange, lose and renew their ids."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from devices.people import RecordedPeople
 from devices.sensor import SensorFrame
-from devices.simulated.kinect import PERSON, movement, simulated_pair
+from devices.simulated.kinect import PERSON, Beside, movement, simulated_pair
 from devices.simulated.rig import Rig
 from fusion.body import KINECT_V2
 
@@ -14,34 +12,9 @@ FOLLOWED, OTHER = 0, 1
 _BEHIND_RAD = np.radians(7.0)
 
 
-@dataclass(frozen=True)
-class Beside:
-    """A movement in another place: the person stands aside and goes to and fro.
-
-    Attributes:
-        place: (3,) metres from the origin of the world.
-        reach: (3,) metres, amplitude of going to and fro.
-        seconds: Of one period.
-    """
-
-    motion: str
-    place: tuple[float, float, float]
-    reach: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    seconds: float = 9.0
-
-    @property
-    def name(self):
-        return self.motion
-
-    def landmarks(self, times, height=1.75):
-        marks = movement(self.motion).landmarks(times, height)
-        swing = np.sin(2.0 * np.pi * np.asarray(times) / self.seconds)
-        return marks + np.array(self.place) + swing[:, None, None] * np.array(self.reach)
-
-
-THERAPIST = Beside("idle", (0.9, 0.0, 0.8), (1.6, 0.0, 0.1))
+THERAPIST = Beside(movement("idle"), (0.9, 0.0, 0.8), (1.6, 0.0, 0.1))
 """Goes to and fro behind a person who stands, and crosses them in both views."""
-BEHIND = Beside("idle", (0.0, 0.0, 1.4), (1.6, 0.0, 0.1))
+BEHIND = Beside(movement("idle"), (0.0, 0.0, 1.4), (1.6, 0.0, 0.1))
 """The same behind a person who walks: the two are never nearer than half a metre."""
 
 

@@ -22,6 +22,7 @@ from devices.simulated.demonstration import (
     HardMoment,
     demonstrated,
     demonstration,
+    therapist,
 )
 from devices.simulated.kinect import Scene, SimulatedKinect, Truth, TruthAhead
 from devices.simulated.person.movements import MOTIONS
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
 
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
 _FPS = 30.0
+_EXCHANGED = 10.0  # ids of two people, times a minute
 _MOST_NAMED = 4  # times of one fault
 _NEXT = "Next: {walk}{other}, or your own sensors (duplex doctor)."
 
@@ -70,7 +72,14 @@ def run(options: DemoOptions) -> None:
     own_tracker = options.tracker == "blazepose"
     body = BLAZEPOSE if own_tracker else BODIES[options.body]
     shown = demonstration(
-        Scene(demonstrated(options.motion), body, seconds=options.seconds, seed=options.seed),
+        Scene(
+            demonstrated(options.motion),
+            body,
+            seconds=options.seconds,
+            seed=options.seed,
+            other=therapist() if options.people > 1 else None,
+            exchanged=_EXCHANGED,
+        ),
         angle_deg=options.angle,
         depth=options.depth,
         infrared=own_tracker or options.record is not None,
@@ -156,8 +165,9 @@ def _show(
 def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMoment]) -> None:
     """Prints what happens, and when to look."""
     angle = BAD_ANGLE_DEG if options.bad_setup else options.angle
+    beside = " and another one who walks about" if options.people > 1 else ""
     console.print(
-        f"A simulated person ({escape(options.motion)}) before two Kinects {angle:.0f}° apart, "
+        f"A simulated person ({escape(options.motion)}){beside} before two Kinects {angle:.0f}° apart, "
         f"{options.seconds:g} s. Press Ctrl-C to end."
     )
     if options.quiet:

@@ -75,6 +75,8 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptio
     """Degrees between the two sensors."""
     bad_setup: Annotated[bool, SENSORS] = False
     """Place the sensors badly, and see what the program advises."""
+    people: Annotated[Literal[1, 2], SENSORS] = 1
+    """2: another person walks about behind the first one, and the trackers exchange their ids."""
     body: Annotated[Literal["kinect_v1", "kinect_v2", "azure_kinect", "blazepose"], SENSORS] = "azure_kinect"
     """Whose body tracker is simulated."""
     tracker: Annotated[Literal["simulated", "blazepose"], TRACKER] = "simulated"

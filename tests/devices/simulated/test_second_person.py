@@ -1,0 +1,51 @@
+"""A second simulated person hides the first one and is hidden, and trackers exchange the ids of the two."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from devices.simulated.kinect import OTHER, PERSON, Beside, movement, simulated_pair
+from fusion.body import KINECT_V2
+
+ASIDE = Beside(movement("sit"), (1.5, 0.0, 0.3))
+BEHIND = Beside(movement("still"), (0.0, 0.0, 0.8))
+
+
+def frames(other, seconds=2.0, **options):
+    a, _, _ = simulated_pair(motion="walk", body=KINECT_V2, seconds=seconds, seed=3, other=other, **options)
+    return list(a.frames())
+
+
+def torso(skeleton):
+    return np.nanmean(skeleton.positions[list(KINECT_V2.torso)], axis=0)
+
+
+def test_a_person_who_stands_aside_changes_nothing_of_the_first_one():
+    alone, both = frames(None), frames(ASIDE)
+    assert [frame.time_ns for frame in alone] == [frame.time_ns for frame in both]
+    for one, two in zip(alone, both, strict=True):
+        assert one.people.keys() <= {PERSON}
+        assert (PERSON in one.people) == (PERSON in two.people)
+        if PERSON in one.people:
+            assert one.people[PERSON].repeats(two.people[PERSON])
+    apart = [np.linalg.norm(torso(f.people[OTHER]) - torso(f.people[PERSON])) for f in both[5:]]
+    assert np.median(apart) == pytest.approx(np.hypot(1.5, 0.3), abs=0.4)
+
+
+def test_who_stands_behind_another_is_hidden():
+    seen = [frame.people for frame in frames(BEHIND, angle_deg=0.0) if PERSON in frame.people]
+    first = np.mean([people[PERSON].tracked.mean() for people in seen])
+    other = np.mean([people[OTHER].tracked.mean() if OTHER in people else 0.0 for people in seen])
+    assert other < first - 0.2
+    depth = frames(BEHIND, 0.1, angle_deg=90.0, depth="half")[0].depth
+    alone = frames(None, 0.1, angle_deg=90.0, depth="half")[0].depth
+    assert (depth != alone).mean() > 0.01
+
+
+def test_ids_are_exchanged_so_often_a_minute():
+    assert all({*frame.people} <= {PERSON, OTHER} for frame in frames(ASIDE, 4.0))
+    seen = [frame.people for frame in frames(ASIDE, 30.0, exchanged=60.0) if len(frame.people) == 2]
+    names = [min(people, key=lambda name: torso(people[name])[0]) for people in seen]
+    changes = sum(one != other for one, other in pairwise(names))
+    assert 15 <= changes <= 45
