@@ -1,9 +1,6 @@
-"""A sensor's viewing plane: projection of points to its image."""
+"""The camera of a depth image; :mod:`devices.depth.camera` projects with it."""
 
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True)
@@ -24,18 +21,6 @@ class Intrinsics:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
-
-    def project(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Projects (…, 3) points of the sensor's frame to (…, 2) pixels; NaN behind the sensor.
-
-        Lens distortion is ignored: it moves all joints of a person nearly alike, and the method needs only
-        the distances between joints.
-        """
-        at = np.asarray(points, dtype=np.float64)
-        depth = np.where(at[..., 2] > 0.0, at[..., 2], np.nan)
-        return np.stack(
-            (self.fx * at[..., 0] / depth + self.cx, self.fy * at[..., 1] / depth + self.cy), axis=-1
-        )
 
 
 NOMINAL_INTRINSICS = {

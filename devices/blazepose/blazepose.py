@@ -27,7 +27,7 @@ from devices.blazepose.networks.inference import (
 )
 from devices.blazepose.regions import Region, transformed, whole_image
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
-from devices.depth.point_cloud import pixels_of
+from devices.depth.camera import project
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
@@ -83,7 +83,7 @@ class _Sighting(NamedTuple):
             return False
         if middle[2] > expected[2] - _BEFORE or expected[2] <= 0.1:
             return True
-        u, v = pixels_of(expected[None], camera)[0]
+        u, v = project(camera, expected)
         return _distance(u, v, _HIPS * self.region.side, depth) > float(expected[2]) + _BEFORE
 
 
@@ -203,7 +203,7 @@ class BlazePose:
         wanted = self.settings.person
         if self._last is not None:
             expected, wanted = self._last.expected(time_ns), "middle"
-            middle = pixels_of(expected[None], camera)[0] if expected[2] > 0.1 else middle
+            middle = project(camera, expected) if expected[2] > 0.1 else middle
 
         def rank(region: Region) -> float:
             if wanted == "nearest":

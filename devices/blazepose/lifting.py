@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.blazepose.landmark_kinds import EARS, FACE, LONG_BONE_LENGTHS, LONG_BONES, column, opposite
-from devices.depth.point_cloud import rays
+from devices.depth.camera import in_image, rays
 from fusion.compiling.kernels import kernel
 from fusion.errors import CalibrationError
 from fusion.intrinsics import Intrinsics
@@ -71,9 +71,9 @@ def lift(landmarks: BodyLandmarks, depth: NDArray[np.uint16], camera: Intrinsics
     if laid is None:
         return None
     body, size, _ = laid
-    at = rays(pixels, camera)
+    at = rays(camera, pixels)
     imaged = np.isfinite(at[:, 0])
-    inside = imaged & _within(pixels, camera, 0.0)
+    inside = imaged & in_image(camera, pixels)
     image = np.ascontiguousarray(depth)
     expected, reach = body[:, 2] - size * _BENEATH, camera.fx * _SURFACE_RADIUS
     reading, share = _surfaces(image, pixels, inside, reach, expected - _FRONT, expected + _BACK)
@@ -83,7 +83,7 @@ def lift(landmarks: BodyLandmarks, depth: NDArray[np.uint16], camera: Intrinsics
     seen[LONG_BONES[~_possible_bones(points, size), 1]] = False
     if np.count_nonzero(seen) < _FEWEST:
         return None
-    near = imaged & _within(pixels, camera, _MARGIN * max(camera.width, camera.height))
+    near = imaged & in_image(camera, pixels, _MARGIN * max(camera.width, camera.height))
     return Lifted(points, seen, near, size)
 
 
@@ -97,10 +97,10 @@ def lay_body(
         metres. None where the depth shows no person of possible size.
     """
     pixels, visibility, presence, world = landmarks
-    at = rays(pixels, camera)
+    at = rays(camera, pixels)
     imaged = np.isfinite(at[:, 0])
     at = np.where(imaged[:, None], at, 0.0)  # without weight
-    inside = imaged & _within(pixels, camera, 0.0)
+    inside = imaged & in_image(camera, pixels)
     trust = visibility * presence * inside
     image = np.ascontiguousarray(depth)
     body = world + _placement(at, world, np.where(imaged, trust + 1e-3, 0.0))
@@ -125,14 +125,6 @@ def lay_body(
         except CalibrationError:  # all on one line
             break
     return body, size, reading
-
-
-def _within(pixels: Array, camera: Intrinsics, margin: float) -> NDArray[np.bool_]:
-    """(N,) whether pixels lie in the image or at most a margin outside of it."""
-    u, v = pixels[:, 0], pixels[:, 1]
-    low, right, bottom = -0.5 - margin, camera.width - 0.5 + margin, camera.height - 0.5 + margin
-    within: NDArray[np.bool_] = (u >= low) & (u < right) & (v >= low) & (v < bottom)
-    return within
 
 
 def _placement(at: Array, world: Array, trust: Array) -> Array:

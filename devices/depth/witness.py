@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.depth.camera import lens_of, pixel
 from devices.sensor import SensorFrame
 from fusion.body import KINECT_V1
 from fusion.compiling.kernels import inner_kernel, kernel
@@ -40,11 +41,8 @@ def depth_witness(
         joint, for a joint without a position, and outside the image.
     """
     found = np.full((len(skeleton.states), len(COLUMNS)), np.nan, dtype=np.float32)
-    lens = np.zeros(8)
-    lens[: len(intrinsics.distortion)] = intrinsics.distortion
-    pinhole = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
     positions = np.ascontiguousarray(skeleton.positions, dtype=np.float32)
-    _measure(np.ascontiguousarray(depth), pinhole, lens, positions, found)
+    _measure(np.ascontiguousarray(depth), *lens_of(intrinsics), positions, found)
     return found.astype(np.float16).astype(np.float32)  # precision of a session, for replays
 
 
@@ -76,10 +74,10 @@ def _measure(depth, pinhole, lens, positions, found):  # type: ignore[no-untyped
         x, y, z = float(positions[j, 0]), float(positions[j, 1]), float(positions[j, 2])
         if not z > 0.1:
             continue
-        pixel_u, pixel_v = _pixel(x / z, y / z, pinhole, lens)
-        if not (0.0 <= pixel_u < width and 0.0 <= pixel_v < height):
+        centre_u, centre_v = pixel(pinhole, lens, x / z, y / z)
+        if not (-0.5 <= centre_u < width - 0.5 and -0.5 <= centre_v < height - 0.5):
             continue
-        u, v = int(pixel_u), int(pixel_v)  # the pixel that contains the joint
+        u, v = int(centre_u + 0.5), int(centre_v + 0.5)  # the pixel that contains the joint
         along = math.sqrt(x * x + y * y + z * z) / z  # metres along the ray for each metre of depth
         across = pinhole[0] / z  # pixels for each metre across the ray
         gap = _gap(depth, u, v, z, along, across, sorted_gaps)
@@ -87,22 +85,7 @@ def _measure(depth, pinhole, lens, positions, found):  # type: ignore[no-untyped
             continue
         found[j, 0] = gap
         found[j, 1] = _edge(depth, u, v, z, along, across, gap > SEEN_PAST)
-        found[j, 2], found[j, 3] = _patch(depth, pixel_u, pixel_v, z, along, across, gap)
-
-
-@inner_kernel
-def _pixel(x, y, pinhole, lens):  # type: ignore[no-untyped-def]
-    """Projects the ray through (x, y, 1) by OpenCV's rational model k1, k2, p1, p2, k3, k4, k5, k6.
-
-    Half a pixel is added, so that the integer part is the index of the pixel that contains the point.
-    """
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (lens[0] + r2 * (lens[1] + r2 * lens[4]))
-    radial /= 1.0 + r2 * (lens[5] + r2 * (lens[6] + r2 * lens[7]))
-    p1, p2 = lens[2], lens[3]
-    u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-    v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    return pinhole[0] * u + pinhole[2] + 0.5, pinhole[1] * v + pinhole[3] + 0.5
+        found[j, 2], found[j, 3] = _patch(depth, centre_u, centre_v, z, along, across, gap)
 
 
 @inner_kernel
@@ -155,12 +138,11 @@ def _edge(depth, u, v, z, along, across, outside):  # type: ignore[no-untyped-de
 
 
 @inner_kernel
-def _patch(depth, pixel_u, pixel_v, z, along, across, gap):  # type: ignore[no-untyped-def]
+def _patch(depth, centre_u, centre_v, z, along, across, gap):  # type: ignore[no-untyped-def]
     """Offset across the ray from the joint to the centroid of the readings near its surface, metres."""
     height, width = depth.shape
     radius = _PATCH_RADIUS * across
     step = max(1, round(_STEP * across))
-    centre_u, centre_v = pixel_u - 0.5, pixel_v - 0.5
     sum_u = sum_v = 0.0
     count = 0
     for b in range(int(centre_v - radius), int(centre_v + radius) + 1, step):

@@ -18,6 +18,7 @@ from devices.blazepose.blazepose import BlazePose
 from devices.blazepose.landmark_kinds import CONSTANTS, INDEX, column
 from devices.blazepose.lifting import _outward, lay_body
 from devices.blazepose.regions import Region
+from devices.depth.camera import project
 from devices.simulated.kinect import simulated_pair
 from devices.simulated.person import anatomy
 from fusion.body import BLAZEPOSE
@@ -58,7 +59,7 @@ def observe(seconds, every, seed):
 
 def _region_of(landmarks):
     """Where a person is followed, from the truth, so that images need not follow each other."""
-    pixels = CAMERA.project(landmarks)
+    pixels = project(CAMERA, landmarks)
     centre = 0.5 * (pixels[anatomy.INDEX["HIP_LEFT"]] + pixels[anatomy.INDEX["HIP_RIGHT"]])
     radius = 1.05 * float(np.linalg.norm(pixels - centre, axis=1).max())
     return Region.around(centre, centre - (0.0, radius))

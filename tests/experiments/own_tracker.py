@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from devices.blazepose.blazepose import BlazePose
 from devices.blazepose.settings import BlazePoseSettings
+from devices.depth.camera import project
 from devices.depth.witness import with_witness
 from devices.sensor import SensorFrame
 from devices.simulated.imaging.body_surface import capsules, flesh_over, visibility
@@ -98,7 +99,7 @@ def track(sensor, which, frames, truth, settings):
             )
             true = marks[anatomy.landmarks_of(BLAZEPOSE)]
             visible = visibility(true, capsules(marks, scene.height), flesh, lens)
-            pixels = lens.project(true)
+            pixels = project(lens, true)
             inside = (pixels >= 0.0).all(axis=1) & (pixels < (lens.width, lens.height)).all(axis=1)
             before = time.process_time()
             people = tracker.track(frame.ir, frame.depth, lens, frame.time_ns)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.capture.causes import Cause
+from devices.depth.camera import in_image, project
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
@@ -167,8 +168,8 @@ class Coach:
 
         One leg often hides the other, which no better place would change; it cannot hide both feet.
         """
-        pixels = camera.project(skeleton.positions[self._feet])
-        outside = (pixels < 0.0).any(axis=1) | (pixels >= (camera.width, camera.height)).any(axis=1)
+        pixels = project(camera, skeleton.positions[self._feet])
+        outside = np.isfinite(pixels[:, 0]) & ~in_image(camera, pixels)
         return bool(outside.any() or not skeleton.tracked[self._feet].any())
 
     def _sensors(self, time: float) -> Iterator[Advice]:

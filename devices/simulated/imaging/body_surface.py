@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.depth.camera import project
 from devices.simulated.imaging.rendering import capsule_depth, share_seen
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import INDEX, REFERENCE_HEIGHT, Array
@@ -88,7 +89,7 @@ def visibility(joints: Array, shapes: Array, flesh: Array, intrinsics: Intrinsic
     frame, metres; a joint outside the image is not visible.
     """
     seen = np.asarray(share_seen(np.ascontiguousarray(joints), np.ascontiguousarray(shapes), flesh))
-    pixels = intrinsics.project(joints)
+    pixels = project(intrinsics, joints)
     with np.errstate(invalid="ignore"):
         inside = (pixels >= 0.0).all(axis=1) & (pixels[:, 0] < intrinsics.width)
         inside &= pixels[:, 1] < intrinsics.height

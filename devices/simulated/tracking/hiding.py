@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.depth.camera import project
 from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.report import Report, Tracked, Wandering
 from fusion.joint_kinds import by_joint
@@ -71,7 +72,7 @@ class Hiding:
 def _covering(report: Report) -> NDArray[np.int64]:
     """(J,) The joint that covers each: nearest in the image, in front, no neighbour; or itself."""
     joints, lens = report.joints, report.of.intrinsics
-    pixels = lens.project(joints)
+    pixels = project(lens, joints)
     apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
     nearer = joints[None, :, 2] < joints[:, None, 2] - 0.05
     possible = nearer & ~report.of.body.linked & (report.visible > 0.5)[None]

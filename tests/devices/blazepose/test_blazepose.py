@@ -6,7 +6,7 @@ import pytest
 from devices.blazepose.blazepose import BlazePose, _Sighting
 from devices.blazepose.regions import Region
 from devices.blazepose.settings import BlazePoseSettings
-from devices.depth.point_cloud import pixels_of
+from devices.depth.camera import project
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
@@ -170,7 +170,7 @@ def test_a_tracked_joint_never_lies_where_there_is_no_depth(tracker, share):
     skeleton = only(tracker.track(infrared, np.where(holes, 0, depth).astype(np.uint16), CAMERA, 0))
     assert skeleton.tracked.sum() >= 5
     for joint in np.flatnonzero(skeleton.tracked):
-        u, v = np.rint(CAMERA.project(skeleton.positions[joint])).astype(int)
+        u, v = np.rint(project(CAMERA, skeleton.positions[joint])).astype(int)
         window = np.where(holes, 0, depth)[max(0, v - 8) : v + 9, max(0, u - 8) : u + 9]
         readings = 0.001 * window[window > 0]
         z = skeleton.positions[joint, 2]
@@ -181,7 +181,7 @@ def test_a_tracked_joint_never_lies_where_there_is_no_depth(tracker, share):
 def test_joints_covered_by_a_table_are_inferred(tracker):
     marks = landmarks_at("startup", 1.0)
     infrared, depth = images_of([marks])
-    hips = CAMERA.project(true_joints(marks)[[BLAZEPOSE.joint("HIP_LEFT"), BLAZEPOSE.joint("HIP_RIGHT")]])
+    hips = project(CAMERA, true_joints(marks)[[BLAZEPOSE.joint("HIP_LEFT"), BLAZEPOSE.joint("HIP_RIGHT")]])
     top = int(hips[:, 1].max()) + 25  # the table hides the legs from the upper thigh down
     infrared, depth = infrared.copy(), depth.copy()
     infrared[top:], depth[top:] = 300, 1500
@@ -197,8 +197,8 @@ def test_a_person_who_leaves_the_view_has_no_tracked_joint_outside(tracker):
     for k in range(12):
         marks = landmarks_at("walk", 2.0) + np.array((1.2 + 0.05 * k, 0.0, 0.0))
         for skeleton in tracker.track(*images_of([marks], seed=k), CAMERA, k * FRAME_NS).values():
-            outside += int((CAMERA.project(true_joints(marks))[:, 0] >= CAMERA.width).sum())
-            pixels = CAMERA.project(skeleton.positions[skeleton.tracked])
+            outside += int((project(CAMERA, true_joints(marks))[:, 0] >= CAMERA.width).sum())
+            pixels = project(CAMERA, skeleton.positions[skeleton.tracked])
             assert (pixels > -0.5).all()
             assert (pixels[:, 0] < CAMERA.width).all()
     assert outside >= 15  # of a person who is still found
@@ -207,7 +207,7 @@ def test_a_person_who_leaves_the_view_has_no_tracked_joint_outside(tracker):
 @pytest.mark.parametrize("degrees", [-50, -30, 0, 20, 40])
 def test_who_stands_before_the_person_is_not_taken_for_them_at_the_side_of_a_lens(degrees):
     at = np.array((2.5 * np.tan(np.radians(degrees)), 0.0, 2.5))
-    u, v = pixels_of(at[None], WIDE)[0]
+    u, v = project(WIDE, at)
     half = round(0.11 * WIDE.fx / at[2])
     depth = np.full((WIDE.height, WIDE.width), 4000, np.uint16)
     depth[:, round(u) - half : round(u) + half + 1] = 2500
@@ -258,7 +258,7 @@ def test_landmarks_are_within_a_twentieth_of_the_height_of_marks_made_by_hand():
         for k in range(3):  # a region follows from the landmarks of the image before, and settles
             people = tracker.track(photograph, depth, camera, k * FRAME_NS)
     assert len(people) == 1
-    pixels = camera.project(next(iter(people.values())).positions)
+    pixels = project(camera, next(iter(people.values())).positions)
     misses = {
         joint: float(np.linalg.norm(pixels[BLAZEPOSE.joint(joint)] - mark)) / height
         for joint, mark in MARKS.items()

@@ -11,7 +11,7 @@ from devices.blazepose.lifting import BodyLandmarks, Lifted, lift
 from devices.blazepose.networks.files import DETECTOR, checked_content
 from devices.blazepose.networks.inference import Detector
 from devices.blazepose.regions import Region, transformed, whole_image
-from devices.depth.point_cloud import pixels_of
+from devices.depth.camera import project
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import TrackingState
 from tests.helpers.machine import need_networks
@@ -41,7 +41,7 @@ def depth_of(points, beneath=None, radius=8, camera=CAMERA):
     depth = np.full((CAMERA.height, CAMERA.width), 4000, dtype=np.uint16)
     surface = points[:, 2] - (column("beneath") if beneath is None else beneath)
     for j in np.argsort(-points[:, 2]):
-        u, v = np.rint(pixels_of(points[j : j + 1], camera)[0]).astype(int)
+        u, v = np.rint(project(camera, points[j])).astype(int)
         depth[v - radius : v + radius + 1, u - radius : u + radius + 1] = round(1000 * surface[j])
     return depth
 
@@ -62,7 +62,7 @@ def test_the_place_and_the_size_of_a_body_come_from_the_depth(size):
     real = size * points  # a person of another size, at another distance, in the same image
     alone = of_kinds("SHOULDER", "ELBOW", "WRIST", "KNEE", "ANKLE")
     depth = depth_of(real, beneath=size * column("beneath"))
-    lifted = lift(BodyLandmarks(CAMERA.project(real), SEEN, SEEN, world_of(points)), depth, CAMERA)
+    lifted = lift(BodyLandmarks(project(CAMERA, real), SEEN, SEEN, world_of(points)), depth, CAMERA)
     assert lifted.size == pytest.approx(size, rel=0.03)
     assert lifted.seen[alone].all()
     np.testing.assert_allclose(lifted.positions[alone], real[alone], atol=0.004)
@@ -73,9 +73,9 @@ def test_a_landmark_behind_something_is_not_seen_and_keeps_its_place():
     points = body()
     depth = depth_of(points)
     arm = [j for j in of_kinds("ELBOW", "WRIST") if LANDMARK_NAMES[j].endswith("LEFT")]
-    for u, v in np.rint(CAMERA.project(points[arm])).astype(int):
+    for u, v in np.rint(project(CAMERA, points[arm])).astype(int):
         depth[v - 20 : v + 21, u - 20 : u + 21] = 2100
-    lifted = lift(BodyLandmarks(CAMERA.project(points), SEEN, SEEN, world_of(points)), depth, CAMERA)
+    lifted = lift(BodyLandmarks(project(CAMERA, points), SEEN, SEEN, world_of(points)), depth, CAMERA)
     assert not lifted.seen[arm].any()
     # the body is laid onto patches that are up to 2 cm from its landmarks' own, where they overlap
     np.testing.assert_allclose(lifted.positions[arm], points[arm], atol=0.04)
@@ -84,7 +84,7 @@ def test_a_landmark_behind_something_is_not_seen_and_keeps_its_place():
 @pytest.mark.parametrize("why", ["the network calls it hidden", "the thigh points at the camera"])
 def test_a_landmark_that_cannot_be_measured_is_not_seen(why):
     points, visibility = body(), SEEN.copy()
-    pixels = CAMERA.project(points)
+    pixels = project(CAMERA, points)
     if why.startswith("the network"):
         visibility[INDEX["KNEE_LEFT"]] = 0.1
     else:
@@ -98,13 +98,13 @@ def test_a_landmark_that_cannot_be_measured_is_not_seen(why):
 def test_an_impossible_size_is_no_person(size):
     points = body()
     depth = np.full((CAMERA.height, CAMERA.width), round(2500 * size), dtype=np.uint16)
-    assert lift(BodyLandmarks(CAMERA.project(points), SEEN, SEEN, world_of(points)), depth, CAMERA) is None
+    assert lift(BodyLandmarks(project(CAMERA, points), SEEN, SEEN, world_of(points)), depth, CAMERA) is None
 
 
 def test_a_landmark_where_the_lens_images_nothing_has_no_position():
     lens = replace(CAMERA, distortion=(-0.5, 0.0, 0.0, 0.0))  # as in test_depth_images.py
     points, wrist = body(), INDEX["WRIST_LEFT"]
-    pixels = pixels_of(points, lens)
+    pixels = project(lens, points)
     depth = depth_of(points, camera=lens)
     pixels[wrist] = 5.0
     lifted = lift(BodyLandmarks(pixels, SEEN, SEEN, world_of(points)), depth, lens)
@@ -130,7 +130,7 @@ def test_a_joint_is_moved_along_its_bone_and_keeps_its_own_state():
     seen[INDEX["SHOULDER_LEFT"]] = seen[INDEX["PINKY_LEFT"]] = False
     known[INDEX["KNEE_LEFT"]] = seen[INDEX["KNEE_LEFT"]] = False
     lifted = Lifted(points, seen, known, 1.0)
-    positions, states = joints_of(lifted, CAMERA.project(points), depth_of(points))
+    positions, states = joints_of(lifted, project(CAMERA, points), depth_of(points))
     for name, state in (
         ("SHOULDER_LEFT", TrackingState.INFERRED),
         ("ELBOW_LEFT", TrackingState.TRACKED),

@@ -5,6 +5,7 @@ import pytest
 
 from devices.blazepose.blazepose import BlazePose
 from devices.blazepose.settings import BlazePoseSettings
+from devices.depth.camera import project
 from fusion.body import BLAZEPOSE
 from tests.helpers.machine import need_networks
 from tests.helpers.real_people import CAMERA, clip, marks
@@ -29,7 +30,7 @@ def misses(folder, wanted, person):
     found = []
     for image, skeleton in tracked(folder, wanted):
         visible = {joint: at for joint, (at, seen) in by_hand.get(image.frame, {}).items() if seen}
-        pixels = CAMERA.project(skeleton.positions)
+        pixels = project(CAMERA, skeleton.positions)
         trunk = [at for joint, at in visible.items() if joint.startswith(("SHOULDER", "HIP"))]
         for joint, at in visible.items():
             depths = [0.001 * image.depth[tuple(np.rint(place[::-1]).astype(int))] for place in trunk]

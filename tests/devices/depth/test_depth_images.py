@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from devices.azure.mkv import MkvRecording
+from devices.depth.camera import in_image, project, rays, turned
 from devices.depth.image_thinning import has_images, thinned, thinned_camera, with_depth, without_images
-from devices.depth.point_cloud import depth_to_points, pixels_of, ray_table, rays
+from devices.depth.point_cloud import depth_to_points, ray_table
 from devices.depth.rvl import decode_depth, encode_depth
 from devices.sensor import DeviceError
 from fusion.body import AZURE_KINECT
@@ -121,9 +122,20 @@ def test_real_points_project_back_onto_their_pixels(shared):
 @given(degrees=st.floats(0.0, 62.0), way=st.floats(0.0, 2.0 * np.pi))
 def test_rays_undo_the_lens_to_the_edge_of_a_wide_image(degrees, way):
     point = np.append(np.tan(np.radians(degrees)) * np.array((np.cos(way), np.sin(way))), 1.0)[None]
-    pixel = pixels_of(point, WIDE)
+    pixel = project(WIDE, point)
     np.testing.assert_allclose(pixel, _project(point, WIDE), atol=1e-9)
-    np.testing.assert_allclose(rays(pixel, WIDE), point[:, :2], atol=1e-4)
+    np.testing.assert_allclose(rays(WIDE, pixel), point[:, :2], atol=1e-4)
+
+
+@given(degrees=st.floats(0.0, 62.0), way=st.floats(0.0, 2.0 * np.pi))
+def test_a_turned_camera_images_turned_points_at_turned_pixels(degrees, way):
+    lens = replace(WIDE, height=400, fy=250.0, cx=250.0, cy=190.0)
+    point = np.array((*np.tan(np.radians(degrees)) * np.array((np.cos(way), np.sin(way))), 1.0))
+    u, v = project(lens, point)
+    clockwise = project(turned(lens), (-point[1], point[0], 1.0))
+    np.testing.assert_allclose(clockwise, (lens.height - 1 - v, u), atol=1e-9)
+    assert in_image(turned(lens), clockwise) == in_image(lens, np.array((u, v)))
+    assert turned(turned(turned(turned(lens)))) == lens
 
 
 def test_a_pixel_right_and_below_the_centre_is_right_and_below():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from devices.depth.camera import project
 from devices.simulated.imaging.body_surface import capsules, flesh_over, visibility
 from devices.simulated.imaging.rendering import (
     FLOOR,
@@ -172,7 +173,7 @@ def test_readings_at_edges_may_lie_between_the_surfaces():
 def test_the_same_point_is_in_the_same_place_of_the_halved_image():
     # Pixel centres: the first half pixel covers full pixels 0 and 1, centre 0.5.
     point = np.array((0.2, -0.1, 2.0))
-    full, half = LENS.project(point), HALF.project(point)
+    full, half = project(LENS, point), project(HALF, point)
     np.testing.assert_allclose(full, 2.0 * half + 0.5, atol=1e-12)
 
 
@@ -185,7 +186,7 @@ def test_visibility_without_an_image_agrees_with_the_depth_image(name, time, whi
     flesh = flesh_over(AZURE_KINECT)
     seen = visibility(joints, shapes, flesh, LENS)
     z, _, _ = surface(shapes, sensor_from_world, LENS)
-    u, v = np.rint(LENS.project(joints)).astype(int).T
+    u, v = np.rint(project(LENS, joints)).astype(int).T
     before = joints[:, 2] - z[v, u]
     # Fully seen or fully hidden joints: the surface before them is their own skin, or is not. Half a pixel
     # beside the joint the surface may be another; the slack is the slope of a sphere of their flesh.

@@ -6,6 +6,7 @@ from itertools import cycle
 import numpy as np
 import pytest
 
+from devices.depth.camera import project
 from devices.sensor import DeviceError
 from devices.simulated.imaging.body_surface import capsules
 from devices.simulated.imaging.rendering import DepthErrors
@@ -184,7 +185,7 @@ def test_depth_images_show_the_person_where_the_joints_are(depth, size):
     shapes = capsules(truth.rig.world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(0.0)[0]))
     for name in ("SPINE_CHEST", "PELVIS", "KNEE_RIGHT", "ELBOW_RIGHT"):
         joint = joints[AZURE_KINECT.joint(name)]
-        u, v = np.rint(a.intrinsics.project(joint)).astype(int)
+        u, v = np.rint(project(a.intrinsics, joint)).astype(int)
         skin = joint[2] - frame.depth[v, u] * 1e-3
         assert 0.0 < skin < 2.0 * shapes[:, 6].max()
 

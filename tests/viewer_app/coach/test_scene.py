@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from devices.depth.camera import project
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
@@ -52,7 +53,7 @@ def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b):
         torso = sensor.inverse().apply([spot.x, 0.0, spot.z])
         assert nearest(CAMERA) <= torso[2] <= far
         for side in (-ARM, ARM):
-            pixel = CAMERA.project(torso + [side, 0.0, 0.0])
+            pixel = project(CAMERA, torso + [side, 0.0, 0.0])
             assert 0.0 <= pixel[0] <= CAMERA.width
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from devices.depth.camera import project
 from devices.sensor import SensorFrame
 from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.calibration import Calibration, calibrate
@@ -109,7 +110,7 @@ def test_too_close_and_too_far_name_the_distance_and_the_limit():
 
 
 def test_a_tall_person_fits_into_the_image_at_the_nearest_distance():
-    top, bottom = CAMERA.project([[0.0, -1.0, nearest(CAMERA)], [0.0, 1.0, nearest(CAMERA)]])[:, 1]
+    top, bottom = project(CAMERA, [[0.0, -1.0, nearest(CAMERA)], [0.0, 1.0, nearest(CAMERA)]])[:, 1]
     assert bottom - top == pytest.approx(CAMERA.height)
 
 

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from devices.depth.camera import project
 from devices.simulated.demonstration import MIRRORED, MISPLACED, bad_rig, demonstrated, good_rig
 from devices.simulated.person.anatomy import landmarks_of
 from devices.simulated.person.movements import MOTIONS
@@ -152,7 +153,7 @@ def share_inside(rig, body, motion):
     camera = NOMINAL_INTRINSICS[body.name]
     inside = np.ones(len(joints), dtype=bool)
     for which in (0, 1):
-        pixels = camera.project(rig.world_from_sensor(which).inverse().apply(joints))
+        pixels = project(camera, rig.world_from_sensor(which).inverse().apply(joints))
         inside &= ((pixels >= 0.0) & (pixels < (camera.width, camera.height))).all(axis=(1, 2))
     return float(inside.mean())
 

@@ -8,6 +8,7 @@ import pytest
 import rerun as rr
 
 from devices.azure.mkv import MkvRecording
+from devices.depth.camera import project
 from devices.simulated.kinect import simulated_pair
 from devices.simulated.rig import Rig
 from fusion.body import BLAZEPOSE
@@ -54,7 +55,7 @@ def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_fo
     with MkvRecording(paths[0]) as written:  # the lens in the file is the simulator's
         points = np.array(((0.3, -0.4, 2.0), (-0.8, 0.9, 3.0)))
         np.testing.assert_allclose(
-            written.intrinsics.project(points), a.intrinsics.project(points), atol=1e-6
+            project(written.intrinsics, points), project(a.intrinsics, points), atol=1e-6
         )
     saved = tmp_path / "s.rrd"
     assert duplex("fuse", *paths, "--no-viewer", "--tracker", "blazepose", "--save", saved, "--verbose") == 0
