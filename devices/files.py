@@ -16,10 +16,11 @@ from devices.orbbec.playback import SUFFIX as BAG
 from devices.orbbec.playback import OrbbecRecording
 from devices.realsense.sensors import SUFFIX as DB3
 from devices.realsense.sensors import RealSenseRecording, is_realsense_bag
-from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
+from devices.sensor import DeviceError, Orientation, Sensor, SensorFrame, SensorWrapper
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import StatedFormat, Unit
 from devices.tracker_choice import TrackerChoice, choose_tracker
+from devices.upright import upright
 from fusion.progress import Progress, quietly
 
 MKV = ".mkv"
@@ -34,6 +35,7 @@ def open_source(
     progress: Progress = quietly,
     axes: str = "",
     names: str = "",
+    orientation: Orientation = 0,
 ) -> Sensor:
     """Creates the sensor for a recording; opens nothing.
 
@@ -48,12 +50,16 @@ def open_source(
         option: What the option that gives ``skeletons`` is called, for messages; empty without one.
         unit, axes, names: Of a ``.csv``; see :class:`devices.skeletons.stated_format.StatedFormat`.
         progress: Shows how far reading a ``.csv`` is.
+        orientation: Of the sensor, for a recording of images; see :mod:`devices.upright`.
 
     Raises:
-        DeviceError: Skeletons for a file that has its own, or a tracker that cannot take its images.
+        DeviceError: Skeletons or an orientation for a file without images, or a tracker that cannot take its
+            images.
     """
     stated = StatedFormat(unit, axes, names)
     if not has_images(path):
+        if orientation:
+            raise DeviceError(f"{path.name} has no images to turn. --axes states the axes of a .csv.")
         if skeletons is not None:
             raise DeviceError(f"{path.name} has its own skeletons; {option} {skeletons} is for an .mkv.")
         return SkeletonRecording(path, stated, progress)
@@ -61,13 +67,14 @@ def open_source(
     if skeletons is not None:
         if not isinstance(images, MkvRecording):
             raise DeviceError(f"{option} {skeletons} is for an .mkv; {path.name} is tracked.")
-        return RecordingWithSkeletons(images, SkeletonRecording(skeletons, stated))
+        return upright(RecordingWithSkeletons(images, SkeletonRecording(skeletons, stated)), orientation)
     stated.refuse_for(path)
     tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(path))
     if tracker.name == "blazepose" or not isinstance(images, MkvRecording):
-        return TrackedImages(images, tracker.blazepose)
+        return TrackedImages(upright(images, orientation), tracker.blazepose)
     otherwise = f" Or give its skeletons, saved before, with {option} FILE." if option else ""
-    return TrackedRecording(images, tracker.k4abt, otherwise=otherwise)
+    settings = replace(tracker.k4abt, orientation=orientation)
+    return upright(TrackedRecording(images, settings, otherwise=otherwise), orientation)
 
 
 def has_images(path: Path) -> bool:
@@ -105,10 +112,9 @@ def frame_count(source: Sensor) -> int | None:
 
 def frame_interval_ns(source: Sensor) -> int | None:
     """Time between two frames of an open recording; None for another sensor, or a recording of one frame."""
-    while isinstance(source, SensorWrapper) and not isinstance(source, TrackedImages):
-        source = source.source
-    if isinstance(source, SkeletonRecording):
-        steps = np.diff(source.people.time_ns)
+    recording = images_of(source)
+    if isinstance(recording, SkeletonRecording):
+        steps = np.diff(recording.people.time_ns)
         return int(np.median(steps)) if len(steps) else None
     info = _of_images(source)
     return None if info is None else info.interval_ns
@@ -120,9 +126,11 @@ def _of_images(source: Sensor) -> MkvInfo | OrbbecRecording | RealSenseRecording
     return info if isinstance(info, MkvInfo | OrbbecRecording | RealSenseRecording) else None
 
 
-def images_of(source: Sensor) -> object:
-    """The recording behind a body tracker or behind saved skeletons; None without one."""
-    return source.source if isinstance(source, TrackedImages) else getattr(source, "recording", None)
+def images_of(source: Sensor) -> Sensor:
+    """The sensor or recording behind a body tracker, saved skeletons or an orientation."""
+    while isinstance(source, SensorWrapper):
+        source = source.source
+    return source
 
 
 def without_images(source: Sensor) -> Iterator[SensorFrame]:

@@ -4,6 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from devices.azure.kinect import KinectSensor
 from devices.azure.pyk4a_access import connected_kinects
 from devices.azure.settings import KinectSettings
@@ -34,8 +37,9 @@ from devices.realsense.sdk_access import connected_realsenses
 from devices.realsense.sdk_access import sdk_check as realsense_sdk_check
 from devices.realsense.sdk_access import sensor_check as realsense_sensor_check
 from devices.realsense.sensors import RealSenseSensor
-from devices.sensor import DeviceError, Sensor
+from devices.sensor import DeviceError, Orientation, Sensor, SensorFrame
 from devices.tracker_choice import TrackerChoice
+from devices.upright import turned_image, upright
 
 
 @dataclass(frozen=True)
@@ -176,11 +180,16 @@ def live_sensor(
     settings: KinectSettings,
     tracker: TrackerChoice | None,
     decimation: FrameDecimation,
+    orientation: Orientation = 0,
 ) -> Sensor:
-    """The sensor with its body tracker, or without one; opens nothing."""
+    """The sensor with its body tracker, or without one; opens nothing.
+
+    A sensor on its side is tracked, and gives frames, as if it stood upright.
+    """
     serial = str(connected.serial)
     if tracker is not None and not isinstance(decimation, TrackingPace):
-        return KinectSensor(serial, settings, tracker.k4abt, decimation=decimation)
+        k4abt = replace(tracker.k4abt, orientation=orientation)
+        return upright(KinectSensor(serial, settings, k4abt, decimation=decimation), orientation)
     images: LiveSensor
     if connected.sdk in VENDORS:
         images = VENDORS[connected.sdk].sensor(serial, settings, decimation)
@@ -188,4 +197,12 @@ def live_sensor(
         images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=decimation)
     if not isinstance(decimation, TrackingPace):
         return images
-    return TrackedImages(images, decimation.settings, registered=images.registered, pace=decimation)
+    source, given = upright(images, orientation), images.registered
+    if given is None:
+        return TrackedImages(source, decimation.settings, pace=decimation)
+
+    def registered(frame: SensorFrame) -> NDArray[np.uint8] | None:
+        image = given(frame)
+        return None if image is None else turned_image(image, orientation)
+
+    return TrackedImages(source, decimation.settings, registered=registered, pace=decimation)

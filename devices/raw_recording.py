@@ -15,6 +15,7 @@ from devices.capture.capture_stream import LiveSensor
 from devices.capture.host_clock import ContinuousTime, HostClock, Timing
 from devices.capture.settings import CaptureSettings
 from devices.sensor import ColorImage, DeviceError, Sensor, SensorFrame, SensorWrapper
+from devices.upright import UprightSensor
 
 _KEEP, _KEEP_WITH_IMAGES = 120, 60
 """Most queued frames; from the second number on, frames wait without infrared and colour: 130 MB at most, of
@@ -222,16 +223,25 @@ class _Recorded(SensorWrapper):
             yield frame
 
 
+def camera_of(sensor: Sensor) -> Sensor:
+    """The sensor whose images are recorded: before it is turned, and before a body tracker has them."""
+    while isinstance(sensor, TrackedImages | UprightSensor):
+        sensor = sensor.source
+    return sensor
+
+
 def recorded(sensor: Sensor, recorder: RawRecorder) -> Sensor:
     """The sensor, whose images the recorder gets from now on, before a body tracker has them.
 
     Of a live sensor it gets every capture, also those that the body tracker is too slow for.
     """
-    images = sensor.source if isinstance(sensor, TrackedImages) else sensor
+    images, last = camera_of(sensor), sensor
     if isinstance(images, LiveSensor):
         images.on_capture = recorder.add
-    elif isinstance(sensor, TrackedImages):
-        sensor.source = _Recorded(images, recorder)
-    else:
+        return sensor
+    if sensor is images:
         return _Recorded(sensor, recorder)
+    while isinstance(last, SensorWrapper) and last.source is not images:
+        last = last.source
+    last.source = _Recorded(images, recorder)  # type: ignore[attr-defined]
     return sensor

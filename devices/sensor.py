@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ class DeviceError(Exception):
 class AbsentError(DeviceError):
     """The source is not connected. Checking again is cheap, so it may be done often."""
 
+
+Orientation = Literal[0, 90, 180, 270]
+"""By how many degrees a sensor is turned clockwise, seen from behind it."""
+ORIENTATIONS: tuple[Orientation, ...] = (0, 90, 180, 270)
 
 _JPEG_QUALITY = 90
 

@@ -13,6 +13,7 @@ from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
 from devices.sensor import DeviceError, Sensor
+from devices.upright import UprightSensor
 
 WantedTracker = Literal["auto", "blazepose", "k4abt"]
 """What the user may ask for; auto is k4abt where it works, else blazepose."""
@@ -74,6 +75,8 @@ def choose_tracker(
 
 def tracker_name(sensor: Sensor) -> str:
     """The tracker of a sensor, as a session records it; empty for a sensor with people of its own."""
+    if isinstance(sensor, UprightSensor):
+        sensor = sensor.source
     if isinstance(sensor, TrackedImages):
         return f"blazepose {sensor.tracker.settings.network}"
     return "k4abt" if isinstance(sensor, KinectSensor) else ""

@@ -32,10 +32,11 @@ from devices.pairing import (
     pair_views,
 )
 from devices.people import RecordedPeople, one_person
-from devices.sensor import DeviceError, Sensor
+from devices.sensor import DeviceError, Orientation, Sensor
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
+from devices.upright import orientation_of, turned_camera, turned_image, turned_view
 from fusion.body import BODIES, Body
 from fusion.intrinsics import Intrinsics
 from fusion.large_arrays import give_back, parts
@@ -45,6 +46,8 @@ from fusion.registration.clock_offset import ClockOffset
 
 _CLOCKS_AGREE_NS = 1_000_000
 """Tolerance between the measured and the configured sync delay; the sensors are accurate to 0.1 ms."""
+
+_SAMPLES = 200  # skeletons that tell whether a sensor stands upright
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +63,7 @@ class TwoRecordings:
         tracker: The body tracker that found the people; empty where the files had skeletons.
         clock: The offset by which B's times were corrected; None where they are as recorded.
         stated: What was stated about the files.
+        orientations: Of both sensors; intrinsics, skeletons and depth images are of the upright sensors.
     """
 
     body: Body
@@ -70,6 +74,7 @@ class TwoRecordings:
     tracker: str = ""
     clock: ClockOffset | None = None
     stated: StatedFormat = UNSTATED
+    orientations: tuple[Orientation, Orientation] = (0, 0)
 
     def cameras(self, depth: Depth) -> tuple[Intrinsics | None, Intrinsics | None]:
         """The intrinsics, for depth images as they are logged."""
@@ -84,7 +89,7 @@ class TwoRecordings:
         One image is in memory at a time, however long the recordings are.
         """
         pairs = self.pairing.pairs
-        path = self.images["ab".index(side)]
+        path, orientation = self.images["ab".index(side)], self.orientations["ab".index(side)]
         if path is None or depth == "none":
             return
         frames = enumerate(getattr(pair, side) for pair in pairs)
@@ -93,7 +98,7 @@ class TwoRecordings:
             for frame in progress(recording.frames(), f"depth of {recording.name}", len(pairs)):
                 k = number.get(frame.time_ns)
                 if k is not None and frame.depth is not None:
-                    yield k, thinned(frame.depth, depth)
+                    yield k, thinned(turned_image(frame.depth, orientation), depth)
 
 
 @dataclass(frozen=True)
@@ -106,6 +111,7 @@ class RecordingChoice:
         person: Id of the person; where None, the one seen longest by both sensors.
         stated: What is stated about a ``.csv``: unit, axes, names of the joints.
         body: Family of the body tracker, of both recordings; found from the joints of both where empty.
+        orientation: Of the sensor, for a recording of images; where None, found from the person.
         skeletons_option, person_option: What the caller's user knows these two as, for messages.
     """
 
@@ -116,6 +122,7 @@ class RecordingChoice:
     skeletons_option: str = "skeletons"
     person_option: str = "person"
     body: str = ""
+    orientation: Orientation | None = None
 
     @property
     def is_tracked(self) -> bool:
@@ -158,6 +165,7 @@ def read_two(
             choice.skeletons_option,
             progress=progress,
             **asdict(choice.stated),
+            orientation=choice.orientation or 0,
         )
         for choice in (choice_a, choice_b)
     )
@@ -202,8 +210,9 @@ def read_two(
     warnings = *read_a.warnings, *read_b.warnings, *about_body, *about_clocks
     path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
     name = tracker.full_name if tracked and tracker is not None else ""
-    cameras, paths = (a.intrinsics, b.intrinsics), (path_a, path_b)
-    return TwoRecordings(body, pairing, cameras, warnings, paths, name, clock, choice_a.stated)
+    cameras, paths = (read_a.intrinsics, read_b.intrinsics), (path_a, path_b)
+    turned = read_a.orientation, read_b.orientation
+    return TwoRecordings(body, pairing, cameras, warnings, paths, name, clock, choice_a.stated, turned)
 
 
 def _body_of_both(
@@ -331,6 +340,8 @@ class _Read:
     arrivals: NDArray[np.int64]
     """(T, 2) capture and arrival times, where they were recorded."""
     person: View
+    intrinsics: Intrinsics | None = None
+    orientation: Orientation = 0
 
     @property
     def seen(self) -> View:
@@ -357,9 +368,21 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
     people.choose_person(choice.person, source.name, choice.person_option)
     if choice.person is not None:
         people = people.only(choice.person)
+    camera, orientation = source.intrinsics, choice.orientation or 0
+    if choice.orientation is None and has_images(choice.path):
+        seen = people.skeletons.positions
+        orientation = orientation_of(people.body, seen[:: max(1, len(seen) // _SAMPLES)])
+    if orientation and choice.orientation is None:
+        people = replace(people, skeletons=turned_view(people.skeletons, orientation))
+        camera = None if camera is None else turned_camera(camera, orientation)
+        tracked = f"--orientation {orientation} also tracks it so; " if choice.is_tracked else ""
+        warnings.append(
+            f"{source.name}: the sensor is turned clockwise by {orientation}°. Its images and skeletons are "
+            f"turned upright; {tracked}--orientation 0 leaves them."
+        )
     give_back()
     times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
-    return _Read(source.name, people, info, warnings, times, people.skeletons)
+    return _Read(source.name, people, info, warnings, times, people.skeletons, camera, orientation)
 
 
 def _with_person(

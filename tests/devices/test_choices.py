@@ -10,13 +10,18 @@ from rich.console import Console
 from devices import live_sensors
 from devices.azure import checks
 from devices.azure.kinect import KinectSensor
+from devices.azure.settings import KinectSettings
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
+from devices.capture.capture_stream import LiveSensor
 from devices.capture.sensor_choice import ConnectedSensor, NeedsChoiceError, choose_two, sync_master
+from devices.files import images_of
 from devices.live_sensors import connected_sensors
+from devices.raw_recording import camera_of
 from devices.sensor import DeviceError, Sensor
 from devices.tracker_choice import TrackerChoice, choose_tracker, tracker_name
+from devices.upright import UprightSensor
 from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish
@@ -83,6 +88,25 @@ def test_the_name_is_that_of_the_sensors_tracker():
     kinect = KinectSensor("000123", track=False)
     assert tracker_name(TrackedImages(kinect, BlazePoseSettings(network="lite"))) == "blazepose lite"
     assert tracker_name(KinectSensor("000123")) == "k4abt"
+
+
+@pytest.mark.parametrize(
+    ("tracker", "sdk"),
+    [*product([OURS], ["k4a", "orbbec", "freenect", "freenect2", "realsense"]), (MICROSOFTS, "k4a")],
+)
+def test_a_sensor_on_its_side_is_made_upright_before_the_own_tracker_and_after_microsofts(tracker, sdk):
+    listed = ConnectedSensor(0, "000123", False, False, sdk=sdk)
+    sensor = live_sensors.live_sensor(
+        listed, KinectSettings(), tracker, live_sensors.decimation_of(tracker, 30.0), 270
+    )
+    turned = sensor.source if tracker is OURS else sensor
+    assert isinstance(turned, UprightSensor)
+    assert isinstance(camera_of(sensor), LiveSensor)
+    assert images_of(sensor) is camera_of(sensor)
+    assert turned.source is camera_of(sensor)
+    assert tracker_name(sensor) == tracker.full_name
+    if tracker is MICROSOFTS:
+        assert turned.source._tracker.settings.orientation == 270
 
 
 def test_sensors_of_both_vendors_are_listed(bus, orbbecs):
@@ -216,10 +240,14 @@ def test_a_femto_is_opened_by_the_library_that_the_tracker_in_use_needs(monkeypa
     monkeypatch.setattr(live_sensors, "connected_kinects", lambda: [ConnectedSensor(0, "CL8F", False, False)])
     monkeypatch.setattr(local, "tracker_of", lambda _: MICROSOFTS)
     opened = []
-    monkeypatch.setattr(local, "live_sensor", lambda sensor, *_: opened.append(sensor) or _Nothing())
-    console = Console(quiet=True)
-    local.two_connected_sensors(LiveOptions(kinect_a="CL8F", kinect_b="1001"), console)
-    assert [(sensor.serial, sensor.sdk) for sensor in opened] == [("CL8F", "orbbec"), ("1001", "realsense")]
+    monkeypatch.setattr(
+        local,
+        "live_sensor",
+        lambda sensor, *rest: opened.append((sensor.serial, sensor.sdk, rest[-1])) or _Nothing(),
+    )
+    options = LiveOptions(kinect_a="CL8F", kinect_b="1001", orientation="90,0")
+    local.two_connected_sensors(options, Console(quiet=True))
+    assert opened == [("CL8F", "orbbec", 90), ("1001", "realsense", 0)]
 
 
 class _Nothing(Sensor):

@@ -27,7 +27,7 @@ enum { IMAGE = 0x1111, CAPTURE = 0x2222, TRACKER = 0x3333, FRAME = 0x4444, DEAD 
 EXPORT int standin_create_status, standin_enqueue_status, standin_pop_status, standin_calibration_status;
 EXPORT uint32_t standin_bodies = 1, standin_first_id = 7;
 EXPORT int standin_alive, standin_misuses;
-EXPORT int standin_processing;
+EXPORT int standin_processing, standin_orientation;
 EXPORT int32_t standin_wait_ms;
 EXPORT int32_t standin_tracking_ms; /* how long the tracker works on a frame, on a thread of its own */
 EXPORT uint32_t standin_firmware[3] = {1, 6, 110};
@@ -110,6 +110,7 @@ EXPORT int k4abt_tracker_create(const uint8_t *calibration, configuration_t conf
     if (standin_create_status) return standin_create_status;
     if (depth_mode != 2 && depth_mode != 3) return FAILED;
     standin_processing = configuration.processing_mode;
+    standin_orientation = configuration.sensor_orientation;
     *out = born(sizeof **out, TRACKER);
     return SUCCEEDED;
 }

@@ -11,7 +11,7 @@ from tests.helpers.machine import need_compiler
 
 _SOURCE = Path(__file__).with_name("standin_k4abt.c")
 _STATUSES = ("create_status", "enqueue_status", "pop_status", "calibration_status")
-_SETTINGS = dict.fromkeys((*_STATUSES, "alive", "misuses", "processing"), ctypes.c_int)
+_SETTINGS = dict.fromkeys((*_STATUSES, "alive", "misuses", "processing", "orientation"), ctypes.c_int)
 _SETTINGS |= dict.fromkeys(("bodies", "first_id"), ctypes.c_uint32)
 _SETTINGS |= dict.fromkeys(("wait_ms", "tracking_ms"), ctypes.c_int32) | {"smoothing": ctypes.c_float}
 _AT_START = {"bodies": 1, "first_id": 7, "smoothing": -1.0}

@@ -108,12 +108,13 @@ def _plan(
 
 
 def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:
+    turned_a, turned_b = options.orientations
     a = options.a, options.skeletons_a, options.person_a
     b = options.b, options.skeletons_b, options.person_b
     body = "" if options.body == "auto" else options.body
     return (
-        RecordingChoice(*a, options.stated, "--skeletons-a", "--person-a", body),
-        RecordingChoice(*b, options.stated, "--skeletons-b", "--person-b", body),
+        RecordingChoice(*a, options.stated, "--skeletons-a", "--person-a", body, turned_a),
+        RecordingChoice(*b, options.stated, "--skeletons-b", "--person-b", body, turned_b),
     )
 
 

@@ -14,7 +14,7 @@ from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth.image_thinning import thinned_camera
 from devices.files import has_images
-from devices.network.remote_sensor import RemoteSensor
+from devices.network.remote_sensor import PREFIX, RemoteSensor
 from devices.sensor import Sensor
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
@@ -74,6 +74,9 @@ def _check(options: LiveOptions) -> FuserSettings:
     for path in _played(options):
         if not has_images(path):
             raise UsageError(f"{path} has no images: duplex live plays .mkv, .db3 and .bag. Use duplex fuse.")
+    for name, turned in zip((options.kinect_a, options.kinect_b), options.orientations, strict=True):
+        if turned and (name or "").startswith(PREFIX):
+            raise UsageError(f"{name} is on another PC: give --orientation to duplex sensor there.")
     if options.calibrate != "auto" and not Path(options.calibrate).exists():
         raise UsageError(
             f"--calibrate {options.calibrate}: neither auto nor an existing file. Make one with "

@@ -98,9 +98,12 @@ def _sensor(options: PublishOptions, console: Console) -> Sensor:
         if has_images(options.recording):
             tracker = tracker.for_images_of(not_of_libk4a(options.recording))
             announce_tracker(tracker, console)
-        return PacedSensor(open_source(options.recording, tracker=tracker, **asdict(options.stated)))
+        stated = asdict(options.stated)
+        return PacedSensor(
+            open_source(options.recording, tracker=tracker, **stated, orientation=options.orientation)
+        )
     settings = KinectSettings(depth_mode=options.depth_mode, fps=options.fps)
-    return one_sensor(options.kinect, "--kinect", tracker, settings, console)
+    return one_sensor(options.kinect, "--kinect", tracker, settings, console, options.orientation)
 
 
 def _summary(thread: SensorThread, publisher: FramePublisher) -> str:

@@ -102,6 +102,7 @@ NEEDS = (
         "another --calibrate; the calibration of a file is kept",
     ),
     Need(FuseOptions, ("depth",), _reads_images, "a recording of images: .mkv, .db3 or .bag"),
+    Need(FuseOptions, ("orientation",), _reads_images, "a recording of images; --axes is of skeletons"),
     Need(FuseOptions, _TRACKER, _tracks_images, "a recording of images without saved skeletons"),
     Need(
         FuseOptions, ("person",), _tracks_images, "images; for skeletons there are --person-a and --person-b"
@@ -115,7 +116,7 @@ NEEDS = (
     Need(PublishOptions, ("depth_mode", "fps"), _runs_a_sensor, "a sensor of this PC"),
     Need(
         PublishOptions,
-        (*_TRACKER, "person", "depth"),
+        (*_TRACKER, "person", "depth", "orientation"),
         lambda o: o.simulate is None and _reads_images(o),
         "a sensor, or a recording of images",
     ),
@@ -133,7 +134,12 @@ NEEDS = (
         lambda o: o.a is None and not _all_remote(o),
         "sensors of this PC, no recordings",
     ),
-    Need(LiveOptions, ("color",), lambda o: not _all_remote(o), "sensors of this PC, or recordings"),
+    Need(
+        LiveOptions,
+        ("color", "orientation"),
+        lambda o: not _all_remote(o),
+        "sensors of this PC, or recordings",
+    ),
     Need(DoctorOptions, ("force",), lambda o: o.bundle is not None, "--bundle FILE.zip"),
     Need(LiveOptions, _TRACKER, lambda o: not _all_remote(o), "a sensor of this PC, or recordings"),
     # after all of a command that has no use for a body tracker

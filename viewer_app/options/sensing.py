@@ -18,6 +18,7 @@ from viewer_app.options.shared import (
     FusionOptions,
     LiveOutputOptions,
     MethodOptions,
+    OrientationOptions,
     OutputOptions,
     OwnFileOptions,
     RecordingOptions,
@@ -32,7 +33,13 @@ from viewer_app.options.shared import (
 
 @dataclass(frozen=True, kw_only=True)
 class FuseOptions(
-    RecordingOptions, TrackerOptions, MethodOptions, ViewerOptions, SummaryOptions, OutputOptions
+    OrientationOptions,
+    RecordingOptions,
+    TrackerOptions,
+    MethodOptions,
+    ViewerOptions,
+    SummaryOptions,
+    OutputOptions,
 ):
     """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
 
@@ -101,6 +108,7 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptio
 
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions(
+    OrientationOptions,
     LiveOutputOptions,
     TrackerOptions,
     MethodOptions,
@@ -193,6 +201,8 @@ class PublishOptions(ZenohOptions, TrackerOptions, OwnFileOptions):
     """The key to publish under, such as lab/a."""
     kinect: Annotated[str | None, SENSORS] = None
     """Serial number of the sensor; the only one connected if not given."""
+    orientation: Annotated[Literal[0, 90, 180, 270], SENSORS] = 0
+    """Degrees by which the sensor is turned clockwise, seen from behind."""
     recording: Annotated[Path | None, SENSORS] = None
     """Play a recording in real time instead of a sensor: .csv, .json, .skeleton, .mkv, .db3 or .bag."""
     simulate: Annotated[Literal["a", "b"] | None, SENSORS] = None

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from cyclopts import CoercionError, Group, Parameter, Token
 
+from devices.sensor import ORIENTATIONS, Orientation
 from devices.skeletons.stated_format import StatedFormat
 from fusion.setup import PAPER_H
 from viewer_app.errors import UsageError
@@ -175,6 +176,33 @@ class SensorOptions:
     """Serial number of the sensor that is K_A, if two are connected; if not given, duplex live asks."""
     sync_master: Annotated[str | None, SENSORS] = None
     """Serial number of the master on the sync cable; needed with Orbbec's wrapper, which cannot detect it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrientationOptions:
+    """How the two sensors are mounted."""
+
+    orientation: Annotated[str | None, SENSORS] = None
+    """Degrees by which both sensors are turned clockwise, seen from behind: 0, 90, 180 or 270; 90,0 if A
+    lies on its side and B stands. Images and skeletons are turned upright. For fuse: found from the person
+    if not given, for recordings of images."""
+
+    @property
+    def orientations(self) -> tuple[Orientation | None, Orientation | None]:
+        """A's and B's; None where it is not stated.
+
+        Raises:
+            UsageError: Another angle.
+        """
+        if self.orientation is None:
+            return None, None
+        known = {str(one): one for one in ORIENTATIONS}
+        given = [known.get(one.strip()) for one in self.orientation.split(",")]
+        if None in given or len(given) > 2:
+            raise UsageError(
+                f"--orientation {self.orientation}: give 0, 90, 180 or 270 degrees, or two of them, as 90,0."
+            )
+        return given[0], given[-1]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,8 @@ from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import LASER_GAP_US
 from devices.capture.stream_pairing import LivePairing
 from devices.live_sensors import connected_sensors, decimation_of, live_sensor
-from devices.sensor import Sensor
+from devices.network.remote_sensor import PREFIX
+from devices.sensor import Orientation, Sensor
 from devices.tracker_choice import TrackerChoice
 from viewer_app.options.sensing import LiveOptions, RecordOptions
 from viewer_app.options.shared import SensorOptions
@@ -58,8 +59,9 @@ def two_connected_sensors(options: LiveOptions | RecordOptions, console: Console
             console.print("TensorRT builds its engine; minutes the first time.")
     decimation = decimation_of(tracker, options.fps)
     settings_a, settings_b = (capture_settings(options, kinect, master) for kinect in (kinect_a, kinect_b))
-    a = live_sensor(kinect_a, settings_a, tracker, decimation)
-    b = live_sensor(kinect_b, settings_b, tracker, decimation)
+    turned_a, turned_b = options.orientations if isinstance(options, LiveOptions) else (0, 0)
+    a = live_sensor(kinect_a, settings_a, tracker, decimation, turned_a or 0)
+    b = live_sensor(kinect_b, settings_b, tracker, decimation, turned_b or 0)
     later_us = settings_b.delay_us if master == serials[0] else -settings_a.delay_us
     delay_ns = None if master is None else 1000 * later_us
     pairing = LivePairing(round(1e9 / options.fps), sync_delay_ns=delay_ns)
@@ -77,11 +79,17 @@ def one_of_live(options: LiveOptions, console: Console, serial: str | None) -> S
     """The sensor of this PC, where the other one is on another PC; it runs without a sync cable."""
     tracker = tracker_of(options)
     named = "--kinect-a or --kinect-b"
-    return one_sensor(serial, named, tracker, capture_settings(options), console)
+    orientation = options.orientations[(options.kinect_a or "").startswith(PREFIX)] or 0
+    return one_sensor(serial, named, tracker, capture_settings(options), console, orientation)
 
 
 def one_sensor(
-    serial: str | None, option: str, tracker: TrackerChoice, settings: KinectSettings, console: Console
+    serial: str | None,
+    option: str,
+    tracker: TrackerChoice,
+    settings: KinectSettings,
+    console: Console,
+    orientation: Orientation = 0,
 ) -> Sensor:
     """The only sensor of this PC, or the one with a serial number, with its body tracker; opens nothing.
 
@@ -92,7 +100,7 @@ def one_sensor(
     chosen = choose_one(connected, serial, option)
     (kinect,), fitting = _for_tracker(connected, [chosen], tracker)
     announce_tracker(fitting or tracker, console)
-    return live_sensor(kinect, settings, fitting, decimation_of(fitting, settings.fps))
+    return live_sensor(kinect, settings, fitting, decimation_of(fitting, settings.fps), orientation)
 
 
 def _for_tracker(

@@ -15,13 +15,14 @@ from devices.capture.host_clock import ONE_RUN_NS
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.settings import CaptureSettings
 from devices.capture.stream_pairing import LivePairing
-from devices.files import distinct_names, not_of_libk4a, open_images, open_source
+from devices.files import distinct_names, images_of, not_of_libk4a, open_images, open_source
 from devices.live_sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
-from devices.raw_recording import RawRecorder, recorded
+from devices.raw_recording import RawRecorder, camera_of, recorded
 from devices.real_time import Beat, PacedSensor
 from devices.sensor import Sensor
 from devices.two_recordings import cable_delay_ns, refuse_same
+from devices.upright import upright
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room
@@ -71,7 +72,7 @@ class RawFiles(ExitStack):
                 raise UsageError(
                     f"{sensor.name} is on another PC, from which no infrared comes: record it there."
                 )
-            images = sensor.source if isinstance(sensor, TrackedImages) else sensor
+            images = camera_of(sensor)
             settings = getattr(images, "settings", None) or CaptureSettings(fps=round(sensors.rate))  # type: ignore[arg-type]
             recorder = RawRecorder(
                 *(self.folder / name, images, settings),
@@ -152,15 +153,16 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
     on_cable = delay_ns is not None and len(arrivals) < 2
     beat = Beat(2, common="arrival" if one_run else "capture" if on_cable else None)
     played: list[Sensor] = []
-    for path, name in zip(paths, distinct_names(*paths), strict=True):
+    names = distinct_names(*paths)
+    for path, name, orientation in zip(paths, names, options.orientations, strict=True):
         if tracker.name == "k4abt":
-            tracked = open_source(path, tracker=tracker)
-            tracked.recording.name = name  # type: ignore[attr-defined]
+            tracked = open_source(path, tracker=tracker, orientation=orientation or 0)
+            images_of(tracked).name = name
             played.append(PacedSensor(tracked, beat))
         else:
             images = open_images(path)
             images.name = name
-            paced = PacedSensor(images, beat, decimation)
+            paced = upright(PacedSensor(images, beat, decimation), orientation or 0)
             played.append(TrackedImages(paced, tracker.blazepose, pace=decimation))  # type: ignore[arg-type]
     return TwoSensors(
         *played,

@@ -15,7 +15,7 @@ import numpy as np
 
 from devices.azure.tracking.native_library import Prototypes, declare, load_library
 from devices.capture.causes import Cause
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError, Orientation, SensorFrame
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton, TrackingState
 
@@ -24,7 +24,8 @@ INSTALL = (
     "or name its library with --k4abt PATH."
 )
 _PROCESSING = {"gpu": 0, "cpu": 1, "cuda": 2, "tensorrt": 3, "directml": 4}
-_UPRIGHT = 0  # the sensor
+_ORIENTATIONS = {0: 0, 90: 2, 180: 3, 270: 1}
+"""k4abt's, which are seen from before the sensor: default, counter-clockwise, upside down, clockwise."""
 _SUCCEEDED, _TIMEOUT = 0, 2
 _NO_BODY = 0xFFFFFFFF
 _JOINT = np.dtype([("position", "<f4", 3), ("orientation", "<f4", 4), ("confidence", "<i4")])
@@ -40,6 +41,7 @@ class TrackerSettings:
 
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
     """Where the network runs. On a CPU it processes about one frame per second."""
+    orientation: Orientation = 0  # of the sensor, whose frame stays its own
     library: Path | None = None  # file of libk4abt; found by the system if None
     timeout_s: float = 5.0
     """Longest time for one frame. The first frame may take ten times as long, because the network is
@@ -96,7 +98,7 @@ class BodyTracker:
         settings = self.settings
         library = load_library("k4abt", settings.library, INSTALL)
         declare(library, _PROTOTYPES, f"it is not libk4abt 1.1. {INSTALL}")
-        configuration = _Configuration(_UPRIGHT, _PROCESSING[settings.processing])
+        configuration = _Configuration(_ORIENTATIONS[settings.orientation], _PROCESSING[settings.processing])
         tracker = c_void_p()
         status = library.k4abt_tracker_create(calibration, configuration, byref(tracker))
         if status != _SUCCEEDED or not tracker:

@@ -89,6 +89,12 @@ def test_the_configuration_reaches_the_library(standin, processing, number):
         assert standin.processing == number
 
 
+@pytest.mark.parametrize(("orientation", "number"), [(0, 0), (90, 2), (180, 3), (270, 1)])
+def test_the_orientation_reaches_the_library_as_seen_from_before_the_sensor(standin, orientation, number):
+    with rig(standin, orientation=orientation):
+        assert standin.orientation == number
+
+
 def test_every_wait_is_finite_and_nothing_is_smoothed_by_default(standin):
     with rig(standin, timeout_s=2.0) as r:
         assert standin.smoothing == 0.0

@@ -1,0 +1,131 @@
+"""Sensors on their side or upside down: their images, people and camera as if the sensor stood upright.
+
+The images of a sensor with an orientation are turned clockwise by as much. A point (x, y, z) of a sensor that
+is turned by 90° is at (-y, x, z) afterwards.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.depth.camera import turned
+from devices.sensor import (
+    ORIENTATIONS,
+    ColorCamera,
+    ColorImage,
+    Orientation,
+    Sensor,
+    SensorFrame,
+    SensorWrapper,
+)
+from fusion.body import Body
+from fusion.facing.evidence import upright_direction
+from fusion.intrinsics import Intrinsics
+from fusion.large_arrays import parts
+from fusion.pair_arrays import View, joined_views
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton
+
+_QUARTER = np.array(((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+_LEVEL = 0.7  # length of the upward direction in the image's plane, below which the sensor looks up or down
+
+
+def rotation(orientation: Orientation) -> NDArray[np.float64]:
+    """(3, 3) from the frame of a sensor to that of the same sensor upright."""
+    return np.linalg.matrix_power(_QUARTER, orientation // 90)
+
+
+def turned_image(image: NDArray[Any], orientation: Orientation) -> NDArray[Any]:
+    """An image (h, w, …) of a sensor as the upright sensor gives it."""
+    return np.ascontiguousarray(np.rot90(image, -(orientation // 90))) if orientation else image
+
+
+def turned_camera(camera: Intrinsics, orientation: Orientation) -> Intrinsics:
+    """The camera of these images."""
+    for _ in range(orientation // 90):
+        camera = turned(camera)
+    return camera
+
+
+def turned_view(view: View, orientation: Orientation) -> View:
+    """The skeletons of a sensor in the frame of the upright sensor."""
+    if not orientation or not len(view.time_ns):
+        return view
+    around = rotation(orientation).T.astype(np.float32)
+
+    def block(rows: slice) -> View:
+        witness = None if view.witness is None else view.witness[rows].copy()
+        if witness is not None:
+            witness[..., 2:] = witness[..., 2:] @ around[:2, :2]
+        return View(view.time_ns[rows], view.positions[rows] @ around, view.states[rows], witness)
+
+    return joined_views(block(rows) for rows in parts(len(view.time_ns)))
+
+
+def orientation_of(body: Body, positions: NDArray[np.floating]) -> Orientation:
+    """The orientation of a sensor by the people that it saw standing; 0 where it saw none.
+
+    Args:
+        positions: (T, J, 3) in its frame; NaN where not tracked.
+    """
+    x, y, _ = upright_direction(body, positions.astype(np.float64))
+    if math.hypot(x, y) < _LEVEL:
+        return 0
+    return ORIENTATIONS[round(math.degrees(math.atan2(-x, -y)) / 90.0) % 4]
+
+
+class UprightSensor(SensorWrapper):
+    """A sensor with an orientation: gives what it would give if it stood upright."""
+
+    def __init__(self, source: Sensor, orientation: Orientation) -> None:
+        super().__init__(source)
+        self.orientation = orientation
+        self._colors: tuple[ColorCamera, ColorCamera] | None = None  # as given last, and turned
+
+    @property
+    def intrinsics(self) -> Intrinsics | None:  # type: ignore[override]
+        """The camera of the turned images."""
+        camera = self.source.intrinsics
+        return None if camera is None else turned_camera(camera, self.orientation)
+
+    @property
+    def making_ns(self) -> int:
+        """How long a simulated source took for its last frame."""
+        return int(getattr(self.source, "making_ns", 0))
+
+    def frames(self) -> Iterator[SensorFrame]:
+        for frame in self.source.frames():
+            yield replace(
+                frame,
+                people={name: self._skeleton(person) for name, person in frame.people.items()},
+                depth=None if frame.depth is None else turned_image(frame.depth, self.orientation),
+                ir=None if frame.ir is None else turned_image(frame.ir, self.orientation),
+                color=None if frame.color is None else self._color(frame.color),
+            )
+
+    def _skeleton(self, one: Skeleton) -> Skeleton:
+        witness = None if one.witness is None else one.witness[None]
+        view = View(np.array((one.time_ns,)), one.positions[None], one.states[None], witness)
+        return turned_view(view, self.orientation).row(one.body, 0)
+
+    def _color(self, color: ColorImage) -> ColorImage | None:
+        rgb = color.rgb()
+        if rgb is None:
+            return None
+        if self._colors is None or self._colors[0] is not color.camera:
+            around = RigidTransform.of(rotation(self.orientation), np.zeros(3))
+            lens = turned_camera(color.camera.intrinsics, self.orientation)
+            move = around @ color.camera.color_from_depth @ around.inverse()
+            self._colors = color.camera, ColorCamera(lens, move)
+        return ColorImage.of_rgb(turned_image(rgb, self.orientation), self._colors[1])
+
+
+def upright(source: Sensor, orientation: Orientation) -> Sensor:
+    """The sensor as if it stood upright; itself where it does."""
+    return UprightSensor(source, orientation) if orientation else source
