@@ -13,6 +13,7 @@ from fusion.errors import FusionError
 from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError
 
+_LOADED = "loaded from"
 _LONGEST = 1.5  # metres; longer than any human bone
 
 
@@ -29,6 +30,11 @@ def calibration_to_json(calibration: Calibration) -> str:
         "bone_lengths_m": {body.bones[j]: float(calibration.bone_lengths[j]) for j in body.bone_joints},
     }
     return json.dumps(document, indent=2) + "\n"
+
+
+def is_loaded(calibration: Calibration) -> bool:
+    """Whether it comes from a file, not from the views that it serves."""
+    return calibration.how.startswith(_LOADED)
 
 
 def read_calibration(path: Path, body: Body) -> Calibration:
@@ -54,7 +60,7 @@ def read_calibration(path: Path, body: Body) -> Calibration:
             body,
             RigidTransform.of(transform["rotation"], transform["translation_m"]),
             lengths,
-            f"loaded from {path} ({document['how']})",
+            f"{_LOADED} {path} ({document['how']})",
         )
     except OSError as error:
         raise RecordingError(f"The calibration {path} cannot be read: {error.strerror}.") from None

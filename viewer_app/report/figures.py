@@ -21,6 +21,7 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import NO_FRAME
 from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without_truth, judge_registration
+from recordings.calibration_file import is_loaded
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays, rate_without_pauses
 from recordings.session_data import ViewsAgree
@@ -79,7 +80,7 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figur
             "angle_deg": _angle(setup.calibration.a_from_b.rotation, rows.body, rows.fused),
         },
         "distance_m": _distances(setup, rows),
-        **method_figures(rows),
+        **method_figures(rows, setup.calibration),
         "views_agree_mm": {
             "median": known_or_none(agree.median * 1e3),
             "p95": known_or_none(agree.percentile_95 * 1e3),
@@ -159,12 +160,17 @@ def truth_free_figures(session: Session) -> dict[str, float | None]:
     return {name: of_finite(np.mean, np.array([values.get(name, np.nan)])) for name in names}
 
 
-def method_figures(rows: SessionArrays) -> Figures:
+def method_figures(rows: SessionArrays, calibration: Calibration) -> Figures:
     """Bones, errors, repaired data, and time."""
     mean, std, worst, rms = _bones(rows)
+    shown = np.asarray(np.isfinite(mean[:2]).any(axis=0))
+    mirrored = np.where(shown[rows.body.mirror], "other side", "proportions")
+    unseen = np.full(shown.shape, "file") if is_loaded(calibration) else mirrored
+    length_from = np.where(shown, "views", unseen).tolist()
     bones = {}
     for joint in rows.body.bone_joints:
-        of_bone: Figures = {"target_m": float(rows.bone_lengths[-1, joint])}
+        target = float(rows.bone_lengths[-1, joint])
+        of_bone: Figures = {"target_m": target, "length_from": length_from[joint]}
         for k, key in enumerate(("a", "b", "fused")):
             of_bone[key] = {
                 "mean_m": known_or_none(mean[k, joint]),

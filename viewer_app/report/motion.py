@@ -28,12 +28,12 @@ def encoded_motion(session: Session, moments: Sequence[float]) -> dict[str, obje
     Returns:
         ``motion``: base64 of a zlib stream: seconds, (T,) float32; then of positions in the floor's frame,
         (3, J, 3, T) int16 millimetres, the differences from frame to frame in zigzag code, first all low
-        bytes, then all high bytes. A joint that was not seen is -32768. ``frames``: T. ``parents``: of the
-        joints. ``sensors``: (2, 3) positions of A and B in metres.
+        bytes, then all high bytes. A joint that was not seen, of S* one that was never seen, is -32768.
+        ``frames``: T. ``parents``: of the joints. ``sensors``: (2, 3) positions of A and B in metres.
     """
     rows = session.rows
     floor = floor_under(rows).inverse()
-    skeletons = np.stack((rows.positions_a, rows.b_in_a, rows.fused)).astype(np.float64)
+    skeletons = np.stack((rows.positions_a, rows.b_in_a, rows.seen)).astype(np.float64)
     seconds = rows.time_ns * 1e-9
     most = _MOST_FRAMES
     while True:

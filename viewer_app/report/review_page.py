@@ -110,16 +110,22 @@ def _jitter_plot(session: Session) -> Markup:
     jitter = {
         "S_A": (frame_noise_of(rows.positions_a, rows.time_ns) * 1e3, "a"),
         "S_B": (frame_noise_of(rows.positions_b, rows.time_ns) * 1e3, "b"),
-        "S*": (frame_noise_of(rows.fused, rows.time_ns) * 1e3, "fused"),
+        "S*": (frame_noise_of(rows.seen, rows.time_ns) * 1e3, "fused"),
     }
-    return Markup(bar_plot("mm", session.body.joints, jitter))
+    return Markup(bar_plot("mm", _joints(session), jitter))
+
+
+def _joints(session: Session) -> list[str]:
+    """The names of the joints; those that no view has in any frame are marked."""
+    never = session.never_seen
+    return [f"{name} (never seen)" if name in never else name for name in session.body.joints]
 
 
 def _trust_plot(session: Session) -> Markup:
     rows = session.rows
     trust = TrustColors()
     share = np.concatenate([trust.shares(part).astype(np.float32) for part in rows.parts()])
-    return Markup(trust_map(rows.time_ns * 1e-9, session.body.joints, share))
+    return Markup(trust_map(rows.time_ns * 1e-9, _joints(session), share))
 
 
 def _disagreement_plot(session: Session) -> Markup:

@@ -7,7 +7,7 @@ from viewer_app.coach.setup_coach import Situation
 from viewer_app.report.figures import Figures
 from viewer_app.report.words import lead_lines
 
-_SHOWN = ("Verdict", "Views agree", "Doubtful", "Calibration", "Repaired")
+_SHOWN = ("Verdict", "Views agree", "Doubtful", "Calibration", "Repaired", "Never seen")
 
 
 def session_page(setup: FusionSetup, figures: Figures, about: str = "") -> CoachPage:

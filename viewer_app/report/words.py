@@ -8,13 +8,19 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from viewer_app.coach.advice import USABLE
+from viewer_app.coach.advice import USABLE, spoken
 from viewer_app.report.doubtful_time import UNCERTAIN
 from viewer_app.report.figures import Figures
 from viewer_app.report.verdict import Verdict, doubt, in_words, precision_in_words
 
 _PAUSED = 0.9  # of the time: with less there are pauses
 _SOME_TIME = 0.5  # seconds
+_LENGTH_FROM = {
+    "other side": "as long as on the other side",
+    "proportions": "by an adult's proportions",
+    "file": "as the calibration file says",
+}
+"""Of bones that no view shows: where their lengths are from."""
 _MICROMETRE = 1e-3  # millimetres; what a file stores of S* is no more exact
 
 
@@ -47,6 +53,10 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
         a, b, fused = (in_mm(figures["bone_error_mm"][key]["max"]) for key in ("a", "b", "fused"))
         text = f"S* within {fused} of their lengths; S_A up to {a} off, S_B {b}."
         yield Line("Bones", text, figure=fused)
+        if never := [spoken(name) for name in figures["in_no_frame"]]:
+            whence = {_LENGTH_FROM.get(bone["length_from"], "") for bone in figures["bones"].values()}
+            lengths = " or ".join(sorted(whence - {""}))
+            yield Line("Never seen", f"{', '.join(never)}: S* guesses them; their bones are {lengths}.")
     yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
 
 
@@ -88,7 +98,8 @@ def bone_rows(figures: Figures) -> Iterator[list[str]]:
         means = [bone[key] for key in ("a", "b", "fused")]
         yield [
             name.replace("_", " "),
-            f"{bone['target_m'] * 1e3:.0f}",
+            f"{bone['target_m'] * 1e3:.0f}"
+            + (f", {_LENGTH_FROM[bone['length_from']]}" if bone["length_from"] in _LENGTH_FROM else ""),
             *("–" if m["mean_m"] is None else f"{m['mean_m'] * 1e3:.0f} ± {m['std_mm']:.1f}" for m in means),
         ]
 

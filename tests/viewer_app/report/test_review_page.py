@@ -132,7 +132,19 @@ def test_the_page_stands_alone(page):
     )
 
 
-def test_the_motion_is_that_of_the_session_to_the_millimetre(session):
+def without(session, *joints):
+    """The session in which these joints were never seen."""
+    joints, views = [session.body.joint(joint) for joint in joints], {}
+    for side in "ab":
+        for name, nothing in (("states", 0), ("positions", np.nan)):
+            views[f"{name}_{side}"] = values = getattr(session.rows, f"{name}_{side}").copy()
+            values[:, joints] = nothing
+    return replace(session, rows=replace(session.rows, **views))
+
+
+@pytest.mark.parametrize("never", [(), ("FootLeft", "HandRight")])
+def test_the_motion_is_that_of_the_session_to_the_millimetre(session, never):
+    session = without(session, *never)
     motion = encoded_motion(session, [])
     count, joints = motion["frames"], len(session.body.joints)
     data = zlib.decompress(base64.b64decode(motion["motion"]))
@@ -145,7 +157,7 @@ def test_the_motion_is_that_of_the_session_to_the_millimetre(session):
     rows = np.searchsorted(session.time_ns * 1e-9, seconds - 1e-3)
     assert np.diff(seconds[:-1]).min() > 1 / 16  # the last frame is always there
     assert seconds[-1] == pytest.approx(session.time_ns[-1] * 1e-9)
-    for k, true in enumerate((session.rows.positions_a, session.rows.b_in_a, session.fused)):
+    for k, true in enumerate((session.rows.positions_a, session.rows.b_in_a, session.rows.seen)):
         positions = true[rows].astype(np.float64)
         seen = np.isfinite(positions)
         at = found[k].transpose(2, 0, 1)
@@ -193,6 +205,19 @@ def test_a_page_stays_small_however_much_there_is_to_play(fused_run, monkeypatch
     monkeypatch.setattr(motion_module, "_MOST_BYTES", 6_000)
     motion = encoded_motion(session, [])
     assert 1_000 < len(motion["motion"]) <= 6_000
+
+
+def test_joints_that_were_never_seen_are_marked(session, monkeypatch):
+    names = []
+    for plot in ("bar_plot", "trust_map"):
+        drawn = lambda _, joints, __: names.append(joints) or ""  # noqa: E731
+        monkeypatch.setattr(f"viewer_app.report.review_page.{plot}", drawn)
+    titles_instead_of([PLOTS[0], "walking.line_plot", "walking.cycle_plot"], monkeypatch)
+    changed = without(session, "FootLeft")
+    text = review_page(changed, report(changed) | {"without_truth": truth_free_figures(changed)})
+    assert "<strong>Never seen</strong>: left foot: S* guesses them" in text
+    assert "as long as on the other side" in text
+    assert [[name for name in each if "never" in name] for each in names] == [["FootLeft (never seen)"]] * 2
 
 
 @pytest.mark.usefixtures("titles")

@@ -26,12 +26,19 @@ from tests.helpers.two_views import calibration_of, standing
 from viewer_app.batch.worker import _session_figures
 from viewer_app.coach.advice import beside
 from viewer_app.report.doubtful_time import doubtful_seconds, seen_people
-from viewer_app.report.figures import _angle, report, save_report, truth_free_figures, with_verdict
+from viewer_app.report.figures import (
+    _angle,
+    method_figures,
+    report,
+    save_report,
+    truth_free_figures,
+    with_verdict,
+)
 from viewer_app.report.review_page import review_page
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_lines, print_summary, say_saved
 from viewer_app.report.verdict import in_words, verdict
-from viewer_app.report.words import Line, detail_lines, in_mm, lead_lines
+from viewer_app.report.words import Line, bone_rows, detail_lines, in_mm, lead_lines
 from viewer_app.running.runner import stream_figures
 
 
@@ -285,7 +292,24 @@ def test_views_that_are_upside_down_and_joints_that_none_has_are_named(session):
         with_views(report(replace(session, rows=replace(rows, states_a=states_a))), 30.0)["in_no_frame"] == []
     )
     states_b[:, lacking] = 0
-    changed = replace(session, rows=replace(rows, states_a=states_a, states_b=states_b))
+    at_a, at_b = rows.positions_a.copy(), rows.positions_b.copy()
+    at_a[:, lacking] = at_b[:, lacking] = np.nan
+    views = {"states_a": states_a, "states_b": states_b, "positions_a": at_a, "positions_b": at_b}
+    changed = replace(session, rows=replace(rows, **views))
+    found = report(changed)
+    (line,) = [line.text for line in lead_lines(found) if line.label == "Never seen"]
+    # the spine's root has no other side; the left clavicle and upper arm have
+    assert line == (
+        "spine base, left shoulder: S* guesses them; their bones are as long as on the other side or by an "
+        "adult's proportions."
+    )
+    of = {row[0]: row[1] for row in bone_rows(found)}
+    assert of["upper arm left"].endswith(", as long as on the other side")
+    assert of["pelvis left"].endswith(", by an adult's proportions")
+    assert of["upper arm right"].isdigit()
+    loaded = replace(session.calibration, how="loaded from room.json (pose)")
+    by_file = method_figures(changed.rows, loaded)["bones"]
+    assert {by_file[f"upper_arm_{side}"]["length_from"] for side in ("left", "right")} == {"file", "views"}
     assert in_words(verdict(with_views(report(changed), 30.0))) == (
         "usable: no view has spine base, left shoulder in any frame, and S* predicts what is not measured."
     )
