@@ -57,7 +57,7 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(recordings, tmp_
     assert figures["bone_error_mm"]["fused"]["max"] < 1e-3
     assert set(figures["bones"]) == set(filter(None, KINECT_V2.bones))
     forearm = figures["bones"]["forearm_left"]
-    assert set(forearm) == {"target_m", "a", "b", "fused"}
+    assert set(forearm) == {"target_m", "length_from", "a", "b", "fused"}
     assert set(forearm["fused"]) == {"mean_m", "std_mm", "max_error_mm"}
     # each view's noise of 10 mm an axis disagrees by a Maxwell median of 1.538 · √2 · 10 mm
     assert figures["views_agree_mm"]["median"] == pytest.approx(21.7, rel=0.1)
