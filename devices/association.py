@@ -8,8 +8,10 @@ ended continues it where no one else can be meant: by place, time and lengths of
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +30,11 @@ Index = NDArray[np.int64]
 
 _MOMENTS = 300  # at which the registration is looked for
 _TRIED = 3  # longest tracks of each view
-_FITTED = 60  # moments of one fit
+_FITTED = 24  # moments of one fit
 _SAME_M = 0.3  # mean distance of the joints of one person in two views, at most
 _SAME_PLACE_M = 0.3  # distance of the centres of one person in two views, at most
 _LEAST_FIT, _CLEAR_FIT = 0.2, 0.8  # of the skeletons that can have a partner
+_ANOTHER_RAD = 0.3  # registrations that differ by more are not of one kind
 _MUTUAL = 0.5  # of the moments that two tracks have in common
 _ENOUGH = 15  # such moments; people who pass each other have less
 _DIFFERENT_BONES = 0.2  # of a length, median: other people, as a child and a grown-up
@@ -66,10 +69,10 @@ def follow_one(a: RecordedPeople, b: RecordedPeople, offset_ns: int | Index | No
         None where no registration of the sensors makes two people one.
     """
     tracks = Tracks.of(a), Tracks.of(b)
-    best: _Registered | None = None
+    best: Registered | None = None
     known = 0 if offset_ns is None else offset_ns
     for offset in (known, *(_by_motion(*tracks) if offset_ns is None else ())):
-        found = _Registered.best(*tracks, b.time_ns + offset)
+        found = Registered.best(*tracks, b.time_ns + offset)
         if found is not None and (best is None or found.score > best.score):
             best = found
     return None if best is None else _chosen(*tracks, best)
@@ -118,19 +121,36 @@ def _meetings(a: Tracks, b: Tracks, time_b: Index, moments: int | None) -> tuple
 
 
 @dataclass(frozen=True, eq=False)
-class _Registered:
+class Registered:
     """A registration of the sensors, B's corrected times, and how many skeletons it puts in one place."""
 
     a_from_b: RigidTransform
     time_b: Index
     score: float
+    next_score: float  # of the best other one that was tried; the score where one was enough
+    most: int  # skeletons that can have a partner
 
     @staticmethod
-    def best(a: Tracks, b: Tracks, time_b: Index) -> _Registered | None:
-        """The registration that puts the most skeletons of both views in one place.
+    def best(a: Tracks, b: Tracks, time_b: Index) -> Registered | None:
+        """As :meth:`search`, at once, until one is clearly right."""
+        search = Registered.search(a, b, time_b, _CLEAR_FIT)
+        while True:
+            try:
+                next(search)
+            except StopIteration as end:
+                return cast("Registered | None", end.value)
+
+    @staticmethod
+    def search(
+        a: Tracks, b: Tracks, time_b: Index, clear: float = np.inf
+    ) -> Generator[None, None, Registered | None]:
+        """The registration that puts the most skeletons of both views in one place; yields after each fit.
 
         It is fitted to two tracks that are often seen together, then to all skeletons that are in one place.
         None where no registration puts a fifth of the skeletons in one place.
+
+        Args:
+            clear: The share of the skeletons in one place at which no other registration is tried.
         """
         body = a.people.body
         rows_a, rows_b = _meetings(a, b, time_b, _MOMENTS)
@@ -139,29 +159,33 @@ class _Registered:
         p, q = a.at(rows_a), b.at(rows_b)
         mirrored = q[:, body.mirror]
         most_of_all = min(len(np.unique(rows_a)), len(np.unique(rows_b)))
-        best, score = None, _LEAST_FIT * most_of_all
+        tried: list[tuple[float, RigidTransform]] = [(_LEAST_FIT * most_of_all, RigidTransform.identity())]
         pairs, counts = np.unique(np.stack((a.track[rows_a], b.track[rows_b])), axis=1, return_counts=True)
         for k in np.argsort(-counts, kind="stable")[: _TRIED * _TRIED]:
-            if score > _CLEAR_FIT * most_of_all:
+            if max(of for of, _ in tried) > clear * most_of_all:
                 break
             of = np.flatnonzero((a.track[rows_a] == pairs[0, k]) & (b.track[rows_b] == pairs[1, k]))
             of = of[np.linspace(0, len(of) - 1, min(_FITTED, len(of))).astype(np.int64)]
             for seen in (q, mirrored):
                 found = _fit(p[of], seen[of])
                 for _ in range(3):  # then of all who are in one place
+                    yield
                     if found is None:
                         break
                     same, exchanged = _sameness(found, p, q), _sameness(found, p, mirrored)
                     fits = np.maximum(same, exchanged)
                     most = np.zeros(len(a.track))
                     np.maximum.at(most, rows_a, fits)
-                    if most.sum() > score:
-                        best, score = found, float(most.sum())
+                    tried.append((float(most.sum()), found))
                     of = np.flatnonzero((fits > 0.0) & (fits == most[rows_a]))
                     of = of[np.linspace(0, len(of) - 1, min(2 * _FITTED, len(of))).astype(np.int64)]
                     turned = (exchanged > same)[of, None, None]
                     found = _fit(p[of], np.where(turned, mirrored[of], q[of]))
-        return None if best is None else _Registered(best, time_b, score)
+        score, best = max(tried, key=lambda each: each[0])
+        if best is tried[0][1]:
+            return None
+        others = [of for of, a_from_b in tried if a_from_b.angle_to(best) > _ANOTHER_RAD]
+        return Registered(best, time_b, score, max(others, default=0.0), most_of_all)
 
 
 def _fit(p: Array, q: Array) -> RigidTransform | None:
@@ -178,7 +202,7 @@ def _sameness(a_from_b: RigidTransform, p: Array, q: Array) -> Array:
     return np.asarray(np.maximum(0.0, 1.0 - (np.nan_to_num(mean, nan=np.inf) / _SAME_M) ** 2))
 
 
-def _chosen(a: Tracks, b: Tracks, found: _Registered) -> Followed | None:
+def _chosen(a: Tracks, b: Tracks, found: Registered) -> Followed | None:
     """The person to follow, of those whom the registration makes out of the tracks."""
     rows = _meetings(a, b, found.time_b, None)
     together, mutual = _in_one_place(a, b, found.a_from_b, *rows)
@@ -272,20 +296,15 @@ def _join_returning(
         if m >= count_a:
             ends = a_from_b.apply(ends)
         some = rows[np.linspace(0, len(rows) - 1, min(_FITTED, len(rows))).astype(np.int64)]
-        return _bones(body, tracks.at(some)), ends[0], ends[1]
+        return bones_of(body, tracks.at(some)), ends[0], ends[1]
 
     known = [of_track(m) for m in range(len(begin))]
     of_view = np.arange(len(begin)) < count_a
     cost = np.full((len(begin), len(begin)), np.inf)  # of track i that goes on as track j
     for i, j in zip(*np.nonzero(end[:, None] <= begin), strict=True):
-        ratio = np.abs(known[i][0] / known[j][0] - 1.0)
-        ratio = ratio[np.isfinite(ratio)]
-        bones = float(np.median(ratio)) if len(ratio) and of_view[i] == of_view[j] else _BONE_ERROR
+        bones = differing(known[i][0], known[j][0]) if of_view[i] == of_view[j] else np.nan
         far = float(np.linalg.norm(known[i][2] - known[j][1]))
-        sd = min(_PLACE_M + _WALK_M_S * 1e-9 * float(begin[j] - end[i]), _ROOM_M)
-        place = min(np.nan_to_num(far / sd, nan=_FAR), _FAR)
-        if bones <= _DIFFERENT_BONES:  # errors of the bones, and of a place on the floor
-            cost[i, j] = 0.5 * (bones / _BONE_ERROR) ** 2 + 0.5 * place**2 + 2.0 * np.log(sd)
+        cost[i, j] = cost_of_return(bones, far, 1e-9 * float(begin[j] - end[i]))
 
     def of_groups(one: list[int], other: list[int]) -> float:
         if not groups.may_join(one[0], other[0]):
@@ -311,6 +330,31 @@ def _join_returning(
                 costs[pair] = of_groups(members[pair[0]], members[pair[1]])
 
 
+def differing(one: Array, other: Array) -> float:
+    """The median difference of the lengths of two people's bones, as a share; NaN if unknown."""
+    ratio = np.abs(one / other - 1.0)
+    ratio = ratio[np.isfinite(ratio)]
+    return float(np.median(ratio)) if len(ratio) else np.nan
+
+
+def cost_of_return(bones: float, far: float, seconds: float) -> float:
+    """How unlike one person two are, of whom one was seen last and the other is seen so many seconds later.
+
+    Infinite for other people.
+
+    Args:
+        bones: As of :func:`differing`.
+        far: Metres between the places; NaN where unknown.
+    """
+    if bones > _DIFFERENT_BONES:
+        return np.inf
+    bones = _BONE_ERROR if np.isnan(bones) else bones
+    sd = min(_PLACE_M + _WALK_M_S * seconds, _ROOM_M)
+    place = _FAR if np.isnan(far) else min(far / sd, _FAR)
+    # errors of the bones, and of a place on the floor
+    return float(0.5 * (bones / _BONE_ERROR) ** 2 + 0.5 * place**2 + 2.0 * np.log(sd))
+
+
 def _changeovers(cost: Array, begin: Index, tracks: list[int], one: set[int]) -> list[float]:
     """The mean cost of the changes from one group's tracks to the other's; empty if there is none."""
     in_order = sorted(tracks, key=lambda m: int(begin[m]))
@@ -318,10 +362,12 @@ def _changeovers(cost: Array, begin: Index, tracks: list[int], one: set[int]) ->
     return [float(np.mean(changes))] if changes else []
 
 
-def _bones(body: Body, positions: Array) -> Array:
+def bones_of(body: Body, positions: NDArray[np.floating]) -> Array:
     """(J,) metres, medians of the lengths of the bones; NaN of those not seen."""
     lengths = bone_lengths_of(body, positions)
     lengths[lengths == 0.0] = np.nan
+    if len(lengths) == 1:
+        return np.asarray(lengths[0])
     known = np.isfinite(lengths).any(axis=0)
     medians = np.full(len(body), np.nan)
     medians[known] = np.nanmedian(lengths[:, known], axis=0)

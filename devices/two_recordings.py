@@ -23,6 +23,7 @@ from devices.files import (
     open_source,
     without_images,
 )
+from devices.following import one_person
 from devices.pairing import (
     FramePair,
     Pairing,
@@ -31,7 +32,7 @@ from devices.pairing import (
     median_interval,
     pair_views,
 )
-from devices.people import RecordedPeople, one_person
+from devices.people import RecordedPeople
 from devices.sensor import DeviceError, Orientation, Sensor
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
@@ -360,7 +361,9 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
             read = progress(without_images(source), f"{work} {source.name}", frame_count(source))
             people = RecordedPeople.of(source.body, read)
             if choice.person is None and not people.crowded:
-                people = RecordedPeople.of(source.body, one_person(people))  # one person gets several ids
+                people = RecordedPeople.of(
+                    source.body, one_person(source.body, people)
+                )  # one person gets several ids
             images = images_of(source)
             if isinstance(images, MkvRecording):
                 info, arrivals = images.info, images.arrivals

@@ -1,9 +1,8 @@
 """A simulated Kinect, a pair of simulated Kinects, and their ground truth."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,10 +15,14 @@ from devices.simulated.imaging.infrared import InfraredModel, clothed_capsules, 
 from devices.simulated.imaging.rendering import DepthErrors, depth_image, halved, surface
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import Array
-from devices.simulated.person.captured_motion import read_bvh
-from devices.simulated.person.movements import MOTIONS
+from devices.simulated.person.movement import Beside as Beside
+from devices.simulated.person.movement import Movement as Movement
+from devices.simulated.person.movement import movement as movement
 from devices.simulated.rig import Rig
 from devices.simulated.streams import Streams
+from devices.simulated.tracking.person_ids import OTHER as OTHER
+from devices.simulated.tracking.person_ids import PERSON as PERSON
+from devices.simulated.tracking.person_ids import PersonIds
 from devices.simulated.tracking.report import Tracked
 from devices.simulated.tracking.scripted_faults import ScriptedFaults
 from devices.simulated.tracking.tracker import Tracker
@@ -27,69 +30,10 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.rigid import RigidTransform
-from fusion.skeleton import Skeleton
 
-PERSON, OTHER = "1", "2"
-"""The tracker's ids of the person and of the other one, until it exchanges or loses them."""
+_LEAST_SEEN = 0.5  # of two people, one of whom less is visible is not reported: the other one hides them
 _OTHER_HEIGHT = 0.94  # of the other person, as a share of the person's
 _CHUNK = 32  # frames whose poses are computed together: one call costs little more than one pose
-
-
-class Movement(Protocol):
-    """A source of landmark positions over time: synthetic or captured motion."""
-
-    @property
-    def name(self) -> str:
-        """Name of the movement."""
-        ...
-
-    def landmarks(self, times: ArrayLike, height: float = ...) -> Array:
-        """(T, N, 3) all landmarks in the world, metres."""
-        ...
-
-
-def movement(name: str | Path) -> Movement:
-    """A movement of the library by name, or a BVH file.
-
-    Raises:
-        DeviceError: There is no such movement or file.
-    """
-    if str(name) in MOTIONS:
-        return MOTIONS[str(name)]
-    if str(name).lower().endswith(".bvh"):
-        return read_bvh(Path(name))
-    raise DeviceError(f"No movement {str(name)!r}. There are {', '.join(MOTIONS)}; or name a .bvh file.")
-
-
-@dataclass(frozen=True)
-class Beside:
-    """A movement in another place: the person stands aside, or goes to and fro.
-
-    Attributes:
-        motion: The movement at the origin.
-        place: (3,) of the origin in the world, metres.
-        reach: (3,) metres, amplitude of going to and fro.
-        seconds: Of one period.
-        later: Seconds by which the movement has gone on at the start.
-    """
-
-    motion: Movement
-    place: tuple[float, float, float]
-    reach: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    seconds: float = 9.0
-    later: float = 0.0
-
-    @property
-    def name(self) -> str:
-        return self.motion.name
-
-    def landmarks(self, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
-        """(T, N, 3) as :meth:`Movement.landmarks`."""
-        at = np.asarray(times, dtype=np.float64)
-        marks = self.motion.landmarks(at + self.later, height)
-        swing = np.sin(2.0 * np.pi * np.atleast_1d(at) / self.seconds)
-        moved: Array = marks + np.array(self.place) + swing[:, None, None] * np.array(self.reach)
-        return moved
 
 
 @dataclass(frozen=True)
@@ -226,7 +170,7 @@ class SimulatedKinect(Sensor):
             )
             for person, flesh in enumerate(each_flesh)
         ]  # fmt: skip
-        ids = _Ids(self._streams, scene.exchanged * rig.frame_seconds / 60.0)
+        ids = PersonIds(self._streams, scene.exchanged * rig.frame_seconds / 60.0)
         for frame, marks in self._poses():
             positions = sensor_from_world.apply(marks)
             shapes = np.concatenate([capsules(*of) for of in zip(positions, heights, strict=True)])
@@ -235,7 +179,9 @@ class SimulatedKinect(Sensor):
             for tracker, flesh, at in zip(trackers, each_flesh, positions, strict=True):
                 joints = at[anatomy.landmarks_of(self.body)]
                 seen = visibility(joints, shapes, flesh, self._lens)
-                skeletons.append(tracker.report(joints, seen, time_ns))
+                skeleton = tracker.report(joints, seen, time_ns)
+                hidden = len(positions) > 1 and seen.mean() < _LEAST_SEEN
+                skeletons.append(None if hidden else skeleton)
             dropped = dropping.random() < rig.dropped
             depth = ir = None
             if self._depth != "none" and self.imaging:
@@ -285,28 +231,6 @@ class SimulatedKinect(Sensor):
             each = [of.landmarks(times, height) for of, height in zip(motions, self._heights, strict=True)]
             yield from zip(numbers, np.stack(each, axis=1), strict=True)
             first += _CHUNK
-
-
-class _Ids:
-    """The ids that a tracker gives to people. Of two, one who was out of sight comes back under a new one."""
-
-    def __init__(self, streams: Streams, exchanged: float) -> None:
-        self._random, self._exchanged = streams.named("ids"), exchanged
-        self._ids, self._count, self._lost = [PERSON, OTHER], 2, [False, False]
-
-    def of(self, skeletons: Sequence[Skeleton | None]) -> dict[str, Skeleton]:
-        """The people of the next frame."""
-        if len(skeletons) > 1 and self._random.random() < self._exchanged:
-            self._ids.reverse()
-        people = {}
-        for k, skeleton in enumerate(skeletons):
-            if skeleton is not None and self._lost[k] and len(skeletons) > 1:
-                self._count += 1
-                self._ids[k] = str(self._count)
-            self._lost[k] = skeleton is None
-            if skeleton is not None:
-                people[self._ids[k]] = skeleton
-        return dict(sorted(people.items()))
 
 
 def simulated_pair(

@@ -9,12 +9,13 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
+from devices import people_tracks
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, with_depth, without_images
 from devices.events import Event
+from devices.following import PersonOfPair
 from devices.pairing import FramePair
-from devices.people import PersonOfPair
 from devices.sensor import Sensor
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration
@@ -45,7 +46,7 @@ class LiveFusion:
         kept = setup.calibration if calibrated or refine else None
         self.calibrator = Calibrator(setup.body, kept, frontal=setup.settings.method == "duplex")
         self._fuser = Fuser(setup)
-        self._people = PersonOfPair()
+        self._people = PersonOfPair(setup.body)
         learns = setup.settings.method == "duplex" and (refine or not calibrated)
         settings = LearnerSettings(refinement=RefinementSettings(in_steps=True))
         self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if learns else None
@@ -67,9 +68,8 @@ class LiveFusion:
 
     def chosen(self, pair: FramePair) -> FramePair:
         """Returns the pair with the followed person chosen."""
-        calibrator = self.calibrator
-        b_from_a = self.setup.calibration.a_from_b.inverse() if calibrator.final else None
-        return self._people.chosen(pair, b_from_a)
+        final = self.calibrator.final
+        return self._people.chosen(pair, self.setup.calibration.a_from_b if final else None)
 
     def fuse(self, pair: FramePair) -> SessionFrame:
         """Fuses a pair whose person is chosen, with the newest calibration; see :attr:`setup`."""
@@ -83,7 +83,7 @@ class LiveFusion:
         pairs, takes longer than S*.
         """
         fused, pair = frame.fused, frame.pair
-        events = self._views.observe(pair.skeletons, fused)
+        events = [*self._people.learn(), *self._views.observe(pair.skeletons, fused)]
         if self._learner is not None and self.calibrator.final:
             codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
             stale = fused.stale_a, fused.stale_b
@@ -165,6 +165,7 @@ class LiveFrames(Iterator[SessionFrame]):
         # the same for all bodies; a sensor may know its body only once it is open.
         Fuser(self._given or FusionSetup(nominal_calibration(KINECT_V1))).warm_up()
         depth_witness.warm_up()
+        people_tracks.warm_up()
         with self._sensors as sensors:
             setup = self._given or FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
             fusion = LiveFusion(setup, self._given is not None)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from devices import people_tracks
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, without_images
@@ -54,6 +55,7 @@ def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = la
     with call_after(1.0, lambda: console.print(notice)):
         fuser.warm_up(meanwhile)
         depth_witness.warm_up()
+        people_tracks.warm_up()
         angles.warm_up(fuser.setup.body)
         encode_depth(np.zeros((1, 1), dtype=np.uint16))
 
