@@ -27,7 +27,7 @@ HOLD_S, _WAIT_S = 2.0, 10.0
 _FORGET_S = 60.0  # somebody out of sight is no longer recognised
 _SAME_PLACE_M = 0.3  # of one person in two views, at most
 _PLACE_SD_M = 0.1  # the same, usually
-_SURE = 10  # frames in which two views of a person are apart, or those of two people are in one place
+_SURE_NS = 200_000_000  # for so long two views of a person are apart, or those of two people in one place
 _OWN_TRACK = 1.0  # log-likelihood of a track that may have been exchanged
 _BONES_EVERY, _BONES_NEW = 30, 0.2  # frames; share of a new measurement
 _RETURN_S = 1.0  # the bones of who was away for less are not compared
@@ -56,7 +56,7 @@ class Person:
     since_ns: list[int]  # of each view: when the track was found to be theirs
     bones: list[Array | None]  # of each view
     beside: bool = False  # whether seen while the person followed was
-    apart: int = 0  # frames
+    apart_ns: int | None = None  # since when their two views are
     measured: int = 0
 
     @property
@@ -70,7 +70,7 @@ class Room:
     def __init__(self, body: Body, views: Sequence[int]) -> None:
         self._body, self._views = body, views
         self._owner: dict[tuple[int, int], Person] = {}  # by view and track
-        self._met: dict[tuple[int, int], int] = {}  # frames in which two people were in one place
+        self._met: dict[tuple[int, int], int] = {}  # since when two people are in one place
         self.people: list[Person] = []
         self.followed: Person | None = None
         self.guessed = False  # whether the person followed was found again among several
@@ -112,7 +112,7 @@ class Room:
                         self._measure(person, view, seen[view].skeletons[at])
                     break
         if len(self._views) > 1:
-            self._compare(seen)
+            self._compare(time_ns, seen)
         self._choose(time_ns, seen)
 
     def _new(self, k: int, of: Seen) -> Person:
@@ -193,7 +193,7 @@ class Room:
             now = np.where(np.isnan(before), now, before + _BONES_NEW * (now - before))
         person.bones[view] = now
 
-    def _compare(self, seen: Sequence[Seen]) -> None:
+    def _compare(self, time_ns: int, seen: Sequence[Seen]) -> None:
         """Separates what two views have of different people, and joins what they have of one."""
         single: tuple[list[Person], list[Person]] = [], []
         for person in self.people:
@@ -202,8 +202,11 @@ class Room:
                 if (a is None) != (b is None):
                     single[a is None].append(person)
                 continue
-            person.apart = person.apart + 1 if math.dist(a, b) > _SAME_PLACE_M else 0
-            if person.apart >= _SURE:
+            if math.dist(a, b) <= _SAME_PLACE_M:
+                person.apart_ns = None
+                continue
+            person.apart_ns = time_ns if person.apart_ns is None else person.apart_ns
+            if time_ns - person.apart_ns >= _SURE_NS:
                 later = int(person.since_ns[1] >= person.since_ns[0])
                 place = (a, b)[later]
                 if any(
@@ -214,7 +217,7 @@ class Room:
                     k = person.now[later]
                     assert k is not None
                     self._owner.pop((later, seen[later].tracks[k]), None)
-                    person.now[later], person.apart = None, 0
+                    person.now[later], person.apart_ns = None, None
         met = {}
         for one in single[0]:
             for other in single[1]:
@@ -222,8 +225,8 @@ class Room:
                 if a is None or b is None or math.dist(a, b) > _SAME_PLACE_M:
                     continue
                 pair = id(one), id(other)
-                met[pair] = self._met.get(pair, 0) + 1
-                if met[pair] >= _SURE and one in self.people and other in self.people:
+                met[pair] = self._met.get(pair, time_ns)
+                if time_ns - met[pair] >= _SURE_NS and one in self.people and other in self.people:
                     self._join(one, other)
         self._met = met
 

@@ -76,6 +76,11 @@ def trust_lane(limb: str) -> str:
     return f"{TRUST_LANES}/{limb.replace(' ', '_')}"
 
 
+def others(side: str) -> str:
+    """The bones of the people who are not followed, in the sensor's own frame."""
+    return f"/kinect_{side}/others"
+
+
 def state_lane(side: str, joint: str) -> str:
     """Changes of a joint's tracking state; only for joints whose state changes."""
     return f"{STATE_LANES}/{joint.lower()}/{side}"

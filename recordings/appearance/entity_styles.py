@@ -68,6 +68,11 @@ def joint_look(body: Body, key: str) -> rr.Points3D:
     )
 
 
+def others_look() -> rr.Arrows3D:
+    """Appearance of the bones of people who are not followed: dim."""
+    return rr.Arrows3D.from_fields(colors=PREDICTED_COLOR, radii=rr.components.Radius.ui_points(_BONE_RADIUS))
+
+
 def cloud_look(side: str) -> rr.Points3D:
     """Appearance of a sensor's point cloud: the colour of its skeleton, as in the paper's fig. 2."""
     return rr.Points3D.from_fields(colors=SKELETON_COLORS[side], radii=_CLOUD_RADIUS)

@@ -12,6 +12,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from devices.capture.stream_pairing import PairingFigures
+from devices.pairing import FramePair
 from fusion.body import Body
 from fusion.setup import FusionSetup
 from recordings import layout
@@ -96,6 +97,34 @@ class PlacementLog:
                 translation=(0.0, 0.0, 0.0), parent_frame=f"tf#{entity}", child_frame=name
             )
             once(layout.named_frame(name), same, static=True)
+
+
+class OthersLog:
+    """Logs the people who are not followed, while there are any: the bones of each."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream, self._shown = stream, dict.fromkeys(layout.SIDES, False)
+
+    def record(self, number: int, time_ns: int, pair: FramePair) -> None:
+        """Logs those of a frame; a sensor without a frame keeps what it has."""
+        views = (pair.a, pair.skeletons.a), (pair.b, pair.skeletons.b)
+        for side, (frame, followed) in zip(layout.SIDES, views, strict=True):
+            if frame is None:
+                continue
+            others = [person for person in frame.people.values() if person is not followed]
+            if others or self._shown[side]:
+                self._shown[side] = bool(others)
+                origins, vectors = np.zeros((2, 0, 3), np.float32)
+                for person in others:
+                    bones = person.body.bone_joints
+                    along = person.positions[person.body.parent_indices[bones]] - person.positions[bones]
+                    known = np.isfinite(along).all(axis=1)
+                    origins = np.concatenate((origins, person.positions[bones][known]))
+                    vectors = np.concatenate((vectors, along[known]))
+                set_time(self._stream, number, time_ns)
+                self._stream.log(
+                    layout.others(side), rr.Arrows3D.from_fields(origins=origins, vectors=vectors)
+                )
 
 
 class QualityLog:

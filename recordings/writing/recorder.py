@@ -18,7 +18,14 @@ from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import TrustColors
 from recordings.session_arrays import SessionArrays, SessionFrame
 from recordings.writing.arrow_columns import Times, own_values
-from recordings.writing.changes import PlacementLog, QualityLog, StatesLog, StreamFiguresLog, set_time
+from recordings.writing.changes import (
+    OthersLog,
+    PlacementLog,
+    QualityLog,
+    StatesLog,
+    StreamFiguresLog,
+    set_time,
+)
 from recordings.writing.checksums import FusedChecks, event_checksum, properties_checksum
 from recordings.writing.frame_columns import frame_columns
 from recordings.writing.properties import calibration_values, session_properties
@@ -64,6 +71,7 @@ class Recorder:
         self._like: SessionArrays | None = None  # the first frame, whose optional figures all have
         self._plots_later, self._unplotted = plots_later, list[SessionArrays]()
         self.images = ImageLog(stream, setup, depth_every, points)
+        self._others = OthersLog(stream)
         self._figures, self._trust_colors = StreamFiguresLog(stream), TrustColors()
         self._placement, self._quality = PlacementLog(stream, setup, points), QualityLog(stream)
         self._states = StatesLog(stream, setup.body, self._pause)
@@ -103,6 +111,7 @@ class Recorder:
         self._like = self._like or rows[:1]
         self.record_rows(rows)
         for frame, number, time_ns in zip(frames, numbers, rows.time_ns.tolist(), strict=True):
+            self._others.record(number, time_ns, frame.pair)
             if frame.streams is not None:
                 self._figures.record(number, time_ns, frame.streams)
             self.record_images(number, frame)
@@ -194,6 +203,7 @@ def _log_constant(stream: rr.RecordingStream, setup: FusionSetup) -> None:
         once(layout.skeleton(side), entity_styles.joint_look(setup.body, side))
         once(layout.depth(side), entity_styles.camera(intrinsics, side), entity_styles.DEPTH)
         once(layout.image_edge(side), entity_styles.image_edge(intrinsics))
+        once(layout.others(side), entity_styles.others_look())
         once(layout.points(side), entity_styles.cloud_look(side))
     once(layout.FUSED_SKELETON, entity_styles.joint_look(setup.body, "fused"))
     once(layout.TRUTH_SKELETON, entity_styles.joint_look(setup.body, "truth"))

@@ -218,10 +218,13 @@ class Coach:
 
     def _people(self, frame: SessionFrame, time: float) -> Iterator[Advice]:
         assert self._began is not None
-        skeletons = (frame.pair.skeletons.a, frame.pair.skeletons.b)
+        skeletons, views = (frame.pair.skeletons.a, frame.pair.skeletons.b), (frame.pair.a, frame.pair.b)
         for k, (side, skeleton) in enumerate(zip("AB", skeletons, strict=True)):
+            view = views[k]
             since = time - (self._began if self._seen_at[k] is None else self._seen_at[k] or 0.0)
             if skeleton is None:
+                if view is not None and view.people:
+                    continue  # others: the person followed is hidden, or not told from them yet
                 if since >= UNSEEN and time - self._came_at[k] <= _SILENT:
                     text = f"Sensor {side} has seen no one for {since:.0f} s (more than {UNSEEN:g} s)."
                     remedy = "Step into its view, and turn off what stands in the way."

@@ -57,6 +57,9 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
             whence = {_LENGTH_FROM.get(bone["length_from"], "") for bone in figures["bones"].values()}
             lengths = " or ".join(sorted(whence - {""}))
             yield Line("Never seen", f"{', '.join(never)}: S* guesses them; their bones are {lengths}.")
+    if figures.get("others_seen"):
+        share = in_percent(figures["others_seen"])
+        yield Line("Others", f"seen in {share} of the frames; S* follows one person.", figure=share)
     yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
 
 

@@ -162,6 +162,7 @@ def session_report(
     if outputs:
         figures["outputs"] = [output.figures() for output in outputs]
     figures["latency_ms"] = latency_figures(frames)
+    figures["others_seen"] = others_seen(frames)
     rows = rows_of(setup, frames) if session is None else session.rows
     if rows is None:
         return figures
@@ -195,6 +196,15 @@ def stream_figures(sensors: TwoSensors) -> Figures:
     }
     links = {side: asdict(link) for side, link in zip("ab", sensors.links, strict=True) if link is not None}
     return figures | ({"network": links} if links else {})
+
+
+def others_seen(frames: Sequence[SessionFrame]) -> float:
+    """The share of frames in which a sensor sees somebody besides the person followed."""
+    seen = 0
+    for pair in (frame.pair for frame in frames):
+        views = (pair.a, pair.skeletons.a), (pair.b, pair.skeletons.b)
+        seen += any(view is not None and len(view.people) > (one is not None) for view, one in views)
+    return seen / len(frames) if frames else 0.0
 
 
 def latency_figures(frames: Sequence[SessionFrame]) -> dict[str, float | None]:

@@ -96,7 +96,7 @@ def _setup(
     depths = [
         rrb.Spatial2DView(
             origin=layout.depth(side),
-            contents=[*_images(side, infrared), layout.skeleton(side)],
+            contents=[*_images(side, infrared), layout.skeleton(side), layout.others(side)],
             name=f"Kinect {side.upper()}{shown}",
             visual_bounds=rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height)),
         )
@@ -135,7 +135,7 @@ def _images(side: str, infrared: bool) -> list[str]:
 
 def _color_view(side: str) -> rrb.Spatial2DView:
     entity = layout.color(side)
-    contents = ["$origin/**", layout.skeleton(side)]
+    contents = ["$origin/**", layout.skeleton(side), layout.others(side)]
     return rrb.Spatial2DView(origin=entity, contents=contents, name=f"Kinect {side.upper()}, colour")
 
 

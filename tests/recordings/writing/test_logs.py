@@ -9,9 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from fusion.calibration.calibration import Calibration
 from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
+from recordings.session_arrays import SessionFrame
 from recordings.writing import changes
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
@@ -107,6 +109,33 @@ def test_the_pelvis_keeps_its_place_while_nobody_is_seen(tmp_path):
             for frame in made:
                 live.write(frame)
         assert poses(file, layout.PELVIS) == sorted({*range(20)} - {*nobody})
+
+
+def test_the_others_are_drawn_while_they_are_there(tmp_path):
+    pairs = frame_pairs(BODY, 12, noise=0.0)
+    fuser = known_fuser()
+    for t in range(4, 8):
+        a = pairs[t].a
+        other = Skeleton.of(BODY, a.people["7"].positions + np.float32(1.0), a.people["7"].states)
+        pairs[t] = replace(pairs[t], a=replace(a, people={**a.people, "8": other}))
+    path = tmp_path / "s.rrd"
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+    stream.save(path)
+    recorder = Recorder(stream, fuser.setup, ("a", "b"))
+    recorder.record_all([SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
+    recorder.finish()
+    stream.disconnect()
+    drawn = {}
+    with RrdFile(path) as file:
+        for entity, batch in file.chunks(images=False):
+            if entity in map(layout.others, "ab") and layout.FRAME in batch.schema.names:
+                origins = batch.column("Arrows3D:origins").to_pylist()
+                for frame, of in zip(batch.column(layout.FRAME).to_pylist(), origins, strict=True):
+                    drawn[entity, frame] = len(of)
+    assert drawn.keys() == {(layout.others("a"), t) for t in range(4, 9)}  # the last one clears them
+    assert drawn.pop((layout.others("a"), 8)) == 0
+    assert all(0.5 * len(BODY) < count < len(BODY) for count in drawn.values())
+    assert len(Session.open(path)) == 12
 
 
 def test_a_viewer_s_stream_gets_the_poses_again_and_again(tmp_path, monkeypatch):

@@ -42,6 +42,7 @@ def watched(
     dropping=0,
     losing=0,
     b_gone=(np.inf, np.inf),
+    b_other=False,
     frame_ns=FRAME_NS,
     simulated=False,
     remote="",
@@ -64,6 +65,8 @@ def watched(
             people.append({"1": skeleton} if shown else {})
         from_b = None if b_gone[0] <= time_ns * 1e-9 < b_gone[1] else SensorFrame(time_ns, people[1])
         pair = frame_pair(SensorFrame(time_ns, people[0]), from_b, "1", time_ns, skew_ns)
+        if b_other:  # B's only person is not the one followed
+            pair = replace(pair, skeletons=replace(pair.skeletons, b=None))
         drops = replace(now, dropped=(k * dropping, 0), lost=(0, k * losing))
         advice = coach.watch(fuse_one(fuser, pair), drops)
     return {each.topic: each for each in advice}
@@ -87,6 +90,7 @@ def test_a_sensor_that_sees_no_one_is_named_after_a_second():
     said = watched(b=False, seconds=3.0)
     assert wrong(said) == {"person B"}
     assert "has seen no one for 3 s" in said["person B"].text
+    assert wrong(watched(b_other=True)) == set()
 
 
 @pytest.mark.parametrize("lost", ["states", "image"])
