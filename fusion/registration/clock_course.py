@@ -64,23 +64,22 @@ def find_clock_course(a: View, b: View, middle: ClockOffset) -> ClockOffset:
     grown = _price(windows.offset_ns, constant + slope * lever, sd) + _PRICE_OF_SLOPE
     interval = float(np.median(np.diff(b.time_ns)))
     stepped, breaks = _steps(windows.offset_ns, sd, interval)
-    found = replace(
-        middle,
-        offset_ns=middle.offset_ns + constant,
-        skew_ppm=1e6 * slope,
-        skew_sd_ppm=1e6 * slope_sd,
-        middle_ns=float(centre - round(middle.offset_ns)),
-    )
-    sd_ns = float(np.median(sd)) / len(sd) ** 0.5
-    found = replace(found, sd_ns=min(middle.sd_ns, sd_ns))
-    if stepped < min(flat, grown):
-        found = _with_steps(a, shifted, windows, breaks, interval, replace(middle, sd_ns=found.sd_ns))
-    elif grown >= flat:
+    known = replace(middle, sd_ns=min(middle.sd_ns, float(np.median(sd)) / len(sd) ** 0.5))
+    courses: list[ClockOffset] = []
+    if grown < flat:
+        growth = replace(known, skew_ppm=1e6 * slope, skew_sd_ppm=1e6 * slope_sd)
+        at = float(centre - round(middle.offset_ns))
+        courses.append(replace(growth, offset_ns=middle.offset_ns + constant, middle_ns=at))
+    if stepped < flat:
+        courses.append(_with_steps(a, shifted, windows, breaks, interval, known))
+    if not courses:
         return replace(middle, skew_sd_ppm=1e6 * slope_sd)
+    # some windows tell steps from growth badly; all frames tell them well
     before = frame_costs(a, shifted, 0)
-    after = frame_costs(a, b._replace(time_ns=b.time_ns + found.at(b.time_ns)), 0)
-    gain = before - after
-    return found if float(np.mean(gain[np.isfinite(gain)])) > 0.0 else middle
+    gains = [before - frame_costs(a, b._replace(time_ns=b.time_ns + one.at(b.time_ns)), 0) for one in courses]
+    means = [float(np.mean(gain[np.isfinite(gain)])) for gain in gains]
+    best = int(np.argmax(means))
+    return courses[best] if means[best] > 0.0 else middle
 
 
 def _measured(a: View, b: View, first: int, last: int) -> _Windows:

@@ -1,5 +1,7 @@
 """Inputs that people who do this job reported, from ``../shared/cases``, with the right values."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -94,6 +96,27 @@ def test_case_8_confidence_is_a_state(case, tmp_path):
         files.append(tmp_path / path.name)
         files[-1].write_text(path.read_text().replace("confidence", "state"))
     np.testing.assert_array_equal(fuse(*case(8)).fused, fuse(*files).fused)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_case_9_frame_numbers_as_times_where_frames_were_lost(seed, tmp_path):
+    a, b, _ = simulated_pair(motion="walk", seed=seed, body=BODIES["azure_kinect"], seconds=60.0)
+    for name, sensor, lost in (("a.csv", a, ()), ("b.csv", b, (300, 700, 701, 1200))):
+        kept = [frame for number, frame in enumerate(sensor.frames()) if number not in lost]
+        with (tmp_path / name).open("w") as file:
+            file.write("frame,joint,x,y,z,state\n")
+            for number, frame in enumerate(kept):
+                for person in frame.people.values():
+                    rows = zip(person.body.joints, person.positions, person.states, strict=True)
+                    file.writelines(
+                        f"{number},{joint},{x:.4f},{y:.4f},{z:.4f},{state}\n"
+                        for joint, (x, y, z), state in rows
+                    )
+    session = fuse(tmp_path / "a.csv", tmp_path / "b.csv")
+    assert re.search(
+        r"The clocks differ: .*changing in steps of [+\d, ]* ms, as where times are frame", said(session)
+    )
+    assert "A sensor was moved" not in said(session)
 
 
 def test_case_10_times_that_lost_their_digits(case, capsys):
