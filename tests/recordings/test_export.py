@@ -175,6 +175,23 @@ def test_mot_has_the_coordinates_of_opensim_s_model(session):
     np.testing.assert_allclose(arm.apply([0.0, -1.0, 0.0]), expected[known], atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("joint", "gone"),
+    [
+        ("ankle left", {"knee_angle_l"}),
+        ("wrist right", {"elbow_flex_r"}),
+        ("knee right", {"knee_angle_r", "hip_flexion_r", "hip_adduction_r"}),
+    ],
+)
+def test_mot_has_no_column_of_an_angle_that_needs_a_joint_that_was_never_seen(session, joint, gone):
+    never = np.arange(len(session.body)) == session.body.joint(joint)
+    files = exported(session, "whole.mot"), exported(unseen(session, never), "s.mot")
+    whole, left = (set(file.read_text(encoding="utf-8").split("\n")[6].split("\t")) for file in files)
+    assert whole - left == gone
+    assert left <= whole
+    assert f"nColumns={len(left)}\n" in files[1].read_text(encoding="utf-8")
+
+
 def test_parquet_has_the_same_rows_and_says_its_units(session):
     pandas = pytest.importorskip("pandas")
     pyarrow_parquet = pytest.importorskip("pyarrow.parquet")
