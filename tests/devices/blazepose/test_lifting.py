@@ -15,7 +15,7 @@ from devices.depth.camera import project
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import TrackingState
 from tests.helpers.machine import need_networks
-from tests.helpers.rendered_people import CAMERA
+from tests.helpers.rendered_people import CAMERA, WIDE
 
 SEEN = np.ones(len(LANDMARK_NAMES))
 
@@ -112,6 +112,18 @@ def test_a_landmark_where_the_lens_images_nothing_has_no_position():
     assert np.isfinite(lifted.positions).all()
     alone = of_kinds("ELBOW", "KNEE", "ANKLE")
     np.testing.assert_allclose(lifted.positions[alone], points[alone], atol=2e-3)
+
+
+@pytest.mark.parametrize("degrees", [45, 55, 60])
+def test_b6_a_hand_at_the_edge_of_a_wide_image_is_lifted_along_its_ray(degrees):
+    points, hand = body(), of_kinds("WRIST", "INDEX", "PINKY", "THUMB")
+    left = [j for j in hand if points[j, 0] > 0.0]
+    points[left] += (2.5 * np.tan(np.radians(degrees)) - points[left, 0].mean(), 0.0, 0.0)
+    pixels = project(WIDE, points)
+    lifted = lift(BodyLandmarks(pixels, SEEN, SEEN, world_of(points)), depth_of(points, camera=WIDE), WIDE)
+    assert lifted.known[left].all()
+    along, true = (at[left, :2] / at[left, 2:] for at in (lifted.positions, points))
+    np.testing.assert_allclose(along, true, atol=2e-4)  # a ray is accepted where its pixel is within 0.05
 
 
 def test_every_joint_is_a_mean_of_landmarks():

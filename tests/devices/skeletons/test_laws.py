@@ -206,6 +206,15 @@ def test_a_y_axis_that_points_up_is_told_whichever_leg_is_lifted(y_up, lifted, h
     assert bool(upside_down("a.csv", BODY, positions)) == y_up
 
 
+@pytest.mark.parametrize("followed", [0, 1])
+def test_d14_upside_down_is_told_of_the_person_who_is_followed(followed):
+    """Of two people who are seen as long, the last one is followed."""
+    shaken = np.random.default_rng(0).normal(0.0, 0.01, (60, len(BODY), 3)) + standing(BODY)
+    down = shaken * (1.0, -1.0, 1.0)
+    told = checked(Path("a.json"), recorded(*((shaken, down) if followed else (down, shaken)))).warnings
+    assert any("the head is below the feet" in line for line in told) == bool(followed)
+
+
 @LAWS
 @given(
     groups=st.lists(st.lists(st.integers(0, 9), min_size=1, max_size=4), min_size=1, max_size=4),
