@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from devices.people import RecordedPeople
 from devices.sensor import DeviceError
 from devices.skeletons.read_file import FoundPoints
-from devices.skeletons.repetition import ALMOST_ALWAYS, FEWEST, kept_places, logged_again, repeats_of
+from devices.skeletons.repetition import ALMOST_ALWAYS, kept_places, logged_again, repeats_of
 from devices.skeletons.stated_format import UNSTATED, StatedFormat, Unit
+from devices.skeletons.times import FEWEST
 from fusion.body import Body
 from fusion.large_arrays import parts
 from fusion.pair_arrays import View, joined_views

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
 from devices.skeletons.stated_format import FilePoints, Unit
-from devices.skeletons.times import capture_times
+from devices.skeletons.times import capture_times, digest, times_of_new_frames
 from fusion.pair_arrays import View, joined_views
 from fusion.skeleton import TrackingState
 
@@ -78,7 +78,13 @@ def found_of(
     if not frames:
         raise DeviceError(f"{path} has no frames.")
     moments = np.array([frame.time for frame in frames], dtype=np.int64)
-    times, told = capture_times(path, column, moments, called=called)
+    each, first = np.unique(moments, return_index=True)
+    places = [frames[k].people for k in first.tolist()]
+    digests = [
+        sum(digest(at, np.arange(len(at)), i).sum() for i, (_, at, _) in enumerate(of)) for of in places
+    ]
+    telling = times_of_new_frames(each, np.array(digests, dtype=np.float64))
+    times, told = capture_times(path, column, moments, called=called, telling=telling)
     back = np.flatnonzero(np.diff(times) < 0)
     if len(back):
         told.append(f"{path}: the time goes back at frame {back[0] + 1}; the frames were sorted by time.")

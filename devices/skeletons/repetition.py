@@ -7,11 +7,9 @@ from numpy.typing import NDArray
 
 from devices.skeletons.name_tables import listed
 from devices.skeletons.read_file import FoundPoints
+from devices.skeletons.times import FEWEST, LOGGED_TWICE
 from fusion.large_arrays import parts
 
-FEWEST = 15
-"""Frames: a person can be seen as standing still for fewer."""
-LOGGED_TWICE = 0.2  # of the frames: more repeat the one before where a program logs faster than its tracker
 _ONE_FRAME_NS = 250_000_000  # the longest time between two frames of a tracker
 _DIGITS = 200  # steps within a person: centimetres are fewer, millimetres more
 _MOVES = 0.5  # of the other points, while a joint keeps its place

@@ -1,9 +1,10 @@
 """Capture times as files have them: their unit by the frame rate, midnight, and times of text."""
 
+import math
 import re
 from datetime import UTC, datetime
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,17 +24,15 @@ TIME_COLUMNS: MappingProxyType[str, tuple[float, str]] = MappingProxyType(
 """Microseconds per unit, and the unit's name, by the name of a column of times; ``time`` names no unit."""
 FRAME_NUMBERS = "frame"
 """The name of a column that counts frames."""
-_UNITS = (
-    *((us, words, column) for column, (us, words) in TIME_COLUMNS.items() if column != "time"),
-    *((125.0, "eighths of a millisecond", ""), (1.0 / 60.0, "ticks of 60 MHz", ""), (8.64e10, "days", "")),
-)
-"""Microseconds per unit, the unit's name, and the column that states it, if any."""
 _FRAME_US = 1e6 / 30.0
 _LATEST_US = 9 * 10**15
 """Largest time, so that nanoseconds fit into 64 bits."""
 _EPOCHS_S = (62_135_596_800, 11_644_473_600)
 """Seconds from the year 1 and from 1601, where .NET and Windows begin to count, to 1970."""
 _FEWEST = 3  # times; fewer tell no unit
+FEWEST = 15
+"""Frames: a person can be seen as standing still for fewer."""
+LOGGED_TWICE = 0.2  # of the frames: more repeat the one before where a program logs faster than its tracker
 _TRACKER_US = 8_000.0, 205_000.0
 """Body trackers give 5 to 120 frames per second; with a tolerance."""
 _SLOW_US, _ODD_US = 1e6 / 12.0, (2_000.0, 5_000_000.0)
@@ -87,6 +86,23 @@ def capture_times(
     return np.rint(times * us).astype(np.int64) * 1000, told
 
 
+def digest(xyz: NDArray[Any], point: NDArray[Any] | int, person: NDArray[Any] | int) -> NDArray[np.float64]:
+    """(…) a number of each (…, 3) place, point and person; those of a frame add up to one that tells it."""
+    place = np.clip(np.nan_to_num(xyz), -1e9, 1e9) @ (1.0, 0.7, 0.3)
+    return np.asarray(place * (1 + point + 97 * person))
+
+
+def times_of_new_frames(times: NDArray[Any], digests: NDArray[Any]) -> NDArray[Any]:
+    """The times; where a program logged many frames again, those of the tracker's own frames.
+
+    Args:
+        times: (T,) different and ascending.
+        digests: (T,) of the frames.
+    """
+    new = np.append(True, np.diff(digests) != 0.0)
+    return times[new] if new.sum() >= FEWEST and new.mean() < 1.0 - LOGGED_TWICE else times
+
+
 def find_time_unit(
     name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0], called: str = ""
 ) -> tuple[float, list[str]]:
@@ -110,31 +126,26 @@ def find_time_unit(
     if len(times) < _FEWEST:
         return own, []
     interval = float(np.median(np.diff(times)))
-    own_us, states = interval * own, column != "time"
-    if states and shortest_us <= own_us <= _SLOW_US:
+    own_us, stated = interval * own, column != "time"
+    if stated and shortest_us <= own_us <= _SLOW_US:
         return own, []
-    fitting = [unit for unit in _UNITS if _fits(interval * unit[0], unit[2] != "")]
-    odd = states and _ODD_US[0] <= own_us <= _ODD_US[1]
+    units = [unit for unit in _UNITS if unit.fits(interval)]
+    sensors = [unit for unit in _UNITS if _is_usual(interval * unit.us, _RATES[1:])]
+    odd = stated and _ODD_US[0] <= own_us <= _ODD_US[1]
     if odd:
-        fitting = [unit for unit in fitting if _is_usual(interval * unit[0], _RATES[1:])]
+        units = [unit for unit in units if unit in sensors]
     by_own = f"{name}: by {called} there are {1e6 / own_us:.3g} frames per second; "
-    if odd and _fits(own_us, named=True):
+    if odd and _TRACKER_US[0] <= own_us <= _TRACKER_US[1]:
         return own, [
-            f"{by_own}if it holds {words}, there are {1e6 / (interval * us):.3g}. State times by a column "
-            f"{key or 'time_s'} then."
-            for us, words, key in [unit for unit in _UNITS if _is_usual(interval * unit[0], _RATES[1:])][:1]
+            f"{by_own}if it holds {unit.words}, there are {unit.rate(interval)}. State times by a column "
+            f"{unit.column or 'time_s'} then."
+            for unit in sensors[:1]
         ]
-    if fitting:
-        us, words, key = min(
-            fitting,
-            key=lambda unit: (
-                not _is_usual(interval * unit[0], _RATES),
-                abs(np.log(interval * unit[0] / _FRAME_US)),
-            ),
-        )
-        way = f" Name the column {key} to state this unit." if key else ""
-        per_second = f"{1e6 / (interval * us):.3g} frames per second"
-        return us, [f"{name}: {called} is taken as {words}, so that there are {per_second}.{way}"]
+    if units:
+        unit = min(units, key=lambda one: one.oddness(interval))
+        way = f" Name the column {unit.column} to state this unit." if unit.column else ""
+        per_second = f"{unit.rate(interval)} frames per second"
+        return unit.us, [f"{name}: {called} is taken as {unit.words}, so that there are {per_second}.{way}"]
     if interval == 1.0 and (times == np.rint(times)).all():
         return _FRAME_US, [_numbered(name, called)]
     if odd:
@@ -145,10 +156,34 @@ def find_time_unit(
     )
 
 
-def _fits(interval_us: float, named: bool) -> bool:
-    """Whether it is a body tracker's; in a unit that is seldom used, whether it is just that of a sensor."""
-    tracker = _TRACKER_US[0] <= interval_us <= _TRACKER_US[1]
-    return tracker and (named or _is_usual(interval_us, _RATES[1:3]))
+class _Unit(NamedTuple):
+    """A unit of times; an interval is the number of units between two frames."""
+
+    us: float  # microseconds
+    words: str
+    column: str = ""  # that states it, if any
+
+    def fits(self, interval: float) -> bool:
+        """Whether it is a body tracker's; in a unit that is seldom used, whether it is just a sensor's."""
+        trackers = _TRACKER_US[0] <= interval * self.us <= _TRACKER_US[1]
+        return trackers and (self.column != "" or _is_usual(interval * self.us, _RATES[1:3]))
+
+    def oddness(self, interval: float) -> tuple[bool, float]:
+        """Less for the rate of a sensor, then for one nearer to 30 per second."""
+        us = interval * self.us
+        return not _is_usual(us, _RATES), abs(math.log(us / _FRAME_US))
+
+    def rate(self, interval: float) -> str:
+        """Frames per second in words."""
+        return f"{1e6 / (interval * self.us):.3g}"
+
+
+_UNITS = (
+    *(_Unit(us, words, column) for column, (us, words) in TIME_COLUMNS.items() if column != "time"),
+    _Unit(125.0, "eighths of a millisecond"),
+    _Unit(1.0 / 60.0, "ticks of 60 MHz"),
+    _Unit(8.64e10, "days"),
+)
 
 
 def _is_usual(interval_us: float, rates: tuple[float, ...]) -> bool:

@@ -20,9 +20,8 @@ from devices.skeletons.csv_files.states import StateColumn
 from devices.skeletons.csv_files.text import codes, line_of_row, refuse_cut_off, text_rows
 from devices.skeletons.name_tables import listed
 from devices.skeletons.read_file import FoundPoints
-from devices.skeletons.repetition import FEWEST, LOGGED_TWICE
 from devices.skeletons.stated_format import UNSTATED, FilePoints, StatedFormat
-from devices.skeletons.times import capture_times
+from devices.skeletons.times import capture_times, digest, times_of_new_frames
 from fusion.body import BODIES
 from fusion.large_arrays import GrowingArray, parts
 from fusion.pair_arrays import View, joined_views
@@ -138,11 +137,8 @@ def _rows(path: Path, block: int, progress: Progress) -> _Rows:
 
 
 def _times_of_new_frames(rows: _Rows) -> NDArray[Any]:
-    """The different times; where a program logged many frames again, those of the tracker's own frames."""
     times, frame = np.unique(rows.time, return_inverse=True)
-    place = np.clip(np.nan_to_num(rows.xyz), -1e9, 1e9) @ (1.0, 0.7, 0.3)
-    new = np.append(True, np.diff(np.bincount(frame, place * (1 + rows.label + 97 * rows.person))) != 0.0)
-    return times[new] if new.sum() >= FEWEST and new.mean() < 1.0 - LOGGED_TWICE else times
+    return times_of_new_frames(times, np.bincount(frame, digest(rows.xyz, rows.label, rows.person)))
 
 
 def _points(path: Path, stated: StatedFormat, labels: list[str]) -> tuple[FilePoints, list[str], list[str]]:

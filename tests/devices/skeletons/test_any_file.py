@@ -1,6 +1,7 @@
 """Files as they come, drawn at random of a known recording: what is read is right, or a line says why."""
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -105,9 +106,8 @@ LOST = ("time_s in exponent form", "time_s in whole seconds")
 """These times tell frames apart no more."""
 
 
-def written(drawn, path):
-    """Writes a file; the times (T,), positions (T, J, 3) and states (T, J) of its first person."""
-    body = BODIES[drawn.body]
+def scene(drawn, body):
+    """Times (T,), positions (T, J, 3) and states (T, J) of the first person; (J,) which joints are unseen."""
     random = np.random.default_rng(drawn.seed)
     truth = moving(body, FRAMES, drawn.seed % 7) + random.normal(0.0, 0.005, (FRAMES, len(body), 3))
     times = np.arange(FRAMES, dtype=np.int64) * INTERVAL_NS
@@ -115,25 +115,87 @@ def written(drawn, path):
     plain = [name.lower().replace("_", "") for name in body.joints]
     unseen = np.array([any(part in name for part in LIMBS[drawn.limb]) for name in plain])
     states = random.choice([1, 2], (FRAMES, len(body)), p=[0.1, 0.9])
-    words, scale = STATES[drawn.state], METRES[drawn.unit][0]
+    return times, truth, states, unseen
+
+
+def places(drawn, truth, states, unseen, t, person):
+    """The cells x, y, z, state of each joint of a person in frame t."""
+    for joint, hidden in enumerate(unseen):
+        place = (truth[t, joint] + [0.8 * person, 0.0, 0.5 * person]) / METRES[drawn.unit][0]
+        yield UNSEEN[drawn.unseen] if hidden else (*(f"{v:.6f}" for v in place), str(states[t, joint]))
+
+
+def expected(times, truth, states, unseen):
+    """What a reader should give of the first person."""
+    truth[:, unseen] = np.nan
+    states[:, unseen] = 0
+    return times, truth, states
+
+
+def as_csv(drawn, path):
+    """Writes a file; the times (T,), positions (T, J, 3) and states (T, J) of its first person."""
+    body = BODIES[drawn.body]
+    times, truth, states, unseen = scene(drawn, body)
+    words = STATES[drawn.state]
     rows = [[drawn.time.split(" in ")[0], "body", "joint", *"xyz", *([drawn.state] if words else [])]]
     for t, time in enumerate(times):
         for again in range(drawn.lines):
             told = TIMES[drawn.time](int(time + again * INTERVAL_NS // drawn.lines))
             for person in range(1 + drawn.two_people):
-                for joint, name in enumerate(body.joints):
-                    place = (truth[t, joint] + [0.8 * person, 0.0, 0.5 * person]) / scale
-                    at = [*(f"{v:.6f}" for v in place), str(states[t, joint])]
-                    *at, seen = UNSEEN[drawn.unseen] if unseen[joint] else at
+                cells = places(drawn, truth, states, unseen, t, person)
+                for name, (*at, seen) in zip(body.joints, cells, strict=True):
                     rows.append([told, f"{person}", name, *at, *([words[int(seen or 0)]] if words else [])])
     comma = drawn.decimal_comma and drawn.separator != ","
     cells = (
         [cell.replace(".", ",") if comma and k != 2 else cell for k, cell in enumerate(row)] for row in rows
     )
     path.write_text("\n".join(map(drawn.separator.join, cells)) + "\n", encoding="utf-8")
-    truth[:, unseen] = np.nan
-    states[:, unseen] = 0
+    times, truth, states = expected(times, truth, states, unseen)
     return times, truth, states if words and drawn.state != "joint_score" else np.where(states, 2, 0)
+
+
+WHOLE_TIMES = [name for name in TIMES if name not in LOST and TIMES[name](0).isdigit()]
+"""Those that are whole numbers, as timestamp_usec is."""
+
+
+def numbers(at):
+    return [float("nan" if cell in ("", "N/A") else cell) for cell in at]
+
+
+def as_json(drawn, path):
+    """The same as offline_processor writes it: whole times, no states."""
+    body = BODIES[drawn.body]
+    times, truth, states, unseen = scene(drawn, body)
+    frames = []
+    for t, time in enumerate(times):
+        for again in range(drawn.lines):
+            told = int(TIMES[drawn.time](int(time + again * INTERVAL_NS // drawn.lines)))
+            people = range(1 + drawn.two_people)
+            cells = [places(drawn, truth, states, unseen, t, person) for person in people]
+            bodies = [
+                {"body_id": person, "joint_positions": [numbers(at) for *at, _ in cells[person]]}
+                for person in people
+            ]
+            frames.append({"timestamp_usec": told, "num_bodies": len(bodies), "bodies": bodies})
+    path.write_text(json.dumps({"joint_names": body.joints, "frames": frames}), encoding="utf-8")
+    times, truth, states = expected(times, truth, states, unseen)
+    return times, truth, np.where(states, 2, 0)
+
+
+def as_skeleton(drawn, path):
+    """The same as NTU RGB+D has it: of a Kinect v2, in its axes, without times, with some blank lines."""
+    body = BODIES["kinect_v2"]
+    times, truth, states, unseen = scene(replace(drawn, gap=False), body)
+    lines = [str(FRAMES)]
+    for t in range(FRAMES):
+        lines += [""] * drawn.decimal_comma + [str(1 + drawn.two_people)]
+        for person in range(1 + drawn.two_people):
+            lines += [f"{person} 0 1 1 1 1 0 0.1 0.2 2", "25"]
+            for *at, state in places(drawn, truth, states, unseen, t, person):
+                x, y, z = numbers(at)
+                lines.append(f"{-x} {-y} {z} 0 0 0 0 0 0 0 1 {state.replace('N/A', '') or 0}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return expected(times, truth, states, unseen)
 
 
 def is_right(read, times, truth, states):
@@ -149,7 +211,7 @@ def is_right(read, times, truth, states):
 @given(drawn=DRAWN)
 def test_a_file_is_read_right_or_refused(tmp_path, drawn):
     path = tmp_path / "a.csv"
-    recorded = written(drawn, path)
+    recorded = as_csv(drawn, path)
     if drawn.time in LOST:
         with pytest.raises(DeviceError, match=r"digits|unit of time_s is unclear"), SkeletonRecording(path):
             pass
@@ -157,3 +219,20 @@ def test_a_file_is_read_right_or_refused(tmp_path, drawn):
     with SkeletonRecording(path) as recording:
         read = recording.content
     assert is_right(read, *recorded)
+
+
+@settings(max_examples=40, derandomize=True, deadline=None)
+@given(drawn=DRAWN, time=st.sampled_from(WHOLE_TIMES))
+def test_a_json_file_is_read_right(tmp_path, drawn, time):
+    lines = 1 if time == "frame" else drawn.lines  # a number that is there twice is refused
+    recorded = as_json(replace(drawn, time=time, lines=lines), tmp_path / "a.json")
+    with SkeletonRecording(tmp_path / "a.json") as recording:
+        assert is_right(recording.content, *recorded)
+
+
+@settings(max_examples=40, derandomize=True, deadline=None)
+@given(drawn=DRAWN)
+def test_a_skeleton_file_is_read_right(tmp_path, drawn):
+    recorded = as_skeleton(drawn, tmp_path / "a.skeleton")
+    with SkeletonRecording(tmp_path / "a.skeleton") as recording:
+        assert is_right(recording.content, *recorded)
