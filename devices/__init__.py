@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from devices.sensor import ColorCamera as ColorCamera
     from devices.sensor import ColorImage as ColorImage
     from devices.sensor import DeviceError as DeviceError
+    from devices.sensor import MissingRecordingError as MissingRecordingError
     from devices.sensor import Sensor as Sensor
     from devices.sensor import SensorFrame as SensorFrame
     from devices.simulated.kinect import simulated_pair as simulated_pair

@@ -161,7 +161,7 @@ def _sync_cable(there: list[ConnectedSensor], chosen: tuple[str, str], named_mas
         found = "not known" if unknown else "none"
         return Check("sync cable", False, found, unknown or _CABLE_ADVICE, needed=False)
     other = b.serial if master == a.serial else a.serial
-    said = " (as --sync-master says)" if named_master else ""
+    said = " (as `sync_master` says)" if named_master else ""
     return Check("sync cable", True, f"from {master} to {other}{said}", needed=False)
 
 

@@ -10,13 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.errors import DuplexError
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 
 
-class DeviceError(Exception):
+class DeviceError(DuplexError):
     """A source cannot give frames. The message states what happened, the value and the way out."""
+
+
+class MissingRecordingError(DeviceError, FileNotFoundError):
+    """There is no such file."""
 
 
 class AbsentError(DeviceError):

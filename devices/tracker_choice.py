@@ -45,7 +45,7 @@ class TrackerChoice:
         if not others or self.name == "blazepose":
             return self
         if self.asked:
-            raise DeviceError(f"{others[0]}: k4abt takes images of libk4a only. Use --tracker blazepose.")
+            raise DeviceError(f"{others[0]}: k4abt takes images of libk4a only. Use `tracker=blazepose`.")
         return replace(
             self, name="blazepose", reason=f"k4abt does not take the images of {' and '.join(others)}"
         )
@@ -64,9 +64,9 @@ def choose_tracker(
     """
     k4abt, blazepose = k4abt or TrackerSettings(), blazepose or BlazePoseSettings()
     if wanted != "auto":
-        return TrackerChoice(wanted, "asked for with --tracker", True, k4abt, blazepose)
+        return TrackerChoice(wanted, "asked for with `tracker`", True, k4abt, blazepose)
     if k4abt.library is not None:
-        return TrackerChoice("k4abt", "its library is named with --k4abt", True, k4abt, blazepose)
+        return TrackerChoice("k4abt", "its library is named with `k4abt`", True, k4abt, blazepose)
     why_not = why_not_k4abt(k4abt, root)
     if why_not:
         return TrackerChoice("blazepose", why_not, False, k4abt, blazepose)

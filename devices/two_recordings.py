@@ -206,7 +206,7 @@ def read_two(
         about_clocks = [
             f"The clocks differ: {clock.offset_ns * 1e-6:+.0f} ± {clock.sd_ns * 1e-6:.0f} ms"
             f"{_course_in_words(clock)} were added to B's times, so that both views show one motion. "
-            "--offset MS sets another correction."
+            "`offset_ms=MS` sets another correction."
         ]
     warnings = *read_a.warnings, *read_b.warnings, *about_body, *about_clocks
     path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
@@ -242,7 +242,7 @@ def _body_of_both(
         lacks = (
             f"has no {', '.join(strangers[:4])}" if strangers else f"is not {fixed[0].name}, of the images"
         )
-        raise DeviceError(f"--body {stated}: it {lacks}.")
+        raise DeviceError(f"`body={stated}`: it {lacks}.")
     if both[0] is not both[1] and not fitting:
         (a, b), (body_a, body_b) = sources, both
         raise DeviceError(
@@ -255,7 +255,7 @@ def _body_of_both(
     listed = ", ".join(one.name for one in fitting)
     return body, [
         f"The joints of both recordings fit {listed}: the errors of {body.name}'s tracker are assumed. State "
-        "the family of yours with --body."
+        "the family of yours with `body`."
     ]
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from fusion.calibration.start_up_pose import find_start_up_pose as find_start_up_pose
     from fusion.errors import BodyError as BodyError
     from fusion.errors import CalibrationError as CalibrationError
+    from fusion.errors import DuplexError as DuplexError
     from fusion.errors import FusionError as FusionError
     from fusion.fused_frame import FusedFrame as FusedFrame
     from fusion.fuser import Fuser as Fuser

@@ -328,5 +328,5 @@ def body_of(joint_names: set[str]) -> Body:
     strangers = sorted(name for name in joint_names if nearest.find(name) is None)
     raise FusionError(
         f"Unknown joint {', '.join(repr(name[:40]) for name in strangers[:4])}: the nearest body, "
-        f"{nearest.name}, has {', '.join(nearest.joints)}. Name yours in a table: --names FILE.toml."
+        f"{nearest.name}, has {', '.join(nearest.joints)}. Name yours in a table: `names=FILE.toml`."
     )

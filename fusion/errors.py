@@ -1,7 +1,15 @@
 """The errors of the method."""
 
 
-class FusionError(Exception):
+class DuplexError(Exception):
+    """Something was asked for that cannot be done: the base of this program's errors.
+
+    The message is one line: what happened, the value, the way out. Parameters are in backquotes, as `axes` or
+    `axes=kinect`.
+    """
+
+
+class FusionError(DuplexError):
     """The method cannot process its input. The message states the value and a remedy."""
 
 

@@ -6,15 +6,20 @@ from fusion.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from devices.events import Event as Event
+    from recordings.errors import MissingFileError as MissingFileError
     from recordings.errors import RecordingError as RecordingError
+    from recordings.errors import UnknownNameError as UnknownNameError
     from recordings.fusing.files import fuse as fuse
     from recordings.fusing.live_fusion import fuse_live as fuse_live
     from recordings.gait import Gait as Gait
     from recordings.gait import Step as Step
-    from recordings.session import AngleSeries as AngleSeries
-    from recordings.session import QualitySeries as QualitySeries
+    from recordings.quality.per_second import SecondQuality as SecondQuality
+    from recordings.quality.verdict import Verdict as Verdict
+    from recordings.series import AngleSeries as AngleSeries
+    from recordings.series import QualitySeries as QualitySeries
+    from recordings.series import RotationSeries as RotationSeries
+    from recordings.series import SkeletonSeries as SkeletonSeries
     from recordings.session import Session as Session
-    from recordings.session import SkeletonSeries as SkeletonSeries
     from recordings.session_arrays import SessionArrays as SessionArrays
     from recordings.session_arrays import SessionFrame as SessionFrame
 

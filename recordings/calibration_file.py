@@ -11,7 +11,7 @@ from fusion.calibration.bone_lengths import SHORTEST
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.rigid import RigidTransform
-from recordings.errors import RecordingError
+from recordings.errors import MissingFileError, RecordingError
 
 _LOADED = "loaded from"
 _LONGEST = 1.5  # metres; longer than any human bone
@@ -62,10 +62,12 @@ def read_calibration(path: Path, body: Body) -> Calibration:
             lengths,
             f"{_LOADED} {path} ({document['how']})",
         )
+    except FileNotFoundError:
+        raise MissingFileError(f"No calibration {path}.") from None
     except OSError as error:
         raise RecordingError(f"The calibration {path} cannot be read: {error.strerror}.") from None
     except (FusionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise RecordingError(
-            f"{path} is not a calibration ({what}). Make one with --save-calibration."
+            f"{path} is not a calibration ({what}). Make one with `save_calibration`."
         ) from None

@@ -85,7 +85,7 @@ class Measured(NamedTuple):
     sigma: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Gait:
     """The steps of a recording, in the order of their strikes."""
 
@@ -94,6 +94,16 @@ class Gait:
     """Seconds in which the pelvis moves and that are no walk, by the reason."""
     begun: tuple[tuple[float, str], ...] = ()
     """Seconds at which a foot left the floor for a step that is not recorded to its end, and its side."""
+    time: Array = field(default_factory=lambda: np.zeros(0))
+    """(T,) seconds of the frames."""
+    angles: Mapping[str, Array] = field(default_factory=dict)
+    """(T,) degrees of each joint angle, by name."""
+
+    def __repr__(self) -> str:
+        if not self.steps:
+            return "<Gait: no steps>"
+        cadence, speed = self.cadence.value, self.speed.value
+        return f"<Gait: {len(self.steps)} steps, {cadence:.1f} per minute, {speed:.2f} m/s>"
 
     @property
     def moving_seconds(self) -> float:
@@ -155,6 +165,28 @@ class Gait:
         """(C, 2) seconds from each heel strike of a foot to its next one in the same walk."""
         strikes = pairwise(self.of_side(side))
         return np.array([(a.strike, b.strike) for a, b in strikes if a.walk == b.walk]).reshape(-1, 2)
+
+    def curves(self, angle: str | Array, side: str | None = None) -> Array:
+        """(C, 101) an angle at 0 to 100 % of each cycle of a foot; NaN where the angle is.
+
+        Args:
+            angle: Name of an angle of :attr:`angles`, or (T,) values of all frames.
+            side: The foot, ``left`` or ``right``; where None, that at the end of the name.
+
+        Raises:
+            RecordingError: There is no such angle or foot, or not a value for each frame.
+        """
+        if isinstance(angle, str):
+            side = side or angle.rpartition("_")[2]
+            angle = self.angles[angle]
+        if side is None or np.shape(angle) != self.time.shape:
+            raise RecordingError(
+                f"Curves of (T,) values need `side` and a value for each of {len(self.time)} frames; got "
+                f"{np.shape(angle)} values."
+            )
+        cycles = self.cycles(side)
+        at = cycles[:, :1] + np.linspace(0.0, 1.0, 101) * np.diff(cycles, axis=1)
+        return np.asarray(np.interp(at.ravel(), self.time, angle).reshape(at.shape))
 
     def stance(self, side: str) -> Array:
         """(C,) share of each cycle of :meth:`cycles` in which the foot is on the floor; NaN where unknown."""
@@ -249,18 +281,6 @@ def find_gait(
         for reason, of_reason in zip(left_out, (~part.forwards, part.forwards), strict=True):
             left_out[reason] += float(np.mean(part.moving & of_reason & ~walking)) * len(part.t) / _RATE
     return Gait(tuple(steps), left_out, tuple(begun))
-
-
-def cycle_curves(seconds: NDArray[np.floating], values: Array, cycles: Array) -> Array:
-    """(C, 101) values at 0 to 100 % of each cycle; NaN where the values around are.
-
-    Args:
-        seconds: (T,) of the values.
-        values: (T,) such as an angle.
-        cycles: (C, 2) as of :meth:`Gait.cycles`.
-    """
-    at = cycles[:, :1] + np.linspace(0.0, 1.0, 101) * np.diff(cycles, axis=1)
-    return np.asarray(np.interp(at.ravel(), seconds, values).reshape(at.shape))
 
 
 class _Part(NamedTuple):

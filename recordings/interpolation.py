@@ -9,12 +9,12 @@ from recordings.session_arrays import SessionArrays
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-_LATEST_NS = 9.0e18
+_DAY_NS, _NEVER_NS = 8.64e13, -9.0e18
 _SAME_M = 1e-5  # lengths that differ by rounding
 _LONGEST = 0.3  # seconds: S* is not interpolated across a longer interval
 
 
-def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
+def positions_at(rows: SessionArrays, time_ns: Ints) -> Array:
     """S* at (N,) times since the first pair, ns, from the frames before and after.
 
     The root moves in a straight line. Each bone turns at a constant rate about the axis across both of its
@@ -26,16 +26,15 @@ def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
         (N, J, 3) metres in K_A's frame; the recorded S* at the times of frames. NaN before the first and
         after the last frame, in intervals of more than 0.3 s, and where a frame has no S*.
     """
-    wanted = _whole(time_ns)
     times, fused, body = rows.time_ns, rows.fused, rows.body
     if len(times) == 0:
-        return np.full((len(wanted), len(body), 3), np.nan)
-    before, after, seconds, share = _neighbours(times, wanted)
+        return np.full((len(time_ns), len(body), 3), np.nan)
+    before, after, seconds, share = _neighbours(times, time_ns)
     start, end = fused[before], fused[after]
     first, last = (_bone_lengths(rows, at) for at in (before, after))
     same = rows.bone_lengths[before] == rows.bone_lengths[after]
     lengths = first + share[:, None] * np.where(same, last - first, 0.0)
-    found = np.empty((len(wanted), len(body), 3))
+    found = np.empty((len(time_ns), len(body), 3))
     found[:, body.root] = start[:, body.root] + share[:, None] * (end[:, body.root] - start[:, body.root])
     for joint in body.order[1:]:
         parent = body.parents[joint]
@@ -43,12 +42,12 @@ def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
         found[:, joint] = found[:, parent] + lengths[:, joint, None] * direction
     exact = share == 0.0
     found[exact] = start[exact]
-    outside = (wanted < times[0]) | (wanted > times[-1]) | (~exact & (seconds > _LONGEST))
+    outside = (time_ns < times[0]) | (time_ns > times[-1]) | (~exact & (seconds > _LONGEST))
     found[outside] = np.nan
     return found
 
 
-def sigma_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
+def sigma_at(rows: SessionArrays, time_ns: Ints) -> Array:
     """Uncertainty of :func:`positions_at`: that of the frames, and what the motion between them adds.
 
     Between two frames Δ apart, an acceleration a moves a joint by a Δ² s (1 − s) / 2 off the straight line at
@@ -58,18 +57,17 @@ def sigma_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
         (N, J) metres, one standard deviation of a joint's distance to the truth; NaN where there is no S*,
         and with the paper's methods.
     """
-    wanted = _whole(time_ns)
-    found = np.full((len(wanted), len(rows.body)), np.nan)
+    found = np.full((len(time_ns), len(rows.body)), np.nan)
     if rows.sigma is None or len(rows) == 0:
         return found
-    before, after, seconds, share = _neighbours(rows.time_ns, wanted)
+    before, after, seconds, share = _neighbours(rows.time_ns, time_ns)
     s, last = share[:, None], max(len(rows) - 2, 0)
     earlier, later = np.maximum(before - 1, 0), np.minimum(after, last)
     (first, first_s), (second, second_s) = (_velocity(rows, start) for start in (earlier, later))
     change, elapsed = np.linalg.norm(second - first, axis=2), second_s - first_s
     off = 0.5 * change / np.maximum(elapsed, 1e-3)[:, None] * (seconds**2)[:, None] * s * (1.0 - s)
     squared = np.asarray(rows.sigma, dtype=np.float64) ** 2
-    known = np.isfinite(positions_at(rows, wanted))[..., 0]
+    known = np.isfinite(positions_at(rows, time_ns))[..., 0]
     of_next = np.where(s > 0.0, s * squared[after], 0.0)  # at a frame, the next one does not matter
     variance = (1.0 - s) * squared[before] + of_next + np.nan_to_num(off) ** 2
     found[known] = np.sqrt(variance[known])
@@ -83,21 +81,32 @@ def _bone_lengths(rows: SessionArrays, frames: Ints) -> Array:
     return np.where(np.abs(own - wanted) > _SAME_M, own, wanted)
 
 
-def _whole(time_ns: ArrayLike) -> Ints:
-    """(N,) nanoseconds; times that are not finite, or beyond 290 years, become one before every session.
+def nanoseconds(rows: SessionArrays, time: ArrayLike) -> Ints:
+    """(N,) nanoseconds since the first frame; times that are NaN become one before every session.
+
+    Args:
+        time: One or (N,) seconds, or numpy's durations.
 
     Raises:
-        RecordingError: They are neither numbers nor numpy's durations, or have more than one dimension.
+        RecordingError: They are neither, have more than one dimension, or are a day or more from the session.
     """
-    times = np.asarray(time_ns)
-    if times.dtype.kind == "m":
-        times = np.where(np.isnat(times), np.nan, times / np.timedelta64(1, "ns"))
-    if times.dtype.kind not in "iuf":
-        raise RecordingError(f"Times are numbers of nanoseconds; got an array of {times.dtype}.")
-    if times.ndim > 1:
-        raise RecordingError(f"Times are one number or (N,) nanoseconds; got an array of {times.shape}.")
-    known = np.isfinite(times) & (np.abs(times) < _LATEST_NS)
-    return np.atleast_1d(np.where(known, times, -_LATEST_NS)).astype(np.int64)
+    given = np.asarray(time)
+    if given.dtype.kind == "m":
+        wanted = np.where(np.isnat(given), np.nan, given / np.timedelta64(1, "ns"))
+    elif given.dtype.kind in "iuf":
+        with np.errstate(over="ignore"):
+            wanted = np.rint(1e9 * given.astype(np.float64))
+    else:
+        raise RecordingError(f"Times are seconds since the first frame; got an array of {given.dtype}.")
+    if wanted.ndim > 1:
+        raise RecordingError(f"Times are one number or (N,) seconds; got an array of {given.shape}.")
+    beyond = wanted[(wanted < -_DAY_NS) | (wanted > rows.time_ns[-1] + _DAY_NS)]
+    for far in beyond.ravel()[:1]:
+        raise RecordingError(
+            f"Times are seconds since the first frame; {1e-9 * far:g} s is days away from a session of "
+            f"{1e-9 * rows.time_ns[-1]:.3g} s. Nanoseconds are np.timedelta64(…, 'ns')."
+        )
+    return np.atleast_1d(np.where(np.isnan(wanted), _NEVER_NS, wanted)).astype(np.int64)
 
 
 def _velocity(rows: SessionArrays, start: Ints) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import os
 import re
 import shlex
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -22,6 +22,7 @@ from recordings import testing
 if TYPE_CHECKING:
     from recordings.session import Session
 
+_NAMES = ("actual", "expected")
 _WRITTEN = "duplex_written"
 """The user property of a report that names an expected file."""
 
@@ -63,7 +64,7 @@ def simulated_session() -> Callable[..., Session]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> None:
-    """Keeps both sessions of a failed comparison, and says where."""
+    """Keeps the sessions of a failed test with a picture, and says where."""
     item.user_properties += [(_WRITTEN, str(path)) for path in testing.written]
     testing.written.clear()
     if call.excinfo is not None and isinstance(error := call.excinfo.value, testing.SessionsDifferError):
@@ -71,18 +72,20 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
         test = "::".join([_seen_from(begun, item.path), *item.nodeid.split("::")[1:]])
         update = shlex.join(["pytest", "--duplex-update", test])
         error.add_note("")
-        if len(error.sessions) == 1:
+        if error.to_make:
             error.add_note(f"to make it, with a version that you trust: {update}")
             return
         try:
-            paths = [_seen_from(begun, path) for path in _kept(item, *error.sessions)]
+            kept = _kept(item, error.sessions)
         except OSError as why:
             error.add_note(f"The sessions could not be kept: {why}.")
             return
-        error.add_note(f"actual:   {paths[0]}\nexpected: {paths[1]}")
-        for command in _commands(error.sessions, paths):
+        for name, path in kept.items():
+            error.add_note(f"{name + ':':9} {_seen_from(begun, path)}")
+        sessions = [_seen_from(begun, kept[name]) for name in _NAMES if name in kept]
+        for command in _commands(error.sessions, sessions):
             error.add_note(f"to see it:    {shlex.join(command)}")
-        if error.sessions[1].path is not None:
+        if len(sessions) > 1 and error.sessions[1].path is not None:
             error.add_note(f"to accept it: {update}")
 
 
@@ -95,31 +98,39 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.write_line(f"Wrote {shown}.")
 
 
-def _kept(item: pytest.Item, actual: Session, expected: Session) -> Iterator[Path]:
-    """The files of both sessions; written, without images, if they are not the expected file."""
+def _kept(item: pytest.Item, sessions: Sequence[Session]) -> dict[str, Path]:
+    """The files of the sessions, written without images where they are none yet, and a picture of two."""
     from recordings.images import NO_IMAGES
+    from recordings.session_differences import write_worst_moment
 
     cached = getattr(item.config, "cache", None)
     root = Path(tempfile.mkdtemp(prefix="duplex-")) if cached is None else cached.mkdir("duplex")
     folder = root / re.sub(r"[^\w.-]+", "_", item.nodeid)[-100:]
     folder.mkdir(exist_ok=True)
-    for name, session in (("actual", actual), ("expected", expected)):
-        if session is expected and session.path is not None:
-            yield session.path
+    kept: dict[str, Path] = {}
+    for name, session in zip(_NAMES, sessions, strict=False):
+        if session.path is not None and (name == "expected" or len(sessions) == 1):
+            kept[name] = session.path
         else:
-            replace(session, images=NO_IMAGES).save(folder / f"{name}.rrd")
-            yield folder / f"{name}.rrd"
+            kept[name] = folder / f"{name}.rrd"
+            replace(session, images=NO_IMAGES).save(kept[name])
+    picture = folder / "worst.png"
+    if len(sessions) > 1 and write_worst_moment(sessions[0], sessions[1], picture):
+        kept["picture"] = picture
+    return kept
 
 
 def _commands(sessions: Sequence[Session], paths: Sequence[str]) -> list[list[str]]:
-    """The commands that show what differs; sessions of different captures are shown one by one."""
+    """The command that shows what differs; sessions of different bodies are shown one by one."""
     from recordings.errors import RecordingError
     from recordings.session_comparison import Comparison
 
+    if len(sessions) == 1 or sessions[0].body is not sessions[1].body:
+        return [["duplex", "review", path] for path in paths]
     try:
         Comparison.of(sessions[0], sessions[1])
     except RecordingError:
-        return [["duplex", "review", path] for path in paths]
+        return [["duplex", "compare", "--any-capture", *paths]]
     return [["duplex", "compare", *paths]]
 
 

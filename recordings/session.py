@@ -24,98 +24,38 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from devices.events import Event, Spell, spells_of
+from devices.events import Event
 from devices.pairing import FramePair, RecordedPairs
-from fusion.angles import ANGLES, angle_sigma, joint_angles
+from devices.skeletons.name_tables import name_table
+from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.facing.evidence import upright_direction
 from fusion.large_arrays import GrowingArray
 from fusion.pair_arrays import Pairs, View
-from fusion.setup import FusionSetup
+from fusion.setup import FuserSettings, FusionSetup
 from recordings import layout
 from recordings.errors import RecordingError
+from recordings.export import Names, Table, writer_for
+from recordings.export.tables import arrow_table, units_of
+from recordings.file.growing_file import partial_beside
 from recordings.file.session_reader import read_session
-from recordings.gait import Gait, find_gait
 from recordings.images import NO_IMAGES, SessionImages
-from recordings.interpolation import positions_at, sigma_at
 from recordings.session_arrays import SessionArrays, SessionFrame, SessionFrames
-from recordings.session_data import SessionData
+from recordings.session_series import SessionSeries
+from recordings.truth_comparison import TruthComparison
+from recordings.truth_files import read_truth
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
 
 
-@dataclass(frozen=True, eq=False)
-class SkeletonSeries:
-    """S_A or S_B over T frames of J joints, as given by the sensor.
-
-    Attributes:
-        positions: (T, J, 3) float32 metres in the sensor's own frame; NaN without a skeleton.
-        states: (T, J) uint8, 0 not tracked, 1 inferred, 2 tracked.
-        weights: (T, J) float32, w of eq. (11).
-        captured_ns: (T,) time on the sensor's clock; :data:`recordings.layout.NO_FRAME` if it gave no frame.
-        stale: (T,) whether the sensor repeated its last skeleton.
-    """
-
-    positions: NDArray[np.float32]
-    states: NDArray[np.uint8]
-    weights: NDArray[np.float32]
-    captured_ns: NDArray[np.int64]
-    stale: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class QualitySeries:
-    """Quality figures of T frames.
-
-    Attributes:
-        bone_error: (T,) largest absolute error of a bone length of S*, metres; NaN without S*.
-        disagreement: (T,) median distance between p and R q + t, metres; NaN if no joint is in both views.
-        skew_ns: (T,) capture time of B minus capture time of A; 0 where only one of them gave a frame.
-        fuse_ms: (T,) duration of the fusion, milliseconds.
-        iterations: (T,) iterations of the solver.
-        predicted: (T, J) whether a joint of S* has no data.
-    """
-
-    bone_error: NDArray[np.float64]
-    disagreement: NDArray[np.float64]
-    skew_ns: NDArray[np.int64]
-    fuse_ms: NDArray[np.float64]
-    iterations: NDArray[np.int64]
-    predicted: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class AngleSeries:
-    """Joint angles of S* over T frames; see :mod:`fusion.angles` for their definitions.
-
-    Attributes:
-        names: The K angles.
-        degrees: (T, K); NaN where a joint is missing.
-        sigma: (T, K) degrees, one standard deviation; NaN with the paper's methods.
-    """
-
-    names: tuple[str, ...]
-    degrees: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """(T,) degrees of an angle.
-
-        Raises:
-            KeyError: There is no such angle; the message lists all.
-        """
-        if name not in self.names:
-            raise KeyError(f"no angle {name!r}; there are {', '.join(self.names)}")
-        return np.asarray(self.degrees[:, self.names.index(name)])
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Session(SessionData):
+class Session(SessionSeries):
     """A recorded capture: the sensor data, the fused skeletons and the settings of the fusion.
 
-    All attributes are those of :class:`recordings.session_data.SessionData`.
+    Its data are the attributes of :class:`recordings.session_data.SessionData`; what follows from them is in
+    :class:`recordings.session_series.SessionSeries`. It can be pickled, with its depth images where they are
+    in a file.
     """
 
     @staticmethod
@@ -182,6 +122,107 @@ class Session(SessionData):
             images=images,
         )
 
+    @staticmethod
+    def of_arrays(
+        body: Body | str,
+        time: ArrayLike,
+        positions_a: ArrayLike,
+        positions_b: ArrayLike,
+        *,
+        states_a: ArrayLike | None = None,
+        states_b: ArrayLike | None = None,
+        calibration: Calibration | None = None,
+        settings: FuserSettings | None = None,
+        sources: tuple[str, str] = ("a", "b"),
+    ) -> Session:
+        """Fuses the skeletons of two sensors, as :func:`recordings.fuse` does with recordings.
+
+        Args:
+            body: The body tracker's family, or its name: ``kinect_v1``, ``kinect_v2``, ``azure_kinect`` or
+                ``blazepose``.
+            time: (T,) seconds of both sensors, increasing.
+            positions_a, positions_b: (T, J, 3) metres, each in its sensor's frame: x right, y down, z
+                forward. NaN marks a joint that was not seen.
+            states_a, states_b: (T, J) 0 not tracked, 1 inferred, 2 tracked; None: every joint that has a
+                position is tracked.
+            calibration: An earlier calibration; None: found from the skeletons.
+            settings: Settings of the method; None: the default, with ``hindsight="labels"``.
+            sources: Names of the sensors, K_A first.
+
+        Raises:
+            RecordingError: There is no such body, or an array has another shape, unit or order.
+            FusionError: The views cannot be calibrated, or cannot be of one person at one time.
+        """
+        from recordings.fusing.files import fuse_arrays  # which makes sessions
+
+        views = (positions_a, states_a), (positions_b, states_b)
+        return fuse_arrays(body, time, views, sources, settings, calibration)
+
+    def export(
+        self, path: str | Path, *, rate: float | None = None, table: Table = "long", names: Names = "body"
+    ) -> str:
+        """Writes S* for another program, as ``duplex export`` does; an existing file is replaced.
+
+        Args:
+            path: Its ending is the format: ``.bvh``, ``.c3d``, ``.csv``, ``.glb``, ``.mot``, ``.npz``,
+                ``.parquet`` or ``.trc``.
+            rate: Frames per second. None: that of the recording, or in a table and in ``.trc`` its own times.
+            table: Of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
+            names: Of the bones in a ``.bvh`` or ``.glb``: those of the body, ``humanoid`` or ``mixamo``.
+
+        Returns:
+            What was written, in words.
+
+        Raises:
+            RecordingError: There is no such format, or it has no use for an argument; or the package that
+                writes it is not installed.
+            OSError: The file could not be written completely. Then it is as before.
+        """
+        path = Path(path)
+        write, partial = writer_for(path, table, rate, names), partial_beside(path)
+        try:
+            written = write(self, partial)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+        return written
+
+    def compare_with(
+        self, path: str | Path, *, names: str | Path | None = None, offset: float | None = None
+    ) -> TruthComparison:
+        """Compares S_A, S_B and S* with motion capture of the same movement, as ``duplex compare`` does.
+
+        Args:
+            path: A ``.c3d``, ``.trc`` or ``.csv``.
+            names: Which of its points are joints: a TOML file, or ``mixamo``, ``plug-in-gait`` or
+                ``gait2392``; None: the one of these that finds most.
+            offset: Seconds to add to its times; None: found from the motion.
+
+        Raises:
+            RecordingError: The file cannot be read, or does not show the same movement.
+            DeviceError: There is no such table of names.
+        """
+        table = None if names is None else name_table(names)
+        return TruthComparison.of(self, read_truth(Path(path)), table, offset)
+
+    def to_arrow(self, table: Table = "wide") -> Any:
+        """The ``pyarrow.Table`` of :meth:`export`; a column's metadata has its ``unit``."""
+        return arrow_table(self, table)
+
+    def to_pandas(self, table: Table = "wide") -> Any:
+        """The table of :meth:`to_arrow` as a ``pandas.DataFrame``; ``.attrs["units"]`` has units by column.
+
+        Raises:
+            RecordingError: pandas is not installed.
+        """
+        made = arrow_table(self, table)
+        try:
+            frame = made.to_pandas()
+        except ImportError:
+            raise RecordingError("to_pandas needs pandas: pip install pandas.") from None
+        frame.attrs["units"] = units_of(made)
+        return frame
+
     def save(self, path: str | Path, blueprint: Any = None) -> None:
         """Writes the session with its images to an ``.rrd`` file, which is overwritten.
 
@@ -209,134 +250,6 @@ class Session(SessionData):
         """
         return Session(**vars(read_session(Path(path))))
 
-    def __repr__(self) -> str:
-        seconds = (self.time_ns[-1] - self.time_ns[0]) * 1e-9
-        return f"<Session {self.name}: {len(self)} frames, {seconds:.1f} s, {self.body.name}>"
-
-    @property
-    def time_ns(self) -> NDArray[np.int64]:
-        """(T,) nanoseconds since the first pair."""
-        return self.rows.time_ns
-
-    @property
-    def skeleton_a(self) -> SkeletonSeries:
-        """S_A of the principal sensor, in K_A's frame, which is the world frame."""
-        rows = self.rows
-        return SkeletonSeries(rows.positions_a, rows.states_a, rows.weights_a, rows.clock_a, rows.stale_a)
-
-    @property
-    def skeleton_b(self) -> SkeletonSeries:
-        """S_B of the secondary sensor, in K_B's frame; see :attr:`rotation` and :attr:`translation`."""
-        rows = self.rows
-        return SkeletonSeries(rows.positions_b, rows.states_b, rows.weights_b, rows.clock_b, rows.stale_b)
-
-    @property
-    def fused(self) -> NDArray[np.float64]:
-        """(T, J, 3) S* in K_A's frame, metres, in float32 precision; NaN where S* is missing."""
-        return self.rows.fused
-
-    def at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
-        """(N, J, 3) S* at any times (N,) in nanoseconds since the first pair, with bones of constant length.
-
-        See :func:`recordings.interpolation.positions_at`.
-        """
-        return positions_at(self.rows, time_ns)
-
-    def sigma_at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
-        """(N, J) metres, the uncertainty of :meth:`at`; see :func:`recordings.interpolation.sigma_at`."""
-        return sigma_at(self.rows, time_ns)
-
-    @property
-    def up(self) -> NDArray[np.float64]:
-        """(3,) unit vector against gravity in K_A's frame, from the person's standing."""
-        step = max(1, len(self) // _SAMPLES)
-        with np.errstate(invalid="ignore", over="ignore"):  # a damaged file has any numbers
-            return upright_direction(self.body, np.asarray(self.rows.fused[::step]))
-
-    @property
-    def never_seen(self) -> tuple[str, ...]:
-        """Names of the joints that no sensor reports in any frame. S* there is a guess by the bones."""
-        return tuple(np.array(self.body.joints)[self.rows.never_seen].tolist())
-
-    @property
-    def angles(self) -> AngleSeries:
-        """Joint angles of S*, computed now; NaN where they need a joint that was never seen."""
-        rows, seen, up = self.rows, self.rows.seen, self.up
-        sigma = angle_sigma(self.body, seen, rows.filled("sigma"), up)
-        return AngleSeries(ANGLES, joint_angles(self.body, seen, up), sigma)
-
-    @property
-    def gait(self) -> Gait:
-        """Heel strikes, toe-offs and steps of S*, computed now; see :mod:`recordings.gait`."""
-        return find_gait(self.body, self.time_ns, self.rows.seen, self.up, self.rows.sigma)
-
-    @property
-    def bone_lengths(self) -> NDArray[np.float64]:
-        """(T, J) target lengths of the bones of S*, metres, indexed by the child joint; 0 at the root."""
-        return self.rows.bone_lengths
-
-    @property
-    def rotation(self) -> NDArray[np.float64]:
-        """(T, 3, 3) R, K_A ← K_B."""
-        return self.rows.rotation
-
-    @property
-    def translation(self) -> NDArray[np.float64]:
-        """(T, 3) t, K_A ← K_B, metres: the position of K_B in K_A's frame.
-
-        It changes with a calibration; with the method ``paper`` in every frame.
-        """
-        return self.rows.translation
-
-    @property
-    def quality(self) -> QualitySeries:
-        """Quality figures per frame."""
-        rows = self.rows
-        return QualitySeries(
-            rows.bone_error, rows.disagreement, rows.skew_ns, rows.fuse_ms, rows.iterations, rows.predicted
-        )
-
-    @property
-    def calibration(self) -> Calibration:
-        """R, t, the bone lengths and the agreement of the views; the last calibration of the session."""
-        return self.calibrations[-1][1]
-
-    @property
-    def frame_rate(self) -> float:
-        """Frames per second; see :attr:`recordings.session_arrays.SessionArrays.frame_rate`."""
-        return self.rows.frame_rate
-
-    @property
-    def spells(self) -> list[Spell]:
-        """Conditions that lasted, each from its start event to its end event."""
-        return spells_of(self.events)
-
-    @property
-    def whereabouts(self) -> NDArray[np.float64]:
-        """(3,) metres in K_A's frame, the median position of the person; a point in front of K_A without a
-        person."""
-        step = max(1, len(self) // _SAMPLES)
-        some = [rows.fused[rows.frame % step == 0] for rows in self.rows.parts()]
-        points = np.concatenate(some).reshape(-1, 3)
-        seen = points[np.isfinite(points).all(axis=1)]
-        return np.asarray(np.median(seen, axis=0)) if len(seen) else np.array([0.0, 0.0, 2.5])
-
-    @property
-    def frame_counts(self) -> dict[str, int]:
-        """The counts of :class:`devices.pairing.Pairing`; frames dropped before saving count where known."""
-        clocks = self.rows.clock_a, self.rows.clock_b
-        seen_a, seen_b = (int((clock != layout.NO_FRAME).sum()) for clock in clocks)
-        lost_a, lost_b = (count or 0 for count in self.dropped)
-        alone_a, alone_b = (
-            int(((own != layout.NO_FRAME) & (other == layout.NO_FRAME)).sum())
-            for own, other in (clocks, clocks[::-1])
-        )
-        return {
-            "frames_a": seen_a + lost_a, "frames_b": seen_b + lost_b,
-            "dropped_a": lost_a, "dropped_b": lost_b,
-            "alone_a": alone_a, "alone_b": alone_b,
-        }  # fmt: skip
-
     @property
     def recorded_pairs(self) -> RecordedPairs:
         """The pairs as given by the sensors, without images, so that a session can serve as a source."""
@@ -362,7 +275,6 @@ class Session(SessionData):
 
 
 _BLOCK = 300  # frames that are turned into arrays at once
-_SAMPLES = 9000  # frames, from which a person's usual place is found
 
 
 def _blocks(frames: Iterable[SessionFrame | SessionFrames]) -> Iterator[Sequence[SessionFrame]]:

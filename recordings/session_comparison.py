@@ -8,13 +8,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.pairing import median_interval, nearest_of
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.frame_noise import frame_noise_of
-from recordings.session import Session
 from recordings.session_arrays import SessionArrays
+from recordings.session_series import SessionSeries
 
 _APART = 1.0  # minimum seconds between two listed worst moments
 
@@ -28,8 +29,12 @@ class Comparison:
     second: SessionArrays
 
     @staticmethod
-    def of(first: Session, second: Session) -> Comparison:
+    def of(first: SessionSeries, second: SessionSeries, any_capture: bool = False) -> Comparison:
         """Finds the frames with equal capture times on A's own clock, or on B's where A has no frame.
+
+        Args:
+            any_capture: Whether to compare sessions of different captures, too: each frame with the one that
+                is nearest in time since the first frame.
 
         Raises:
             RecordingError: The bodies differ, there is no common frame, or the skeletons S_A, S_B differ.
@@ -38,6 +43,11 @@ class Comparison:
             raise RecordingError(
                 f"{first} has body {first.body.name}, {second} has {second.body.name}: not the same capture."
             )
+        if any_capture:
+            times, other = first.rows.time_ns, second.rows.time_ns
+            nearest = nearest_of(times, other)
+            near = np.abs(other[nearest] - times) <= max(median_interval(times), median_interval(other)) // 2
+            return Comparison(first.body, first.rows[np.flatnonzero(near)], second.rows[nearest[near]])
         _, i, j = np.intersect1d(_moments(first), _moments(second), return_indices=True)
         if len(i) == 0:
             raise RecordingError(
@@ -120,7 +130,7 @@ def _same_inputs(one: SessionArrays, two: SessionArrays) -> NDArray[np.bool_]:
     return same
 
 
-def _moments(session: Session) -> NDArray[np.void]:
+def _moments(session: SessionSeries) -> NDArray[np.void]:
     """(T,) what identifies a frame also after a trim: a sensor, A where it has a frame, and its own time.
 
     A frame of neither sensor has the session's time.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,14 @@ from recordings import layout
 from recordings.errors import RecordingError
 from recordings.images import NO_IMAGES, Images, SessionImages
 from recordings.session_arrays import SessionArrays
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+def read_only(values: NDArray[Scalar]) -> NDArray[Scalar]:
+    """The same array, which can no longer be written."""
+    values.flags.writeable = False
+    return values
 
 
 class ViewsAgree(NamedTuple):
@@ -89,7 +98,11 @@ class SessionData:
     def __post_init__(self) -> None:
         rows = self.rows
         for values in (rows.bone_lengths, rows.frame, rows.time_ns, *(of for _, _, of in rows.figures())):
-            values.flags.writeable = False  # an edit would keep the checksums of what was recorded
+            read_only(values)  # an edit would keep the checksums of what was recorded
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The data alone: what was computed from it is computed again."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """A copy's arrays are read-only, too; also after pickling."""
@@ -141,6 +154,22 @@ class SessionData:
         return a, b
 
     @property
+    def frame_counts(self) -> dict[str, int]:
+        """The counts of :class:`devices.pairing.Pairing`; frames dropped before saving count where known."""
+        clocks = self.rows.clock_a, self.rows.clock_b
+        seen_a, seen_b = (int((clock != layout.NO_FRAME).sum()) for clock in clocks)
+        lost_a, lost_b = (count or 0 for count in self.dropped)
+        alone_a, alone_b = (
+            int(((own != layout.NO_FRAME) & (other == layout.NO_FRAME)).sum())
+            for own, other in (clocks, clocks[::-1])
+        )
+        return {
+            "frames_a": seen_a + lost_a, "frames_b": seen_b + lost_b,
+            "dropped_a": lost_a, "dropped_b": lost_b,
+            "alone_a": alone_a, "alone_b": alone_b,
+        }  # fmt: skip
+
+    @property
     def clock(self) -> dict[str, float] | None:
         """How much later B captures than it says, ``offset_ms`` and ``sd_ms``; None if unknown."""
         known = self.about["session"]
@@ -153,7 +182,7 @@ class SessionData:
         """The first frame with a calibration that is not provisional; None if all are provisional."""
         return next((first for first, one in self.calibrations if not one.provisional), None)
 
-    @property
+    @cached_property
     def views_agree(self) -> ViewsAgree:
         """How far apart the views are, over all frames since the calibration: the figure of every report."""
         return ViewsAgree.of(self.rows[self.first_compared_frame :].disagreement)

@@ -7,29 +7,16 @@ needs until a function is called.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from devices.simulated.kinect import Movement
     from fusion.setup import FuserSettings
     from recordings.session import Session
 
-_CAPTURED = {
-    "time_ns": "the time since the first pair",
-    "skew_ns": "the skew between A and B",
-    "clock_a": "the time of A",
-    "clock_b": "the time of B",
-    "states_a": "a tracking state of S_A",
-    "states_b": "a tracking state of S_B",
-}
-"""Data shared by two fusions of one capture, by name in :class:`recordings.session_arrays.SessionArrays`."""
-_SKELETONS = {"S_A": "positions_a", "S_B": "positions_b", "S*": "fused"}
-_MOST_JOINTS = 6  # of a skeleton in the table
+_MOST_SECONDS = 10  # that are listed
 
 update_expected = False
 """Whether :func:`assert_sessions_match` writes the expected file; ``pytest --duplex-update`` sets it."""
@@ -38,19 +25,24 @@ written: list[Path] = []
 
 
 class SessionsDifferError(AssertionError):
-    """Two sessions differ, or there is no expected one.
+    """Two sessions differ, there is no expected one, or a session is not as good as it should be.
 
     Attributes:
         sessions: The actual one and, if there is one, the expected one.
+        to_make: Whether the expected one is missing.
     """
 
-    def __init__(self, message: str, *sessions: Session) -> None:
+    def __init__(self, message: str, *sessions: Session, to_make: bool = False) -> None:
         super().__init__(message)
-        self.sessions = sessions
+        self.sessions, self.to_make = sessions, to_make
 
 
 def assert_sessions_match(
-    actual: Session | str | Path, expected: Session | str | Path, *, position_mm: float = 0.01
+    actual: Session | str | Path,
+    expected: Session | str | Path,
+    *,
+    position_mm: float = 0.01,
+    joints_mm: Mapping[str, float] | None = None,
 ) -> None:
     """Fails if two sessions are of different captures or S* differs; says which joints, and by how much.
 
@@ -63,28 +55,63 @@ def assert_sessions_match(
         position_mm: Tolerance for the distance of a joint, millimetres. The default allows for rounding that
             differs between processors and versions of libraries, and is far below the noise of any sensor; 0
             requires bit-identical values.
+        joints_mm: Other tolerances of some joints, by name: ``{"WRIST_LEFT": 5.0}``.
 
     Raises:
         SessionsDifferError: An AssertionError. The body, the number of frames, the times or states differ;
             a skeleton is missing in one session; a joint exceeds the tolerance; or there is no expected file.
-        RecordingError: A file cannot be read.
-        ValueError: `position_mm` is negative or not a number.
+        RecordingError: A file cannot be read, or there is no joint of a name in `joints_mm`.
+        ValueError: A tolerance is negative or not a number.
     """
     __tracebackhide__ = True
     from recordings.session import Session
+    from recordings.session_differences import differences
 
-    if not 0.0 <= position_mm < float("inf"):
-        raise ValueError(f"position_mm is {position_mm}; it must be 0 or more millimetres")
+    joints_mm = joints_mm or {}
+    for name, mm in {"position_mm": position_mm, **joints_mm}.items():
+        if not 0.0 <= mm < float("inf"):
+            raise ValueError(f"{name} is {mm}; it must be 0 or more millimetres")
     one = actual if isinstance(actual, Session) else _opened(actual)
     if not isinstance(expected, Session):
         if update_expected:
             _write(one, Path(expected))
         elif not Path(expected).exists():
-            raise SessionsDifferError(f"There is no {expected}; pytest --duplex-update makes it.", one)
+            missing = f"There is no {expected}; pytest --duplex-update makes it."
+            raise SessionsDifferError(missing, one, to_make=True)
     two = expected if isinstance(expected, Session) else _opened(expected)
-    differences = "\n".join(_differences(one, two, position_mm))
-    if differences:
-        raise SessionsDifferError(differences, one, two)
+    if found := "\n".join(differences(one, two, position_mm, joints_mm)):
+        raise SessionsDifferError(found, one, two)
+
+
+def assert_session(
+    session: Session | str | Path,
+    *,
+    verdict: Literal["good", "usable"] | None = "good",
+    bones_mm: float | None = 1e-3,
+    gap_s: float | None = None,
+) -> None:
+    """Fails if a session is not good; says why, and which seconds are not.
+
+    Args:
+        session: A session or its file.
+        verdict: The least of :attr:`recordings.Session.verdict` that passes; None: any.
+        bones_mm: The largest error of a bone of S*, millimetres; None: any. The default is above what float32
+            shows and what the methods ``duplex`` and ``paper`` leave.
+        gap_s: The longest time without S*, seconds, also at both ends; None: any.
+
+    Raises:
+        SessionsDifferError: An AssertionError. The session is not as asked for, or its file is damaged.
+        RecordingError: The file cannot be read.
+        ValueError: `verdict` is none of those words.
+    """
+    __tracebackhide__ = True
+    from recordings.session import Session
+
+    if verdict not in ("good", "usable", None):
+        raise ValueError(f"verdict is {verdict!r}; it must be 'good', 'usable' or None")
+    one = session if isinstance(session, Session) else _opened(session)
+    if found := "\n".join(_shortcomings(one, verdict, bones_mm, gap_s)):
+        raise SessionsDifferError(found, one)
 
 
 def simulated_session(
@@ -139,6 +166,33 @@ def simulated_session(
     return replace(session, rows=replace(session.rows, truth=true))
 
 
+def _shortcomings(
+    session: Session, word: str | None, bones_mm: float | None, gap_s: float | None
+) -> Iterator[str]:
+    """What is not as asked for, a line each."""
+    import numpy as np
+
+    found = session.verdict
+    if session.damage is not None:
+        yield f"{session}: {session.damage}"
+    if word is not None and found.word not in ("good", word):
+        yield f"{session} is {found.word}; asked for was {word}."
+        yield from (f"  {each.word}: {each.reason}" for each in found.shortcomings)
+        poor = [each for each in session.quality_per_second if each.word != "good"]
+        yield from (f"  {each.start:g} s {each.word}: {each.reason}" for each in poor[:_MOST_SECONDS])
+        if len(poor) > _MOST_SECONDS:
+            yield f"  and {len(poor) - _MOST_SECONDS} more seconds"
+    error = session.quality.bone_error * 1e3
+    if bones_mm is not None and (error > bones_mm).any():
+        t = int(np.nanargmax(error))
+        yield f"a bone of S* is {error[t]:.3g} mm off in frame {t}; asked for was {bones_mm:g} mm"
+    present = session.time[np.isfinite(session.fused).all(axis=(1, 2))]
+    known = np.concatenate((session.time[:1], present, session.time[-1:]))
+    if gap_s is not None and (longest := float(np.diff(known).max())) > gap_s:
+        begin = known[int(np.diff(known).argmax())]
+        yield f"there is no S* for {longest:.2f} s from {begin:.2f} s on; asked for was {gap_s:g} s"
+
+
 def _opened(path: str | Path) -> Session:
     """The session of a file; an error shows no frames of this package."""
     __tracebackhide__ = True
@@ -158,77 +212,3 @@ def _write(session: Session, path: Path) -> None:
     session.save(partial)
     partial.replace(path)
     written.append(path.absolute())
-
-
-def _differences(one: Session, two: Session, position_mm: float) -> Iterator[str]:
-    """What differs, a line each; nothing if the sessions match."""
-    import numpy as np
-
-    damage = [f"{session}: {session.damage}" for session in (one, two) if session.damage is not None]
-    if one.body is not two.body:
-        yield f"{one} is of {one.body.name}, {two} of {two.body.name}"
-    elif len(one) != len(two):
-        yield f"{one} has {len(one)} frames, {two} has {len(two)}"
-    yield from damage
-    if damage or one.body is not two.body or len(one) != len(two):
-        return
-    for name, what in _CAPTURED.items():
-        differ = (getattr(one.rows, name) != getattr(two.rows, name)).reshape(len(one), -1).any(axis=1)
-        for t in np.flatnonzero(differ)[:1]:
-            yield f"frame {t}: {what} differs; the sessions are of different captures"
-    apart = {
-        name: _apart_mm(getattr(one.rows, rows), getattr(two.rows, rows)) for name, rows in _SKELETONS.items()
-    }
-    beyond = {name: mm > position_mm for name, mm in apart.items()}
-    for name, differ in beyond.items():
-        for t in np.flatnonzero(differ.any(axis=1))[:1]:
-            yield (
-                f"{name} differs by more than {position_mm:g} mm in {differ.any(axis=1).sum()} of {len(one)} "
-                f"frames, first in frame {t}, {one.body.joints[int(differ[t].argmax())]}"
-                + ("" if name == "S*" else "; the sessions are of different captures")
-            )
-    if any(differ.any() for differ in beyond.values()):
-        yield from ("", _HEAD)
-        for name, mm in apart.items():
-            yield from _rows(name, one.body.joints, mm, beyond[name])
-    elif position_mm == 0.0:
-        for t in np.flatnonzero(one.fused_checksums != two.fused_checksums)[:1]:
-            yield f"frame {t}: S* differs, by less than float32 shows"
-
-
-def _apart_mm(one: NDArray[Any], two: NDArray[Any]) -> NDArray[np.float64]:
-    """(T, J) millimetres between (T, J, 3) positions as files store them, in float32.
-
-    0 where both are missing, infinite where one is.
-    """
-    import numpy as np
-
-    stored = (each.astype(np.float32).astype(np.float64) for each in (one, two))
-    mm = np.linalg.norm(np.subtract(*stored), axis=2) * 1e3
-    missing = [np.isnan(each).any(axis=2) for each in (one, two)]
-    return np.where(missing[0] & missing[1], 0.0, np.where(missing[0] | missing[1], np.inf, mm))
-
-
-_TABLE = "{:8}  {:16} {:>6} {:>7} {:>10} {:>9} {:>11}"
-_HEAD = _TABLE.format("skeleton", "joint", "frames", "missing", "largest mm", "median mm", "first frame")
-
-
-def _rows(name: str, joints: tuple[str, ...], mm: NDArray[Any], beyond: NDArray[Any]) -> Iterator[str]:
-    """The rows of a skeleton: all of its joints together, then those that are farthest apart.
-
-    A joint is missing where only one session has it; the median is that of the differences.
-    """
-    import numpy as np
-
-    of_joints = sorted(np.flatnonzero(beyond.any(axis=0)).tolist(), key=lambda j: -mm[:, j].max())
-    if not of_joints:
-        return
-    shown = of_joints[:_MOST_JOINTS]
-    for label, part in [("all joints", slice(None)), *((joints[j], slice(j, j + 1)) for j in shown)]:
-        frames = np.flatnonzero(beyond[:, part].any(axis=1))
-        missing = int(np.isinf(mm[:, part]).any(axis=1).sum())
-        far = mm[:, part][beyond[:, part] & np.isfinite(mm[:, part])]
-        figures = [f"{value:.3g}" for value in (far.max(), np.median(far))] if len(far) else ["–", "–"]
-        yield _TABLE.format(name, label, len(frames), missing or "", *figures, frames[0])
-    if len(of_joints) > len(shown):
-        yield f"{name:8}  and {len(of_joints) - len(shown)} more joints"

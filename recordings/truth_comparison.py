@@ -25,7 +25,7 @@ from fusion.registration.rigid_fit import LARGEST_RESIDUAL, fit_recording
 from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError
 from recordings.joint_path import JointPath, Joints
-from recordings.session import Session
+from recordings.session_series import SessionSeries
 from recordings.truth_files import TruthFile
 from recordings.truth_timing import TimeOffset, find_offset
 
@@ -73,7 +73,10 @@ class TruthComparison:
 
     @staticmethod
     def of(
-        session: Session, truth: TruthFile, table: NameTable | None = None, offset_s: float | None = None
+        session: SessionSeries,
+        truth: TruthFile,
+        table: NameTable | None = None,
+        offset_s: float | None = None,
     ) -> TruthComparison:
         """Finds the names, the unit, the offset and the transform.
 
@@ -105,13 +108,13 @@ class TruthComparison:
             offset = offset.given(offset_s) if offset else TimeOffset(offset_s)
         elif offset is not None and not offset.sure:
             raise RecordingError(
-                f"{truth.name} and {session}: the person moves too little to find the offset; give --offset."
+                f"{truth.name} and {session}: the person moves too little to find the offset; give `offset`."
             )
         if offset is None:
             raise RecordingError(
                 f"{truth.name} and {session}: no offset in time makes the movements match. Do they show the "
                 "same movement of a person who moves enough, and is the table of names, "
-                f"{table.name}, right? --offset gives an offset."
+                f"{table.name}, right? `offset` gives an offset."
             )
         true = {key: path.at(view.seconds - offset.seconds) for key, view in found.items()}
         both = np.isfinite(rows.fused + true["fused"]).any(axis=(1, 2))
@@ -203,12 +206,12 @@ def _joints_of(body: Body, truth: TruthFile, table: NameTable) -> Array:
         raise RecordingError(
             f"{truth.name}: {count} of the joints of {body.name} are found by the table {table.name}, and "
             f"{_FEWEST_JOINTS} are needed. The file has {listed(truth.labels)}. Name its points in a table "
-            "with --names TABLE.toml."
+            "with `names=TABLE.toml`."
         )
     return joints
 
 
-def _unit_of(fused: Array, joints: Array, session: Session, truth: TruthFile) -> tuple[float, str]:
+def _unit_of(fused: Array, joints: Array, session: SessionSeries, truth: TruthFile) -> tuple[float, str]:
     """Metres per unit of the truth, and the unit's name: the person has the same size as S*."""
     ratio = float(np.nanmedian(_spans(fused) / _spans(joints)))
     metres, words = min(METRES.values(), key=lambda unit: abs(np.log(ratio / unit[0])))
@@ -233,7 +236,7 @@ def _spans(joints: Array) -> Array:
 
 
 def _transform(
-    found: dict[str, Array], true: dict[str, Array], session: Session, truth: TruthFile
+    found: dict[str, Array], true: dict[str, Array], session: SessionSeries, truth: TruthFile
 ) -> RigidTransform:
     """K_A ← the truth's frame."""
     every = max(1, len(found["fused"]) // _MOST_FITTED)

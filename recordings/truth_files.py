@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from devices.sensor import DeviceError
 from devices.skeletons.csv_files.text import codes, refuse_cut_off, text_rows
 from devices.skeletons.times import capture_times
-from recordings.errors import RecordingError
+from recordings.errors import MissingFileError, RecordingError
 
 SUFFIXES = (".c3d", ".trc", ".csv")
 """Suffixes of files of motion capture."""
@@ -44,8 +44,13 @@ def read_truth(path: Path) -> TruthFile:
     Raises:
         RecordingError: The file cannot be read, is not complete, or has no points or times.
     """
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise RecordingError(f"{path} is no motion capture: its name ends in none of {', '.join(SUFFIXES)}.")
     try:
-        labels, seconds, points, warning = _READERS[path.suffix.lower()](path)
+        labels, seconds, points, warning = reader(path)
+    except FileNotFoundError:
+        raise MissingFileError(f"No file {path}.") from None
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from None
     except DeviceError as error:

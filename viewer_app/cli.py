@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
-from viewer_app.errors import mistakes
+from fusion.errors import DuplexError
+from viewer_app.flags import in_flags
 
 _CLOSING_S = 30.0
 
@@ -88,10 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # the reader of the output is gone: write nothing more, not even at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
-    except Exception as error:
-        if not isinstance(error, mistakes()):
-            raise
-        print(f"duplex: {error}", file=sys.stderr)
+    except DuplexError as error:
+        print(in_flags(f"duplex: {error}"), file=sys.stderr)
         sys.exit(2)
 
 

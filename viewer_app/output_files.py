@@ -1,11 +1,13 @@
 """Output files that are either complete or absent."""
 
+import json
 import os
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from itertools import chain, count
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -104,6 +106,13 @@ def write_text(path: Path, text: str) -> None:
     """Writes a text file that is either complete or absent; names of files keep their bytes."""
     with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8", errors="surrogateescape")
+
+
+def save_report(path: Path | None, figures: dict[str, Any]) -> None:
+    """Writes a report as standard JSON, if there is a path; an unfinished file is never left behind."""
+    if path is not None:
+        text = json.dumps(figures, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+        write_text(path, text)
 
 
 def free_name(path: Path) -> Path:

@@ -119,7 +119,7 @@ def gpu_check(tracker: TrackerSettings, root: Path) -> Check:
         "GPU",
         False,
         f"no driver found, and the tracker is to run on {tracker.processing}",
-        f"Install NVIDIA's driver, or try --processing cpu, which gives {slow}",
+        f"Install NVIDIA's driver, or try `processing=cpu`, which gives {slow}",
     )
 
 

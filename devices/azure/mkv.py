@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from devices.azure.calibration import depth_intrinsics, depth_mode
-from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
+from devices.sensor import ColorCamera, ColorImage, DeviceError, MissingRecordingError, Sensor, SensorFrame
 from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
@@ -115,7 +115,7 @@ class MkvRecording(Sensor):
         import av
 
         if not self.path.is_file():
-            raise DeviceError(f"No recording at {self.path}. Check the path.")
+            raise MissingRecordingError(f"No recording at {self.path}. Check the path.")
         try:
             return av.open(str(self.path), metadata_errors="ignore")
         except (av.FFmpegError, OSError) as fault:

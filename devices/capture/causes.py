@@ -55,7 +55,7 @@ class Cause(Enum):
     NO_PULSES = "{label} stalls: no depth for {seconds:.0f} s on the sync cable. {advice}"
     # Other images of it come, but no depth image.
     ONLY_COLOR = (
-        "{label} stalls: colour comes, but no depth for {seconds:.0f} s. Run it without --color, or unplug "
+        "{label} stalls: colour comes, but no depth for {seconds:.0f} s. Run it without `color`, or unplug "
         "it and plug it in again."
     )
     # The SDK reports a failure, though it is connected.
@@ -112,17 +112,17 @@ class Cause(Enum):
     # Its frames come more than 0.1 s later after their capture than the other sensor's.
     LATE = (
         "The frames of {label} come {late_ms:.0f} ms later than those of {other}, which wait for them. Its "
-        "network, its USB controller, its colour camera (--color) or its tracker is slower."
+        "network, its USB controller, its colour camera (`color`) or its tracker is slower."
     )
     # On a sync cable, its images come half a frame or more later than the other sensor's of the same pulse.
     LATE_ON_CABLE = (
         "The images of {label} come {late_ms:.0f} ms later than those of {other} of the same moment, which "
-        "wait for them. Its USB controller or its colour camera (--color) is slower."
+        "wait for them. Its USB controller or its colour camera (`color`) is slower."
     )
     # The same, by more than a frame waits for its partner.
     TOO_LATE = (
         "The frames of {label} come {late_ms:.0f} ms later than those of {other}: too late for pairs. Its "
-        "network, its USB controller, its colour camera (--color) or its tracker is slower."
+        "network, its USB controller, its colour camera (`color`) or its tracker is slower."
     )
     # --- Closing
     # Closing takes long, and it is known what it waits for.

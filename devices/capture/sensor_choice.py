@@ -37,12 +37,12 @@ class ConnectedSensor:
 
 
 class NeedsChoiceError(DeviceError):
-    """Two sensors are connected and the principal one is not named: ask the user, or use ``--principal``."""
+    """Two sensors are connected and the principal one is not named: ask the user, or use ``principal``."""
 
     def __init__(self, serials: tuple[str, str]) -> None:
         super().__init__(
             f"Two sensors are connected, {serials[0]} and {serials[1]}. Say which one the person faces: "
-            f"--principal {serials[0]} or --principal {serials[1]}."
+            f"`principal={serials[0]}` or `principal={serials[1]}`."
         )
         self.serials = serials
 
@@ -76,7 +76,7 @@ def choose_two(
         DeviceError: Not two, one of them cannot be opened, a name is not among them, or A has two names.
     """
     if a is not None and principal is not None and a != principal:
-        raise DeviceError(f"--kinect-a {a} and --principal {principal} both name K_A. Leave one of them out.")
+        raise DeviceError(f"`kinect_a={a}` and `principal={principal}` both name K_A. Leave one of them out.")
     a = a or principal
     there = _serials(connected, a, b)
     listed = ", ".join(there)
@@ -94,7 +94,7 @@ def choose_two(
     named = a or b
     if len(there) > 2:
         raise DeviceError(
-            f"{len(there)} sensors are connected: {listed}. Choose two: --kinect-a, --kinect-b."
+            f"{len(there)} sensors are connected: {listed}. Choose two: `kinect_a`, `kinect_b`."
         )
     if named is None:
         raise NeedsChoiceError((there[0], there[1]))
@@ -133,16 +133,16 @@ def sync_master(a: ConnectedSensor, b: ConnectedSensor, named: str | None = None
     if named is not None:
         if named not in (a.serial, b.serial):
             raise DeviceError(
-                f"--sync-master {named} is neither of the two sensors chosen, {a.serial} and {b.serial}."
+                f"`sync_master={named}` is neither of the two sensors chosen, {a.serial} and {b.serial}."
             )
         if not (a.has_port and b.has_port):
-            raise DeviceError(f"--sync-master {named}: {no_port(a, b)} Leave --sync-master out.")
+            raise DeviceError(f"`sync_master={named}`: {no_port(a, b)} Leave `sync_master` out.")
         leads, follows = (a, b) if named == a.serial else (b, a)
         seen = (leads.hides_jacks or leads.sync_out) and (follows.hides_jacks or follows.sync_in)
         if not seen:
             raise DeviceError(
-                f"--sync-master {named}: no cable leads from its sync out to the sync in of {follows.serial} "
-                f"({_jacks(a, b)}). Put the cable there, or leave --sync-master out."
+                f"`sync_master={named}`: no cable leads from its sync out to the sync in of {follows.serial} "
+                f"({_jacks(a, b)}). Put the cable there, or leave `sync_master` out."
             )
         return named
     for master, subordinate in ((a, b), (b, a)):
@@ -176,7 +176,7 @@ def cable_unknown(a: ConnectedSensor, b: ConnectedSensor) -> str:
         return ""
     return (
         f"The vendor's software does not say whether a sync cable is in {' and '.join(hidden)}. "
-        f"If there is one, name the sensor that it leads out of: --sync-master {a.serial} or {b.serial}."
+        f"If there is one, name the sensor that it leads out of: `sync_master={a.serial}` or {b.serial}."
     )
 
 

@@ -165,7 +165,7 @@ class ImageHealth:
             return f"{self._label} gives all {name} images again."
         found = " No one is found without them." if self._needed else ""
         asked = self.image == "color" and self._settings.color is not None
-        without = ", or run it without --color" if asked else ""
+        without = ", or run it without `color`" if asked else ""
         why = "Its room is too dark: make it brighter" if self.image == "color" else "USB loses them"
         if state == "few":
             return Cause.FEW_IMAGES.says(**fields, why=why, found=found, without=without)

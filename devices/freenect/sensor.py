@@ -219,8 +219,8 @@ def check_modes(serial: str, settings: CaptureSettings) -> None:
         DeviceError: A mode that a Kinect v1 does not have.
     """
     if settings.depth_mode != "NFOV_UNBINNED":
-        raise DeviceError(f"Kinect v1 {serial} has one depth mode, 640 × 480. Leave --depth-mode out.")
+        raise DeviceError(f"Kinect v1 {serial} has one depth mode, 640 × 480. Leave `depth_mode` out.")
     if settings.fps != FPS:
-        raise DeviceError(f"Kinect v1 {serial} runs at {FPS} fps, not {settings.fps}. Leave --fps out.")
+        raise DeviceError(f"Kinect v1 {serial} runs at {FPS} fps, not {settings.fps}. Leave `fps` out.")
     if settings.sync != "standalone":
-        raise DeviceError(f"Kinect v1 {serial} has no port for a sync cable. Leave --sync-master out.")
+        raise DeviceError(f"Kinect v1 {serial} has no port for a sync cable. Leave `sync_master` out.")

@@ -103,10 +103,10 @@ def check_modes(serial: str, settings: CaptureSettings) -> None:
         DeviceError: A mode that a Kinect v2 does not have, or this program does not read.
     """
     if settings.depth_mode != CaptureSettings.depth_mode:
-        raise DeviceError(f"Kinect v2 {serial} has one depth mode, 512 × 424. Leave --depth-mode out.")
+        raise DeviceError(f"Kinect v2 {serial} has one depth mode, 512 × 424. Leave `depth_mode` out.")
     if settings.fps != _FPS:
-        raise DeviceError(f"Kinect v2 {serial} runs at {_FPS} fps, not {settings.fps}. Leave --fps out.")
+        raise DeviceError(f"Kinect v2 {serial} runs at {_FPS} fps, not {settings.fps}. Leave `fps` out.")
     if settings.sync != "standalone":
-        raise DeviceError(f"Kinect v2 {serial} has no port for a sync cable. Leave --sync-master out.")
+        raise DeviceError(f"Kinect v2 {serial} has no port for a sync cable. Leave `sync_master` out.")
     if settings.color is not None:
-        raise DeviceError(f"Kinect v2 {serial}: colour is not read. Leave --color out.")
+        raise DeviceError(f"Kinect v2 {serial}: colour is not read. Leave `color` out.")

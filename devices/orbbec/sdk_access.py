@@ -183,7 +183,7 @@ def set_sync_role(sdk: Any, device: Any, serial: str, settings: CaptureSettings)
             if settings.sync == "standalone":
                 return ""
             raise DeviceError(
-                f"Orbbec {serial} cannot be a sync cable's {_ROLES[settings.sync]}. Leave --sync-master out."
+                f"Orbbec {serial} cannot be a sync cable's {_ROLES[settings.sync]}. Leave `sync_master` out."
             )
         wanted = device.get_multi_device_sync_config()
         wanted.mode = mode
@@ -197,7 +197,7 @@ def set_sync_role(sdk: Any, device: Any, serial: str, settings: CaptureSettings)
             return ""  # a sensor without a sync port
         raise DeviceError(
             f"Orbbec {serial} does not take its place on the sync cable ({fault}). Check the sync hub, its "
-            f"power and the cables, or leave --sync-master out."
+            f"power and the cables, or leave `sync_master` out."
         ) from fault
     if kept_us != delay_us:  # reported of a Femto Bolt with firmware 1.1.2: OrbbecSDK_v2 issue 38
         return (

@@ -64,7 +64,7 @@ def choose_streams(sdk: Any, pipeline: Any, serial: str, settings: CaptureSettin
     sensors, formats = sdk.OBSensorType, sdk.OBFormat
     depths = _profiles(sdk, pipeline, sensors.DEPTH_SENSOR, (formats.Y16,), settings.fps)
     if not depths:
-        raise DeviceError(f"Orbbec {serial} has no depth at {settings.fps} fps. Choose another --fps.")
+        raise DeviceError(f"Orbbec {serial} has no depth at {settings.fps} fps. Choose another `fps`.")
     infrareds: list[Any] = []
     for sensor in (sensors.IR_SENSOR, sensors.LEFT_IR_SENSOR):  # a stereo sensor's depth is its left image's
         wanted = tuple(getattr(formats, name) for name in _INFRARED_FORMATS)
@@ -74,7 +74,7 @@ def choose_streams(sdk: Any, pipeline: Any, serial: str, settings: CaptureSettin
     if not usable:
         raise DeviceError(
             f"Orbbec {serial} has no infrared image of its depth image's size at {settings.fps} fps, which "
-            f"the body tracker needs. Choose another --fps."
+            f"the body tracker needs. Choose another `fps`."
         )
     width_height = DEPTH_SIZES[settings.depth_mode]
     exact = [profile for profile in usable if _size(profile) == width_height]
@@ -82,7 +82,7 @@ def choose_streams(sdk: Any, pipeline: Any, serial: str, settings: CaptureSettin
         sizes = ", ".join(sorted({"×".join(map(str, _size(profile))) for profile in usable}))
         raise DeviceError(
             f"Orbbec {serial} has no depth mode {settings.depth_mode} at {settings.fps} fps. It has {sizes}; "
-            f"leave --depth-mode out."
+            f"leave `depth_mode` out."
         )
     depth = exact[0] if exact else min(usable, key=lambda profile: abs(profile.get_width() - _USUAL_WIDTH))
     color = None
@@ -150,7 +150,7 @@ def color_camera(sdk: Any, color: Any, depth: Any, serial: str) -> tuple[ColorCa
         return ColorCamera(intrinsics, RigidTransform.of(pose.rot, translation)), warning
     except faults_of(sdk) + (FusionError,) as fault:
         raise DeviceError(
-            f"Orbbec {serial} does not know its colour camera's place ({fault}). Run without --color."
+            f"Orbbec {serial} does not know its colour camera's place ({fault}). Run without `color`."
         ) from fault
 
 

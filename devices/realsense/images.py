@@ -73,7 +73,7 @@ def choose_streams(
     at = "" if fps is None else f" at {fps} fps"
     depths = of(stream.depth, form.z16)
     if not depths:
-        raise DeviceError(f"{label} has no depth{at}. Choose another --fps, or record depth.")
+        raise DeviceError(f"{label} has no depth{at}. Choose another `fps`, or record depth.")
     # Depth is of the left camera's pixels: infrared stream 1, or 0 where there is one. 2 is the right
     # camera's, a baseline away. Y16 is not rectified.
     lefts = [one for one in of(stream.infrared, form.y8) if one[1].stream_index() < 2]
@@ -83,7 +83,7 @@ def choose_streams(
         colors = [one for one in colors if _size(one[1]) == COLOR_SIZES[color]]
     usable = [] if color is not None else [one for one in depths if _size(one[1]) in infrareds]
     if color is not None and not colors:
-        raise DeviceError(f"{label} has no colour {color} (RGB8){at}. Leave --color out.")
+        raise DeviceError(f"{label} has no colour {color} (RGB8){at}. Leave `color` out.")
     if not usable and not colors:
         raise DeviceError(
             f"{label} has no infrared image of its depth's size and no colour (RGB8){at}. The body tracker "

@@ -171,14 +171,14 @@ def set_sync_role(sdk: Any, device: Any, serial: str, settings: CaptureSettings)
     if sensor is None:
         if settings.sync == "standalone":
             return
-        raise DeviceError(f"RealSense {serial} has no modes master and slave. Leave --sync-master out.")
+        raise DeviceError(f"RealSense {serial} has no modes master and slave. Leave `sync_master` out.")
     try:
         sensor.set_option(option, _SYNC_MODES[settings.sync])
     except RuntimeError as fault:
         if settings.sync == "standalone":
             return
         raise DeviceError(
-            f"RealSense {serial} does not become a {settings.sync} ({fault}). Leave --sync-master out."
+            f"RealSense {serial} does not become a {settings.sync} ({fault}). Leave `sync_master` out."
         ) from fault
 
 

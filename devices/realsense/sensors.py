@@ -15,7 +15,7 @@ from devices.capture.moments import Moment
 from devices.capture.settings import CaptureSettings
 from devices.realsense.images import FrameReader, Streams, choose_streams, intrinsics_of
 from devices.realsense.sdk_access import is_connected, load_sdk, open_realsense, set_sync_role
-from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.sensor import DeviceError, MissingRecordingError, Sensor, SensorFrame
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 
@@ -66,7 +66,7 @@ class RealSenseSensor(LiveSensor):
         self._interrupted.clear()
         label, settings = f"RealSense {self.name}", self.settings
         if settings.depth_mode != CaptureSettings.depth_mode:
-            raise DeviceError(f"{label} has no depth mode {settings.depth_mode}; leave --depth-mode out.")
+            raise DeviceError(f"{label} has no depth mode {settings.depth_mode}; leave `depth_mode` out.")
         sdk = load_sdk()
         device = open_realsense(sdk, self.name)
         try:
@@ -135,7 +135,7 @@ class RealSenseRecording(Sensor):
     def __enter__(self) -> RealSenseRecording:
         self.__exit__()
         if not self.path.is_file():
-            raise DeviceError(f"No file {self.path}.")
+            raise MissingRecordingError(f"No file {self.path}.")
         sdk = load_sdk()
         try:
             context = sdk.context()  # of its own: the file is not to be listed as a sensor

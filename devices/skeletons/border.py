@@ -176,11 +176,11 @@ def find_unit(
         if _PEOPLE[0] <= stature * metres <= _PEOPLE[1]:
             return metres, [
                 f"{name}: the positions are taken as {words}, so that the person is {stature * metres:.2f} m "
-                "tall. State another unit with --unit."
+                "tall. State another unit with `unit`."
             ]
     raise DeviceError(
         f"{name}: the unit of the positions is unclear; in metres the person would be {stature:.3g} m tall. "
-        "State the unit with --unit (m, cm, mm, ft or in)."
+        "State the unit with `unit` (m, cm, mm, ft or in)."
     )
 
 
@@ -199,12 +199,12 @@ def check_metres_forward(name: object, xyz: NDArray[np.float64]) -> None:
     if distance > FARTHEST:
         raise DeviceError(
             f"{name}: the joints are {distance:.3g} m away (median); no sensor sees beyond {FARTHEST:.0f} m. "
-            "Positions must be in the frame of the sensor; state another unit than metres with --unit."
+            "Positions must be in the frame of the sensor; state another unit than metres with `unit`."
         )
     if np.median(xyz[..., 2].ravel()[known]) < 0.0:
         raise DeviceError(
             f"{name}: most joints have a negative z. The z axis must point forward, towards the person; "
-            "state the file's axes with --axes."
+            "state the file's axes with `axes`."
         )
 
 
@@ -242,7 +242,7 @@ def upside_down(name: object, body: Body, positions: NDArray[np.floating]) -> li
         return []
     return [
         f"{name}: the head is below the feet in almost every frame. The y axis must point down; state the "
-        "file's axes with --axes (kinect, unity, opengl, ros, or a list)."
+        "file's axes with `axes` (kinect, unity, opengl, ros, or a list)."
     ]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from devices.people import RecordedPeople
-from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.sensor import DeviceError, MissingRecordingError, Sensor, SensorFrame
 from devices.skeletons.border import ReadFile, checked
 from devices.skeletons.csv_files.reader import read_csv
 from devices.skeletons.ntu import read_ntu
@@ -70,7 +70,7 @@ class SkeletonRecording(Sensor):
             found = reader(self._path, self._stated, self._progress)
             read = checked(self._path, found, self._stated)
         except FileNotFoundError:
-            raise DeviceError(f"No file {self.name}.") from None
+            raise MissingRecordingError(f"No file {self.name}.") from None
         except OSError as error:
             raise DeviceError(f"{self.name} cannot be read: {error.strerror or error}.") from None
         except MemoryError:

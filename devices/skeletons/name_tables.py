@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from devices.sensor import DeviceError
+from devices.sensor import DeviceError, MissingRecordingError
 from fusion.body import BODIES, Body
 
 READY_MADE = ("bodies", "plug-in-gait", "gait2392", "mixamo")
@@ -77,7 +77,7 @@ def name_table(name: str | Path) -> NameTable:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         known = f"Give a .toml file, or one of {', '.join(READY_MADE)}."
-        raise DeviceError(f"No table of names {str(name)!r}. {known}") from None
+        raise MissingRecordingError(f"No table of names {str(name)!r}. {known}") from None
     except OSError as error:
         raise DeviceError(f"{name} cannot be read: {error.strerror or error}.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

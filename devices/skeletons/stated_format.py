@@ -80,12 +80,12 @@ class StatedFormat:
         used = [match[2] for match in found if match is not None]
         if len(parts) != 3 or len(used) != 3:
             raise DeviceError(
-                f"--axes {self.axes}: neither {', '.join(AXES)}, nor three axes of the file such as x,-y,z, "
+                f"`axes={self.axes}`: neither {', '.join(AXES)}, nor three axes of the file such as x,-y,z, "
                 "which are x (right), y (down) and z (forward)."
             )
         for axis in used:
             if used.count(axis) > 1:
-                raise DeviceError(f"--axes {self.axes} has {axis} twice: each of x, y and z is needed once.")
+                raise DeviceError(f"`axes={self.axes}` has {axis} twice: each of x, y and z is needed once.")
         signs = [-1.0 if part.startswith("-") else 1.0 for part in parts]
         return xyz[..., ["xyz".index(axis) for axis in used]] * signs
 
@@ -101,12 +101,12 @@ class StatedFormat:
         share = mirrored_share(body, positions) if self.axes else 0.0
         if share is None:
             return [
-                f"{name}: whether the person is a mirror image by --axes {self.axes} is unknown, because it "
+                f"{name}: whether the person is a mirror image by `axes={self.axes}` is unknown, because it "
                 "has no feet or no trunk. Raise the left arm, and see whether S* does."
             ]
         if share > MIRRORED:
             raise DeviceError(
-                f"{name}: by --axes {self.axes} the person is a mirror image, so the result is left-handed. "
+                f"{name}: by `axes={self.axes}` the person is a mirror image, so the result is left-handed. "
                 "Change the sign of one axis."
             )
         return []

@@ -28,7 +28,7 @@ from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
 from recordings.export.even_frames import even_moments, y_up, y_up_rotations
 from recordings.interpolation import positions_at
-from recordings.session import Session
+from recordings.session_series import SessionSeries
 
 Array = NDArray[np.float64]
 _SAME_M = 1e-4  # metres: differences by rounding, added up along the bones
@@ -56,7 +56,7 @@ class Animation:
         in_words: The frames, those that hold a pose, and those that are left out.
     """
 
-    def __init__(self, session: Session, rate: float | None = None, names: Names = "body") -> None:
+    def __init__(self, session: SessionSeries, rate: float | None = None, names: Names = "body") -> None:
         """Chooses the frames.
 
         Raises:
@@ -135,7 +135,7 @@ class Animation:
         return (np.arange(k, min(k + PART, len(self))) for k in range(0, len(self), PART))
 
 
-def _other_lengths(session: Session) -> tuple[int, float]:
+def _other_lengths(session: SessionSeries) -> tuple[int, float]:
     """The number of frames with other bone lengths than the last calibration's, and how far off, in metres,
     these can make a joint in them: the sum of the differences from the root on.
     """

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from recordings.export.animation import Animation, Names, Node
-from recordings.session import Session
+from recordings.session_series import SessionSeries
 
 _CM = 100.0
 _STUB = 0.2  # length of the end site behind a last joint, as a share of the last bone; some programs draw it
 
 
-def write_bvh(session: Session, path: Path, rate: float | None = None, names: Names = "body") -> str:
+def write_bvh(session: SessionSeries, path: Path, rate: float | None = None, names: Names = "body") -> str:
     """Writes S* as BVH. BVH has no gaps: the last pose is held during a gap.
 
     Raises:

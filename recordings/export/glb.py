@@ -14,12 +14,12 @@ from recordings.appearance.body_shape import capsule_lengths, capsule_radii, par
 from recordings.appearance.colors import SKELETON_COLORS
 from recordings.errors import RecordingError
 from recordings.export.animation import Animation, Names
-from recordings.session import Session
+from recordings.session_series import SessionSeries
 
 _AROUND, _ALONG = 16, 4  # faces around a capsule, and from its rim to its tip
 
 
-def write_glb(session: Session, path: Path, rate: float | None = None, names: Names = "body") -> str:
+def write_glb(session: SessionSeries, path: Path, rate: float | None = None, names: Names = "body") -> str:
     """Writes S* as a ``.glb``. The last pose is held during a gap.
 
     Raises:
@@ -120,7 +120,7 @@ def write_glb(session: Session, path: Path, rate: float | None = None, names: Na
 
 
 def _person(
-    animation: Animation, session: Session
+    animation: Animation, session: SessionSeries
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16], NDArray[np.int64]]:
     """(V, 3) points, (V, 3) normals, (F, 3) faces and (V,) nodes to follow, of all capsules in the T-pose."""
     body, at = session.body, animation.rest

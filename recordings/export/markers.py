@@ -13,16 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.large_arrays import parts
 from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
 from recordings.export.even_frames import even_moments
-from recordings.session import Session
+from recordings.interpolation import positions_at
+from recordings.session_series import SessionSeries
 
 # Vendors count further in parameters of their own; ezc3d and all that is built on it read none of those
 _MOST_FRAMES = 65_535
 
 
-def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
+def write_c3d(session: SessionSeries, path: Path, rate: float | None = None) -> str:
     """Writes S* as points labelled with the joint names: x right, y forward, z up, as seen from K_A.
 
     The origin lies on the floor, below K_A.
@@ -45,7 +47,7 @@ def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
             "`duplex trim`, or as .trc."
         )
     floor_from_a = floor_under(session.rows).inverse()
-    positions = floor_from_a.apply(session.at(even.time_ns)) * 1e3  # (N, J, 3)
+    positions = floor_from_a.apply(positions_at(session.rows, even.time_ns)) * 1e3  # (N, J, 3)
     positions[:, session.rows.never_seen] = np.nan
     N, J = positions.shape[:2]
     points = np.full((4, J, N), np.nan)
@@ -70,30 +72,29 @@ def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
     return even.in_words
 
 
-def write_trc(session: Session, path: Path) -> str:
-    """Writes S* as markers named after the joints. Times are as recorded; the header has the frame rate."""
-    rows = session.rows
-    joints = rows.body.joints
-    T, J = len(rows), len(joints)
-    rate = f"{rows.frame_rate:.6g}"
+def write_trc(session: SessionSeries, path: Path, rate: float | None = None) -> str:
+    """Writes S* as markers named after the joints, at an even rate, or where None at the recorded times."""
+    rows, joints = session.rows, session.body.joints
+    even = even_moments(rows, rate)
+    times = rows.time_ns if rate is None else even.time_ns
+    T, J, stated = len(times), len(joints), f"{even.rate:.6g}"
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{session.name.removesuffix('.rrd')}.trc",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-        f"{rate}\t{rate}\t{T}\t{J}\tmm\t{rate}\t1\t{T}",
+        f"{stated}\t{stated}\t{T}\t{J}\tmm\t{stated}\t1\t{T}",
         "Frame#\tTime\t" + "\t\t\t".join(joints) + "\t\t",
         "\t\t" + "\t".join(f"X{j}\tY{j}\tZ{j}" for j in range(1, J + 1)),
         "",
     ]
-    floor_from_a, never = floor_under(rows).inverse(), rows.never_seen[:, None]
+    floor_from_a, never = floor_under(rows).inverse(), rows.never_seen
     with path.open("w", encoding="utf-8") as file:
         file.write("\n".join(lines) + "\n")
         number = count(1)
-        for part in rows.parts():
-            millimetres = (
-                floor_from_a.apply(np.where(never, np.nan, part.fused))[..., [2, 1, 0]].reshape(len(part), -1)
-                * -1e3
-            )
-            for time_ns, values in zip(part.time_ns.tolist(), millimetres.tolist(), strict=True):
+        for part in parts(T):
+            at = floor_from_a.apply(positions_at(rows, times[part]))
+            at[:, never] = np.nan
+            millimetres = (at[..., [2, 1, 0]] * -1e3).reshape(len(at), -1)
+            for time_ns, values in zip(times[part].tolist(), millimetres.tolist(), strict=True):
                 cells = ("" if isnan(v) else f"{v:.4f}" for v in values)
                 file.write(f"{next(number)}\t{time_ns * 1e-9:.6f}\t" + "\t".join(cells) + "\n")
-    return f"{T} frames at the times they were recorded, {rate} Hz"
+    return f"{T} frames at the times they were recorded, {stated} Hz" if rate is None else even.in_words

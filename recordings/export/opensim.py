@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.gait import SIDES
-from recordings.session import AngleSeries, Session
+from recordings.series import AngleSeries
+from recordings.session_series import SessionSeries
 
 
-def write_mot(session: Session, path: Path) -> str:
+def write_mot(session: SessionSeries, path: Path) -> str:
     """Writes one row per frame at the times they were recorded; nan where an angle is unknown.
 
     Angles that need a joint that was never seen have no column.

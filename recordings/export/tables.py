@@ -6,6 +6,7 @@ Each writer returns a description of what was written.
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pyarrow as pa
@@ -13,47 +14,68 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from recordings.errors import UnknownNameError
 from recordings.gait import SIDES, Step
-from recordings.session import Session
 from recordings.session_arrays import SessionArrays
+from recordings.session_series import SessionSeries
 
+Table = Literal["long", "wide"]
+"""One row per joint, skeleton and frame, or one per frame."""
 _STATES = np.array(["not_tracked", "inferred", "tracked"])
 _FUSED_STATES = np.array(["fused", "predicted", "never_seen"])
 
 
-def write_long_csv(session: Session, path: Path) -> str:
-    """Writes one row per joint, skeleton and frame; cells are empty if a joint has no position."""
-    pyarrow.csv.write_csv(long_table(session), path)
+def write_csv(session: SessionSeries, path: Path, layout: Table = "long") -> str:
+    """Writes :func:`arrow_table`; cells are empty if a joint has no position."""
+    pyarrow.csv.write_csv(arrow_table(session, layout), path)
     return _frames(session)
 
 
-def write_wide_csv(session: Session, path: Path) -> str:
-    """Writes the table of :func:`wide_table`."""
-    pyarrow.csv.write_csv(wide_table(session), path)
+def write_parquet(session: SessionSeries, path: Path, layout: Table = "long") -> str:
+    """Writes :func:`arrow_table`; null if a joint has no position."""
+    pyarrow.parquet.write_table(arrow_table(session, layout), path)
     return _frames(session)
 
 
-def write_parquet(session: Session, path: Path, table: pa.Table | None = None) -> str:
-    """Writes the rows of :func:`write_long_csv`, or another table; null if a joint has no position."""
-    table = long_table(session) if table is None else table
+def arrow_table(session: SessionSeries, layout: Table) -> pa.Table:
+    """:func:`long_table` or :func:`wide_table`, whose metadata has frame, body and rate, and each column's
+    ``unit``: ``m``, ``s``, ``deg``; 1 for a weight or probability.
+
+    Raises:
+        RecordingError: There is no such layout.
+    """
+    if layout not in _LAYOUTS:
+        raise UnknownNameError("table", layout, tuple(_LAYOUTS))
+    table = _LAYOUTS[layout](session)
+    units = {
+        "time_s": "s",
+        "weight": "1",
+        **dict.fromkeys("xyz", "m"),
+        **dict.fromkeys(session.angles, "deg"),
+    }
+    units |= {f"contact_{side}": "1" for side in SIDES}
+    units |= {f"{joint}_{axis}": "m" for joint in session.body.joints for axis in "xyz"}
+    fields = (
+        field.with_metadata({"unit": units[field.name]}) if field.name in units else field
+        for field in table.schema
+    )
     about = {
         "units": "metres, seconds, degrees",
         "frame": "K_A: x right, y down, z forward",
         "body": session.body.name,
         "frame_rate": f"{session.frame_rate:.6g}",
     }
-    pyarrow.parquet.write_table(table.replace_schema_metadata(about), path)
-    return _frames(session)
+    return table.cast(pa.schema(fields, about))
 
 
-def write_wide_parquet(session: Session, path: Path) -> str:
-    """Writes the table of :func:`wide_table`."""
-    return write_parquet(session, path, wide_table(session))
+def units_of(table: pa.Table) -> dict[str, str]:
+    """The unit of each column that has one."""
+    return {each.name: each.metadata[b"unit"].decode() for each in table.schema if each.metadata}
 
 
-def write_npz(session: Session, path: Path) -> str:
+def write_npz(session: SessionSeries, path: Path) -> str:
     """Writes the arrays of :class:`recordings.session_arrays.SessionArrays`, the names of the joints, the
-    angles of :class:`recordings.session.AngleSeries`, and the steps as an array with named fields."""
+    angles of :class:`recordings.series.AngleSeries`, and the steps as an array with named fields."""
     rows, angles = session.rows, session.angles
     kinds = [(name, "U5" if name == "side" else np.float64) for name in Step._fields]
     arrays = {name: getattr(rows, name) for name in ("bone_lengths", "frame", "time_ns")}
@@ -75,11 +97,11 @@ def write_npz(session: Session, path: Path) -> str:
     return _frames(session)
 
 
-def _frames(session: Session) -> str:
+def _frames(session: SessionSeries) -> str:
     return f"{len(session)} frames"
 
 
-def long_table(session: Session) -> pa.Table:
+def long_table(session: SessionSeries) -> pa.Table:
     """``frame, time_s, skeleton (a, b, fused), joint, x, y, z, state, weight``; S_B in K_A's frame."""
     rows = session.rows
     T, J = rows.predicted.shape
@@ -102,7 +124,7 @@ def long_table(session: Session) -> pa.Table:
     return pa.concat_tables(parts)
 
 
-def wide_table(session: Session) -> pa.Table:
+def wide_table(session: SessionSeries) -> pa.Table:
     """One row per frame: ``frame, time_s, <joint>_x, <joint>_y, <joint>_z, …`` of S*, its angles in degrees,
     ``contact_left`` and ``contact_right``: the probability that the foot is on the floor while the person
     walks, and ``gait``: the events nearest to the frame, such as ``heel_strike_left``."""
@@ -133,3 +155,6 @@ def _skeletons(
     nothing = np.full(rows.predicted.shape, np.nan, dtype=np.float32)
     states = np.where(rows.never_seen, 2, rows.predicted.astype(np.int64))
     yield "fused", rows.seen, _FUSED_STATES[states], nothing
+
+
+_LAYOUTS = {"long": long_table, "wide": wide_table}

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fusion.large_arrays import give_back
 from recordings import layout
-from recordings.errors import RecordingError
+from recordings.errors import MissingFileError, RecordingError
 
 PROPERTIES = "/__properties"
 
@@ -106,7 +106,7 @@ class RrdFile:
                     raise RecordingError(f"{path} is not a session: it does not begin like an .rrd file.")
                 self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except FileNotFoundError:
-            raise RecordingError(f"No session {path}.") from None
+            raise MissingFileError(f"No session {path}.") from None
         except OSError as error:
             raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from None
 

@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from devices.depth.image_thinning import Depth
 from devices.events import Event
+from devices.pairing import pair_views
 from devices.sensor import DeviceError
+from devices.skeletons.border import impossible
 from devices.skeletons.stated_format import MIRRORED, StatedFormat, Unit
 from devices.tracker_choice import TrackerChoice, WantedTracker, choose_tracker
 from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
-from fusion.body import BODIES
+from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
 from fusion.handedness import mirrored_share
+from fusion.pair_arrays import View
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.progress import Progress, quietly
 from fusion.setup import FuserSettings, Hindsight
+from fusion.skeleton import checked_joints
+from recordings.errors import RecordingError, UnknownNameError
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
 from recordings.images import RecordingImages
@@ -31,6 +36,7 @@ from recordings.session import Session
 from recordings.session_arrays import SessionFrames
 
 _UNRELATED = 0.2  # metres
+_MOSTLY = 0.5
 _LARGEST_OFFSET_MS = 1e12  # so that nanoseconds fit into 64 bits
 
 
@@ -106,6 +112,46 @@ def fuse(
     return fuse_read(read, (str(a), str(b)), settings, calibration, refine, depth, force)
 
 
+def fuse_arrays(
+    body: Body | str,
+    time: ArrayLike,
+    views: Sequence[tuple[ArrayLike, ArrayLike | None]],
+    sources: tuple[str, str] = ("a", "b"),
+    settings: FuserSettings | None = None,
+    calibration: Calibration | None = None,
+) -> Session:
+    """Fuses positions (T, J, 3) and states (T, J) of A and of B; see
+    :meth:`recordings.session.Session.of_arrays`."""
+    if isinstance(body, str):
+        if body not in BODIES:
+            raise UnknownNameError("body", body, tuple(BODIES))
+        body = BODIES[body]
+    seconds = np.asarray(time, dtype=np.float64)
+    time_ns = np.rint(1e9 * (seconds - seconds[:1])).astype(np.int64) if seconds.ndim == 1 else None
+    if time_ns is None or not len(time_ns) or not np.isfinite(seconds).all() or (np.diff(time_ns) <= 0).any():
+        raise RecordingError(
+            f"`time` is (T,) seconds that increase, of at least one frame; got {seconds.shape} values."
+        )
+    read = []
+    for side, (positions, states) in zip("ab", views, strict=True):
+        at = np.array(positions, dtype=np.float64)
+        if at.shape != (len(time_ns), len(body), 3):
+            raise RecordingError(
+                f"`positions_{side}` has the shape {at.shape}; {len(time_ns)} frames of {body.name} need "
+                f"{(len(time_ns), len(body), 3)}."
+            )
+        stated = np.isfinite(at).all(axis=2)
+        if stated.any() and impossible(at)[stated].mean() > _MOSTLY:
+            raise RecordingError(
+                f"`positions_{side}`: most joints are where no sensor sees. Positions are metres in the "
+                "sensor's frame: x right, y down, z forward."
+            )
+        read.append(View(time_ns, *checked_joints(body, at, states, (len(time_ns),))))
+    settings = settings or FuserSettings(hindsight="labels")
+    pairing = pair_views(body, read[0], read[1], every_frame=settings.method == "duplex")
+    return fuse_read(TwoRecordings(body, pairing, (None, None), ()), sources, settings, calibration)
+
+
 def fuse_read(
     read: TwoRecordings,
     sources: tuple[str, str],
@@ -167,13 +213,13 @@ def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> N
     for name, view in zip((a, b), read.pairing.pairs.skeletons.views, strict=True):
         if (mirrored_share(read.body, view.positions) or 0.0) > MIRRORED:
             raise CalibrationError(
-                f"{name} is the mirror image of a person: state its axes with --axes, or change the sign of "
-                "x in it. duplex fuse --force takes it as it is."
+                f"{name} is the mirror image of a person: state its axes with `axes`, or change the sign of "
+                "x in it. `force` takes it as it is."
             )
     raise CalibrationError(
         f"{a} and {b} cannot be of one person at the same time: the views differ by "
         f"{1e3 * plan.views_differ:.0f} mm after the best registration. Check that they belong together, and "
-        "their clocks; duplex fuse --force fuses them all the same."
+        "their clocks; `force` fuses them all the same."
     )
 
 

@@ -137,7 +137,7 @@ C = ConnectedSensor(2, "000789", False, False)
 
 
 def test_two_sensors_and_no_name_asks_which_is_which():
-    with pytest.raises(NeedsChoiceError, match="--principal 000123 or --principal 000456") as asked:
+    with pytest.raises(NeedsChoiceError, match="`principal=000123` or `principal=000456`") as asked:
         choose_two([B, A])
     assert asked.value.serials == ("000123", "000456")
 
@@ -161,7 +161,7 @@ def test_one_name_leaves_the_other_to_what_is_connected(names, chosen):
         ([A, B], {"a": "000999"}, r"No sensor with serial 000999\. Connected: 000123, 000456"),
         ([A, B], {"a": "000123", "b": "000123"}, "both 000123"),
         ([A, B, C], {}, "3 sensors are connected"),
-        ([A, B], {"a": "000123", "principal": "000456"}, "--kinect-a 000123 and --principal 000456 both"),
+        ([A, B], {"a": "000123", "principal": "000456"}, "`kinect_a=000123` and `principal=000456` both"),
     ],
 )
 def test_a_choice_that_cannot_be_made_is_explained(connected, names, message):
@@ -182,7 +182,7 @@ def test_the_master_is_where_the_cable_leads_out():
 @pytest.mark.parametrize(
     ("other", "words", "not_said"),
     [
-        ({"sdk": "orbbec", "tells_jacks": False}, "--sync-master 000123 or CL8F", "CL8F: in empty"),
+        ({"sdk": "orbbec", "tells_jacks": False}, "`sync_master=000123` or CL8F", "CL8F: in empty"),
         ({"sdk": "freenect2", "has_port": False}, "No sync cable fits into CL8F. Unplug it", "Lead it"),
     ],
 )
@@ -220,7 +220,7 @@ def test_a_master_that_is_named_against_the_jacks_is_explained():
     leads, follows = _jacks("000456", False, True), _jacks("000123", True, False)
     assert sync_master(follows, leads, "000456") == "000456"
     for pair in ((follows, leads), (A, B)):
-        with pytest.raises(DeviceError, match="--sync-master 000123: no cable leads from its sync out"):
+        with pytest.raises(DeviceError, match="`sync_master=000123`: no cable leads from its sync out"):
             sync_master(*pair, "000123")
     assert sync_master(_jacks("CL1", False, False), _jacks("CL2", False, False), "CL2") == "CL2"
 

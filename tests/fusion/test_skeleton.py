@@ -53,7 +53,7 @@ def test_the_body_follows_from_the_joint_names():
     assert body_of(set(BLAZEPOSE.joints) - {"HEEL_LEFT"}) is BLAZEPOSE
     with pytest.raises(FusionError, match="Unknown joint 'Tail'"):
         body_of({*KINECT_V1.joints, "Tail"})
-    with pytest.raises(FusionError, match=r"'l_ankle'.* Name yours in a table: --names FILE\.toml\.$"):
+    with pytest.raises(FusionError, match=r"'l_ankle'.* Name yours in a table: `names=FILE\.toml`\.$"):
         body_of({*KINECT_V1.joints, "l_ankle"})
 
 

@@ -4,6 +4,8 @@ import ast
 import re
 from pathlib import Path
 
+from viewer_app.flags import in_flags
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("fusion", "devices", "recordings", "viewer_app")
 _FENCE = re.compile(r"^```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -41,7 +43,7 @@ def mentions_of(document):
 
 
 def message_templates():
-    """Every text in the program, with an ellipsis for each value that is put into it."""
+    """Every text in the program, with an ellipsis for each value put into it, as the command line says it."""
     found = set()
     for package in PACKAGES:
         for module in (ROOT / package).rglob("*.py"):
@@ -51,4 +53,4 @@ def message_templates():
                     found.add("".join(map(str, parts)))
                 elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                     found.add(_FIELD.sub("…", node.value))
-    return found
+    return {in_flags(text) for text in found}

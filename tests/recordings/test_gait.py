@@ -11,7 +11,8 @@ from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from fusion.angles import UP
 from fusion.body import AZURE_KINECT, BODIES
-from recordings.gait import SIDES, Gait, Step, cycle_curves, find_gait
+from recordings.errors import RecordingError
+from recordings.gait import SIDES, Gait, Step, find_gait
 from tests.helpers.footfalls import contacts, laboratory_walk, walker
 
 SECONDS, RATE = 20.0, 30.0
@@ -330,5 +331,15 @@ def test_nobody_and_nothing_have_no_steps():
 
 def test_curves_over_the_gait_cycle_begin_and_end_with_their_strikes():
     seconds = np.linspace(0.0, 10.0, 301)
-    curves = cycle_curves(seconds, 3.0 * seconds, np.array([[1.0, 2.0], [4.0, 6.0]]))
-    np.testing.assert_allclose(curves[:, [0, 50, 100]], [[3.0, 4.5, 6.0], [12.0, 15.0, 18.0]])
+    step = Step("left", 0, *([np.nan] * 9))
+    steps = tuple(
+        step._replace(strike=strike, walk=walk) for strike, walk in ((1, 0), (2, 0), (4, 1), (6, 1))
+    )
+    gait = Gait(steps, time=seconds, angles={"knee_flexion_left": 3.0 * seconds})
+    for curves in (gait.curves("knee_flexion_left"), gait.curves(3.0 * seconds, "left")):
+        np.testing.assert_allclose(curves[:, [0, 50, 100]], [[3.0, 4.5, 6.0], [12.0, 15.0, 18.0]])
+    assert gait.curves("knee_flexion_left", "right").shape == (0, 101)
+    with pytest.raises(RecordingError, match="left or right, not 'leg'"):
+        gait.curves(seconds, "leg")
+    with pytest.raises(RecordingError, match=r"each of 301 frames; got \(300,\) values"):
+        gait.curves(seconds[1:], "left")

@@ -7,11 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from devices.sensor import DeviceError
 from fusion.body import KINECT_V1
 from fusion.setup import FuserSettings
 from recordings import Session, fuse
+from recordings.session_differences import write_worst_moment
 from recordings.testing import SessionsDifferError, assert_sessions_match, simulated_session
 from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
@@ -43,7 +45,8 @@ def walks(tmp_path_factory):
     for seed, session in made.items():
         session.save(folder / f"walk_{seed}.rrd")
     fuse(*write_recordings(folder))
-    duplex("compare", *folder.glob("*.rrd"), "--no-viewer")
+    duplex("compare", "--any-capture", *folder.glob("*.rrd"), "--no-viewer")
+    write_worst_moment(made[7], made[8], folder / "worst.png")
     return {seed: Session.open(folder / f"walk_{seed}.rrd") for seed in made}
 
 
@@ -87,6 +90,9 @@ def test_the_example_makes_its_expected_file_and_shows_what_changed(run, pyteste
     _, actual, expected = compare
     assert Session.open(pytester.path / actual).settings.smoothing == 1.0
     assert expected == "expected.rrd"
+    picture = pytester.path / re.search(r"^E +picture: +(.*)$", said, re.MULTILINE)[1]
+    assert picture.parent == (pytester.path / actual).parent
+    assert imread(picture).shape[:2] == (605, 990)
     assert printed_command(said, "to accept it")[1:] == update
 
 
@@ -101,7 +107,7 @@ def test_a_file_that_cannot_be_read_shows_the_test_s_own_line(run, pytester):
     assert "No session nothing.rrd" in said
 
 
-def test_processes_of_xdist_share_the_option_and_the_expected_files(run, pytester, walks):
+def test_processes_of_xdist_share_the_option_and_the_expected_files(run, pytester, walks, capsys):
     for walk in walks.values():
         shutil.copy(walk.path, pytester.path)
     pytester.makepyfile(test_own=OWN)
@@ -111,8 +117,11 @@ def test_processes_of_xdist_share_the_option_and_the_expected_files(run, pyteste
     for seed, walk in walks.items():
         assert_sessions_match(pytester.path / "kept" / f"expected_{seed}.rrd", walk, position_mm=0.0)
     assert "of different captures" in said
-    # Where CI is set, pytest's summary repeats the message without the "E".
-    assert len(re.findall(r"^E .*duplex review ", said, re.MULTILINE)) == 2, "compare would refuse them"
+    program, *compare = printed_command(said, "to see it")
+    assert compare[:2] == ["compare", "--any-capture"]
+    capsys.readouterr()
+    assert (program, duplex(*compare, "--no-viewer")) == ("duplex", 0)
+    assert re.search(r"^(\d+) frames in common, of \1 and \1", capsys.readouterr().out)
     actual = pytester.path / ".pytest_cache" / "d" / "duplex" / "test_own.py_test_apart" / "actual.rrd"
     assert_sessions_match(actual, walks[7], position_mm=0.0)
 
@@ -132,6 +141,23 @@ def test_sessions_in_memory_are_kept_without_a_cache(run, pytester, walks):
     for path, seed in zip(kept, walks, strict=True):
         assert_sessions_match(path, walks[seed], position_mm=0.0)
     assert "to accept it" not in said, "there is no file to write"
+
+
+def test_a_session_that_is_not_good_is_kept_and_shown(run, pytester):
+    pytester.makepyfile("""
+        from recordings.testing import assert_session
+
+        def test_good(simulated_session):
+            assert_session(simulated_session(seconds=1.0, seed=7), verdict=None, gap_s=0.001)
+    """)
+    said, *counts = run()
+    assert counts == [0, 1]
+    assert re.search(r"there is no S\* for 0\.03 s from .* asked for was 0\.001 s", said)
+    program, command, path = printed_command(said, "to see it")
+    assert (program, command) == ("duplex", "review")
+    assert len(Session.open(pytester.path / path)) == 30
+    assert "to accept it" not in said
+    assert "picture:" not in said
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_an_offset_that_is_not_certain_is_refused_unless_it_is_given(walk, sd, l
         lambda *_: TimeOffset(3.7, sd_seconds=sd, correlation=0.9, lag_seconds=lag),
     )
     file = truth_of(walk, offset_s=3.7, seconds=12.0)
-    with pytest.raises(RecordingError, match="moves too little to find the offset; give --offset"):
+    with pytest.raises(RecordingError, match="moves too little to find the offset; give `offset`"):
         TruthComparison.of(walk.session, file)
     given = TruthComparison.of(walk.session, file, offset_s=3.75).offset
     assert given.seconds == 3.75

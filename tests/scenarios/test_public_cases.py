@@ -8,8 +8,8 @@ import pytest
 from devices.simulated.kinect import simulated_pair
 from fusion.body import BODIES
 from recordings import Session, fuse
+from recordings.quality.figures import report
 from tests.helpers.command_line import duplex, one_line
-from viewer_app.report.figures import report
 from viewer_app.report.words import lead_lines
 
 

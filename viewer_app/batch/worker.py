@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from fusion.errors import DuplexError
+from recordings.quality.figures import Figures, truth_free_figures
 from recordings.session import Session
 from viewer_app.batch.jobs import RECORD, Job, Outcome, Record
 from viewer_app.commands.fuse import fuse_files
-from viewer_app.errors import mistakes
-from viewer_app.report.figures import Figures, truth_free_figures
+from viewer_app.flags import in_flags
 
 _ONE_AT_A_TIME = threading.Lock()
 """A Dask worker may have several threads; the memory of one recording is enough."""
@@ -25,8 +26,8 @@ def fuse_job(job: Job) -> Outcome:
     with _ONE_AT_A_TIME:
         try:
             return Outcome(job.name, _fuse(job))
-        except mistakes() as error:
-            return Outcome(job.name, None, _one_line(str(error)))
+        except DuplexError as error:
+            return Outcome(job.name, None, _one_line(in_flags(str(error))))
         except OSError as error:
             name = f"{error.filename}: " if error.filename else ""
             return Outcome(job.name, None, _one_line(f"{name}{error.strerror or error}."))
@@ -59,7 +60,7 @@ def _fuse(job: Job) -> Record:
         record: Record = {
             "identity": identity,
             "sources": list(session.sources),
-            "warnings": [event.text for event in session.events if event.level == "WARN"],
+            "warnings": [in_flags(event.text) for event in session.events if event.level == "WARN"],
             "figures": _session_figures(session, figures),
         }
         text = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False)

@@ -1,21 +1,14 @@
 """Advice for setting up two sensors, and advice derived from a calibration."""
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, Calibration
+from recordings.quality.limits import ANGLES, GOOD, USABLE, beside, graded, spoken
 
 Level = Literal["INFO", "WARN"]
-
-ANGLES = (60.0, 120.0)
-"""Range of the angle between the sensors, degrees, in which they complement each other best."""
-GOOD, USABLE = 40.0, 80.0
-"""Thresholds for the median distance between the calibrated views, mm; real Kinects reach 25 to 60 mm."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +43,6 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
     yield verdict(calibration)
 
 
-def graded(value: float, limits: tuple[float, float]) -> Literal["good", "usable", "poor"]:
-    """Good below the first limit, usable below the second."""
-    return "good" if value < limits[0] else "usable" if value < limits[1] else "poor"
-
-
 def verdict(calibration: Calibration) -> Advice:
     """Advice that rates a calibration in millimetres and names the limiting factor.
 
@@ -84,23 +72,6 @@ def verdict(calibration: Calibration) -> Advice:
         f"{GOOD:.0f}, usable below {USABLE:.0f}); {limit}.",
         "WARN" if word == "poor" else "INFO",
     )
-
-
-def beside(value: float, *limits: float, digits: int = 0) -> str:
-    """A number with so many digits, or as many more as keep it on its side of the limits."""
-    sides = [np.sign(value - each) for each in limits]
-    return next(
-        text
-        for more in range(digits, 18)
-        for text in [f"{value:.{more}f}"]
-        if more == 17 or [np.sign(float(text) - each) for each in limits] == sides
-    )
-
-
-def spoken(joint: str) -> str:
-    """A joint's name as one says it: "left hand" for HAND_LEFT and HandLeft."""
-    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", joint).replace("_", " ").lower().split()
-    return " ".join(sorted(words, key=lambda word: word not in ("left", "right")))
 
 
 def to_markdown(advice: Sequence[Advice]) -> str:

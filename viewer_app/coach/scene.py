@@ -15,9 +15,10 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from recordings.appearance.coach_page import CoachPage, Mark, Point
 from recordings.appearance.floor import ANKLE, CAMERA_HEIGHT
-from viewer_app.coach.advice import ANGLES, Advice, to_markdown
+from recordings.quality.limits import ANGLES, FARTHEST
+from viewer_app.coach.advice import Advice, to_markdown
 from viewer_app.coach.setup_coach import HOLD, Situation
-from viewer_app.coach.standing_spot import FARTHEST, StandingSpot, standing_spot
+from viewer_app.coach.standing_spot import StandingSpot, standing_spot
 
 _RING = 0.3  # metres, radius
 _UNDER = 0.5  # metres

@@ -19,9 +19,10 @@ from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 from recordings.appearance.floor import CAMERA_HEIGHT
+from recordings.quality.limits import FARTHEST, nearest
 from recordings.session_arrays import SessionFrame
 from viewer_app.coach.advice import Advice, placement
-from viewer_app.coach.standing_spot import FARTHEST, nearest, standing_spot
+from viewer_app.coach.standing_spot import standing_spot
 
 UNSEEN = 1.0
 """Seconds without a person before the coach reports it."""

@@ -7,11 +7,8 @@ from numpy.typing import NDArray
 
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
+from recordings.quality.limits import nearest
 
-FARTHEST = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9, "blazepose": 3.9}
-"""Specified depth range in metres, by body (Azure: NFOV, not binned; BlazePose: as on an Azure Kinect)."""
-TALL = 2.0
-"""Metres that must fit into the image: a tall adult, and some room."""
 ARM = 0.9
 """Metres from the trunk to a fingertip, arms out."""
 _STEP = 0.1  # metres between the tested places
@@ -27,11 +24,6 @@ class StandingSpot:
     room: float
     """Margin in metres at the tightest limit of either sensor; negative if the person is not fully
     visible."""
-
-
-def nearest(camera: Intrinsics) -> float:
-    """The smallest distance in metres at which a tall person fits into the image."""
-    return TALL * camera.fy / camera.height
 
 
 def standing_spot(

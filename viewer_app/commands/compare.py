@@ -22,6 +22,7 @@ from recordings.comparison_scene import (
     record_truth_comparison,
 )
 from recordings.file.session_writer import whole_recording
+from recordings.quality.figures import Figures
 from recordings.session import Session
 from recordings.session_comparison import Comparison
 from recordings.truth_comparison import TruthComparison
@@ -29,8 +30,7 @@ from recordings.truth_files import SUFFIXES, read_truth
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import CompareOptions
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, write_text
-from viewer_app.report.figures import Figures, save_report
+from viewer_app.output_files import check_outputs, save_report, write_text
 from viewer_app.report.terminal import figure_table, print_damage, print_lines
 from viewer_app.report.truth_figures import (
     ALL_HEAD,
@@ -62,8 +62,9 @@ def run(options: CompareOptions) -> None:
     inputs = [options.first, options.second]
     check_outputs([options.html, options.report], inputs, options.force, options.save)
     if options.second.suffix.lower() in SUFFIXES:
-        if options.worst is not None:
-            raise UsageError(f"--worst is for two sessions; {options.second} is motion capture.")
+        for name, chosen in (("worst", options.worst is not None), ("any-capture", options.any_capture)):
+            if chosen:
+                raise UsageError(f"--{name} is for two sessions; {options.second} is motion capture.")
         _compare_with_truth(options, console)
     elif given := [name for name in _OF_TRUTH if getattr(options, name) is not None]:
         known = ", ".join(SUFFIXES)
@@ -120,7 +121,7 @@ def _compare_sessions(options: CompareOptions, console: Console) -> None:
     sessions = [Session.open(path) for path in (options.first, options.second)]
     for session in sessions:
         print_damage(console, session)
-    comparison = Comparison.of(*sessions)
+    comparison = Comparison.of(sessions[0], sessions[1], options.any_capture)
     worst = comparison.worst(_WORST if options.worst is None else options.worst)
     window = window_opens(options.no_viewer, console)
 

@@ -23,12 +23,12 @@ from fusion.setup import FuserSettings
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.fusing.files import check_related, fused_session, read_for, without_folders
 from recordings.fusing.pairs import block_count, fuse_segments, setups_of
+from recordings.quality.figures import Figures, report
 from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import FuseOptions, calibration_source, recording_settings
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, write_text
-from viewer_app.report.figures import Figures, report, save_report
+from viewer_app.output_files import check_outputs, save_report, write_text
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up

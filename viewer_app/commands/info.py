@@ -21,13 +21,13 @@ from fusion.handedness import mirrored_share
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.images import Images
+from recordings.quality.figures import calibration_figures
 from recordings.session import Session
 from recordings.session_arrays import pauses_of, rate_without_pauses
 from recordings.truth_files import TruthFile, read_truth
 from viewer_app.options.sessions import InfoOptions
 from viewer_app.output_console import output_console
 from viewer_app.report.events import list_events
-from viewer_app.report.figures import calibration_figures
 from viewer_app.report.terminal import print_events
 from viewer_app.report.words import calibration_in_words, in_percent
 
@@ -113,7 +113,7 @@ def _read(path: Path, stated: StatedFormat) -> tuple[ReadFile, StatedFormat]:
             fault = fault or error
             continue
         mirrored = mirrored_share(read.body, read.people.skeletons.positions) or 0.0
-        if mirrored <= MIRRORED and not any("--axes" in line for line in read.warnings):
+        if mirrored <= MIRRORED and not any("`axes`" in line for line in read.warnings):
             return read, by
         fallback = fallback or (read, by)
     if fallback is None and fault is not None:
@@ -169,7 +169,7 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
 def _options(read: ReadFile, stated: StatedFormat) -> str:
     """The options by which a file is read so without a question."""
     unit = next(key for key, (_, words) in METRES.items() if words == read.unit)
-    asked = stated.unit != "auto" or any("--unit" in line for line in read.warnings)
+    asked = stated.unit != "auto" or any("`unit`" in line for line in read.warnings)
     options = (("unit", unit if asked else ""), ("axes", stated.axes), ("names", stated.names))
     return "".join(f" --{name} {value}" for name, value in options if value)
 

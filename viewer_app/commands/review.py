@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from recordings.quality.figures import report, truth_free_figures
 from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReviewOptions
@@ -13,7 +14,6 @@ from viewer_app.report.events import (
     opening_event,
     seconds_of,
 )
-from viewer_app.report.figures import report, truth_free_figures
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_events, print_summary, say_more
 from viewer_app.viewer.file_window import in_this_layout, served, show

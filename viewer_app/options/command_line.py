@@ -54,7 +54,7 @@ COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "tracker fetch": (TrackerFetchOptions, "viewer_app.commands.tracker"),
 }
 """Options and module of each command, by ``command`` or ``group command``. The module has a ``run``;
-its errors (:func:`viewer_app.errors.mistakes`) have one line for the person who asked."""
+its errors (:class:`fusion.errors.DuplexError`) have one line for the person who asked."""
 
 _GROUPS = {"tracker": "The program's own body tracker, BlazePose."}
 _LONGEST = 200  # characters of a message; longer ones, with a long value, lose their middle

@@ -101,6 +101,8 @@ class CompareOptions(SummaryOptions):
     """Write all figures as JSON."""
     save: Annotated[Path | None, OUTPUTS] = None
     """Keep the skeletons and their difference as an .rrd file."""
+    any_capture: bool = False
+    """Also compare sessions of different captures: each frame with the nearest in time since the first."""
     worst: Annotated[int | None, WHOLE_NUMBER] = None
     """Of two sessions: how many of the moments in which they differ most to list; 5 if not given."""
     no_viewer: Annotated[bool, VIEWER] = False

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from devices.events import Event, Spell, spells_of
+from viewer_app.flags import in_flags
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,8 @@ def seconds_of(time_ns: int) -> str:
 def event_in_words(listed: ListedEvent) -> str:
     """The text of an event, with its duration, marked where it is a warning."""
     event, spell = listed.event, listed.spell
-    text = event.text[:1].upper() + event.text[1:]
+    text = in_flags(event.text)
+    text = text[:1].upper() + text[1:]
     text += "" if text.endswith((".", "!", "?")) else "."
     if spell is not None:
         text += f" It lasted {_duration(event, spell.end)}."

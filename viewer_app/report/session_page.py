@@ -2,9 +2,9 @@
 
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
+from recordings.quality.figures import Figures
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import Situation
-from viewer_app.report.figures import Figures
 from viewer_app.report.words import lead_lines
 
 _SHOWN = ("Verdict", "Views agree", "Doubtful", "Calibration", "Repaired", "Never seen")

@@ -13,9 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from devices.events import Event
+from recordings.quality.figures import Figures
 from recordings.session import Session
 from viewer_app.report.events import ListedEvent, event_in_words, list_events, seconds_of, shortest_list
-from viewer_app.report.figures import Figures
 from viewer_app.report.words import BONE_HEAD, Line, bone_rows, detail_lines, lead_lines
 from viewer_app.viewer.display import has_display
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from fusion.angles import ANGLES
 from recordings import layout
+from recordings.quality.figures import Figures, known_or_none, of_finite
 from recordings.truth_comparison import SKELETONS, TruthComparison
-from viewer_app.report.figures import Figures, known_or_none, of_finite
 from viewer_app.report.words import Line, in_mm, in_percent
 
 Array = NDArray[np.float64]

@@ -4,9 +4,9 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.angles import ANGLES
+from recordings.quality.figures import Figures
 from recordings.session import Session
 from recordings.truth_comparison import SKELETONS, TruthComparison
-from viewer_app.report.figures import Figures
 from viewer_app.report.review_page import page_template
 from viewer_app.report.svg_plots import bar_plot, line_plot, skeleton_color
 from viewer_app.report.truth_figures import (

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from recordings.gait import SIDES, Gait, Measured, cycle_curves
-from recordings.session import AngleSeries, Session
+from recordings.gait import SIDES, Gait, Measured
+from recordings.series import AngleSeries
+from recordings.session import Session
 from viewer_app.report.svg_plots import cycle_plot, line_plot
 
 _OF_A_SIDE = ("hip_flexion", "knee_flexion", "hip_abduction", "shoulder_flexion", "elbow_flexion")
@@ -27,17 +28,17 @@ class Movement(NamedTuple):
 
 def movement_of(session: Session) -> Movement:
     """The content of the page's sections about angles and gait."""
-    angles, gait = session.angles, session.gait
+    gait = session.gait
     return Movement(
-        Markup("").join(map(Markup, _over_time(session, angles))),
+        Markup("").join(map(Markup, _over_time(session, session.angles))),
         _summary(gait),
         list(_gait_rows(gait)),
-        Markup("").join(map(Markup, _over_cycles(session, angles, gait))),
+        Markup("").join(map(Markup, _over_cycles(gait))),
     )
 
 
 def _over_time(session: Session, angles: AngleSeries) -> Iterator[str]:
-    time = session.time_ns * 1e-9
+    time = session.time
     plots = {
         name: {side: (f"{name}_{side}", side) for side in SIDES}
         for name in (*_OF_A_SIDE, "shoulder_abduction")
@@ -51,16 +52,14 @@ def _over_time(session: Session, angles: AngleSeries) -> Iterator[str]:
         )
 
 
-def _over_cycles(session: Session, angles: AngleSeries, gait: Gait) -> Iterator[str]:
-    cycles = {side: gait.cycles(side) for side in SIDES}
-    if min(len(each) for each in cycles.values()) < _FEWEST_CYCLES:
+def _over_cycles(gait: Gait) -> Iterator[str]:
+    if min(len(gait.cycles(side)) for side in SIDES) < _FEWEST_CYCLES:
         return
     toe_offs = {side: _median(gait.stance(side)) for side in SIDES}
-    time = session.time_ns * 1e-9
     for name in _OF_A_SIDE:
-        curves = {side: cycle_curves(time, angles[f"{name}_{side}"], cycles[side]) for side in SIDES}
+        curves = {side: gait.curves(f"{name}_{side}") for side in SIDES}
         yield cycle_plot(name.replace("_", " "), curves, toe_offs)
-    trunk = {side: cycle_curves(time, angles["trunk_flexion"], cycles[side]) for side in SIDES}
+    trunk = {side: gait.curves("trunk_flexion", side) for side in SIDES}
     yield cycle_plot("trunk flexion", trunk, toe_offs)
 
 

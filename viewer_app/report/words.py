@@ -8,10 +8,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from viewer_app.coach.advice import USABLE, spoken
-from viewer_app.report.doubtful_time import UNCERTAIN
-from viewer_app.report.figures import Figures
-from viewer_app.report.verdict import Verdict, doubt, in_words, precision_in_words
+from recordings.quality.doubtful_time import UNCERTAIN
+from recordings.quality.figures import Figures
+from recordings.quality.limits import USABLE, spoken
+from recordings.quality.verdict import doubt, in_words
+from viewer_app.flags import in_flags
 
 _PAUSED = 0.9  # of the time: with less there are pauses
 _SOME_TIME = 0.5  # seconds
@@ -38,15 +39,16 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
     """The lines that lead every report."""
     if "fused_frames" in figures:
         rate = figures["frames_per_second"]
-        found = Verdict(**figures["verdict"])
-        yield Line("Verdict", in_words(found), found.word in ("poor", "unknown"), found.word)
+        found = figures["verdict"]
+        word = found["word"]
+        yield Line("Verdict", in_flags(in_words(**found)), word in ("poor", "unknown"), word)
         median, high = (in_mm(figures["views_agree_mm"][key]) for key in ("median", "p95"))
         text = f"median {median}, 95 % {high}, over all frames since the calibration."
         yield Line("Views agree", text, figure=median)
         if doubts := [f"{words} {lasts}" for words, lasts in _doubts(figures)]:
             yield Line("Doubtful", f"{', '.join(doubts)}.")
         turn = figures["calibration"]["rotation_sd_deg"]
-        precision = f"{precision_in_words(figures['calibration'])}."
+        precision = f"{_precision_in_words(figures['calibration'])}."
         yield Line("Calibration", precision, figure="–" if turn is None else f"± {turn:.1f}°")
         yield _repaired(figures["repaired"])
         yield Line("S*", _pace(figures), figure="–" if rate is None else f"{rate:.1f} / s")
@@ -109,6 +111,17 @@ def bone_rows(figures: Figures) -> Iterator[list[str]]:
 
 BONE_HEAD = ("bone", "target", "S_A", "S_B", "S*")
 """The columns of :func:`bone_rows`."""
+
+
+def _precision_in_words(calibration: Figures) -> str:
+    """How certain a calibration is, in standard deviations, and from what."""
+    turn, shift, frames = (calibration[key] for key in ("rotation_sd_deg", "translation_sd_mm", "frames"))
+    if turn is None or not math.isfinite(turn):
+        return "precision unknown"
+    far = calibration["sd_at_3m_mm"]
+    size = "" if shift is None else f", ± {shift:.0f} mm at the person"
+    size += "" if far is None else f" and ± {far:.0f} mm 3 m from there"
+    return f"± {turn:.1f}°{size}, from {frames} frames"
 
 
 def _doubts(figures: Figures) -> Iterator[tuple[str, str]]:

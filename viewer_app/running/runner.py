@@ -12,15 +12,15 @@ from rich.console import Console
 from devices.capture.sensor_pair import TwoSensors
 from devices.tracker_choice import tracker_name
 from fusion.setup import FusionSetup
+from recordings.quality.figures import Figures, fusion_figures, with_verdict
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays, SessionFrame
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions
-from viewer_app.output_files import warn_of_little_room
+from viewer_app.output_files import save_report, warn_of_little_room
 from viewer_app.outputs.opening import announce_outputs, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
-from viewer_app.report.figures import Figures, fusion_figures, save_report, with_verdict
 from viewer_app.report.terminal import print_details, print_summary, say_more, say_saved
 from viewer_app.running.interruption import call_after
 from viewer_app.running.status import LiveDisplay

@@ -21,7 +21,7 @@ from fusion.skeleton import Skeleton, TrackingState
 
 INSTALL = (
     "Install Microsoft's Azure Kinect Body Tracking SDK 1.1 (Windows, or Ubuntu 18.04/20.04: libk4abt1.1), "
-    "or name its library with --k4abt PATH."
+    "or name its library with `k4abt=PATH`."
 )
 _PROCESSING = {"gpu": 0, "cpu": 1, "cuda": 2, "tensorrt": 3, "directml": 4}
 _ORIENTATIONS = {0: 0, 90: 2, 180: 3, 270: 1}

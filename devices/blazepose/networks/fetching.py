@@ -30,7 +30,7 @@ _UNREACHABLE = re.compile(r"Retrying \(|ENOTFOUND|ECONNREFUSED|EAI_AGAIN|ETIMEDO
 _LICENCE_IN_WHEEL = "mediapipe-0.10.21.dist-info/LICENSE"
 _ELSEWHERE = (
     "On a machine with a package index, duplex tracker fetch --tracker-model DIR makes a folder to copy; "
-    "name it here with --tracker-model DIR."
+    "name it here with `tracker_model=DIR`."
 )
 # The networks do not depend on the platform. This wheel is the smallest.
 _PIP_OPTIONS = (

@@ -89,7 +89,7 @@ def checked_content(file: NetworkFile, folder: Path) -> bytes:
     except FileNotFoundError:
         raise DeviceError(
             f"The body tracker's network {file.name} is not in {folder}. Run {fetch}, "
-            f"or name the folder that has it: --tracker-model, in Python BlazePoseSettings(models=...)."
+            f"or name the folder that has it: `tracker_model`, in Python BlazePoseSettings(models=...)."
         ) from None
     except OSError as fault:
         raise DeviceError(

@@ -119,7 +119,7 @@ def test_two_of_three_kinects_must_be_chosen_as_for_live(bus, tmp_path):
     named = _by_name(device_checks(root=tmp_path))
     assert (named["two sensors"].ok, named["two sensors"].needed) == (False, True)
     assert (
-        named["two sensors"].advice == "3 sensors are connected: 1, 2, 3. Choose two: --kinect-a, --kinect-b."
+        named["two sensors"].advice == "3 sensors are connected: 1, 2, 3. Choose two: `kinect_a`, `kinect_b`."
     )
     named = _by_name(device_checks(root=tmp_path, choice=("3", "2", None)))
     assert named["two sensors"].ok
@@ -226,7 +226,7 @@ def test_orbbecs_software_and_our_tracker_are_enough(orbbecs, monkeypatch, tmp_p
     assert bolt.ok
     assert bolt.detail == "Orbbec Femto Bolt, USB3.2, firmware 1.1.3, sync jacks not known"
     assert "recommends firmware 1.4.98" in gemini.advice
-    assert "--sync-master" in named["sync cable"].advice
+    assert "`sync_master`" in named["sync cable"].advice
     assert "never a real sensor" in named["proven on hardware"].detail
     assert not named["proven on hardware"].needed
     assert orbbecs.open_serials == [], "each is opened briefly"

@@ -132,9 +132,9 @@ def test_red_stays_red(fakenect, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"depth_mode": "WFOV_2X2BINNED"}, r"has one depth mode, 640 × 480\. Leave --depth-mode out"),
-        ({"fps": 15}, r"runs at 30 fps, not 15\. Leave --fps out"),
-        ({"sync": "master"}, r"no port for a sync cable\. Leave --sync-master out"),
+        ({"depth_mode": "WFOV_2X2BINNED"}, r"has one depth mode, 640 × 480\. Leave `depth_mode` out"),
+        ({"fps": 15}, r"runs at 30 fps, not 15\. Leave `fps` out"),
+        ({"sync": "master"}, r"no port for a sync cable\. Leave `sync_master` out"),
     ],
 )
 def test_a_mode_the_sensor_lacks_is_refused(fakenect, dump, settings, message):
@@ -213,7 +213,7 @@ def test_they_are_listed_beside_the_others_and_have_no_sync_port(dump):
     assert choose_two([a, b], principal=B) == (B, A)
     assert sync_master(a, b) is None
     assert cable_notes(a, b, None)[0].startswith(f"No sync cable fits into {A} and {B}. Pairs are up to half")
-    with pytest.raises(DeviceError, match=rf"No sync cable fits into {A} and {B}\. Leave --sync-master out"):
+    with pytest.raises(DeviceError, match=rf"No sync cable fits into {A} and {B}\. Leave `sync_master` out"):
         sync_master(a, b, A)
 
 

@@ -118,10 +118,10 @@ def test_images_of_different_packets_and_damaged_ones_are_left_out(freenect2):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"depth_mode": "WFOV_2X2BINNED"}, r"has one depth mode, 512 × 424\. Leave --depth-mode out"),
-        ({"fps": 15}, r"runs at 30 fps, not 15\. Leave --fps out"),
-        ({"sync": "master"}, r"no port for a sync cable\. Leave --sync-master out"),
-        ({"color": "720P"}, r"colour is not read\. Leave --color out"),
+        ({"depth_mode": "WFOV_2X2BINNED"}, r"has one depth mode, 512 × 424\. Leave `depth_mode` out"),
+        ({"fps": 15}, r"runs at 30 fps, not 15\. Leave `fps` out"),
+        ({"sync": "master"}, r"no port for a sync cable\. Leave `sync_master` out"),
+        ({"color": "720P"}, r"colour is not read\. Leave `color` out"),
     ],
 )
 def test_a_mode_the_sensor_lacks_is_refused(freenect2, settings, message):
@@ -246,7 +246,7 @@ def test_they_are_listed_beside_the_others_and_have_no_sync_port():
     assert [(one.index, one.serial, one.sdk) for one in (a, b)] == [(0, A, "freenect2"), (1, B, "freenect2")]
     assert sync_master(a, b) is None
     assert cable_notes(a, b, None)[0].startswith(f"No sync cable fits into {A} and {B}.")
-    with pytest.raises(DeviceError, match=r"Leave --sync-master out"):
+    with pytest.raises(DeviceError, match=r"Leave `sync_master` out"):
         sync_master(a, b, A)
 
 

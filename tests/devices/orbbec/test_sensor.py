@@ -98,7 +98,7 @@ def test_a_stereo_sensor_gives_millimetres_and_8_bit_infrared(orbbecs):
         frame = next(sensor.frames())
     assert int(frame.depth[0, 0]) == round(2001 * 0.5)
     assert int(frame.ir[0, 0]) == 90
-    with pytest.raises(DeviceError, match=r"no depth mode WFOV_2X2BINNED.*640×400; leave --depth-mode out"):
+    with pytest.raises(DeviceError, match=r"no depth mode WFOV_2X2BINNED.*640×400; leave `depth_mode` out"):
         _sensor("AY8T43E0031", depth_mode="WFOV_2X2BINNED").__enter__()
 
 

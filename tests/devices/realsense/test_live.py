@@ -170,7 +170,7 @@ def test_a_model_without_master_and_slave_runs_alone_only(rs, of):
     """D405 and D421 have no sync modes; those of the D500 series have other meanings."""
     software = Software(rs, **of)
     set_sync_role(rs, software.device, "1001", CaptureSettings())
-    with pytest.raises(DeviceError, match=r"1001 has no modes master and slave\. Leave --sync-master out"):
+    with pytest.raises(DeviceError, match=r"1001 has no modes master and slave\. Leave `sync_master` out"):
         set_sync_role(rs, software.device, "1001", CaptureSettings(sync="master"))
 
 
@@ -178,9 +178,9 @@ def test_modes_that_it_does_not_have_are_refused(rs, two):
     with plugged(rs, two[0]):
         for settings, why in (
             ({"fps": 5}, "has no depth at 5 fps"),
-            ({"depth_mode": "WFOV_2X2BINNED"}, "leave --depth-mode out"),
+            ({"depth_mode": "WFOV_2X2BINNED"}, "leave `depth_mode` out"),
             ({"color": "2160P"}, "no colour 2160P: 720P, 1080P"),
-            ({"color": "720P"}, r"has no colour 720P \(RGB8\) at 30 fps\. Leave --color out\.$"),
+            ({"color": "720P"}, r"has no colour 720P \(RGB8\) at 30 fps\. Leave `color` out\.$"),
         ):
             with pytest.raises(DeviceError, match=why):
                 _sensor(**settings).__enter__()

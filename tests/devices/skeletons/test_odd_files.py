@@ -306,7 +306,7 @@ def test_the_body_is_that_of_both_files_together(tmp_path, body, missing_in_a, m
     files = [write_seen(tmp_path / f"{s}.csv", body, *of) for s, of in views.items()]
     read = read_two(*(RecordingChoice(path, body=stated) for path in files))
     assert read.body.name == found
-    assert any("State the family of yours with --body." in said for said in read.warnings) == (
+    assert any("State the family of yours with `body`." in said for said in read.warnings) == (
         found == "kinect_v1"
     )
     elbow = read.body.joint("ELBOW_LEFT")

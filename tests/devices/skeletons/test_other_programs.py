@@ -126,8 +126,8 @@ WRONG_AXES = {
     "x,x,z": "has x twice",
     "x,y": "neither kinect, unity, opengl, ros, nor three axes",
     "x,y,w": "neither kinect, unity, opengl, ros, nor three axes",
-    "x,-y,z": "by --axes x,-y,z the person is a mirror image, so the result is left-handed",
-    "unity": "by --axes unity the person is a mirror image",
+    "x,-y,z": "by `axes=x,-y,z` the person is a mirror image, so the result is left-handed",
+    "unity": "by `axes=unity` the person is a mirror image",
     "-x,y,-z": "most joints have a negative z",
 }
 
@@ -144,7 +144,7 @@ def test_axes_that_nothing_proves_are_said_to_be_unproved(tmp_path, good):
     """Of a file without feet, as of OpenPose; these axes mirror the person."""
     path = changed(good, tmp_path / "a.csv", lambda table: table[~table["joint"].str.startswith("Foot")])
     said, _ = read_csv(path, StatedFormat(axes="unity")).warnings  # and that the head is below
-    assert said.startswith(f"{path}: whether the person is a mirror image by --axes unity is unknown")
+    assert said.startswith(f"{path}: whether the person is a mirror image by `axes=unity` is unknown")
     assert read_csv(path).warnings == ()
 
 

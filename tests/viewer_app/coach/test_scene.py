@@ -13,11 +13,12 @@ from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
+from recordings.quality.limits import FARTHEST, nearest
 from tests.helpers.two_views import A_FROM_B, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import HOLD, Situation
-from viewer_app.coach.standing_spot import ARM, FARTHEST, nearest, standing_spot
+from viewer_app.coach.standing_spot import ARM, standing_spot
 
 BODY = KINECT_V2
 CAMERA = NOMINAL_INTRINSICS[BODY.name]

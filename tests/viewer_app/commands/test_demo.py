@@ -14,11 +14,11 @@ from devices.simulated.tracking.scripted_faults import ScriptedFaults, Spells
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V2
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from recordings import Session
+from recordings.quality.limits import ANGLES
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.demonstrations import advice_over, fused_demonstration
 from tests.helpers.machine import small_disk
 from tests.helpers.session_text import rows_of
-from viewer_app.coach.advice import ANGLES
 
 QUICK = ("--depth", "none", "--no-viewer")
 

@@ -14,6 +14,7 @@ from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
 from recordings import layout
 from recordings.file.session_writer import write_session
+from recordings.quality.figures import fusion_figures, report
 from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
@@ -25,7 +26,6 @@ from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import calibration_of
 from viewer_app.commands.replay import verify
 from viewer_app.errors import UsageError
-from viewer_app.report.figures import fusion_figures, report
 
 
 @pytest.fixture(scope="module")

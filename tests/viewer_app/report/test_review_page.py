@@ -16,6 +16,7 @@ from recordings.appearance.colors import PREDICTED_COLOR
 from recordings.appearance.floor import floor_under
 from recordings.fusing.files import without_folders
 from recordings.gait import Gait, Measured
+from recordings.quality.figures import report, truth_free_figures
 from tests.helpers.command_line import duplex
 from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs
@@ -23,7 +24,6 @@ from tests.helpers.fused_runs import record_fused
 from tests.helpers.machine import need_browser
 from tests.helpers.two_views import calibration_of
 from viewer_app.report import motion as motion_module
-from viewer_app.report.figures import report, truth_free_figures
 from viewer_app.report.motion import _kept_frames, encoded_motion
 from viewer_app.report.review_page import review_page
 from viewer_app.report.svg_plots import _columns_of_time, line_plot, skeleton_color, trust_map

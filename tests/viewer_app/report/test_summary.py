@@ -21,23 +21,17 @@ from fusion.body import KINECT_V2
 from fusion.calibration.calibration import FEWEST_PAIRS
 from fusion.registration.rigid_fit import Registration
 from fusion.skeleton import NO_FRAME
+from recordings.quality.doubtful_time import doubtful_seconds, seen_people
+from recordings.quality.figures import _angle, method_figures, report, truth_free_figures, with_verdict
+from recordings.quality.limits import beside
+from recordings.quality.verdict import verdict
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of, standing
 from viewer_app.batch.worker import _session_figures
-from viewer_app.coach.advice import beside
-from viewer_app.report.doubtful_time import doubtful_seconds, seen_people
-from viewer_app.report.figures import (
-    _angle,
-    method_figures,
-    report,
-    save_report,
-    truth_free_figures,
-    with_verdict,
-)
+from viewer_app.output_files import save_report
 from viewer_app.report.review_page import review_page
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_lines, print_summary, say_saved
-from viewer_app.report.verdict import in_words, verdict
 from viewer_app.report.words import Line, bone_rows, detail_lines, in_mm, lead_lines
 from viewer_app.running.runner import stream_figures
 
@@ -167,8 +161,8 @@ def test_people_before_sensors_get_other_advice_than_files(figures, changed, wor
     changed = changed | {"calibration": figures["calibration"] | changed.get("calibration", {})}
     figures = with_views(figures, 30.0) | changed
     live = {**stream_figures(sensors()), **figures, "streams": {}}
-    assert words in in_words(verdict(live))
-    assert words not in in_words(verdict(figures))
+    assert words in str(verdict(live))
+    assert words not in str(verdict(figures))
 
 
 def test_how_far_the_views_are_apart_is_one_figure_everywhere(session, tmp_path):
@@ -250,7 +244,7 @@ def test_what_is_worse_never_gets_a_better_word(figures, median_mm, beyond_mm, l
     ],
 )
 def test_the_verdict_looks_at_time(figures, median_mm, p95_mm, seconds, words):
-    assert in_words(verdict(with_doubts(figures, median_mm, p95_mm, **seconds))).startswith(words)
+    assert str(verdict(with_doubts(figures, median_mm, p95_mm, **seconds))).startswith(words)
 
 
 def test_how_long_a_session_is_doubtful_is_counted_without_its_gaps(session):
@@ -282,8 +276,8 @@ def test_views_that_are_upside_down_and_joints_that_none_has_are_named(session):
     rows = session.rows
     turned = rows.positions_a * np.float32((-1.0, -1.0, 1.0))
     figures = with_views(report(replace(session, rows=replace(rows, positions_a=turned))), 30.0)
-    assert in_words(verdict(figures)) == (
-        "usable: A is upside down. If it is a .csv file with the axes of the Kinect SDK, state --axes kinect."
+    assert str(verdict(figures)) == (
+        "usable: A is upside down. If it is a .csv file with the axes of the Kinect SDK, state `axes=kinect`."
     )
     lacking = [KINECT_V2.joint(name) for name in ("SpineBase", "ShoulderLeft")]
     states_a, states_b = rows.states_a.copy(), rows.states_b.copy()
@@ -310,7 +304,7 @@ def test_views_that_are_upside_down_and_joints_that_none_has_are_named(session):
     loaded = replace(session.calibration, how="loaded from room.json (pose)")
     by_file = method_figures(changed.rows, loaded)["bones"]
     assert {by_file[f"upper_arm_{side}"]["length_from"] for side in ("left", "right")} == {"file", "views"}
-    assert in_words(verdict(with_views(report(changed), 30.0))) == (
+    assert str(verdict(with_views(report(changed), 30.0))) == (
         "usable: no view has spine base, left shoulder in any frame, and S* predicts what is not measured."
     )
 
@@ -326,7 +320,7 @@ def test_the_angle_of_the_sensors_is_that_about_the_vertical_however_they_are_ti
 def test_a_person_a_little_too_near_is_not_at_the_limit_in_words(figures):
     limits = {"near": 1.724, "far": 4.5}  # of a Kinect v2
     near = figures | {"distance_m": {side: {"median": 1.71, **limits} for side in "ab"}}
-    assert "the person is 1.7 m from A; good is 1.72 to 4.5 m" in in_words(verdict(with_views(near, 30.0)))
+    assert "the person is 1.7 m from A; good is 1.72 to 4.5 m" in str(verdict(with_views(near, 30.0)))
 
 
 @given(st.floats(0.1, 200.0), st.lists(st.floats(1.0, 150.0), min_size=1, max_size=2), st.integers(0, 2))

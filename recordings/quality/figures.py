@@ -1,10 +1,8 @@
 """The figures of a fusion, as ``report.json`` has them."""
 
-import json
 import math
 from contextlib import suppress
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,20 +20,18 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import NO_FRAME
 from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without_truth, judge_registration
 from recordings.calibration_file import is_loaded
-from recordings.session import Session
+from recordings.quality.doubtful_time import doubtful_seconds, seen_people
+from recordings.quality.limits import FARTHEST, nearest
+from recordings.quality.verdict import Figures as Figures
+from recordings.quality.verdict import Shortcoming, verdict
 from recordings.session_arrays import SessionArrays, rate_without_pauses
-from recordings.session_data import ViewsAgree
-from viewer_app.coach.standing_spot import FARTHEST, nearest
-from viewer_app.output_files import write_text
-from viewer_app.report.doubtful_time import doubtful_seconds, seen_people
-from viewer_app.report.verdict import Figures as Figures
-from viewer_app.report.verdict import verdict
+from recordings.session_data import SessionData, ViewsAgree
 
 _SAMPLES = 100_000  # frames, from which a median distance is found
 _STANDING = 10_000  # frames, from which the vertical is found
 
 
-def report(session: Session) -> Figures:
+def report(session: SessionData) -> Figures:
     """The figures of a fused pair of recordings, as ``--report`` writes them; None where one is unknown."""
     counts = session.frame_counts
     alone = {side: counts[f"alone_{side}"] for side in "ab"}
@@ -52,8 +48,10 @@ def report(session: Session) -> Figures:
 
 
 def with_verdict(figures: Figures) -> Figures:
-    """The figures with the verdict on them."""
-    return figures | {"verdict": verdict(figures)._asdict()}
+    """The figures with the verdict on them: its word, the first reason and the remedy, empty if good."""
+    found = verdict(figures)
+    first = found.shortcomings[0] if found.shortcomings else Shortcoming("good", "")
+    return figures | {"verdict": first._asdict()}
 
 
 def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figures:
@@ -138,7 +136,7 @@ def calibration_figures(calibration: Calibration) -> Figures:
     return figures
 
 
-def truth_free_figures(session: Session) -> dict[str, float | None]:
+def truth_free_figures(session: SessionData) -> dict[str, float | None]:
     """The figures of :class:`FiguresWithoutTruth` by name, in SI; None where there is no such figure.
 
     ``roughness_ratio`` and the difference between robust fits of both halves of the session are added:
@@ -255,13 +253,6 @@ def _repaired(rows: SessionArrays) -> Figures:
         "exchanged": exchanged,
         "unseen_joints": float(rows.predicted[seen].mean()) if seen.any() else None,
     }
-
-
-def save_report(path: Path | None, figures: Figures) -> None:
-    """Writes a report as standard JSON, if there is a path; an unfinished file is never left behind."""
-    if path is not None:
-        text = json.dumps(figures, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-        write_text(path, text)
 
 
 def of_finite(figure: Any, values: NDArray[Any]) -> float | None:

@@ -1,4 +1,4 @@
-"""The verdict on a session: the worst of its figures, the reason, and what to do about it.
+"""The verdict on a session: the worst of its figures, the reasons, and what to do about them.
 
 =====================================================  =========  =========
 figure                                                 good       usable
@@ -19,23 +19,23 @@ Anything beyond is poor, and so is a view that is the mirror image of a body. Us
 upside down, or that both lack a joint. More doubtful seconds never give a better word.
 """
 
-import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, FEWEST_PAIRS
-from viewer_app.coach.advice import ANGLES, GOOD, USABLE, beside, graded, spoken
-from viewer_app.report.doubtful_time import UNCERTAIN
+from recordings.quality.doubtful_time import UNCERTAIN
+from recordings.quality.limits import ANGLES, GOOD, USABLE, beside, graded, spoken
 
 Figures = dict[str, Any]
 Word = Literal["good", "usable", "poor", "unknown"]
 
 USABLE_ANGLES = (40.0, 140.0)
-_OFFSETS = (17.0, 50.0)  # ms: half a frame, one and a half
+OFFSETS = (17.0, 50.0)  # ms: half a frame, one and a half
 _UNPAIRED = (0.1, 0.3)
 _LONG_APART = 0.05  # of the time
 _OTHERS = 500.0  # mm for that time; 20 real pairs of one person are within 340 mm
-_DOUBTFUL = (0.1, 0.5)  # of the time
+DOUBTFUL = (0.1, 0.5)  # of the time
 _HEAD_DOWN = 0.9
 _NAMED = 3  # joints
 _OUT_OF_RANGE = 0.25
@@ -48,26 +48,53 @@ _SAME_MOMENT = (
 )
 
 
-class Verdict(NamedTuple):
-    """A word, why, and what to do; reason and remedy are empty where all is good."""
+class Shortcoming(NamedTuple):
+    """What keeps a session from being good: the word it allows, why, and what to do, if anything."""
 
     word: Word
-    reason: str = ""
+    reason: str
     remedy: str = ""
 
 
+@dataclass(frozen=True, repr=False)
+class Verdict:
+    """How good a session is.
+
+    Attributes:
+        word: ``good``, ``usable``, ``poor`` or ``unknown``.
+        shortcomings: What is not good, worst first; of equally bad ones, what explains the others.
+        figures: The figures that it is from, as ``duplex fuse --report`` writes them.
+    """
+
+    word: Word
+    shortcomings: tuple[Shortcoming, ...]
+    figures: Figures
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the session is not good, worst first."""
+        return tuple(each.reason for each in self.shortcomings)
+
+    def __str__(self) -> str:
+        return in_words(self.word, *self.shortcomings[0][1:]) if self.shortcomings else in_words(self.word)
+
+    def __repr__(self) -> str:
+        return f"<Verdict {self}>"
+
+
 def verdict(figures: Figures) -> Verdict:
-    """The verdict on a session; of equally bad figures the first, which explains the others.
+    """The verdict on a session.
 
     Args:
-        figures: Of :func:`viewer_app.report.figures.report`, or of a running session, which has ``streams``.
+        figures: Of :func:`recordings.quality.figures.report`, or of a running session, which has ``streams``.
     """
     order: tuple[Word, ...] = ("poor", "unknown", "usable")
     found = [each for each in _shortcomings(figures) if each.word != "good"]
-    return min(found, key=lambda each: order.index(each.word), default=Verdict("good"))
+    found.sort(key=lambda each: order.index(each.word))
+    return Verdict(found[0].word if found else "good", tuple(found), figures)
 
 
-def _shortcomings(figures: Figures) -> Iterator[Verdict]:
+def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
     live = "streams" in figures
     calibration, apart = figures["calibration"], figures["views_agree_mm"]["median"]
     calibrate = _CALIBRATE if live else _ANOTHER_PART
@@ -76,27 +103,27 @@ def _shortcomings(figures: Figures) -> Iterator[Verdict]:
         image = "is the mirror image" if len(mirrored) == 1 else "are mirror images"
         files = "in the file of " + " and in that of ".join(mirrored)
         remedy = "Switch the mirroring off" if live else f"Change the sign of x {files}"
-        yield Verdict("poor", f"{' and '.join(mirrored)} {image} of a person", remedy)
+        yield Shortcoming("poor", f"{' and '.join(mirrored)} {image} of a person", remedy)
     if calibration["provisional"]:
-        yield Verdict("unknown", "the calibration is provisional", calibrate)
+        yield Shortcoming("unknown", "the calibration is provisional", calibrate)
     elif calibration["residual_mm"] is not None and calibration["frames"] < FEWEST_PAIRS:
         few = f"calibrated on {calibration['frames']} frames; at least {FEWEST_PAIRS} are needed"
-        yield Verdict("unknown", few, calibrate)
+        yield Shortcoming("unknown", few, calibrate)
     clock = figures.get("clock")
     if clock is not None:
         text = f"B captures {clock['offset_ms']:+.0f} ± {clock['sd_ms']:.0f} ms off its time stamps"
         certain = abs(clock["offset_ms"]) - 2.0 * clock["sd_ms"]
-        yield Verdict(graded(certain, _OFFSETS), text, "Check the clocks")
+        yield Shortcoming(graded(certain, OFFSETS), text, "Check the clocks")
     yield from _missing(figures, live)
     if apart is None:
-        yield Verdict("unknown", "no joint was seen by both sensors", "Check that both see the person")
+        yield Shortcoming("unknown", "no joint was seen by both sensors", "Check that both see the person")
     else:
         yield from _views(figures, live)
     yield from _doubts(figures, live)
     angle, (low, high), (least, most) = calibration["angle_deg"], ANGLES, USABLE_ANGLES
     if calibration["residual_mm"] is not None and not low <= angle <= high:
         way = "further apart" if angle < low else "closer together"
-        yield Verdict(
+        yield Shortcoming(
             "usable" if least <= angle <= most else "poor",
             f"the sensors look {beside(angle, low, high)}° apart; good is {low:.0f}° to {high:.0f}°",
             f"Move them {way} round the person" if live else f"Record with them {way}",
@@ -108,29 +135,29 @@ def _shortcomings(figures: Figures) -> Iterator[Verdict]:
         word: Word = "usable" if turn <= 2.0 * CERTAIN_TURN_DEG else "poor"
         certain = beside(turn, CERTAIN_TURN_DEG, digits=1)
         text = f"B's rotation is certain to {certain}° only; good is {CERTAIN_TURN_DEG:g}°"
-        yield Verdict(word, text, "Walk about while both sensors see you" if live else _ANOTHER_PART)
+        yield Shortcoming(word, text, "Walk about while both sensors see you" if live else _ANOTHER_PART)
     share = _unpaired_share(figures)
     if share >= _UNPAIRED[0]:
         text = f"{100.0 * share:.0f} % of the frames have no partner"
         remedy = "Check the frame rates of both sensors" if live else "Check clocks and frame rates"
-        yield Verdict(graded(share, _UNPAIRED), text, remedy)
+        yield Shortcoming(graded(share, _UNPAIRED), text, remedy)
 
 
-def _missing(figures: Figures, live: bool) -> Iterator[Verdict]:
+def _missing(figures: Figures, live: bool) -> Iterator[Shortcoming]:
     """Views that are upside down, and joints that neither has."""
     down = [side.upper() for side, share in figures["upside_down"].items() if (share or 0.0) > _HEAD_DOWN]
     if down:
         text = f"{' and '.join(down)} {'is' if len(down) == 1 else 'are'} upside down"
-        righted = "If it is a .csv file with the axes of the Kinect SDK, state --axes kinect"
-        yield Verdict("usable", text, "Turn the sensor round" if live else righted)
+        righted = "If it is a .csv file with the axes of the Kinect SDK, state `axes=kinect`"
+        yield Shortcoming("usable", text, "Turn the sensor round" if live else righted)
     lacking = [spoken(name) for name in figures["in_no_frame"]]
     if lacking and figures["views_agree_mm"]["median"] is not None:
         more = f" and {len(lacking) - _NAMED} more" if len(lacking) > _NAMED else ""
         which = f"{', '.join(lacking[:_NAMED])}{more}"
-        yield Verdict("usable", f"no view has {which} in any frame, and S* predicts what is not measured")
+        yield Shortcoming("usable", f"no view has {which} in any frame, and S* predicts what is not measured")
 
 
-def _views(figures: Figures, live: bool) -> Iterator[Verdict]:
+def _views(figures: Figures, live: bool) -> Iterator[Shortcoming]:
     """How far the views are apart, in the median and for how long."""
     apart, high = figures["views_agree_mm"]["median"], figures["views_agree_mm"]["p95"]
     remedy = _CALIBRATE if live else _SAME_MOMENT
@@ -138,7 +165,7 @@ def _views(figures: Figures, live: bool) -> Iterator[Verdict]:
         text = (
             f"a twentieth of the time the views differ by more than {high:.0f} mm, as those of two people do"
         )
-        yield Verdict("poor", text, remedy)
+        yield Shortcoming("poor", text, remedy)
     word: Word = graded(apart, (GOOD, USABLE))
     limit = f"good is below {GOOD:.0f}" if word == "usable" else f"usable is below {USABLE:.0f}"
     text = f"the views differ by {beside(apart, GOOD, USABLE)} mm; {limit}"
@@ -147,19 +174,19 @@ def _views(figures: Figures, live: bool) -> Iterator[Verdict]:
         long = f"more than {USABLE:.0f} mm for {lasts}"
         text = f"the views differ by {long}" if word == "good" else f"{text}, and they differ by {long}"
         word = "usable" if word == "good" else word
-    yield Verdict(word, text, remedy if word == "poor" else "")
+    yield Shortcoming(word, text, remedy if word == "poor" else "")
 
 
-def _doubts(figures: Figures, live: bool) -> Iterator[Verdict]:
+def _doubts(figures: Figures, live: bool) -> Iterator[Shortcoming]:
     """For how long a limb is uncertain, and a view is missing."""
     lasts, share = doubt(figures, "limb_uncertain")
     limb = figures["seconds_of"]["limb"]
     text = f"a limb, mostly the {limb}, is uncertain by more than {UNCERTAIN:.0f} mm for {lasts}"
     remedy = "Stand where a sensor sees it" if live else "Record it where a sensor sees it"
-    yield Verdict(graded(share, _DOUBTFUL), text, remedy)
+    yield Shortcoming(graded(share, DOUBTFUL), text, remedy)
     lasts, share = doubt(figures, "one_view")
     remedy = "Stay where both sensors see all of you" if live else "Record where both see all of the person"
-    yield Verdict(graded(share, _DOUBTFUL), f"one view alone has the person for {lasts}", remedy)
+    yield Shortcoming(graded(share, DOUBTFUL), f"one view alone has the person for {lasts}", remedy)
 
 
 def doubt(figures: Figures, name: str) -> tuple[str, float]:
@@ -169,12 +196,12 @@ def doubt(figures: Figures, name: str) -> tuple[str, float]:
     return f"{lasts:.1f} s ({100.0 * share:.0f} %)", share
 
 
-def _distance(side: str, live: bool, median: float | None, near: float, far: float) -> Iterator[Verdict]:
+def _distance(side: str, live: bool, median: float | None, near: float, far: float) -> Iterator[Shortcoming]:
     if median is None or near <= median <= far:
         return
     way = "further away" if median < near else "nearer"
     away = beside(median, near, far, digits=1)
-    yield Verdict(
+    yield Shortcoming(
         "usable" if (1.0 - _OUT_OF_RANGE) * near <= median <= (1.0 + _OUT_OF_RANGE) * far else "poor",
         f"the person is {away} m from {side}; good is {near:.3g} to {far:.3g} m",
         f"Stand {way}" if live else f"Record with the person {way}",
@@ -188,19 +215,6 @@ def _unpaired_share(figures: Figures) -> float:
     return unpaired / max(1, unpaired + paired)  # a live sensor's dropped ones are no frames of it
 
 
-def in_words(found: Verdict) -> str:
-    """The verdict as a sentence."""
-    if not found.reason:
-        return f"{found.word}."
-    return f"{found.word}: {found.reason}." + (f" {found.remedy}." if found.remedy else "")
-
-
-def precision_in_words(calibration: Figures) -> str:
-    """How certain a calibration is, in standard deviations, and from what."""
-    turn, shift, frames = (calibration[key] for key in ("rotation_sd_deg", "translation_sd_mm", "frames"))
-    if turn is None or not math.isfinite(turn):
-        return "precision unknown"
-    far = calibration["sd_at_3m_mm"]
-    size = "" if shift is None else f", ± {shift:.0f} mm at the person"
-    size += "" if far is None else f" and ± {far:.0f} mm 3 m from there"
-    return f"± {turn:.1f}°{size}, from {frames} frames"
+def in_words(word: str, reason: str = "", remedy: str = "") -> str:
+    """A verdict as a sentence."""
+    return (f"{word}: {reason}." if reason else f"{word}.") + (f" {remedy}." if remedy else "")

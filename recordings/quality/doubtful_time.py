@@ -4,12 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.appearance.joint_trust import SeenJoints
+from recordings.quality.limits import USABLE
 from recordings.session_arrays import SessionArrays
-from viewer_app.coach.advice import USABLE
 
 UNCERTAIN = 150.0
 """Millimetres of a wrist or ankle, one standard deviation."""
-_ENDS = {
+LIMBS = {
     f"{side} {limb}": f"{end}{side.title()}"
     for limb, end in (("arm", "Wrist"), ("leg", "Ankle"))
     for side in ("left", "right")
@@ -28,6 +28,19 @@ def seen_people(rows: SessionArrays) -> NDArray[np.bool_]:
     return seen
 
 
+def time_of_frames(rows: SessionArrays) -> NDArray[np.float64]:
+    """(T,) seconds until the next frame, or three usual ones: what is longer is a gap."""
+    lasts = np.diff(rows.time_ns) * 1e-9
+    frame = float(np.median(lasts)) if len(lasts) else 0.0
+    return np.append(lasts, frame).clip(max=_LONGEST * frame)
+
+
+def uncertain_limbs(rows: SessionArrays) -> NDArray[np.bool_]:
+    """(T, 4) whether the end of each of :data:`LIMBS` is uncertain; false where it was never seen."""
+    ends = [rows.body.joint(end) for end in LIMBS.values()]
+    return (1e3 * rows.filled("sigma")[:, ends] > UNCERTAIN) & ~rows.never_seen[ends]
+
+
 def doubtful_seconds(
     rows: SessionArrays, apart: NDArray[np.float64], seen: NDArray[np.bool_]
 ) -> dict[str, float | str | None]:
@@ -40,9 +53,7 @@ def doubtful_seconds(
         apart: (N,) metres between the views in the last frames, those since the calibration.
         seen: (2, T) of :func:`seen_people`.
     """
-    lasts = np.diff(rows.time_ns) * 1e-9
-    frame = float(np.median(lasts)) if len(lasts) else 0.0
-    lasts = np.append(lasts, frame).clip(max=_LONGEST * frame)
+    lasts = time_of_frames(rows)
     figures: dict[str, float | str | None] = {
         "all": float(lasts.sum()),
         "views_apart": None,
@@ -53,9 +64,8 @@ def doubtful_seconds(
     if np.isfinite(apart).any():
         figures["views_apart"] = float(lasts[len(lasts) - len(apart) :][1e3 * apart > USABLE].sum())
     if rows.sigma is not None:
-        ends = [rows.body.joint(end) for end in _ENDS.values()]
-        uncertain = (1e3 * rows.sigma[:, ends] > UNCERTAIN) & ~rows.never_seen[ends]
+        uncertain = uncertain_limbs(rows)
         figures["limb_uncertain"] = float(lasts[uncertain.any(axis=1)].sum())
         if uncertain.any():
-            figures["limb"] = list(_ENDS)[int((lasts @ uncertain).argmax())]
+            figures["limb"] = list(LIMBS)[int((lasts @ uncertain).argmax())]
     return figures

@@ -1,0 +1,1 @@
+"""How good a session is: its figures, the doubtful seconds and the verdict."""

@@ -1,0 +1,186 @@
+"""What follows from the data of a session: S* at any time, angles, rotations, gait, quality."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from devices.events import Spell, spells_of
+from fusion.angles import ANGLES, angle_sigma, joint_angles
+from fusion.calibration.calibration import Calibration
+from fusion.facing.evidence import upright_direction
+from fusion.joint_rotations import rotations_of
+from recordings.gait import Gait, find_gait
+from recordings.interpolation import nanoseconds, positions_at, sigma_at
+from recordings.quality.figures import report
+from recordings.quality.per_second import SecondQuality, quality_per_second
+from recordings.quality.verdict import Verdict, verdict
+from recordings.series import AngleSeries, QualitySeries, RotationSeries, SkeletonSeries
+from recordings.session_data import SessionData, read_only
+
+_SAMPLES = 9000  # frames, from which a person's usual place is found
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SessionSeries(SessionData):
+    """The data of a session, and what follows from it; see :class:`recordings.session.Session`.
+
+    Everything is computed once, when it is first asked for. Arrays are read-only; ``array.copy()`` is not.
+    """
+
+    def __repr__(self) -> str:
+        return f"<Session {self.name}: {len(self)} frames, {self.time[-1]:.1f} s, {self.body.name}>"
+
+    @property
+    def time_ns(self) -> NDArray[np.int64]:
+        """(T,) nanoseconds since the first frame, for exact work; see :attr:`time`."""
+        return self.rows.time_ns
+
+    @cached_property
+    def time(self) -> NDArray[np.float64]:
+        """(T,) seconds since the first frame."""
+        return read_only(np.asarray(self.rows.time_ns * 1e-9))
+
+    @cached_property
+    def skeleton_a(self) -> SkeletonSeries:
+        """S_A of the principal sensor, in K_A's frame, which is the world frame."""
+        rows = self.rows
+        return SkeletonSeries(rows.positions_a, rows.states_a, rows.weights_a, rows.clock_a, rows.stale_a)
+
+    @cached_property
+    def skeleton_b(self) -> SkeletonSeries:
+        """S_B of the secondary sensor, in K_B's frame; see :attr:`b_in_a`."""
+        rows = self.rows
+        return SkeletonSeries(rows.positions_b, rows.states_b, rows.weights_b, rows.clock_b, rows.stale_b)
+
+    @cached_property
+    def b_in_a(self) -> NDArray[np.float64]:
+        """(T, J, 3) metres, the positions of S_B in K_A's frame."""
+        return read_only(self.rows.b_in_a)
+
+    @property
+    def fused(self) -> NDArray[np.float64]:
+        """(T, J, 3) S* in K_A's frame, metres; NaN where S* is missing. A file has it as float32."""
+        return self.rows.fused
+
+    @cached_property
+    def sigma(self) -> NDArray[np.float64]:
+        """(T, J) metres, one standard deviation of a joint of S*; NaN with the paper's methods."""
+        return read_only(self.rows.filled("sigma").astype(np.float64))
+
+    @property
+    def truth(self) -> NDArray[np.float64] | None:
+        """(T, J, 3) metres, where the joints really are, in K_A's frame; None but for simulated sensors."""
+        return self.rows.truth
+
+    def at(self, time: ArrayLike) -> NDArray[np.float64]:
+        """S* at any times, with bones of constant length; see :func:`recordings.interpolation.positions_at`.
+
+        Args:
+            time: One or (N,) seconds since the first frame, or numpy's durations (``timedelta64``).
+
+        Returns:
+            (N, J, 3) metres in K_A's frame; NaN where the session has no S*, as before and after it.
+
+        Raises:
+            RecordingError: A time is a day or more from the session, as nanoseconds are, or is no time.
+        """
+        return positions_at(self.rows, nanoseconds(self.rows, time))
+
+    def sigma_at(self, time: ArrayLike) -> NDArray[np.float64]:
+        """(N, J) metres, the uncertainty of :meth:`at`; see :func:`recordings.interpolation.sigma_at`."""
+        return sigma_at(self.rows, nanoseconds(self.rows, time))
+
+    @cached_property
+    def up(self) -> NDArray[np.float64]:
+        """(3,) unit vector against gravity in K_A's frame, from the person's standing."""
+        step = max(1, len(self) // _SAMPLES)
+        with np.errstate(invalid="ignore", over="ignore"):  # a damaged file has any numbers
+            return read_only(upright_direction(self.body, np.asarray(self.rows.fused[::step])))
+
+    @cached_property
+    def never_seen(self) -> tuple[str, ...]:
+        """Names of the joints that no sensor reports in any frame. S* there is a guess by the bones."""
+        return tuple(np.array(self.body.joints)[self.rows.never_seen].tolist())
+
+    @cached_property
+    def angles(self) -> AngleSeries:
+        """Joint angles of S*; NaN where they need a joint that was never seen."""
+        rows, seen, up = self.rows, self.rows.seen, self.up
+        sigma = angle_sigma(self.body, seen, rows.filled("sigma"), up)
+        return AngleSeries(ANGLES, joint_angles(self.body, seen, up), sigma)
+
+    @cached_property
+    def rotations(self) -> RotationSeries:
+        """Rotations of the bones of S*, and of the body."""
+        return RotationSeries(self.body, rotations_of(self.body, self.rows.fused, self.rows.time_ns))
+
+    @cached_property
+    def gait(self) -> Gait:
+        """Heel strikes, toe-offs and steps of S*; see :mod:`recordings.gait`."""
+        found = find_gait(self.body, self.time_ns, self.rows.seen, self.up, self.rows.sigma)
+        return replace(found, time=self.time, angles=self.angles)
+
+    @property
+    def bone_lengths(self) -> NDArray[np.float64]:
+        """(T, J) target lengths of the bones of S*, metres, indexed by the child joint; 0 at the root."""
+        return self.rows.bone_lengths
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """(T, 3, 3) R, K_A ← K_B."""
+        return self.rows.rotation
+
+    @property
+    def translation(self) -> NDArray[np.float64]:
+        """(T, 3) t, K_A ← K_B, metres: the position of K_B in K_A's frame.
+
+        It changes with a calibration; with the method ``paper`` in every frame.
+        """
+        return self.rows.translation
+
+    @cached_property
+    def quality(self) -> QualitySeries:
+        """Quality figures per frame."""
+        rows = self.rows
+        return QualitySeries(
+            rows.bone_error, rows.disagreement, rows.skew_ns, rows.fuse_ms, rows.iterations, rows.predicted
+        )
+
+    @cached_property
+    def quality_per_second(self) -> tuple[SecondQuality, ...]:
+        """How good each second is; see :func:`recordings.quality.per_second.quality_per_second`."""
+        return quality_per_second(self)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """How good the session is, why, and the figures of ``duplex fuse --report``."""
+        return verdict(report(self))
+
+    @property
+    def calibration(self) -> Calibration:
+        """R, t, the bone lengths and the agreement of the views; the last calibration of the session."""
+        return self.calibrations[-1][1]
+
+    @cached_property
+    def frame_rate(self) -> float:
+        """Frames per second; see :attr:`recordings.session_arrays.SessionArrays.frame_rate`."""
+        return self.rows.frame_rate
+
+    @property
+    def spells(self) -> list[Spell]:
+        """Conditions that lasted, each from its start event to its end event."""
+        return spells_of(self.events)
+
+    @cached_property
+    def whereabouts(self) -> NDArray[np.float64]:
+        """(3,) metres in K_A's frame, the median position of the person; a point in front of K_A without a
+        person."""
+        step = max(1, len(self) // _SAMPLES)
+        some = [rows.fused[rows.frame % step == 0] for rows in self.rows.parts()]
+        points = np.concatenate(some).reshape(-1, 3)
+        seen = points[np.isfinite(points).all(axis=1)]
+        return read_only(np.asarray(np.median(seen, axis=0)) if len(seen) else np.array([0.0, 0.0, 2.5]))

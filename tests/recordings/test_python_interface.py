@@ -1,0 +1,345 @@
+"""The Python interface: what a researcher writes from the documents alone, and laws of what it gives."""
+
+import copy
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import fields, is_dataclass, replace
+from functools import cache
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from devices import DeviceError
+from devices.simulated.kinect import simulated_pair
+from fusion import BODIES, KINECT_V2, DuplexError
+from fusion.humanoid import human_bones
+from fusion.joint_rotations import rotations_of
+from recordings import RecordingError, Session, UnknownNameError, fuse
+from recordings.quality.figures import report
+from recordings.testing import SessionsDifferError, assert_session, assert_sessions_match, simulated_session
+from tests.helpers.recorded_pairs import write_recordings
+
+_EXAMPLES = settings(max_examples=15, derandomize=True)
+seconds = st.floats(0.0, 1.0)  # shares of a session
+REFUSED = {
+    "depth": lambda s: s.depth("A"),
+    "angles": lambda s: s.angles["knee"],
+    "rotations": lambda s: s.rotations["knie"],
+    "gait": lambda s: s.gait.of_side("Left"),
+    "curves": lambda s: s.gait.curves("knee"),
+    "export": lambda s: s.export("s.fbx"),
+    "table": lambda s: s.to_arrow("broad"),
+    "names": lambda s: s.export("s.bvh", names="vicon"),
+    "body": lambda s: Session.of_arrays("kinect_v3", s.time, s.b_in_a, s.b_in_a),
+    "truth": lambda s: s.compare_with("s.xlsx"),
+    "tolerance": lambda s: assert_sessions_match(s, s, joints_mm={"rwist": 1.0}),
+}
+NAMES = {
+    "depth": "a or b", "angles": "knee_flexion_left", "rotations": "KneeLeft", "gait": "left or right",
+    "curves": "knee_flexion_left", "export": ".trc", "table": "long, wide", "names": "humanoid, mixamo",
+    "body": "kinect_v2", "truth": ".c3d, .trc, .csv", "tolerance": "WristRight",
+}  # fmt: skip
+
+
+@cache
+def walk():
+    """A walk with its truth, by two Kinects v2."""
+    return simulated_session("walk", 8.0, body="kinect_v2")
+
+
+@pytest.fixture
+def session():
+    """The same; a law that fails would print a fixture."""
+    return walk()
+
+
+def arrays_in(value):
+    """Every array of a session: its data, and what is computed from it."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, Session):
+        names = [name for name in dir(Session) if not name.startswith("_")]
+        for name in {*names, "rows"}:
+            if not callable(getattr(Session, name, None)) and name not in ("recorded_pairs", "last_setup"):
+                yield from arrays_in(getattr(value, name))
+    elif is_dataclass(value) and type(value).__module__.startswith("recordings"):
+        for each in fields(value):
+            yield from arrays_in(getattr(value, each.name))
+
+
+# What a researcher writes
+
+
+def test_the_knee_over_the_gait_cycle(session):
+    for side in ("left", "right"):
+        curves = session.gait.curves(f"knee_flexion_{side}")
+        assert curves.shape == (len(session.gait.cycles(side)), 101)
+        assert len(curves) >= 2
+        knee, ends = session.angles[f"knee_flexion_{side}"], session.gait.cycles(side)
+        np.testing.assert_allclose(curves[:, [0, -1]], np.interp(ends, session.time, knee))
+
+
+def _fused(folder):
+    return fuse(folder / "a.csv", folder / "b.csv")
+
+
+def test_recordings_are_fused_in_processes(tmp_path):
+    folders = [tmp_path / name for name in ("one", "two")]
+    for folder in folders:
+        folder.mkdir()
+        write_recordings(folder)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        sessions = list(pool.map(_fused, folders))
+    here = _fused(folders[0])
+    assert sessions[0].body is here.body
+    assert_sessions_match(sessions[0], here, position_mm=0.0)
+    assert sessions[1].verdict.word == here.verdict.word
+    sessions[1].save(tmp_path / "s.rrd")
+
+
+def test_an_export_is_compared_with_the_session(session, tmp_path):
+    said = session.export(tmp_path / "x.trc", rate=30)
+    assert said.endswith("frames at a constant 30 Hz")
+    found = session.compare_with(tmp_path / "x.trc")
+    assert found.offset.seconds == pytest.approx(0.0, abs=0.02)
+    assert np.nanmedian(found.distance["fused"]) < 2e-3, "metres; the offset is found from the views"
+    assert session.compare_with(tmp_path / "x.trc", offset=0.0).offset.seconds == 0.0
+    before = (tmp_path / "x.trc").read_bytes()
+    with pytest.raises(RecordingError, match="`table` is for"):
+        session.export(tmp_path / "x.trc", table="wide")
+    assert (tmp_path / "x.trc").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["x.trc"]
+
+
+def test_the_speed_of_the_wrist_where_it_was_measured(session):
+    wrist = session.body.joint("wrist right")
+    at = np.where(session.quality.predicted[:, [wrist]], np.nan, session.fused[:, wrist])
+    speed = np.linalg.norm(np.gradient(at, session.time, axis=0), axis=1)
+    assert 0.5 < np.nanmax(speed) < 10.0
+    off = [
+        np.nanmedian(np.linalg.norm(view - session.fused, axis=2))
+        for view in (session.skeleton_a.positions, session.b_in_a)
+    ]
+    assert max(off) < 0.1
+    by_hand = session.rotation @ session.skeleton_b.positions.swapaxes(1, 2).astype(float)
+    np.testing.assert_allclose(session.b_in_a, by_hand.swapaxes(1, 2) + session.translation[:, None])
+    late = session.at(session.time[-1] - 1.0)[0, wrist]
+    near = np.abs(session.time - (session.time[-1] - 1.0)).argmin()
+    assert np.linalg.norm(late - session.fused[near, wrist]) < 0.2
+    assert (session.sigma[:, wrist] > 0.0).all()
+
+
+def test_arrays_become_a_session():
+    a, b, truth = simulated_pair(motion="walk", seconds=4.0, body=KINECT_V2)
+    points = [np.array([frame.people["1"].positions for frame in sensor.frames()]) for sensor in (a, b)]
+    time = np.arange(len(points[0])) / 30.0
+    made = Session.of_arrays("kinect_v2", 12.0 + time, *points)
+    np.testing.assert_allclose(made.time, time, atol=1e-9)
+    np.testing.assert_array_equal(made.skeleton_a.positions, points[0].astype(np.float32))
+    off = np.linalg.norm(made.fused - truth.positions_at(made.time_ns), axis=2)
+    assert np.nanmedian(off) < 0.08, "metres; the simulated tracker's errors are of centimetres"
+    for wrong, said in (
+        ((KINECT_V2, time[::-1], *points), "seconds that increase"),
+        ((KINECT_V2, time[1:], *points), r"`positions_a` has the shape .* need"),
+        ((KINECT_V2, time, points[0], 1e3 * points[1]), "`positions_b`: most joints are where no sensor"),
+        ((KINECT_V2, time[:0], points[0][:0], points[1][:0]), "at least one frame"),
+    ):
+        with pytest.raises(RecordingError, match=said):
+            Session.of_arrays(*wrong)
+
+
+# Laws
+
+
+@_EXAMPLES
+@given(when=st.lists(seconds, max_size=5))
+def test_s_star_at_any_time_within_is_there_and_at_a_frame_is_that_of_the_frame(when):
+    session = walk()
+    times = np.array(when) * session.time[-1]
+    found = session.at(times)
+    assert found.shape == (len(times), len(session.body), 3)
+    assert np.isfinite(found).all()
+    assert np.isfinite(session.sigma_at(times)).all()
+    exact = np.rint(1e9 * times).astype("timedelta64[ns]")
+    np.testing.assert_array_equal(session.at(exact), found)
+    frames = np.searchsorted(session.time, times)
+    np.testing.assert_array_equal(session.at(session.time[frames]), session.fused[frames])
+    for one, of_list in zip(times, found, strict=True):
+        np.testing.assert_array_equal(session.at(one), of_list[None])
+
+
+@_EXAMPLES
+@given(rate=st.floats(1.0, 1000.0), ending=st.sampled_from([".trc", ".bvh"]))
+def test_an_exported_rate_is_that_of_the_file(rate, ending, tmp_path):
+    session = walk()
+    short = replace(session, rows=session.rows[:10])
+    path = tmp_path / f"s{ending}"
+    said = short.export(path, rate=rate)
+    expected = int(short.time[-1] * rate + 0.01) + 1
+    assert said.startswith(f"{expected} frames at a constant {rate:.6g} Hz")
+    lines = path.read_text(encoding="utf-8").splitlines()
+    if ending == ".trc":
+        stamps = np.array([float(line.split("\t")[1]) for line in lines[6:]])
+        np.testing.assert_allclose(stamps, np.arange(expected) / rate, atol=1e-6)
+        assert lines[2].split("\t")[0] == f"{rate:.6g}"
+    else:
+        assert f"Frames: {expected}" in lines
+        assert len(lines) - lines.index("MOTION") == 3 + expected
+
+
+@_EXAMPLES
+@given(
+    name=st.sampled_from(sorted(BODIES)),
+    frames=st.integers(1, 6),
+    lost=st.sets(st.integers(0, 5), max_size=3),
+)
+def test_arrays_survive_a_file_and_a_process(name, frames, lost, tmp_path):
+    whole = simulated_session("walk", 3.0, body=name)
+    rows = whole.rows[60 : 60 + frames]
+    at = [rows.positions_a.copy(), rows.positions_b.copy()]
+    for k in lost & set(range(frames)):
+        at[k % 2][k] = np.nan
+    time = whole.time[60 : 60 + frames]
+    made = Session.of_arrays(name, time, *at, calibration=whole.calibration)
+    made.save(tmp_path / "s.rrd")
+    opened, moved = Session.open(tmp_path / "s.rrd"), pickle.loads(pickle.dumps(made))
+    for other in (opened, moved, copy.deepcopy(made)):
+        assert_sessions_match(made, other, position_mm=0.0)
+        assert other.body is made.body
+        assert len(other) == frames
+        np.testing.assert_array_equal(other.time, made.time)
+    np.testing.assert_array_equal(np.isnan(opened.skeleton_a.positions[..., 0]).all(axis=1),
+                                  [k in lost and k % 2 == 0 for k in range(frames)])  # fmt: skip
+
+
+def test_every_array_is_read_only_and_computed_once(session, tmp_path):
+    session.save(tmp_path / "s.rrd")
+    for each in (session, Session.open(tmp_path / "s.rrd"), pickle.loads(pickle.dumps(session))):
+        found = list(arrays_in(each))
+        assert len(found) > 40
+        assert [values for values in found if values.flags.writeable] == []
+        with pytest.raises(ValueError, match="read-only"):
+            each.fused[0] = 0.0
+        for name in ("angles", "gait", "rotations", "quality", "verdict", "quality_per_second", "b_in_a"):
+            assert getattr(each, name) is getattr(each, name)
+
+
+def test_rotations_are_those_of_other_programs(session):
+    expected = rotations_of(session.body, session.fused, session.time_ns)
+    for joint, name in enumerate(session.body.joints):
+        assert isinstance(session.rotations[name], Rotation)
+        np.testing.assert_allclose(session.rotations[name].as_quat(), expected[:, joint], atol=1e-12)
+    hips = human_bones(session.body)[0]
+    np.testing.assert_allclose(session.rotations.body.as_quat(), expected[:, hips.bone], atol=1e-12)
+    assert list(session.rotations) == list(session.body.joints)
+
+
+def test_tables_name_their_columns_and_units(session):
+    frame = session.to_pandas()
+    assert len(frame) == len(session)
+    units = frame.attrs["units"]
+    assert {units["time_s"], units["HipLeft_x"], units["knee_flexion_left"]} == {"s", "m", "deg"}
+    np.testing.assert_array_equal(frame["HipLeft_x"], session.fused[:, session.body.joint("HipLeft"), 0])
+    np.testing.assert_array_equal(frame["time_s"], session.time)
+    table = session.to_arrow("long")
+    assert table.schema.field("x").metadata == {b"unit": b"m"}
+    assert table.schema.metadata[b"body"] == b"kinect_v2"
+    assert table.num_rows == 3 * session.fused[..., 0].size
+
+
+# The verdict
+
+
+def test_the_verdict_is_that_of_the_reports(session):
+    found = session.verdict
+    assert found.word in ("good", "usable", "poor", "unknown")
+    assert report(session) == found.figures | {"verdict": report(session)["verdict"]}
+    assert report(session)["verdict"]["word"] == found.word
+    assert len(found.reasons) == len(found.shortcomings)
+    assert (found.word == "good") == (not found.reasons)
+    assert str(found).startswith(found.word)
+
+
+@_EXAMPLES
+@given(begin=seconds, lasts=seconds, side=st.sampled_from("ab"))
+def test_a_second_that_one_view_lacks_is_poor_and_says_so(begin, lasts, side):
+    session = walk()
+    rows, at = session.rows, int(begin * len(session))
+    lost = np.arange(len(session)) >= at
+    lost &= session.time <= session.time[min(at, len(session) - 1)] + lasts * session.time[-1]
+    states, positions = (getattr(rows, f"{what}_{side}").copy() for what in ("states", "positions"))
+    states[lost], positions[lost] = 0, np.nan
+    changed = {f"states_{side}": states, f"positions_{side}": positions}
+    found = replace(session, rows=replace(rows, **changed)).quality_per_second
+    assert [each.start for each in found] == list(range(len(found)))
+    for each, before in zip(found, session.quality_per_second, strict=True):
+        assert (each.word == "good") == (each.reason == "")
+        within = (session.time >= each.start - 0.04) & (session.time < each.start + 1.0)
+        if lost[within].all():
+            assert each == (each.start, "poor", "one view alone has the person for 100 % of it")
+        elif not lost[within].any():
+            assert each == before
+
+
+def test_a_session_that_is_not_good_fails_with_its_reasons(session):
+    far = replace(session, rows=replace(session.rows, positions_b=session.rows.positions_b + np.float32(0.4)))
+    assert_session(session, verdict=None, gap_s=0.5)
+    assert_session(far, verdict=None)
+    assert far.verdict.word == "poor"
+    with pytest.raises(SessionsDifferError, match=r"is poor; asked for was usable\.\n  poor: ") as found:
+        assert_session(far, verdict="usable")
+    assert "\n  0 s poor: the views are" in str(found.value)
+    assert found.value.sessions == (far,)
+    fused = session.fused.copy()
+    fused[30:60] = np.nan
+    fused[100, session.body.joint("HandLeft"), 0] += 0.1
+    broken = replace(session, rows=replace(session.rows, fused=fused))
+    with pytest.raises(AssertionError, match=r"a bone of S\* is .* mm off in frame 100; asked for was 0"):
+        assert_session(broken, verdict=None)
+    with pytest.raises(AssertionError, match=r"no S\* for 1\.0\d s from 0\.9\d s on; asked for was 0\.5 s"):
+        assert_session(broken, verdict=None, bones_mm=None, gap_s=0.5)
+    with pytest.raises(ValueError, match="verdict is 'poor'"):
+        assert_session(session, verdict="poor")
+
+
+def test_a_joint_may_have_a_tolerance_of_its_own(session):
+    fused = session.fused.copy()
+    fused[10, session.body.joint("wrist left"), 0] += 0.004
+    moved = replace(session, rows=replace(session.rows, fused=fused))
+    assert_sessions_match(moved, session, joints_mm={"wrist left": 5.0})
+    for joints_mm in ({"wrist left": 3.0}, {"wrist right": 5.0}):
+        with pytest.raises(SessionsDifferError, match="more than a joint's tolerance in 1 of"):
+            assert_sessions_match(moved, session, joints_mm=joints_mm)
+
+
+# Errors
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_a_wrong_name_is_an_error_that_lists_the_right_ones(what, session):
+    with pytest.raises(RecordingError) as found:
+        REFUSED[what](session)
+    assert NAMES[what] in str(found.value)
+    if isinstance(found.value, UnknownNameError):
+        assert isinstance(found.value, KeyError)
+        assert str(found.value).startswith("There is no ")
+
+
+def test_a_missing_file_is_a_file_not_found_error(session, tmp_path):
+    missing = tmp_path / "missing"
+    for kind, asked in (
+        (RecordingError, lambda: Session.open(missing.with_suffix(".rrd"))),
+        (RecordingError, lambda: session.compare_with(missing.with_suffix(".trc"))),
+        (RecordingError, lambda: session.compare_with(missing.with_suffix(".csv"))),
+        (DeviceError, lambda: fuse(missing.with_suffix(".csv"), missing.with_suffix(".json"))),
+        (DeviceError, lambda: fuse(missing.with_suffix(".mkv"), missing.with_suffix(".json"))),
+        (DeviceError, lambda: session.compare_with(missing.with_suffix(".trc"), names=missing)),
+    ):
+        with pytest.raises(FileNotFoundError, match="missing") as found:
+            asked()
+        assert isinstance(found.value, kind)
+        assert isinstance(found.value, DuplexError)
