@@ -22,5 +22,5 @@ def test_the_fused_skeleton_has_not_changed():
 def test_bones_are_constant_and_joints_right(simulated_session):
     session = simulated_session("walk", seconds=4.0, seed=1)  # of two simulated sensors
     assert np.nanmax(session.quality.bone_error) < 1e-5  # metres
-    off = np.linalg.norm(session.fused - session.rows.truth, axis=2)
+    off = np.linalg.norm(session.fused - session.truth, axis=2)
     assert np.nanmedian(off) < 0.04

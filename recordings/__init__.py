@@ -22,5 +22,6 @@ if TYPE_CHECKING:
     from recordings.session import Session as Session
     from recordings.session_arrays import SessionArrays as SessionArrays
     from recordings.session_arrays import SessionFrame as SessionFrame
+    from recordings.truth_comparison import TruthComparison as TruthComparison
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -125,7 +125,7 @@ def simulated_session(
 ) -> Session:
     """Fuses two simulated sensors that watch one person; the same arguments give the same session.
 
-    The true joints are ``session.rows.truth``, (T, J, 3) metres in K_A's frame.
+    The true joints are ``session.truth``, (T, J, 3) metres in K_A's frame.
 
     Args:
         movement: A movement of the library (``duplex demo --motion list``), a BVH file, or a movement.
