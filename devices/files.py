@@ -59,7 +59,7 @@ def open_source(
     stated = StatedFormat(unit, axes, names)
     if not has_images(path):
         if orientation:
-            raise DeviceError(f"{path.name} has no images to turn. --axes states the axes of a .csv.")
+            raise DeviceError(f"{path.name} has no images to turn. `axes` states the axes of a .csv.")
         if skeletons is not None:
             raise DeviceError(f"{path.name} has its own skeletons; {option} {skeletons} is for an .mkv.")
         return SkeletonRecording(path, stated, progress)

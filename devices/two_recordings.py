@@ -381,7 +381,7 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
         tracked = f"--orientation {orientation} also tracks it so; " if choice.is_tracked else ""
         warnings.append(
             f"{source.name}: the sensor is turned clockwise by {orientation}°. Its images and skeletons are "
-            f"turned upright; {tracked}--orientation 0 leaves them."
+            f"turned upright; {tracked}`orientation=0` leaves them."
         )
     give_back()
     times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
