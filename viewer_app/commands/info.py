@@ -113,7 +113,7 @@ def _read(path: Path, stated: StatedFormat) -> tuple[ReadFile, StatedFormat]:
             fault = fault or error
             continue
         mirrored = mirrored_share(read.body, read.people.skeletons.positions) or 0.0
-        if mirrored <= MIRRORED and not any("`axes`" in line for line in read.warnings):
+        if mirrored <= MIRRORED and not any("`axes" in line for line in read.warnings):
             return read, by
         fallback = fallback or (read, by)
     if fallback is None and fault is not None:
@@ -169,7 +169,7 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
 def _options(read: ReadFile, stated: StatedFormat) -> str:
     """The options by which a file is read so without a question."""
     unit = next(key for key, (_, words) in METRES.items() if words == read.unit)
-    asked = stated.unit != "auto" or any("`unit`" in line for line in read.warnings)
+    asked = stated.unit != "auto" or any("`unit" in line for line in read.warnings)
     options = (("unit", unit if asked else ""), ("axes", stated.axes), ("names", stated.names))
     return "".join(f" --{name} {value}" for name, value in options if value)
 

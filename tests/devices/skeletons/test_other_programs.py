@@ -126,8 +126,8 @@ WRONG_AXES = {
     "x,x,z": "has x twice",
     "x,y": "neither kinect, unity, opengl, ros, nor three axes",
     "x,y,w": "neither kinect, unity, opengl, ros, nor three axes",
-    "x,-y,z": "by `axes=x,-y,z` the person is a mirror image, so the result is left-handed",
-    "unity": "by `axes=unity` the person is a mirror image",
+    "x,-y,z": "by --axes x,-y,z the person is a mirror image, so the result is left-handed",
+    "unity": "by --axes unity the person is a mirror image",
     "-x,y,-z": "most joints have a negative z",
 }
 
