@@ -378,7 +378,7 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
     if orientation and choice.orientation is None:
         people = replace(people, skeletons=turned_view(people.skeletons, orientation))
         camera = None if camera is None else turned_camera(camera, orientation)
-        tracked = f"--orientation {orientation} also tracks it so; " if choice.is_tracked else ""
+        tracked = f"`orientation={orientation}` also tracks it so; " if choice.is_tracked else ""
         warnings.append(
             f"{source.name}: the sensor is turned clockwise by {orientation}°. Its images and skeletons are "
             f"turned upright; {tracked}`orientation=0` leaves them."
