@@ -11,7 +11,10 @@ from tests.helpers.command_line import duplex
 from tests.helpers.documents import ROOT
 from viewer_app.flags import in_flags
 
-_COMMAND = re.compile(r"\b(duplex|pip|npm|k4arecorder|pytest)\b|\{(COMMAND|_pip)|^--[a-z-]+(=:all:)?$|^ --|without --no-deps")
+_COMMAND = re.compile(
+    r"\b(duplex|pip|npm|k4arecorder|pytest)\b|\{COMMAND|without --no-deps|"  # as somebody types it
+    r"^--[a-z-]+(=[a-z:]+)?$|^ --"  # an argument of a command that is run, or a part of one to type
+)
 words = st.text(st.characters(blacklist_characters="`"), max_size=30)
 names = st.from_regex(r"[a-z][a-z0-9_]{0,12}", fullmatch=True)
 
