@@ -7,6 +7,7 @@ from typing import Literal
 
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, Calibration
 from recordings.quality.limits import ANGLES, GOOD, USABLE, beside, graded, spoken
+from viewer_app.flags import in_flags
 
 Level = Literal["INFO", "WARN"]
 
@@ -79,4 +80,5 @@ def to_markdown(advice: Sequence[Advice]) -> str:
     if not advice:
         return "## All is well\n"
     marks = {"WARN": "**Fix:**", "INFO": ""}
-    return "\n\n".join(f"{marks[each.level]} {each.text}".strip() for each in advice) + "\n"
+    lines = (f"{marks[each.level]} {in_flags(each.text)}".strip() for each in advice)
+    return "\n\n".join(lines) + "\n"

@@ -5,7 +5,7 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -19,6 +19,7 @@ from devices.live_checks import device_checks
 from devices.live_sensors import connected_sensors
 from viewer_app.commands.record import record
 from viewer_app.errors import UsageError
+from viewer_app.flags import in_flags
 from viewer_app.options.sensing import DoctorOptions, RecordOptions
 from viewer_app.options.shared import SensorOptions
 from viewer_app.output_console import output_console
@@ -58,7 +59,10 @@ def _examine(options: DoctorOptions, console: Console) -> list[Check]:
     devices = device_checks(
         tracker, choice=choice, named_master=options.sync_master, x_answers=why_no_x() is None
     )
-    checks = [*devices, *program_checks()]
+    checks = [
+        replace(check, detail=in_flags(check.detail), advice=in_flags(check.advice))
+        for check in (*devices, *program_checks())
+    ]
     for line in report_lines(checks):
         console.print(line, soft_wrap=True)
     return checks

@@ -25,6 +25,7 @@ from devices.live_checks import log_libraries_to
 from devices.live_sensors import connected_sensors
 from devices.sensor import DeviceError
 from viewer_app.errors import UsageError
+from viewer_app.flags import in_flags
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.sensors.anonymity import Anonymity
 
@@ -63,7 +64,7 @@ class Bundle:
                 record(raw, Console(file=printed, highlight=False, width=200), self._hide)
             except (DeviceError, UsageError) as fault:
                 print(fault, file=printed)
-        self._log = printed.getvalue().replace(f"{raw}{os.sep}", "")
+        self._log = in_flags(printed.getvalue()).replace(f"{raw}{os.sep}", "")
         self._console.print(self._log, markup=False, soft_wrap=True, end="")
 
     def write(self, checks: Sequence[Check], text: str) -> None:
