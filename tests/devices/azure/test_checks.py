@@ -221,7 +221,7 @@ def test_orbbecs_software_and_our_tracker_are_enough(orbbecs, monkeypatch, tmp_p
     checks = device_checks(choose_tracker("blazepose"), tmp_path)
     named = _by_name(checks)
     assert [c.name for c in checks if c.needed and not c.ok and c.name != "blazepose"] == []
-    assert named["body tracker in use"].detail == "blazepose full (asked for with --tracker)"
+    assert named["body tracker in use"].detail == "blazepose full (asked for with `tracker`)"
     bolt, gemini = named["Orbbec CL8H741005K"], named["Orbbec AY8T43E0031"]
     assert bolt.ok
     assert bolt.detail == "Orbbec Femto Bolt, USB3.2, firmware 1.1.3, sync jacks not known"

@@ -73,7 +73,7 @@ def test_without_a_package_index_one_line_says_what_to_do(tmp_path, pip, says, t
     pip(FAILS.format(line=says))
     with pytest.raises(DeviceError, match=told) as fault:
         fetching.fetch("full", tmp_path)
-    assert "`tracker_model`" in str(fault.value)
+    assert "`tracker_model=DIR`" in str(fault.value)
     assert "\n" not in str(fault.value)
 
 
