@@ -28,7 +28,6 @@ _FORGET_S = 60.0  # somebody out of sight is no longer recognised
 _SAME_PLACE_M = 0.3  # of one person in two views, at most
 _PLACE_SD_M = 0.1  # the same, usually
 _SURE_NS = 200_000_000  # for so long two views of a person are apart, or those of two people in one place
-_OWN_TRACK = 1.0  # log-likelihood of a track that may have been exchanged
 _BONES_EVERY, _BONES_NEW = 30, 0.2  # frames; share of a new measurement
 _RETURN_S = 1.0  # the bones of who was away for less are not compared
 _MOST_OWNED = 200  # tracks
@@ -172,19 +171,18 @@ class Room:
     def _cost(self, person: Person, view: int, k: int, seen: Sequence[Seen], time_ns: int) -> float:
         of = seen[view]
         other = self._place(person, 1 - view, seen)
-        own = _OWN_TRACK if self._owner.get((view, of.tracks[k])) is person else 0.0
         if other is not None:
             far = math.dist(other, of.places[k])
             if far > _SAME_PLACE_M:
                 return np.inf
-            return 0.5 * (far / _PLACE_SD_M) ** 2 + 2.0 * math.log(_PLACE_SD_M) - own
+            return 0.5 * (far / _PLACE_SD_M) ** 2 + 2.0 * math.log(_PLACE_SD_M)
         far, seconds = math.dist(person.place, of.places[k]), 1e-9 * (time_ns - person.seen_ns)
         if far > REACH_M + SPEED_M_S * seconds:
             return np.inf
         bones, known = np.nan, person.bones[view]
         if seconds > _RETURN_S and known is not None:
             bones = differing(known, bones_of(self._body, of.skeletons[k].positions[None]))
-        return cost_of_return(bones, far, seconds) - own
+        return cost_of_return(bones, far, seconds)
 
     def _measure(self, person: Person, view: int, skeleton: Skeleton) -> None:
         now, before = bones_of(self._body, skeleton.positions[None]), person.bones[view]

@@ -226,3 +226,37 @@ def test_a_sensor_that_was_moved_splits_nobody():
         known = RigidTransform.identity() if k < 30 else moved
         pair = people.chosen(pair_of(frame, frame), known)
         assert pair.skeletons.a is pair.skeletons.b is crowd["1"]
+
+
+@pytest.mark.parametrize("off", [1.5, 3.0])
+def test_views_that_were_put_together_wrongly_are_put_right_in_a_third_of_a_second(off):
+    """A placement that is off brings the wrong people of B to those of A, or nobody."""
+    wrong = RigidTransform.of(np.eye(3), (off, 0.0, 0.0))
+    crowd = {"1": still(0.0), "2": still(1.5)}
+    people = PersonOfPair(AZURE_KINECT)
+    for k in range(60):
+        frame = SensorFrame(k * FRAME_NS, crowd)
+        pair = people.chosen(pair_of(frame, frame), wrong if k < 30 else RigidTransform.identity())
+        assert pair.skeletons.a is crowd["1"]
+        assert pair.skeletons.b is (None if k < 30 else crowd["1"]) or 30 <= k < 40
+
+
+def test_somebody_whom_only_the_other_sensor_sees_is_not_followed():
+    crowd, elsewhere = {"1": still(0.0), "2": still(1.5)}, {"5": still(-2.5)}
+    people = PersonOfPair(AZURE_KINECT)
+    for k in range(30):
+        pair = pair_of(SensorFrame(k * FRAME_NS, crowd), SensorFrame(k * FRAME_NS, elsewhere))
+        skeletons = people.chosen(pair, RigidTransform.identity()).skeletons
+        assert skeletons.a is crowd["1"]
+        assert skeletons.b is None
+
+
+def test_before_the_placement_is_known_two_who_come_back_are_told_apart_in_one_view_only():
+    alone, crowd = {"1": still(0.0)}, {"1": still(0.0), "2": still(1.5)}
+    back = {"8": still(1.4), "9": still(0.1)}
+    people, seen = PersonOfPair(AZURE_KINECT), []
+    for k, of in enumerate([*[alone] * 10, *[crowd] * 30, *[{}] * 45, *[back] * 5]):
+        frame = SensorFrame(k * FRAME_NS, of)
+        seen.append(people.chosen(pair_of(frame, frame)).skeletons)
+    assert all(pair.a is pair.b is not None for pair in seen[:40])
+    assert all(pair.a is back["9"] and pair.b is None for pair in seen[-5:])
