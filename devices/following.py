@@ -117,7 +117,7 @@ class PersonOfPair:
         else:
             picks = self._of_rooms(time_ns, seen, known)
             if a_from_b is None:
-                self._search.keep(pair, seen)
+                self._search.keep(time_ns, seen)
         a, b = (None if k is None else of.skeletons[k] for of, k in zip(seen, picks, strict=True))
         return replace(pair, skeletons=replace(pair.skeletons, a=a, b=b))
 
@@ -198,20 +198,20 @@ class _Search:
 
     def __init__(self, body: Body) -> None:
         self._body = body
-        self._pairs: deque[tuple[FramePair, tuple[Seen, Seen]]] = deque(maxlen=_KEPT)
+        self._pairs: deque[tuple[int, tuple[Seen, Seen]]] = deque(maxlen=_KEPT)
         self._next_ns = 0
         self._running: Generator[None, None, Registered | None] | None = None
         self._before: RigidTransform | None = None
         self.found: RigidTransform | None = None
 
-    def keep(self, pair: FramePair, seen: tuple[Seen, Seen]) -> None:
+    def keep(self, time_ns: int, seen: tuple[Seen, Seen]) -> None:
         if seen[0].tracks and seen[1].tracks:
-            self._pairs.append((pair, seen))
+            self._pairs.append((time_ns, seen))
 
     def step(self) -> None:
         """Computes one fit at most."""
         if self._running is None:
-            if len(self._pairs) < _FEWEST_KEPT or self._pairs[-1][0].time_ns < self._next_ns:
+            if len(self._pairs) < _FEWEST_KEPT or self._pairs[-1][0] < self._next_ns:
                 return
             a, b = (self._tracks(view) for view in (0, 1))
             self._running = Registered.search(a, b, a.people.time_ns)
@@ -223,7 +223,7 @@ class _Search:
 
     def _accept(self, found: Registered | None) -> None:
         again_s = _SEARCH_S if self.found is None else _AGAIN_S
-        self._next_ns = self._pairs[-1][0].time_ns + round(again_s * 1e9)
+        self._next_ns = self._pairs[-1][0] + round(again_s * 1e9)
         before, self._before = self._before, None
         if found is None or found.score < max(
             _LEAST_FIT * found.most, found.next_score + _LEAST_LEAD * found.most
@@ -239,7 +239,7 @@ class _Search:
 
     def _tracks(self, view: int) -> Tracks:
         seen = [of[view] for _, of in self._pairs]
-        times = [pair.time_ns for pair, _ in self._pairs]
+        times = [time_ns for time_ns, _ in self._pairs]
         frames = [
             SensorFrame(time_ns, dict(zip(of.names, of.skeletons, strict=True)))
             for time_ns, of in zip(times, seen, strict=True)
