@@ -42,7 +42,7 @@ def exported(session, name, **how):
 
 def expected(session):
     """(N, J, 3) metres, y up; the pose before a gap is held."""
-    there = session.at(even_moments(session.rows).time_ns)
+    there = session.at(1e-9 * even_moments(session.rows).time_ns)
     seen = np.isfinite(there).all(axis=(1, 2))
     assert seen[0]
     held = np.maximum.accumulate(np.where(seen, np.arange(len(there)), 0))
