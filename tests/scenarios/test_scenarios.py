@@ -13,6 +13,7 @@ from devices.capture.causes import Cause
 from recordings.session import Session
 from tests.scenarios import program
 from tests.scenarios.table import SCENARIOS
+from viewer_app.flags import in_flags
 
 _ENDS = 2  # frames: the first and the last may lack their partner
 _LABEL = r"(?:Kinect )?\w+"
@@ -23,7 +24,7 @@ def _pattern(text):
     return "".join(_LABEL if p == "{label}" else ".*?" if p[:1] == "{" else re.escape(p) for p in parts)
 
 
-_PATTERNS = {cause: re.compile(_pattern(cause.value)) for cause in Cause}
+_PATTERNS = {cause: re.compile(_pattern(in_flags(cause.value))) for cause in Cause}
 _SLOW_MACHINE = {Cause.TOO_FAST, Cause.LOST_ON_USB, Cause.LATE, Cause.TOO_LATE}
 """Told rightly on a busy machine, the rig's bus included."""
 _ELSEWHERE = {
