@@ -64,6 +64,16 @@ class RecordedPeople(Rows[SensorFrame]):
         skeletons = self.skeletons.chosen_whole(rows) if len(rows) else self.skeletons
         return replace(self, ids=[name], frame=self.frame[rows], person=0 * rows, skeletons=skeletons)
 
+    def without(self, rows: NDArray[np.int64]) -> RecordedPeople | None:
+        """The people whose skeletons are not these; None if there are none."""
+        left = np.ones(len(self.frame), dtype=np.bool_)
+        left[rows] = False
+        rest = np.flatnonzero(left)
+        if not len(rest):
+            return None
+        skeletons = self.skeletons.chosen_whole(rest)
+        return replace(self, frame=self.frame[rest], person=self.person[rest], skeletons=skeletons)
+
     def rows_of(self, names: Sequence[str]) -> NDArray[np.int64]:
         """The skeletons that have these ids."""
         return np.flatnonzero(np.isin(self.person, [self.ids.index(name) for name in names]))

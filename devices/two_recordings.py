@@ -64,6 +64,7 @@ class TwoRecordings:
         tracker: The body tracker that found the people; empty where the files had skeletons.
         clock: The offset by which B's times were corrected; None where they are as recorded.
         stated: What was stated about the files.
+        others: The people who are not followed, of each recording; None where there are none.
         orientations: Of both sensors; intrinsics, skeletons and depth images are of the upright sensors.
     """
 
@@ -76,6 +77,7 @@ class TwoRecordings:
     clock: ClockOffset | None = None
     stated: StatedFormat = UNSTATED
     orientations: tuple[Orientation, Orientation] = (0, 0)
+    others: tuple[RecordedPeople | None, RecordedPeople | None] = (None, None)
 
     def cameras(self, depth: Depth) -> tuple[Intrinsics | None, Intrinsics | None]:
         """The intrinsics, for depth images as they are logged."""
@@ -213,7 +215,10 @@ def read_two(
     name = tracker.full_name if tracked and tracker is not None else ""
     cameras, paths = (read_a.intrinsics, read_b.intrinsics), (path_a, path_b)
     turned = read_a.orientation, read_b.orientation
-    return TwoRecordings(body, pairing, cameras, warnings, paths, name, clock, choice_a.stated, turned)
+    others = read_a.others, read_b.others
+    return TwoRecordings(
+        body, pairing, cameras, warnings, paths, name, clock, choice_a.stated, turned, others
+    )
 
 
 def _body_of_both(
@@ -343,6 +348,7 @@ class _Read:
     person: View
     intrinsics: Intrinsics | None = None
     orientation: Orientation = 0
+    others: RecordedPeople | None = None  # who are not followed
 
     @property
     def seen(self) -> View:
@@ -369,7 +375,9 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
                 info, arrivals = images.info, images.arrivals
         warnings = list(source.warnings)
     people.choose_person(choice.person, source.name, choice.person_option)
+    others = None
     if choice.person is not None:
+        others = people.without(people.rows_of([choice.person]))
         people = people.only(choice.person)
     camera, orientation = source.intrinsics, choice.orientation or 0
     if choice.orientation is None and has_images(choice.path):
@@ -377,6 +385,8 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
         orientation = orientation_of(people.body, seen[:: max(1, len(seen) // _SAMPLES)])
     if orientation and choice.orientation is None:
         people = replace(people, skeletons=turned_view(people.skeletons, orientation))
+        if others is not None:
+            others = replace(others, skeletons=turned_view(others.skeletons, orientation))
         camera = None if camera is None else turned_camera(camera, orientation)
         tracked = f"`orientation={orientation}` also tracks it so; " if choice.is_tracked else ""
         warnings.append(
@@ -385,7 +395,7 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
         )
     give_back()
     times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
-    return _Read(source.name, people, info, warnings, times, people.skeletons, camera, orientation)
+    return _Read(source.name, people, info, warnings, times, people.skeletons, camera, orientation, others)
 
 
 def _with_person(
@@ -416,9 +426,7 @@ def _with_person(
     )
     count = "1 person is" if found.people == 1 else f"{found.people} people are"
     line = f"{count} seen, {has}. The one followed is {names}; {choose} another."
-    chosen_a, chosen_b = (
-        replace(read, person=read.people.view_of(rows)) for read, rows in zip(reads, found.rows, strict=True)
-    )
+    chosen_a, chosen_b = (_of_rows(read, rows) for read, rows in zip(reads, found.rows, strict=True))
     return _told(chosen_a, line), chosen_b
 
 
@@ -427,7 +435,7 @@ def _alone(read: _Read, choice: RecordingChoice) -> _Read:
     people = read.people
     person = people.choose_person(choice.person, read.name, choice.person_option)
     others = () if choice.person is not None else people.successors(person)
-    read = replace(read, person=people.view((person, *others)))
+    read = _of_rows(read, people.rows_of((person, *others)))
     if not others:
         return read
     return _told(
@@ -435,6 +443,12 @@ def _alone(read: _Read, choice: RecordingChoice) -> _Read:
         f"{read.name}: person {_named(others)} is followed while {person!r} is not seen. "
         f"{choice.person_option} {person} follows {person!r} alone.",
     )
+
+
+def _of_rows(read: _Read, rows: NDArray[np.int64]) -> _Read:
+    """The same, with these skeletons as the person."""
+    others = read.people.without(rows) if read.others is None else read.others
+    return replace(read, person=read.people.view_of(rows), others=others)
 
 
 def _told(read: _Read, line: str) -> _Read:

@@ -33,6 +33,7 @@ from recordings.writing.checksums import (
     properties_checksum,
 )
 
+_NOT_ROWS = {layout.BONES, *map(layout.others, layout.SIDES)}
 _TIME = layout.QUALITY, layout.TIME
 _FRAME_CRC, _FUSED_CRC = (layout.QUALITY, FRAME_CRC), (layout.QUALITY, FUSED_CRC)
 _CHECKS_CRC = layout.QUALITY, CHECKS_CRC
@@ -43,7 +44,7 @@ _PROVISIONAL = ("none yet", "provisional")
 
 def read_session(path: Path) -> SessionData:
     """Reads a session; see :meth:`recordings.session.Session.open`."""
-    found = read_columns(path, lambda entity: entity != layout.BONES)
+    found = read_columns(path, lambda entity: entity not in _NOT_ROWS)
     about = _checked_properties(path, found)
     name = about["session"]["body"][0]
     if name not in BODIES:

@@ -226,10 +226,15 @@ def check_whole(path: Path) -> None:
 
 
 def _copy_images(session: SessionData, recorder: Recorder, first: int, end: int) -> int:
-    """Logs the images of frames `first` to `end` (exclusive); returns the number of damaged images."""
+    """Logs the other people and the images of frames `first` to `end` (exclusive).
+
+    Returns the number of damaged images.
+    """
     damaged = 0
     time_ns = session.rows.time_ns - session.rows.time_ns[first]
     for side in layout.SIDES:
+        for frame, bones in session.images.others(side, range(first, end)):
+            recorder.others.bones(side, frame - first, int(time_ns[frame]), bones)
         depth, color = session.depth(side, first, end), session.color(side, first, end)
         for frame, image in depth:
             recorder.images.depth(side, frame - first, int(time_ns[frame]), image)

@@ -1,4 +1,4 @@
-"""The images in a session's file, read on demand. Damaged images are skipped and counted."""
+"""The images and other people in a session's file, read on demand. What is damaged is skipped and counted."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -57,7 +57,7 @@ class ImageReader(Images[T]):
                 raise RecordingError(
                     f"{self._path} holds another session now. Open it again to read its images."
                 )
-            for entity, batch in file.chunks(images=True):
+            for entity, batch in file.chunks(images=self._entity not in map(layout.others, layout.SIDES)):
                 if entity != self._entity or layout.FRAME not in batch.schema.names:
                     continue
                 for k, frame in enumerate(batch.column(layout.FRAME).to_pylist()):
@@ -90,6 +90,15 @@ class FileImages(SessionImages):
 
     def color(self, side: str, frames: range) -> Images[ColorImage]:
         return ImageReader(self._file, layout.color(side), _checked_color, _decoded_color, frames)
+
+    def others(self, side: str, frames: range) -> Images[NDArray[np.float32]]:
+        return ImageReader(self._file, layout.others(side), _checked_others, lambda bones: bones, frames)
+
+
+def _checked_others(batch: pa.RecordBatch, k: int, frame: int) -> tuple[NDArray[np.float32], bool]:
+    parts = (batch.column(f"Arrows3D:{of}")[k].values for of in ("origins", "vectors"))
+    bones = np.stack([part.flatten().to_numpy().reshape(-1, 3) for part in parts], axis=1)
+    return bones, batch.column("crc32")[k].as_py() == [image_checksum(frame, bones.tobytes())]
 
 
 def _checked_depth(batch: pa.RecordBatch, k: int, frame: int) -> tuple[bytes, bool]:

@@ -20,8 +20,10 @@ from recordings.appearance import entity_styles
 from recordings.appearance.floor import FloorFinder
 from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources
 from recordings.frame_noise import FrameDeviations, noise_of
+from recordings.images import drawn_bones
 from recordings.session_arrays import SessionArrays
-from recordings.writing.arrow_columns import Column, Times, converted, state_changes
+from recordings.writing.arrow_columns import Column, Times, converted, own_values, state_changes
+from recordings.writing.checksums import image_checksum
 
 _POSE_AGAIN_NS = 10_000_000_000
 """Between two logs of an unchanged pose."""
@@ -105,26 +107,28 @@ class OthersLog:
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream, self._shown = stream, dict.fromkeys(layout.SIDES, False)
 
+    def bones(self, side: str, number: int, time_ns: int, bones: NDArray[np.float32]) -> None:
+        """Logs :func:`recordings.images.drawn_bones` of a frame."""
+        if not len(bones) and not self._shown[side]:
+            return
+        self._shown[side] = len(bones) > 0
+        set_time(self._stream, number, time_ns)
+        self._stream.log(
+            layout.others(side),
+            rr.Arrows3D.from_fields(origins=bones[:, 0], vectors=bones[:, 1]),
+            own_values(crc32=image_checksum(number, bones.tobytes())),
+        )
+
     def record(self, number: int, time_ns: int, pair: FramePair) -> None:
         """Logs those of a frame; a sensor without a frame keeps what it has."""
         views = (pair.a, pair.skeletons.a), (pair.b, pair.skeletons.b)
         for side, (frame, followed) in zip(layout.SIDES, views, strict=True):
             if frame is None:
                 continue
-            others = [person for person in frame.people.values() if person is not followed]
-            if others or self._shown[side]:
-                self._shown[side] = bool(others)
-                origins, vectors = np.zeros((2, 0, 3), np.float32)
-                for person in others:
-                    bones = person.body.bone_joints
-                    along = person.positions[person.body.parent_indices[bones]] - person.positions[bones]
-                    known = np.isfinite(along).all(axis=1)
-                    origins = np.concatenate((origins, person.positions[bones][known]))
-                    vectors = np.concatenate((vectors, along[known]))
-                set_time(self._stream, number, time_ns)
-                self._stream.log(
-                    layout.others(side), rr.Arrows3D.from_fields(origins=origins, vectors=vectors)
-                )
+            others = [person.positions for person in frame.people.values() if person is not followed]
+            body = next(iter(frame.people.values())).body if others else None
+            drawn = np.zeros((0, 2, 3), np.float32) if body is None else drawn_bones(body, np.array(others))
+            self.bones(side, number, time_ns, drawn)
 
 
 class QualityLog:

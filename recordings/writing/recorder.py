@@ -48,6 +48,7 @@ class Recorder:
 
     Attributes:
         images: Writes single images.
+        others: Writes the people who are not followed.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class Recorder:
         self._like: SessionArrays | None = None  # the first frame, whose optional figures all have
         self._plots_later, self._unplotted = plots_later, list[SessionArrays]()
         self.images = ImageLog(stream, setup, depth_every, points)
-        self._others = OthersLog(stream)
+        self.others = OthersLog(stream)
         self._figures, self._trust_colors = StreamFiguresLog(stream), TrustColors()
         self._placement, self._quality = PlacementLog(stream, setup, points), QualityLog(stream)
         self._states = StatesLog(stream, setup.body, self._pause)
@@ -111,7 +112,7 @@ class Recorder:
         self._like = self._like or rows[:1]
         self.record_rows(rows)
         for frame, number, time_ns in zip(frames, numbers, rows.time_ns.tolist(), strict=True):
-            self._others.record(number, time_ns, frame.pair)
+            self.others.record(number, time_ns, frame.pair)
             if frame.streams is not None:
                 self._figures.record(number, time_ns, frame.streams)
             self.record_images(number, frame)

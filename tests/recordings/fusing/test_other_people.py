@@ -1,0 +1,91 @@
+"""The people of a session of recordings who are not followed."""
+
+import numpy as np
+import pytest
+
+from fusion.body import KINECT_V2
+from recordings import fuse, layout
+from recordings.file.session_writer import write_session
+from recordings.session import Session
+from tests.helpers.recorded_pairs import write_view
+from tests.helpers.two_views import moving
+
+FRAMES, FIRST, END = 60, 20, 45
+"""The other person is seen from one frame to another."""
+
+
+def two_files(folder):
+    """The recordings of two sensors, and the other person of each, (n, J, 3) metres."""
+    paths, others = [], []
+    for side in "ab":
+        noise = np.random.default_rng(ord(side)).normal(0.0, 0.005, (FRAMES, 25, 3))
+        seen = moving(KINECT_V2, FRAMES) + noise
+        other = seen + [1.5, 0.0, 0.5]
+        path = folder / f"{side}.csv"
+        rows = write_view(path, KINECT_V2, other).read_text().splitlines()[1 + 25 * FIRST : 1 + 25 * END]
+        one = write_view(path, KINECT_V2, seen).read_text().splitlines()
+        path.write_text("\n".join([*one, *(row.replace(",0,", ",1,", 1) for row in rows)]) + "\n")
+        paths.append(path)
+        others.append(other[FIRST:END])
+    return paths, others
+
+
+@pytest.fixture(scope="module")
+def fused(tmp_path_factory):
+    paths, others = two_files(tmp_path_factory.mktemp("two"))
+    return fuse(*paths), others
+
+
+def others_of(session, side):
+    return dict(session.images.others(side, range(len(session))))
+
+
+def test_the_others_are_those_of_the_files(fused):
+    session, others = fused
+    bones = KINECT_V2.bone_joints
+    for side, seen in zip(layout.SIDES, others, strict=True):
+        drawn = others_of(session, side)
+        assert list(drawn) == list(range(FIRST, END + 1))
+        assert len(drawn.pop(END)) == 0  # the last one clears them
+        ends, along = np.stack(list(drawn.values())).transpose(2, 0, 1, 3)
+        np.testing.assert_allclose(ends, seen[:, bones], atol=1e-3)
+        parents = seen[:, KINECT_V2.parent_indices[bones]]
+        np.testing.assert_allclose(ends + along, parents, atol=1e-3)
+
+
+def test_whoever_is_chosen_by_id_is_not_among_the_others(tmp_path):
+    paths, others = two_files(tmp_path)
+    session = fuse(*paths, person_a="1", person_b="1")
+    root = KINECT_V2.root
+    followed = session.skeleton_a.positions[FIRST:END, root]
+    np.testing.assert_allclose(followed, others[0][:, root], atol=1e-3)
+    assert set(others_of(session, "a")) == set(range(FRAMES))
+
+
+@pytest.mark.parametrize(("first", "end"), [(0, FRAMES), (10, 40), (30, FRAMES), (50, FRAMES)])
+def test_a_written_session_keeps_the_others(fused, tmp_path, first, end):
+    session, _ = fused
+    part, again = tmp_path / "part.rrd", tmp_path / "again.rrd"
+    write_session(session, part, first=first, end=end)
+    write_session(Session.open(part), again)
+    for side in layout.SIDES:
+        expected = {
+            t - first: bones for t, bones in session.images.others(side, range(first, end)) if len(bones)
+        }
+        for path in (part, again):
+            kept = {t: bones for t, bones in others_of(Session.open(path), side).items() if len(bones)}
+            assert kept.keys() == expected.keys()
+            for t, bones in kept.items():
+                np.testing.assert_array_equal(bones, expected[t])
+
+
+def test_recordings_of_one_person_have_no_others(tmp_path):
+    paths = [
+        write_view(
+            tmp_path / f"{side}.csv",
+            KINECT_V2,
+            moving(KINECT_V2, FRAMES) + np.random.default_rng(k).normal(0.0, 0.005, (FRAMES, 25, 3)),
+        )
+        for k, side in enumerate("ab")
+    ]
+    assert others_of(fuse(*paths), "a") == {}
