@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from devices.events import Event
+from devices.output_file import whole_file
 from devices.pairing import FramePair, RecordedPairs
 from devices.skeletons.name_tables import name_table
 from fusion.body import Body
@@ -38,7 +39,6 @@ from recordings import layout
 from recordings.errors import RecordingError
 from recordings.export import Names, Table, writer_for
 from recordings.export.tables import arrow_table, units_of
-from recordings.file.growing_file import partial_beside
 from recordings.file.session_reader import read_session
 from recordings.images import NO_IMAGES, SessionImages
 from recordings.session_arrays import SessionArrays, SessionFrame, SessionFrames
@@ -179,13 +179,9 @@ class Session(SessionSeries):
             OSError: The file could not be written completely. Then it is as before.
         """
         path = Path(path)
-        write, partial = writer_for(path, table, rate, names), partial_beside(path)
-        try:
-            written = write(self, partial)
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
-        return written
+        write = writer_for(path, table, rate, names)
+        with whole_file(path, overwrite=True) as hidden:
+            return write(self, hidden)
 
     def compare_with(
         self, path: str | Path, *, names: str | Path | None = None, offset: float | None = None

@@ -6,7 +6,6 @@ needs until a function is called.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -208,7 +207,5 @@ def _opened(path: str | Path) -> Session:
 def _write(session: Session, path: Path) -> None:
     """Writes a session whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{os.getpid()}.{path.name}")
-    session.save(partial)
-    partial.replace(path)
+    session.save(path)
     written.append(path.absolute())

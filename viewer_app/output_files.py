@@ -5,18 +5,18 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
 
-from recordings.file.growing_file import partial_beside
+from devices.output_file import Hidden, TakenError, whole_file
 from viewer_app.errors import UsageError
 
 SESSION = ".rrd"
 """Ending of a session's name; other endings do not open in a viewer."""
+_claimed: dict[Path, Hidden] = {}
 _LITTLE_FREE = 500_000_000  # bytes; a session with depth images takes about 300 MB per minute
 
 
@@ -59,7 +59,7 @@ def check_outputs(
 
     Raises:
         UsageError: As there; or two outputs are one file, or an output is an input, or the session's name
-            does not end in ``.rrd``.
+            does not end in ``.rrd``; or another process is writing one of them.
     """
     outputs = [session, *outputs]
     taken = {_real(path): f"is also read, as {path}" for path in inputs}
@@ -71,6 +71,35 @@ def check_outputs(
     if session is not None and session.suffix.lower() != SESSION:
         example = session.with_suffix(SESSION).name
         raise UsageError(f"--save {session}: a session's name must end in {SESSION}, as in {example}.")
+    for path in filter(None, outputs):
+        claim(path)
+
+
+@contextmanager
+def outputs_of_one_run() -> Iterator[None]:
+    """Within the block, :func:`check_outputs` keeps other processes from writing the same files."""
+    before = set(_claimed)
+    try:
+        yield
+    finally:
+        for path in _claimed.keys() - before:
+            _claimed.pop(path).remove()
+
+
+def claim(path: Path) -> None:
+    """Keeps other processes from writing a file until :func:`outputs_of_one_run` ends.
+
+    Raises:
+        UsageError: Another one is writing it.
+    """
+    path = _real(path)
+    if path not in _claimed:
+        try:
+            _claimed[path] = Hidden(path, shared=True)
+        except BlockingIOError:
+            raise UsageError(f"{path} is being written by another process. Choose another name.") from None
+        except OSError as error:
+            raise UsageError(f"{path} could not be written: {error.strerror or error}.") from None
 
 
 def _real(path: Path) -> Path:
@@ -79,43 +108,31 @@ def _real(path: Path) -> Path:
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Yields a temporary path beside `path`; renames it to `path` on success and removes it on failure.
+def output_file(path: Path, force: bool) -> Iterator[Path]:
+    """:func:`~devices.output_file.whole_file` of a command.
 
     Raises:
-        UsageError: The file could not be written, or another program created a file of that name in the
-            meantime. That file is not replaced, and the message names ours.
+        UsageError: The file could not be written, or it exists by now and `force` is not set. That file is
+            not replaced, and the message names ours.
     """
-    path = _real(path)
-    partial = partial_beside(path)
-    was_there = path.exists()
     try:
-        yield partial
-        if path.exists() and not was_there:
-            other = free_name(path)
-            partial.replace(other)
-            raise UsageError(f"{path} was made by another program meanwhile. What this one made is {other}.")
-        partial.replace(path)
+        with whole_file(path, overwrite=force) as hidden:
+            yield hidden
+    except TakenError as taken:
+        said = f"{path} was made by another program meanwhile. What this one made is {taken.kept}."
+        raise UsageError(said) from None
     except OSError as error:
         raise UsageError(f"{path} could not be written: {error.strerror or error}.") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str, force: bool) -> None:
     """Writes a text file that is either complete or absent; names of files keep their bytes."""
-    with whole_file(path) as partial:
-        partial.write_text(text, encoding="utf-8", errors="surrogateescape")
+    with output_file(path, force) as hidden:
+        hidden.write_text(text, encoding="utf-8", errors="surrogateescape")
 
 
-def save_report(path: Path | None, figures: dict[str, Any]) -> None:
+def save_report(path: Path | None, figures: dict[str, Any], force: bool) -> None:
     """Writes a report as standard JSON, if there is a path; an unfinished file is never left behind."""
     if path is not None:
         text = json.dumps(figures, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-        write_text(path, text)
-
-
-def free_name(path: Path) -> Path:
-    """The path, or if it exists, the first free one of ``name-2``, ``name-3`` …"""
-    names = (path.with_stem(f"{path.stem}-{k}") for k in count(2))
-    return next(name for name in chain([path], names) if not os.path.lexists(name))
+        write_text(path, text, force)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from devices.azure.calibration import COLOR_SIZES, calibration_json, mode_name
 from devices.capture.settings import CaptureSettings
+from devices.output_file import GrowingOutput
 from devices.sensor import DeviceError, SensorFrame
 from fusion.intrinsics import Intrinsics
 
@@ -36,7 +37,7 @@ class MkvWriter:
     """A recording that grows.
 
     Args:
-        path: A new file, or one to overwrite.
+        path: The file; see :class:`~devices.output_file.GrowingOutput`.
         serial: Serial number of the sensor.
         settings: How the sensor runs: rate, place on the sync cable.
         lens: Intrinsics of the depth camera.
@@ -44,6 +45,7 @@ class MkvWriter:
         calibration: The JSON that an Azure Kinect stores; empty: made from the cameras' intrinsics.
         compress: Whether depth and infrared are compressed without loss (FFVHUFF). Microsoft's tools read
             raw images only.
+        overwrite: Whether to replace an older file.
 
     Raises:
         OSError: The file cannot be written.
@@ -59,6 +61,7 @@ class MkvWriter:
         *,
         calibration: bytes = b"",
         compress: bool = False,
+        overwrite: bool = False,
     ) -> None:
         if first.depth is None:
             raise DeviceError(f"{serial} gives no depth image, so there is nothing to record.")
@@ -75,13 +78,17 @@ class MkvWriter:
         mode = mode_name(lens, settings.depth_mode)
         calibration = calibration or calibration_json(lens, mode, color)
         head, self._duration_at = self._head(serial, settings, first, mode, calibration)
-        self._file = path.open("wb", buffering=0)
-        self._end = 0
+        self._file, self._open = GrowingOutput(path, overwrite=overwrite), True
         try:
-            self._append(head)
+            self._file.append(head)
         except BaseException:
-            self._file.close()
+            self._file.close(whole=False)
             raise
+
+    @property
+    def placed(self) -> bool:
+        """Whether the file is there under its name."""
+        return self._file.placed
 
     def write(self, frame: SensorFrame) -> None:
         """Appends a frame. Its time is later than that of the frame before.
@@ -108,16 +115,16 @@ class MkvWriter:
                 ]
         time = _element(0xE7, _number(time_us))
         size = len(time) + sum(map(len, blocks))
-        self._append(b"".join((_head_of(0x1F43B675, size), time, *blocks)))
+        self._file.append(b"".join((_head_of(0x1F43B675, size), time, *blocks)))
         self._last_us = time_us
 
     def close(self) -> None:
         """Writes the duration and closes. Closing twice has no effect."""
-        if self._file.closed:
+        if not self._open:
             return
+        self._open = False
         try:
-            self._file.seek(self._duration_at)
-            self._file.write(struct.pack(">d", self._last_us + self._interval_us))
+            self._file.patch(self._duration_at, struct.pack(">d", self._last_us + self._interval_us))
         finally:
             self._file.close()
 
@@ -127,17 +134,7 @@ class MkvWriter:
     def __exit__(self, kind: type[BaseException] | None, *_: BaseException | TracebackType | None) -> None:
         if kind is None:
             self.close()
-        self._file.close()
-
-    def _append(self, content: bytes) -> None:
-        try:
-            rest = memoryview(content)
-            while rest:
-                rest = rest[self._file.write(rest) :]
-        except OSError:
-            self._file.truncate(self._end)
-            raise
-        self._end += len(content)
+        self._file.close(whole=False)
 
     def _coded(self, name: str, image: NDArray[np.uint16]) -> bytes:
         encoder = self._encoders.get(name)

@@ -1,13 +1,10 @@
 """A session file that is readable while it grows; an interruption loses at most the last block."""
 
-import os
-from contextlib import suppress
-from io import FileIO
 from pathlib import Path
-from zlib import crc32
 
 import rerun as rr
 
+from devices.output_file import GrowingOutput
 from recordings.file.rrd_file import END_OF_FILE, without_footer
 
 _READ_WITHIN = 10.0
@@ -36,24 +33,27 @@ class Blocks:
 
 
 class GrowingFile:
-    """A file that appears under its name with the first block; an existing file stays until then.
+    """A session's file as :class:`~devices.output_file.GrowingOutput`, which readers of Rerun take.
 
     Args:
         stream: The stream whose data is written; it must not have a sink yet.
     """
 
     def __init__(self, path: Path, stream: rr.RecordingStream, overwrite: bool = False) -> None:
-        self._path = Path(os.path.realpath(path))
         self._blocks = Blocks(stream)
-        self._overwrite = overwrite
-        self._file: FileIO | None = None
-        self._size = 0
+        self._path, self._overwrite = path, overwrite
+        self._file: GrowingOutput | None = None
         self._failed = False
 
     @property
     def begun(self) -> bool:
-        """Whether the file exists under its name."""
+        """Whether data is written."""
         return self._file is not None
+
+    @property
+    def placed(self) -> bool:
+        """Whether the file is there under its name."""
+        return self._file is not None and self._file.placed
 
     def write(self) -> None:
         """Writes the data logged since the last call.
@@ -63,75 +63,20 @@ class GrowingFile:
         """
         block = self._blocks.take()
         try:
-            if self._file is None:
-                self._file = self._begin(block)
-            elif not self._is_there():
-                raise FileNotFoundError("it was moved or deleted")
-            else:
-                _write_whole(self._file, block, self._size)
+            self._file = self._file or GrowingOutput(self._path, overwrite=self._overwrite)
+            self._file.append(block)
         except OSError:
             self._failed = True
             raise
-        self._size += len(block)
 
     def close(self) -> None:
         """Ends the file, or raises an OSError. Data not yet written is lost. Closing twice has no effect."""
         self._blocks.close()
         file, self._file = self._file, None
-        if file is not None:
-            try:
-                _write_whole(file, END_OF_FILE, self._size)
-            except OSError:
-                if not self._failed:
-                    raise
-            finally:
-                file.close()
-
-    def _begin(self, block: memoryview) -> FileIO:
-        if not self._overwrite:
-            file = FileIO(self._path, "x")
-            try:
-                _write_whole(file, block, 0)
-            except OSError:
-                file.close()
-                self._path.unlink()
-                raise
-            return file
-        partial = partial_beside(self._path)
+        if file is None:
+            return
         try:
-            partial.write_bytes(block)
-            partial.replace(self._path)
+            if not self._failed:
+                file.append(END_OF_FILE)
         finally:
-            partial.unlink(missing_ok=True)
-        file = FileIO(self._path, "r+")
-        file.seek(0, os.SEEK_END)
-        return file
-
-    def _is_there(self) -> bool:
-        assert self._file is not None
-        with suppress(FileNotFoundError):
-            return os.path.samestat(os.fstat(self._file.fileno()), self._path.stat())
-        return False
-
-
-def partial_beside(path: Path) -> Path:
-    """A unique hidden name in the same folder, for a temporary file that becomes `path`.
-
-    It has the suffix of `path` in lower case, because ezc3d appends the suffix to any other name.
-    """
-    return path.with_name(f".{crc32(os.fsencode(path.name)):08x}.{os.getpid()}.partial{path.suffix.lower()}")
-
-
-def _write_whole(file: FileIO, block: bytes | memoryview, at: int) -> None:
-    """Writes a block at offset `at`, the end of the file, completely; or raises an OSError and writes
-    nothing.
-    """
-    rest = memoryview(block)
-    try:
-        while rest:
-            rest = rest[file.write(rest) or 0 :]
-    except OSError:
-        with suppress(OSError):
-            file.truncate(at)
-            file.seek(at)
-        raise
+            file.close(whole=not self._failed)

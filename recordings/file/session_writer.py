@@ -13,7 +13,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,12 @@ import rerun as rr
 import rerun_bindings
 
 from devices.events import Event, spells_of
+from devices.output_file import whole_file
 from fusion.large_arrays import parts
 from fusion.progress import Progress, quietly
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.errors import RecordingError
-from recordings.file.growing_file import partial_beside
 from recordings.file.rrd_file import RrdFile, damage_of
 from recordings.session_data import OF_DAMAGED, SessionData
 from recordings.writing.recorder import Recorder
@@ -151,36 +151,36 @@ def whole_recording(
         OSError: The file cannot be created, or some logged data did not reach the file, usually because
             the disk is full.
     """
-    target = Path(os.path.realpath(path))  # not a link to it
-    if target.exists() and not target.is_file():
-        raise OSError(f"{target} is not a regular file")
-    path = partial_beside(target)
+    with (
+        whole_file(path, overwrite=True) as hidden,
+        _recording_to(hidden, application, recording_id) as stream,
+    ):
+        yield stream
+        if blueprint is not None:
+            # The timeline of the blueprint must exist: what was logged comes first in the file.
+            _flush(stream, hidden)
+            _send_blueprint(stream, blueprint)
+
+
+@contextmanager
+def _recording_to(path: Path, application: str, recording_id: str | None) -> Iterator[rr.RecordingStream]:
     _free_dropped_streams()  # of earlier files: this one is still referred to when it is complete
     stream = rr.RecordingStream(application, recording_id=recording_id or uuid4())
     try:
         stream.set_sinks(rr.FileSink(str(path)))
     except RuntimeError as error:  # Rerun's, for a folder in which no file can be created
-        raise OSError(f"{target} cannot be created") from error
+        raise OSError(f"{path} cannot be created") from error
     try:
         yield stream
-        if blueprint is not None:
-            # The timeline of the blueprint must exist: what was logged comes first in the file.
-            _flush(stream, path)
-            _send_blueprint(stream, blueprint)
         _flush(stream, path)
         disconnect(stream, _FLUSH_WITHIN)
         check_whole(path)
-        with path.open("rb") as file:
-            os.fsync(file.fileno())
-        path.replace(target)
     except RuntimeError as error:
         # Rerun's, once its thread could not write
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
     finally:
         if sys.exception() is not None:
             disconnect(stream, LEFT_AFTER)
-        with suppress(OSError):  # on Windows, while a stream that was left behind holds it
-            path.unlink(missing_ok=True)
 
 
 def _flush(stream: rr.RecordingStream, path: Path) -> None:

@@ -219,6 +219,28 @@ def test_a_full_disk_ends_it_in_a_sentence_and_leaves_what_was_written(tmp_path)
         assert ["is cut off" in warning for warning in recording.warnings] == [True]
 
 
+def test_an_older_recording_is_replaced_when_asked_and_when_the_new_one_is_safe(tmp_path):
+    older = tmp_path / "a.mkv"
+    older.write_bytes(b"precious")
+    for overwrite in (False, True):
+        with RawRecorder(older, Camera(), overwrite=overwrite) as recorder:
+            recorder.add(frame(0))
+            assert eventually(lambda: recorder.written or recorder.failure)
+            assert older.read_bytes() == b"precious"
+        assert (recorder.failure is None) == overwrite
+    assert len(read(older)[0]) == 1
+    assert list(tmp_path.iterdir()) == [older]
+
+
+def test_a_full_disk_leaves_the_older_recording(tmp_path):
+    with small_disk(tmp_path / "small", 1_000) as disk:
+        (disk / "a.mkv").write_bytes(b"precious")
+        with RawRecorder(disk / "a.mkv", Camera(), overwrite=True) as recorder:
+            recorder.add(frame(0))
+        assert recorder.failure == f"{disk}/a.mkv: No space left on device."
+        assert [path.read_bytes() for path in disk.iterdir()] == [b"precious"]
+
+
 def test_a_folder_that_is_gone_is_told(tmp_path):
     with RawRecorder(tmp_path / "none" / "a.mkv", Camera()) as recorder:
         recorder.add(frame(0))

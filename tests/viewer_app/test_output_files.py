@@ -1,46 +1,34 @@
-"""Output files are complete or absent, and never replace files of others."""
+"""What a command writes is not written by another process at the same time."""
 
 import pytest
 
+from devices.output_file import Hidden
 from viewer_app.errors import UsageError
-from viewer_app.output_files import free_name, whole_file
+from viewer_app.output_files import check_outputs, outputs_of_one_run, write_text
 
 
-def test_a_file_that_came_meanwhile_is_left_alone(tmp_path):
-    path = tmp_path / "s.rrd"
+def test_of_two_processes_on_one_output_the_second_is_refused(tmp_path):
+    path = tmp_path / "s.json"
+    others = Hidden(path, shared=True)  # a lock is of one opening, so this is like another process's
+    with (
+        pytest.raises(UsageError, match=r"s\.json is being written by another process"),
+        outputs_of_one_run(),
+    ):
+        check_outputs([path], [], force=True)
+    others.remove()
+    with outputs_of_one_run():
+        check_outputs([path], [], force=True)
+        check_outputs([path], [], force=True)  # the same run may ask again
+        with pytest.raises(BlockingIOError):
+            Hidden(path, shared=True)
+    assert list(tmp_path.iterdir()) == []
 
-    def both_write():
-        with whole_file(path) as partial:
-            partial.write_text("ours")
-            path.write_text("theirs")
 
-    with pytest.raises(UsageError, match=r"another program meanwhile.*s-2\.rrd"):
-        both_write()
+def test_what_was_made_meanwhile_is_told_in_one_line(tmp_path):
+    path = tmp_path / "s.json"
+    path.write_text("theirs")
+    with pytest.raises(UsageError, match=r"another program meanwhile.*s-2\.json"):
+        write_text(path, "ours", force=False)
     assert path.read_text() == "theirs"
-    assert (tmp_path / "s-2.rrd").read_text() == "ours"
-    assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_a_file_that_was_there_is_replaced_when_all_went_well(tmp_path):
-    path = tmp_path / "s.rrd"
-    path.write_text("before")
-
-    def fail_half_way():
-        with whole_file(path) as partial:
-            partial.write_text("half")
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail_half_way()
-    assert path.read_text() == "before"
-    with whole_file(path) as partial:
-        partial.write_text("after")
-    assert [(file, file.read_text()) for file in tmp_path.iterdir()] == [(path, "after")]
-
-
-def test_a_free_name_is_the_first_that_is_free(tmp_path):
-    path = tmp_path / "demo.rrd"
-    assert free_name(path) == path
-    for taken in ("demo.rrd", "demo-2.rrd"):
-        (tmp_path / taken).write_text("")
-    assert free_name(path) == tmp_path / "demo-3.rrd"
+    write_text(path, "ours", force=True)
+    assert path.read_text() == "ours"

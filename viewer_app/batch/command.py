@@ -19,6 +19,7 @@ from viewer_app.errors import UsageError
 from viewer_app.options.needs import refuse_without_effect
 from viewer_app.options.sensing import BatchOptions, calibration_source, recording_settings
 from viewer_app.output_console import output_console
+from viewer_app.output_files import claim
 
 
 def run(options: BatchOptions) -> None:
@@ -35,6 +36,7 @@ def run(options: BatchOptions) -> None:
     jobs = [Job(pair, options) for pair in pairs]
     refuse_without_effect(*(job.fuse_options(job.folder) for job in jobs))
     _make_folder(options.out)
+    claim(options.out / TABLE)
     tidy(options.out)
     known, to_do = plan_work(jobs, options.force)
     if done := sum(row.state == "fused" for row in known):

@@ -14,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from viewer_app.batch.jobs import Job, Record
-from viewer_app.output_files import whole_file
+from viewer_app.output_files import output_file, write_text
 
 State = Literal["failed", "fused", "pending"]
 
@@ -120,8 +120,8 @@ def write_parquet(rows: Sequence[Row], path: Path) -> None:
         values = [row.figures.get(name) for row in rows]
         text = any(isinstance(value, str) for value in values)
         columns[name] = pa.array(values, pa.string() if text else pa.float64())
-    with whole_file(path) as partial:
-        pq.write_table(pa.table(columns), partial)
+    with output_file(path, force=True) as hidden:
+        pq.write_table(pa.table(columns), hidden)
 
 
 def write_page(rows: Sequence[Row], path: Path) -> None:
@@ -146,8 +146,7 @@ def write_page(rows: Sequence[Row], path: Path) -> None:
             for row in fused
         ],
     )
-    with whole_file(path) as partial:
-        partial.write_text(page, encoding="utf-8")
+    write_text(path, page, force=True)
 
 
 def _cells(row: Row) -> list[str]:

@@ -16,6 +16,7 @@ from recordings.session import Session
 from viewer_app.batch.jobs import RECORD, Job, Outcome, Record
 from viewer_app.commands.fuse import fuse_files
 from viewer_app.flags import in_flags
+from viewer_app.output_files import outputs_of_one_run
 
 _ONE_AT_A_TIME = threading.Lock()
 """A Dask worker may have several threads; the memory of one recording is enough."""
@@ -49,7 +50,7 @@ def _fuse(job: Job) -> Record:
     partial.mkdir(parents=True)
     try:
         options = job.fuse_options(partial)
-        with Path(os.devnull).open("w", encoding="utf-8") as nothing:
+        with Path(os.devnull).open("w", encoding="utf-8") as nothing, outputs_of_one_run():
             session, figures = fuse_files(options, Console(file=nothing, highlight=False))
         figures["without_truth"] = truth_free_figures(session)
         if job.options.pages:

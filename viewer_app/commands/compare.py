@@ -84,8 +84,8 @@ def _compare_with_truth(options: CompareOptions, console: Console) -> None:
     if options.html is not None:
         from viewer_app.report.truth_page import truth_page
 
-        write_text(options.html, truth_page(session, comparison, figures))
-    save_report(options.report, figures)
+        write_text(options.html, truth_page(session, comparison, figures), options.force)
+    save_report(options.report, figures, options.force)
     window = window_opens(options.no_viewer, console)
 
     def write(path: Path) -> None:
@@ -94,7 +94,7 @@ def _compare_with_truth(options: CompareOptions, console: Console) -> None:
         with whole_recording(path, blueprint, _APPLICATION_ID) as stream:
             record_truth_comparison(stream, comparison)
 
-    with written_and_shown(options.save, write, window=window):
+    with written_and_shown(options.save, write, force=options.force, window=window):
         _print_truth_comparison(options, console, session, comparison, figures)
 
 
@@ -132,7 +132,7 @@ def _compare_sessions(options: CompareOptions, console: Console) -> None:
             record_comparison(stream, comparison, worst)
 
     at_ns = next((int(comparison.first.time_ns[t]) for t, _ in comparison.worst(1)), 0)
-    with written_and_shown(options.save, write, window=window, at_ns=at_ns):
+    with written_and_shown(options.save, write, force=options.force, window=window, at_ns=at_ns):
         _print_comparison(options, console, sessions, comparison, worst)
 
 

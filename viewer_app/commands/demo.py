@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from devices.capture.sensor_pair import TwoSensors
+from devices.output_file import free_name
 from devices.real_time import paced_together
 from devices.simulated.demonstration import (
     BAD_ANGLE_DEG,
@@ -36,7 +37,7 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions
 from viewer_app.options.shared import check_seconds
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, free_name
+from viewer_app.output_files import check_outputs
 from viewer_app.report.terminal import figure_table, print_lines
 from viewer_app.report.words import Line
 from viewer_app.running.interruption import CtrlC

@@ -4,7 +4,7 @@ from recordings.export import writer_for
 from recordings.session import Session
 from viewer_app.options.sessions import ExportOptions
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, whole_file
+from viewer_app.output_files import check_outputs, output_file
 from viewer_app.report.terminal import print_damage
 
 
@@ -15,8 +15,8 @@ def run(options: ExportOptions) -> None:
     check_outputs([options.to], [options.session], options.force)
     session = Session.open(options.session)
     print_damage(console, session)
-    with whole_file(options.to) as partial:
-        written = write(session, partial)
+    with output_file(options.to, options.force) as hidden:
+        written = write(session, hidden)
     console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)
     if never := session.never_seen:
         guessed = options.to.suffix.lower() in (".bvh", ".glb", ".npz")

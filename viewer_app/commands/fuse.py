@@ -75,7 +75,8 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
         page = session_page(setup, figures)
         return write_for_viewer(session, path, page, active=options.layout, progress=progress)
 
-    with written_and_shown(options.save, write, window=window, served=hub is not None) as (file, _):
+    shown = written_and_shown(options.save, write, force=options.force, window=window, served=hub is not None)
+    with shown as (file, _):
         _summarise(console, options, session, figures)
         with served(file, hub) if file is not None and hub is not None else nullcontext():
             viewing.announce(console)
@@ -124,9 +125,9 @@ def _progress(console: Console) -> Callable[..., Any]:
 
 
 def _summarise(console: Console, options: FuseOptions, session: Session, figures: Figures) -> None:
-    save_report(options.report, figures)
+    save_report(options.report, figures, options.force)
     if options.save_calibration is not None:
-        write_text(options.save_calibration, calibration_to_json(session.calibration))
+        write_text(options.save_calibration, calibration_to_json(session.calibration), options.force)
     told = [event for event in session.events if event.frame > 0]  # the recordings' own are printed already
     print_summary(console, figures, told, options.verbose)
     if options.save is not None:

@@ -134,7 +134,7 @@ def _show(
         if raw is not None:
             raw.print_end()
         if options.save_calibration is not None:
-            _save_calibration(options.save_calibration, watch.final)
+            _save_calibration(options.save_calibration, watch.final, options.force)
         runner.check_saved()
         if raw is not None:
             raw.check_whole()
@@ -158,10 +158,10 @@ def _camera(options: LiveOptions, sensor: Sensor) -> Intrinsics:
     return thinned_camera(sensor.intrinsics or NOMINAL_INTRINSICS[sensor.body.name], options.depth)
 
 
-def _save_calibration(path: Path, calibration: Calibration | None) -> None:
+def _save_calibration(path: Path, calibration: Calibration | None, force: bool) -> None:
     if calibration is None:
         raise UsageError(
             f"{path} was not written: no calibration was found. Stand where both sensors see all of you, "
             f"turned half-way between them, arms and legs apart, and hold still for a second."
         )
-    write_text(path, calibration_to_json(calibration))
+    write_text(path, calibration_to_json(calibration), force)

@@ -70,10 +70,10 @@ def run(options: ReplayOptions) -> None:
     def write(path: Path) -> int:
         return write_for_viewer(replayed, path, session_page(replay.segments[-1][0], figures))
 
-    with written_and_shown(options.save, write, window=window) as (_, damaged):
+    with written_and_shown(options.save, write, force=options.force, window=window) as (_, damaged):
         if outputs:
             figures["outputs"] = [output.figures() for output in outputs]
-        save_report(options.report, figures)
+        save_report(options.report, figures, options.force)
         print_summary(console, figures, replayed.events, options.verbose)
         print_outputs(console, outputs)
         if options.save is not None:

@@ -35,7 +35,7 @@ def run(options: ReviewOptions) -> None:
     if options.html is not None:
         from viewer_app.report.review_page import review_page
 
-        write_text(options.html, review_page(session, figures))
+        write_text(options.html, review_page(session, figures), options.force)
     print_summary(console, figures, verbose=options.verbose)
     if events or session.damage is None:
         print_events(console, events, all_of_them=options.verbose)

@@ -7,7 +7,7 @@ from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import TrimOptions
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, whole_file
+from viewer_app.output_files import check_outputs, output_file
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images
 from viewer_app.viewer.file_window import write_for_viewer
@@ -28,10 +28,10 @@ def run(options: TrimOptions) -> None:
         raise UsageError(
             f"No frame from {options.start:g} s to {last:g} s; {session} runs from 0 to {time[-1]:.3f} s."
         )
-    with whole_file(options.save) as partial:
+    with output_file(options.save, options.force) as hidden:
         setup = next(setup for setup, own in session.setups() if end <= own.stop)
         about = f"These figures are of {session}, of which this session is a part."
         page = session_page(setup, report(session), about)
-        damaged = write_for_viewer(session, partial, page, setup=setup, first=int(first), end=int(end))
+        damaged = write_for_viewer(session, hidden, page, setup=setup, first=int(first), end=int(end))
     console.print(f"Saved {options.save}: {end - first} of {len(session)} frames.", markup=False)
     print_damaged_images(console, damaged)

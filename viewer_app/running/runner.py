@@ -109,7 +109,7 @@ class Runner:
         print_outputs(console, self._outputs)
         if verbose:
             print_details(console, figures)
-        save_report(self._options.report, figures)
+        save_report(self._options.report, figures, self._options.force)
 
     def print_end(self) -> None:
         """Prints where the session was saved, which frames are missing, and where all figures are."""

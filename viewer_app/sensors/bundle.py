@@ -5,13 +5,10 @@ import json
 import os
 import platform
 import re
-import signal
 import sys
-import tempfile
-import threading
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, suppress
+from contextlib import ExitStack, contextmanager, redirect_stderr, suppress
 from dataclasses import asdict
 from importlib.metadata import requires
 from pathlib import Path
@@ -23,10 +20,11 @@ from devices.capture.usb import usb_kinects
 from devices.check import Check, installed_version
 from devices.live_checks import log_libraries_to
 from devices.live_sensors import connected_sensors
+from devices.output_file import Hidden
 from devices.sensor import DeviceError
 from viewer_app.errors import UsageError
 from viewer_app.flags import in_flags
-from viewer_app.output_files import check_outputs, whole_file
+from viewer_app.output_files import check_outputs, output_file
 from viewer_app.sensors.anonymity import Anonymity
 
 SECONDS = 10.0
@@ -41,8 +39,9 @@ _OTHERS = ("pyk4a-bundle", "pyorbbecsdk", "pyorbbecsdk2")  # sensors' packages t
 class Bundle:
     """What becomes the ``.zip``; see :func:`collecting`."""
 
-    def __init__(self, path: Path, folder: Path, hide: Anonymity, console: Console) -> None:
+    def __init__(self, path: Path, folder: Path, hide: Anonymity, console: Console, force: bool) -> None:
         self._path, self._folder, self._hide, self._console = path, folder, hide, console
+        self._force = force
         self._log = ""
 
     def may_record(self, answer: bool | None) -> bool:
@@ -79,7 +78,10 @@ class Bundle:
             for found in map(asdict, checks)
         ]
         data = json.dumps({"versions": _versions(self._hide), "checks": findings}, indent=1)
-        with whole_file(self._path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as file:
+        with (
+            output_file(self._path, self._force) as hidden,
+            zipfile.ZipFile(hidden, "w", zipfile.ZIP_DEFLATED) as file,
+        ):
             logs = [f"== recording\n{self._log}"]
             for log in sorted(self._folder.glob("*.log")):
                 logs.append(f"== {log.stem}\n{log.read_text(encoding='utf-8', errors='replace')}")
@@ -112,15 +114,16 @@ def collecting(
     if path.suffix.lower() != ".zip":
         raise UsageError(f"--bundle {path}: its name must end in .zip.")
     try:
-        folder = tempfile.TemporaryDirectory(
-            prefix=".duplex-", dir=path.resolve().parent, ignore_cleanup_errors=True
-        )
+        hidden = Hidden(path.resolve(), folder=True)
     except OSError as fault:
         raise UsageError(f"{path} could not be written: {fault.strerror or fault}.") from None
-    with _ending_in_order(), folder as name, _standard_error_to(Path(name) / "stderr.log"):
-        log_libraries_to(Path(name))
+    folder = hidden.path
+    with ExitStack() as stack:
+        stack.callback(hidden.remove)
+        stack.enter_context(_standard_error_to(folder / "stderr.log"))
+        log_libraries_to(folder)
         hide = Anonymity([*filter(None, serials), *_connected_serials()], named)
-        yield Bundle(path, Path(name), hide, console)
+        yield Bundle(path, folder, hide, console, force)
 
 
 def _connected_serials() -> set[str]:
@@ -128,22 +131,6 @@ def _connected_serials() -> set[str]:
     with suppress(DeviceError):
         serials |= {sensor.serial or "" for sensor in connected_sensors(None)}
     return serials - {""}
-
-
-@contextmanager
-def _ending_in_order() -> Iterator[None]:
-    """A closed terminal or a plain kill ends the block as Ctrl-C does, so that no images are left behind."""
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        for name in ("SIGTERM", "SIGHUP"):
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # not below nohup
-                before[number] = signal.signal(number, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager

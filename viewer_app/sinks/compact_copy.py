@@ -10,7 +10,7 @@ from pathlib import Path
 import rerun as rr
 
 from devices.depth.image_thinning import has_images
-from recordings.file.growing_file import partial_beside
+from devices.output_file import Hidden, whole_file
 from recordings.file.session_writer import LEFT_AFTER, check_whole, disconnect
 from recordings.writing.recorder import Recorder
 from viewer_app.sinks.item_queue import Item, QueuedFrame
@@ -31,14 +31,14 @@ class CompactCopy:
 
     def __init__(self, path: Path, stream: rr.RecordingStream, begin: Opening) -> None:
         self._path = Path(os.path.realpath(path))
-        self._partial = partial_beside(self._path)
         self._stream = stream
         self._recorder: Recorder | None = None
         self._waiting: list[Item] = []
         with suppress(OSError, RuntimeError):  # Rerun raises the second
             self._file = tempfile.TemporaryFile(dir=self._path.parent)  # noqa: SIM115
             nameless = Path(f"/proc/self/fd/{self._file.fileno()}")
-            self._written = nameless if nameless.exists() else self._partial
+            self._hidden = None if nameless.exists() else Hidden(self._path)
+            self._written = nameless if self._hidden is None else self._hidden.path
             stream.set_sinks(rr.FileSink(str(self._written)))
             self._recorder = begin(stream)
 
@@ -62,9 +62,8 @@ class CompactCopy:
                 self._stream.flush(timeout_sec=_FLUSH_WITHIN)
                 disconnect(self._stream, _FLUSH_WITHIN)
                 check_whole(self._written)
-                if self._written != self._partial:
-                    shutil.copyfile(self._written, self._partial)
-                self._partial.replace(self._path)
+                with whole_file(self._path, overwrite=True) as place:
+                    shutil.copyfile(self._written, place)
         self.close()
 
     def close(self) -> None:
@@ -76,5 +75,5 @@ class CompactCopy:
                 self._file.truncate(0)  # on a full disk, frees space for the rest of the stream
             disconnect(self._stream, LEFT_AFTER)
             self._file.close()
-            with suppress(OSError):
-                self._partial.unlink(missing_ok=True)
+            if self._hidden is not None:
+                self._hidden.remove()

@@ -122,7 +122,11 @@ class SessionFile(QueuedSink):
                 if whole:
                     recorder.finish()
                 if file.begun or frames:
-                    file.write()
+                    try:
+                        file.write()
+                    except OSError:
+                        self.saved = self.saved if file.placed else 0  # an older file stays
+                        raise
                     self.saved += frames
             file.close()
             if whole:

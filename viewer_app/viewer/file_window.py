@@ -17,7 +17,7 @@ from recordings.appearance.coach_page import CoachPage
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from viewer_app.addresses import LOOPBACK
-from viewer_app.output_files import whole_file
+from viewer_app.output_files import output_file
 from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.hub import Hub
 from viewer_app.viewer.rerun_process import stop
@@ -51,7 +51,13 @@ def write_for_viewer(
 
 @contextmanager
 def written_and_shown(
-    save: Path | None, write: Callable[[Path], T], *, window: bool, served: bool = False, at_ns: int = 0
+    save: Path | None,
+    write: Callable[[Path], T],
+    *,
+    force: bool,
+    window: bool,
+    served: bool = False,
+    at_ns: int = 0,
 ) -> Iterator[tuple[Path | None, T | None]]:
     """Writes a session, and shows it in a new window after the block, which says and writes all the rest.
 
@@ -61,6 +67,7 @@ def written_and_shown(
     Args:
         save: The file's name; None: it has none, and is written only for a window or a server.
         write: Writes it. The file gets its name when it is whole.
+        force: Whether to replace an older file.
         served: Whether the block serves the file to browsers.
         at_ns: Where the window opens, ns since the first pair.
 
@@ -72,8 +79,8 @@ def written_and_shown(
         return
     with ExitStack() as stack:
         file = save or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "session.rrd"
-        with whole_file(file) as partial:
-            written = write(partial)
+        with output_file(file, force) as hidden:
+            written = write(hidden)
         yield file, written
         if window:
             show(file, at_ns)

@@ -175,7 +175,7 @@ def test_how_far_the_views_are_apart_is_one_figure_everywhere(session, tmp_path)
     assert session.views_agree == pytest.approx((median, most))
     assert abs(1e3 * median - 31.0) > 5.0
     figures = report(session)
-    save_report(tmp_path / "r.json", figures)
+    save_report(tmp_path / "r.json", figures, force=False)
     written = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))["views_agree_mm"]
     assert written == pytest.approx({"median": 1e3 * median, "p95": 1e3 * most})
     figures["without_truth"] = truth_free_figures(session)

@@ -71,7 +71,7 @@ def write(save, window):
         with whole_recording(path, BLUEPRINT) as stream:
             stream.log("/words", rr.TextDocument("S*"))
 
-    with file_window.written_and_shown(save, words, window=window):
+    with file_window.written_and_shown(save, words, force=False, window=window):
         pass
 
 
@@ -97,7 +97,10 @@ def test_a_failed_file_is_neither_kept_nor_shown(opened, tmp_path):
         path.touch()
         raise UsageError("…")
 
-    with pytest.raises(UsageError), file_window.written_and_shown(tmp_path / "s.rrd", fail, window=True):
+    with (
+        pytest.raises(UsageError),
+        file_window.written_and_shown(tmp_path / "s.rrd", fail, force=False, window=True),
+    ):
         pass
     assert list(tmp_path.iterdir()) == []
     assert opened.read == []
