@@ -12,7 +12,8 @@ from contextlib import suppress
 from typing import Any
 
 from fusion.errors import DuplexError
-from viewer_app.flags import in_flags
+from viewer_app.flags import complain, printing
+from viewer_app.running.interruption import ENDING, ends_as_ctrl_c
 
 _CLOSING_S = 30.0
 
@@ -20,9 +21,16 @@ _CLOSING_S = 30.0
 def script() -> None:
     """The console script: runs :func:`main`, waits for sensors that still close, then ignores Ctrl-C.
 
-    SIGTERM, as from ``docker stop`` and systemd, ends a command as Ctrl-C does.
+    SIGTERM, as from ``docker stop`` and systemd, and SIGHUP, as of a closed terminal, end it likewise.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for stream in (0, 1, 2):  # else the next file opened would be a standard stream to libraries
+        try:
+            os.fstat(stream)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    sys.stdout = sys.stdout or open(1, "w", encoding="utf-8")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", encoding="utf-8")  # noqa: SIM115
+    ends_as_ctrl_c()
     code: int | str | None = 0
     closed = False
     try:
@@ -38,8 +46,9 @@ def script() -> None:
         closed = _wait_for_sensors()
     except KeyboardInterrupt:
         pass  # all files are written: the code stays that of the run
+    for number in ENDING:
+        signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # during shutdown it would print a traceback
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if not closed:
         # libk4a crashes at a regular exit: it unloads the depth engine, whose thread still runs
         atexit._run_exitfuncs()
@@ -57,15 +66,14 @@ def _wait_for_sensors() -> bool:
     names = " and ".join(
         f"{sensor.name} ({sensor.waits_for})" if sensor.waits_for else sensor.name for sensor in sensors
     )
-    print(f"Waiting for {names} to close, {_CLOSING_S:g} s at most. Ctrl-C ends at once.", file=sys.stderr)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+    complain(f"Waiting for {names} to close, {_CLOSING_S:g} s at most. Ctrl-C ends at once.")
+    ends_as_ctrl_c()
     until_s = time.monotonic() + _CLOSING_S
     while sensors and time.monotonic() < until_s:
         time.sleep(0.02)
         sensors = sensor_thread.open_sensors()
     for sensor in sensors:
-        print(f"{sensor.name} did not close. Unplug it before using it again.", file=sys.stderr)
+        complain(f"{sensor.name} did not close. Unplug it before using it again.")
     return not sensors
 
 
@@ -79,19 +87,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without a character shows a replacement
-    try:
-        _run(arguments)
-        sys.stdout.flush()
-    except KeyboardInterrupt:
-        print("duplex: stopped", file=sys.stderr)
-        sys.exit(130)
-    except BrokenPipeError:
-        # the reader of the output is gone: write nothing more, not even at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
-    except DuplexError as error:
-        print(in_flags(f"duplex: {error}"), file=sys.stderr)
-        sys.exit(2)
+    with printing() as output:
+        try:
+            _run(arguments)
+        except KeyboardInterrupt:
+            complain("duplex: stopped")
+            sys.exit(130)
+        except DuplexError as error:
+            complain(f"duplex: {error}")
+            sys.exit(2)
+        output.flush()
+        if isinstance(output.failure, BrokenPipeError):
+            sys.exit(1)
+        if output.failure is not None:
+            complain(f"duplex: not all could be printed: {output.failure.strerror}.")
+            sys.exit(2)
 
 
 def _run(arguments: Sequence[str] | None) -> None:
@@ -105,8 +115,11 @@ def _run(arguments: Sequence[str] | None) -> None:
     from viewer_app.options.command_line import COMMANDS, parsed
 
     options = parsed(given)
+    from viewer_app.output_files import outputs_of_one_run
+
     module = next(module for kind, module in COMMANDS.values() if kind is type(options))
-    importlib.import_module(module).run(options)
+    with outputs_of_one_run():
+        importlib.import_module(module).run(options)
 
 
 if __name__ == "__main__":

@@ -1,19 +1,27 @@
 """The console of a command."""
 
 import sys
-from typing import IO, cast
+from collections.abc import Iterable
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 
-from viewer_app.flags import InFlags
+from viewer_app.flags import printable
 
 _UNLIMITED = 100_000  # columns
 
 
+class _OutputConsole(Console):
+    """A console whose texts have no control characters; its own, as of colours, stay."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else printable(text), style, control)
+
+
 def output_console() -> Console:
     """A console on the standard output. It wraps lines only for a terminal, not in a pipe or a log."""
-    out = cast("IO[str]", InFlags(sys.stdout))
-    console = Console(file=out, highlight=False)
+    console = _OutputConsole(file=sys.stdout, highlight=False)
     if console.is_terminal:
         return console
-    return Console(file=out, highlight=False, width=_UNLIMITED, soft_wrap=True)
+    return _OutputConsole(file=sys.stdout, highlight=False, width=_UNLIMITED, soft_wrap=True)

@@ -9,7 +9,15 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that end a command: Ctrl-C, ``docker stop`` and systemd, a closed terminal."""
+
+
+def ends_as_ctrl_c() -> None:
+    """Lets every signal of :data:`ENDING` end the program as Ctrl-C does, but none that ``nohup`` ignores."""
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
 
 
 @contextmanager
@@ -28,7 +36,7 @@ def call_after(seconds: float | None, action: Callable[[], object]) -> Iterator[
 
 
 class CtrlC:
-    """Context manager that records SIGINT and SIGTERM instead of interrupting the program.
+    """Context manager that records the signals of :data:`ENDING` instead of interrupting the program.
 
     An exception during opening or saving would leave them incomplete. A long wait enables the exception with
     :meth:`raising`; the loop registers a callback with :meth:`calls`. Only the main thread receives signals:
@@ -42,7 +50,8 @@ class CtrlC:
 
     def __enter__(self) -> CtrlC:
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._handle) for number in _SIGNALS}
+            heard = (number for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN)
+            self._before = {number: signal.signal(number, self._handle) for number in heard}
         return self
 
     def __exit__(self, *exc_info: object) -> None:

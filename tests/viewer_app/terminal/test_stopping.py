@@ -31,7 +31,7 @@ script()
 """
 
 
-@pytest.mark.parametrize("name", ["cyclopts", "rerun"])
+@pytest.mark.parametrize("name", ["cyclopts", "recordings.session"])
 def test_ctrl_c_during_the_imports(name):
     ended = python("-c", PRESSED_DURING_IMPORT.format(name=name), timeout=60.0)
     assert (ended.returncode, ended.stderr) == (130, "duplex: stopped\n")
@@ -138,7 +138,11 @@ def test_captured_frames_are_saved_however_often_ctrl_c_is_pressed(tmp_path):
 
 @pytest.mark.parametrize(
     ("number", "when", "seconds", "codes"),
-    [(signal.SIGTERM, "capturing", 60.0, (0,)), (signal.SIGINT, "saving", 0.6, (0, 130))],
+    [
+        (signal.SIGTERM, "capturing", 60.0, (0,)),
+        (signal.SIGHUP, "capturing", 60.0, (0,)),  # a closed terminal, or a lost ssh
+        (signal.SIGINT, "saving", 0.6, (0, 130)),
+    ],
 )
 def test_captured_frames_are_saved(tmp_path, monkeypatch, number, when, seconds, codes):
     """The signal is raised in the test's own process while the first frames are captured, or saved."""
