@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +14,8 @@ from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.capture_stream import LiveSensor
 from devices.capture.host_clock import ContinuousTime, HostClock, Timing
 from devices.capture.settings import CaptureSettings
-from devices.sensor import ColorImage, DeviceError, Sensor, SensorFrame, SensorWrapper
+from devices.real_time import PacedSensor
+from devices.sensor import ColorImage, DeviceError, Sensor, SensorFrame
 from devices.upright import UprightSensor
 
 _KEEP, _KEEP_WITH_IMAGES = 120, 60
@@ -66,6 +67,7 @@ class RawRecorder:
         settings: CaptureSettings | None = None,
         *,
         compress: bool = False,
+        overwrite: bool = False,
         hide: Callable[[str], str] = str,
         on_failure: Callable[[str], object] = lambda _: None,
         open_writer: Callable[..., MkvWriter] = MkvWriter,
@@ -80,7 +82,8 @@ class RawRecorder:
         self.path, self.sensor = path, sensor
         self.failure: str | None = None
         self.written = self.lost = self.without_images = 0
-        self._settings, self._compress, self._hide = settings or CaptureSettings(), compress, hide
+        self._settings, self._hide = settings or CaptureSettings(), hide
+        self._how = {"compress": compress, "overwrite": overwrite}
         self._on_failure, self._open_writer = on_failure, open_writer
         self._queue: deque[SensorFrame] = deque()
         self._more = threading.Condition()
@@ -159,13 +162,15 @@ class RawRecorder:
         if first.color is None and camera is not None:  # it may start later
             first = replace(first, color=ColorImage(b"", camera))
         given = self._hide(sensor.name), self._settings, sensor.intrinsics, first
-        with self._open_writer(self.path, *given, calibration=calibration, compress=self._compress) as writer:
+        with self._open_writer(self.path, *given, calibration=calibration, **self._how) as writer:
             following: SensorFrame | None = frame
             while following is not None:
                 try:
                     writer.write(following)
                 except OSError:
                     self.lost += 1
+                    if not writer.placed:  # an older file stays
+                        self.lost, self.written = self.lost + self.written, 0
                     raise
                 self.written += 1
                 following = self._next()
@@ -205,24 +210,6 @@ class RawRecorder:
         self._on_failure(self.failure)
 
 
-class _Recorded(SensorWrapper):
-    """A sensor whose frames go to a recorder, too."""
-
-    def __init__(self, source: Sensor, recorder: RawRecorder) -> None:
-        super().__init__(source)
-        self._recorder = recorder
-
-    @property
-    def making_ns(self) -> int:
-        """How long a simulated source took for its last frame."""
-        return int(getattr(self.source, "making_ns", 0))
-
-    def frames(self) -> Iterator[SensorFrame]:
-        for frame in self.source.frames():
-            self._recorder.add(frame)
-            yield frame
-
-
 def camera_of(sensor: Sensor) -> Sensor:
     """The sensor whose images are recorded: before it is turned, and before a body tracker has them."""
     while isinstance(sensor, TrackedImages | UprightSensor):
@@ -230,18 +217,11 @@ def camera_of(sensor: Sensor) -> Sensor:
     return sensor
 
 
-def recorded(sensor: Sensor, recorder: RawRecorder) -> Sensor:
-    """The sensor, whose images the recorder gets from now on, before a body tracker has them.
+def record_images(sensor: Sensor, recorder: RawRecorder) -> None:
+    """Gives the recorder the images of a sensor from now on, before a body tracker has them.
 
-    Of a live sensor it gets every capture, also those that the body tracker is too slow for.
+    It gets every image, also those that the body tracker is too slow for.
     """
-    images, last = camera_of(sensor), sensor
-    if isinstance(images, LiveSensor):
-        images.on_capture = recorder.add
-        return sensor
-    if sensor is images:
-        return _Recorded(sensor, recorder)
-    while isinstance(last, SensorWrapper) and last.source is not images:
-        last = last.source
-    last.source = _Recorded(images, recorder)  # type: ignore[attr-defined]
-    return sensor
+    images = camera_of(sensor)
+    assert isinstance(images, LiveSensor | PacedSensor)
+    images.on_capture = recorder.add

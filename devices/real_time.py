@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import replace
 from typing import Literal
@@ -87,9 +88,11 @@ class PacedSensor(SensorWrapper):
 
     Attributes:
         missed: Frames that the tracker was too late for.
+        on_capture: Gets every frame for a recording, while the tracker works on an earlier one, too.
     """
 
     missed = 0
+    on_capture: Callable[[SensorFrame], object] | None = None
 
     def __init__(
         self,
@@ -129,11 +132,59 @@ class PacedSensor(SensorWrapper):
         self._beat.wake()
 
     def frames(self) -> Iterator[SensorFrame]:
+        if self._decimation is not None:
+            self._decimation.restart(self.key)
+            if self.on_capture is not None:
+                yield from self._beside_a_recording(self.on_capture)
+                return
+        for frame, late_s in self._paced():
+            if self.on_capture is not None:
+                self.on_capture(frame)
+            if self._is_wanted(frame, late_s):
+                yield frame
+
+    def _beside_a_recording(self, record: Callable[[SensorFrame], object]) -> Iterator[SensorFrame]:
+        """The newest frame that the tracker wants, each time; all are recorded on another thread."""
+        newest: deque[SensorFrame] = deque(maxlen=1)
+        ended, fault, came = False, None, threading.Condition()
+
+        def run() -> None:
+            nonlocal ended, fault
+            try:
+                for frame, _ in self._paced():
+                    record(frame)
+                    if self._is_wanted(frame, 0.0):
+                        with came:
+                            self.missed += len(newest)
+                            newest.append(frame)
+                            came.notify()
+            except BaseException as raised:
+                fault = raised
+            with came:
+                ended = True
+                came.notify()
+
+        thread = threading.Thread(target=run, name=f"images of {self.name}")
+        thread.start()
+        try:
+            while True:
+                with came:
+                    came.wait_for(lambda: newest or ended)
+                    frame = newest.pop() if newest else None
+                if frame is None:
+                    break
+                yield frame
+        finally:
+            self._stopping.set()
+            thread.join()
+        if fault is not None:
+            raise fault
+
+    def _paced(self) -> Iterator[tuple[SensorFrame, float]]:
+        """Every frame when it is due, and by how much it is late, seconds."""
         begun, longest, simulated = None, 0.0, self._simulated
         start_ns = 0 if simulated is None else simulated.clock_at_start_ns
         frames = self.source.frames()
-        if self._decimation is not None:
-            self._decimation.restart(self.key)
         while True:
             started = self._clock()
             frame = next(frames, None)
@@ -156,8 +207,7 @@ class PacedSensor(SensorWrapper):
                 return
             came_s = due if simulated is None else self._clock()
             frame = replace(frame, host_ns=round(came_s * 1e9))
-            if self._is_wanted(frame, late_s):
-                yield frame
+            yield frame, late_s
             if self._stops_before(due + _FRAME - max(_FRAME / 2.0, _MARGIN * longest)):
                 return
 
@@ -168,7 +218,7 @@ class PacedSensor(SensorWrapper):
         moment = self._decimation.moment(self.key, frame.time_ns, frame.host_ns)
         kept = self._decimation.keeps(moment) and frame.depth is not None
         if self._simulated is not None:
-            self._simulated.imaging = self._decimation.keeps(moment + 1)
+            self._simulated.imaging = self.on_capture is not None or self._decimation.keeps(moment + 1)
         elif kept and late_s > self._decimation.interval_ns * 1e-9:  # a newer one has come
             self.missed += 1
             return False

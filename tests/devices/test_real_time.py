@@ -147,6 +147,29 @@ def test_a_recording_leaves_out_what_a_slow_tracker_is_too_late_for(clock):
     assert len(taken) == pytest.approx(2.0 / 0.09, abs=2)
 
 
+@pytest.mark.parametrize("step", [1, 3])
+@pytest.mark.parametrize("source", [Recording, lambda: simulated(2.0, depth="half", infrared=True)])
+def test_every_image_is_recorded_and_only_the_tracker_skips(clock, source, step):
+    decimation, captured, whole = FrameDecimation(30.0), [], threading.Event()
+    decimation.choice.step = step
+    sensor = paced(source(), clock, decimation)
+
+    def record(frame):
+        captured.append(frame)
+        if len(captured) == 60:
+            whole.set()
+
+    sensor.on_capture = record
+    frames = sensor.frames()
+    tracked = [next(frames)]
+    assert whole.wait(60.0), "the tracker works on the first frame all the time"
+    tracked += frames
+    assert all(frame.depth is not None for frame in captured)
+    assert len(captured) == 60
+    assert len(tracked) + sensor.missed == pytest.approx(60 / step, abs=1)
+    assert len(tracked) < 60 / step
+
+
 @pytest.mark.parametrize("common", ["capture", "arrival", None])
 def test_recordings_of_which_only_one_has_arrivals_begin_together(clock, common):
     """One by this program, one by Microsoft's recorder, on a cable: B's first frame was 0.2 s after A's."""

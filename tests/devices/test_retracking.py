@@ -17,7 +17,7 @@ from devices.capture.settings import CaptureSettings
 from devices.freenect.sensor import INTRINSICS, FreenectSensor
 from devices.freenect2.sensor import Freenect2Sensor
 from devices.orbbec.sensor import OrbbecSensor
-from devices.raw_recording import RawRecorder, recorded
+from devices.raw_recording import RawRecorder, record_images
 from devices.realsense.sensors import RealSenseSensor
 from devices.sensor import SensorWrapper
 from devices.simulated.kinect import simulated_pair
@@ -113,7 +113,8 @@ def test_so_it_is_with_the_real_pyrealsense2(color, rs, tmp_path):
 def check_images(sensor, path):
     """Records a sensor that is not open yet, and compares the images."""
     live = {}
-    with RawRecorder(path, sensor) as recorder, recorded(sensor, recorder):
+    with RawRecorder(path, sensor) as recorder, sensor:
+        record_images(sensor, recorder)
         for frame in sensor.frames():
             if (
                 image := image_of(frame, sensor.registered)
@@ -164,7 +165,8 @@ def test_a_recording_that_is_tracked_again_gives_the_same_s(fakenect, tmp_path):
     for number, serial in enumerate(("A1", "B1")):
         fakenect.dumps[serial] = write_dump(tmp_path / serial, film(*seen(truth, number), period=8 * PERIOD))
         tracked = TrackedImages(sensor := WholeMicroseconds(serial), registered=sensor.registered)
-        with RawRecorder(tmp_path / f"{serial}.mkv", sensor) as recorder, recorded(tracked, recorder):
+        with RawRecorder(tmp_path / f"{serial}.mkv", sensor) as recorder, tracked:
+            record_images(tracked, recorder)
             live.append(list(islice(tracked.frames(), COUNT)))
         times_us = {frame.time_ns // 1000 for frame in live[-1]}
         with TrackedImages(Only(MkvRecording(recorder.path), times_us)) as tracked:

@@ -18,7 +18,7 @@ from devices.capture.stream_pairing import LivePairing
 from devices.files import distinct_names, images_of, not_of_libk4a, open_images, open_source
 from devices.live_sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
-from devices.raw_recording import RawRecorder, camera_of, recorded
+from devices.raw_recording import RawRecorder, camera_of, record_images
 from devices.real_time import Beat, PacedSensor
 from devices.sensor import Sensor
 from devices.two_recordings import cable_delay_ns, refuse_same
@@ -55,7 +55,8 @@ class RawFiles(ExitStack):
         played: Iterable[Path] = (),
     ) -> None:
         super().__init__()
-        self.folder, self._console, self._compress, self._hide = folder, console, compress, hide
+        self.folder, self._console, self._hide = folder, console, hide
+        self._compress, self._force = compress, force
         self.recorders: list[RawRecorder] = []
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -77,11 +78,12 @@ class RawFiles(ExitStack):
             recorder = RawRecorder(
                 *(self.folder / name, images, settings),
                 compress=self._compress,
+                overwrite=self._force,
                 hide=self._hide,
                 on_failure=self._tell,
             )
             self.recorders.append(self.enter_context(recorder))
-            thread.sensor = recorded(sensor, recorder)
+            record_images(sensor, recorder)
 
     @property
     def failure(self) -> str | None:
