@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from devices.input_file import input_text
 from fusion.body import Body
 from fusion.calibration.bone_lengths import SHORTEST
 from fusion.calibration.calibration import Calibration
@@ -44,7 +45,7 @@ def read_calibration(path: Path, body: Body) -> Calibration:
         RecordingError: The file is missing, is not a calibration, or belongs to another body.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(input_text(path))
         if document["body"] != body.name:
             raise RecordingError(
                 f"{path} is a calibration of {document['body']}; these recordings are of {body.name}."

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from devices.input_file import open_input
 from devices.sensor import DeviceError
 from devices.skeletons.csv_files.text import codes, refuse_cut_off, text_rows
 from devices.skeletons.times import capture_times
@@ -73,7 +74,7 @@ def _read_c3d(path: Path) -> _Read:
         raise RecordingError(
             "Reading .c3d needs the package ezc3d: pip install 'duplex-kinects[export]'."
         ) from None
-    with path.open("rb") as file:
+    with open_input(path) as file:
         header = np.frombuffer(file.read(10).ljust(10, b"\0"), dtype="<u2").astype(np.int64)
     try:
         read = ezc3d.c3d(str(path))
@@ -95,7 +96,8 @@ def _read_c3d(path: Path) -> _Read:
 
 
 def _read_trc(path: Path) -> _Read:
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    with open_input(path) as file:
+        lines = file.read().decode(errors="replace").splitlines()
     if len(lines) <= _TRC_HEAD or not lines[3].lower().startswith("frame#"):
         raise RecordingError(f"{path} is not a .trc: its fourth line does not begin with Frame#.")
     tabs = "\t" if "\t" in lines[3] else None  # else spaces, between which no cell can be empty

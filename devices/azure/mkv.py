@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from devices.azure.calibration import depth_intrinsics, depth_mode
-from devices.sensor import ColorCamera, ColorImage, DeviceError, MissingRecordingError, Sensor, SensorFrame
+from devices.input_file import check_recording
+from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
 from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
@@ -114,8 +115,7 @@ class MkvRecording(Sensor):
     def _open(self) -> Any:
         import av
 
-        if not self.path.is_file():
-            raise MissingRecordingError(f"No recording at {self.path}. Check the path.")
+        check_recording(self.path)
         try:
             return av.open(str(self.path), metadata_errors="ignore")
         except (av.FFmpegError, OSError) as fault:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.cache import user_cache
+from devices.cache import home, user_cache
 from devices.capture.causes import Cause, in_brackets
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.usb import usb_kinects, why_not_open
@@ -61,7 +61,7 @@ _failed: dict[Path, subprocess.CalledProcessError] = {}
 def installed_prefix() -> Path | None:
     """The folder that libfreenect2 was installed into; None if there is none."""
     named = os.environ.get(PREFIX)
-    folders = [Path(named)] if named else [Path.home() / "freenect2", *map(Path, _FOLDERS)]
+    folders = [Path(named)] if named else [home() / "freenect2", *map(Path, _FOLDERS)]
     return next((one for one in folders if (one / "include/libfreenect2/libfreenect2.hpp").is_file()), None)
 
 

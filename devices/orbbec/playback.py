@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from devices.capture.moments import ImageJoiner
+from devices.input_file import check_recording
 from devices.orbbec.images import FrameReader, depth_image, infrared_image
 from devices.orbbec.sdk_access import context_of, faults_of, load_sdk
 from devices.orbbec.streams import intrinsics_of
-from devices.sensor import DeviceError, MissingRecordingError, Sensor, SensorFrame
+from devices.sensor import DeviceError, Sensor, SensorFrame
 from fusion.body import BLAZEPOSE, Body
 from fusion.intrinsics import Intrinsics
 
@@ -47,8 +48,7 @@ class OrbbecRecording(Sensor):
 
     def __enter__(self) -> OrbbecRecording:
         self.__exit__()
-        if not self.path.is_file():
-            raise MissingRecordingError(f"No file {self.path}.")
+        check_recording(self.path)
         sdk = self._sdk = load_sdk()
         context_of(sdk)  # silences the SDK
         try:

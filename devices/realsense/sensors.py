@@ -13,9 +13,10 @@ from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause, in_brackets
 from devices.capture.moments import Moment
 from devices.capture.settings import CaptureSettings
+from devices.input_file import check_recording, open_input
 from devices.realsense.images import FrameReader, Streams, choose_streams, intrinsics_of
 from devices.realsense.sdk_access import is_connected, load_sdk, open_realsense, set_sync_role
-from devices.sensor import DeviceError, MissingRecordingError, Sensor, SensorFrame
+from devices.sensor import DeviceError, Sensor, SensorFrame
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 
@@ -134,8 +135,7 @@ class RealSenseRecording(Sensor):
 
     def __enter__(self) -> RealSenseRecording:
         self.__exit__()
-        if not self.path.is_file():
-            raise MissingRecordingError(f"No file {self.path}.")
+        check_recording(self.path)
         sdk = load_sdk()
         try:
             context = sdk.context()  # of its own: the file is not to be listed as a sensor
@@ -221,7 +221,7 @@ class RealSenseRecording(Sensor):
 def is_realsense_bag(path: Path) -> bool:
     """Whether a ``.bag``, which Orbbec's SDK writes, too, is of a RealSense sensor, by its message types."""
     try:
-        with path.open("rb") as file:
+        with open_input(path) as file:
             head = file.read(4096)
             at = head.find(b"index_pos=")  # of the list of connections, at the end of a ROS bag 2.0
             file.seek(int.from_bytes(head[at + 10 : at + 18], "little"))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from devices.input_file import input_text
 from devices.sensor import DeviceError, MissingRecordingError
 from fusion.body import BODIES, Body
 
@@ -74,13 +75,13 @@ def name_table(name: str | Path) -> NameTable:
     ready_made = str(name) in READY_MADE
     path = _FOLDER / f"{name}.toml" if ready_made else Path(name)
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = tomllib.loads(input_text(path))
     except FileNotFoundError:
         known = f"Give a .toml file, or one of {', '.join(READY_MADE)}."
         raise MissingRecordingError(f"No table of names {str(name)!r}. {known}") from None
     except OSError as error:
         raise DeviceError(f"{name} cannot be read: {error.strerror or error}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise DeviceError(f"{name} is not TOML: {error}.") from None
     joints = document.get("joints")
     if not isinstance(joints, dict) or not joints or len(document) > 1:

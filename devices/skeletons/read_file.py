@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.input_file import open_input
 from devices.sensor import DeviceError
 from devices.skeletons.stated_format import FilePoints, Unit
 from devices.skeletons.times import capture_times, digest, times_of_new_frames
@@ -121,9 +122,7 @@ def text_blocks(path: Path, size: int = -1) -> Iterator[bytes]:
         DeviceError: The file is no regular file, is empty, has another format, or is not UTF-8.
         OSError: It cannot be read.
     """
-    if path.exists() and not path.is_file():  # a pipe would be waited for without end
-        raise DeviceError(f"{path} cannot be read: it is {'a folder' if path.is_dir() else 'not a file'}.")
-    with path.open("rb") as file:
+    with open_input(path) as file:
         start = file.read(1024)
         for magic, words in _KINDS:
             if start.startswith(magic):

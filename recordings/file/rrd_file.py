@@ -20,6 +20,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from devices.input_file import open_input
 from fusion.large_arrays import give_back
 from recordings import layout
 from recordings.errors import MissingFileError, RecordingError
@@ -98,9 +99,7 @@ class RrdFile:
         self._unread: list[tuple[int, int]] = []
         self._path = path
         try:
-            if path.is_dir():
-                raise RecordingError(f"{path} is a folder, not a session.")
-            with path.open("rb") as file:
+            with open_input(path) as file:
                 start = file.read(_FILE_HEADER)
                 if start[:4] != _MAGIC:
                     raise RecordingError(f"{path} is not a session: it does not begin like an .rrd file.")

@@ -113,16 +113,16 @@ def test_so_it_is_with_the_real_pyrealsense2(color, rs, tmp_path):
 def check_images(sensor, path):
     """Records a sensor that is not open yet, and compares the images."""
     live = {}
-    with RawRecorder(path, sensor) as recorder, sensor:
+    with RawRecorder(path, sensor) as recorder:
         record_images(sensor, recorder)
-        for frame in sensor.frames():
-            if (
-                image := image_of(frame, sensor.registered)
-            ) is not None:  # a busy machine's colour may be late
-                live[frame.time_ns // 1000] = frame.depth, image
-            if len(live) == 4:
-                break
-        lens = sensor.intrinsics
+        with sensor:
+            for frame in sensor.frames():
+                image = image_of(frame, sensor.registered)
+                if image is not None:  # a busy machine's colour may be late
+                    live[frame.time_ns // 1000] = frame.depth, image
+                if len(live) == 4:
+                    break
+            lens = sensor.intrinsics
     assert recorder.failure is None
     with MkvRecording(path) as recording:
         again = {frame.time_ns // 1000: frame for frame in recording.frames()}
@@ -165,9 +165,10 @@ def test_a_recording_that_is_tracked_again_gives_the_same_s(fakenect, tmp_path):
     for number, serial in enumerate(("A1", "B1")):
         fakenect.dumps[serial] = write_dump(tmp_path / serial, film(*seen(truth, number), period=8 * PERIOD))
         tracked = TrackedImages(sensor := WholeMicroseconds(serial), registered=sensor.registered)
-        with RawRecorder(tmp_path / f"{serial}.mkv", sensor) as recorder, tracked:
+        with RawRecorder(tmp_path / f"{serial}.mkv", sensor) as recorder:
             record_images(tracked, recorder)
-            live.append(list(islice(tracked.frames(), COUNT)))
+            with tracked:
+                live.append(list(islice(tracked.frames(), COUNT)))
         times_us = {frame.time_ns // 1000 for frame in live[-1]}
         with TrackedImages(Only(MkvRecording(recorder.path), times_us)) as tracked:
             again.append(list(tracked.frames()))

@@ -11,6 +11,7 @@ import psutil
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from devices.skeletons.name_tables import name_table
 from viewer_app.batch.finding import PAGE, TABLE, Pair, find_pairs
 from viewer_app.batch.jobs import Job, Outcome, Record, tidy
 from viewer_app.batch.manifest import read_manifest
@@ -29,6 +30,8 @@ def run(options: BatchOptions) -> None:
         raise UsageError(f"--processes must be 0 or more; got {options.processes}.")
     recording_settings(options)
     calibration_source(options.calibrate)
+    if options.names:
+        name_table(options.names)
     options = _absolute(options)
     pairs, alone = _pairs(options)
     for line in alone:

@@ -14,6 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from devices.input_file import open_input
 from fusion.setup import REVISIONS
 from viewer_app.batch.finding import Pair
 from viewer_app.options.sensing import BatchOptions, FuseOptions, calibration_source
@@ -109,7 +110,7 @@ class Job:
             return None
         try:
             record = json.loads((self.folder / RECORD).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return None
         return record if isinstance(record, dict) and {"identity", "figures"} <= record.keys() else None
 
@@ -165,7 +166,7 @@ def program_version() -> str:
 
 def checksum(path: Path) -> str:
     """SHA-256 of a file's content, hexadecimal."""
-    with path.open("rb") as file:
+    with open_input(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

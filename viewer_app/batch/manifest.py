@@ -4,6 +4,7 @@ import csv
 import re
 from pathlib import Path
 
+from devices.input_file import input_text
 from viewer_app.batch.finding import Pair, is_summary
 from viewer_app.errors import UsageError
 
@@ -21,7 +22,7 @@ def read_manifest(path: Path) -> list[Pair]:
             repeated name, the summary's name, or a file that does not exist. The message names the line.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = input_text(path, "utf-8-sig")
         rows = csv.reader(text.splitlines(), strict=True)
         head = [cell.strip() for cell in next(rows, [])]
         _check_head(path, head)

@@ -12,10 +12,11 @@ from rich.table import Table
 
 from devices.azure.mkv import MkvInfo, MkvRecording
 from devices.files import has_images, open_images
+from devices.input_file import check_recording, open_input
 from devices.sensor import DeviceError
 from devices.skeletons.border import METRES, ReadFile
 from devices.skeletons.file_sensor import READERS, SkeletonRecording
-from devices.skeletons.name_tables import listed
+from devices.skeletons.name_tables import listed, name_table
 from devices.skeletons.stated_format import AXES, MIRRORED, StatedFormat
 from fusion.handedness import mirrored_share
 from recordings import layout
@@ -50,7 +51,10 @@ def run(options: InfoOptions) -> None:
     path, console = options.file, output_console()
     table = Table(show_header=False, box=None)
     suffix = path.suffix.lower()
-    other = path.is_file() and suffix != ".rrd" and not _begins(path).startswith("'RRF")
+    check_recording(path)
+    if options.names:
+        name_table(options.names)  # else the file would be taken for another that has no joints
+    other = suffix != ".rrd" and not _begins(path).startswith("'RRF")
     session = None if other else Session.open(path)
     rows = _of_session(session, path) if session is not None else _of_file(path, options.stated)
     try:
@@ -123,7 +127,7 @@ def _read(path: Path, stated: StatedFormat) -> tuple[ReadFile, StatedFormat]:
 
 
 def _begins(path: Path) -> str:
-    with path.open("rb") as file:
+    with open_input(path) as file:
         return ascii(file.read(60).decode("utf-8", "replace"))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from devices.input_file import open_input
 from viewer_app.errors import UsageError
 
 _LARGEST = 64 << 20  # bytes of JSON
@@ -37,7 +38,8 @@ class Avatar:
 def read_avatar(path: Path) -> Avatar:
     """The rest pose of a VRM."""
     try:
-        return _avatar(_json_of(path.read_bytes()))
+        with open_input(path) as file:
+            return _avatar(_json_of(file.read(_LARGEST + 20)))
     except OSError as fault:
         raise UsageError(f"--avatar {path}: {fault.strerror}.") from fault
     except _VrmError as fault:
@@ -54,7 +56,7 @@ def _json_of(data: bytes) -> dict[str, Any]:
     magic, version, _, length, kind = _HEADER.unpack_from(data)
     if magic != b"glTF" or version != 2 or kind != b"JSON":
         raise _VrmError("no binary glTF 2.0")
-    if length > min(_LARGEST, len(data) - 20):
+    if length > len(data) - 20:
         raise _VrmError("cut off")
     read = json.loads(data[20 : 20 + length])
     if not isinstance(read, dict):

@@ -13,6 +13,8 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
+from devices.cache import home
+
 _LIBRARY = re.compile(r"\S*\.(so[\d.]*|dll|dylib|pyd?|onnx|tflite|rules)")
 _KNOWN = "\1"  # begins the name that a known folder has until its whole path is replaced
 _PART = r"""(?:(?!\. )[^\\/\n"'<>|;,:()])"""
@@ -44,7 +46,7 @@ class Anonymity:
         self._serials = _any_of(self._known_serials)
         variables = (path for value in os.environ.values() for path in value.split(os.pathsep))
         others = [*filter(os.path.isabs, variables), *map(str, paths), str(Path.cwd())]
-        named = {str(Path.home()): "home", sys.prefix: "python", tempfile.gettempdir(): "temporary"}
+        named = {str(home()): "home", sys.prefix: "python", tempfile.gettempdir(): "temporary"}
         self._folders = dict.fromkeys(filter(re.compile(r".+[\\/]").match, others), "path") | named
         self._known = _any_of((path for path in self._folders if len(path) > 1), end=r"(?![^\W_])")
         names = {os.environ.get(key, "") for key in ("USER", "LOGNAME", "USERNAME", "SUDO_USER")}

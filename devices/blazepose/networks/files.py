@@ -7,6 +7,7 @@ from pathlib import Path
 
 from devices.blazepose.settings import NetworkName
 from devices.cache import user_cache
+from devices.input_file import open_input
 from devices.sensor import DeviceError
 
 _FETCH = "duplex tracker fetch"
@@ -85,7 +86,8 @@ def checked_content(file: NetworkFile, folder: Path) -> bytes:
     path = folder / file.name
     fetch = fetch_command("lite" if file == LANDMARKS["lite"] else "full", folder)
     try:
-        content = path.read_bytes()
+        with open_input(path) as opened:
+            content = opened.read()
     except FileNotFoundError:
         raise DeviceError(
             f"The body tracker's network {file.name} is not in {folder}. Run {fetch}, "

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from devices.input_file import input_text
 from devices.sensor import DeviceError
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import Array, Pose, along, length, offset, unit
@@ -126,7 +127,7 @@ def _read(path: Path) -> _Captured:
     except ImportError as error:
         raise DeviceError(f"Reading {path} needs bvhio: pip install 'duplex-kinects[mocap]'.") from error
     try:
-        _check_whole(path.read_text(encoding="utf-8"))
+        _check_whole(input_text(path))
         container = bvhio.readAsBvh(str(path))
     except Exception as error:  # the parser raises errors of many types
         raise DeviceError(
