@@ -47,6 +47,8 @@ TRUST_LANES = "/trust"
 STATE_LANES = "/lanes"
 COACH = "/coach"
 """Text of the setup coach. Child entities are its drawings in the scene."""
+COACH_CARD = "/coach_card"
+"""Picture of the set-up's state and the next step; in a running viewer only, files have none."""
 COACH_MARKS = ("spot", "sensor_a", "sensor_b", "better_b")
 """Marks of the coach: where to stand, which sensor has a problem, where B would see more."""
 

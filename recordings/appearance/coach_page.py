@@ -8,6 +8,7 @@ import rerun as rr
 
 from recordings import layout
 from recordings.appearance.colors import MARK_COLORS
+from recordings.appearance.state_card import State, state_card
 
 Point = tuple[float, float, float]
 Meaning = Literal["do", "mend", "better"]
@@ -32,11 +33,19 @@ class CoachPage:
     text: str  # the advice in Markdown
     marks: tuple[tuple[str, Mark], ...] = ()
     """The marks by their name in :data:`layout.COACH_MARKS`. Missing marks are not drawn."""
+    card: tuple[State, str] | None = None  # how far the set-up is, and the next step; None: it is no set-up
     from_start: bool = False  # whether the page holds from the first frame on, even if it is written later
 
-    def entities(self) -> Iterator[tuple[str, Any]]:
-        """Pairs of entity and archetype to log. An absent mark is logged as empty, which clears it."""
-        yield layout.COACH, rr.TextDocument(_large(self.text), media_type=rr.MediaType.MARKDOWN)
+    def entities(self, card: bool) -> Iterator[tuple[str, Any]]:
+        """Pairs of entity and archetype to log. An absent mark is logged as empty, which clears it.
+
+        Args:
+            card: Whether to yield the picture of the state, too.
+        """
+        if card and self.card is not None:
+            picture = state_card(*self.card)
+            yield layout.COACH_CARD, rr.EncodedImage(contents=picture, media_type="image/png")
+        yield layout.COACH, rr.TextDocument(self.text, media_type=rr.MediaType.MARKDOWN)
         marks = dict(self.marks)
         for name in layout.COACH_MARKS:
             mark = marks.get(name)
@@ -55,7 +64,7 @@ class CoachPage:
             )
 
 
-def _large(text: str) -> str:
+def large(text: str) -> str:
     """Each paragraph as a heading, which the viewer draws larger: it is read from where the person stands.
 
     Three are smaller, so that they fit. Of more, only the first two are larger than plain text: what is said

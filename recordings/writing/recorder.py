@@ -71,6 +71,7 @@ class Recorder:
         self._last: tuple[int, int] | None = None  # number and time of the last frame
         self._like: SessionArrays | None = None  # the first frame, whose optional figures all have
         self._plots_later, self._unplotted = plots_later, list[SessionArrays]()
+        self._shown = points
         self.images = ImageLog(stream, setup, depth_every, points)
         self.others = OthersLog(stream)
         self._figures, self._trust_colors = StreamFiguresLog(stream), TrustColors()
@@ -166,7 +167,7 @@ class Recorder:
     def coach(self, page: CoachPage) -> None:
         """Logs the coach's page at the time of the last frame, or at the start."""
         set_time(self._stream, *((0, 0) if page.from_start or self._last is None else self._last))
-        for entity, what in page.entities():
+        for entity, what in page.entities(card=self._shown):
             self._stream.log(entity, what)
 
     def finish(self) -> None:

@@ -14,10 +14,10 @@ from viewer_app.viewer.window import start_viewer
 
 
 @contextlib.contextmanager
-def headless_viewer(*arguments):
+def headless_viewer(*arguments, size=(1200, 800)):
     """A viewer that draws without a screen; the test is skipped where there is none."""
     need_viewer()
-    process, port = start_viewer(["--headless", "--window-size", "1200x800", *arguments])
+    process, port = start_viewer(["--headless", "--window-size", "{}x{}".format(*size), *arguments])
     try:
         yield ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
     finally:

@@ -1,13 +1,12 @@
 """Advice for setting up two sensors, and advice derived from a calibration."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, Calibration
 from recordings.quality.limits import ANGLES, GOOD, USABLE, beside, graded, spoken
-from viewer_app.flags import in_flags
 
 Level = Literal["INFO", "WARN"]
 
@@ -20,7 +19,16 @@ class Advice:
     text: str  # what to do, with the figure and the threshold
     level: Level = "INFO"  # severity
     sensors: str = ""  # the sensors of ``AB`` concerned; empty if none
-    label: str = ""  # a short form of the text, shown beside the sensor
+    label: str = ""  # a short form of the text, shown beside the sensor and in the list of problems
+    step: str = ""  # what to do, in a few words with ``{who}`` for the sensors; empty: nothing is asked
+    why: str = ""  # what is wrong, before the step, where the step does not tell
+    urgency: float = 0.0  # among advice of one kind, how much is asked
+    figures: bool = False  # whether the text has figures that matter where nothing is wrong
+
+    @property
+    def kind(self) -> str:
+        """The topic without its sensor."""
+        return self.topic.split()[0]
 
 
 def placement(calibration: Calibration) -> Iterator[Advice]:
@@ -34,12 +42,15 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
     certain = 2.0 * math.degrees(calibration.registration.rotation_sd)
     low, high = ANGLES
     if not calibration.provisional and not low - certain <= angle <= high + certain:
-        way = "further apart" if angle < low else "closer together"
+        way, towards = ("further apart", "away from") if angle < low else ("closer together", "towards")
         yield Advice(
             "angle",
             f"The sensors look {beside(angle, low, high)}° apart; between {low:.0f}° and {high:.0f}° (best: "
             f"90°) each sees what the other cannot. Move them {way} round the person.",
             "WARN",
+            label=f"A and B look {beside(angle, low, high)}° apart",
+            step=f"move B {towards} A, round you, to 90°",
+            why=f"Only {angle:.0f}° apart" if angle < low else f"{angle:.0f}° apart",
         )
     yield verdict(calibration)
 
@@ -51,7 +62,8 @@ def verdict(calibration: Calibration) -> Advice:
     """
     registration = calibration.registration
     if registration is None:
-        return Advice("calibration", f"Calibration: {calibration.how}; its quality is unknown.")
+        text = f"Calibration: {calibration.how}; its quality is unknown."
+        return Advice("calibration", text, figures=True)
     apart = registration.residual_median * 1e3
     uncertain = math.degrees(registration.rotation_sd)
     word = graded(apart, (GOOD, USABLE))
@@ -65,20 +77,16 @@ def verdict(calibration: Calibration) -> Advice:
         )
         # before the start-up pose the next thing to do is to hold it
         limit += f"; {only}" if calibration.provisional else f"; {only}: walk some steps"
-    frames = "frame" if registration.frames == 1 else f"{registration.frames} frames"
+    frames = "of one frame" if registration.frames == 1 else f"median of {registration.frames} frames"
     begins = "Provisional calibration" if calibration.provisional else "Calibration"
+    asks = not calibration.provisional and (word == "poor" or uncertain > CERTAIN_TURN_DEG)
+    label = f"the views differ by {apart:.0f} mm" if word == "poor" else "A and B were seen in one pose only"
     return Advice(
         "calibration",
-        f"{begins} {word}: on its {frames} the views differ by {beside(apart, GOOD, USABLE)} mm (good below "
+        f"{begins} {word}: the views differ by {beside(apart, GOOD, USABLE)} mm ({frames}; good below "
         f"{GOOD:.0f}, usable below {USABLE:.0f}); {limit}.",
         "WARN" if word == "poor" else "INFO",
+        label=label if asks else "",
+        step="walk some steps to and fro" if asks else "",
+        figures=True,
     )
-
-
-def to_markdown(advice: Sequence[Advice]) -> str:
-    """Formats advice as Markdown for the coach's page."""
-    if not advice:
-        return "## All is well\n"
-    marks = {"WARN": "**Fix:**", "INFO": ""}
-    lines = (f"{marks[each.level]} {in_flags(each.text)}".strip() for each in advice)
-    return "\n\n".join(lines) + "\n"

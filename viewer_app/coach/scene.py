@@ -15,8 +15,10 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from recordings.appearance.coach_page import CoachPage, Mark, Point
 from recordings.appearance.floor import ANKLE, CAMERA_HEIGHT
+from recordings.appearance.state_card import State
 from recordings.quality.limits import ANGLES, FARTHEST
-from viewer_app.coach.advice import Advice, to_markdown
+from viewer_app.coach.advice import Advice
+from viewer_app.coach.readiness import Headline, to_markdown
 from viewer_app.coach.setup_coach import HOLD, Situation
 from viewer_app.coach.standing_spot import StandingSpot, standing_spot
 
@@ -39,22 +41,30 @@ class CoachScene:
         self._lowest: deque[float] = deque(maxlen=_FLOOR_OVER)
         self._found: tuple[Calibration, float, StandingSpot] | None = None
 
-    def page(self, advice: Sequence[Advice], now: Situation, fused: FusedFrame | None = None) -> CoachPage:
+    def page(
+        self,
+        advice: Sequence[Advice],
+        now: Situation,
+        fused: FusedFrame | None = None,
+        shown: Headline | None = None,
+    ) -> CoachPage:
         """The page to show now.
 
         Args:
+            shown: The headline of a set-up. The spot is drawn until it is ready; None: no spot is drawn.
             fused: The newest S*; its feet give the floor. None without a person.
         """
         person = None if fused is None else self._person(fused)
+        mirrored = any(each.kind == "mirrored" for each in advice)  # its registration means nothing
         marks = {
-            "spot": self._spot(now, person),
+            "spot": self._spot(now, person) if shown is not None and shown.state is not State.READY else None,
             "sensor_a": self._sensor("A", advice, RigidTransform.identity()),
             "sensor_b": self._sensor("B", advice, now.calibration.a_from_b),
-            "better_b": self._better(now.calibration),
+            "better_b": None if mirrored else self._better(now.calibration),
         }
-        return CoachPage(
-            to_markdown(advice), tuple((name, mark) for name, mark in marks.items() if mark is not None)
-        )
+        drawn = tuple((name, mark) for name, mark in marks.items() if mark is not None)
+        card = None if shown is None else (shown.state, shown.step)
+        return CoachPage(to_markdown(advice), drawn, card)
 
     def _person(self, fused: FusedFrame) -> NDArray[np.float64] | None:
         """(2,) rounded x and z of the person's position."""
@@ -82,8 +92,6 @@ class CoachScene:
         return self._found[2]
 
     def _spot(self, now: Situation, person: NDArray[np.float64] | None) -> Mark | None:
-        if now.final:
-            return None
         place, floor = self._place(now.calibration), self._floor
         round_it = np.linspace(0.0, 2.0 * np.pi, 33)
         ring = np.stack(
@@ -105,7 +113,7 @@ class CoachScene:
         to_go = np.array([place.x, place.z]) - person
         far = float(np.linalg.norm(to_go))
         if far <= _THERE:
-            return Mark(lines, "here: arms out, legs apart, hold still", "do")
+            return Mark(lines, "here" if now.final else "here: arms out, legs apart, hold still", "do")
         along = to_go / far
         across = np.array([-along[1], along[0]])
         tip = person + along * (far - _RING)

@@ -8,14 +8,17 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.capture.causes import Cause
 from devices.depth.camera import in_image, project
+from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
+from fusion.handedness import mirrored_share
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 from recordings.appearance.floor import CAMERA_HEIGHT
@@ -26,8 +29,8 @@ from viewer_app.coach.standing_spot import standing_spot
 
 UNSEEN = 1.0
 """Seconds without a person before the coach reports it."""
-CUT_OFF = 0.5
-"""Share of the last second in which a foot is outside the image, or none is tracked."""
+MOST = 0.5
+"""Share of the last second from which on something counts: a foot outside the image, or someone else."""
 HOLD = 3.0
 """Seconds to hold the start-up pose; the paper asks for a few seconds."""
 RATE = 0.8
@@ -45,7 +48,8 @@ _BUSY = "The body tracker needs more of this machine. Close other programs."
 _SLOW = "This machine is too slow. Close other programs, or use --depth none."
 _USB = "Give it a USB controller of its own, and light."
 _NETWORK = "Check its program and the network."
-_SECOND, _RATE_WINDOW, _MOVED_WINDOW = 1.0, 2.0, 8.0  # seconds
+_ASKED_OF_SLOW = "close other programs: this machine is too slow"
+_SECOND, _RATE_WINDOW, _MIRRORED_WINDOW, _MOVED_WINDOW = 1.0, 2.0, 4.0, 8.0  # seconds
 _SILENT = 0.3  # seconds without a frame: no low rate, but a sensor that is gone, of which its thread tells
 
 
@@ -69,6 +73,8 @@ class _View:
     came: bool
     seen: bool
     feet_gone: bool
+    cut_off: bool
+    crowd: bool
     step: int
 
 
@@ -94,6 +100,7 @@ class Coach:
         self._rate, self._warm_up, self._simulated, self._remote = rate, warm_up, simulated, remote
         self._feet = np.array([body.joint("ANKLE_LEFT"), body.joint("ANKLE_RIGHT")])
         self._views: tuple[deque[_View], deque[_View]] = (deque(), deque())
+        self._shares: tuple[deque[tuple[float, float]], ...] = (deque(), deque())
         self._seen_at: list[float | None] = [None, None]
         self._skews: deque[tuple[float, float]] = deque()
         self._came_at, self._since = [-math.inf, -math.inf], [-math.inf, -math.inf]  # last, and again from
@@ -108,11 +115,13 @@ class Coach:
         time = frame.pair.time_ns * 1e-9
         self._began = time if self._began is None else self._began
         self._remember(frame, now, time)
+        mirrored = any(map(self._mirrored, (0, 1)))
         advice = [
-            *self._people(frame, time),
-            *placement(now.calibration),
+            *self._people(frame, now, time),
+            # the registration of a mirror image means nothing
+            *(() if mirrored else placement(now.calibration)),
             *self._sensors(time),
-            *self._overlap(now.calibration),
+            *(() if mirrored else self._overlap(now.calibration)),
             *self._pose(now),
             *self._moved(now, time),
         ]
@@ -123,14 +132,16 @@ class Coach:
         for k, (sensor_frame, skeleton) in enumerate(((pair.a, skeletons.a), (pair.b, skeletons.b))):
             if skeleton is not None:
                 self._seen_at[k] = time
+                share = mirrored_share(self.body, skeleton.positions[None])
+                if share is not None:
+                    self._shares[k].append((time, share))
             if sensor_frame is not None:
                 if time - self._came_at[k] > _SILENT:
                     self._since[k] = time
                     if skeleton is None and self._seen_at[k] is not None:
                         self._seen_at[k] = time
                 self._came_at[k] = time
-            feet = skeleton is not None and self._feet_gone(skeleton, self.intrinsics[k])
-            self._views[k].append(_View(time, sensor_frame is not None, skeleton is not None, feet, now.step))
+            self._views[k].append(self._view(time, sensor_frame, skeleton, k, now))
             while time - self._views[k][0].time > _RATE_WINDOW:
                 self._views[k].popleft()
         if pair.a is not None and pair.b is not None:
@@ -143,13 +154,27 @@ class Coach:
             shift = self._torso_shift(skeletons.a, skeletons.b, now.calibration)
             if shift is not None:
                 self._shifts.append((time, shift))
-        for history, window in (
+        histories: tuple[tuple[deque[Any], float], ...] = (
             (self._skews, _RATE_WINDOW),
             (self._counts, _RATE_WINDOW),
             (self._shifts, _MOVED_WINDOW),
-        ):
+            *((shares, _MIRRORED_WINDOW) for shares in self._shares),
+        )
+        for history, window in histories:
             while history and time - history[0][0] > window:
                 history.popleft()
+
+    def _view(
+        self, time: float, frame: SensorFrame | None, skeleton: Skeleton | None, k: int, now: Situation
+    ) -> _View:
+        crowd = frame is not None and len(frame.people) > 1
+        if skeleton is None:
+            return _View(time, frame is not None, False, False, False, crowd, now.step)
+        pixels = project(self.intrinsics[k], skeleton.positions)
+        outside = np.isfinite(pixels[:, 0]) & ~in_image(self.intrinsics[k], pixels)
+        # One leg often hides the other, which no better place would change; it cannot hide both feet.
+        feet = bool(outside[self._feet].any() or not skeleton.tracked[self._feet].any())
+        return _View(time, True, True, feet, bool(outside.any()), crowd, now.step)
 
     def _torso_shift(self, a: Skeleton, b: Skeleton, calibration: Calibration) -> NDArray[np.float64] | None:
         """(3,) metres from B's torso, carried to K_A's frame, to A's; None without a joint in common.
@@ -163,15 +188,6 @@ class Coach:
         carried = calibration.a_from_b.apply(b.positions[common])
         shift: NDArray[np.float64] = (a.positions[common] - carried).mean(axis=0)
         return shift
-
-    def _feet_gone(self, skeleton: Skeleton, camera: Intrinsics) -> bool:
-        """Whether a foot is outside the image, or no foot is seen.
-
-        One leg often hides the other, which no better place would change; it cannot hide both feet.
-        """
-        pixels = project(camera, skeleton.positions[self._feet])
-        outside = np.isfinite(pixels[:, 0]) & ~in_image(camera, pixels)
-        return bool(outside.any() or not skeleton.tracked[self._feet].any())
 
     def _sensors(self, time: float) -> Iterator[Advice]:
         assert self._began is not None
@@ -194,11 +210,15 @@ class Coach:
                 remedy = _BUSY if step != 1 else _SLOW if slow else remedy
                 missed = f"below {least:.3g} movements are missed. {remedy}"
                 text = f"Sensor {side} gives {few} frames per second; {missed}"
-                yield _problem("rate", side, text, f"{few} frames per second")
+                label, busy = f"{few} frames per second", self._simulated or step != 1 or slow
+                asks = _ASKED_OF_SLOW if busy else self._plug(side)
+                yield _problem("rate", side, text, label, asks)
             elif max(dropped, lost) > most:
                 cause = Cause.TOO_FAST if dropped >= lost else Cause.LOST_ON_USB
                 text = cause.says(count=max(dropped, lost), label=side, seconds=_RATE_WINDOW, most=most)
-                yield _problem("drops", side, text, "drops frames")
+                busy = cause is Cause.TOO_FAST
+                asks = _ASKED_OF_SLOW if busy else self._plug(side)
+                yield _problem("drops", side, text, "drops frames", asks)
         if self._skews:
             skew, limit = float(np.median([ms for _, ms in self._skews])), SKEW * 1e3 / self._rate
             if skew > limit:
@@ -207,6 +227,8 @@ class Coach:
                     f"A and B are captured {skew:.0f} ms apart; half a frame is {limit:.0f} ms. "
                     "Connect the sync cable, or move slowly.",
                     "WARN",
+                    label=f"A and B are captured {skew:.0f} ms apart",
+                    step="connect the sync cable, or move slowly",
                 )
         run = time - self._began
         if run < self._warm_up:
@@ -214,30 +236,62 @@ class Coach:
                 "warm-up",
                 f"The sensors have run for {run / 60.0:.0f} min; for the first {self._warm_up / 60.0:.0f} "
                 "their distances drift by millimetres. Calibrate again after that if you need them.",
-                "INFO",
+                figures=True,
             )
 
-    def _people(self, frame: SessionFrame, time: float) -> Iterator[Advice]:
+    def _plug(self, side: str) -> str:
+        return f"check the {'network' if side in self._remote else 'USB port'} of {{who}}"
+
+    def _people(self, frame: SessionFrame, now: Situation, time: float) -> Iterator[Advice]:
         assert self._began is not None
         skeletons, views = (frame.pair.skeletons.a, frame.pair.skeletons.b), (frame.pair.a, frame.pair.b)
         for k, (side, skeleton) in enumerate(zip("AB", skeletons, strict=True)):
-            view = views[k]
-            since = time - (self._began if self._seen_at[k] is None else self._seen_at[k] or 0.0)
+            view, seen_at = views[k], self._seen_at[k]
+            since = time - (self._began if seen_at is None else seen_at)
+            comes = time - self._came_at[k] <= _SILENT
+            if not now.final and self._share(k, time, "crowd") > MOST:
+                text = (
+                    f"Sensor {side} sees someone else. Until the calibration, only one person may be in view."
+                )
+                step, why = "the other person steps out of view", "Someone else"
+                yield _problem("others", side, text, "someone else in view", step, why)
             if skeleton is None:
+                if not comes or (seen_at is None and view is not None and not view.people):
+                    label = "no one in view" if comes else "no frames"
+                    yield _remark(
+                        "silent", side, label, "step into view of {who}" if comes else "wait for {who}"
+                    )
                 if view is not None and view.people:
-                    continue  # others: the person followed is hidden, or not told from them yet
-                if since >= UNSEEN and time - self._came_at[k] <= _SILENT:
+                    # the person followed is hidden, or not told from others yet
+                    if since >= UNSEEN:
+                        yield _remark("hidden", side, "you are hidden", "step aside: {who} must see you")
+                    continue
+                if since >= UNSEEN and comes:
                     text = f"Sensor {side} has seen no one for {since:.0f} s (more than {UNSEEN:g} s)."
                     remedy = "Step into its view, and turn off what stands in the way."
-                    yield _problem("person", side, f"{text} {remedy}", "sees no one")
+                    step = "step into view of {who}"
+                    yield _problem("person", side, f"{text} {remedy}", "no one in view", step)
                 continue
             yield from self._distance(side, skeleton, self.intrinsics[k])
-            lately = [view.feet_gone for view in self._views[k] if view.seen and time - view.time <= _SECOND]
-            gone = float(np.mean(lately))
-            if gone > CUT_OFF:
-                text = f"Sensor {side} does not see both feet in {100 * gone:.0f} % of frames"
-                remedy = f"(limit {100 * CUT_OFF:.0f} %). Step back, or tilt the sensor down."
-                yield _problem("feet", side, f"{text} {remedy}", "feet cut off")
+            if self._mirrored(k):
+                step = "turn mirroring off in {who}"
+                text = f"Sensor {side} gives the mirror image of a person. Turn its mirroring off."
+                yield _problem("mirrored", side, text, "mirror image", step, "Mirror image")
+            if self._share(k, time, "feet_gone") > MOST:
+                text = f"Sensor {side} does not see both feet. Step back, or tilt the sensor down."
+                step = "step back, or tilt {who} down"
+                yield _problem("feet", side, text, "feet out of view", step, "Feet out of view")
+            elif self._share(k, time, "cut_off") > MOST:
+                yield _remark("whole", side, "a part of you out of view", "step towards the ring")
+
+    def _mirrored(self, k: int) -> bool:
+        """Whether most skeletons of the last seconds are mirror images, of those that tell."""
+        return bool(self._shares[k]) and float(np.mean([share for _, share in self._shares[k]])) > MOST
+
+    def _share(self, k: int, time: float, what: str) -> float:
+        """The share of the last second's frames with a person in which something is the case."""
+        lately = [getattr(view, what) for view in self._views[k] if view.seen and time - view.time <= _SECOND]
+        return float(np.mean(lately)) if lately else 0.0
 
     def _distance(self, side: str, skeleton: Skeleton, camera: Intrinsics) -> Iterator[Advice]:
         torso = skeleton.positions[list(self.body.torso), 2]
@@ -248,12 +302,14 @@ class Coach:
         if away < near:
             limit = f"a whole person fits from {near:.1f} m on. Step back."
             text = f"Too close to sensor {side}: {away:.1f} m; {limit}"
-            yield _problem("distance", side, text, f"too close, {away:.1f} m")
+            step, more = f"step back {_rounded_up(near - away):.1f} m", near - away
+            yield _problem("distance", side, text, f"too near, {away:.1f} m", step, "Too near", more)
         elif away > far:
             text = (
                 f"Too far from sensor {side}: {away:.1f} m; it measures well up to {far:.1f} m. Come closer."
             )
-            yield _problem("distance", side, text, f"too far, {away:.1f} m")
+            step, more = f"come {_rounded_up(away - far):.1f} m closer", away - far
+            yield _problem("distance", side, text, f"too far, {away:.1f} m", step, "Too far", more)
 
     def _overlap(self, calibration: Calibration) -> Iterator[Advice]:
         if calibration is not self._overlap_of[0]:
@@ -268,21 +324,17 @@ class Coach:
                 f"Nowhere do both sensors see a whole person with arms out: the best place lacks "
                 f"{-room:.1f} m (0 is enough). Turn both to the same place, 2.5 m from each.",
                 "WARN",
+                label="A and B have no place to stand in common",
+                step="turn A and B to the same place, 2.5 m from each",
             )
 
     def _pose(self, now: Situation) -> Iterator[Advice]:
         if now.final:
             return
-        if now.held > 0.0:
-            left = max(0.0, HOLD - now.held)
-            yield Advice("pose", f"Hold still: {math.ceil(left)} s more.", "INFO")
-        else:
-            yield Advice(
-                "pose",
-                f"Stand where both sensors see all of you, turned half to each; arms out, legs apart, and "
-                f"hold still for {HOLD:.0f} s.",
-                "INFO",
-            )
+        # without a count, which the ring's label has: the headline is steady
+        yield _remark(
+            "pose", "", "not calibrated yet", f"in the ring: arms and legs apart, hold still {HOLD:.0f} s"
+        )
 
     def _moved(self, now: Situation, time: float) -> Iterator[Advice]:
         if not now.final or not self._shifts or time - self._shifts[0][0] < 0.9 * _MOVED_WINDOW:
@@ -296,9 +348,23 @@ class Coach:
                 "WARN",
                 "AB",
                 "moved? calibrate again",
+                step="restart, and hold the pose",
+                why="A sensor was moved",
             )
 
 
-def _problem(topic: str, side: str, text: str, label: str) -> Advice:
+def _problem(
+    topic: str, side: str, text: str, label: str, step: str, why: str = "", urgency: float = 0.0
+) -> Advice:
     """A warning about one sensor."""
-    return Advice(f"{topic} {side}", text, "WARN", side, label)
+    return Advice(f"{topic} {side}", text, "WARN", side, label, step, why, urgency)
+
+
+def _remark(topic: str, side: str, label: str, step: str) -> Advice:
+    """Something to do that is no fault: it is shown, and no event of the session."""
+    return Advice(f"{topic} {side}".strip(), label, "INFO", side, label, step)
+
+
+def _rounded_up(metres: float) -> float:
+    """In half metres, which stay the same while a person walks."""
+    return math.ceil(2.0 * metres) / 2.0

@@ -1,7 +1,7 @@
 """The viewer's page about a recorded session: its verdict, and the figures behind it."""
 
 from fusion.setup import FusionSetup
-from recordings.appearance.coach_page import CoachPage
+from recordings.appearance.coach_page import CoachPage, large
 from recordings.quality.figures import Figures
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import Situation
@@ -16,4 +16,4 @@ def session_page(setup: FusionSetup, figures: Figures, about: str = "") -> Coach
     text = "\n\n".join([*(f"**{line.label}:** {line.text}" for line in lines), about])
     situation = Situation(setup.calibration, final=True, held=0.0)
     marks = CoachScene(setup.body, setup.intrinsics).page((), situation).marks
-    return CoachPage(text, marks, from_start=True)
+    return CoachPage(large(text), marks, from_start=True)

@@ -22,6 +22,7 @@ from devices.depth.image_thinning import Depth, without_images
 from devices.depth.rvl import encode_depth
 from devices.events import Event
 from fusion import angles
+from fusion.calibration.calibration import Calibration
 from fusion.calibration.calibrator import Calibrator
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
@@ -42,6 +43,7 @@ class Status:
     """What the loop reports to its observer after each frame."""
 
     frame: SessionFrame
+    calibration: Calibration  # with which the frame was fused: that of the calibrator, or a refined one
     calibrator: Calibrator
     sensors: TwoSensors
     events: tuple[Event, ...]
@@ -121,7 +123,7 @@ def run_live(
         for event in events:
             sink.event(event)
         kept.append(replace(frame, pair=without_images(pair)))
-        goes_on = go_on(Status(frame, fusion.calibrator, sensors, events))
+        goes_on = go_on(Status(frame, fusion.setup.calibration, fusion.calibrator, sensors, events))
         if not sensors.waiting:
             sink.rest(_LEARNING_DELAY)
         for event in fusion.learn(frame):

@@ -16,6 +16,7 @@ from rich.text import Text
 from devices.events import Event
 from recordings.appearance.coach_page import CoachPage
 from viewer_app.coach.advice import Advice
+from viewer_app.coach.readiness import Readiness
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import Coach, Situation
 from viewer_app.running.loop import Status
@@ -52,6 +53,7 @@ class LiveDisplay:
         self._said: dict[str, tuple[str, int]] = {}  # by topic: what was said, and when it was last so
         self._printed: dict[str, int] = {}  # by topic: when, ns
         self._scene = CoachScene(coach.body, coach.intrinsics)
+        self._readiness = Readiness()
         self._page: CoachPage | None = None
         self._failures_told: set[str] = set()
         self._frames: deque[Status] = deque()
@@ -123,7 +125,7 @@ class LiveDisplay:
         calibrator = status.calibrator
         sensors = status.sensors
         situation = Situation(
-            calibrator.calibration,
+            status.calibration,
             calibrator.final,
             calibrator.held,
             (sensors.a.dropped, sensors.b.dropped),
@@ -131,7 +133,9 @@ class LiveDisplay:
             sensors.step,
         )
         advice = self._coach.watch(status.frame, situation)
-        page = self._scene.page(advice, situation, status.frame.fused)
+        time = status.frame.pair.time_ns * 1e-9
+        shown = self._readiness.watch(time, advice, situation.calibration)
+        page = self._scene.page(advice, situation, status.frame.fused, shown)
         if page != self._page:
             self._page = page
             self._session.coach(page)

@@ -18,6 +18,7 @@ from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.colors import PROMINENT_JOINTS, SIDE_COLORS, SKELETON_COLORS, Color
+from recordings.appearance.state_card import HEIGHT, WIDTH
 
 Layout = Literal["setup", "inspect", "report", "angles"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report", "angles")
@@ -116,14 +117,19 @@ def _setup(
         setup.body,
         frustum=_FRUSTA["setup"],
     )
-    advice_name = "what to do next" if live else "how good"
-    advice = rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name=advice_name)
-    return rrb.Horizontal(
-        rrb.Vertical(*images),
-        rrb.Vertical(advice, scene, row_shares=[2, 3]),
-        column_shares=[1, 2],
-        name="setup",
+    advice = rrb.TextDocumentView(
+        origin=layout.COACH, contents=[layout.COACH], name="what is wrong" if live else "how good"
     )
+    if live:
+        card = rrb.Spatial2DView(
+            origin=layout.COACH_CARD,
+            name="what to do next",
+            visual_bounds=rrb.VisualBounds2D(x_range=(0, WIDTH), y_range=(0, HEIGHT)),
+        )
+        beside = rrb.Vertical(card, rrb.Horizontal(scene, advice, column_shares=[5, 3]), row_shares=[9, 13])
+    else:
+        beside = rrb.Vertical(advice, scene, row_shares=[2, 3])
+    return rrb.Horizontal(rrb.Vertical(*images), beside, column_shares=[1, 2], name="setup")
 
 
 def _images(side: str, infrared: bool) -> list[str]:
@@ -325,7 +331,7 @@ def _scene(
     moves with the person.
     """
     infrared = [layout.infrared(side) for side in layout.SIDES]
-    left_out = [layout.TRUTH_SKELETON, *infrared, *hidden]
+    left_out = [layout.TRUTH_SKELETON, layout.COACH_CARD, *infrared, *hidden]
     return rrb.Spatial3DView(
         origin="/",
         contents=["$origin/**", *(f"- {entity}" for entity in left_out)],

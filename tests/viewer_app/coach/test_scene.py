@@ -13,9 +13,11 @@ from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
+from recordings.appearance.state_card import State
 from recordings.quality.limits import FARTHEST, nearest
 from tests.helpers.two_views import A_FROM_B, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice
+from viewer_app.coach.readiness import Headline
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import HOLD, Situation
 from viewer_app.coach.standing_spot import ARM, standing_spot
@@ -31,9 +33,9 @@ def fused(at=PERSON):
     return Fuser(FusionSetup(KNOWN)).update(pair_of(BODY, at))
 
 
-def marks(now=None, seen=None, *advice):
+def marks(now=None, seen=None, *advice, state=State.NOT_YET):
     now = now or Situation(KNOWN, final=False, held=0.0)
-    return dict(CoachScene(BODY, CAMERAS).page(advice, now, seen).marks)
+    return dict(CoachScene(BODY, CAMERAS).page(advice, now, seen, Headline(state, "")).marks)
 
 
 def middle_of_ring(mark):
@@ -83,7 +85,9 @@ def test_the_pose_is_requested_on_the_circle_and_counted_down():
     assert "hold still" in marks(seen=there)["spot"].words
     now = Situation(KNOWN, final=False, held=HOLD - 1.4)
     assert marks(now, there)["spot"].words == "hold still: 2 s"
-    assert "spot" not in marks(replace(now, final=True), there)
+    final = replace(now, final=True, held=0.0)
+    assert marks(final, there)["spot"].words == "here"
+    assert "spot" not in marks(final, there, state=State.READY)
 
 
 def test_before_the_first_person_a_circle_is_shown_in_front_of_a():

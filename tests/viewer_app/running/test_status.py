@@ -27,9 +27,10 @@ def statuses():
     sensors = SimpleNamespace(
         a=SimpleNamespace(dropped=3, lost=5), b=SimpleNamespace(dropped=4, lost=6), step=2
     )
-    calibrator = SimpleNamespace(calibration=fuser.setup.calibration, final=True, held=0.0)
+    calibrator = SimpleNamespace(final=True, held=0.0)
+    known = fuser.setup.calibration
     return [
-        SimpleNamespace(frame=frame, sensors=sensors, calibrator=calibrator, events=())
+        SimpleNamespace(frame=frame, calibration=known, sensors=sensors, calibrator=calibrator, events=())
         for frame in frames(fuser, 60)
     ]
 
