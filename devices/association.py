@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,14 @@ from devices.people_tracks import Tracks, mean_of_joints
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.errors import CalibrationError
+from fusion.large_arrays import parts
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Follow = Literal["middle", "longest"]
+"""Whom to follow of several people: the one nearest the middle of the views, or the one seen longest."""
 
 _MOMENTS = 300  # at which the registration is looked for
 _TRIED = 3  # longest tracks of each view
@@ -42,7 +45,8 @@ _BONE_ERROR = 0.06
 _PLACE_M, _WALK_M_S, _ROOM_M = 0.3, 0.7, 2.0
 """People come back this far from where they were last seen: at once, more for each second, and at most."""
 _FAR = 4.0  # standard deviations: a farther place tells no more
-_ABOUT_AS_LONG = 0.9
+_SEEN_FOR = {"longest": 0.9, "middle": 0.3}
+"""Of several people seen for this share of the longest time, the one nearest the middle is followed."""
 _OTHERS = 0.05  # of the time of the person followed: those who are seen for less are not counted
 
 
@@ -52,21 +56,34 @@ class Followed:
 
     Attributes:
         rows: Their skeletons in either recording, numbers of rows of ``RecordedPeople.skeletons``.
-        people: How many people there are.
+        everyone: Those of all people, this one first, then who are seen longest.
+        count: How many of these count: the others are seen for a moment only.
     """
 
-    rows: tuple[Index, Index]
-    people: int
+    everyone: list[tuple[Index, Index]]
+    count: int
+
+    @property
+    def rows(self) -> tuple[Index, Index]:
+        return self.everyone[0]
 
 
-def follow_one(a: RecordedPeople, b: RecordedPeople, offset_ns: int | Index | None) -> Followed | None:
+def follow_one(
+    a: RecordedPeople,
+    b: RecordedPeople,
+    offset_ns: int | Index | None,
+    follow: Follow = "longest",
+    ids: tuple[str | None, str | None] = (None, None),
+) -> Followed | None:
     """The person whom both sensors see longest; of several seen about as long, the one nearest the middle.
 
     Args:
         offset_ns: Added to the times of B, one or (T,). None: found from the motion of the people.
+        follow: ``middle``: the one nearest the middle of those seen a third as long.
+        ids: Of the person, in either recording: who has that id most of the time, whatever other ones.
 
     Returns:
-        None where no registration of the sensors makes two people one.
+        None where no registration of the sensors makes two people one, or both ids one person.
     """
     tracks = Tracks.of(a), Tracks.of(b)
     best: Registered | None = None
@@ -75,7 +92,7 @@ def follow_one(a: RecordedPeople, b: RecordedPeople, offset_ns: int | Index | No
         found = Registered.best(*tracks, b.time_ns + offset)
         if found is not None and (best is None or found.score > best.score):
             best = found
-    return None if best is None else _chosen(*tracks, best)
+    return None if best is None else _chosen(*tracks, best, follow, ids)
 
 
 def _by_motion(a: Tracks, b: Tracks) -> list[Index]:
@@ -90,15 +107,15 @@ def _by_motion(a: Tracks, b: Tracks) -> list[Index]:
     return found
 
 
-def _meetings(a: Tracks, b: Tracks, time_b: Index, moments: int | None) -> tuple[Index, Index]:
-    """Rows of A and of B that are of one moment: each skeleton of A with each of B.
+def _moments(a: Tracks, b: Tracks, time_b: Index, most: int | None) -> tuple[Index, Index]:
+    """Frames of A and of B that are of one moment.
 
     Args:
-        moments: The largest number of A's frames that are used. None: all.
+        most: The largest number of A's frames that are used. None: all.
     """
     frames = np.unique(a.people.frame)
-    if moments is not None and len(frames) > moments:
-        frames = frames[np.linspace(0, len(frames) - 1, moments).astype(np.int64)]
+    if most is not None and len(frames) > most:
+        frames = frames[np.linspace(0, len(frames) - 1, most).astype(np.int64)]
     others = np.unique(b.people.frame)
     if not len(frames) or not len(others):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -106,7 +123,11 @@ def _meetings(a: Tracks, b: Tracks, time_b: Index, moments: int | None) -> tuple
     nearest = nearest_of(times, at)
     tolerance = max(median_interval(a.people.time_ns), median_interval(b.people.time_ns))
     near = np.abs(at[nearest] - times) <= tolerance
-    frames, others = frames[near], others[nearest[near]]
+    return frames[near], others[nearest[near]]
+
+
+def _meetings(a: Tracks, b: Tracks, frames: Index, others: Index) -> tuple[Index, Index]:
+    """Rows of A and of B that are of one moment: each skeleton of A with each of B."""
     first_a, end_a = (np.searchsorted(a.people.frame, frames, side) for side in ("left", "right"))
     first_b, end_b = (np.searchsorted(b.people.frame, others, side) for side in ("left", "right"))
     rows_a, rows_b = [], []
@@ -153,7 +174,7 @@ class Registered:
             clear: The share of the skeletons in one place at which no other registration is tried.
         """
         body = a.people.body
-        rows_a, rows_b = _meetings(a, b, time_b, _MOMENTS)
+        rows_a, rows_b = _meetings(a, b, *_moments(a, b, time_b, _MOMENTS))
         if not len(rows_a):
             return None
         p, q = a.at(rows_a), b.at(rows_b)
@@ -202,10 +223,11 @@ def _sameness(a_from_b: RigidTransform, p: Array, q: Array) -> Array:
     return np.asarray(np.maximum(0.0, 1.0 - (np.nan_to_num(mean, nan=np.inf) / _SAME_M) ** 2))
 
 
-def _chosen(a: Tracks, b: Tracks, found: Registered) -> Followed | None:
+def _chosen(
+    a: Tracks, b: Tracks, found: Registered, follow: Follow, ids: tuple[str | None, str | None]
+) -> Followed | None:
     """The person to follow, of those whom the registration makes out of the tracks."""
-    rows = _meetings(a, b, found.time_b, None)
-    together, mutual = _in_one_place(a, b, found.a_from_b, *rows)
+    together, mutual = _in_one_place(a, b, found)
     size = len(a.count) + len(b.count)
     of_a, of_b = np.arange(len(a.count)), len(a.count) + np.arange(len(b.count))
     begin, end = np.zeros((2, size), dtype=np.int64)
@@ -230,37 +252,53 @@ def _chosen(a: Tracks, b: Tracks, found: Registered) -> Followed | None:
     seen = np.array([mutual[np.ix_(*_of_views(m, len(of_a)))].sum() for m in everyone])
     if not seen.max(initial=0):
         return None
-    off_axis = np.full(len(everyone), np.inf)
     rows_of = [
         tuple(of.rows(m) for of, m in zip((a, b), _of_views(m, len(of_a)), strict=True)) for m in everyone
     ]
-    for k in np.flatnonzero(seen >= _ABOUT_AS_LONG * seen.max()):
-        off_axis[k] = sum(_off_axis(of, of_view) for of, of_view in zip((a, b), rows_of[k], strict=True))
-    followed = rows_of[int(np.argmin(off_axis))]
-    least = _OTHERS * sum(map(len, followed))
-    people = sum(sum(map(len, of_person)) >= least for of_person in rows_of)
-    return Followed((followed[0], followed[1]), people)
+    if ids != (None, None):
+        named = set()
+        for view, (tracks, name) in enumerate(zip((a, b), ids, strict=True)):
+            if name is not None:
+                rows = tracks.people.rows_of([name])
+                counts = [np.isin(each[view], rows).sum() for each in rows_of]
+                named.add(int(np.argmax(counts)) if any(counts) else -1)
+        if len(named) > 1 or -1 in named:
+            return None
+        followed = named.pop()
+    else:
+        off_axis = np.full(len(everyone), np.inf)
+        for k in np.flatnonzero(seen >= _SEEN_FOR[follow] * seen.max()):
+            off_axis[k] = sum(_off_axis(of, of_view) for of, of_view in zip((a, b), rows_of[k], strict=True))
+        followed = int(np.argmin(off_axis))
+    count = [sum(map(len, of_person)) for of_person in rows_of]
+    others = [k for k in np.argsort(count)[::-1].tolist() if k != followed]
+    counted = sum(count[k] >= _OTHERS * count[followed] for k in others)
+    return Followed([(rows_of[k][0], rows_of[k][1]) for k in (followed, *others)], 1 + counted)
 
 
 def _of_views(members: list[int], count_a: int) -> tuple[list[int], list[int]]:
     return [m for m in members if m < count_a], [m - count_a for m in members if m >= count_a]
 
 
-def _in_one_place(
-    a: Tracks, b: Tracks, a_from_b: RigidTransform, rows_a: Index, rows_b: Index
-) -> tuple[Index, Index]:
+def _in_one_place(a: Tracks, b: Tracks, found: Registered) -> tuple[Index, Index]:
     """(M_A, M_B) number of moments at which two tracks are seen together, and are each other's nearest."""
     at_a, at_b = (of.centres(np.arange(len(of.track))) for of in (a, b))
-    at_b = a_from_b.apply(at_b)
-    apart = np.linalg.norm(at_a[rows_a] - at_b[rows_b], axis=1)
+    at_b = found.a_from_b.apply(at_b)
     nearest_a, nearest_b = np.full(len(at_a), np.inf), np.full(len(at_b), np.inf)
-    np.fmin.at(nearest_a, rows_a, apart)
-    np.fmin.at(nearest_b, rows_b, apart)
-    mutual = (apart <= nearest_a[rows_a]) & (apart <= nearest_b[rows_b]) & (apart < _SAME_PLACE_M)
     shape = len(a.count), len(b.count)
     together, one = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
-    np.add.at(together, (a.track[rows_a], b.track[rows_b]), 1)
-    np.add.at(one, (a.track[rows_a], b.track[rows_b]), mutual.astype(np.int64))
+    frames, others = _moments(a, b, found.time_b, None)
+    for find in (True, False):  # first the nearest of each
+        for part in parts(len(frames)):
+            rows_a, rows_b = _meetings(a, b, frames[part], others[part])
+            apart = np.linalg.norm(at_a[rows_a] - at_b[rows_b], axis=1)
+            if find:
+                np.fmin.at(nearest_a, rows_a, apart)
+                np.fmin.at(nearest_b, rows_b, apart)
+                continue
+            mutual = (apart <= nearest_a[rows_a]) & (apart <= nearest_b[rows_b]) & (apart < _SAME_PLACE_M)
+            np.add.at(together, (a.track[rows_a], b.track[rows_b]), 1)
+            np.add.at(one, (a.track[rows_a], b.track[rows_b]), mutual.astype(np.int64))
     return together, one
 
 

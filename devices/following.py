@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from devices.association import Registered
+from devices.association import Follow, Registered
 from devices.events import Event
 from devices.pairing import FramePair
 from devices.people import RecordedPeople
@@ -77,10 +77,14 @@ class _View:
 
 
 class PersonOfPair:
-    """Follows one person in two views: the first time the one nearest to the middle of A's view."""
+    """Follows one person in two views: at first the one nearest to the middle of A's view.
 
-    def __init__(self, body: Body) -> None:
-        self._body = body
+    Args:
+        follow: Who is next when that one is gone.
+    """
+
+    def __init__(self, body: Body, follow: Follow = "middle") -> None:
+        self._body, self._follow = body, follow
         self._views = _View(TracksAhead(body)), _View(TracksAhead(body))
         self._rooms: tuple[Room, ...] = ()  # of both views, or of each; none while one person is alone
         self._crowded_ns = self._last_ns = 0
@@ -131,9 +135,12 @@ class PersonOfPair:
         events, self._events = self._events, []
         return events
 
+    def _room(self, *views: int) -> Room:
+        return Room(self._body, views, self._follow)
+
     def _begin(self, seen: Sequence[Seen]) -> None:
         """Several people are there: those who were alone until now have tracks already."""
-        self._rooms = Room(self._body, (0,)), Room(self._body, (1,))
+        self._rooms = self._room(0), self._room(1)
         for room, view, of in zip(self._rooms, self._views, seen, strict=True):
             if view.lone.place is not None and of.tracks:
                 k = min(range(len(of.tracks)), key=lambda k: math.dist(of.places[k], view.lone.place or ()))
@@ -145,7 +152,7 @@ class PersonOfPair:
 
     def _of_rooms(self, time_ns: int, seen: Sequence[Seen], known: RigidTransform | None) -> list[int | None]:
         if known is not None and len(self._rooms) > 1:
-            both = Room(self._body, (0, 1))
+            both = self._room(0, 1)
             both.adopt(seen, self._rooms[0])
             self._rooms = (both,)
         for room in self._rooms:

@@ -58,12 +58,6 @@ class RecordedPeople(Rows[SensorFrame]):
         """Whether a frame has several people."""
         return bool((self.frame[1:] == self.frame[:-1]).any())
 
-    def only(self, name: str) -> RecordedPeople:
-        """The frames with one person."""
-        rows = self.rows_of([name])
-        skeletons = self.skeletons.chosen_whole(rows) if len(rows) else self.skeletons
-        return replace(self, ids=[name], frame=self.frame[rows], person=0 * rows, skeletons=skeletons)
-
     def without(self, rows: NDArray[np.int64]) -> RecordedPeople | None:
         """The people whose skeletons are not these; None if there are none."""
         left = np.ones(len(self.frame), dtype=np.bool_)

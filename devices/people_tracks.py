@@ -12,6 +12,7 @@ from devices.pairing import median_interval
 from devices.people import RecordedPeople
 from fusion.body import KINECT_V1, Body
 from fusion.compiling.kernels import inner_kernel, kernel
+from fusion.large_arrays import parts
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 
@@ -57,8 +58,9 @@ class Tracks:
 
     def centres(self, rows: Index) -> Array:
         """(n, 3) middle of the torso; of all joints where none of those is tracked."""
-        middle = np.empty((len(rows), 3))
-        _middles(self.people.skeletons.positions[rows], np.array(self.people.body.torso), middle)
+        middle, torso = np.empty((len(rows), 3)), np.array(self.people.body.torso)
+        for part in parts(len(rows)):
+            _middles(self.people.skeletons.positions[rows[part]], torso, middle[part])
         return middle
 
     def spans(self) -> tuple[Index, Index]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.association import bones_of, cost_of_return, differing
+from devices.association import Follow, bones_of, cost_of_return, differing
 from devices.people_tracks import SPEED_M_S
 from fusion.body import Body
 from fusion.skeleton import Skeleton
@@ -56,7 +56,7 @@ class Person:
     bones: list[Array | None]  # of each view
     beside: bool = False  # whether seen while the person followed was
     apart_ns: int | None = None  # since when their two views are
-    measured: int = 0
+    measured: int = 0  # frames in which they were seen
 
     @property
     def is_seen(self) -> bool:
@@ -66,8 +66,8 @@ class Person:
 class Room:
     """People by place, seen by one sensor, or by two whose placement is known."""
 
-    def __init__(self, body: Body, views: Sequence[int]) -> None:
-        self._body, self._views = body, views
+    def __init__(self, body: Body, views: Sequence[int], follow: Follow = "middle") -> None:
+        self._body, self._views, self._follow = body, views, follow
         self._owner: dict[tuple[int, int], Person] = {}  # by view and track
         self._met: dict[tuple[int, int], int] = {}  # since when two people are in one place
         self.people: list[Person] = []
@@ -141,8 +141,6 @@ class Room:
                 self._own(person, view, k, seen[view], time_ns)
                 left.remove((view, k))
         for view, k in left:
-            if seen[view].doubtful[k]:
-                continue
             place = seen[view].places[k]
             partner = next(
                 (
@@ -253,6 +251,8 @@ class Room:
         if followed is not None and away_s <= _WAIT_S:
             chosen = [person for person in here if not person.beside and self._may_be(person, followed)]
         if chosen:
+            longest = max(person.measured for person in chosen) if self._follow == "longest" else 0
+            chosen = [person for person in chosen if person.measured >= longest]
             self.followed = min(chosen, key=lambda person: self._off_axis(person, seen))
             self.changed = followed is not None and away_s > _WAIT_S
             for person in self.people:

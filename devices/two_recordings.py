@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.association import follow_one
+from devices.association import Follow, Followed, follow_one
 from devices.azure.mkv import MkvInfo, MkvRecording
 from devices.capture.host_clock import offset_by_arrival
 from devices.depth.image_thinning import Depth, thinned, thinned_camera
@@ -51,6 +51,19 @@ _CLOCKS_AGREE_NS = 1_000_000
 _SAMPLES = 200  # skeletons that tell whether a sensor stands upright
 
 
+@dataclass(frozen=True)
+class SeenPerson:
+    """Somebody whom two recordings show among others.
+
+    Attributes:
+        ids: In A and in B: the id that chooses this person; None where there is none.
+        seconds: For how long each sensor sees them.
+    """
+
+    ids: tuple[str | None, str | None]
+    seconds: tuple[float, float]
+
+
 @dataclass(frozen=True, eq=False)
 class TwoRecordings:
     """The content of two recordings without their images.
@@ -65,6 +78,7 @@ class TwoRecordings:
         clock: The offset by which B's times were corrected; None where they are as recorded.
         stated: What was stated about the files.
         others: The people who are not followed, of each recording; None where there are none.
+        people: Where several are seen: those who are seen for some time, the one followed first.
         orientations: Of both sensors; intrinsics, skeletons and depth images are of the upright sensors.
     """
 
@@ -78,6 +92,17 @@ class TwoRecordings:
     stated: StatedFormat = UNSTATED
     orientations: tuple[Orientation, Orientation] = (0, 0)
     others: tuple[RecordedPeople | None, RecordedPeople | None] = (None, None)
+    people: tuple[SeenPerson, ...] = ()
+
+    @property
+    def others_seen(self) -> float:
+        """The share of pairs in which a sensor sees somebody who is not followed."""
+        frames = self.pairing.pairs.skeletons.frames
+        seen = np.zeros(len(frames), dtype=np.bool_)
+        for of_view, others in zip(frames.T, self.others, strict=True):
+            if others is not None:
+                seen |= np.isin(of_view, others.frame)
+        return float(seen.mean())
 
     def cameras(self, depth: Depth) -> tuple[Intrinsics | None, Intrinsics | None]:
         """The intrinsics, for depth images as they are logged."""
@@ -141,6 +166,7 @@ def read_two(
     *,
     offset_ns: int | None = None,
     every_frame: bool = True,
+    follow: Follow = "longest",
 ) -> TwoRecordings:
     """Reads both recordings, one after the other: only one body tracker is in the GPU's memory at once.
 
@@ -151,6 +177,7 @@ def read_two(
         tracker: The body tracker, where one is needed. None: chosen for this machine.
         offset_ns: Added to the times of B; found from the motion where None.
         every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_views`.
+        follow: Whom of several people, where no id chooses; see :func:`devices.association.follow_one`.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, both are the same recording, the bodies differ,
@@ -173,7 +200,7 @@ def read_two(
         for choice in (choice_a, choice_b)
     )
     read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
-    read_a, read_b = _with_person((read_a, read_b), (choice_a, choice_b), offset_ns)
+    read_a, read_b, people = _with_person((read_a, read_b), (choice_a, choice_b), offset_ns, follow)
     body, about_body = _body_of_both((a, b), (read_a, read_b), choice_a.body)
     read_a, read_b = (
         replace(read, person=_as_body(read.person, source.body, body))
@@ -217,7 +244,7 @@ def read_two(
     turned = read_a.orientation, read_b.orientation
     others = read_a.others, read_b.others
     return TwoRecordings(
-        body, pairing, cameras, warnings, paths, name, clock, choice_a.stated, turned, others
+        body, pairing, cameras, warnings, paths, name, clock, choice_a.stated, turned, others, people
     )
 
 
@@ -375,18 +402,12 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
                 info, arrivals = images.info, images.arrivals
         warnings = list(source.warnings)
     people.choose_person(choice.person, source.name, choice.person_option)
-    others = None
-    if choice.person is not None:
-        others = people.without(people.rows_of([choice.person]))
-        people = people.only(choice.person)
     camera, orientation = source.intrinsics, choice.orientation or 0
     if choice.orientation is None and has_images(choice.path):
         seen = people.skeletons.positions
         orientation = orientation_of(people.body, seen[:: max(1, len(seen) // _SAMPLES)])
     if orientation and choice.orientation is None:
         people = replace(people, skeletons=turned_view(people.skeletons, orientation))
-        if others is not None:
-            others = replace(others, skeletons=turned_view(others.skeletons, orientation))
         camera = None if camera is None else turned_camera(camera, orientation)
         tracked = f"`orientation={orientation}` also tracks it so; " if choice.is_tracked else ""
         warnings.append(
@@ -395,21 +416,29 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
         )
     give_back()
     times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
-    return _Read(source.name, people, info, warnings, times, people.skeletons, camera, orientation, others)
+    return _Read(source.name, people, info, warnings, times, people.skeletons, camera, orientation)
 
 
 def _with_person(
-    reads: tuple[_Read, _Read], choices: tuple[RecordingChoice, RecordingChoice], offset_ns: int | None
-) -> tuple[_Read, _Read]:
-    """Chooses the person to fuse: the same one in both, where one of them shows several at a time."""
+    reads: tuple[_Read, _Read],
+    choices: tuple[RecordingChoice, RecordingChoice],
+    offset_ns: int | None,
+    follow: Follow,
+) -> tuple[_Read, _Read, tuple[SeenPerson, ...]]:
+    """Chooses the person to fuse, the same one in both where one of them shows several at a time.
+
+    Returns:
+        Both with the person, and who else is seen.
+    """
     read_a, read_b = reads
     a, b = read_a.people, read_b.people
     if not (a.crowded or b.crowded) or a.body is not b.body:
-        return _alone(read_a, choices[0]), _alone(read_b, choices[1])
+        return _alone(read_a, choices[0]), _alone(read_b, choices[1]), ()
+    ids = choices[0].person, choices[1].person
     if offset_ns is None and (clock := offset_by_arrival(read_a.arrivals, read_b.arrivals)) is not None:
-        found = follow_one(a, b, clock.at(b.time_ns))
+        found = follow_one(a, b, clock.at(b.time_ns), follow, ids)
     else:
-        found = follow_one(a, b, offset_ns)
+        found = follow_one(a, b, offset_ns, follow, ids)
     give_back()
     options = [choice.person_option for choice in choices if choice.person is None]
     choose = " and ".join(options) + (" choose" if len(options) > 1 else " chooses")
@@ -419,15 +448,34 @@ def _with_person(
             f"Several people are seen, {has}, and their motion does not tell who is the same in both: those "
             f"seen longest are followed. {choose} the person."
         )
-        return _told(_alone(read_a, choices[0]), line), _alone(read_b, choices[1])
+        alone_a, alone_b = _alone(read_a, choices[0]), _alone(read_b, choices[1])
+        return _told(alone_a, line) if options else alone_a, alone_b, ()
     names = " and ".join(
         f"{_listed(read.people, rows)} of {side}"
         for read, rows, side in zip(reads, found.rows, "AB", strict=True)
     )
-    count = "1 person is" if found.people == 1 else f"{found.people} people are"
+    count = "1 person is" if found.count == 1 else f"{found.count} people are"
     line = f"{count} seen, {has}. The one followed is {names}; {choose} another."
+    if not options:
+        line = f"{count} seen, {has}. The one followed is {names}."
     chosen_a, chosen_b = (_of_rows(read, rows) for read, rows in zip(reads, found.rows, strict=True))
-    return _told(chosen_a, line), chosen_b
+    return _told(chosen_a, line), chosen_b, tuple(_seen_people((a, b), found)) if found.count > 1 else ()
+
+
+def _seen_people(of: tuple[RecordedPeople, RecordedPeople], found: Followed) -> Iterator[SeenPerson]:
+    of_ids = []
+    for view, people in enumerate(of):
+        each = (np.bincount(people.person[rows[view]], minlength=len(people.ids)) for rows in found.everyone)
+        of_ids.append(np.array(list(each)))
+    for k, rows in enumerate(found.everyone[: found.count]):
+        ids: list[str | None] = []
+        for people, counts in zip(of, of_ids, strict=True):
+            own = counts[k] > np.delete(counts, k, axis=0).max(axis=0, initial=0)
+            ids.append(people.ids[int(np.argmax(counts[k] * own))] if own.any() else None)
+        seconds = [
+            1e-9 * len(each) * median_interval(people.time_ns) for people, each in zip(of, rows, strict=True)
+        ]
+        yield SeenPerson((ids[0], ids[1]), (seconds[0], seconds[1]))
 
 
 def _alone(read: _Read, choice: RecordingChoice) -> _Read:
@@ -447,8 +495,7 @@ def _alone(read: _Read, choice: RecordingChoice) -> _Read:
 
 def _of_rows(read: _Read, rows: NDArray[np.int64]) -> _Read:
     """The same, with these skeletons as the person."""
-    others = read.people.without(rows) if read.others is None else read.others
-    return replace(read, person=read.people.view_of(rows), others=others)
+    return replace(read, person=read.people.view_of(rows), others=read.people.without(rows))
 
 
 def _told(read: _Read, line: str) -> _Read:

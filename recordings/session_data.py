@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from devices.events import Event
 from devices.sensor import ColorImage
+from devices.two_recordings import SeenPerson
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
@@ -134,6 +136,12 @@ class SessionData:
     def tracker(self) -> str:
         """The body tracker that found the people, such as "blazepose full"; empty where not recorded."""
         return str(self.about["session"].get("tracker", [""])[0])
+
+    @property
+    def people(self) -> tuple[SeenPerson, ...]:
+        """Those whom the recordings show, the one followed first; empty where they show one person."""
+        told = json.loads(self.about["session"].get("people", ["[]"])[0])
+        return tuple(SeenPerson(tuple(each["ids"]), tuple(each["seconds"])) for each in told)
 
     @property
     def origin(self) -> dict[str, str | float]:

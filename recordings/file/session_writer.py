@@ -78,7 +78,8 @@ def write_session(
         "method_revision": session.method_revision,
     }
     if (first, end) != (0, len(session)):  # nobody knows which frames were dropped in this part
-        about = {name: value for name, value in about.items() if not name.startswith("dropped")}
+        of_all = "dropped", "others_seen"
+        about = {name: value for name, value in about.items() if not name.startswith(of_all)}
     if session.damage is not None:
         first_damage = session.damage.removeprefix(OF_DAMAGED)
         about |= {"made_of_damaged": first_damage, "made_without_frames": session.frames_lost}

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from devices.association import Follow
 from devices.depth.image_thinning import Depth
 from devices.events import Event
 from devices.pairing import pair_views
@@ -59,6 +61,7 @@ def fuse(
     hindsight: Hindsight = "labels",
     refine: bool = True,
     offset_ms: float | None = None,
+    follow: Follow = "longest",
     force: bool = False,
 ) -> Session:
     """Fuses two recordings of one capture.
@@ -78,7 +81,8 @@ def fuse(
         calibration: An earlier calibration. None: calibrate on the start-up pose of the recordings, or on
             their calmest window if there is no such pose.
         settings: Settings of the method, except ``hindsight``.
-        person_a, person_b: Ids of the person. None: the one seen longest by both sensors, whatever the ids.
+        person_a, person_b: Ids of the person: whoever has them most of the time, also under other ids. None:
+            by ``follow``.
         skeletons_a, skeletons_b: For an ``.mkv``: saved skeletons, used instead of the body tracker.
         unit: Unit of the positions of ``.csv`` files: ``m``, ``cm``, ``mm``, ``ft``, ``in``; ``auto``: found
             from the size of the person.
@@ -94,6 +98,8 @@ def fuse(
         hindsight: How later frames are used; see :class:`fusion.setup.FuserSettings`.
         refine: Whether a calibration found here is refined over the whole recording.
         offset_ms: Added to the times of ``b``. None: found from the motion, for the method ``duplex``.
+        follow: Whom of several people, where no id chooses: the one seen longest by both sensors, or
+            ``middle``: the one nearest the middle of the views of those seen a third as long.
         force: Whether to fuse recordings that cannot be of one capture; see :func:`check_related`.
 
     Raises:
@@ -108,7 +114,7 @@ def fuse(
         RecordingChoice(Path(b), _path(skeletons_b), person_b, stated, "skeletons_b", "person_b", body),
     )
     settings = replace(settings or FuserSettings(), hindsight=hindsight)
-    read = read_for(settings, choices, choose_tracker(tracker), offset_ms)
+    read = read_for(settings, choices, choose_tracker(tracker), offset_ms, follow=follow)
     return fuse_read(read, (str(a), str(b)), settings, calibration, refine, depth, force)
 
 
@@ -181,11 +187,12 @@ def read_for(
     tracker: TrackerChoice | None,
     offset_ms: float | None = None,
     progress: Progress = quietly,
+    follow: Follow = "longest",
 ) -> TwoRecordings:
     """Reads two recordings as a method takes them: ``duplex`` every frame, the paper's methods pairs.
 
     Args:
-        choices, tracker, progress: As for :func:`devices.two_recordings.read_two`.
+        choices, tracker, progress, follow: As for :func:`devices.two_recordings.read_two`.
         offset_ms: Added to the times of B. None: the method ``duplex`` finds it from the motion.
 
     Raises:
@@ -198,7 +205,7 @@ def read_for(
     duplex = settings.method == "duplex"
     found = None if duplex else 0
     offset_ns = found if offset_ms is None else round(1e6 * offset_ms)
-    return read_two(*choices, tracker, progress, offset_ns=offset_ns, every_frame=duplex)
+    return read_two(*choices, tracker, progress, offset_ns=offset_ns, every_frame=duplex, follow=follow)
 
 
 def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> None:
@@ -259,10 +266,13 @@ def fused_session(
 
 
 def _about(read: TwoRecordings, plan: RecordingPlan) -> dict[str, str | float]:
-    """What a session keeps of its recordings: the tracker, frames that were dropped, the clocks' offset."""
+    """What a session keeps of its recordings: tracker, dropped frames, people, the clocks' offset."""
     about: dict[str, str | float] = {"tracker": read.tracker} if read.tracker else {}
     about |= read.stated.about
     about |= {"dropped_a": read.pairing.dropped_a, "dropped_b": read.pairing.dropped_b}
+    if read.people:
+        about["people"] = json.dumps([asdict(person) for person in read.people])
+        about["others_seen"] = read.others_seen
     if read.clock is not None:
         about |= {"clock_corrected_ms": read.clock.offset_ns * 1e-6}
     if plan.clock is not None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
 from devices import people_tracks
+from devices.association import Follow
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, with_depth, without_images
@@ -38,15 +39,18 @@ class LiveFusion:
     Args:
         calibrated: Whether to keep its calibration; otherwise one is found while pairs arrive, and refined.
         refine: Whether to refine a calibration that is kept.
+        follow: Whom of several people; see :class:`devices.following.PersonOfPair`.
     """
 
-    def __init__(self, setup: FusionSetup, calibrated: bool = False, refine: bool = False) -> None:
+    def __init__(
+        self, setup: FusionSetup, calibrated: bool = False, refine: bool = False, follow: Follow = "middle"
+    ) -> None:
         self.setup = setup
         """The setup with which the last pair was fused."""
         kept = setup.calibration if calibrated or refine else None
         self.calibrator = Calibrator(setup.body, kept, frontal=setup.settings.method == "duplex")
         self._fuser = Fuser(setup)
-        self._people = PersonOfPair(setup.body)
+        self._people = PersonOfPair(setup.body, follow)
         learns = setup.settings.method == "duplex" and (refine or not calibrated)
         settings = LearnerSettings(refinement=RefinementSettings(in_steps=True))
         self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if learns else None

@@ -2,7 +2,7 @@
 
 import math
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,8 @@ def report(session: SessionData) -> Figures:
             "alone": alone,
             "dropped": dict(zip("ab", session.dropped, strict=True)),
             "clock": session.clock,
+            "others_seen": session.about["session"].get("others_seen", [0.0])[0],
+            "people": [asdict(person) for person in session.people],
             **fusion_figures(session.last_setup, session.rows, session.first_compared_frame),
         }
     )

@@ -1,5 +1,6 @@
 """Who is one person in two views that show several people, whatever ids the trackers give them."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,10 +10,13 @@ from hypothesis import strategies as st
 
 from devices.association import follow_one
 from devices.people import RecordedPeople
-from devices.people_tracks import tracks_of
+from devices.people_tracks import TracksAhead, tracks_of
+from devices.sensor import SensorFrame
 from devices.simulated.kinect import Beside, movement
 from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import KINECT_V2
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_people import (
     BEHIND,
@@ -124,7 +128,7 @@ def test_a_person_who_comes_back_under_another_id_is_followed_again(other_stays)
     seen = [people.view_of(rows) for people, rows in zip(recordings, found.rows, strict=True)]
     # a squat is seen as long as the therapist at most
     who = FOLLOWED if share_right(views[0], seen[0])[0] > 0.5 else OTHER
-    assert who == (OTHER if other_stays else FOLLOWED) or found.people == 2
+    assert who == (OTHER if other_stays else FOLLOWED) or found.count == 2
     assert_right(views, seen, who)
 
 
@@ -171,6 +175,30 @@ def test_a_track_has_one_person(ids, seed):
             assert len(who) == 1
 
 
+@pytest.mark.parametrize(("least", "known"), [(0.02, False), (0.3, True)])
+def test_after_two_were_in_one_place_nobody_knows_who_is_who(least, known):
+    """They come towards each other, to a distance, and part again: their tracks go on, or are new."""
+    halves = np.hypot(np.linspace(-1.0, 1.0, 90), least) / 2.0
+    standing = moving(KINECT_V2, 1)[0]
+    frames = [
+        SensorFrame(
+            t * 33_333_333,
+            {
+                k: Skeleton.of(KINECT_V2, standing + [side * half, 0.0, 0.0])
+                for k, side in (("1", -1), ("2", 1))
+            },
+        )
+        for t, half in enumerate(halves)
+    ]
+    track = tracks_of(RecordedPeople.of(KINECT_V2, frames)).reshape(-1, 2)
+    assert (set(track[0]) == set(track[-1])) == known
+    assert set(track[0]).isdisjoint(track[-1]) != known
+    ahead = TracksAhead(KINECT_V2)
+    found = [ahead.of(f.time_ns, f.people.values(), RigidTransform.identity()) for f in frames]
+    np.testing.assert_array_equal([tracks for tracks, _, _ in found], track)
+    assert any(any(doubtful) for _, doubtful, _ in found) != known
+
+
 @pytest.mark.parametrize(("frames", "told"), [(2, "1 person is seen, "), (60, "2 people are seen, ")])
 def test_those_who_are_seen_for_a_moment_are_not_counted(tmp_path, frames, told):
     choices = []
@@ -184,6 +212,53 @@ def test_those_who_are_seen_for_a_moment_are_not_counted(tmp_path, frames, told)
     (line,) = (line for line in read_two(*choices).warnings if "The one followed" in line)
     assert line.startswith(told)
     assert "The one followed is '0' of A and '0' of B" in line
+    people = read_two(*choices).people
+    assert [person.ids for person in people] == [("0", "0"), ("1", "1")][: (frames > 2) * 2]
+    for person in people:
+        assert person.seconds == pytest.approx((2.0, 2.0), abs=0.1)
+        again = read_two(
+            *(replace(choice, person=name) for choice, name in zip(choices, person.ids, strict=True))
+        )
+        assert again.people[0] == person
+        assert not any("choose" in line for line in again.warnings)
+
+
+@given(st.integers(0, 99))
+@settings(max_examples=3)
+def test_an_id_chooses_whoever_has_it_most_of_the_time(seed):
+    """Also where ids are exchanged and renewed, and given for one view only."""
+    a, b = (recorded(view, np.random.default_rng(seed), exchanged=0.004, renewed=0.01) for view in treated())
+    everyone = follow_one(a, b, 0).everyone
+    for name in a.ids:
+        counts = [np.isin(rows[0], a.rows_of([name])).sum() for rows in everyone]
+        found = follow_one(a, b, 0, ids=(name, None)).rows
+        for one, other in zip(found, everyone[int(np.argmax(counts))], strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def whose(people, rows, view):
+    return OTHER if share_right(view, people.view_of(rows))[0] < 0.5 else FOLLOWED
+
+
+def test_ids_of_two_people_are_not_one():
+    a, b = (recorded(view) for view in treated())
+    assert follow_one(a, b, 0, ids=("1", "1")) is not None
+    assert follow_one(a, b, 0, ids=("1", "2")) is None
+
+
+def test_the_one_in_the_middle_or_the_one_seen_longest():
+    """Of a person in the middle every other second is seen; somebody stands beside all the time."""
+    views = [
+        [
+            (time_ns, [person if t % 60 < 30 else None, other])
+            for t, (time_ns, (person, other)) in enumerate(view)
+        ]
+        for view in two_people(("squat", Beside(movement("steps"), (1.2, 0.0, 0.4))))[0]
+    ]
+    a, b = (recorded(view) for view in views)
+    for follow, who in (("middle", FOLLOWED), ("longest", OTHER)):
+        for people, rows, view in zip((a, b), follow_one(a, b, 0, follow).rows, views, strict=True):
+            assert whose(people, rows, view) == who
 
 
 def test_people_whom_two_trackers_number_otherwise(shared):

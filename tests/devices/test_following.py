@@ -183,6 +183,16 @@ def test_after_ten_seconds_another_one_is_followed_and_an_event_says_so(a_from_b
     assert sum("another one is followed" in event.text for event in events) == 1
 
 
+@pytest.mark.parametrize(("follow", "next_one"), [("middle", "3"), ("longest", "2")])
+def test_when_the_person_is_gone_the_one_in_the_middle_or_seen_longest_is_next(follow, next_one):
+    one, two, three = {"1": still(0.0)}, {"2": still(2.5)}, {"3": still(0.8, 3.0)}
+    frames = at_rate(*[one | two] * 60, *[one | two | three] * 30, *[two | three] * 310)
+    people = PersonOfPair(AZURE_KINECT, follow)
+    for frame in frames:
+        chosen = people.chosen(pair_of(frame)).skeletons.a
+    assert chosen is frames[-1].people[next_one]
+
+
 @KNOWN
 @pytest.mark.parametrize(("scale", "taken"), [(1.0, True), (0.6, False)])
 def test_who_comes_back_is_told_from_a_child_by_the_bones(scale, taken, a_from_b):

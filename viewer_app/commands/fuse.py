@@ -91,7 +91,9 @@ def _read(options: FuseOptions, settings: FuserSettings, console: Console) -> Tw
     if any(choice.is_tracked for choice in choices):
         tracker = tracker_of(options).for_images_of(not_of_libk4a(options.a, options.b))
         announce_tracker(tracker, console)
-    read = read_for(settings, choices, tracker, options.offset, _progress(console))
+    read = read_for(
+        settings, choices, tracker, options.offset, _progress(console), options.follow or "longest"
+    )
     for warning in read.warnings:
         console.print(warning, style="yellow", markup=False)
     return read

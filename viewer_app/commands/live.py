@@ -126,6 +126,7 @@ def _show(
                     depth=options.depth,
                     # the sensors report events at once, even while no frame arrives
                     go_on=lambda status: watch(status) and display(replace(status, events=())),
+                    follow=options.follow or "middle",
                 )
         for warning in (*a.warnings, *b.warnings):
             console.print(warning, style="yellow", markup=False)

@@ -15,6 +15,7 @@ from viewer_app.options.shared import (
     TRACKER,
     VIEWER,
     WHOLE_NUMBER,
+    FollowOptions,
     FusionOptions,
     LiveOutputOptions,
     MethodOptions,
@@ -33,6 +34,7 @@ from viewer_app.options.shared import (
 
 @dataclass(frozen=True, kw_only=True)
 class FuseOptions(
+    FollowOptions,
     OrientationOptions,
     RecordingOptions,
     TrackerOptions,
@@ -53,9 +55,9 @@ class FuseOptions(
     b: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """Recording of the secondary sensor K_B."""
     person_a: Annotated[str | None, SENSORS] = None
-    """Id of the person in A; the one seen longest by both sensors if not given."""
+    """Id of the person in A, whatever other ids they have; by --follow if not given."""
     person_b: Annotated[str | None, SENSORS] = None
-    """Id of the person in B; the one seen longest by both sensors if not given."""
+    """Id of the person in B; by --follow if not given."""
     skeletons_a: Annotated[Path | None, SENSORS] = None
     """For an .mkv: a file of saved skeletons of A, instead of the body tracker."""
     skeletons_b: Annotated[Path | None, SENSORS] = None
@@ -90,8 +92,7 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptio
     """simulated: a tracker with the errors of --body. blazepose: the program's own tracker runs on simulated
     infrared and depth images."""
     tracker_model: Annotated[Path | None, TRACKER] = None
-    """Folder of blazepose's networks; if not given, the user's cache folder, into which they are fetched
-    once."""
+    """Folder of blazepose's networks; the user's cache folder if not given."""
     tracker_network: Annotated[Literal["full", "lite"], TRACKER] = "full"
     """Network of blazepose; lite is faster and less accurate. full gives way to lite where it is
     too slow, if the network lite was fetched (duplex tracker fetch --network lite)."""
@@ -108,6 +109,7 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptio
 
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions(
+    FollowOptions,
     OrientationOptions,
     LiveOutputOptions,
     TrackerOptions,

@@ -127,6 +127,15 @@ class OwnFileOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FollowOptions:
+    """Which of several people is followed."""
+
+    follow: Annotated[Literal["middle", "longest"] | None, SENSORS] = None
+    """Whom of several people: the one nearest the middle (live, if not given), or the one seen longest (in
+    recordings)."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class RecordingOptions(OwnFileOptions):
     """How recordings are fused."""
 

@@ -4,12 +4,14 @@ This module collects the content of the page; ``templates/review_page.html`` def
 ``templates/player.js`` plays the motion. Jinja escapes all text from the session.
 """
 
+from shlex import quote
 from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
+from devices.two_recordings import SeenPerson
 from recordings.appearance.colors import PROMINENT_BONES
 from recordings.appearance.joint_trust import TrustColors
 from recordings.frame_noise import frame_noise_of
@@ -62,6 +64,8 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         trust_plot=_trust_plot(session),
         disagreement_plot=_disagreement_plot(session),
         timing_plots=_timing_plots(session),
+        people_head=("", "seen by A", "seen by B", "follow with"),
+        people=[_seen(person, followed=not k) for k, person in enumerate(session.people)],
         events=[
             {
                 "number": each.number,
@@ -75,6 +79,16 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         motion=encoded_motion(session, [each.event.time_ns * 1e-9 for each in events]),
         start=0.0 if opening is None else opening.event.time_ns * 1e-9,
     )
+
+
+def _seen(person: SeenPerson, followed: bool) -> tuple[list[str], str]:
+    """The cells of a person, and the options with which this one is followed."""
+    cells, options = ["followed" if followed else ""], []
+    for side, name, seconds in zip("ab", person.ids, person.seconds, strict=True):
+        cells.append(f"{seconds:.1f} s" if seconds else "–")
+        if name is not None and all(person.seconds):  # else nobody is there to be fused
+            options.append(f"--person-{side} {quote(name)}")
+    return cells, " ".join(options)
 
 
 def page_template(name: str) -> Template:

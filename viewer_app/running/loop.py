@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from devices import people_tracks
+from devices.association import Follow
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, without_images
@@ -92,6 +93,7 @@ def run_live(
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
     clock: Callable[[], int] = time.perf_counter_ns,
+    follow: Follow = "middle",
 ) -> tuple[FusionSetup, list[SessionFrame]]:
     """Fuses and records the frames of two open sensors until they end or ``go_on`` returns False.
 
@@ -100,11 +102,12 @@ def run_live(
         calibrated: Whether to keep the calibration of `setup`. If not, one is computed while the loop runs.
         truth_at: Returns the true joints (J, 3) at a time of A's clock; None if they are unknown.
         go_on: Called with the status after each frame; returns whether to continue.
+        follow: Whom of several people; see :class:`devices.following.PersonOfPair`.
 
     Returns:
         The last setup, and the frames of the last minute without their images.
     """
-    fusion = LiveFusion(setup, calibrated)
+    fusion = LiveFusion(setup, calibrated, follow=follow)
     kept: deque[SessionFrame] = deque(maxlen=_KEPT_FRAMES)
     ahead_ns = 0
     for frame in fusion.frames(sensors, depth, clock):

@@ -6,9 +6,11 @@ import pytest
 from fusion.body import KINECT_V2
 from recordings import fuse, layout
 from recordings.file.session_writer import write_session
+from recordings.quality.figures import report
 from recordings.session import Session
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import moving
+from viewer_app.report.words import lead_lines
 
 FRAMES, FIRST, END = 60, 20, 45
 """The other person is seen from one frame to another."""
@@ -51,6 +53,19 @@ def test_the_others_are_those_of_the_files(fused):
         np.testing.assert_allclose(ends, seen[:, bones], atol=1e-3)
         parents = seen[:, KINECT_V2.parent_indices[bones]]
         np.testing.assert_allclose(ends + along, parents, atol=1e-3)
+
+
+def test_people_and_the_time_of_the_others_are_told(fused, tmp_path):
+    session, _ = fused
+    share = (END - FIRST) / FRAMES
+    assert [person.ids for person in session.people] == [("0", "0"), ("1", "1")]
+    assert report(session)["others_seen"] == pytest.approx(share)
+    lines = {line.label: line.text for line in lead_lines(report(session))}
+    assert lines["Others"].startswith("seen in 42 % of the frames")
+    part = tmp_path / "part.rrd"
+    write_session(session, part, first=10)
+    assert Session.open(part).people == session.people  # those of the recordings
+    assert report(Session.open(part))["others_seen"] == 0.0  # nobody counted
 
 
 def test_whoever_is_chosen_by_id_is_not_among_the_others(tmp_path):

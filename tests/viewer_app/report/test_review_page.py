@@ -1,6 +1,7 @@
 """The page of ``duplex review``, in a real browser where there is one."""
 
 import base64
+import json
 import re
 import zlib
 from dataclasses import replace
@@ -22,6 +23,7 @@ from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.machine import need_browser
+from tests.helpers.screens import browser
 from tests.helpers.two_views import calibration_of
 from viewer_app.report import motion as motion_module
 from viewer_app.report.motion import _kept_frames, encoded_motion
@@ -232,9 +234,9 @@ def test_an_event_of_the_list_leads_to_its_moment(fused_run, tmp_path):
     path = tmp_path / "page.html"
     path.write_text(review_page(session, report(session) | {"without_truth": truth_free_figures(session)}))
     with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        started = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         try:
-            tab = browser.new_page(viewport={"width": 1280, "height": 900})
+            tab = started.new_page(viewport={"width": 1280, "height": 900})
             errors = []
             tab.on("pageerror", lambda error: errors.append(str(error)))
             tab.goto(path.as_uri())
@@ -267,7 +269,33 @@ def test_an_event_of_the_list_leads_to_its_moment(fused_run, tmp_path):
             assert tab.locator("#clock").inner_text() == f"{end:.2f} of {end:.2f} s"
             assert errors == []
         finally:
-            browser.close()
+            started.close()
+
+
+@pytest.mark.usefixtures("titles")
+def test_a_click_in_the_list_of_people_copies_the_options_that_follow_one(fused_run, tmp_path):
+    people = [(["1", "2"], [3.0, 0.5]), ([None, "a <b"], [0.1, 2.0]), (["3", None], [2.0, 0.0])]
+    session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
+    session.about["session"]["people"] = [json.dumps([{"ids": i, "seconds": s} for i, s in people])]
+    path = tmp_path / "page.html"
+    path.write_text(review_page(session, report(session) | {"without_truth": truth_free_figures(session)}))
+    options = ["--person-a 1 --person-b 2", "--person-b 'a <b'"]
+    with browser(390) as context:
+        context.grant_permissions(["clipboard-read", "clipboard-write"])
+        tab = context.new_page()
+        tab.goto(path.as_uri())
+        rows = [row.split("\t") for row in tab.locator(".people tbody tr").all_inner_texts()]
+        assert rows == [
+            ["followed", "3.0 s", "0.5 s", options[0]],
+            ["", "0.1 s", "2.0 s", options[1]],
+            ["", "2.0 s", "–", "–"],  # one sensor alone sees them
+        ]
+        assert tab.evaluate("document.documentElement.scrollWidth") == 390
+        for button, option in zip(tab.locator(".people button").all(), options, strict=True):
+            button.click()
+            tab.wait_for_function("document.querySelector('.people').innerText.includes('Copied')")
+            assert tab.evaluate("navigator.clipboard.readText()") == option
+            tab.wait_for_function("!document.querySelector('.people').innerText.includes('Copied')")
 
 
 def test_the_page_shows_exchanged_sides_large_one_frame_rate_and_no_empty_plot(session, titles):
