@@ -14,12 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
+from devices import people_tracks
+from devices.following import PersonOfPair
+from devices.pairing import FramePair
+from devices.simulated.demonstration import good_rig, therapist
 from devices.simulated.kinect import simulated_pair
 from fusion.body import BODIES, KINECT_V1, KINECT_V2
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
+from fusion.skeleton import SkeletonPair
 from recordings.session import Session
 from tests.benchmarks import results
 from tests.helpers.frame_pairs import paired
@@ -66,6 +71,26 @@ def time_update(pairs, body, method, alone=False):
     per_second = len(many) / (time.thread_time_ns() - before) * 1e9
     median, p99 = np.percentile(took, [50, 99])
     return {"median_us": float(median), "p99_us": float(p99), "batch_per_s": per_second}
+
+
+def time_association(seconds=20.0):
+    """Times the choice of the person in a pair, live and calibrated, with one person in view and with two."""
+    took = {}
+    for name, other in (("one person", None), ("two people", therapist())):
+        a, b, truth = simulated_pair(
+            motion="squat", seed=0, body=KINECT_V2, seconds=seconds, rig=good_rig(KINECT_V2), other=other,
+            exchanged=10.0,
+        )  # fmt: skip
+        people, a_from_b, every = PersonOfPair(KINECT_V2), truth.a_from_b, []
+        people_tracks.warm_up()
+        for one, two in zip(a.frames(), b.frames(), strict=True):
+            pair = FramePair(one, two, SkeletonPair(None, None, one.time_ns, two.time_ns - one.time_ns))
+            before = time.thread_time_ns()
+            people.chosen(pair, a_from_b)
+            every.append((time.thread_time_ns() - before) * 1e-3)
+        median, p99 = np.percentile(every, [50, 99])
+        took[name] = {"median_us": float(median), "p99_us": float(p99)}
+    return took
 
 
 def time_solver(solver, frames=1000):
@@ -137,6 +162,7 @@ def main(arguments=None):
         figures["update"][body.name]["duplex, A alone"] = time_update(walk, body, "duplex", alone=True)
     figures["solver"]["exact"] = time_solver(solver_of(KINECT_V1))
     figures["solver"]["published"] = time_solver(PaperSolver(KINECT_V1.parent_indices))
+    figures["association"] = time_association()
     figures["commands"] = time_commands(KINECT_V2, simulated_walk(KINECT_V2))
     results.write("speed", figures)
 

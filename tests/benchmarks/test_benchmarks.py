@@ -95,6 +95,12 @@ def test_a_repeated_recording_has_no_jumps_and_rising_times():
     assert {b.time_ns - a.time_ns for a, b in pairwise(many)} == {speed.FRAME_NS}
 
 
+def test_the_choice_of_the_person_is_timed_with_one_person_and_with_two():
+    took = speed.time_association(seconds=0.2)
+    assert list(took) == ["one person", "two people"]
+    assert all(0.0 < row["median_us"] <= row["p99_us"] for row in took.values())
+
+
 FITTED = TrackerErrors.of(AZURE_KINECT)
 
 
