@@ -8,3 +8,15 @@ class UsageError(DuplexError):
 
     Whatever a command calls may raise it; :func:`viewer_app.cli.main` prints the line.
     """
+
+
+def refuse_bytes(name: str) -> None:
+    """Refuses a name that is not UTF-8, which no session, table or page can hold.
+
+    Raises:
+        UsageError: It is such a name.
+    """
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise UsageError(f"{ascii(name)[1:-1]} is not UTF-8: rename it.") from None

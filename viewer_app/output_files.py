@@ -126,9 +126,9 @@ def output_file(path: Path, force: bool) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str, force: bool) -> None:
-    """Writes a text file that is either complete or absent; names of files keep their bytes."""
+    """Writes a text file that is either complete or absent."""
     with output_file(path, force) as hidden:
-        hidden.write_text(text, encoding="utf-8", errors="surrogateescape")
+        hidden.write_text(text, encoding="utf-8")
 
 
 def save_report(path: Path | None, figures: dict[str, Any], force: bool) -> None:

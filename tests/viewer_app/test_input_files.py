@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from dataclasses import MISSING, fields
 from pathlib import Path
 from types import UnionType
@@ -134,6 +135,16 @@ def test_tables_of_names_that_no_parser_takes(text, good, tmp_path, capsys):
     table.write_text(text)
     assert duplex("info", good / "a.csv", "--names", table) == 2
     assert "names.toml" in one_line(capsys)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are bytes")
+def test_names_that_are_not_utf_8(tmp_path, capsys):
+    odd = tmp_path / os.fsdecode(b"\xff")
+    write_pair(odd)
+    out = "--out", tmp_path / "o"
+    for line in (("info", odd / "a.csv"), ("batch", odd, *out), ("batch", tmp_path, *out)):
+        assert duplex(*line) == 2
+        assert r"\udcff" in one_line(capsys)
 
 
 def test_a_user_without_a_home_has_a_cache(monkeypatch):

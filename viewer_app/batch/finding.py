@@ -9,7 +9,7 @@ from devices.files import MKV
 from devices.orbbec.playback import SUFFIX as BAG
 from devices.realsense.sensors import SUFFIX as DB3
 from devices.skeletons.file_sensor import READERS
-from viewer_app.errors import UsageError
+from viewer_app.errors import UsageError, refuse_bytes
 
 PAGE, TABLE = "summary.html", "summary.parquet"
 """The summary, which lies beside the sessions' folders; no session can have these names."""
@@ -59,6 +59,8 @@ def find_pairs(folder: Path, out: Path) -> tuple[list[Pair], list[str]]:
             alone += missing
             if pair is None:
                 continue
+            for file in pair.files:
+                refuse_bytes(str(file))
             if is_summary(pair.name):
                 raise UsageError(f"{pair.a} would be session {pair.name}, which is the name of the summary.")
             other = found.get(pair.name.casefold())

@@ -16,7 +16,7 @@ from cyclopts import (
     UnusedCliTokensError,
 )
 
-from viewer_app.errors import UsageError
+from viewer_app.errors import UsageError, refuse_bytes
 from viewer_app.options.needs import refuse_without_effect
 from viewer_app.options.sensing import (
     BatchOptions,
@@ -63,6 +63,8 @@ _NUMBERS = {int: "a whole number", float: "a number"}
 
 def parsed(arguments: list[str]) -> Any:
     """The options of the command that a command line states; ``--help`` ends the program."""
+    for argument in arguments:
+        refuse_bytes(argument)
     given = " ".join(arguments)
     if given in ("", *_GROUPS):
         commands = [name.removeprefix(f"{given} ") for name in COMMANDS if name.startswith(given)]
