@@ -13,6 +13,7 @@ from devices.input_file import open_input
 from devices.sensor import DeviceError
 from devices.skeletons.csv_files.text import codes, refuse_cut_off, text_rows
 from devices.skeletons.times import capture_times
+from recordings.c3d_file import read_c3d
 from recordings.errors import MissingFileError, RecordingError
 
 SUFFIXES = (".c3d", ".trc", ".csv")
@@ -68,30 +69,16 @@ _Read = tuple[list[str], NDArray[np.float64], NDArray[np.float64], str]
 
 
 def _read_c3d(path: Path) -> _Read:
-    try:
-        import ezc3d
-    except ImportError:
-        raise RecordingError(
-            "Reading .c3d needs the package ezc3d: pip install 'duplex-kinects[export]'."
-        ) from None
     with open_input(path) as file:
         header = np.frombuffer(file.read(10).ljust(10, b"\0"), dtype="<u2").astype(np.int64)
-    try:
-        read = ezc3d.c3d(str(path))
-        parameters, data = read["parameters"]["POINT"], read["data"]
-        labels = [label for name in sorted(parameters) if name.startswith("LABELS")
-                  for label in parameters[name]["value"]]  # fmt: skip
-        rate = float(parameters["RATE"]["value"][0])
-        points = data["points"][:3].transpose(2, 1, 0).astype(np.float64)
-        residuals = data["meta_points"]["residuals"][0].T
-    except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
-        raise RecordingError(f"{path} is not a .c3d that ezc3d can read: {error}.") from None
+    read = read_c3d(path)
+    rate, points, labels = float(read["rate"]), read["points"], read["labels"].tolist()
     if not 0.0 < rate < math.inf:
         raise RecordingError(f"{path} states {rate:g} frames per second.")
     stated = header[4] - header[3] + 1  # last and first frame; long files have more
     if len(points) < stated:  # ezc3d reads what is there
         raise RecordingError(f"{path} is cut off: it states {stated} frames and has {len(points)}.")
-    points[residuals < 0.0] = np.nan
+    points[read["residuals"] < 0.0] = np.nan
     return labels[: points.shape[1]], np.arange(len(points)) / rate, _without_origin(points), ""
 
 

@@ -24,6 +24,7 @@ from devices.capture.causes import Cause, in_brackets
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.usb import usb_kinects, why_not_open
 from devices.check import Check, failed
+from devices.output_file import whole_file
 from devices.sensor import AbsentError, DeviceError
 
 LIBRARY_NAME = "libfreenect2 (Kinect v2)"
@@ -98,13 +99,25 @@ def load_library() -> Any:
 
 
 def _loaded(prefix: Path) -> Any:
-    """The binding; a file in the cache that does not load, as after a loss of power, is compiled anew."""
+    """The binding; a file in the cache that does not load is compiled anew."""
     file = _compiled(prefix)
     try:
         return ctypes.CDLL(str(file))
     except OSError:
         file.unlink(missing_ok=True)
         return ctypes.CDLL(str(_compiled(prefix)))
+
+
+def _is_whole(file: Path) -> bool:
+    """Whether a file in the cache is as it was written: one cut off, by a loss of power, ends the process."""
+    try:
+        return _checksum_of(file).read_text(encoding="ascii") == hashlib.sha256(file.read_bytes()).hexdigest()
+    except (OSError, ValueError):
+        return False
+
+
+def _checksum_of(file: Path) -> Path:
+    return file.with_suffix(".sha256")
 
 
 def _compiled(prefix: Path) -> Path:
@@ -115,7 +128,7 @@ def _compiled(prefix: Path) -> Path:
     file = user_cache("freenect2") / f"{key[:16]}.module"
     if file in _failed:
         raise _failed[file]
-    if not file.is_file():
+    if not _is_whole(file):
         with tempfile.TemporaryDirectory() as folder:
             configure = ("-S", str(_SOURCES[0].parent), "-B", folder, "-DCMAKE_BUILD_TYPE=Release")
             build = ("--build", folder, "--config", "Release")
@@ -126,8 +139,12 @@ def _compiled(prefix: Path) -> Path:
                     _failed[file] = subprocess.CalledProcessError(done.returncode, command, done.stdout)
                     raise _failed[file]
             file.parent.mkdir(parents=True, exist_ok=True)
-            ready = shutil.copy(Path(folder) / "binding.module", file.with_suffix(f".{os.getpid()}"))
-            Path(ready).replace(file)
+            built = Path(folder) / "binding.module"
+            checksum = hashlib.sha256(built.read_bytes()).hexdigest()
+            with whole_file(file, overwrite=True) as hidden:
+                shutil.copyfile(built, hidden)
+            with whole_file(_checksum_of(file), overwrite=True) as hidden:
+                hidden.write_text(checksum, encoding="ascii")
     return file
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fusion.body import KINECT_V1
+from recordings import c3d_file
 from recordings.errors import RecordingError
 from recordings.export import writer_for
 from recordings.truth_files import read_truth
@@ -132,3 +133,27 @@ def test_a_csv_may_have_semicolons_decimal_commas_and_other_units_of_time(tmp_pa
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(RecordingError, match=r"No file .*none\.c3d"):
         read_truth(tmp_path / "none.c3d")
+
+
+@pytest.mark.parametrize("at", [534, 540, 550])
+def test_a_damaged_c3d_does_not_take_the_program_along(tmp_path, at):
+    """ezc3d crashes at these bytes of the parameters."""
+    pytest.importorskip("ezc3d")
+    path = tmp_path / "m.c3d"
+    write_c3d(path, ["A", "B"], np.arange(20) / 30, np.ones((20, 2, 3)))
+    assert read_truth(path).labels == ("A", "B")
+    damaged = bytearray(path.read_bytes())
+    damaged[at] = 255
+    path.write_bytes(damaged)
+    with pytest.raises(RecordingError, match=r"m\.c3d is not a \.c3d that ezc3d can read"):
+        read_truth(path)
+
+
+def test_a_c3d_that_never_ends_is_given_up(tmp_path, monkeypatch):
+    pytest.importorskip("ezc3d")
+    path = tmp_path / "m.c3d"
+    write_c3d(path, ["A", "B"], np.arange(20) / 30, np.ones((20, 2, 3)))
+    monkeypatch.setattr(c3d_file, "_CHILD", "while True: pass")
+    monkeypatch.setattr(c3d_file, "_SECONDS", 0.2)
+    with pytest.raises(RecordingError, match="does not end"):
+        read_truth(path)

@@ -203,15 +203,17 @@ def test_the_binding_is_compiled_once(monkeypatch):
 
 
 @pytest.mark.usefixtures("freenect2")
-@pytest.mark.parametrize("content", [b"", b"no library"])
+@pytest.mark.parametrize("content", [b"", b"no library", None])
 def test_a_damaged_binding_is_compiled_anew(standin_prefix, monkeypatch, tmp_path, content):
     cache = tmp_path / "freenect2"
     monkeypatch.setattr(library, "user_cache", lambda _: cache)
     file = library._compiled(standin_prefix)
-    file.write_bytes(content)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2] if content is None else content)  # it would end by SIGBUS
     library.load_library.cache_clear()
     assert library.load_library().k2_pipelines()
-    assert list(cache.iterdir()) == [file]
+    assert file.read_bytes() == whole or content is not None
+    assert sorted(cache.iterdir()) == [file, file.with_suffix(".sha256")]
 
 
 @pytest.mark.usefixtures("freenect2")
