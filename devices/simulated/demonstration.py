@@ -6,6 +6,7 @@ The benchmarks use ``Rig()`` and the movements as they are; nothing here changes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from devices.depth.image_thinning import Depth
 from devices.simulated.kinect import Beside, Movement, Scene, SimulatedKinect, Truth, movement
@@ -29,8 +30,14 @@ MIRRORED = Spells(4.4, 1.0, _EVERY)
 """The whole person in B's view. In badminton, the wind-up: the back is half turned to B."""
 
 
-def therapist() -> Movement:
-    """Someone who walks behind the person to and fro, and past them in both views."""
+def therapist(does: Literal["walks", "sits"] = "walks") -> Movement:
+    """Another one, who hides the person and is hidden.
+
+    Walks behind the person to and fro, and past them in both views; or sits down between them and A, and
+    stands up again.
+    """
+    if does == "sits":
+        return Beside(movement("sit"), (-0.45, 0.0, -1.1))
     return Beside(walking("walk", length=8.4, strides=10), (0.0, 0.0, 1.3), later=STARTUP_SECONDS)
 
 

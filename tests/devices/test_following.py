@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from devices.following import PersonOfPair, one_person
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
+from devices.simulated.demonstration import therapist
 from devices.simulated.kinect import PERSON, Beside, simulated_pair
 from devices.simulated.person.gait import walking
 from fusion.body import AZURE_KINECT, KINECT_V2
@@ -115,6 +116,17 @@ def test_a_therapist_who_crosses_is_not_followed(seed, known):
         assert wrong <= 0.3
         assert share > (0.9 if known else 0.75)  # else they are hidden, or B's person is not known yet
     assert [event.phase for event in events if event.topic == "others"][:1] == ["start"]
+    assert not any("another one" in event.text for event in events)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_therapist_who_sits_down_before_the_person_is_not_followed(known):
+    frames, a_from_b, places = crossed(0, therapist("sits"))
+    seen, events = followed(*frames, a_from_b if known else None)
+    for view, of, at in zip(frames, zip(*seen, strict=True), places, strict=True):
+        wrong, share = longest_wrong(view, of, at)
+        assert wrong <= 0.3
+        assert share > 0.5  # else they are hidden, or B's person is not known yet
     assert not any("another one" in event.text for event in events)
 
 

@@ -78,7 +78,7 @@ def run(options: DemoOptions) -> None:
             body,
             seconds=options.seconds,
             seed=options.seed,
-            other=therapist() if options.people > 1 else None,
+            other=therapist(options.other) if options.people > 1 else None,
             exchanged=_EXCHANGED,
         ),
         angle_deg=options.angle,
@@ -166,7 +166,8 @@ def _show(
 def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMoment]) -> None:
     """Prints what happens, and when to look."""
     angle = BAD_ANGLE_DEG if options.bad_setup else options.angle
-    beside = " and another one who walks about" if options.people > 1 else ""
+    does = {"walks": "walks about", "sits": "sits down before them"}[options.other]
+    beside = f" and another one who {does}" if options.people > 1 else ""
     console.print(
         f"A simulated person ({escape(options.motion)}){beside} before two Kinects {angle:.0f}° apart, "
         f"{options.seconds:g} s. Press Ctrl-C to end."

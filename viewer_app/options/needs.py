@@ -122,6 +122,7 @@ NEEDS = (
     ),
     Need(LiveOptions, ("compress",), lambda o: o.record is not None, "--record FOLDER"),
     Need(DemoOptions, ("compress",), lambda o: o.record is not None, "--record FOLDER"),
+    Need(DemoOptions, ("other",), lambda o: o.people > 1, "--people 2"),
     Need(
         DemoOptions,
         ("tracker_model", "tracker_network"),

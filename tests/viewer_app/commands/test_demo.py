@@ -31,11 +31,13 @@ def test_the_demo_says_where_to_look_and_what_to_do_next(capsys):
     assert said.endswith("Next: --motion walk, --bad-setup, or your own sensors (duplex doctor).")
 
 
-def test_a_demo_of_two_people_says_that_there_are_others(tmp_path, capsys):
+@pytest.mark.parametrize(("other", "does"), [("walks", "walks about"), ("sits", "sits down before them")])
+def test_a_demo_of_two_people_says_that_there_are_others(other, does, tmp_path, capsys):
     saved = tmp_path / "two.rrd"
-    assert duplex("demo", *QUICK, "--seconds", 3, "--people", 2, "--motion", "squat", "--save", saved) == 0
+    two = "--people", 2, "--other", other
+    assert duplex("demo", *QUICK, "--seconds", 3, *two, "--motion", "squat", "--save", saved) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "A simulated person (squat) and another one who walks about before two Kinects" in said
+    assert f"A simulated person (squat) and another one who {does} before two Kinects" in said
     assert "Others seen in" in said
     assert any(event.topic == "others" for event in Session.open(saved).events)
 
