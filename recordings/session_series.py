@@ -16,7 +16,7 @@ from fusion.joint_rotations import rotations_of
 from recordings.gait import Gait, find_gait
 from recordings.interpolation import nanoseconds, positions_at, sigma_at
 from recordings.quality.figures import report
-from recordings.quality.per_second import SecondQuality, quality_per_second
+from recordings.quality.per_second import SecondQuality, Span, good_frames, good_spans, quality_per_second
 from recordings.quality.verdict import Verdict, verdict
 from recordings.series import AngleSeries, QualitySeries, RotationSeries, SkeletonSeries
 from recordings.session_data import SessionData, read_only
@@ -154,6 +154,16 @@ class SessionSeries(SessionData):
     def quality_per_second(self) -> tuple[SecondQuality, ...]:
         """How good each second is; see :func:`recordings.quality.per_second.quality_per_second`."""
         return quality_per_second(self)
+
+    @property
+    def good_spans(self) -> tuple[Span, ...]:
+        """The good seconds of :attr:`quality_per_second`, joined to stretches of time."""
+        return good_spans(self, self.quality_per_second)
+
+    @property
+    def good_frames(self) -> NDArray[np.bool_]:
+        """(T,) whether a frame is in a good second."""
+        return good_frames(self, self.quality_per_second)
 
     @cached_property
     def verdict(self) -> Verdict:

@@ -1,6 +1,6 @@
 """The quality of each second of a session."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -24,6 +24,32 @@ class SecondQuality(NamedTuple):
     """``good``, ``usable`` or ``poor``: the worst of what follows."""
     reason: str
     """Why it is not good, or empty."""
+
+
+class Span(NamedTuple):
+    """A stretch of time, seconds since the first frame."""
+
+    start: float
+    end: float
+
+
+def good_spans(session: SessionData, seconds: Sequence[SecondQuality]) -> tuple[Span, ...]:
+    """The good seconds, those that follow each other as one stretch; the last one ends with the session."""
+    spans: list[Span] = []
+    last = max(float(session.rows.time_ns[-1]) * 1e-9, seconds[-1].start)
+    for each in seconds:
+        if each.word == "good":
+            end = min(each.start + 1.0, last)
+            begin = spans.pop().start if spans and spans[-1].end == each.start else each.start
+            spans.append(Span(begin, end))
+    return tuple(spans)
+
+
+def good_frames(session: SessionData, seconds: Sequence[SecondQuality]) -> NDArray[np.bool_]:
+    """(T,) whether a frame is in a good second."""
+    good = np.array([each.word == "good" for each in seconds])
+    starts = np.array([each.start for each in seconds])
+    return np.asarray(good[np.searchsorted(starts, session.rows.time_ns * 1e-9, side="right") - 1])
 
 
 def quality_per_second(session: SessionData) -> tuple[SecondQuality, ...]:

@@ -274,7 +274,14 @@ def test_a_second_that_one_view_lacks_is_poor_and_says_so(begin, lasts, side):
     states, positions = (getattr(rows, f"{what}_{side}").copy() for what in ("states", "positions"))
     states[lost], positions[lost] = 0, np.nan
     changed = {f"states_{side}": states, f"positions_{side}": positions}
-    found = replace(session, rows=replace(rows, **changed)).quality_per_second
+    changed_session = replace(session, rows=replace(rows, **changed))
+    found = changed_session.quality_per_second
+    of_frame = np.array([found[int(moment)].word == "good" for moment in session.time])
+    np.testing.assert_array_equal(changed_session.good_frames, of_frame)
+    spans = np.array(changed_session.good_spans).reshape(-1, 2)
+    assert (np.diff(spans.ravel()) > 0.0).all()  # in order, and none touches the next
+    within = (spans[:, :1] <= session.time) & (session.time < spans[:, 1:] + 1e-9)
+    np.testing.assert_array_equal(within.any(axis=0), of_frame)
     assert [each.start for each in found] == list(range(len(found)))
     for each, before in zip(found, session.quality_per_second, strict=True):
         assert (each.word == "good") == (each.reason == "")

@@ -4,6 +4,10 @@ This module collects the content of the page; ``templates/review_page.html`` def
 ``templates/player.js`` plays the motion. Jinja escapes all text from the session.
 """
 
+import math
+from contextlib import suppress
+from datetime import datetime
+from itertools import groupby
 from shlex import quote
 from typing import Any
 
@@ -12,11 +16,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from devices.two_recordings import SeenPerson
-from recordings.appearance.colors import PROMINENT_BONES
+from recordings.appearance.colors import MARK_COLORS, PROMINENT_BONES
 from recordings.appearance.joint_trust import TrustColors
 from recordings.frame_noise import frame_noise_of
 from recordings.fusing.files import without_folders
+from recordings.quality.doubtful_time import UNCERTAIN
+from recordings.quality.limits import GOOD, USABLE
 from recordings.session import Session
+from recordings.session_arrays import rate_without_pauses
 from viewer_app.report.events import (
     event_in_words,
     list_events,
@@ -27,7 +34,7 @@ from viewer_app.report.events import (
 from viewer_app.report.motion import encoded_motion
 from viewer_app.report.svg_plots import bar_plot, line_plot, skeleton_color, trust_map
 from viewer_app.report.walking import GAIT_HEAD, movement_of
-from viewer_app.report.words import BONE_HEAD, bone_rows, detail_lines, lead_lines
+from viewer_app.report.words import BONE_HEAD, bone_rows, detail_lines, good_seconds, lead_lines
 
 _MOST_EVENTS = 12
 """Printed on paper; the screen lists all."""
@@ -40,20 +47,20 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
     events = list_events(session.events)
     printed = {each.number for each in shortest_list(events, _MOST_EVENTS)}
     opening = opening_event(events, session.first_calibrated_frame or 0)
-    time_ns = session.rows.time_ns
     return page_template("review_page.html").render(
         name=session.name,
         damage=session.damage,
         frames_lost=session.frames_lost,
-        frames=len(session),
-        seconds=float(time_ns[-1] - time_ns[0]) * 1e-9,
-        body=session.body.name,
+        recorded=_recorded(session),
+        seconds=_seconds(session),
+        good=good_seconds(session),
+        uncertain=f"{UNCERTAIN:.0f}",
         settings=", ".join(f"{name} {values[0]}" for name, values in session.about["settings"].items()),
         source_a=source_a,
         source_b=source_b,
-        colors={key: skeleton_color(key) for key in ("a", "b", "fused")},
+        colors=page_colors(),
         tiles=[line for line in lead if line.figure],
-        lines=[line for line in lead if not line.figure],
+        lines=[line for line in lead if not line.figure and line.label != "S*"],  # it is in the first line
         details=detail_lines(figures),
         movement=movement_of(session),
         gait_head=GAIT_HEAD,
@@ -91,6 +98,45 @@ def _seen(person: SeenPerson, followed: bool) -> tuple[list[str], str]:
     return cells, " ".join(options)
 
 
+def page_colors() -> dict[str, str]:
+    """The colours that ``page.css`` needs."""
+    marks = {"good": "do", "usable": "better", "poor": "mend"}
+    return {key: skeleton_color(key) for key in ("a", "b", "fused")} | {
+        word: "#{:02x}{:02x}{:02x}".format(*MARK_COLORS[mark]) for word, mark in marks.items()
+    }
+
+
+def _recorded(session: Session) -> str:
+    """What was recorded, with what, and when its file was written."""
+    rate = rate_without_pauses(session.rows.time_ns)
+    written = session.about["session"].get("written_by", [""])[0]
+    with suppress(OSError):  # it may have been moved
+        if session.path is not None:
+            at = datetime.fromtimestamp(session.path.stat().st_mtime)
+            written += f", file of {at:%Y-%m-%d %H:%M}"
+    parts = (
+        f"{session.time[-1]:.1f} s, {len(session)} frames"
+        + ("" if rate is None else f", {rate:.1f} per second"),
+        f"body {session.body.name}" + (f", tracker {session.tracker}" if session.tracker else ""),
+        f"method {session.settings.method}, revision {session.method_revision}",
+        written,
+    )
+    return "; ".join(filter(None, parts))
+
+
+def _seconds(session: Session) -> list[dict[str, Any]]:
+    """The quality of each second; equal ones that follow each other are one stretch."""
+    stretches: list[dict[str, Any]] = []
+    seconds = session.quality_per_second
+    ends = [each.start for each in seconds[1:]] + [max(session.time[-1], seconds[-1].start)]
+    for (word, reason), each in groupby(zip(seconds, ends, strict=True), key=lambda pair: pair[0][1:]):
+        of, until = zip(*each, strict=True)
+        start, end = of[0].start, until[-1]
+        text = f"{start:.0f}–{math.ceil(end)} s {word}" + (f": {reason}" if reason else "")
+        stretches.append({"at": start, "lasts": end - start, "word": word, "text": text})
+    return stretches
+
+
 def page_template(name: str) -> Template:
     """A template of this package; all text that is put into it is escaped."""
     environment = Environment(
@@ -115,7 +161,7 @@ def _bone_plots(session: Session) -> Markup:
                 "S*": (lengths[2, :, j], "fused"),
             }
             level = float(rows.bone_lengths[-1, j])
-            plots.append(line_plot(bone.replace("_", " "), "m", time, lines, level=level))
+            plots.append(line_plot(bone.replace("_", " "), "m", time, lines, (level,)))
     return Markup("").join(map(Markup, plots))
 
 
@@ -145,7 +191,9 @@ def _trust_plot(session: Session) -> Markup:
 def _disagreement_plot(session: Session) -> Markup:
     rows = session.rows
     lines = {"median joint": (rows.disagreement * 1e3, "fused")}
-    return Markup(line_plot("views differ, the median joint", "mm", rows.time_ns * 1e-9, lines, wide=True))
+    title = f"median joint; good is below {GOOD:.0f}, usable below {USABLE:.0f} mm"
+    levels = (GOOD, USABLE)
+    return Markup(line_plot(title, "mm", session.time, lines, levels, wide=True))
 
 
 def _timing_plots(session: Session) -> Markup:

@@ -28,18 +28,18 @@ def line_plot(
     unit: str,
     time: NDArray[Any],
     lines: Mapping[str, Line],
-    level: float | None = None,
+    levels: Sequence[float] = (),
     logarithmic: bool = False,
     wide: bool = False,
 ) -> str:
-    """Plots values over seconds; each line has the key of a skeleton or side. A level is dashed."""
+    """Plots values over seconds; each line has the key of a skeleton or side. Levels are dashed."""
     width = _WIDE if wide else 6.0
     figure, axes = _figure(width, 2.4)
     for name, (values, key) in lines.items():
         joined = _joined(time, np.asarray(values, dtype=np.float64))
         at, thinned = _thinned(*joined, int(width * _POINTS_PER_INCH))
         axes.plot(at, thinned, color=line_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name)
-    if level is not None:
+    for level in levels:
         axes.axhline(level, color=_INK, linewidth=0.9, linestyle=(0, (5, 4)))
     if logarithmic and any(np.any(values > 0.0) for values, _ in lines.values()):
         axes.set_yscale("log")

@@ -7,8 +7,8 @@ from fusion.angles import ANGLES
 from recordings.quality.figures import Figures
 from recordings.session import Session
 from recordings.truth_comparison import SKELETONS, TruthComparison
-from viewer_app.report.review_page import page_template
-from viewer_app.report.svg_plots import bar_plot, line_plot, skeleton_color
+from viewer_app.report.review_page import page_colors, page_template
+from viewer_app.report.svg_plots import bar_plot, line_plot
 from viewer_app.report.truth_figures import (
     ALL_HEAD,
     ANGLE_HEAD,
@@ -30,7 +30,7 @@ def truth_page(session: Session, comparison: TruthComparison, figures: Figures) 
         all_frames=len(session),
         names_table=comparison.table,
         unit=comparison.unit,
-        colors={key: skeleton_color(key) for key in ("a", "b", "fused")},
+        colors=page_colors(),
         lines=list(truth_lines(figures)),
         all_head=ALL_HEAD,
         every=list(all_rows(figures)),

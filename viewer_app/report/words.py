@@ -12,6 +12,7 @@ from recordings.quality.doubtful_time import UNCERTAIN
 from recordings.quality.figures import Figures
 from recordings.quality.limits import USABLE, spoken
 from recordings.quality.verdict import doubt, in_words
+from recordings.session import Session
 from viewer_app.flags import in_flags
 
 _PAUSED = 0.9  # of the time: with less there are pauses
@@ -33,36 +34,51 @@ class Line:
     text: str  # the figure and what it means
     warning: bool = False  # whether someone should act on it
     figure: str = ""  # the figure alone, where the line has one that matters; else empty
+    rest: str = ""  # the text beside this figure
 
 
 def lead_lines(figures: Figures) -> Iterator[Line]:
     """The lines that lead every report."""
     if "fused_frames" in figures:
-        rate = figures["frames_per_second"]
         found = figures["verdict"]
         word = found["word"]
-        yield Line("Verdict", in_flags(in_words(**found)), word in ("poor", "unknown"), word)
+        sentence = in_flags(in_words(**found))
+        rest = sentence.removeprefix(f"{word}:").removeprefix(f"{word}.").strip()
+        yield Line("Verdict", sentence, word in ("poor", "unknown"), word, rest[:1].upper() + rest[1:])
         median, high = (in_mm(figures["views_agree_mm"][key]) for key in ("median", "p95"))
-        text = f"median {median}, 95 % {high}, over all frames since the calibration."
-        yield Line("Views agree", text, figure=median)
+        every = f"95 % {high}, over all frames since the calibration."
+        yield Line("Views agree", f"median {median}, {every}", figure=median, rest=f"Median; {every}")
         if doubts := [f"{words} {lasts}" for words, lasts in _doubts(figures)]:
             yield Line("Doubtful", f"{', '.join(doubts)}.")
         turn = figures["calibration"]["rotation_sd_deg"]
         precision = f"{_precision_in_words(figures['calibration'])}."
-        yield Line("Calibration", precision, figure="–" if turn is None else f"± {turn:.1f}°")
+        turn_text = "–" if turn is None else f"± {turn:.1f}°"
+        rest = precision.removeprefix(f"{turn_text}, ")
+        yield Line("Calibration", precision, figure=turn_text, rest=rest[:1].upper() + rest[1:])
         yield _repaired(figures["repaired"])
-        yield Line("S*", _pace(figures), figure="–" if rate is None else f"{rate:.1f} / s")
+        yield Line("S*", _pace(figures))
         a, b, fused = (in_mm(figures["bone_error_mm"][key]["max"]) for key in ("a", "b", "fused"))
         text = f"S* within {fused} of their lengths; S_A up to {a} off, S_B {b}."
-        yield Line("Bones", text, figure=fused)
+        yield Line("Bones", text)
         if never := [spoken(name) for name in figures["in_no_frame"]]:
             whence = {_LENGTH_FROM.get(bone["length_from"], "") for bone in figures["bones"].values()}
             lengths = " or ".join(sorted(whence - {""}))
             yield Line("Never seen", f"{', '.join(never)}: S* guesses them; their bones are {lengths}.")
     if figures.get("others_seen"):
         share = in_percent(figures["others_seen"])
-        yield Line("Others", f"seen in {share} of the frames; S* follows one person.", figure=share)
+        of_frames = "of the frames; S* follows one person."
+        yield Line("Others", f"seen in {share} {of_frames}", figure=share, rest=of_frames.capitalize())
     yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
+
+
+def good_seconds(session: Session, most: int | None = None) -> Line:
+    """How much of a session is good, and when; at most so many stretches."""
+    spans = session.good_spans
+    total = sum(each.end - each.start for each in spans)
+    listed = [f"{each.start:.0f}–{math.ceil(each.end)} s" for each in spans[:most]]
+    more = [f"{len(spans) - len(listed)} more"] if len(spans) > len(listed) else []
+    when = f": {', '.join([*listed, *more])}" if spans else ""
+    return Line("Good", f"{total:.0f} of {session.time[-1]:.0f} s{when}.")
 
 
 def detail_lines(figures: Figures) -> Iterator[Line]:
@@ -139,9 +155,11 @@ def _repaired(repaired: Figures) -> Line:
     unseen, exchanged = in_percent(repaired["unseen_joints"]), repaired["exchanged"]
     filled_in = f"joints filled in: {unseen}."
     if exchanged is None:
-        return Line("Repaired", filled_in, figure=unseen)
+        return Line("Repaired", filled_in, figure="" if unseen == "0 %" else unseen, rest="Joints filled in.")
     a, b = in_percent(exchanged["a"]), in_percent(exchanged["b"])
-    return Line("Repaired", f"left and right: {a} of A, {b} of B; {filled_in}", figure=f"{a}, {b}")
+    figure = f"{a}, {b}" if any(exchanged.values()) else ""
+    rest = f"Left and right, of A and of B; {filled_in}"
+    return Line("Repaired", f"left and right: {a} of A, {b} of B; {filled_in}", figure=figure, rest=rest)
 
 
 def _pace(figures: Figures) -> str:

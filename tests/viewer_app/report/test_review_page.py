@@ -151,12 +151,19 @@ def test_the_motion_is_that_of_the_session_to_the_millimetre(session, never):
     count, joints = motion["frames"], len(session.body.joints)
     data = zlib.decompress(base64.b64decode(motion["motion"]))
     seconds = np.frombuffer(data, "<f4", count)
-    low, high = np.frombuffer(data, np.uint8, offset=4 * count).astype(np.int64).reshape(2, -1)
+    low, high = np.frombuffer(data, np.uint8, 18 * joints * count, 4 * count).astype(np.int64).reshape(2, -1)
     code = low + 256 * high
     steps = np.where(code % 2, -(code + 1) // 2, code // 2).reshape(3, joints, 3, count)
     found = (np.cumsum(steps, axis=-1) + 2**15) % 2**16 - 2**15
     floor = floor_under(session.rows)
     rows = np.searchsorted(session.time_ns * 1e-9, seconds - 1e-3)
+    bits = np.unpackbits(
+        np.frombuffer(data, np.uint8, offset=(4 + 18 * joints) * count), count=joints * count
+    )
+    uncertain = session.rows.predicted | (session.sigma > 0.15)
+    np.testing.assert_array_equal(bits.reshape(joints, count).T, uncertain[rows])
+    assert uncertain[rows].any()
+    assert not uncertain[rows].all()
     assert np.diff(seconds[:-1]).min() > 1 / 16  # the last frame is always there
     assert seconds[-1] == pytest.approx(session.time_ns[-1] * 1e-9)
     for k, true in enumerate((session.rows.positions_a, session.rows.b_in_a, session.rows.seen)):
@@ -263,9 +270,32 @@ def test_an_event_of_the_list_leads_to_its_moment(fused_run, tmp_path):
             empty = tab.evaluate(picture)
             tab.locator(".key input").last.check()
             assert tab.evaluate(picture) != empty
+            clock, why = tab.locator("#clock"), tab.locator("#why")
+            box = tab.locator("#quality").bounding_box()
+            tab.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + 20)
+            end = session.time_ns[-1] * 1e-9
+            assert float(clock.inner_text().split()[0]) == pytest.approx(0.75 * end, abs=0.02)
+            last = session.quality_per_second[int(0.75 * end)]
+            assert why.inner_text().endswith(last.reason or last.word)
+            tab.locator("#person").focus()
+            moments = []
+            for key in (".", ".", ",", "Home", ",", "End"):
+                tab.keyboard.press(key)
+                moments.append(float(clock.inner_text().split()[0]))
+            on, twice, back, home, before, last = moments
+            assert on == back < twice
+            assert (home, before, last) == (0.0, 0.0, pytest.approx(end, abs=0.01))
+            for key in ("+", "+", "l", "Home", " "):
+                tab.keyboard.press(key)
+            assert tab.locator("#speed").input_value() == "2"
+            assert tab.locator("#loop").is_checked()
+            assert tab.locator("#play").inner_text() == "Pause"
+            tab.wait_for_function("+document.getElementById('clock').textContent.split(' ')[0] > 2.5")
+            tab.wait_for_function("+document.getElementById('clock').textContent.split(' ')[0] < 1")  # again
+            for key in (" ", "l", "End"):
+                tab.keyboard.press(key)
             tab.locator("#play").click()
             tab.wait_for_function("document.getElementById('play').textContent === 'Play'")  # at the end
-            end = session.time_ns[-1] * 1e-9
             assert tab.locator("#clock").inner_text() == f"{end:.2f} of {end:.2f} s"
             assert errors == []
         finally:
@@ -320,6 +350,28 @@ def test_the_page_shows_exchanged_sides_large_one_frame_rate_and_no_empty_plot(s
     shown = text[: text.index("<script")]
     rates = set(re.findall(r"([\d.]+) (?:frames )?per second", shown))
     assert rates == {f"{figures['frames_per_second']:.1f}"}
+
+
+@pytest.mark.usefixtures("titles")
+def test_a_tile_says_its_figure_once_and_the_page_what_was_recorded(session):
+    text = unescape(review_page(session, report(session) | {"without_truth": truth_free_figures(session)}))
+    tiles = re.findall(r'<dt>(.*?)</dt><dd class="figure">(.*?)</dd>\n<dd[^>]*>(.*?)</dd>', text)
+    assert len(tiles) >= 3
+    for label, figure, beside in tiles:
+        assert figure not in beside, label
+        assert figure not in ("0 mm", "0 %", "0 %, 0 %"), label
+    first = text[text.index("<h1>") : text.index("<dl")]
+    for part in (f"{len(session)} frames", "body kinect_v2", "method duplex, revision", "file of 20"):
+        assert part in first
+    strip = re.findall(
+        r'<i class="(\w+)" style="flex-grow: ([\d.]+)" data-at="([\d.]+)" title="(.*?)">', text
+    )
+    assert sum(float(lasts) for _, lasts, _, _ in strip) == pytest.approx(session.time[-1])
+    of_second = {each.start: each for each in session.quality_per_second}
+    for word, _, at, title in strip:
+        assert of_second[float(at)].word == word
+        assert f" s {word}" in title
+        assert of_second[float(at)].reason in title
 
 
 @pytest.mark.usefixtures("titles")

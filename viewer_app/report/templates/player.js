@@ -4,24 +4,29 @@
 const canvas = document.getElementById("person"), player = document.getElementById("player");
 const play = document.getElementById("play"), slider = document.getElementById("moment");
 const clock = document.getElementById("clock"), list = document.getElementById("events");
-const shown = [...player.querySelectorAll("input[type=checkbox]")];
+const [back, on, speed, loop, follow, large, quality, why] =
+  ["back", "on", "speed", "loop", "follow", "large", "quality", "why"].map(id => document.getElementById(id));
+const stretches = [...quality.querySelectorAll("i")], mark = quality.querySelector("b");
+const shown = [...player.querySelectorAll(".key input")];
 const jumps = [...list.querySelectorAll("button")];
 const parents = JSON.parse(canvas.dataset.parents), sensors = JSON.parse(canvas.dataset.sensors);
 const colors = ["--s-a", "--s-b", "--fused"], widths = [0.012, 0.012, 0.03];  // metres
 const count = +canvas.dataset.frames, series = 3 * parents.length * 3, distance = 6;  // metres to the eye
 const unseen = -32768;
 
-let seconds, positions;
+let seconds, positions, uncertain;
 try {
-  [seconds, positions] = await decoded();
+  [seconds, positions, uncertain] = await decoded();
 } catch (error) {
   clock.textContent = "This browser is too old to play the skeletons.";
   return;
 }
 const end = seconds[count - 1], centres = followed();
-let time = 0, playing = false, before = 0, turn = between(), tilt = 0.2, here = null;
-for (const control of [play, slider, ...jumps, ...shown]) control.disabled = false;
+let time = 0, playing = false, before = 0, turn = between(), tilt = 0.2, here = null, stays = null;
+for (const control of [play, slider, back, on, speed, loop, follow, ...jumps, ...shown]) control.disabled = false;
+large.disabled = !document.fullscreenEnabled;
 slider.max = end;
+mark.style.display = "block";
 go(+canvas.dataset.start);
 
 async function decoded() {
@@ -34,7 +39,14 @@ async function decoded() {
     const code = data.getUint8(low + k) | data.getUint8(high + k) << 8;
     values[k] = (k % count ? values[k - 1] : 0) + ((code >>> 1) ^ -(code & 1));
   }
-  return [times, values];
+  const bits = new Uint8Array(data.buffer, 4 * count + 2 * values.length);
+  return [times, values, bits];
+}
+
+// Whether a joint of S* is uncertain, or has no data.
+function doubtful(joint, frame) {
+  const bit = joint * count + frame;
+  return uncertain[bit >> 3] >> (7 - (bit & 7)) & 1;
 }
 
 // A joint's place in metres; null where it was not seen.
@@ -88,6 +100,8 @@ function go(moment) {
   slider.value = time;
   clock.textContent = `${time.toFixed(2)} of ${end.toFixed(2)} s`;
   slider.setAttribute("aria-valuetext", clock.textContent);
+  mark.style.left = `${end ? 100 * time / end : 0}%`;
+  why.textContent = stretches.findLast(each => +each.dataset.at <= time + 0.001).title;
   const latest = jumps.findLast(each => +each.dataset.at <= time + 0.001);
   if (latest !== here) {
     here?.closest("tr").removeAttribute("aria-current");
@@ -101,9 +115,15 @@ function go(moment) {
 
 function step(now) {
   if (!playing) return;
-  go(time + (now - before) / 1000);
+  const next = time + speed.value * (now - before) / 1000;
   before = now;
+  go(next >= end && loop.checked ? 0 : next);
   if (time >= end) pause(); else requestAnimationFrame(step);
+}
+
+function stepFrames(frames) {
+  if (playing) pause();
+  go(seconds[Math.min(Math.max(frameAt(time) + frames, 0), count - 1)]);
 }
 
 function pause() {
@@ -116,7 +136,7 @@ function draw() {
   canvas.width = Math.round(width * scale);
   canvas.height = Math.round(height * scale);
   const pen = canvas.getContext("2d"), style = getComputedStyle(document.documentElement);
-  const frame = frameAt(time), centre = centres[frame], metre = Math.min(width / 2, height / 2.5);
+  const frame = frameAt(time), centre = stays ?? centres[frame], metre = Math.min(width / 2, height / 2.5);
   const [cos, sin, down, flat] = [Math.cos(turn), Math.sin(turn), Math.sin(tilt), Math.cos(tilt)];
   const project = ([x, y, z]) => {
     const across = cos * (x - centre[0]) + sin * (z - centre[1]), depth = cos * (z - centre[1]) - sin * (x - centre[0]);
@@ -153,8 +173,11 @@ function draw() {
     pen.strokeStyle = style.getPropertyValue(color);
     parents.forEach((parent, joint) => {
       const [from, to] = [parent, joint].map(each => each < 0 ? null : place(skeleton, each, frame));
-      if (from && to) line(from, to, widths[skeleton]);
+      const thin = skeleton === 2 && (doubtful(joint, frame) || parent >= 0 && doubtful(parent, frame));
+      pen.setLineDash(thin ? [7, 6] : []);
+      if (from && to) line(from, to, thin ? 0 : widths[skeleton]);
     });
+    pen.setLineDash([]);
   });
 }
 
@@ -173,6 +196,17 @@ play.addEventListener("click", () => {
   requestAnimationFrame(step);
 });
 slider.addEventListener("input", () => go(+slider.value));
+back.addEventListener("click", () => stepFrames(-1));
+on.addEventListener("click", () => stepFrames(1));
+follow.addEventListener("change", () => { stays = follow.checked ? null : centres[frameAt(time)]; draw(); });
+large.addEventListener("click", () => document.fullscreenElement ? document.exitFullscreen() : player.requestFullscreen());
+for (const kind of ["pointerdown", "pointermove"]) {
+  quality.addEventListener(kind, event => {
+    if (!event.buttons) return;
+    const box = quality.getBoundingClientRect();
+    go((event.clientX - box.left) / box.width * end);
+  });
+}
 for (const jump of jumps) {
   jump.addEventListener("click", () => {
     go(+jump.dataset.at);
@@ -184,7 +218,20 @@ canvas.addEventListener("pointerdown", event => canvas.setPointerCapture(event.p
 canvas.addEventListener("pointermove", event => {
   if (event.buttons) look(event.movementX / 150, event.movementY / 150);
 });
+function faster(by) {
+  speed.selectedIndex = Math.min(Math.max(speed.selectedIndex + by, 0), speed.length - 1);
+}
+const keys = { " ": () => play.click(), ",": () => stepFrames(-1), ".": () => stepFrames(1), "+": () => faster(1),
+  "-": () => faster(-1), l: () => loop.click(), f: () => follow.click(), Enter: () => large.click(),
+  Home: () => go(0), End: () => go(end) };
 canvas.addEventListener("keydown", event => {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const does = keys[event.key] ?? keys[event.key.toLowerCase()];
+  if (does) {
+    event.preventDefault();
+    does();
+    return;
+  }
   const [right, down] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key] ?? [];
   if (right === undefined) return;
   event.preventDefault();
