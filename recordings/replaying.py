@@ -128,7 +128,7 @@ class Agreement:
         # A joint without data depends on the frame before.
         settled = int(np.argmin(rows.predicted.any(axis=1)))
         kind: Literal["rounded", "sigma", "none"] = "none"
-        if session.first_frame and not one_missing:
+        if (session.first_frame or session.left_out) and not one_missing:
             if np.nanmax(apart[settled:]) < CUT_WITHIN:
                 kind = "rounded"
             elif session.settings.method == "duplex" and _within_sigma(session, apart):

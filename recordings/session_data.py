@@ -133,6 +133,11 @@ class SessionData:
         return int(self.about["session"].get("first_frame", [0])[0])
 
     @property
+    def left_out(self) -> int:
+        """How many frames between its first and its last one were left out on purpose."""
+        return int(self.about["session"].get("left_out", [0])[0])
+
+    @property
     def tracker(self) -> str:
         """The body tracker that found the people, such as "blazepose full"; empty where not recorded."""
         return str(self.about["session"].get("tracker", [""])[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,7 @@ from recordings.quality.per_second import SecondQuality, Span, good_frames, good
 from recordings.quality.verdict import Verdict, verdict
 from recordings.series import AngleSeries, QualitySeries, RotationSeries, SkeletonSeries
 from recordings.session_data import SessionData, read_only
+from recordings.session_parts import part_of
 
 _SAMPLES = 9000  # frames, from which a person's usual place is found
 
@@ -160,10 +162,23 @@ class SessionSeries(SessionData):
         """The good seconds of :attr:`quality_per_second`, joined to stretches of time."""
         return good_spans(self, self.quality_per_second)
 
-    @property
+    @cached_property
     def good_frames(self) -> NDArray[np.bool_]:
         """(T,) whether a frame is in a good second."""
-        return good_frames(self, self.quality_per_second)
+        return read_only(good_frames(self, self.quality_per_second))
+
+    def part(self, frames: ArrayLike) -> Self:
+        """Some frames as a session of their own: ``session.part(np.flatnonzero(session.good_frames))``.
+
+        Its numbers and times start at 0. A gap between the frames stays in the times.
+
+        Args:
+            frames: (N,) their numbers, increasing.
+
+        Raises:
+            RecordingError: There are none, or the session does not have them in this order.
+        """
+        return part_of(self, frames)
 
     @cached_property
     def verdict(self) -> Verdict:

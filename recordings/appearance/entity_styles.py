@@ -1,5 +1,7 @@
 """Appearance of a session's entities, logged once as static data."""
 
+from collections.abc import Mapping
+
 import rerun as rr
 from rerun.blueprint import Visualizer
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
@@ -11,6 +13,7 @@ from recordings.appearance.body_shape import capsule_radii
 from recordings.appearance.colors import (
     FACE_COLOR,
     JOINT_RADII,
+    MARK_COLORS,
     PREDICTED_COLOR,
     SKELETON_COLORS,
     STATE_COLORS,
@@ -125,6 +128,13 @@ DEPTH = rr.EncodedDepthImage.from_fields(colormap=rr.components.Colormap.Graysca
 
 TRUST_LANES = rr.StateConfiguration(values=SOURCES, labels=SOURCES, colors=SOURCE_COLORS)
 STATE_LANES = rr.StateConfiguration(values=layout.STATE_NAMES, labels=layout.STATE_NAMES, colors=STATE_COLORS)
+
+
+def seconds_lane(words: Mapping[str, str]) -> rr.StateConfiguration:
+    """Of layout.SECONDS_LANE: the colour of each text by its word."""
+    marks = {"good": "do", "usable": "better", "poor": "mend"}
+    colors = [MARK_COLORS[marks[word]] for word in words.values()]
+    return rr.StateConfiguration(values=list(words), labels=list(words), colors=colors)
 
 
 def followed(distance: float) -> Visualizer:

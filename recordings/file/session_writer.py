@@ -12,9 +12,8 @@ import shutil
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -22,7 +21,6 @@ from uuid import uuid4
 import rerun as rr
 import rerun_bindings
 
-from devices.events import Event, spells_of
 from devices.output_file import whole_file
 from fusion.large_arrays import parts
 from fusion.progress import Progress, quietly
@@ -31,6 +29,8 @@ from recordings.appearance.coach_page import CoachPage
 from recordings.errors import RecordingError
 from recordings.file.rrd_file import RrdFile, damage_of
 from recordings.session_data import OF_DAMAGED, SessionData
+from recordings.session_parts import PartOfImages
+from recordings.writing.changes import log_quality
 from recordings.writing.recorder import Recorder
 
 _BLOCK, _MOST_BLOCKS = 300, 256
@@ -49,86 +49,56 @@ def write_session(
     *,
     blueprint: Any = None,
     page: CoachPage | None = None,
-    first: int = 0,
-    end: int | None = None,
     block: int = _BLOCK,
     progress: Progress = quietly,
 ) -> int:
-    """Writes frames `first` to `end` (exclusive) of a session to a file, which may be the session's own.
-
-    The frame numbers and the time of the new session start at 0. Its property ``first_frame`` is the number
-    of the first frame in the original capture.
+    """Writes a session to a file, which may be the session's own.
 
     Args:
         path: The file; replaced once the new one is whole.
-        first, end: The range of frames; if `end` is None, to the last.
 
     Returns:
         The number of damaged images that were skipped.
 
     Raises:
-        RecordingError: The range has no frame.
         OSError: The file could not be written completely.
     """
-    end = len(session) if end is None else min(end, len(session))
-    if not 0 <= first < end:
-        raise RecordingError(f"{session} has {len(session)} frames; none from {first} to {end}.")
     about = session.origin | {
-        "first_frame": session.first_frame + first,
+        "first_frame": session.first_frame,
         "method_revision": session.method_revision,
     }
-    if (first, end) != (0, len(session)):  # nobody knows which frames were dropped in this part
-        of_all = "dropped", "others_seen"
-        about = {name: value for name, value in about.items() if not name.startswith(of_all)}
     if session.damage is not None:
         first_damage = session.damage.removeprefix(OF_DAMAGED)
         about |= {"made_of_damaged": first_damage, "made_without_frames": session.frames_lost}
-    with whole_recording(path, blueprint, recording_id=_kept_id(session, path, first, end)) as stream:
-        segments = [(setup, own) for setup, own in session.setups() if own.stop > first and own.start < end]
+    with whole_recording(path, blueprint, recording_id=_kept_id(session, path)) as stream:
+        segments = list(session.setups())
         recorder = Recorder(stream, segments[0][0], session.sources, about=about)
-        start_ns = int(session.rows.time_ns[first])
         if page is not None:  # before the frames, so that it is seen from the beginning
             recorder.coach(page)
-        if segments[0][1].start < first:  # its calibration event comes before the range
-            recorder.event(Event(f"calibrated: {segments[0][0].calibration.how}"), placed=True)
-        for event in _lasting(session.events, first):
-            recorder.event(event.placed(0, 0), placed=True)
-        events = deque(sorted((e for e in session.events if first <= e.frame), key=lambda e: e.frame))
+        events = deque(sorted(session.events, key=lambda event: event.frame))
         for setup, own in segments:
-            if own.start > first:
+            if own.start > 0:
                 recorder.recalibrated(setup)
-            begin, size = max(own.start, first), max(block, (end - first) // _MOST_BLOCKS)
-            count = min(own.stop, end) - begin
+            size, count = max(block, len(session) // _MOST_BLOCKS), own.stop - own.start
             for part in progress(parts(count, size), "writing", -(-count // size)):
-                part = slice(begin + part.start, begin + part.stop)
-                rows = session.rows[part]
-                rows = replace(rows, frame=rows.frame - first, time_ns=rows.time_ns - start_ns)
-                recorder.record_rows(rows, (session.fused_checksums[part], session.joint_digests[part]))
+                part = slice(own.start + part.start, own.start + part.stop)
+                recorder.record_rows(
+                    session.rows[part], (session.fused_checksums[part], session.joint_digests[part])
+                )
                 # with their frames: a file that is cut off keeps the events up to the cut
                 # the last ones may be of frames that a damaged session has lost
                 while events and (events[0].frame < part.stop or part.stop == len(session)):
-                    event = events.popleft()
-                    moment = event.frame - first, event.time_ns - start_ns
-                    recorder.event(event.placed(*moment), placed=True)
+                    recorder.event(events.popleft(), placed=True)
                 _flush(stream, path)  # else all that a slow disk has not yet written would be in memory
-        damaged = _copy_images(session, recorder, first, end)
+        log_quality(stream, session)
+        damaged = _copy_images(session, recorder)
         recorder.finish()
     return damaged
 
 
-def _lasting(events: Iterable[Event], first: int) -> Iterator[Event]:
-    """Earlier events that hold at frame `first`: starts without an end, and warnings of the first frame."""
-    if first == 0:
-        return
-    yield from (e for e in events if e.frame == 0 and e.phase == "moment" and e.level != "INFO")
-    for spell in spells_of(events):
-        if spell.start.frame < first and (spell.end is None or spell.end.frame >= first):
-            yield spell.start
-
-
-def _kept_id(session: SessionData, path: Path, first: int, end: int) -> str | None:
+def _kept_id(session: SessionData, path: Path) -> str | None:
     """The recording's id if a session replaces its own file, so that its images are still found there."""
-    if session.path is None or (first, end) != (0, len(session)) or not path.exists():
+    if session.path is None or isinstance(session.images, PartOfImages) or not path.exists():
         return None
     if not path.samefile(session.path):
         return None
@@ -226,21 +196,17 @@ def check_whole(path: Path) -> None:
         raise OSError(f"{damage}; the disk may be full")
 
 
-def _copy_images(session: SessionData, recorder: Recorder, first: int, end: int) -> int:
-    """Logs the other people and the images of frames `first` to `end` (exclusive).
-
-    Returns the number of damaged images.
-    """
-    damaged = 0
-    time_ns = session.rows.time_ns - session.rows.time_ns[first]
+def _copy_images(session: SessionData, recorder: Recorder) -> int:
+    """Logs the other people and the images; returns the number of damaged images."""
+    damaged, time_ns = 0, session.rows.time_ns
     for side in layout.SIDES:
-        for frame, bones in session.images.others(side, range(first, end)):
-            recorder.others.bones(side, frame - first, int(time_ns[frame]), bones)
-        depth, color = session.depth(side, first, end), session.color(side, first, end)
+        for frame, bones in session.images.others(side, range(len(session))):
+            recorder.others.bones(side, frame, int(time_ns[frame]), bones)
+        depth, color = session.depth(side), session.color(side)
         for frame, image in depth:
-            recorder.images.depth(side, frame - first, int(time_ns[frame]), image)
+            recorder.images.depth(side, frame, int(time_ns[frame]), image)
         for frame, picture in color:
-            recorder.images.color(side, frame - first, int(time_ns[frame]), picture)
+            recorder.images.color(side, frame, int(time_ns[frame]), picture)
         damaged += depth.damaged + color.damaged
     return damaged
 

@@ -21,7 +21,9 @@ from recordings.appearance.floor import FloorFinder
 from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources
 from recordings.frame_noise import FrameDeviations, noise_of
 from recordings.images import drawn_bones
+from recordings.quality.per_second import quality_per_second
 from recordings.session_arrays import SessionArrays
+from recordings.session_data import SessionData
 from recordings.writing.arrow_columns import Column, Times, converted, own_values, state_changes
 from recordings.writing.checksums import image_checksum
 
@@ -206,6 +208,18 @@ class StreamFiguresLog:
             self._last[name] = time_ns, values
             set_time(self._stream, frame, time_ns)
             self._stream.log(layout.stream_figure(name), rr.Scalars(values))
+
+
+def log_quality(stream: rr.RecordingStream, session: SessionData) -> None:
+    """Logs how good each second of a session is, and why."""
+    seconds = quality_per_second(session)
+    texts = [f"{each.word}: {each.reason}" if each.reason else each.word for each in seconds]
+    starts = np.array([each.start for each in seconds])
+    frames = np.searchsorted(session.rows.time_ns, starts * 1e9).clip(max=len(session) - 1)
+    times = Times.of_frames(frames, np.rint(starts * 1e9).astype(np.int64))
+    stream.send_columns(layout.SECONDS_LANE, times, state_changes(texts))
+    words = {text: each.word for text, each in zip(texts, seconds, strict=True)}
+    stream.log(layout.SECONDS_LANE, entity_styles.seconds_lane(words), static=True)
 
 
 class Lanes:

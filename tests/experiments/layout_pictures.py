@@ -31,7 +31,7 @@ from viewer_app.cli import main
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.hub import Hub
 from viewer_app.viewer.rerun_process import stop
-from viewer_app.viewer.stored_clouds import has_depth, send_clouds
+from viewer_app.viewer.stored_clouds import has_depth, send_computed
 from viewer_app.viewer.viewer_choice import Viewing
 from viewer_app.viewer.window import start_viewer
 
@@ -61,7 +61,7 @@ def drawn(file, moments, clouds):
     found = {}
     with viewer(file) as (client, port):
         if clouds:
-            send_clouds(file, f"rerun+http://{LOOPBACK}:{port}/proxy")
+            send_computed(file, f"rerun+http://{LOOPBACK}:{port}/proxy")
         stream = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
         stream.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
         for name, moment in moments.items():

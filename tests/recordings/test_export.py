@@ -289,7 +289,7 @@ def test_frames_before_a_calibration_keep_their_directions_and_get_the_last_leng
     off = np.linalg.norm(found - expected, axis=2).max()
     (most,) = re.findall(r"bones of 12 recorded frames .* up to (\d+) mm off$", said)
     assert off <= 1e-3 * (int(most) + 0.5) <= 2.0 * off
-    write_session(session, tmp_path / "before.rrd", first=0, end=12)
+    write_session(session.part(range(12)), tmp_path / "before.rrd")
     before = Session.open(tmp_path / "before.rrd")
     assert writer_for(path)(before, path) == "12 frames at a constant 30 Hz"
     np.testing.assert_allclose(bvh_joints(path, KINECT_V2), on_floor(before, before.rows.fused), atol=1e-4)

@@ -97,28 +97,40 @@ class Model:
         self.spells = spells_in(session)
         self.warned = Counter(event.text for event in session.events)["clocks are apart"]
         self.first, self.damage, self.lost = session.first_frame, session.damage, session.frames_lost
+        self.left_out = session.left_out
         self.whole = True  # whether all frames are here that S* was made of
 
-    def cut(self, first, end):
+    def keep(self, kept):
+        """Keeps some frames, in order."""
+        count = len(self.fused)
         # events may be there of frames that are lost
-        last = np.inf if end == len(self.fused) else end
+        every = [*kept, *range(count, count + 99)] if kept[-1] == count - 1 else kept
+        new = {frame: k for k, frame in enumerate(every)}
+
+        def place(frame):
+            return next((new[later] for later in every if later >= frame), None)
+
         for name, values in self.rows.items():
-            self.rows[name] = values[first:end]
-        self.fused, self.time_ns = self.fused[first:end], self.time_ns[first:end] - self.time_ns[first]
-        before = [k for k, (start, _) in enumerate(self.calibrations) if start <= first][-1]
-        self.calibrations = [(max(k - first, 0), how) for k, how in self.calibrations[before:] if k < end]
+            self.rows[name] = values[kept]
+        self.fused, self.time_ns = self.fused[kept], self.time_ns[kept] - self.time_ns[kept[0]]
+        ends = [start for start, _ in self.calibrations[1:]] + [count]
+        self.calibrations = [
+            (place(start), how)
+            for (start, how), end in zip(self.calibrations, ends, strict=True)
+            if any(start <= frame < end for frame in kept)
+        ]
         self.images = {
-            side: [(k - first, image) for k, image in some if first <= k < end]
-            for side, some in self.images.items()
+            side: [(new[k], image) for k, image in some if k in new] for side, some in self.images.items()
         }
         self.spells = [
-            (max(a - first, 0), None if b is None or b >= last else b - first)
+            (place(a), None if b is None else place(b))
             for a, b in self.spells
-            if a < last and (b is None or b >= first)
+            if any(a <= frame and (b is None or frame <= b) for frame in every)
         ]
         later = self.settings.method == "duplex" and self.settings.hindsight == "whole"
-        self.whole &= first == 0 and not (later and end < len(self.fused) + first)
-        self.first += first
+        gaps = kept[-1] + 1 - kept[0] - len(kept)
+        self.whole &= kept[0] == 0 and not gaps and not (later and len(kept) < count)
+        self.first, self.left_out = self.first + kept[0], self.left_out + gaps
 
 
 class Saving(RuleBasedStateMachine):
@@ -188,9 +200,21 @@ class Saving(RuleBasedStateMachine):
         first = data.draw(st.integers(0, n - 2))
         end = data.draw(st.integers(first + 1, n))
         path = self._path()
-        write_session(self.session, path, first=first, end=end)
+        write_session(self.session.part(range(first, end)), path)
         self.session = Session.open(path)
-        self.model.cut(first, end)
+        self.model.keep(list(range(first, end)))
+
+    @precondition(lambda self: len(self.session) > 4)
+    @rule(data=st.data(), written=st.booleans())
+    def leave_frames_out(self, data, written):
+        numbers = st.integers(0, len(self.session) - 1)
+        kept = sorted(data.draw(st.sets(numbers, min_size=4)))
+        self.session = self.session.part(kept)
+        if written:
+            path = self._path()
+            self.session.save(path)
+            self.session = Session.open(path)
+        self.model.keep(kept)
 
     @rule(settings=st.none() | st.builds(FuserSettings, methods, smoothing=smoothings, hindsight=hindsights))
     def replay(self, settings):
@@ -215,7 +239,7 @@ class Saving(RuleBasedStateMachine):
         session = opened(path, self.session)
         if session is None:
             return
-        self.model.cut(0, len(session))
+        self.model.keep(list(range(len(session))))
         expected, self.model = self.model, Model(session)
         self.model.whole = expected.whole
         self.session = session
@@ -223,7 +247,11 @@ class Saving(RuleBasedStateMachine):
     @invariant()
     def the_session_is_the_model(self):
         session, of = self.session, self.model
-        assert (session.first_frame, session.frames_lost) == (of.first, of.lost)
+        assert (session.first_frame, session.left_out, session.frames_lost) == (
+            of.first,
+            of.left_out,
+            of.lost,
+        )
         assert (session.damage is None) == (of.damage is None)
         for name in _KEYS:
             values, stored = of.rows.get(name), getattr(session.rows, name)
@@ -260,7 +288,7 @@ def test_a_part_has_the_events_of_its_frames_and_no_counts_of_the_whole(tmp_path
     session = made(0.5, False, {"dropped_a": 3, "dropped_b": 4, "subject": "P01"}, (), ())
     each = [Event(f"in frame {k}").placed(k, int(ns)) for k, ns in enumerate(session.time_ns)]
     first, end = cut
-    write_session(replace(session, events=each), tmp_path / "s.rrd", first=first, end=end)
+    write_session(replace(session, events=each).part(range(first, end)), tmp_path / "s.rrd")
     part = Session.open(tmp_path / "s.rrd")
     own = [event for event in part.events if event.text.startswith("in frame")]
     since_ns = int(session.time_ns[first])

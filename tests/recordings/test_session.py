@@ -128,7 +128,7 @@ def test_depth_comes_back_exactly_and_only_when_asked_for(fused_run):
 
 def test_a_rewritten_session_has_the_same_frames(fused_run, tmp_path):
     session = fused_run(frame_pairs(KINECT_V1, 30, depth=True), calibration_of(KINECT_V1), depth_every=1)
-    write_session(session, tmp_path / "part.rrd", first=10, end=25)
+    write_session(session.part(range(10, 25)), tmp_path / "part.rrd")
     part = Session.open(tmp_path / "part.rrd")
     assert (len(part), part.first_frame, part.damage) == (15, 10, None)
     np.testing.assert_array_equal(part.rows.fused, session.rows.fused[10:25])
@@ -202,7 +202,7 @@ def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path):
     # S* is kept in float32: at 4 m its ends are within half of 2⁻²² m on each axis
     assert session.rows.bone_error.max() < 2 * np.sqrt(3) * 2.0**-23
     trimmed = tmp_path / "t.rrd"
-    write_session(session, trimmed, first=3, end=8)
+    write_session(session.part(range(3, 8)), trimmed)
     np.testing.assert_array_equal(Session.open(trimmed).rows.bone_lengths, session.rows.bone_lengths[3:8])
 
 

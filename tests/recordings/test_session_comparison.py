@@ -67,7 +67,7 @@ def test_only_fusions_of_the_same_skeletons_are_compared(fused_run, tmp_path):
             with pytest.raises(RecordingError, match="frame 23 differs from frame 23: not the same capture"):
                 Comparison.of(*pair)
     again = fused_run(frame_pairs(KINECT_V1, 40), calibration, FuserSettings("paper", h=0.9))
-    write_session(again, tmp_path / "part.rrd", first=10, end=30)
+    write_session(again.part(range(10, 30)), tmp_path / "part.rrd")
     part = Comparison.of(one, Session.open(tmp_path / "part.rrd"))
     assert part.first.frame.tolist() == list(range(10, 30))
     assert part.second.frame.tolist() == list(range(20))

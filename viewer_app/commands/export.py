@@ -1,10 +1,13 @@
 """``duplex export``: writes S* in formats of other programs."""
 
+import numpy as np
+
 from recordings.export import writer_for
 from recordings.session import Session
 from viewer_app.options.sessions import ExportOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, output_file
+from viewer_app.report.good_part import good_frames_of
 from viewer_app.report.terminal import print_damage
 
 
@@ -15,6 +18,8 @@ def run(options: ExportOptions) -> None:
     check_outputs([options.to], [options.session], options.force)
     session = Session.open(options.session)
     print_damage(console, session)
+    if options.good:
+        session = session.part(np.flatnonzero(good_frames_of(session, console)))
     with output_file(options.to, options.force) as hidden:
         written = write(session, hidden)
     console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)

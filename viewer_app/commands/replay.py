@@ -135,7 +135,8 @@ def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bo
             )
         case "sigma":
             said = (
-                "trimmed at its beginning, so the frames before are not known; once settled, at least "
+                f"{'frames were left out' if session.left_out else 'trimmed at its beginning'}, so the "
+                "frames before are not known; once settled, at least "
                 f"{SHARE_AGREEING:.0%} of the joints of S* are the recorded ones within one standard "
                 "deviation."
             )
@@ -144,7 +145,9 @@ def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bo
             joint = "" if found.joint is None else f", joint {found.joint}, by {by}"
             missing = np.isnan(found.worst)
             worst = "only one has an S* in some frame" if missing else f"at most {found.worst * 1e3:.3g} mm"
-            if session.first_frame:
+            if session.left_out:
+                console.print("Frames were left out of the session; they decide, too.")
+            elif session.first_frame:
                 console.print("The session is trimmed at its beginning; frames before it decide, too.")
             console.print(
                 f"[bold]S* differs[/] from the recorded one in {found.differing} of {len(session)} frames, "

@@ -14,13 +14,11 @@ from viewer_app.report.events import (
     opening_event,
     seconds_of,
 )
+from viewer_app.report.good_part import MOST_STRETCHES, good_seconds
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_events, print_lines, print_summary, say_more
-from viewer_app.report.words import good_seconds
 from viewer_app.viewer.file_window import in_this_layout, served, show
 from viewer_app.viewer.viewer_choice import NoViewer, choose_viewing
-
-_MOST_SPANS = 6  # stretches of good seconds
 
 
 def run(options: ReviewOptions) -> None:
@@ -40,7 +38,7 @@ def run(options: ReviewOptions) -> None:
 
         write_text(options.html, review_page(session, figures), options.force)
     print_summary(console, figures, verbose=options.verbose)
-    print_lines(console, [good_seconds(session, None if options.verbose else _MOST_SPANS)])
+    print_lines(console, [good_seconds(session, None if options.verbose else MOST_STRETCHES)])
     if events or session.damage is None:
         print_events(console, events, all_of_them=options.verbose)
     else:
@@ -52,7 +50,7 @@ def run(options: ReviewOptions) -> None:
     if viewing == NoViewer():  # none is wanted
         return
     page = session_page(session.last_setup, figures)
-    in_layout = in_this_layout(session, options.session, page)
+    in_layout = in_this_layout(session, options.session, page, options.layout)
     if viewing.hub is not None:
         with in_layout as file, served(file, viewing.hub):
             viewing.announce(console)

@@ -8,6 +8,7 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sessions import TrimOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, output_file
+from viewer_app.report.good_part import good_frames_of
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images
 from viewer_app.viewer.file_window import write_for_viewer
@@ -23,15 +24,17 @@ def run(options: TrimOptions) -> None:
     last = time[-1] if options.end is None else options.end
     if options.end is not None and options.end < options.start:
         raise UsageError(f"--from {options.start:g} must be before --to {options.end:g}.")
-    first, end = np.searchsorted(time, options.start), np.searchsorted(time, last, side="right")
-    if first >= end:
+    kept = (time >= options.start) & (time <= last)
+    if not kept.any():
         raise UsageError(
             f"No frame from {options.start:g} s to {last:g} s; {session} runs from 0 to {time[-1]:.3f} s."
         )
+    if options.good:
+        kept &= good_frames_of(session, console)
+    part = session.part(np.flatnonzero(kept))
     with output_file(options.save, options.force) as hidden:
-        setup = next(setup for setup, own in session.setups() if end <= own.stop)
         about = f"These figures are of {session}, of which this session is a part."
-        page = session_page(setup, report(session), about)
-        damaged = write_for_viewer(session, hidden, page, setup=setup, first=int(first), end=int(end))
-    console.print(f"Saved {options.save}: {end - first} of {len(session)} frames.", markup=False)
+        page = session_page(part.last_setup, report(session), about)
+        damaged = write_for_viewer(part, hidden, page)
+    console.print(f"Saved {options.save}: {len(part)} of {len(session)} frames.", markup=False)
     print_damaged_images(console, damaged)

@@ -67,7 +67,8 @@ class InfoOptions(OwnFileOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class TrimOptions:
-    """Save a time range of a session as a new session. Frames are copied; nothing is fused again."""
+    """Save a time range or the good seconds of a session as a new session. Frames are copied; nothing is
+    fused again."""
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to cut."""
@@ -77,6 +78,8 @@ class TrimOptions:
     """First moment to keep, in seconds since the first pair."""
     end: Annotated[float | None, Parameter(name="--to")] = None
     """Last moment to keep; the end if not given."""
+    good: bool = False
+    """Keep only the seconds that are good, as duplex review lists them."""
     force: bool = False
     """Overwrite a file that exists."""
 
@@ -122,6 +125,8 @@ class ReviewOptions(WebOptions, SummaryOptions):
     after the calibration, else where a view first had left and right exchanged, else at the beginning."""
     at: Annotated[float | None, VIEWER] = None
     """Open the viewer at this time, in seconds since the first pair."""
+    layout: Annotated[Literal["setup", "inspect", "report", "angles"] | None, VIEWER] = None
+    """Which of the viewer's tabs is open at first; as the session was written if not given."""
     html: Annotated[Path | None, OUTPUTS] = None
     """Write a self-contained page: bone lengths, jitter, trust, disagreement, calibration, timing."""
     force: Annotated[bool, OUTPUTS] = False
@@ -143,6 +148,8 @@ class ExportOptions:
     rate: float | None = None
     """Frames per second of a .bvh, .c3d, .glb or .trc; that of the recording if not given, and of a .trc its
     own times."""
+    good: bool = False
+    """Write only the seconds that are good, as duplex review lists them; the times have gaps then."""
     names: Literal["body", "humanoid", "mixamo"] = "body"
     """Names of bones in a .bvh or .glb: those of the joints, of Unity's humanoid, or of Mixamo."""
     force: bool = False

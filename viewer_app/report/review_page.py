@@ -31,10 +31,11 @@ from viewer_app.report.events import (
     seconds_of,
     shortest_list,
 )
+from viewer_app.report.good_part import good_seconds
 from viewer_app.report.motion import encoded_motion
 from viewer_app.report.svg_plots import bar_plot, line_plot, skeleton_color, trust_map
 from viewer_app.report.walking import GAIT_HEAD, movement_of
-from viewer_app.report.words import BONE_HEAD, bone_rows, detail_lines, good_seconds, lead_lines
+from viewer_app.report.words import BONE_HEAD, bone_rows, detail_lines, lead_lines
 
 _MOST_EVENTS = 12
 """Printed on paper; the screen lists all."""

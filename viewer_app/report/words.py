@@ -12,7 +12,6 @@ from recordings.quality.doubtful_time import UNCERTAIN
 from recordings.quality.figures import Figures
 from recordings.quality.limits import USABLE, spoken
 from recordings.quality.verdict import doubt, in_words
-from recordings.session import Session
 from viewer_app.flags import in_flags
 
 _PAUSED = 0.9  # of the time: with less there are pauses
@@ -69,16 +68,6 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
         of_frames = "of the frames; S* follows one person."
         yield Line("Others", f"seen in {share} {of_frames}", figure=share, rest=of_frames.capitalize())
     yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
-
-
-def good_seconds(session: Session, most: int | None = None) -> Line:
-    """How much of a session is good, and when; at most so many stretches."""
-    spans = session.good_spans
-    total = sum(each.end - each.start for each in spans)
-    listed = [f"{each.start:.0f}–{math.ceil(each.end)} s" for each in spans[:most]]
-    more = [f"{len(spans) - len(listed)} more"] if len(spans) > len(listed) else []
-    when = f": {', '.join([*listed, *more])}" if spans else ""
-    return Line("Good", f"{total:.0f} of {session.time[-1]:.0f} s{when}.")
 
 
 def detail_lines(figures: Figures) -> Iterator[Line]:

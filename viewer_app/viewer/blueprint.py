@@ -213,7 +213,11 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
             row_shares=[5, 2],
         ),
         rrb.Vertical(
-            rrb.StateTimelineView(origin=layout.TRUST_LANES, name="which sensor each limb follows"),
+            rrb.StateTimelineView(
+                origin="/",
+                contents=[layout.SECONDS_LANE, f"{layout.TRUST_LANES}/**"],
+                name="how good each second is; which sensor each limb follows",
+            ),
             rrb.Grid(
                 *(_bone_plot(body, lengths, f"{bone}_left", title) for bone, title in _LIMBS.items()),
                 grid_columns=2,

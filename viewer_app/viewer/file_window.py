@@ -11,7 +11,6 @@ from typing import TypeVar
 import numpy as np
 
 from fusion.progress import Progress, quietly
-from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.file.session_writer import write_session
@@ -21,7 +20,7 @@ from viewer_app.output_files import output_file
 from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.hub import Hub
 from viewer_app.viewer.rerun_process import stop
-from viewer_app.viewer.stored_clouds import add_clouds, has_depth, has_depth_images
+from viewer_app.viewer.stored_clouds import add_computed, has_depth
 from viewer_app.viewer.window import start_viewer
 
 T = TypeVar("T")
@@ -34,19 +33,11 @@ def write_for_viewer(
     page: CoachPage,
     *,
     active: Layout = "inspect",
-    setup: FusionSetup | None = None,
-    first: int = 0,
-    end: int | None = None,
     progress: Progress = quietly,
 ) -> int:
-    """Writes frames of a session with its page and the layouts; returns how many damaged images it skipped.
-
-    Args:
-        setup: The last setup of the frames; None: of the session.
-    """
-    setup = setup or session.last_setup
-    drawn = session_blueprint(setup, session.whereabouts, active, depth=has_depth(session))
-    return write_session(session, path, blueprint=drawn, page=page, first=first, end=end, progress=progress)
+    """Writes a session with its page and the layouts; returns how many damaged images it skipped."""
+    drawn = session_blueprint(session.last_setup, session.whereabouts, active, depth=has_depth(session))
+    return write_session(session, path, blueprint=drawn, page=page, progress=progress)
 
 
 @contextmanager
@@ -87,18 +78,21 @@ def written_and_shown(
 
 
 @contextmanager
-def in_this_layout(session: Session, path: Path, page: CoachPage) -> Iterator[Path]:
-    """Yields a file of a session that the layouts of this version can show.
+def in_this_layout(
+    session: Session, path: Path, page: CoachPage, active: Layout | None = None
+) -> Iterator[Path]:
+    """Yields a file of a session that the layouts of this version can show, with one of them in front.
 
     A session of an older version lacks what draws S* as a body, the floor and the names of the sensors. It is
     written again for the viewer, with the same frames, events and images; the session itself is not changed.
+    So is one that is to open with another layout than it was written for.
     """
-    if session.about["session"]["layout_version"][0] >= layout.VERSION:
+    if active is None and session.about["session"]["layout_version"][0] >= layout.VERSION:
         yield path
         return
     with tempfile.TemporaryDirectory() as folder:
         shown = Path(folder) / path.name
-        write_for_viewer(session, shown, page)
+        write_for_viewer(session, shown, page, active=active or "inspect")
         yield shown
 
 
@@ -114,8 +108,7 @@ def show(path: Path, at_ns: int = 0) -> bool:
     with path.open("rb") as file:
         process, port = start_viewer(["--hide-welcome-screen", "-"], file)
         url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        if has_depth_images(path):
-            add_clouds(file, url)
+        add_computed(file, url)
     return _set_time(process, url, at_ns)
 
 
@@ -125,8 +118,7 @@ def served(path: Path, hub: Hub) -> Iterator[None]:
     with path.open("rb") as file:
         process = hub.serve(file)
         try:
-            if has_depth_images(path):
-                add_clouds(file, hub.url)
+            add_computed(file, hub.url)
             yield
         finally:
             stop(process)

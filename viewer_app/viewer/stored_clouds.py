@@ -1,4 +1,4 @@
-"""Shows the point clouds of a saved session, computed from its depth images while it is viewed.
+"""Shows what is computed of a saved session while it is viewed: the quality of each second, and point clouds.
 
 The file is not changed. A program of its own computes the clouds, because it may take longer than the command
 that opened the viewer; it ends when all are sent or the viewer is gone.
@@ -20,9 +20,9 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from recordings import layout
-from recordings.errors import RecordingError
 from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
+from recordings.writing.changes import log_quality
 from recordings.writing.shown_images import thin_points
 
 _MOST = 1000
@@ -32,11 +32,11 @@ _LOOKS_EVERY = 20
 _SENT_WITHIN = 20.0  # seconds
 
 
-def add_clouds(session: IO[bytes], url: str) -> subprocess.Popen[bytes]:
-    """Starts the program that adds a session's point clouds to a viewer.
+def add_computed(session: IO[bytes], url: str) -> subprocess.Popen[bytes]:
+    """Starts the program that adds to a viewer what a session's file lacks.
 
     Args:
-        session: The open file. On Linux it may be deleted after this returns; elsewhere there are no clouds
+        session: The open file. On Linux it may be deleted after this returns; elsewhere nothing is added
             then.
         url: Where the viewer or its hub listens.
     """
@@ -50,19 +50,6 @@ def add_clouds(session: IO[bytes], url: str) -> subprocess.Popen[bytes]:
         start_new_session=True,
         pass_fds=(session.fileno(),) if shared else (),
     )
-
-
-def has_depth_images(path: Path) -> bool:
-    """Whether a session has depth images; False if it cannot be read."""
-    try:
-        with RrdFile(path) as file:
-            depths = {layout.depth(side) for side in layout.SIDES}
-            return any(
-                entity in depths and layout.FRAME in batch.schema.names
-                for entity, batch in file.chunks(images=True)
-            )
-    except RecordingError:
-        return False
 
 
 def has_depth(session: Session) -> bool:
@@ -85,8 +72,8 @@ def clouds(session: Session) -> Iterator[tuple[str, int, NDArray[np.float32]]]:
                 yield side, found[0], thin_points(found[1], cameras[side])
 
 
-def send_clouds(path: Path, url: str) -> int:
-    """Sends the clouds of a session to the viewer that shows it; returns their number."""
+def send_computed(path: Path, url: str) -> int:
+    """Sends quality and clouds of a session to the viewer that shows it; returns the number of clouds."""
     session = Session.open(path)
     with RrdFile(path) as file:
         identity = file.identity()
@@ -94,6 +81,7 @@ def send_clouds(path: Path, url: str) -> int:
         return 0
     stream = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
     stream.connect_grpc(url)
+    log_quality(stream, session)
     count = 0
     for side, frame, points in clouds(session):
         if count % _LOOKS_EVERY == 0 and not _listens(url):
@@ -117,5 +105,5 @@ def _listens(url: str) -> bool:
 
 if __name__ == "__main__":
     with contextlib.suppress(Exception):  # nobody reads what this program would say
-        send_clouds(Path(sys.argv[1]), sys.argv[2])
+        send_computed(Path(sys.argv[1]), sys.argv[2])
     os._exit(0)  # at a normal exit, the SDK would wait for a viewer that is gone

@@ -81,7 +81,7 @@ def test_whoever_is_chosen_by_id_is_not_among_the_others(tmp_path):
 def test_a_written_session_keeps_the_others(fused, tmp_path, first, end):
     session, _ = fused
     part, again = tmp_path / "part.rrd", tmp_path / "again.rrd"
-    write_session(session, part, first=first, end=end)
+    write_session(session.part(range(first, end)), part)
     write_session(Session.open(part), again)
     for side in layout.SIDES:
         expected = {

@@ -4,17 +4,20 @@ from contextlib import nullcontext
 from dataclasses import replace
 from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
 
 from devices.events import Event
 from fusion.body import KINECT_V2
 from recordings.file.session_writer import write_session
+from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.two_views import calibration_of
 from viewer_app.commands import review
 from viewer_app.viewer import viewer_choice
+from viewer_app.viewer.blueprint import LAYOUTS, session_blueprint
 
 EVENTS = (
     Event("calibrated: known", "INFO"),
@@ -62,6 +65,20 @@ def test_the_viewer_opens_at_the_first_warning_or_as_asked(options, at_ns, words
     assert f"The viewer opens {words}." in said
     assert "2  0.50 s  A reports left and right exchanged. It lasted 1.0 s." in said
     assert "3  1.00 s  Warning: A sensor seems to have been moved." in said
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_another_layout_is_opened_in_a_copy(layout, path, shown, monkeypatch):
+    before, opened, drawn = path.read_bytes(), [], []
+    shown.side_effect = lambda file, _: opened.append((file, Session.open(file))) or True
+    made = lambda *given, **named: drawn.append(given[2]) or session_blueprint(*given, **named)  # noqa: E731
+    monkeypatch.setattr("viewer_app.viewer.file_window.session_blueprint", made)
+    assert duplex("review", path, "--layout", layout) == 0
+    ((file, copy),) = opened
+    assert drawn == [layout]
+    assert file != path
+    assert path.read_bytes() == before
+    np.testing.assert_array_equal(copy.fused_checksums, Session.open(path).fused_checksums)
 
 
 def test_without_a_display_it_says_where_a_viewer_would_open(path, shown, monkeypatch, capsys):

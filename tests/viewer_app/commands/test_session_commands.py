@@ -15,6 +15,7 @@ from fusion.fuser import Fuser
 from recordings import layout
 from recordings.file.session_writer import write_session
 from recordings.quality.figures import fusion_figures, report
+from recordings.quality.per_second import SecondQuality
 from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
@@ -259,12 +260,36 @@ def test_a_trimmed_session_is_a_session(session, tmp_path):
     assert (event.frame, event.time_ns, event.text) == (0, 0, "calibrated: known truth")
 
 
+@pytest.mark.parametrize("command", [("trim", "--save", "good.rrd"), ("export", "--to", "good.npz")])
+def test_only_the_good_seconds_are_taken_and_a_line_says_what_is_left_out(
+    command, session, tmp_path, capsys, monkeypatch
+):
+    whole, (verb, option, name) = Session.open(session), command
+    frames = len(whole)
+    for good in (np.arange(frames) // 30 != 1, np.full(frames, True), np.full(frames, False)):
+        path = tmp_path / name
+        path.unlink(missing_ok=True)
+        seconds = tuple(SecondQuality(float(k), "good" if good[30 * k + 5] else "poor", "") for k in range(3))
+        monkeypatch.setattr("recordings.session_series.quality_per_second", lambda _, each=seconds: each)
+        assert duplex(verb, session, "--good", option, path) == (0 if good.any() else 2)
+        told = capsys.readouterr()
+        if not good.any():
+            assert "No second of" in told.err
+            assert not path.exists()
+            continue
+        kept = Session.open(session).good_frames
+        fused = Session.open(path).fused if verb == "trim" else np.load(path)["fused"]
+        np.testing.assert_allclose(fused, whole.fused[kept], atol=2e-7)
+        left_out = f"Left out: {frames - kept.sum()} of {frames} frames, in seconds that are not good: 1–2 s."
+        assert (left_out in told.out) == (not good.all())
+
+
 def test_a_trim_keeps_each_calibration_s_event_once(tmp_path):
     first = calibration_of(KINECT_V2)
     second, third = replace(first, how="two"), replace(first, how="three")
     pairs = frame_pairs(KINECT_V2, 30)
     whole = record_recalibrated(tmp_path / "s.rrd", pairs, [(0, first), (10, second), (20, third)])
-    write_session(whole, tmp_path / "part.rrd", first=15, end=28)
+    write_session(whole.part(range(15, 28)), tmp_path / "part.rrd")
     texts = [event.text for event in Session.open(tmp_path / "part.rrd").events]
     assert texts == ["calibrated: two", "calibrated: three"]
 

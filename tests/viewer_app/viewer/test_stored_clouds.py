@@ -13,7 +13,7 @@ from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.viewer import stored_clouds
 from viewer_app.viewer.rerun_process import stop
-from viewer_app.viewer.stored_clouds import add_clouds, clouds, has_depth_images
+from viewer_app.viewer.stored_clouds import add_computed, clouds, has_depth
 from viewer_app.viewer.window import start_viewer
 
 
@@ -50,22 +50,22 @@ def test_a_cloud_is_a_part_of_the_points_of_its_image(saved):
 
 
 def test_only_a_session_with_images_has_clouds(saved, tmp_path):
-    assert has_depth_images(saved)
+    assert has_depth(Session.open(saved))
     file = tmp_path / "none.rrd"
     fuser = known_fuser()
     with session(fuser, file) as live:
         for frame in frames(fuser, 5):
             live.write(frame)
-    assert not has_depth_images(file)
-    file.write_bytes(b"")
-    assert not has_depth_images(file)
+    assert not has_depth(Session.open(file))
 
 
 def url_of(port):
     return f"rerun+http://{LOOPBACK}:{port}/proxy"
 
 
-def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_deleted(saved):
+def test_the_viewer_gets_clouds_and_the_quality_of_seconds_into_the_session_although_the_file_is_deleted(
+    saved,
+):
     from rerun.experimental import ViewerClient
 
     need_viewer()
@@ -73,7 +73,7 @@ def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_delete
         identity = file.identity()
     with saved.open("rb") as opened:
         viewer, port = start_viewer(["--headless", "-"], opened)
-        program = add_clouds(opened, url_of(port))
+        program = add_computed(opened, url_of(port))
     saved.unlink()
     try:
         assert program.wait(timeout=60.0) == 0
@@ -84,6 +84,8 @@ def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_delete
             if ids != [f"Recording:{identity[0]}:{identity[1]}"]:
                 return False
             schema = client.get_recording_schema(store_id=ids[0])
+            if layout.SECONDS_LANE not in str(schema):
+                return False
             with_data = str(schema).split(layout.points("b"), 1)
             return len(with_data) == 2 and "Points3D:positions" in with_data[1][:1500]
 
