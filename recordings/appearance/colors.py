@@ -15,8 +15,8 @@ SKELETON_COLORS: dict[str, Color] = {
     "exchanged_b": (90, 220, 235),
 }
 """By the names of :data:`recordings.layout.SKELETON_NAMES`."""
-SIDE_COLORS: dict[str, Color] = {"left": (190, 10, 60), "right": (20, 188, 149)}
-"""Of the person's sides in plots of angles: red and green, as in gait laboratories."""
+SIDE_COLORS: dict[str, Color] = {"left": (220, 50, 47), "right": (38, 139, 210)}
+"""Of the person's sides in plots of angles: red and blue. Pages draw the right side dashed, too."""
 VIEW_COLORS: dict[str, tuple[Color, Color, Color]] = {
     "a": (SKELETON_COLORS["a"], (134, 92, 56), (186, 170, 36)),
     "b": (SKELETON_COLORS["b"], (66, 94, 128), (40, 170, 175)),

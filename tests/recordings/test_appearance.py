@@ -22,6 +22,7 @@ from recordings.appearance.body_shape import (
 from recordings.appearance.colors import (
     MARK_COLORS,
     PREDICTED_COLOR,
+    SIDE_COLORS,
     SKELETON_COLORS,
     STATE_COLORS,
     VIEW_COLORS,
@@ -127,8 +128,8 @@ def contrast(color, background):
 
 @pytest.mark.parametrize(
     "colors",
-    [{"truth": SKELETON_COLORS["truth"], **BODY}, MARK_COLORS, dict(enumerate(STATE_COLORS))],
-    ids=["body and truth", "marks", "states"],
+    [{"truth": SKELETON_COLORS["truth"], **BODY}, MARK_COLORS, dict(enumerate(STATE_COLORS)), SIDE_COLORS],
+    ids=["body and truth", "marks", "states", "sides"],
 )
 def test_colors_that_stand_side_by_side_differ_for_everyone(colors):
     for one, other in itertools.combinations(colors, 2):
@@ -146,10 +147,11 @@ def test_a_mark_differs_from_the_body(name):
     assert all(least_distance(MARK_COLORS[name], color) > 10.0 for color in BODY.values())
 
 
-@pytest.mark.parametrize("name", BODY)
+@pytest.mark.parametrize("name", [*BODY, *SIDE_COLORS])
 def test_a_color_is_seen_on_dark_and_on_light(name):
-    assert contrast(BODY[name], DARK) > 3.0
-    assert contrast(BODY[name], LIGHT) > 2.0
+    color = {**BODY, **SIDE_COLORS}[name]
+    assert contrast(color, DARK) > 3.0
+    assert contrast(color, LIGHT) > 2.0
 
 
 ANKLES = [KINECT_V2.joint("ankle left"), KINECT_V2.joint("ankle right")]

@@ -17,7 +17,8 @@ from recordings.appearance.colors import PREDICTED_COLOR, SIDE_COLORS, SKELETON_
 
 _INK = "#010203"  # placeholder for the page's text colour
 _POINTS_PER_INCH = 120  # of the width of a plot: about one point per pixel
-_TRUST_COLUMNS = 600
+_TRUST_COLUMNS, _BAND_POINTS = 600, 240
+_DASHES = (0, (3, 1.5))
 _WIDE = 11.0  # inches, of a plot across the page
 _LONGEST_JOINED = 0.3  # seconds between two values that a line joins
 Line = tuple[NDArray[Any], str]
@@ -31,18 +32,37 @@ def line_plot(
     levels: Sequence[float] = (),
     logarithmic: bool = False,
     wide: bool = False,
+    sigma: Mapping[str, NDArray[Any]] | None = None,
+    beyond: tuple[float, float] = (-np.inf, np.inf),
 ) -> str:
-    """Plots values over seconds; each line has the key of a skeleton or side. Levels are dashed."""
+    """Plots values over seconds; each line has the key of a skeleton or side. Levels are dashed.
+
+    Args:
+        sigma: (T,) one standard deviation of each line, drawn as a band.
+        beyond: Values outside of these two are marked with crosses.
+    """
     width = _WIDE if wide else 6.0
     figure, axes = _figure(width, 2.4)
     for name, (values, key) in lines.items():
-        joined = _joined(time, np.asarray(values, dtype=np.float64))
-        at, thinned = _thinned(*joined, int(width * _POINTS_PER_INCH))
-        axes.plot(at, thinned, color=line_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name)
+        known = np.asarray(values, dtype=np.float64)
+        joined = _joined(time, known)
+        if sigma is not None:
+            band = _band(time[joined], known[joined], sigma[name][joined])
+            axes.fill_between(*band, color=line_color(key), alpha=0.25, linewidth=0)
+        shown = joined[_thinned(known[joined], int(width * _POINTS_PER_INCH))]
+        thick = 1.6 if key in ("fused", *SIDE_COLORS) else 0.8
+        dashes = _DASHES if key == "right" else "-"
+        axes.plot(
+            time[shown], known[shown], color=line_color(key), linewidth=thick, linestyle=dashes, label=name
+        )
+        outside = shown[(known[shown] < beyond[0]) | (known[shown] > beyond[1])]
+        if len(outside):
+            axes.plot(time[outside], known[outside], "x", color=_INK, markersize=5, zorder=3)
     for level in levels:
         axes.axhline(level, color=_INK, linewidth=0.9, linestyle=(0, (5, 4)))
     if logarithmic and any(np.any(values > 0.0) for values, _ in lines.values()):
         axes.set_yscale("log")
+    _ticks(axes, in_degrees=unit == "°")
     axes.set_title(title, fontsize=10, loc="left", color=_INK)
     axes.set_xlabel("s")
     axes.set_ylabel(unit)
@@ -56,7 +76,7 @@ def cycle_plot(title: str, curves: Mapping[str, NDArray[Any]], toe_offs: Mapping
 
     Args:
         curves: (C, 101) by side.
-        toe_offs: Share of the cycle at which the foot leaves the floor, by side; a dashed line.
+        toe_offs: Share of the cycle at which the foot leaves the floor, by side; a dotted line.
     """
     figure, axes = _figure(4.0, 2.6)
     percent = np.arange(101)
@@ -66,11 +86,13 @@ def cycle_plot(title: str, curves: Mapping[str, NDArray[Any]], toe_offs: Mapping
             continue
         low, median, high = np.percentile(known, [16.7, 50.0, 83.3], axis=0)
         axes.fill_between(percent, low, high, color=line_color(side), alpha=0.2, linewidth=0)
-        axes.plot(percent, median, color=line_color(side), linewidth=1.6, label=side)
+        dashes = _DASHES if side == "right" else "-"
+        axes.plot(percent, median, color=line_color(side), linewidth=1.6, linestyle=dashes, label=side)
         if np.isfinite(toe_offs[side]):
-            axes.axvline(100.0 * toe_offs[side], color=line_color(side), linewidth=0.9, linestyle=(0, (5, 4)))
+            axes.axvline(100.0 * toe_offs[side], color=line_color(side), linewidth=0.9, linestyle=(0, (1, 2)))
     axes.axhline(0.0, color=_INK, linewidth=0.5)
     axes.set_xlim(0, 100)
+    _ticks(axes, in_degrees=True)
     axes.set_title(title, fontsize=10, loc="left", color=_INK)
     axes.set_xlabel("% of the gait cycle")
     axes.set_ylabel("°")
@@ -157,7 +179,9 @@ def _figure(width: float, height: float) -> tuple[Any, Any]:
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.add_subplot()
     axes.patch.set_visible(False)
-    axes.tick_params(colors=_INK, labelsize=8)
+    axes.tick_params(colors=_INK, labelsize=9)
+    axes.grid(axis="y", color=_INK, alpha=0.15, linewidth=0.6)
+    axes.set_axisbelow(True)
     for part in (axes.xaxis.label, axes.yaxis.label):
         part.set_color(_INK)
     for name, spine in axes.spines.items():
@@ -198,8 +222,28 @@ def _css(color: Color) -> str:
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
-def _joined(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The values without the unknown ones between known ones that are near in time, so that a line joins
+def _ticks(axes: Any, in_degrees: bool) -> None:
+    """Ticks at whole steps; of degrees at multiples of 15, 30, 45 or 90, for a range of 30 at least."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 2, 5, 10]))
+    if not in_degrees:
+        return
+    low, high = axes.get_ylim()
+    more = max(0.0, 30.0 - (high - low)) / 2.0
+    axes.set_ylim(low - more, high + more)
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
+
+
+def _band(time: NDArray[Any], values: NDArray[Any], sigma: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Times, lower and upper ends of a band of one standard deviation; of spans, its extremes."""
+    starts = np.unique(np.linspace(0, len(time), _BAND_POINTS, endpoint=False).astype(np.intp))
+    low, high = values - sigma, values + sigma
+    return time[starts], np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
+
+
+def _joined(time: NDArray[Any], values: NDArray[Any]) -> NDArray[np.intp]:
+    """The indices without the unknown values between known ones that are near in time, so that a line joins
     them: one sensor may have half the frames of the other."""
     known = np.isfinite(values)
     at = np.flatnonzero(known)
@@ -208,13 +252,13 @@ def _joined(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDA
     after = after[between]
     kept = np.ones(len(values), dtype=bool)
     kept[between] = time[at[after]] - time[at[after - 1]] > _LONGEST_JOINED
-    return time[kept], values[kept]
+    return np.flatnonzero(kept)
 
 
-def _thinned(time: NDArray[Any], values: NDArray[Any], most: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Minimum and maximum of each span, so that no peak is lost."""
+def _thinned(values: NDArray[Any], most: int) -> NDArray[np.intp]:
+    """The indices of minimum and maximum of each span, so that no peak is lost."""
     if len(values) <= most:
-        return time, values
+        return np.arange(len(values))
     blocks = np.array_split(np.arange(len(values)), most // 2)
     kept = []
     for block in blocks:
@@ -223,4 +267,4 @@ def _thinned(time: NDArray[Any], values: NDArray[Any], most: int) -> tuple[NDArr
             kept += [block[0], block[-1]]
         else:
             kept += sorted((block[np.nanargmin(part)], block[np.nanargmax(part)]))
-    return time[kept], values[kept]
+    return np.array(kept, dtype=np.intp)

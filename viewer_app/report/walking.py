@@ -14,6 +14,15 @@ from viewer_app.report.svg_plots import cycle_plot, line_plot
 _OF_A_SIDE = ("hip_flexion", "knee_flexion", "hip_abduction", "shoulder_flexion", "elbow_flexion")
 _FEWEST_CYCLES = 2  # of a side, for a mean
 _MOTION = 3.0  # seconds, of which it is said that they have no steps
+POSSIBLE = {
+    "hip_flexion": (-45.0, 165.0),
+    "knee_flexion": (-15.0, 165.0),
+    "hip_abduction": (-50.0, 80.0),
+    "shoulder_flexion": (-90.0, 185.0),
+    "shoulder_abduction": (-60.0, 185.0),
+    "elbow_flexion": (-15.0, 165.0),
+}
+"""Degrees that a joint reaches, with room for very mobile people; those of the trunk depend on the pose."""
 GAIT_HEAD = ("mean ± standard deviation", "left", "right")
 
 
@@ -45,11 +54,15 @@ def _over_time(session: Session, angles: AngleSeries) -> Iterator[str]:
     }
     plots["trunk"] = {"forwards": ("trunk_flexion", "fused"), "to the right": ("trunk_lean", "truth")}
     for name, lines in plots.items():
-        sigma = _median([angles.sigma[:, angles.names.index(angle)] for angle, _ in lines.values()])
+        bands = {line: angles.sigma[:, angles.names.index(angle)] for line, (angle, _) in lines.items()}
+        sigma = _median(list(bands.values()))
         title = name.replace("_", " ") + (f", 1 σ about {sigma:.0f}°" if np.isfinite(sigma) else "")
-        yield line_plot(
-            title, "°", time, {line: (angles[angle], key) for line, (angle, key) in lines.items()}
-        )
+        values = {line: (angles[angle], key) for line, (angle, key) in lines.items()}
+        beyond = POSSIBLE.get(name, (-np.inf, np.inf))
+        low, high = beyond
+        if any(((each < low) | (each > high)).any() for each, _ in values.values()):
+            title += f"; ×: beyond {low:.0f} to {high:.0f}°"
+        yield line_plot(title, "°", time, values, sigma=bands, beyond=beyond)
 
 
 def _over_cycles(gait: Gait) -> Iterator[str]:

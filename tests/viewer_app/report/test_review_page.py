@@ -11,6 +11,8 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from fusion.body import KINECT_V2
 from recordings.appearance.colors import PREDICTED_COLOR
@@ -28,8 +30,15 @@ from tests.helpers.two_views import calibration_of
 from viewer_app.report import motion as motion_module
 from viewer_app.report.motion import _kept_frames, encoded_motion
 from viewer_app.report.review_page import review_page
-from viewer_app.report.svg_plots import _columns_of_time, line_plot, skeleton_color, trust_map
-from viewer_app.report.walking import _in_words, _mean, _summary
+from viewer_app.report.svg_plots import (
+    _BAND_POINTS,
+    _band,
+    _columns_of_time,
+    line_plot,
+    skeleton_color,
+    trust_map,
+)
+from viewer_app.report.walking import POSSIBLE, _in_words, _mean, _summary, movement_of
 from viewer_app.report.words import in_percent
 
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
@@ -186,6 +195,47 @@ def test_a_line_joins_values_of_every_other_frame_but_not_across_a_gap():
     (path,) = re.findall(rf'<path d="([^"]*)"[^>]*stroke: {skeleton_color("fused")}', drawn)
     assert path.count("M ") == 2
     assert path.count("L ") == 9 + 8
+
+
+@given(
+    degrees=st.lists(st.floats(-90.0, 180.0) | st.just(np.nan), min_size=1, max_size=900),
+    sigma=st.floats(0.1, 30.0),
+)
+@settings(max_examples=30)
+def test_a_band_holds_every_value_and_its_deviation(degrees, sigma):
+    values, time = np.array(degrees), np.arange(len(degrees)) / 30
+    starts, lower, upper = _band(time, values, np.full(len(values), sigma))
+    assert len(starts) <= _BAND_POINTS
+    span = np.searchsorted(starts, time, side="right") - 1
+    known = np.isfinite(values)
+    assert (lower[span] <= values - sigma)[known].all()
+    assert (upper[span] >= values + sigma)[known].all()
+    assert {*lower[np.isfinite(lower)]} <= {*(values - sigma)[known]}
+
+
+def test_values_that_no_joint_reaches_are_marked_and_no_others(session, monkeypatch):
+    calls = {}
+    monkeypatch.setattr(
+        "viewer_app.report.walking.line_plot", lambda title, *_, **named: calls.update({title: named}) or ""
+    )
+    for name in POSSIBLE:
+        monkeypatch.setitem(POSSIBLE, name, (-360.0, 360.0))
+    movement_of(session)
+    assert not any("beyond" in title for title in calls)
+    monkeypatch.setitem(POSSIBLE, "knee_flexion", (1000.0, 1001.0))
+    movement_of(session)
+    assert [title for title in calls if "beyond" in title] == [
+        next(
+            title
+            for title in calls
+            if title.startswith("knee flexion") and "×: beyond 1000 to 1001°" in title
+        )
+    ]
+    time, values = np.arange(60) / 30, np.where(np.arange(60) < 5, 200.0, 30.0)
+    for low, high, marked in ((-15.0, 165.0, 5), (-15.0, 210.0, 0), (50.0, 165.0, 60)):
+        drawn = line_plot("knee", "°", time, {"left": (values, "left")}, beyond=(low, high))
+        plain = line_plot("knee", "°", time, {"left": (values, "left")})
+        assert drawn.count("<use") - plain.count("<use") == marked
 
 
 def test_the_map_of_trust_is_grey_only_where_no_sensor_sees_the_joint():
