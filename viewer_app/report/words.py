@@ -66,7 +66,7 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
     if figures.get("others_seen"):
         share = in_percent(figures["others_seen"])
         of_frames = "of the frames; S* follows one person."
-        yield Line("Others", f"seen in {share} {of_frames}", figure=share, rest=of_frames.capitalize())
+        yield Line("Others", f"seen in {share} {of_frames}", figure=share, rest=f"O{of_frames[1:]}")
     yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
 
 

@@ -63,7 +63,7 @@ def test_people_and_the_time_of_the_others_are_told(fused, tmp_path):
     lines = {line.label: line.text for line in lead_lines(report(session))}
     assert lines["Others"].startswith("seen in 42 % of the frames")
     part = tmp_path / "part.rrd"
-    write_session(session, part, first=10)
+    write_session(session.part(range(10, FRAMES)), part)
     assert Session.open(part).people == session.people  # those of the recordings
     assert report(Session.open(part))["others_seen"] == 0.0  # nobody counted
 
