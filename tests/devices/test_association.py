@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from devices import association
 from devices.association import follow_one
 from devices.people import RecordedPeople
 from devices.people_tracks import TracksAhead, tracks_of
@@ -15,6 +16,7 @@ from devices.sensor import SensorFrame
 from devices.simulated.kinect import Beside, movement
 from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import KINECT_V2
+from fusion.large_arrays import parts
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 from tests.helpers.recorded_pairs import write_view
@@ -238,6 +240,14 @@ def test_an_id_chooses_whoever_has_it_most_of_the_time(seed):
 
 def whose(people, rows, view):
     return OTHER if share_right(view, people.view_of(rows))[0] < 0.5 else FOLLOWED
+
+
+def test_a_long_recording_is_gone_through_in_parts(monkeypatch):
+    a, b = (recorded(view, np.random.default_rng(1), exchanged=0.01) for view in treated())
+    whole = follow_one(a, b, 0)
+    monkeypatch.setattr(association, "parts", lambda count: parts(count, 7))
+    for one, other in zip(follow_one(a, b, 0).rows, whole.rows, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_ids_of_two_people_are_not_one():
