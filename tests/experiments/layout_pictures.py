@@ -162,6 +162,20 @@ def of_demo(out, folder):
         write_png(out / f"{name}.png", picture)
 
 
+def of_two_people(out, folder):
+    """*setup* of a demo of two people, where both sensors see both."""
+    file = folder / "people.rrd"
+    two = "--people", "2", "--motion", "squat"
+    main(["demo", *two, "--seconds", "12", "--no-viewer", "--quiet", "--save", str(file)])
+    opened = Session.open(file)
+    others = [dict(opened.images.others(side, range(len(opened)))) for side in layout.SIDES]
+    both = [
+        k for k in others[0] if len(others[0][k]) and len(others[1].get(k, ())) and opened.time_ns[k] > 8e9
+    ]
+    moments = {"setup": float(opened.time_ns[both[len(both) // 2]] * 1e-9)}
+    write_png(out / "people.png", drawn(file, moments, clouds=True)["setup"])
+
+
 def of_walk(out, folder):
     """The three layouts of two real recordings."""
     if not WALK.is_dir():
@@ -216,7 +230,7 @@ def run(arguments=None):
     parser.add_argument("--out", type=Path, default=PICTURES)
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
-    for make in (of_demo, of_walk, of_own_tracker):
+    for make in (of_demo, of_two_people, of_walk, of_own_tracker):
         with tempfile.TemporaryDirectory() as folder:
             make(options.out, Path(folder))
 
