@@ -73,10 +73,7 @@ class Bundle:
             UsageError: It could not be written.
         """
         self._hide.learn(_connected_serials())
-        findings = [
-            {name: self._hide(value) if isinstance(value, str) else value for name, value in found.items()}
-            for found in map(asdict, checks)
-        ]
+        findings = [self._hidden(check) for check in checks]
         data = json.dumps({"versions": _versions(self._hide), "checks": findings}, indent=1)
         with (
             output_file(self._path, self._force) as hidden,
@@ -93,6 +90,15 @@ class Bundle:
         said = f"{self._path}, {self._path.stat().st_size / 1e6:.1f} MB: look at it before you send it."
         self._console.print(said, markup=False, soft_wrap=True)
 
+    def _hidden(self, check: Check) -> dict[str, Any]:
+        """A finding as data. Detail and advice are one text, which may have been parted within a path."""
+        found = {
+            key: self._hide(value) if isinstance(value, str) else value
+            for key, value in asdict(check).items()
+        }
+        found["detail"], _, found["advice"] = self._hide(f"{check.detail}. {check.advice}").partition(". ")
+        return found
+
 
 @contextmanager
 def collecting(
@@ -100,7 +106,7 @@ def collecting(
 ) -> Iterator[Bundle]:
     """A bundle that will be written to `path`; within the block, the logs of the sensors' libraries go to it.
 
-    Names of user and machine, absolute paths and serial numbers are replaced in all of it.
+    Names of user and machine, paths, addresses and serial numbers are replaced in all of it.
 
     Args:
         serials: Those that the options name, beside those of the connected sensors.

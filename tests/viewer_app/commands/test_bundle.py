@@ -12,7 +12,8 @@ import pytest
 
 from devices.azure.calibration import depth_intrinsics
 from devices.azure.mkv import MkvRecording
-from devices.check import Check
+from devices.check import Check, failed
+from devices.sensor import DeviceError
 from tests.helpers import standin_pyk4a
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.machine import small_disk
@@ -217,10 +218,92 @@ def test_a_full_disk_leaves_nothing(planted, tmp_path, capsys):
         ("/srv/Jane Doe.txt was found, /srv/me too", "<path> was found, <path> too"),
         ("serial numbers differ; serial number of one", "serial numbers differ; serial number of one"),
         ("LD_LIBRARY_PATH=/srv/me:/srv/you", "LD_LIBRARY_PATH=<path>:<path>"),
+        ("at 12:34:56 libx 1.4.2 on 127.0.0.1:9090, ::1", "at 12:34:56 libx 1.4.2 on 127.0.0.1:9090, ::1"),
+        ("std::runtime_error, USB 3 / xHCI, S/N unknown", "std::runtime_error, USB 3 / xHCI, S/N unknown"),
     ],
 )
 def test_what_tells_nothing_stays(text, hidden):
     assert Anonymity([])(text) == hidden
+
+
+KINDS = {  # what stands in a text, and the words of it that must not
+    "user": (USER, [USER]),
+    "account": (f"{USER}@{HOST}", [USER, HOST]),
+    "given name": ("Zaphira", ["Zaphira"]),
+    "surname": ("Quex", ["Quex"]),
+    "host": (OTHER, [OTHER]),
+    "host in full": (f"{OTHER}.example.org", [OTHER]),
+    "display": (f"{HOST}:10.0", [HOST]),
+    "home": (f"/home of/{USER}/notes.txt", [USER, "notes"]),
+    "file beside": (f"/srv/{FOLDER}/a b/patient.bin", [FOLDER, "patient"]),
+    "path with a stop": ("/srv/Dr. Vorlund/models", ["Vorlund"]),
+    "file with a stop": ("/srv/Dr. Vorlund/models/libx.so.1", ["Vorlund"]),
+    "known folder's part": ("Lagash", ["Lagash"]),
+    "relative path": ("patients/vorlund/walk.mkv", ["patients", "vorlund"]),
+    "file in a folder": ("vorlund/walk.mkv", ["vorlund"]),
+    "path from here": ("../vorlund", ["vorlund"]),
+    "path from home": ("~vorlund/walk", ["vorlund"]),
+    "drive": (f"D:\\{FOLDER}\\vorlund.dat", [FOLDER, "vorlund"]),
+    "share": (f"\\\\{HOST}\\vorlund\\x.dat", [HOST, "vorlund"]),
+    "file URL": ("file:///srv/vorlund/x.html", ["vorlund"]),
+    "URL": ("http://nas.vorlund.example:8080/a?token=hunter2", ["vorlund", "hunter2"]),
+    "URL with a password": ("ftp://vorlund:hunter2@nas.example/x", ["vorlund", "hunter2", "nas"]),
+    "locator": ("tcp/nas-vorlund:7447", ["vorlund"]),
+    "mail": ("jane.vorlund@example.com", ["vorlund", "jane"]),
+    "IPv4": ("192.168.17.42", ["192.168", "17.42"]),
+    "IPv4 and port": ("tcp/192.168.17.42:7447", ["192.168", "17.42"]),
+    "IPv6": ("fe80::1ff:fe23:4567:890a", ["fe23", "890a"]),
+    "IPv6 in full": ("2001:db8:0:0:8:800:200c:417a", ["200c", "417a"]),
+    "MAC": ("00:1a:2b:3c:4d:5e", ["3c:4d"]),
+    "MAC with dashes": ("00-1A-2B-3C-4D-5E", ["3C-4D"]),
+    "MAC of routers": ("001a.2b3c.4d5e", ["2b3c"]),
+    "serial": ("Serial number: 778899001122", ["778899001122"]),
+    "S/N": ("S/N: AB-778899-X", ["778899"]),
+    "SN": ("SN 778899001122", ["778899001122"]),
+    "serial in JSON": ('"SerialId":"AB12CD34EF"', ["AB12CD34EF"]),
+    "UUID": (UUID, [UUID]),
+    "machine id": ("5e0f1c2b3a4d5e6f708192a3b4c5d6e7", ["5e0f1c2b"]),
+}
+SENTENCES = (
+    "{}",
+    "({})",
+    "'{}'",
+    "at {}, no",
+    "a={};b",
+    "Cannot open {}. Plug it in.",
+    "x\n{}\ny",
+    "{}: denied",
+)
+
+
+@pytest.mark.usefixtures("traces")
+@pytest.mark.parametrize("kind", KINDS)
+def test_traces_of_every_kind_are_hidden(kind):
+    trace, words = KINDS[kind]
+    hide = Anonymity(NUMBERS)
+    for sentence in SENTENCES:
+        hidden = hide(sentence.format(trace)).lower()
+        assert not [word for word in words if word.lower() in hidden], hidden
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_field_and_no_file_has_a_trace(kind, planted, monkeypatch, tmp_path):
+    trace, words = KINDS[kind]
+    fault = DeviceError(f"The library cannot open {trace}. Its advice is {trace}, too.")
+
+    def device_checks(*_, **__):
+        os.write(2, f"from a library: {trace}\n".encode())
+        Path(os.environ["K4A_ENABLE_LOG_TO_A_FILE"]).write_text(f"from libk4a: {trace}", encoding="utf-8")
+        return [
+            failed(f"a check of {trace}", fault, needed=False),
+            Check("b", True, trace, serves=trace, install=trace),
+        ]
+
+    monkeypatch.setattr(doctor, "device_checks", device_checks)
+    assert planted("--bundle", tmp_path / "b.zip") == 0
+    for name, content in contents(tmp_path / "b.zip").items():
+        for text in (content.decode(), json.dumps(json.loads(content)) if name.endswith(".json") else ""):
+            assert not [word for word in words if word.lower() in text.lower()], (name, text)
 
 
 def test_a_real_calibration_keeps_its_lens(shared):
