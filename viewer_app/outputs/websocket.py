@@ -38,6 +38,8 @@ _PATIENCE = 10.0  # seconds without an answer to a ping
 _OPENS_WITHIN = 10.0
 UNANSWERED = 4
 """Maximum number of frames on the way to a client, 0.13 s at 30 fps: buffers of the network hold seconds."""
+_BEHIND_S = 0.15
+"""A client that takes longer to answer gets the next frame only after that, so that two frames take 0.3 s."""
 _SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self' ws:"
 )
@@ -131,7 +133,9 @@ class WebSocketOutput(LiveOutput):
     async def _serve(self, port: int) -> Server:
         from websockets.asyncio.server import serve
 
-        # a client that speaks no WebSocket is not worth a traceback
+        # a client that speaks no WebSocket is not worth a traceback, and one that is gone not a line for each
+        # answer to its pings
+        logging.getLogger("asyncio").addFilter(_is_worth_a_line)
         logger = logging.Logger("duplex.websocket", logging.CRITICAL + 1)
         return await serve(
             self._attend,
@@ -214,6 +218,7 @@ class WebSocketOutput(LiveOutput):
         from websockets.exceptions import ConnectionClosed
 
         unanswered: deque[Awaitable[float]] = deque()
+        most = UNANSWERED
         with suppress(ConnectionClosed):
             await connection.send(self._hello)
             while True:
@@ -221,8 +226,9 @@ class WebSocketOutput(LiveOutput):
                 client.more.clear()
                 while client.others:
                     await connection.send(client.others.popleft())
-                if len(unanswered) == UNANSWERED:
-                    await unanswered.popleft()
+                while len(unanswered) >= most:
+                    behind = await unanswered.popleft() > _BEHIND_S
+                    most = 1 if behind else min(most + 1, UNANSWERED)
                 if client.frame is not None:
                     (text, written_ns), client.frame = client.frame, None
                     await connection.send(text)
@@ -239,6 +245,10 @@ class WebSocketOutput(LiveOutput):
         self._serving.join(2.0)
         if not self._serving.is_alive():
             self._loop.close()
+
+
+def _is_worth_a_line(record: logging.LogRecord) -> bool:
+    return "socket.send() raised exception" not in record.msg
 
 
 def _is_of_local_network(host: str | None) -> bool:

@@ -2,6 +2,7 @@
 
 import json
 import socket
+import struct
 import time
 from contextlib import closing
 from dataclasses import replace
@@ -23,6 +24,7 @@ from tests.helpers.network import free_port
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import reached_at
 from viewer_app.errors import UsageError
+from viewer_app.outputs import websocket
 from viewer_app.outputs.output import confidence
 from viewer_app.outputs.websocket import UNANSWERED, WebSocketOutput
 
@@ -132,6 +134,64 @@ def test_few_frames_are_on_the_way_to_a_client_that_answers_no_ping(server, fuse
             server.write(made)
         assert eventually(lambda: server.counts.dropped >= before + 59)  # the last one waits
         assert server.counts.sent == UNANSWERED
+
+
+def test_a_client_that_pings_and_resets_is_not_worth_a_line(server, caplog):
+    """Python's event loop warns of each answer to a connection that is gone."""
+    with socket.create_connection(("127.0.0.1", port_of(server))) as rude:
+        rude.sendall(handshake(port_of(server)))
+        assert eventually(lambda: len(server._clients) == 1)
+        rude.sendall(b"\x89\x80\0\0\0\0" * 5000)
+        rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    assert eventually(lambda: not server._clients)
+    with client_of(server) as client:  # the server goes on
+        assert read(client)["type"] == "hello"
+    assert caplog.records == []
+
+
+def test_fewer_frames_are_on_the_way_to_a_client_that_answers_late(server, fuser, monkeypatch):
+    """Four frames that take two seconds each would show eight seconds ago."""
+    made = frames(fuser, 1)[0]
+    with socket.create_connection(("127.0.0.1", port_of(server))) as slow:
+        slow.sendall(handshake(port_of(server)))
+        slow.settimeout(30.0)
+        received = slow.makefile("rb")
+        while received.readline().strip():
+            pass
+        assert eventually(lambda: len(server._clients) == 1)
+
+        def pings(count):
+            """The contents of so many pings, unanswered yet."""
+            found = []
+            while len(found) < count:
+                kind, size = received.read(2)
+                if size == 126:
+                    size = int.from_bytes(received.read(2), "big")
+                content = received.read(size)
+                found += [content] if kind == 0x89 else []
+            return found
+
+        def on_the_way(most):
+            """Whether so many frames are sent, and no more."""
+            since = server.counts.sent
+
+            def sent():
+                server.write(made)
+                return server.counts.sent >= since + most
+
+            assert eventually(sent)
+            dropped = server.counts.dropped
+            for _ in range(30):
+                server.write(made)
+            assert eventually(lambda: server.counts.dropped >= dropped + 29)
+            return server.counts.sent == since + most
+
+        monkeypatch.setattr(websocket, "_BEHIND_S", 0.0)  # each answer is late
+        assert on_the_way(UNANSWERED)
+        answers = pings(UNANSWERED)
+        slow.sendall(b"".join(b"\x8a\x84\0\0\0\0" + each for each in answers))
+        assert on_the_way(1)
+        assert len(pings(1)) == 1
 
 
 def handshake(port):
