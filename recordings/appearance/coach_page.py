@@ -7,7 +7,7 @@ from typing import Any, Literal
 import rerun as rr
 
 from recordings import layout
-from recordings.appearance.colors import MARK_COLORS
+from recordings.appearance.colors import LABEL_COLORS, MARK_COLORS
 from recordings.appearance.state_card import State, state_card
 
 Point = tuple[float, float, float]
@@ -56,7 +56,8 @@ class CoachPage:
                 layout.coach_mark(name),
                 rr.LineStrips3D(
                     mark.lines,
-                    colors=MARK_COLORS[mark.meaning],
+                    # a line has one colour with its label: the first one is a point, for the words
+                    colors=[LABEL_COLORS[mark.meaning], *[MARK_COLORS[mark.meaning]] * (len(mark.lines) - 1)],
                     radii=_LINE_RADIUS,
                     labels=[mark.words, *[""] * (len(mark.lines) - 1)],
                     show_labels=True,

@@ -13,6 +13,7 @@ from recordings.appearance.body_shape import capsule_radii
 from recordings.appearance.colors import (
     FACE_COLOR,
     JOINT_RADII,
+    LABEL_COLORS,
     MARK_COLORS,
     PREDICTED_COLOR,
     SKELETON_COLORS,
@@ -86,7 +87,7 @@ def sensor_label(side: str) -> rr.Points3D:
     return rr.Points3D(
         [_ABOVE_SENSOR],
         labels=[f"Kinect {side.upper()}"],
-        colors=SKELETON_COLORS[side],
+        colors=LABEL_COLORS[side],
         radii=0.001,
         show_labels=True,
     )

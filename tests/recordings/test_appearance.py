@@ -20,6 +20,7 @@ from recordings.appearance.body_shape import (
     pelvis_rotations,
 )
 from recordings.appearance.colors import (
+    LABEL_COLORS,
     MARK_COLORS,
     PREDICTED_COLOR,
     SIDE_COLORS,
@@ -140,6 +141,13 @@ def test_colors_that_stand_side_by_side_differ_for_everyone(colors):
 def test_an_exchanged_view_differs_from_its_own_and_from_the_other(side):
     for exchanged in (VIEW_COLORS[side][2], SKELETON_COLORS[f"exchanged_{side}"]):
         assert all(least_distance(exchanged, VIEW_COLORS[other][0]) > 12.0 for other in "ab")
+
+
+@pytest.mark.parametrize("name", LABEL_COLORS)
+def test_words_in_the_scene_are_read_on_the_ground_that_the_viewer_gives_them(name):
+    # one colour cannot have 4.5 on both grounds: 3.9 is the most
+    assert contrast(LABEL_COLORS[name], (28, 28, 28)) >= 4.5
+    assert contrast(LABEL_COLORS[name], (239, 239, 239)) >= 3.0
 
 
 @pytest.mark.parametrize("name", MARK_COLORS)

@@ -13,10 +13,11 @@ from fusion.calibration.calibration import Calibration
 from fusion.fuser import FusedFrame
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage, Mark, Point
 from recordings.appearance.floor import ANKLE, CAMERA_HEIGHT
 from recordings.appearance.state_card import State
-from recordings.quality.limits import ANGLES, FARTHEST
+from recordings.quality.limits import ANGLES, FARTHEST, TALL
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.readiness import Headline, to_markdown
 from viewer_app.coach.setup_coach import HOLD, Situation
@@ -130,24 +131,44 @@ class CoachScene:
         camera = self._cameras["AB".index(side)]
         # the label is beside the first line: below the sensor, and those of two sensors side by side apart
         under = _line(np.array([in_a.translation + (0.0, _LABEL_UNDER[side], 0.0)] * 2))
-        return Mark((under, *_frustum(camera, in_a)), f"{side}: {', '.join(wrong)}", "mend")
+        return Mark((under, *_frustum(camera, in_a)), f"{side}: {wrong[0]}", "mend")
 
     def _better(self, calibration: Calibration) -> Mark | None:
         """The position of B if it moved around the person until the axes form a right angle."""
         angle = math.degrees(calibration.axes_angle)
         if calibration.registration is None or ANGLES[0] <= angle <= ANGLES[1]:
             return None
-        place = self._place(calibration)
-        centre = np.array([place.x, 0.0, place.z])
-        turned = []
-        for sign in (-1.0, 1.0):
-            turn = Rotation.from_euler("y", sign * (_BEST_ANGLE - angle), degrees=True).as_matrix()
-            turned.append(RigidTransform.of(turn, centre - turn @ centre) @ calibration.a_from_b)
-        best = min(turned, key=lambda each: abs(each.rotation[2, 2]))  # the cosine of the angle
+        best = better_place(calibration.a_from_b, self._place(calibration))
         way = np.linspace(calibration.a_from_b.translation, best.translation, 9)
         lines = (*_frustum(self._cameras[1], best), _line(way))
         reached = math.degrees(math.acos(float(np.clip(best.rotation[2, 2], -1.0, 1.0))))
         return Mark(lines, f"better for B: {reached:.0f}°", "better")
+
+
+def better_place(a_from_b: RigidTransform, around: StandingSpot) -> RigidTransform:
+    """K_B's pose in K_A's frame if it moved around a spot until the optical axes form a right angle."""
+    angle = math.degrees(math.acos(float(np.clip(a_from_b.rotation[2, 2], -1.0, 1.0))))
+    centre = np.array([around.x, 0.0, around.z])
+    turned = []
+    for sign in (-1.0, 1.0):
+        turn = Rotation.from_euler("y", sign * (_BEST_ANGLE - angle), degrees=True).as_matrix()
+        turned.append(RigidTransform.of(turn, centre - turn @ centre) @ a_from_b)
+    return min(turned, key=lambda each: abs(each.rotation[2, 2]))  # the cosine of the angle
+
+
+def places(setup: FusionSetup) -> NDArray[np.float64]:
+    """(N, 3) metres in K_A's frame: the sensors, a person on the spot, a better place for B, and all labels.
+
+    Where B is unknown, it stands at a right angle to A.
+    """
+    body, a_from_b = setup.body, setup.calibration.a_from_b
+    known = bool(a_from_b.translation.any())
+    spot = standing_spot(a_from_b if known else None, setup.intrinsics, FARTHEST[body.name], CAMERA_HEIGHT)
+    best = better_place(a_from_b, spot).translation
+    sensors = [np.zeros(3), a_from_b.translation if known else best, best]
+    person = [[spot.x, y, spot.z] for y in (CAMERA_HEIGHT + _UNDER, CAMERA_HEIGHT - TALL)]
+    edges = [each + [0.0, y, 0.0] for each in sensors for y in (-_FRUSTUM, max(_LABEL_UNDER.values()))]
+    return np.array([*person, *edges])
 
 
 def _frustum(camera: Intrinsics, in_a: RigidTransform) -> Iterator[tuple[Point, ...]]:

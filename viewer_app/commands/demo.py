@@ -130,8 +130,10 @@ def _show(
             coach = Coach(a.body, nominal.intrinsics, simulated=True)
             active = "setup" if options.bad_setup else options.layout
             depth = options.depth != "none"
-            layout = partial(session_blueprint, nominal, person_at, active, live=True, depth=depth)
-            display = runner.open_session(stack, sensors, nominal, coach, layout, pace is not None)
+            layout = partial(session_blueprint, person_at=person_at, active=active, live=True, depth=depth)
+            display = runner.open_session(
+                stack, sensors, nominal, coach, layout, pace is not None, reframes=active == "setup"
+            )
             stack.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
             setup, frames = run_live(

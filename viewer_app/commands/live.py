@@ -112,10 +112,19 @@ def _show(
             remote = "".join("AB"[k] for k, each in enumerate((a, b)) if isinstance(each, RemoteSensor))
             coach = Coach(a.body, nominal.intrinsics, sensors.rate, warm_up=WARM_UP, remote=remote)
             images = {"depth": options.depth != "none", "color": options.color != "off"}
-            layout = partial(session_blueprint, nominal, _PERSON_AT, options.layout, live=True, **images)
+            layout = partial(
+                session_blueprint,
+                person_at=_PERSON_AT,
+                active=options.layout,
+                live=True,
+                depth=images["depth"],
+                color=images["color"],
+            )
             # of both sensors, on which the program's own tracker works; without depth there are no others
             infrared = images["depth"] and isinstance(a, TrackedImages) and isinstance(b, TrackedImages)
-            display = runner.open_session(stack, sensors, nominal, coach, layout, infrared)
+            display = runner.open_session(
+                stack, sensors, nominal, coach, layout, infrared, reframes=options.layout == "setup"
+            )
             console.print("Running. Press Ctrl-C to end.")
             with call_after(options.seconds, sensors.stop):  # even while no frame arrives
                 setup, frames = run_live(

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -65,25 +66,29 @@ class Runner:
         coach: Coach,
         blueprint: Callable[..., rrb.Blueprint],
         infrared: bool = False,
+        reframes: bool = False,
     ) -> LiveDisplay:
         """Opens viewer, file and status line, which the stack closes; returns the observer of the loop.
 
         Args:
-            blueprint: Makes the layout; takes ``infrared``.
+            blueprint: Makes the layout of a setup; takes ``infrared`` and ``card``.
             infrared: Whether the viewer gets infrared images; a file has none.
+            reframes: Whether the layout is made anew once it is known where B stands.
         """
         console, options, a, b = self._console, self._options, sensors.a.sensor, sensors.b.sensor
         if self._save is not None:
             warn_of_little_room(self._save, console)
+        shown = partial(blueprint, infrared=infrared, card=True)
         self.session = stack.enter_context(
             LiveSession(
                 setup,
                 (a.name, b.name),
-                blueprint(infrared=infrared),
+                shown(setup),
                 file=self._save,
                 overwrite=options.force,
                 viewing=self.viewing,
-                file_blueprint=blueprint(infrared=False),
+                file_blueprint=blueprint(setup, infrared=False),
+                reframed=shown if reframes else None,
                 others=self._outputs,
                 about={"tracker": tracker_name(a)} if tracker_name(a) else None,
             )

@@ -1,6 +1,6 @@
 """The sinks of a running loop: viewer, file, further sinks. The loop waits for none of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from uuid import uuid4
@@ -30,6 +30,7 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
     Args:
         file: The file to write; None for none. It is readable while it grows.
         file_blueprint: The layout in the file; None: the viewer's. A file lacks what only a viewer is shown.
+        reframed: Makes the viewer's layout of a setup in which B stands elsewhere; None: it stays.
     """
 
     def __init__(
@@ -43,12 +44,13 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
         viewing: Viewing | None = None,
         others: Sequence[Sink] = (),
         file_blueprint: rrb.Blueprint | None = None,
+        reframed: Callable[[FusionSetup], rrb.Blueprint] | None = None,
         about: Mapping[str, str | int] | None = None,
     ) -> None:
         identity = uuid4()
         self.viewer: ViewerSink | None = None
         if viewing is not None and viewing.hub is not None:
-            self.viewer = ViewerSink(setup, sources, blueprint, viewing, identity, file is None)
+            self.viewer = ViewerSink(setup, sources, blueprint, viewing, identity, file is None, reframed)
         self.file: SessionFile | None = None
         viewer = self.viewer
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from uuid import UUID
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -36,6 +37,7 @@ _BLOCK = 1 << 16  # bytes that are written at once: as many as a pipe holds
 _PLOTTED_TOGETHER = 5  # frames, a sixth of a second
 _DEPTH_HZ = 10.0  # depth images per sensor; limited by the viewer's memory for images
 _EARLY = 0.9  # share of the interval: a frame that arrives slightly early still counts
+_ELSEWHERE = 0.5  # metres: K_B stays in the picture if it is off by less
 _HALF_NS = 16_000_000
 """Half a frame. A's images start with the second frame, B's with the third. Sending them together
 would add latency."""
@@ -190,6 +192,7 @@ class ViewerSink(ViewerFeed):
 
     Args:
         alone: Whether the session has no file: a window that does not open is an error then.
+        reframed: Makes the layout of a setup in which B stands elsewhere; None: it stays.
 
     Raises:
         UsageError: The hub does not start, or the only window.
@@ -203,10 +206,12 @@ class ViewerSink(ViewerFeed):
         viewing: Viewing,
         identity: UUID,
         alone: bool = True,
+        reframed: Callable[[FusionSetup], rrb.Blueprint] | None = None,
     ) -> None:
         assert viewing.hub is not None
         self.hub = hub = viewing.hub
         self._setup, self._sources, self._blueprint = setup, sources, blueprint
+        self._reframed, self._framed = reframed, setup.calibration
         self._turns = ImageTurns(_DEPTH_HZ)
         self.window: ViewerWindow | None = None
         self._no_window = ""
@@ -247,6 +252,11 @@ class ViewerSink(ViewerFeed):
     def recalibrated(self, setup: FusionSetup) -> None:
         self._setup = setup
         super().recalibrated(setup)
+        found, framed = setup.calibration, self._framed
+        away = np.linalg.norm(found.a_from_b.translation - framed.a_from_b.translation)
+        if self._reframed is not None and not found.provisional and away > _ELSEWHERE:
+            self._framed, self._blueprint = found, self._reframed(setup)
+            self._stream.send_blueprint(self._blueprint)
 
     def rest(self, seconds: float) -> None:
         self.wait_until_free(seconds)

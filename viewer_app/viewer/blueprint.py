@@ -19,6 +19,7 @@ from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.colors import PROMINENT_JOINTS, SIDE_COLORS, SKELETON_COLORS, Color
 from recordings.appearance.state_card import HEIGHT, WIDTH
+from viewer_app.coach.scene import places
 
 Layout = Literal["setup", "inspect", "report", "angles"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report", "angles")
@@ -49,6 +50,10 @@ _LIMBS = {
 }
 _OVERVIEW, _HIGH = 2.1, 1.4
 """In *setup*: times the distance of the sensors from the person, and metres above."""
+_STEEP = math.radians(28.0)
+"""In *setup* of running sensors: how far the eye looks down."""
+_HALF_PICTURE, _WIDE = 0.85 * math.tan(math.radians(27.5)), 1.4
+"""Half a 3D picture's height at a distance of one, without its edge: the viewer's eye sees 55°. Its width."""
 _AWAY, _ABOVE = 2.9, 0.5
 """In *inspect*: metres from the person and over their middle. The eye follows the person."""
 _PLOTS_A_ROW = 6
@@ -65,6 +70,7 @@ def session_blueprint(
     depth: bool = True,
     color: bool = False,
     infrared: bool = False,
+    card: bool = False,
 ) -> rrb.Blueprint:
     """All layouts, with one of them open.
 
@@ -73,11 +79,12 @@ def session_blueprint(
         live: Whether two running sensors are shown, with figures of how their streams go.
         depth: Whether there are depth images, from which point clouds are computed.
         infrared: Whether there are infrared images, which are then shown instead of the depth images.
+        card: Whether there is the picture of the set-up's state.
     """
     body = setup.body
     return rrb.Blueprint(
         rrb.Tabs(
-            _setup(setup, person_at, live, depth, color, infrared),
+            _setup(setup, person_at, live, depth, color, infrared, card),
             _inspect(setup, person_at, live, depth),
             _report(setup.calibration.bone_lengths, body),
             _angles(),
@@ -91,7 +98,13 @@ def session_blueprint(
 
 
 def _setup(
-    setup: FusionSetup, person_at: NDArray[np.float64], live: bool, depth: bool, color: bool, infrared: bool
+    setup: FusionSetup,
+    person_at: NDArray[np.float64],
+    live: bool,
+    depth: bool,
+    color: bool,
+    infrared: bool,
+    card: bool,
 ) -> rrb.Container:
     shown = ", infrared" if infrared else "" if depth else ": its skeleton"
     depths = [
@@ -109,10 +122,15 @@ def _setup(
             rrb.Tabs(_color_view(side), depth) for side, depth in zip(layout.SIDES, depths, strict=True)
         ]
     forth = 0.5 * _place_of_b(setup, person_at) - person_at  # to half-way between the sensors
-    eye = person_at + _OVERVIEW * float(np.linalg.norm(forth)) * _towards_eye(setup, person_at)
+    towards_eye = _towards_eye(setup, person_at)
+    if live:
+        eye, target = overview(places(setup), towards_eye)
+    else:
+        eye = person_at + _OVERVIEW * float(np.linalg.norm(forth)) * towards_eye
+        eye, target = eye - np.array([0.0, _HIGH, 0.0]), person_at + 0.4 * forth
     scene = _scene(
-        eye - np.array([0.0, _HIGH, 0.0]),
-        person_at + 0.4 * forth,
+        eye,
+        target,
         "where to stand" if live else "sensors and person",
         setup.body,
         frustum=_FRUSTA["setup"],
@@ -120,16 +138,34 @@ def _setup(
     advice = rrb.TextDocumentView(
         origin=layout.COACH, contents=[layout.COACH], name="what is wrong" if live else "how good"
     )
-    if live:
-        card = rrb.Spatial2DView(
+    if card:
+        state = rrb.Spatial2DView(
             origin=layout.COACH_CARD,
             name="what to do next",
             visual_bounds=rrb.VisualBounds2D(x_range=(0, WIDTH), y_range=(0, HEIGHT)),
         )
-        beside = rrb.Vertical(card, rrb.Horizontal(scene, advice, column_shares=[5, 3]), row_shares=[9, 13])
+        beside = rrb.Vertical(state, rrb.Horizontal(scene, advice, column_shares=[5, 3]), row_shares=[9, 13])
     else:
         beside = rrb.Vertical(advice, scene, row_shares=[2, 3])
     return rrb.Horizontal(rrb.Vertical(*images), beside, column_shares=[1, 2], name="setup")
+
+
+def overview(
+    points: NDArray[np.float64], towards_eye: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The nearest eye that has all (N, 3) points in its picture, and where it looks.
+
+    Args:
+        towards_eye: (3,) horizontal unit vector, from the points to the eye.
+    """
+    back = math.cos(_STEEP) * towards_eye - np.array([0.0, math.sin(_STEEP), 0.0])  # y is down
+    right = np.cross(back, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    target = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    off = points - target
+    aside, high = np.abs(off @ right), np.abs(off @ np.cross(right, back))
+    away = off @ back + np.maximum(aside / (_WIDE * _HALF_PICTURE), high / _HALF_PICTURE)
+    return target + float(away.max()) * back, target
 
 
 def _images(side: str, infrared: bool) -> list[str]:
@@ -158,7 +194,9 @@ def _towards_eye(setup: FusionSetup, person_at: NDArray[np.float64]) -> NDArray[
     b_at = _place_of_b(setup, person_at)
     back = 0.5 * b_at - person_at
     back[1] = 0.0
-    back /= max(float(np.linalg.norm(back)), 1e-6)
+    if (far := float(np.linalg.norm(back))) < 1e-6:  # the person is half-way between the sensors
+        return np.array([0.0, 0.0, -1.0])
+    back /= far
     to_the_right = float(np.array([-back[2], 0.0, back[0]]) @ b_at)  # of B from A, seen from there
     return back if to_the_right >= 0.0 else -back
 

@@ -4,9 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from devices.depth.camera import project
+from devices.simulated.rig import Rig
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
@@ -18,15 +21,17 @@ from recordings.quality.limits import FARTHEST, nearest
 from tests.helpers.two_views import A_FROM_B, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.readiness import Headline
-from viewer_app.coach.scene import CoachScene
+from viewer_app.coach.scene import CoachScene, places
 from viewer_app.coach.setup_coach import HOLD, Situation
 from viewer_app.coach.standing_spot import ARM, standing_spot
+from viewer_app.viewer.blueprint import overview
 
 BODY = KINECT_V2
 CAMERA = NOMINAL_INTRINSICS[BODY.name]
 CAMERAS = (CAMERA, CAMERA)
 KNOWN = Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")
 PERSON = standing(BODY)
+FEET_GONE = Advice("feet B", "…", "WARN", "B", "feet out of view")
 
 
 def fused(at=PERSON):
@@ -128,3 +133,24 @@ def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle):
 def test_a_good_angle_needs_no_better_place():
     now = Situation(calibrated_on(BODY), final=True, held=0.0)
     assert "better_b" not in marks(now, fused())
+
+
+@given(st.floats(15.0, 165.0), st.floats(1.2, 4.0), st.floats(0.5, 2.0), st.booleans())
+def test_sensors_person_spot_and_better_place_are_in_the_picture(angle, distance, height, known):
+    rig = Rig(angle_deg=angle, distance=distance, height=height)
+    calibration = replace(KNOWN, a_from_b=rig.a_from_b) if known else nominal_calibration(BODY)
+    setup = FusionSetup(calibration)
+    towards = np.array([0.6, 0.0, -0.8])
+    eye, target = overview(places(setup), towards)
+    back = (eye - target) / np.linalg.norm(eye - target)
+    right = np.cross(back, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    shown = marks(Situation(calibration, final=known, held=0.0), fused(), FEET_GONE)
+    drawn = np.concatenate([line for mark in shown.values() for line in mark.lines])
+    for points in (places(setup), drawn if known else drawn[:0]):
+        seen = points - eye
+        depth = -seen @ back
+        assert (depth > 0.0).all()
+        # the viewer's eye sees 55° of the height; the scene is wider than high
+        assert (np.abs(seen @ np.cross(right, back)) / depth < np.tan(np.radians(27.5))).all()
+        assert (np.abs(seen @ right) / depth < 1.4 * np.tan(np.radians(27.5))).all()

@@ -5,10 +5,15 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import rerun as rr
 
+from fusion.calibration.calibration import nominal_calibration
+from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, numbers_in, session
@@ -16,10 +21,13 @@ from tests.helpers.machine import need_viewer
 from tests.helpers.pictures import headless_viewer
 from tests.helpers.waiting import eventually
 from viewer_app.sinks.item_queue import QueuedFrame
+from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.session_file import SessionFile
 from viewer_app.sinks.viewer_sink import ImageTurns, ViewerFeed
+from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.hub import Hub
 from viewer_app.viewer.rerun_process import stop
+from viewer_app.viewer.viewer_choice import Viewing
 
 STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
 """A process that never reads: a frozen viewer."""
@@ -55,6 +63,27 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(stuc
     waiting = [item.number for item in stuck._queue.take(0.0) if isinstance(item, QueuedFrame)]
     assert waiting == list(range(90, 100))
     assert slowest < 3.0  # it would be 60 s, the patience, if it waited
+
+
+def test_the_layout_is_made_anew_where_b_stands_elsewhere_and_not_for_a_refinement(fuser):
+    need_viewer()
+    made = []
+
+    def framed(setup):
+        made.append(setup)
+        return session_blueprint(setup, np.array([0.1, 0.1, 2.6]), "setup", live=True, card=True)
+
+    nominal = FusionSetup(nominal_calibration(fuser.setup.body))
+    found = fuser.setup
+    turned = RigidTransform.of(np.eye(3), found.calibration.a_from_b.translation + [0.1, 0.0, 0.0])
+    refined = FusionSetup(replace(found.calibration, a_from_b=turned))
+    provisional = FusionSetup(replace(found.calibration, provisional=True))
+    viewing = Viewing(hub=Hub.on_free_ports(web=False))
+    with LiveSession(nominal, ("a", "b"), framed(nominal), viewing=viewing, reframed=framed) as live:
+        made.clear()
+        for setup in (provisional, found, refined, nominal):
+            live.recalibrated(setup)
+    assert made == [found]
 
 
 def test_closing_with_a_frozen_viewer_takes_no_time(fuser):

@@ -40,7 +40,9 @@ def picture():
     found = []
     with headless_viewer(size=SCREEN) as viewer:
         stream.connect_grpc(viewer.url)
-        stream.send_blueprint(session_blueprint(setup, np.array([0.0, 0.0, 2.6]), "setup", live=True))
+        stream.send_blueprint(
+            session_blueprint(setup, np.array([0.0, 0.0, 2.6]), "setup", live=True, card=True)
+        )
         recorder = Recorder(stream, setup, ("a", "b"), points=True)
         recorder.coach(CoachPage("", card=(State.NOT_YET, "HTH")))
         stream.flush(timeout_sec=20.0)
