@@ -200,8 +200,8 @@ def _copy_images(session: SessionData, recorder: Recorder) -> int:
     """Logs the other people and the images; returns the number of damaged images."""
     damaged, time_ns = 0, session.rows.time_ns
     for side in layout.SIDES:
-        for frame, bones in session.images.others(side, range(len(session))):
-            recorder.others.bones(side, frame, int(time_ns[frame]), bones)
+        others = session.images.others(side, range(len(session)))
+        recorder.others.all_bones(side, ((frame, int(time_ns[frame]), bones) for frame, bones in others))
         depth, color = session.depth(side), session.color(side)
         for frame, image in depth:
             recorder.images.depth(side, frame, int(time_ns[frame]), image)

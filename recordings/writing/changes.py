@@ -12,7 +12,6 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from devices.capture.stream_pairing import PairingFigures
-from devices.pairing import FramePair
 from fusion.body import Body
 from fusion.setup import FusionSetup
 from recordings import layout
@@ -20,12 +19,10 @@ from recordings.appearance import entity_styles
 from recordings.appearance.floor import FloorFinder
 from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources
 from recordings.frame_noise import FrameDeviations, noise_of
-from recordings.images import drawn_bones
 from recordings.quality.per_second import quality_per_second
 from recordings.session_arrays import SessionArrays
 from recordings.session_data import SessionData
-from recordings.writing.arrow_columns import Column, Times, converted, own_values, state_changes
-from recordings.writing.checksums import image_checksum
+from recordings.writing.arrow_columns import Column, Times, converted, state_changes
 
 _POSE_AGAIN_NS = 10_000_000_000
 """Between two logs of an unchanged pose."""
@@ -101,36 +98,6 @@ class PlacementLog:
                 translation=(0.0, 0.0, 0.0), parent_frame=f"tf#{entity}", child_frame=name
             )
             once(layout.named_frame(name), same, static=True)
-
-
-class OthersLog:
-    """Logs the people who are not followed, while there are any: the bones of each."""
-
-    def __init__(self, stream: rr.RecordingStream) -> None:
-        self._stream, self._shown = stream, dict.fromkeys(layout.SIDES, False)
-
-    def bones(self, side: str, number: int, time_ns: int, bones: NDArray[np.float32]) -> None:
-        """Logs :func:`recordings.images.drawn_bones` of a frame."""
-        if not len(bones) and not self._shown[side]:
-            return
-        self._shown[side] = len(bones) > 0
-        set_time(self._stream, number, time_ns)
-        self._stream.log(
-            layout.others(side),
-            rr.Arrows3D.from_fields(origins=bones[:, 0], vectors=bones[:, 1]),
-            own_values(crc32=image_checksum(number, bones.tobytes())),
-        )
-
-    def record(self, number: int, time_ns: int, pair: FramePair) -> None:
-        """Logs those of a frame; a sensor without a frame keeps what it has."""
-        views = (pair.a, pair.skeletons.a), (pair.b, pair.skeletons.b)
-        for side, (frame, followed) in zip(layout.SIDES, views, strict=True):
-            if frame is None:
-                continue
-            others = [person.positions for person in frame.people.values() if person is not followed]
-            body = next(iter(frame.people.values())).body if others else None
-            drawn = np.zeros((0, 2, 3), np.float32) if body is None else drawn_bones(body, np.array(others))
-            self.bones(side, number, time_ns, drawn)
 
 
 class QualityLog:

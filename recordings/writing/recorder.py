@@ -19,7 +19,6 @@ from recordings.appearance.joint_trust import TrustColors
 from recordings.session_arrays import SessionArrays, SessionFrame
 from recordings.writing.arrow_columns import Times, own_values
 from recordings.writing.changes import (
-    OthersLog,
     PlacementLog,
     QualityLog,
     StatesLog,
@@ -28,6 +27,7 @@ from recordings.writing.changes import (
 )
 from recordings.writing.checksums import FusedChecks, event_checksum, properties_checksum
 from recordings.writing.frame_columns import frame_columns
+from recordings.writing.other_people import OthersLog
 from recordings.writing.properties import calibration_values, session_properties
 from recordings.writing.shown_images import ImageLog
 

@@ -1,0 +1,70 @@
+"""The people of a stream who are not followed: the bones of each, while there are any."""
+
+from collections.abc import Iterable
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+from numpy.typing import NDArray
+
+from devices.pairing import FramePair
+from recordings import layout
+from recordings.images import drawn_bones
+from recordings.writing.arrow_columns import Column, Times, own_values
+from recordings.writing.changes import set_time
+from recordings.writing.checksums import image_checksum
+
+_BLOCK = 300  # frames that are sent together
+
+
+class OthersLog:
+    """Logs the people who are not followed, while there are any: the bones of each."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream, self._shown = stream, dict.fromkeys(layout.SIDES, False)
+
+    def bones(self, side: str, number: int, time_ns: int, bones: NDArray[np.float32]) -> None:
+        """Logs :func:`recordings.images.drawn_bones` of a frame."""
+        if not len(bones) and not self._shown[side]:
+            return
+        self._shown[side] = len(bones) > 0
+        set_time(self._stream, number, time_ns)
+        self._stream.log(
+            layout.others(side),
+            rr.Arrows3D.from_fields(origins=bones[:, 0], vectors=bones[:, 1]),
+            own_values(crc32=image_checksum(number, bones.tobytes())),
+        )
+
+    def all_bones(self, side: str, frames: Iterable[tuple[int, int, NDArray[np.float32]]]) -> None:
+        """Logs those of many frames by columns: number, time and bones of each."""
+        waiting = iter(frames)
+        while block := list(islice(waiting, _BLOCK)):
+            shown = [self._shown[side], *(len(bones) > 0 for _, _, bones in block)]
+            self._shown[side] = shown[-1]
+            told = [frame for k, frame in enumerate(block) if shown[k] or shown[k + 1]]
+            if not told:
+                continue
+            numbers, times, drawn = zip(*told, strict=True)
+            every = np.concatenate(drawn)
+            arrows = rr.Arrows3D.columns(origins=every[:, 0], vectors=every[:, 1])
+            checks = [image_checksum(n, bones.tobytes()) for n, bones in zip(numbers, drawn, strict=True)]
+            columns: list[Any] = [
+                *arrows.partition([len(bones) for bones in drawn]),
+                Column.of_data("crc32", pa.array(checks, pa.int64()), len(told)),
+            ]
+            self._stream.send_columns(
+                layout.others(side), Times.of_frames(np.array(numbers), np.array(times)), columns
+            )
+
+    def record(self, number: int, time_ns: int, pair: FramePair) -> None:
+        """Logs those of a frame; a sensor without a frame keeps what it has."""
+        views = (pair.a, pair.skeletons.a), (pair.b, pair.skeletons.b)
+        for side, (frame, followed) in zip(layout.SIDES, views, strict=True):
+            if frame is None:
+                continue
+            others = [person.positions for person in frame.people.values() if person is not followed]
+            body = next(iter(frame.people.values())).body if others else None
+            drawn = np.zeros((0, 2, 3), np.float32) if body is None else drawn_bones(body, np.array(others))
+            self.bones(side, number, time_ns, drawn)
