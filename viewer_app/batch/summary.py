@@ -30,23 +30,24 @@ RANKED = (
 )
 """Figures that order the sessions; larger is worse."""
 _DEGREES = 180.0 / math.pi
-_COLUMNS: dict[str, tuple[str, float, int]] = {
-    "frames": ("pairs", 1.0, 0),
-    "seconds": ("s", 1.0, 1),
-    "axes_angle": ("axes °", _DEGREES, 0),
-    "rotation_sd": ("R ± °", _DEGREES, 1),
-    "rotation_off": ("R off °", _DEGREES, 1),
-    "views_agree": ("views agree mm", 1e3, 0),
-    "roughness_ratio": ("roughness S* by views", 1.0, 2),
-    "jumps_fused": ("jumps S* %", 1e2, 2),
-    "jumps_own": ("S*'s own %", 1e2, 2),
-    "against_fused": ("faces against motion %", 1e2, 1),
-    "flips_per_minute": ("flips per min", 1.0, 1),
-    "lost": ("not paired %", 1e2, 1),
-    "stale": ("repeated %", 1e2, 1),
-    "bone_error": ("bone error mm", 1e3, 0),
+_COLUMNS: dict[str, tuple[str, float, int, str]] = {
+    "frames": ("pairs", 1.0, 0, "frames of S*"),
+    "seconds": ("s", 1.0, 1, "how long it is"),
+    "good": ("good %", 1e2, 0, "of the frames, those in good seconds"),
+    "axes_angle": ("axes °", _DEGREES, 0, "angle between the axes of the sensors"),
+    "rotation_sd": ("R ± °", _DEGREES, 1, "how certain the rotation of B is, one standard deviation"),
+    "rotation_off": ("R off °", _DEGREES, 1, "its difference to a robust fit of the whole session"),
+    "views_agree": ("views agree mm", 1e3, 0, "median distance of the calibrated views"),
+    "roughness_ratio": ("roughness S* by views", 1.0, 2, "second difference of S*, by that of S_A and S_B"),
+    "jumps_fused": ("jumps S* %", 1e2, 2, "steps of S* of more than 150 mm per frame"),
+    "jumps_own": ("S*'s own %", 1e2, 2, "those of them that no view has"),
+    "against_fused": ("faces against motion %", 1e2, 1, "fast frames in which S* faces against its motion"),
+    "flips_per_minute": ("flips per min", 1.0, 1, "how often S* turns round within a frame"),
+    "lost": ("not paired %", 1e2, 1, "frames without a partner"),
+    "stale": ("repeated %", 1e2, 1, "frames that a sensor repeated"),
+    "bone_error": ("bone error mm", 1e3, 0, "largest error of a bone of S*"),
 }
-"""Columns of the page: heading, factor from SI, digits."""
+"""Columns of the page: heading, factor from SI, digits, meaning."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def write_parquet(rows: Sequence[Row], path: Path) -> None:
 
 
 def write_page(rows: Sequence[Row], path: Path) -> None:
-    """Writes the HTML page: one file, no script, no network."""
+    """Writes the HTML page: one file, no network; a script sorts and filters."""
     environment = Environment(
         loader=PackageLoader("viewer_app.batch"), autoescape=True, undefined=StrictUndefined
     )
@@ -133,12 +134,14 @@ def write_page(rows: Sequence[Row], path: Path) -> None:
     page = environment.get_template("summary.html").render(
         failed=[(row.job.name, row.error) for row in rows if row.state == "failed"],
         pending=[row.job.name for row in rows if row.state == "pending"],
-        head=[heading for heading, _, _ in _COLUMNS.values()],
+        head=[(heading, meaning) for heading, _, _, meaning in _COLUMNS.values()],
         fused=[
             {
                 "name": row.job.name,
                 "page": quote(_link(row, row.job.page) or "") if row.job.options.pages else "",
                 "session": quote(_link(row, row.job.session) or ""),
+                "verdict": row.figures["verdict"],
+                "reason": row.figures.get("verdict_reason", ""),
                 "cells": _cells(row),
                 "warnings": (row.record or {}).get("warnings", []),
                 "calibration": row.figures["calibration"],
@@ -153,7 +156,7 @@ def _cells(row: Row) -> list[str]:
     numbers = {name: _number(row.figures.get(name)) for name in _COLUMNS}
     return [
         f"{numbers[name] * factor:.{digits}f}" if math.isfinite(numbers[name]) else "–"
-        for name, (_, factor, digits) in _COLUMNS.items()
+        for name, (_, factor, digits, _) in _COLUMNS.items()
     ]
 
 

@@ -89,6 +89,8 @@ def _session_figures(session: Session, figures: Figures) -> Figures:
         "calibration": session.calibration.how,
         "calibrations": len(session.calibrations),
         "verdict": figures["verdict"]["word"],
+        "verdict_reason": figures["verdict"]["reason"],
+        "good": float(session.good_frames.mean()),
         "views_agree": None if apart is None else apart * 1e-3,
         "rotation_sd": None if registration is None else registration.rotation_sd,
         "axes_angle": session.calibration.axes_angle,

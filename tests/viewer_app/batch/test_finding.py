@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from tests.helpers.command_line import duplex, one_line
+from tests.helpers.machine import need_browser
 from viewer_app.batch import processes
 from viewer_app.batch.finding import Pair, find_pairs
 from viewer_app.batch.jobs import Job, Outcome, checksum
@@ -182,7 +184,11 @@ COUNTS = {f"{what}_{side}": 0 for what in ("dropped", "alone", "stale") for side
 def row(name, state="fused", error="", **figures):
     job = Job(Pair(name, Path("a.csv"), Path("b.csv")), BatchOptions(source=Path(), out=Path()))
     known = dict.fromkeys(n for n in RANKED if n != "lost") | COUNTS | {"frames_a": 50, "frames_b": 50}
-    record = {"figures": known | {"calibration": "pose <1>"} | figures, "warnings": ["<b>"], "identity": {}}
+    record = {
+        "figures": known | {"calibration": "pose <1>", "verdict": "good"} | figures,
+        "warnings": ["<b>"],
+        "identity": {},
+    }
     return Row(job, state, record if state == "fused" else None, error)
 
 
@@ -218,3 +224,48 @@ def test_the_table_is_in_si_units_and_the_page_escapes(tmp_path):
     for words in ("a &lt; b", 'href="a%20b/a%20b.rrd"', "<td>62</td>", "pose &lt;1&gt;", "1 not fused yet"):
         assert words in page
     assert "<b>" not in page
+
+
+def test_the_page_sorts_filters_and_explains(tmp_path):
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
+    chromium = need_browser()
+    random = np.random.default_rng(0)
+    rows, words = [], ("good", "usable", "poor", "unknown")
+    for k, apart in enumerate([None, *random.permutation(12) * 0.011]):
+        told = {"verdict": words[k % 4], "verdict_reason": f"reason {k}" if k % 4 else ""}
+        rows.append(row(f"n{k}", views_agree=apart, bone_error=0.0, good=k / 12, **told))
+    write_page(rows, tmp_path / "s.html")
+    with playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        try:
+            tab = browser.new_page()
+            errors, asked = [], []
+            tab.on("pageerror", lambda error: errors.append(str(error)))
+            tab.on("request", lambda request: asked.append(request.url))
+            tab.goto((tmp_path / "s.html").as_uri())
+            shown, heads = tab.locator("#fused tbody tr:visible"), tab.locator("#fused th")
+            names = heads.all_inner_texts()
+            agree = names.index("views agree mm")
+
+            def column(k):
+                return [each.split("\t")[k].strip() for each in shown.all_inner_texts()]
+
+            for turn in (1, -1):
+                heads.nth(agree).click()
+                *known, last = column(agree)
+                assert last == "–"
+                assert [int(each) for each in known] == sorted(map(int, known))[::turn]
+            heads.nth(1).click()
+            order = [each.split()[0] for each in column(1)]
+            assert order == sorted(order, key=("poor", "unknown", "usable", "good").index)
+            tab.locator("#word").select_option("poor")
+            assert {each.split()[0] for each in column(1)} == {"poor"}
+            assert tab.locator("#count").inner_text() == f"{shown.count()} of 13"
+            tab.locator("#word").select_option("")
+            tab.locator("#filter").fill("REASON 11")
+            assert column(0) == ["n11"]
+            meanings = tab.locator("details dt").all_text_contents()
+            assert meanings == names[2:]
+            assert (errors, asked) == ([], [(tmp_path / "s.html").as_uri()])
+        finally:
+            browser.close()
