@@ -18,7 +18,8 @@ from viewer_app.batch.manifest import read_manifest
 from viewer_app.batch.summary import Row, State, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
 from viewer_app.options.needs import refuse_without_effect
-from viewer_app.options.sensing import BatchOptions, calibration_source, recording_settings
+from viewer_app.options.sensing import BatchOptions, recording_settings
+from viewer_app.options.shared import calibration_source
 from viewer_app.output_console import output_console
 from viewer_app.output_files import claim
 

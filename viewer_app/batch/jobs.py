@@ -17,7 +17,8 @@ from typing import Any
 from devices.input_file import open_input
 from fusion.setup import REVISIONS
 from viewer_app.batch.finding import Pair
-from viewer_app.options.sensing import BatchOptions, FuseOptions, calibration_source
+from viewer_app.options.sensing import BatchOptions, FuseOptions
+from viewer_app.options.shared import calibration_source
 
 RECORD, PARTIAL = "record.json", ".partial"
 """Names of a session's record, and of the folder of what is not complete, in the output folder."""

@@ -21,14 +21,17 @@ from fusion.pair_arrays import Pairs
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings
 from recordings.calibration_file import calibration_to_json, read_calibration
+from recordings.export import writer_for
 from recordings.fusing.files import check_related, fused_session, read_for, without_folders
 from recordings.fusing.pairs import block_count, fuse_segments, setups_of
 from recordings.quality.figures import Figures, report
 from recordings.session import Session
 from viewer_app.errors import UsageError
-from viewer_app.options.sensing import FuseOptions, calibration_source, recording_settings
+from viewer_app.options.sensing import FuseOptions, recording_settings
+from viewer_app.options.shared import calibration_source
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, save_report, write_text
+from viewer_app.output_files import check_outputs, output_file, save_report, write_text
+from viewer_app.report.good_part import good_frames_of
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
@@ -50,7 +53,8 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
         if not any(choice.is_tracked for choice in _choices(options)):
             _read(options, FuserSettings(), console)  # a file that cannot be read is the greater fault
         raise
-    outputs = (options.report, options.save_calibration)
+    outputs = (options.report, options.save_calibration, options.to)
+    export = None if options.to is None else writer_for(options.to)
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
     check_outputs(outputs, filter(None, inputs), options.force, options.save)
     settings = recording_settings(options)
@@ -59,8 +63,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     if not options.force:
         check_related(read, plan, options.a.name, options.b.name)
     segments = setups_of(plan, settings, read.cameras(options.depth))
-    setup = segments[-1][0]
-    warm_up(Fuser(setup), console)
+    warm_up(Fuser(segments[-1][0]), console)
     sources = without_folders((str(options.a), str(options.b)))
     progress = _progress(console)
     blocks = progress(
@@ -68,12 +71,19 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     )
     session = fused_session(read, plan, segments, blocks, sources, options.depth, progress)
     del plan, blocks  # ends the bar, and frees the labels, 30 bytes of each pair
-    figures = report(session)
+    figures, kept, about = report(session), session, ""
+    if options.good:
+        kept = session.part(np.flatnonzero(good_frames_of(session, console)))
+        about = "These figures are of the whole recordings, of which this session has the good seconds."
+    if options.to is not None and export is not None:
+        with output_file(options.to, options.force) as hidden:
+            written = export(kept, hidden)
+        console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)
     hub, window = viewing.hub, isinstance(viewing, FileWindow)
 
     def write(path: Path) -> int:
-        page = session_page(setup, figures)
-        return write_for_viewer(session, path, page, active=options.layout, progress=progress)
+        page = session_page(kept.last_setup, figures, about)
+        return write_for_viewer(kept, path, page, active=options.layout, progress=progress)
 
     shown = written_and_shown(options.save, write, force=options.force, window=window, served=hub is not None)
     with shown as (file, _):

@@ -13,7 +13,6 @@ from viewer_app.options.sensing import (
     FuseOptions,
     LiveOptions,
     PublishOptions,
-    calibration_is_file,
 )
 from viewer_app.options.sessions import ReviewOptions
 from viewer_app.options.shared import (
@@ -23,6 +22,7 @@ from viewer_app.options.shared import (
     TerminalOptions,
     TrackerOptions,
     ViewerOptions,
+    calibration_is_file,
 )
 
 _STATED = ("unit", "axes", "names")

@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from fusion.setup import FuserSettings, Hindsight
-from viewer_app.errors import UsageError
 from viewer_app.options.shared import (
     ARGUMENT,
     OUTPUTS,
@@ -17,6 +16,7 @@ from viewer_app.options.shared import (
     WHOLE_NUMBER,
     FollowOptions,
     FusionOptions,
+    GoodOptions,
     LiveOutputOptions,
     MethodOptions,
     OrientationOptions,
@@ -42,6 +42,7 @@ class FuseOptions(
     ViewerOptions,
     SummaryOptions,
     OutputOptions,
+    GoodOptions,
 ):
     """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
 
@@ -62,6 +63,8 @@ class FuseOptions(
     """For an .mkv: a file of saved skeletons of A, instead of the body tracker."""
     skeletons_b: Annotated[Path | None, SENSORS] = None
     """For an .mkv: a file of saved skeletons of B, instead of the body tracker."""
+    to: Annotated[Path | None, OUTPUTS] = None
+    """Write S* for another program, too, as duplex export does: the ending is the format."""
     offset: Annotated[float | None, SENSORS] = None
     """Milliseconds to add to B's times; found from the motion if not given (--method duplex only)."""
 
@@ -259,32 +262,6 @@ def recording_settings(options: FuseOptions | BatchOptions) -> FuserSettings:
     if options.method != "duplex":
         hindsight = "none"
     return FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
-
-
-def calibration_is_file(wanted: str) -> bool:
-    """Whether ``--calibrate`` names a file."""
-    return wanted != "auto" and wanted.partition(":")[0] != "seconds"
-
-
-def calibration_source(wanted: str) -> Path | float | None:
-    """What ``--calibrate`` names for recordings: a file, seconds, or None for ``auto``."""
-    if wanted == "auto":
-        return None
-    kind, _, argument = wanted.partition(":")
-    if kind == "seconds":
-        try:
-            seconds = float(argument)
-        except ValueError:
-            seconds = -1.0
-        if not 0.0 < seconds < float("inf"):
-            raise UsageError(f"--calibrate {wanted}: seconds must be a positive number, as in seconds:3.")
-        return seconds
-    if not Path(wanted).is_file():
-        raise UsageError(
-            f"--calibrate {wanted}: neither auto, nor seconds:N, nor an existing file. Make one with "
-            "--save-calibration."
-        )
-    return Path(wanted)
 
 
 @dataclass(frozen=True, kw_only=True)

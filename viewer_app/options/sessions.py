@@ -13,6 +13,7 @@ from viewer_app.options.shared import (
     OUTPUTS,
     VIEWER,
     WHOLE_NUMBER,
+    GoodOptions,
     LiveOutputOptions,
     OutputOptions,
     OwnFileOptions,
@@ -66,7 +67,7 @@ class InfoOptions(OwnFileOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrimOptions:
+class TrimOptions(GoodOptions):
     """Save a time range or the good seconds of a session as a new session. Frames are copied; nothing is
     fused again."""
 
@@ -78,8 +79,6 @@ class TrimOptions:
     """First moment to keep, in seconds since the first pair."""
     end: Annotated[float | None, Parameter(name="--to")] = None
     """Last moment to keep; the end if not given."""
-    good: bool = False
-    """Keep only the seconds that are good, as duplex review lists them."""
     force: bool = False
     """Overwrite a file that exists."""
 
@@ -134,7 +133,7 @@ class ReviewOptions(WebOptions, SummaryOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions:
+class ExportOptions(GoodOptions):
     """Write S* for another program: .bvh, .c3d, .csv, .glb, .mot, .npz, .parquet or .trc, by the file's
     ending."""
 
@@ -148,8 +147,6 @@ class ExportOptions:
     rate: float | None = None
     """Frames per second of a .bvh, .c3d, .glb or .trc; that of the recording if not given, and of a .trc its
     own times."""
-    good: bool = False
-    """Write only the seconds that are good, as duplex review lists them; the times have gaps then."""
     names: Literal["body", "humanoid", "mixamo"] = "body"
     """Names of bones in a .bvh or .glb: those of the joints, of Unity's humanoid, or of Mixamo."""
     force: bool = False

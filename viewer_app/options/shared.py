@@ -70,6 +70,14 @@ class ViewerOptions(WebOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class GoodOptions:
+    """Option of the commands that write a part of a session."""
+
+    good: bool = False
+    """Write only the seconds that are good, as duplex review lists them; the times have gaps then."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SummaryOptions:
     """How much the summary in the terminal says."""
 
@@ -254,3 +262,29 @@ def check_seconds(seconds: float | None) -> None:
     """Rejects a duration that is not positive or not finite."""
     if seconds is not None and not 0.0 < seconds < float("inf"):
         raise UsageError(f"--seconds must be a positive number; got {seconds}.")
+
+
+def calibration_is_file(wanted: str) -> bool:
+    """Whether ``--calibrate`` names a file."""
+    return wanted != "auto" and wanted.partition(":")[0] != "seconds"
+
+
+def calibration_source(wanted: str) -> Path | float | None:
+    """What ``--calibrate`` names for recordings: a file, seconds, or None for ``auto``."""
+    if wanted == "auto":
+        return None
+    kind, _, argument = wanted.partition(":")
+    if kind == "seconds":
+        try:
+            seconds = float(argument)
+        except ValueError:
+            seconds = -1.0
+        if not 0.0 < seconds < float("inf"):
+            raise UsageError(f"--calibrate {wanted}: seconds must be a positive number, as in seconds:3.")
+        return seconds
+    if not Path(wanted).is_file():
+        raise UsageError(
+            f"--calibrate {wanted}: neither auto, nor seconds:N, nor an existing file. Make one with "
+            "--save-calibration."
+        )
+    return Path(wanted)

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from recordings.session import Session
 from viewer_app.errors import UsageError
+from viewer_app.flags import in_flags
 from viewer_app.report.words import Line
 
 MOST_STRETCHES = 6
@@ -23,9 +24,8 @@ def good_frames_of(session: Session, console: Console) -> NDArray[np.bool_]:
     """
     good = session.good_frames
     if not good.any():
-        raise UsageError(
-            f"No second of {session} is good; duplex review says why. Leave out --good to take all."
-        )
+        why = in_flags(str(session.verdict))
+        raise UsageError(f"No second of {session} is good. It is {why} Leave out --good to take all.")
     if not good.all():
         console.print(left_out(session), markup=False, soft_wrap=True)
     return good

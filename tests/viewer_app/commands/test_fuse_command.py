@@ -1,14 +1,17 @@
 """``duplex fuse`` at the command line: arguments, output and files."""
 
 import json
+import math
 import re
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 import rerun as rr
 
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from recordings import Session
+from recordings.quality.per_second import SecondQuality
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.machine import small_disk
 from tests.helpers.programs import python
@@ -63,6 +66,30 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(recordings, tmp_
     assert figures["views_agree_mm"]["median"] == pytest.approx(21.7, rel=0.1)
     assert rr.chunk.RrdReader(session).store().schema() is not None
     assert {p.name for p in tmp_path.iterdir()} == {"a.csv", "b.csv", "s.rrd", "r.json"}
+
+
+@pytest.mark.parametrize("good", [(0,), (0, 2), (0, 1, 2), ()])
+def test_only_the_good_seconds_are_saved_and_exported(good, recordings, tmp_path, monkeypatch, capsys):
+    def judged(session):
+        count = max(1, math.ceil(session.rows.time_ns[-1] * 1e-9 + 1 / 30))
+        return tuple(SecondQuality(float(k), "good" if k in good else "poor", "") for k in range(count))
+
+    whole, saved, table = tmp_path / "whole.rrd", tmp_path / "s.rrd", tmp_path / "s.npz"
+    assert duplex("fuse", *recordings, *QUICKLY, "--save", whole) == 0
+    monkeypatch.setattr("recordings.session_series.quality_per_second", judged)
+    capsys.readouterr()
+    options = "--good", "--save", saved, "--to", table
+    assert duplex("fuse", *recordings, *QUICKLY, *options) == (0 if good else 2)
+    said = capsys.readouterr()
+    if not good:
+        assert "No second of the session in memory is good. It is " in said.err
+        assert not saved.exists()
+        return
+    session = Session.open(whole)
+    kept = session.good_frames
+    assert ("Left out:" in said.out) == (not kept.all())
+    for fused in (Session.open(saved).fused, np.load(table)["fused"]):
+        np.testing.assert_allclose(fused, session.fused[kept], atol=5e-7)
 
 
 def test_an_unreadable_file_is_told_before_a_missing_display(recordings, tmp_path, monkeypatch, capsys):
