@@ -8,6 +8,7 @@ from recordings import fuse, layout
 from recordings.file.session_writer import write_session
 from recordings.quality.figures import report
 from recordings.session import Session
+from tests.helpers.command_line import duplex
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import moving
 from viewer_app.report.words import lead_lines
@@ -16,12 +17,12 @@ FRAMES, FIRST, END = 60, 20, 45
 """The other person is seen from one frame to another."""
 
 
-def two_files(folder):
-    """The recordings of two sensors, and the other person of each, (n, J, 3) metres."""
+def two_files(folder, aside=(0.0, 0.0, 0.0)):
+    """The recordings of two sensors, and the other person of each, (n, J, 3) metres; all of them aside."""
     paths, others = [], []
     for side in "ab":
         noise = np.random.default_rng(ord(side)).normal(0.0, 0.005, (FRAMES, 25, 3))
-        seen = moving(KINECT_V2, FRAMES) + noise
+        seen = moving(KINECT_V2, FRAMES) + noise + aside
         other = seen + [1.5, 0.0, 0.5]
         path = folder / f"{side}.csv"
         rows = write_view(path, KINECT_V2, other).read_text().splitlines()[1 + 25 * FIRST : 1 + 25 * END]
@@ -75,6 +76,14 @@ def test_whoever_is_chosen_by_id_is_not_among_the_others(tmp_path):
     followed = session.skeleton_a.positions[FIRST:END, root]
     np.testing.assert_allclose(followed, others[0][:, root], atol=1e-3)
     assert set(others_of(session, "a")) == set(range(FRAMES))
+
+
+@pytest.mark.parametrize(("options", "ids"), [([], "0"), (["--follow", "middle"], "1")])
+def test_the_command_follows_the_one_seen_longest_or_in_the_middle(options, ids, tmp_path):
+    paths, _ = two_files(tmp_path, aside=(-1.5, 0.0, 0.0))
+    saved = tmp_path / "s.rrd"
+    assert duplex("fuse", *paths, *options, "--no-viewer", "--force", "--save", saved) == 0
+    assert Session.open(saved).people[0].ids == (ids, ids)
 
 
 @pytest.mark.parametrize(("first", "end"), [(0, FRAMES), (10, 40), (30, FRAMES), (50, FRAMES)])
