@@ -38,21 +38,16 @@ class OthersLog:
         )
 
     def all_bones(self, side: str, frames: Iterable[tuple[int, int, NDArray[np.float32]]]) -> None:
-        """Logs those of many frames by columns: number, time and bones of each."""
+        """Logs those of frames that have some, or end them, by columns: number, time and bones of each."""
         waiting = iter(frames)
         while block := list(islice(waiting, _BLOCK)):
-            shown = [self._shown[side], *(len(bones) > 0 for _, _, bones in block)]
-            self._shown[side] = shown[-1]
-            told = [frame for k, frame in enumerate(block) if shown[k] or shown[k + 1]]
-            if not told:
-                continue
-            numbers, times, drawn = zip(*told, strict=True)
+            numbers, times, drawn = zip(*block, strict=True)
             every = np.concatenate(drawn)
             arrows = rr.Arrows3D.columns(origins=every[:, 0], vectors=every[:, 1])
             checks = [image_checksum(n, bones.tobytes()) for n, bones in zip(numbers, drawn, strict=True)]
             columns: list[Any] = [
                 *arrows.partition([len(bones) for bones in drawn]),
-                Column.of_data("crc32", pa.array(checks, pa.int64()), len(told)),
+                Column.of_data("crc32", pa.array(checks, pa.int64()), len(block)),
             ]
             self._stream.send_columns(
                 layout.others(side), Times.of_frames(np.array(numbers), np.array(times)), columns

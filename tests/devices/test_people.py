@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from devices.association import Followed
 from devices.people import RecordedPeople
 from devices.sensor import DeviceError, SensorFrame
+from devices.two_recordings import _seen_people
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton
 
@@ -26,6 +28,19 @@ def test_the_person_seen_longest_is_followed_unless_another_is_wanted():
         people.choose_person("9", "a.csv", "--person-a")
     with pytest.raises(DeviceError, match="no person in any"):
         RecordedPeople.of(AZURE_KINECT, [SensorFrame(0)]).choose_person(None, "a.csv", "--person-a")
+
+
+def test_an_id_that_somebody_else_has_longer_chooses_nobody():
+    """Of two people: one has the id 1 for 9 frames, the other for 4, then 2 for 3."""
+    ids = ["1"] * 9 + ["1"] * 4 + ["2"] * 3
+    people = RecordedPeople.of(
+        AZURE_KINECT, [frame for t, name in enumerate(ids) for frame in _alone([t], name)]
+    )
+    for end, expected in ((16, "2"), (13, None)):
+        rows = np.arange(9), np.arange(9, end)
+        one, other = _seen_people((people, people), Followed([(rows[0],) * 2, (rows[1],) * 2], 2))
+        assert one.ids == ("1", "1")
+        assert other.ids == (expected, expected)
 
 
 def test_the_next_person_is_followed_under_the_same_id():

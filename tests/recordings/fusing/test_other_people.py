@@ -86,7 +86,7 @@ def test_the_command_follows_the_one_seen_longest_or_in_the_middle(options, ids,
     assert Session.open(saved).people[0].ids == (ids, ids)
 
 
-@pytest.mark.parametrize(("first", "end"), [(0, FRAMES), (10, 40), (30, FRAMES), (50, FRAMES)])
+@pytest.mark.parametrize(("first", "end"), [(0, FRAMES), (10, 40), (30, FRAMES), (END, FRAMES), (50, FRAMES)])
 def test_a_written_session_keeps_the_others(fused, tmp_path, first, end):
     session, _ = fused
     part, again = tmp_path / "part.rrd", tmp_path / "again.rrd"
