@@ -1,7 +1,7 @@
 """``duplex compare``: compares a session with motion capture, or with another fusion of the same capture."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,6 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from devices.skeletons.name_tables import name_table
 from recordings import layout
@@ -31,6 +30,17 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sessions import CompareOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, save_report, write_text
+from viewer_app.report.comparison_figures import (
+    BONES_HEAD,
+    BONES_TITLE,
+    JOINTS_HEAD,
+    JOINTS_TITLE,
+    bone_rows,
+    distance_rows,
+    lead,
+    moments,
+    other_settings,
+)
 from viewer_app.report.terminal import figure_table, print_damage, print_lines
 from viewer_app.report.truth_figures import (
     ALL_HEAD,
@@ -42,14 +52,14 @@ from viewer_app.report.truth_figures import (
     truth_figures,
     truth_lines,
 )
-from viewer_app.report.words import Line, in_mm
+from viewer_app.report.words import Line
 from viewer_app.viewer.file_window import written_and_shown
 from viewer_app.viewer.viewer_choice import window_opens
 
 _APPLICATION_ID = f"{layout.APPLICATION_ID}_compare"
 _EYE = np.array([-0.9, -0.3, -2.0])  # metres, from the person in K_A's frame
 _WORST = 5  # moments in which two sessions differ most
-_OF_TRUTH = ("names", "offset", "html", "report")  # options for motion capture only
+_OF_TRUTH = ("names", "offset", "report")  # options for motion capture only
 
 
 def run(options: CompareOptions) -> None:
@@ -123,6 +133,10 @@ def _compare_sessions(options: CompareOptions, console: Console) -> None:
         print_damage(console, session)
     comparison = Comparison.of(sessions[0], sessions[1], options.any_capture)
     worst = comparison.worst(_WORST if options.worst is None else options.worst)
+    if options.html is not None:
+        from viewer_app.report.comparison_page import comparison_page
+
+        write_text(options.html, comparison_page(sessions, comparison, worst), options.force)
     window = window_opens(options.no_viewer, console)
 
     def write(path: Path) -> None:
@@ -146,74 +160,23 @@ def _print_comparison(
     console.print(
         f"[bold]{len(comparison)}[/] frames in common, of {len(sessions[0])} and {len(sessions[1])}."
     )
-    for name, values in sessions[0].about["settings"].items():
-        other = sessions[1].about["settings"].get(name)
-        if other != values:
-            other_value = other[0] if other else "–"
-            console.print(f"  {name}: {values[0]} against {other_value}", markup=False)
+    for line in other_settings(sessions):
+        console.print(f"  {line}", markup=False)
     if comparison.one_missing:
         console.print(f"Only one of them has an S* in {comparison.one_missing} frames.")
     if options.verbose:
-        console.print(_joint_table(comparison))
-        console.print(_bone_table(comparison))
+        console.print(figure_table(JOINTS_TITLE, JOINTS_HEAD, distance_rows(comparison)))
+        console.print(figure_table(BONES_TITLE, BONES_HEAD, bone_rows(comparison)))
     else:
-        print_lines(console, _lead(comparison))
+        print_lines(console, lead(comparison))
     if not np.any(comparison.apart > 0.0) and not comparison.one_missing:
         console.print("S* is the same in every frame they share.")
-    for t, j in worst:
-        console.print(
-            f"  {comparison.first.time_ns[t] * 1e-9:8.2f} s  frame {comparison.first.frame[t]}: "
-            f"{comparison.body.joints[j]} differs by {comparison.apart[t, j] * 1e3:.3g} mm"
-        )
-    if options.save is not None:
-        console.print(f"Saved {options.save}.", markup=False)
+    for when, words in moments(comparison, worst):
+        console.print(f"  {when:8.2f} s  {words}")
+    for written in filter(None, (options.html, options.save)):
+        console.print(f"Wrote {written}.", markup=False, soft_wrap=True)
     if not options.verbose:
         console.print("Every joint and bone: --verbose.")
-
-
-def _lead(comparison: Comparison) -> Iterator[Line]:
-    """How far the two S* are apart, in which joint most, and how calm each is."""
-    apart, noise = comparison.apart * 1e3, comparison.frame_noise * 1e3
-    distances = apart[np.isfinite(apart)]
-    if not len(distances):
-        return
-    median, high, most = (in_mm(float(np.percentile(distances, p))) for p in (50, 95, 100))
-    yield Line("Distance", f"of the two S*: {median} (median), 95 % {high}, at most {most}.")
-    of_joints = np.array([np.median(d[np.isfinite(d)]) if np.isfinite(d).any() else -1.0 for d in apart.T])
-    farthest = int(np.argmax(of_joints))
-    yield Line(
-        "Most", f"{comparison.body.joints[farthest]}, {in_mm(float(of_joints[farthest]))} apart (median)."
-    )
-    known = [each[np.isfinite(each)] for each in noise]
-    if all(len(each) for each in known):
-        first, second = (in_mm(float(np.median(each))) for each in known)
-        yield Line("Noise", f"of one frame, median joint: first {first}, second {second}.")
-
-
-def _joint_table(comparison: Comparison) -> Table:
-    apart, noise = comparison.apart * 1e3, comparison.frame_noise * 1e3
-    rows = []
-    for j, name in enumerate(comparison.body.joints):
-        distances = apart[:, j][np.isfinite(apart[:, j])]
-        figures = [_mm(np.percentile(distances, p)) if len(distances) else "–" for p in (50, 95, 100)]
-        swapped = int(comparison.swapped[:, j].sum())
-        rows.append([name, *figures, _mm(noise[0, j]), _mm(noise[1, j]), str(swapped) if swapped else ""])
-    head = ("joint", "median", "95 %", "max", "noise 1", "noise 2", "swapped")
-    return figure_table("Joints, mm: distance of the two S*, and noise of each", head, rows)
-
-
-def _bone_table(comparison: Comparison) -> Table:
-    target, deviation = comparison.target * 1e3, comparison.bone_deviation * 1e3
-    head = ("bone", "length 1", "length 2", "deviation 1", "deviation 2")
-    rows = [
-        [comparison.body.bones[j].replace("_", " "), *map(_mm, (*target[:, j], *deviation[:, j]))]
-        for j in comparison.body.bone_joints
-    ]
-    return figure_table("Bones, mm: length, and largest deviation from it", head, rows)
-
-
-def _mm(value: float | np.float64) -> str:
-    return in_mm(float(value), "")
 
 
 def _blueprint(scene: str, entity: str, plot: str, whereabouts: NDArray[np.float64]) -> rrb.Blueprint:

@@ -97,8 +97,9 @@ class CompareOptions(SummaryOptions):
     one of these that finds most joints if not given."""
     offset: Annotated[float | None, MOTION_CAPTURE] = None
     """Seconds to add to the file's times; found from the motion if not given."""
-    html: Annotated[Path | None, MOTION_CAPTURE] = None
-    """Write a self-contained page: distances, angles, and how they change."""
+    html: Annotated[Path | None, OUTPUTS] = None
+    """Write a self-contained page: distances and how they change; of motion capture also angles, of two
+    sessions also how good both are."""
     report: Annotated[Path | None, MOTION_CAPTURE] = None
     """Write all figures as JSON."""
     save: Annotated[Path | None, OUTPUTS] = None

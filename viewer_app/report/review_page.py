@@ -52,8 +52,8 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         name=session.name,
         damage=session.damage,
         frames_lost=session.frames_lost,
-        recorded=_recorded(session),
-        seconds=_seconds(session),
+        recorded=recorded(session),
+        seconds=stretches(session),
         good=good_seconds(session),
         uncertain=f"{UNCERTAIN:.0f}",
         settings=", ".join(f"{name} {values[0]}" for name, values in session.about["settings"].items()),
@@ -107,7 +107,7 @@ def page_colors() -> dict[str, str]:
     }
 
 
-def _recorded(session: Session) -> str:
+def recorded(session: Session) -> str:
     """What was recorded, with what, and when its file was written."""
     rate = rate_without_pauses(session.rows.time_ns)
     written = session.about["session"].get("written_by", [""])[0]
@@ -125,17 +125,17 @@ def _recorded(session: Session) -> str:
     return "; ".join(filter(None, parts))
 
 
-def _seconds(session: Session) -> list[dict[str, Any]]:
+def stretches(session: Session) -> list[dict[str, Any]]:
     """The quality of each second; equal ones that follow each other are one stretch."""
-    stretches: list[dict[str, Any]] = []
+    found: list[dict[str, Any]] = []
     seconds = session.quality_per_second
     ends = [each.start for each in seconds[1:]] + [max(session.time[-1], seconds[-1].start)]
     for (word, reason), each in groupby(zip(seconds, ends, strict=True), key=lambda pair: pair[0][1:]):
         of, until = zip(*each, strict=True)
         start, end = of[0].start, until[-1]
         text = f"{start:.0f}–{math.ceil(end)} s {word}" + (f": {reason}" if reason else "")
-        stretches.append({"at": start, "lasts": end - start, "word": word, "text": text})
-    return stretches
+        found.append({"at": start, "lasts": end - start, "word": word, "text": text})
+    return found
 
 
 def page_template(name: str) -> Template:

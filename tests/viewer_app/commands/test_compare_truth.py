@@ -101,7 +101,7 @@ def test_an_offset_that_the_motion_contradicts_is_kept_with_a_warning(walk, caps
         ("walk.rrd walk.c3d --offset 100", "covers 0 frames"),
         ("walk.rrd walk.c3d --offset nan", "--offset nan: must be a number of seconds"),
         ("walk.rrd walk.c3d --worst 3", "--worst is for two sessions"),
-        ("walk.rrd walk.rrd --html c.html", "--html is for motion capture"),
+        ("walk.rrd walk.rrd --report c.json", "--report is for motion capture"),
         ("walk.rrd walk.c3d --html walk.c3d", "is also read"),
     ],
 )

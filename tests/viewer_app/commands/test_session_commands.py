@@ -1,6 +1,7 @@
 """``duplex replay``, ``compare``, ``review``, ``export``, ``trim`` and ``info`` on one session."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from html import unescape
@@ -27,6 +28,7 @@ from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import calibration_of
 from viewer_app.commands.replay import verify
 from viewer_app.errors import UsageError
+from viewer_app.report.good_part import good_seconds
 
 
 @pytest.fixture(scope="module")
@@ -282,6 +284,29 @@ def test_only_the_good_seconds_are_taken_and_a_line_says_what_is_left_out(
         np.testing.assert_allclose(fused, whole.fused[kept], atol=2e-7)
         left_out = f"Left out: {frames - kept.sum()} of {frames} frames, in seconds that are not good: 1–2 s."
         assert (left_out in told.out) == (not good.all())
+
+
+def test_two_sessions_are_on_one_page(session, tmp_path, capsys):
+    pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
+    other, path = tmp_path / "<b>other.rrd", tmp_path / "c.html"
+    assert duplex("replay", session, "--method", "paper", "--no-viewer", "--save", other) == 0
+    capsys.readouterr()
+    assert duplex("compare", session, other, "--no-viewer", "--html", path) == 0
+    said, page = " ".join(capsys.readouterr().out.split()), path.read_text(encoding="utf-8")
+    assert f"Wrote {path}." in said
+    assert "<b>other" not in page
+    text = unescape(page)
+    for words in (session.name, other.name, "method: duplex against paper"):
+        assert words in text
+    for line in re.findall(r"<p><strong>(.*?)</strong>: (.*?)</p>", text):
+        assert " ".join(line) in said
+    for when, words in re.findall(r"<td>([\d.]+) s</td><td>(frame .*?)</td>", text):
+        assert f"{when} s {words}" in said
+    for each in map(Session.open, (session, other)):
+        assert text.count(f"<td>{each.body.joints[5]}</td>") == 1
+        assert unescape(good_seconds(each).text) in text
+    assert text.count('<div class="quality"') == 2
+    assert not re.search(r'(?:src|href)="(?!#|data:)', page)
 
 
 def test_a_trim_keeps_each_calibration_s_event_once(tmp_path):
