@@ -43,8 +43,8 @@ class CoachPage:
             card: Whether to yield the picture of the state, too.
         """
         if card and self.card is not None:
-            picture = state_card(*self.card)
-            yield layout.COACH_CARD, rr.EncodedImage(contents=picture, media_type="image/png")
+            # not encoded: a viewer on a slow machine shows the last picture until it has decoded this one
+            yield layout.COACH_CARD, rr.Image(state_card(*self.card))
         yield layout.COACH, rr.TextDocument(self.text, media_type=rr.MediaType.MARKDOWN)
         marks = dict(self.marks)
         for name in layout.COACH_MARKS:

@@ -3,11 +3,12 @@
 A viewer draws a picture as large as its view. Its own text has one size.
 """
 
-import io
 from enum import Enum
 from functools import lru_cache
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from recordings.appearance.colors import Color
@@ -45,8 +46,8 @@ LOOKS = {
 
 
 @lru_cache(maxsize=16)
-def state_card(state: State, step: str) -> bytes:
-    """The picture as PNG, :data:`WIDTH` x :data:`HEIGHT` pixels.
+def state_card(state: State, step: str) -> NDArray[np.uint8]:
+    """The picture, (:data:`HEIGHT`, :data:`WIDTH`, 3) in RGB.
 
     Args:
         step: What to do next. A step that does not fit into two lines is drawn smaller.
@@ -60,9 +61,7 @@ def state_card(state: State, step: str) -> bytes:
     font, lines = _fitted(step)
     for k, line in enumerate(lines):
         draw.text((_EDGE, _STEP_TOP + k * _STEP_APART), line, look.ink, font)
-    made = io.BytesIO()
-    picture.quantize(16).save(made, "PNG", optimize=True)
-    return made.getvalue()
+    return np.asarray(picture)
 
 
 def fits(step: str) -> bool:
