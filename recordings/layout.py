@@ -75,6 +75,11 @@ def skeleton(side: str) -> str:
     return f"/kinect_{side}/skeleton"
 
 
+def image_skeleton(side: str) -> str:
+    """S_A or S_B at the moment of the image that is shown; in a running viewer only."""
+    return f"/kinect_{side}/skeleton_of_image"
+
+
 def trust_lane(limb: str) -> str:
     """Changes of the view that a limb of S* follows."""
     return f"{TRUST_LANES}/{limb.replace(' ', '_')}"

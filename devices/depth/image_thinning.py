@@ -16,7 +16,12 @@ Depth = Literal["none", "half", "full"]
 
 def has_images(pair: FramePair) -> bool:
     """Whether a frame of the pair has an image."""
-    return any(f is not None and (f.depth is not None or f.color is not None) for f in (pair.a, pair.b))
+    return has_image(pair.a) or has_image(pair.b)
+
+
+def has_image(frame: SensorFrame | None) -> bool:
+    """Whether a frame has an image."""
+    return frame is not None and (frame.depth is not None or frame.color is not None)
 
 
 def without_images(pair: FramePair, of: str = "ab") -> FramePair:

@@ -51,6 +51,12 @@ class Column(Batch):
         """A component of our own."""
         return Column(_descriptor(name), values, frames)
 
+    def at(self, frames: NDArray[np.int64]) -> Column:
+        """The values of some of the times."""
+        each = len(self._values) // max(self._frames, 1)
+        chosen = (frames[:, None] * each + np.arange(each)).ravel()
+        return Column(self.component_descriptor(), self._values.take(pa.array(chosen)), len(frames))
+
     def as_arrow_array(self) -> pa.Array:
         """(T,) lists of n values."""
         return pa.ListArray.from_arrays(_offsets(self._frames, len(self._values)), self._values)

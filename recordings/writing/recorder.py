@@ -8,8 +8,11 @@ in the order of their numbers. An event or a calibration comes after the frame t
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
+from devices.depth.image_thinning import has_image
 from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings import layout
@@ -72,12 +75,13 @@ class Recorder:
         self._like: SessionArrays | None = None  # the first frame, whose optional figures all have
         self._plots_later, self._unplotted = plots_later, list[SessionArrays]()
         self._shown = points
+        self._with_images: dict[str, NDArray[np.int64]] = {}
         self.images = ImageLog(stream, setup, depth_every, points)
         self.others = OthersLog(stream)
         self._figures, self._trust_colors = StreamFiguresLog(stream), TrustColors()
         self._placement, self._quality = PlacementLog(stream, setup, points), QualityLog(stream)
         self._states = StatesLog(stream, setup.body, self._pause)
-        _log_constant(stream, setup)
+        _log_constant(stream, setup, points)
         properties = session_properties(setup, sources, about or {})
         for name, values in properties.items():
             stream.send_property(name, own_values(**values))
@@ -111,6 +115,11 @@ class Recorder:
         of, begun_ns = self._calibration, self._begun_by(frames[0])
         rows = SessionArrays.stack(of.body, of.bone_lengths, frames, numbers, begun_ns, like=self._like)
         self._like = self._like or rows[:1]
+        if self._shown:
+            self._with_images = {
+                layout.skeleton(side): np.flatnonzero([has_image(getattr(of.pair, side)) for of in frames])
+                for side in layout.SIDES
+            }
         self.record_rows(rows)
         for frame, number, time_ns in zip(frames, numbers, rows.time_ns.tolist(), strict=True):
             self.others.record(number, time_ns, frame.pair)
@@ -188,6 +197,13 @@ class Recorder:
             if rows is not timed:
                 timed, times = rows, Times.of_frames(rows.frame, rows.time_ns)
             self._stream.send_columns(entity, times, columns)
+            imaged = self._with_images.get(entity, ())
+            if len(imaged):
+                # under a newer skeleton, an image that a slow machine left on the screen would tell a lie
+                side = layout.SIDES[entity == layout.skeleton("b")]
+                of_image = Times.of_frames(rows.frame[imaged], rows.time_ns[imaged])
+                at_images = [column.at(imaged) for column in columns]
+                self._stream.send_columns(layout.image_skeleton(side), of_image, at_images)
             self._pause()
 
     def _explain(self, rows: SessionArrays) -> None:
@@ -196,13 +212,15 @@ class Recorder:
         self._states.record(rows)
 
 
-def _log_constant(stream: rr.RecordingStream, setup: FusionSetup) -> None:
+def _log_constant(stream: rr.RecordingStream, setup: FusionSetup, shown: bool) -> None:
     def once(entity: str, *what: Any) -> None:
         stream.log(entity, *what, static=True)
 
     once(layout.ROOT, rr.ViewCoordinates.RDF, entity_styles.annotation_context(setup.body))
     for side, intrinsics in (("a", setup.intrinsics_a), ("b", setup.intrinsics_b)):
         once(layout.skeleton(side), entity_styles.joint_look(setup.body, side))
+        if shown:
+            once(layout.image_skeleton(side), entity_styles.joint_look(setup.body, side))
         once(layout.depth(side), entity_styles.camera(intrinsics, side), entity_styles.DEPTH)
         once(layout.image_edge(side), entity_styles.image_edge(intrinsics))
         once(layout.others(side), entity_styles.others_look())

@@ -24,6 +24,8 @@ from recordings.writing.checksums import image_checksum
 
 _POINTS = 10_000
 """Approximate maximum number of points shown; 120 kB."""
+_CLOUD_NS = 250_000_000
+"""For so long a point cloud is shown: the person of an older one is elsewhere than their skeleton."""
 _INFRARED_QUALITY = 80  # of the JPEG, per cent: 20 KB for an image of 320 × 288 pixels
 
 
@@ -38,6 +40,7 @@ class ImageLog:
     def __init__(self, stream: rr.RecordingStream, setup: FusionSetup, every: int, shown: bool) -> None:
         self._stream, self._every, self._shown = stream, every, shown
         self._cameras = {"a": setup.intrinsics_a, "b": setup.intrinsics_b}
+        self._clouds_ns: dict[str, int] = {}  # when the point clouds that are shown were seen
         self._placed: set[str] = set()  # colour cameras
         if shown:  # takes longer than a frame
             for camera in self._cameras.values():
@@ -47,6 +50,11 @@ class ImageLog:
         """Logs the images of a pair, if they are to be kept."""
         if self._every == 0 or frame % self._every:
             return
+        for side, since_ns in list(self._clouds_ns.items()):
+            if time_ns - since_ns > _CLOUD_NS:
+                del self._clouds_ns[side]
+                set_time(self._stream, frame, time_ns)
+                self._stream.log(layout.points(side), rr.Points3D.from_fields(positions=np.empty((0, 3))))
         for side, seen in (("a", pair.a), ("b", pair.b)):
             if seen is not None and seen.depth is not None:
                 self.depth(side, frame, time_ns, seen.depth)
@@ -62,6 +70,7 @@ class ImageLog:
         image = depth_image(blob, MEDIA_TYPE, meter=1000.0)
         self._stream.log(layout.depth(side), image, own_values(crc32=image_checksum(frame, blob)))
         if self._shown:
+            self._clouds_ns[side] = time_ns
             self._stream.log(layout.points(side), points(thin_points(depth, self._cameras[side])))
 
     def color(self, side: str, frame: int, time_ns: int, color: ColorImage) -> None:

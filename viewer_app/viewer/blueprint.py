@@ -107,10 +107,11 @@ def _setup(
     card: bool,
 ) -> rrb.Container:
     shown = ", infrared" if infrared else "" if depth else ": its skeleton"
+    of_view = layout.image_skeleton if card and depth else layout.skeleton
     depths = [
         rrb.Spatial2DView(
             origin=layout.depth(side),
-            contents=[*_images(side, infrared), layout.skeleton(side), layout.others(side)],
+            contents=[*_images(side, infrared), of_view(side), layout.others(side)],
             name=f"Kinect {side.upper()}{shown}",
             visual_bounds=rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height)),
         )
@@ -119,7 +120,8 @@ def _setup(
     images: list[rrb.View | rrb.Container] = [*depths]
     if color:
         images = [
-            rrb.Tabs(_color_view(side), depth) for side, depth in zip(layout.SIDES, depths, strict=True)
+            rrb.Tabs(_color_view(side, of_view(side)), depth)
+            for side, depth in zip(layout.SIDES, depths, strict=True)
         ]
     forth = 0.5 * _place_of_b(setup, person_at) - person_at  # to half-way between the sensors
     towards_eye = _towards_eye(setup, person_at)
@@ -175,9 +177,9 @@ def _images(side: str, infrared: bool) -> list[str]:
     return ["$origin/**", f"- {layout.infrared(side)}"]
 
 
-def _color_view(side: str) -> rrb.Spatial2DView:
+def _color_view(side: str, skeleton: str) -> rrb.Spatial2DView:
     entity = layout.color(side)
-    contents = ["$origin/**", layout.skeleton(side), layout.others(side)]
+    contents = ["$origin/**", skeleton, layout.others(side)]
     return rrb.Spatial2DView(origin=entity, contents=contents, name=f"Kinect {side.upper()}, colour")
 
 
@@ -373,7 +375,8 @@ def _scene(
     moves with the person.
     """
     infrared = [layout.infrared(side) for side in layout.SIDES]
-    left_out = [layout.TRUTH_SKELETON, layout.COACH_CARD, *infrared, *hidden]
+    of_image = [layout.image_skeleton(side) for side in layout.SIDES]
+    left_out = [layout.TRUTH_SKELETON, layout.COACH_CARD, *of_image, *infrared, *hidden]
     return rrb.Spatial3DView(
         origin="/",
         contents=["$origin/**", *(f"- {entity}" for entity in left_out)],
