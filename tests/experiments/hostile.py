@@ -150,7 +150,7 @@ def signals(folder, good, random):
                     run.kill()
                     yield "signals", f"{line[3]} hangs after {name}", False
                     continue
-            ended = name in DEADLY or run.returncode in (0, 130)
+            ended = name in DEADLY or run.returncode in (0, 130, -signal.SIGINT)  # the last: during an import
             fine = ended and b"Traceback" not in said and is_whole(path)
             yield (
                 "signals",

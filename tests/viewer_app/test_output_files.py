@@ -3,6 +3,8 @@
 import pytest
 
 from devices.output_file import Hidden
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.recorded_pairs import write_pair
 from viewer_app.errors import UsageError
 from viewer_app.output_files import check_outputs, outputs_of_one_run, write_text
 
@@ -32,3 +34,16 @@ def test_what_was_made_meanwhile_is_told_in_one_line(tmp_path):
     assert path.read_text() == "theirs"
     write_text(path, "ours", force=True)
     assert path.read_text() == "ours"
+
+
+def test_of_two_batches_on_one_folder_the_second_is_refused(tmp_path, capsys):
+    write_pair(tmp_path / "in")
+    out = tmp_path / "out"
+    out.mkdir()
+    first = Hidden(out / "summary.parquet", shared=True)
+    unfinished = out / ".partial" / "in.host-1"
+    unfinished.mkdir(parents=True)
+    assert duplex("batch", tmp_path / "in", "--out", out) == 2
+    assert "is being written by another process" in one_line(capsys)
+    assert unfinished.is_dir(), "the first one's work is left alone"
+    first.remove()
