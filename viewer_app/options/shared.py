@@ -91,6 +91,8 @@ class TerminalOptions(SummaryOptions):
 
     quiet: Annotated[bool, OUTPUTS] = False
     """No status line and none of the coach's advice; what fails is printed."""
+    sound: Annotated[bool, OUTPUTS] = False
+    """Short tones while sensors are set up: one low, not yet; three rising, ready; three low, out of view."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ from viewer_app.outputs.opening import announce_outputs, plan_outputs, print_out
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.terminal import print_details, print_summary, say_more, say_saved
 from viewer_app.running.interruption import call_after
+from viewer_app.running.sounds import Sounds, player
 from viewer_app.running.status import LiveDisplay
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.viewer_choice import choose_viewing
@@ -94,7 +95,19 @@ class Runner:
             )
         )
         self.viewing.announce(console)
-        return stack.enter_context(LiveDisplay(console, self.session, coach, options.quiet, options.verbose))
+        sounds = self._sounds(stack) if options.sound else None
+        display = LiveDisplay(console, self.session, coach, options.quiet, options.verbose, sounds)
+        return stack.enter_context(display)
+
+    def _sounds(self, stack: ExitStack) -> Sounds | None:
+        play = player()
+        if play is None:
+            self._console.print(
+                "No sound: there is neither paplay nor pw-play nor aplay. Install pulseaudio-utils or "
+                "alsa-utils."
+            )
+            return None
+        return stack.enter_context(Sounds(play))
 
     def summarise(self, setup: FusionSetup, frames: Sequence[SessionFrame], sensors: TwoSensors) -> None:
         """Prints the figures of the session, and writes them if that is wanted.

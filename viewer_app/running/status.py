@@ -20,6 +20,7 @@ from viewer_app.coach.readiness import Readiness
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import Coach, Situation
 from viewer_app.running.loop import Status
+from viewer_app.running.sounds import Sounds
 from viewer_app.sinks.live_session import LiveSession
 
 _EVERY = 0.5  # seconds between two status lines; a person cannot read them faster
@@ -35,6 +36,7 @@ class LiveDisplay:
         session: Receives the coach's page; provides the counts of saved and dropped frames.
         quiet: Print no status line and no advice, which the session keeps as events; what fails is printed.
         verbose: Keep every status line, with more figures.
+        sounds: Plays the tones of the set-up; None: none.
     """
 
     def __init__(
@@ -44,10 +46,11 @@ class LiveDisplay:
         coach: Coach,
         quiet: bool = False,
         verbose: bool = False,
+        sounds: Sounds | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._console, self._session, self._coach = console, session, coach
-        self._quiet, self._verbose, self._clock = quiet, verbose, clock
+        self._quiet, self._verbose, self._sounds, self._clock = quiet, verbose, sounds, clock
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._shows = not quiet and not verbose and console.is_terminal
         self._said: dict[str, tuple[str, int]] = {}  # by topic: what was said, and when it was last so
@@ -135,6 +138,8 @@ class LiveDisplay:
         advice = self._coach.watch(status.frame, situation)
         time = status.frame.pair.time_ns * 1e-9
         shown = self._readiness.watch(time, advice, situation.calibration)
+        if self._sounds is not None:
+            self._sounds.tell(shown)
         page = self._scene.page(advice, situation, status.frame.fused, shown)
         if page != self._page:
             self._page = page
