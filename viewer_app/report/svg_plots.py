@@ -43,11 +43,13 @@ def line_plot(
     """
     width = _WIDE if wide else 6.0
     figure, axes = _figure(width, 2.4)
+    pauses = np.flatnonzero(np.diff(time) > _LONGEST_JOINED) + 1
+    time = np.insert(time, pauses, time[pauses - 1])
     for name, (values, key) in lines.items():
-        known = np.asarray(values, dtype=np.float64)
+        known = np.insert(np.asarray(values, dtype=np.float64), pauses, np.nan)
         joined = _joined(time, known)
         if sigma is not None:
-            band = _band(time[joined], known[joined], sigma[name][joined])
+            band = _band(time[joined], known[joined], np.insert(sigma[name], pauses, np.nan)[joined])
             axes.fill_between(*band, color=line_color(key), alpha=0.25, linewidth=0)
         shown = joined[_thinned(known[joined], int(width * _POINTS_PER_INCH))]
         thick = 1.6 if key in ("fused", *SIDE_COLORS) else 0.8
@@ -236,8 +238,13 @@ def _ticks(axes: Any, in_degrees: bool) -> None:
 
 
 def _band(time: NDArray[Any], values: NDArray[Any], sigma: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """Times, lower and upper ends of a band of one standard deviation; of spans, its extremes."""
-    starts = np.unique(np.linspace(0, len(time), _BAND_POINTS, endpoint=False).astype(np.intp))
+    """Times, lower and upper ends of a band of one standard deviation; of spans, its extremes.
+
+    What is unknown is a span of its own.
+    """
+    even = np.linspace(0, len(time), _BAND_POINTS, endpoint=False).astype(np.intp)
+    changes = np.flatnonzero(np.diff(np.isnan(values))) + 1
+    starts = np.union1d(even, changes)
     low, high = values - sigma, values + sigma
     return time[starts], np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
 
@@ -266,5 +273,6 @@ def _thinned(values: NDArray[Any], most: int) -> NDArray[np.intp]:
         if np.isnan(part).all():
             kept += [block[0], block[-1]]
         else:
-            kept += sorted((block[np.nanargmin(part)], block[np.nanargmax(part)]))
+            unknown = block[np.isnan(part)][:1].tolist()  # else a line would join what is apart
+            kept += sorted({block[np.nanargmin(part)], block[np.nanargmax(part)], *unknown})
     return np.array(kept, dtype=np.intp)

@@ -205,12 +205,29 @@ def test_a_line_joins_values_of_every_other_frame_but_not_across_a_gap():
 def test_a_band_holds_every_value_and_its_deviation(degrees, sigma):
     values, time = np.array(degrees), np.arange(len(degrees)) / 30
     starts, lower, upper = _band(time, values, np.full(len(values), sigma))
-    assert len(starts) <= _BAND_POINTS
+    assert len(starts) <= _BAND_POINTS + 2 * np.isnan(values).sum()
     span = np.searchsorted(starts, time, side="right") - 1
     known = np.isfinite(values)
     assert (lower[span] <= values - sigma)[known].all()
     assert (upper[span] >= values + sigma)[known].all()
+    np.testing.assert_array_equal(np.isnan(lower[span]), ~known)
     assert {*lower[np.isfinite(lower)]} <= {*(values - sigma)[known]}
+
+
+@given(
+    lasts=st.lists(st.integers(2, 400), min_size=1, max_size=6),
+    pause=st.floats(0.35, 20.0),
+    wide=st.booleans(),
+)
+@settings(max_examples=20)
+def test_no_line_crosses_a_pause(lasts, pause, wide):
+    """Also where only some of the values are drawn."""
+    steps = [np.r_[pause, np.full(count - 1, 1 / 30)] for count in lasts]
+    time = np.cumsum(np.concatenate(steps))
+    zigzag = np.resize([0.0, 1.0], len(time))  # matplotlib would simplify a straight line
+    drawn = line_plot("views differ", "mm", time, {"one": (zigzag, "fused")}, wide=wide)
+    (path,) = re.findall(rf'<path d="([^"]*)"[^>]*stroke: {skeleton_color("fused")}', drawn)
+    assert path.count("M ") == len(lasts)
 
 
 def test_values_that_no_joint_reaches_are_marked_and_no_others(session, monkeypatch):
