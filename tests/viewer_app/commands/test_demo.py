@@ -203,7 +203,7 @@ def test_a_bad_set_up_is_told_what_to_mend():
     assert set(wrong) == {"distance A", "distance B", "feet A", "feet B", "angle"}
     for side in "AB":
         assert wrong[f"distance {side}"].startswith(f"Too close to sensor {side}: 1.")
-        assert wrong[f"feet {side}"].startswith(f"Sensor {side} does not see both feet in 100 % of frames")
+        assert wrong[f"feet {side}"].startswith(f"Sensor {side} does not see both feet.")
     assert wrong["angle"].startswith("The sensors look 30° apart")
 
 
