@@ -103,13 +103,13 @@ class Room:
         if left:
             self._find(time_ns, seen, left)
         for person in self.people:
-            for view in self._views:
-                if (at := person.now[view]) is not None:
-                    person.place, person.seen_ns = seen[view].places[at], time_ns
-                    person.measured += 1
-                    if person.measured % _BONES_EVERY == 1:
-                        self._measure(person, view, seen[view].skeletons[at])
-                    break
+            by = [(view, at) for view in self._views if (at := person.now[view]) is not None]
+            if by:
+                view, at = by[0]
+                person.place, person.seen_ns = seen[view].places[at], time_ns
+                person.measured += 1
+                for view, at in by if person.measured % _BONES_EVERY == 1 else ():
+                    self._measure(person, view, seen[view].skeletons[at])
         if len(self._views) > 1:
             self._compare(time_ns, seen)
         self._choose(time_ns, seen)

@@ -282,3 +282,29 @@ def test_before_the_placement_is_known_two_who_come_back_are_told_apart_in_one_v
         seen.append(people.chosen(pair_of(frame, frame)).skeletons)
     assert all(pair.a is pair.b is not None for pair in seen[:40])
     assert all(pair.a is back["9"] and pair.b is None for pair in seen[-5:])
+
+
+def ids_of_both(frames, a_from_b=None):
+    """Of each frame: whom A and B follow, where (A's people, B's people) are given."""
+    people, chosen = PersonOfPair(AZURE_KINECT), []
+    for k, sides in enumerate(frames):
+        a, b = (SensorFrame(k * FRAME_NS, of) for of in sides)
+        pair = people.chosen(pair_of(a, b), a_from_b).skeletons
+        chosen.append(
+            tuple(
+                next((name for name, person in of.items() if person is one), None)
+                for of, one in zip(sides, (pair.a, pair.b), strict=True)
+            )
+        )
+    return chosen
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_child_is_told_by_the_bones_in_either_view(side):
+    beside = {"2": still(2.5, 3.0)}
+    both, child = {"1": still(0.0), **beside}, {"9": still(0.2, scale=0.6), **beside}
+    back = [({}, child), (child, {})][side]
+    chosen = ids_of_both(
+        [(both, both)] * 60 + [(beside, beside)] * 120 + [back] * 5, RigidTransform.identity()
+    )
+    assert chosen == [("1", "1")] * 60 + [(None, None)] * 125
