@@ -25,6 +25,7 @@ from fusion.body import Body
 from fusion.rigid import RigidTransform
 
 _ALONE_S = 5.0  # nobody else was seen for so long
+_SEEN_ON_NS = 200_000_000  # who was out of sight for longer may be somebody else
 _TOLD_S = 0.5  # others who are seen for less have no event
 _KEPT, _FEWEST_KEPT = 150, 20  # pairs, for the registration
 _SEARCH_S, _AGAIN_S = 0.5, 5.0
@@ -98,7 +99,8 @@ class PersonOfPair:
         time_ns = pair.time_ns
         if time_ns < self._last_ns:
             self._views = _View(TracksAhead(self._body)), _View(TracksAhead(self._body))
-            self._rooms = ()
+            self._rooms, self._told = (), (self._told[0], None)
+            self._search.restart()
         self._last_ns = time_ns
         known = self._search.found if a_from_b is None else a_from_b
         seen = (
@@ -118,6 +120,7 @@ class PersonOfPair:
                 for view, of in zip(self._views, seen, strict=True)
             ]
             self._one = self._one or None not in picks
+            self._tell(time_ns, seen, picks, others=False)
         else:
             picks = self._of_rooms(time_ns, seen, known)
             if a_from_b is None:
@@ -144,7 +147,9 @@ class PersonOfPair:
         for room, view, of in zip(self._rooms, self._views, seen, strict=True):
             if view.lone.place is not None and of.tracks:
                 k = min(range(len(of.tracks)), key=lambda k: math.dist(of.places[k], view.lone.place or ()))
+                since_ns = of.time_ns - view.lone.time_ns
                 if view.lone.takes(of.places[k], of.time_ns):
+                    room.guessed = since_ns > _SEEN_ON_NS
                     only = Seen(
                         of.time_ns, [of.names[k]], [of.skeletons[k]], [of.tracks[k]], [False], [of.places[k]]
                     )
@@ -153,7 +158,10 @@ class PersonOfPair:
     def _of_rooms(self, time_ns: int, seen: Sequence[Seen], known: RigidTransform | None) -> list[int | None]:
         if known is not None and len(self._rooms) > 1:
             both = self._room(0, 1)
-            both.adopt(seen, self._rooms[0])
+            if self._rooms[0].followed is None and self._rooms[1].followed is not None:
+                both.adopt_room(self._rooms[1], known)
+            else:
+                both.adopt_room(self._rooms[0], _HERE)
             self._rooms = (both,)
         for room in self._rooms:
             room.observe(time_ns, seen)
@@ -166,7 +174,7 @@ class PersonOfPair:
             if not self._one:
                 picks[1] = None
         others = any(p.is_seen and p is not room.followed for room in self._rooms for p in room.people)
-        if others:
+        if others or not any(room.followed and room.followed.is_seen for room in self._rooms):
             self._crowded_ns = time_ns
         self._tell(time_ns, seen, picks, others)
         if time_ns - self._crowded_ns > _ALONE_S * 1e9:
@@ -214,6 +222,11 @@ class _Search:
     def keep(self, time_ns: int, seen: tuple[Seen, Seen]) -> None:
         if seen[0].tracks and seen[1].tracks:
             self._pairs.append((time_ns, seen))
+
+    def restart(self) -> None:
+        """Forgets the pairs, whose times and tracks are not those of the next ones."""
+        self._pairs.clear()
+        self._next_ns, self._running = 0, None
 
     def step(self) -> None:
         """Computes one fit at most."""

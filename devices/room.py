@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from devices.association import Follow, bones_of, cost_of_return, differing
 from devices.people_tracks import SPEED_M_S
 from fusion.body import Body
+from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 
 Array = NDArray[np.float64]
@@ -72,15 +73,17 @@ class Room:
         self._met: dict[tuple[int, int], int] = {}  # since when two people are in one place
         self.people: list[Person] = []
         self.followed: Person | None = None
-        self.guessed = False  # whether the person followed was found again among several
+        self.guessed = False  # whether the person followed was chosen or found again among several
         self.changed = False  # whether another person is followed than before
 
-    def adopt(self, seen: Sequence[Seen], others: Room | None = None) -> None:
-        """Begins with the only people of some views, or with the people of another room."""
-        if others is not None:
-            self._owner, self.people = dict(others._owner), list(others.people)
-            self.followed = others.followed
-            return
+    def adopt_room(self, other: Room, place: RigidTransform) -> None:
+        """Begins with the people of another room, whose frame has this place."""
+        self._owner, self.people, self.followed = dict(other._owner), list(other.people), other.followed
+        for person in self.people:
+            person.place = place.apply(person.place).tolist()
+
+    def adopt(self, seen: Sequence[Seen]) -> None:
+        """Begins with the only people of some views."""
         for view in self._views:
             if seen[view].tracks:
                 person = self._new(0, seen[view]) if self.followed is None else self.followed
@@ -255,6 +258,7 @@ class Room:
             chosen = [person for person in chosen if person.measured >= longest]
             self.followed = min(chosen, key=lambda person: self._off_axis(person, seen))
             self.changed = followed is not None and away_s > _WAIT_S
+            self.guessed = True
             for person in self.people:
                 person.beside = person.is_seen
 

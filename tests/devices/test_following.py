@@ -1,5 +1,6 @@
 """One person is followed live among others, whatever ids the trackers give them."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import groupby
 
@@ -299,6 +300,28 @@ def ids_of_both(frames, a_from_b=None):
     return chosen
 
 
+PLACES = {"1": (0.05, 2.0), "2": (1.3, 2.5), "3": (-1.7, 3.0)}
+SIGHT = st.lists(
+    st.tuples(*[st.sets(st.sampled_from(sorted(PLACES)))] * 2, st.integers(1, 120)), min_size=1, max_size=6
+)
+
+
+@settings(max_examples=40)
+@given(SIGHT)
+def test_both_views_follow_one_person_and_neither_comes_first(sight):
+    """Sensors in one place see the same people, as far as they see them."""
+    at = {name: still(*place) for name, place in PLACES.items()}
+    frames = [
+        tuple({name: at[name] for name in sorted(of)} for of in (a, b)) for a, b, n in sight for _ in range(n)
+    ]
+    chosen = ids_of_both(frames, RigidTransform.identity())
+    crowd = next((k for k, sides in enumerate(frames) if max(map(len, sides)) > 1), len(frames))
+    assert all(a == b for a, b in chosen[crowd:] if None not in (a, b))
+    assert [
+        pair[::-1] for pair in ids_of_both([sides[::-1] for sides in frames], RigidTransform.identity())
+    ] == chosen
+
+
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_child_is_told_by_the_bones_in_either_view(side):
     beside = {"2": still(2.5, 3.0)}
@@ -308,3 +331,46 @@ def test_a_child_is_told_by_the_bones_in_either_view(side):
         [(both, both)] * 60 + [(beside, beside)] * 120 + [back] * 5, RigidTransform.identity()
     )
     assert chosen == [("1", "1")] * 60 + [(None, None)] * 125
+
+
+@KNOWN
+@pytest.mark.parametrize("hidden", [15, 360])
+def test_two_views_never_follow_two_people_once_several_are_seen(hidden, a_from_b):
+    """A loses the person while B sees them on: A's next one is not B's."""
+    one, two, other = {"1": still(0.0)}, {"1": still(0.0), "2": still(1.5)}, {"2": still(1.5)}
+    lost = [({}, one)] * hidden if hidden < 60 else [(two, two)] * 30 + [(other, two)] * hidden
+    chosen = ids_of_both([*[(one, one)] * 30, *lost, *[(other, two)] * 30], a_from_b)
+    assert chosen[:30] == [("1", "1")] * 30
+    assert all(a == b for a, b in chosen if None not in (a, b))
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_who_was_alone_in_either_view_stays_followed_when_another_comes(side):
+    alone, crowd = {"1": still(1.0)}, {"1": still(1.0), "2": still(0.0)}
+    frames = [({}, of) if side else (of, {}) for of in [alone] * 10 + [crowd] * 10]
+    assert {pair[side] for pair in ids_of_both(frames, RigidTransform.identity())} == {"1"}
+
+
+@KNOWN
+def test_who_comes_back_first_is_not_taken_if_all_were_away_for_seconds(a_from_b):
+    crowd, therapist_only = {"1": still(0.0), "2": still(1.5)}, {"2": still(1.5)}
+    frames = [crowd] * 60 + [{}] * 180 + [therapist_only] * 30 + [crowd] * 5
+    chosen, _ = names(at_rate(*frames), a_from_b)
+    assert chosen == ["1"] * 60 + [None] * 210 + ["1"] * 5
+
+
+def test_after_a_clock_reset_the_placement_is_found_and_the_others_end():
+    views, _ = treated()
+    a, b = (with_ids(view, np.random.default_rng(0)) for view in views)
+    people, found = PersonOfPair(KINECT_V2), []
+    for later, count in ((3600 * 10**9, 40), (0, len(a))):
+        for one, other in list(zip(a, b, strict=True))[:count]:
+            moved = (replace(frame, time_ns=frame.time_ns + later) for frame in (one, other))
+            found.append(people.chosen(pair_of(*moved)).skeletons.b is not None)
+            people.learn()
+    assert np.mean(found[-60:]) > 0.9
+    crowd, people, events = {"1": still(0.0), "2": still(1.5)}, PersonOfPair(AZURE_KINECT), []
+    for frame in at_rate(*[crowd] * 60, first=9000) + at_rate(*[{"1": still(0.0)}] * 90):
+        people.chosen(pair_of(frame))
+        events += people.learn()
+    assert [event.phase for event in events if event.topic == "others"] == ["start", "end"]
