@@ -236,6 +236,7 @@ class Room:
             if other.now[view] is not None:
                 one.now[view], one.since_ns[view] = other.now[view], other.since_ns[view]
             one.bones[view] = other.bones[view] if one.bones[view] is None else one.bones[view]
+        one.beside, one.measured = one.beside or other.beside, max(one.measured, other.measured)
         self._owner = {track: one if of is other else of for track, of in self._owner.items()}
         self.people.remove(other)
 

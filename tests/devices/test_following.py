@@ -374,3 +374,12 @@ def test_after_a_clock_reset_the_placement_is_found_and_the_others_end():
         people.chosen(pair_of(frame))
         events += people.learn()
     assert [event.phase for event in events if event.topic == "others"] == ["start", "end"]
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_who_was_beside_the_person_is_no_newcomer_when_the_other_view_sees_them_later(side):
+    one, two = {"1": still(0.0)}, {"1": still(0.0), "2": still(1.5)}
+    off, near = {"2": still(1.85)}, {"2": still(1.75)}  # at first too far from where the other view has them
+    sides = [(one, two)] * 60 + [(off, {"2": still(1.5)})] * 5 + [(near, {"2": still(1.5)})] * 200
+    chosen = ids_of_both([pair[::-1] if side else pair for pair in sides], RigidTransform.identity())
+    assert set(chosen[60:]) == {(None, None)}
