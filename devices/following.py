@@ -253,7 +253,7 @@ class _Search:
         if found.score >= found.next_score + _CLEAR_LEAD * found.most:
             self.found = now
         elif before is not None and now.angle_to(before) < _SAME_RAD:
-            middle = np.mean([of.places[0] for _, (_, of) in self._pairs if of.places], axis=0)
+            middle = np.nanmean([of.skeletons[0].positions for _, (_, of) in self._pairs], axis=(0, 1))
             if np.linalg.norm(now.apply(middle) - before.apply(middle)) < _SAME_M:
                 self.found = now
 

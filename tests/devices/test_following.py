@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.following import PersonOfPair, one_person
+from devices.association import Registered
+from devices.following import PersonOfPair, _Search, one_person
 from devices.pairing import FramePair
+from devices.room import Seen
 from devices.sensor import SensorFrame
 from devices.simulated.demonstration import therapist
 from devices.simulated.kinect import PERSON, Beside, simulated_pair
@@ -383,3 +385,16 @@ def test_who_was_beside_the_person_is_no_newcomer_when_the_other_view_sees_them_
     sides = [(one, two)] * 60 + [(off, {"2": still(1.5)})] * 5 + [(near, {"2": still(1.5)})] * 200
     chosen = ids_of_both([pair[::-1] if side else pair for pair in sides], RigidTransform.identity())
     assert set(chosen[60:]) == {(None, None)}
+
+
+def test_two_placements_are_compared_where_the_second_sensor_has_the_people():
+    """Once a placement was found, places are in K_A's frame: those of B's people are their skeletons'."""
+    angle, person = 0.15, still(0.0, 5.0)
+    turn = np.array(((np.cos(angle), 0, np.sin(angle)), (0, 1, 0), (-np.sin(angle), 0, np.cos(angle))))
+    middle = np.nanmean(person.positions, axis=0)
+    turned = RigidTransform.of(turn, middle - turn @ middle)
+    search, of = _Search(AZURE_KINECT), Seen(0, ["1"], [person], [0], [False], [[0.0, 0.0, 0.0]])
+    search.keep(0, (of, of))
+    for a_from_b in (RigidTransform.identity(), turned):
+        search._accept(Registered(a_from_b, np.zeros(1, np.int64), 10.0, 9.0, 10))
+    assert search.found is turned
