@@ -23,6 +23,8 @@ NO_JUMP = 2.25
 """m/s: a view whose joint moved less made no jump of its own."""
 FAST = 0.8
 """m/s of the trunk: people rarely walk backwards that fast."""
+TOGETHER, APART = 0.15, 0.35
+"""Metres between the wrists: the hands are in one place, and a view has them in two."""
 _AGAINST = -0.5  # cosine between facing and motion: more than 120° apart
 _STRAIGHT = np.radians(40.0)  # per second: a path that turns more slowly
 _ASTRAY = np.radians(45.0)
@@ -80,6 +82,7 @@ class FiguresWithoutTruth:
     who walk backwards or sideways."""
     astray_fused: float  # share of these frames in which S* faces more than 45° away from its path
     flips_per_minute: float  # how often S* turns by more than 90° within 0.1 s
+    hands_together: float  # share of frames with the wrists of S* within TOGETHER, and APART in a view
     rotation_off: float  # radians between the last frame's R and a robust fit over the recording
     apart: float  # median distance between the views, by the registration of each frame
 
@@ -131,6 +134,7 @@ def figures_without_truth(pair: FusedPair) -> FiguresWithoutTruth:
         heading_fused=_median(headings[2]),
         astray_fused=_share(headings[2] > _ASTRAY),
         flips_per_minute=_flips_per_minute(pair.body, pair.fused, pair.time_ns),
+        hands_together=_hands_together(pair),
         rotation_off=pair.a_from_b[-1].angle_to(robust),
         apart=_median(np.linalg.norm(pair.b_in_a - pair.a, axis=2)),
     )
@@ -225,6 +229,14 @@ def _flips_per_minute(body: Body, positions: Array, time_ns: NDArray[np.int64]) 
     turned = np.flatnonzero((left[within:] * left[:-within]).sum(axis=1) < 0.0)
     flips = int(np.sum(np.diff(turned) > one)) + 1 if len(turned) else 0
     return flips * 60.0 / (float(time_ns[-1] - time_ns[0]) * 1e-9)
+
+
+def _hands_together(pair: FusedPair) -> float:
+    wrists = [pair.body.joint(name) for name in ("WristLeft", "WristRight")]
+    a, b, fused = (
+        np.linalg.norm(of[:, wrists[0]] - of[:, wrists[1]], axis=1) for of in (pair.a, pair.b, pair.fused)
+    )
+    return _share((fused < TOGETHER) & ((a > APART) | (b > APART)))
 
 
 def _roughness(positions: Array) -> float:

@@ -67,6 +67,7 @@ class State(NamedTuple):
     usual_offsets: Annotated[Array, (2, "J", 3)]  # mean share of each view in the views' difference, metres
     agreed: Annotated[Array, ("J",)]  # seconds that usual_offsets are means of, at most usual_seconds
     from_b: Annotated[Array, ("J",)]  # B's share of the information when a view had the joint last
+    alone: Annotated[Array, (2, "J")]  # probability that the position follows this view alone
     recalibrated: Annotated[Array, (1,), np.inf]  # seconds since the calibration changed
     lag: Annotated[Array, ("J", 3)]  # what S* still has to go since the calibration changed, metres
     error_size: Annotated[Array, ("J",)]  # factor on the variance of slow errors, from the views' difference
@@ -105,6 +106,7 @@ class Views(NamedTuple):
     slow: Annotated[Array, (2, "J", 3, 3)]  # covariance of the slow error
     fast: Annotated[Array, (2, "J")]  # variance of the fast error
     surprise: Annotated[Array, ("J",)]  # probability that both views are right and the prediction is wrong
+    misled: Annotated[Array, (2, "J")]  # probability that this view alone is right, and S* follows the other
     trust: Annotated[Array, (2, "J")]  # probability that the measurement is no outlier
     log_odds: Annotated[Array, (2, "J")]  # log likelihood ratio of no outlier, by depth image and bones
     length_errors: Annotated[Array, (2, "J")]  # largest error of its bones over the expected one; or -1

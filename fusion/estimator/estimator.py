@@ -25,7 +25,12 @@ from fusion.estimator.evidence import (
 from fusion.estimator.heading import turn_girdles
 from fusion.estimator.kalman import kalman_update, predict, start_joints, update_common_error
 from fusion.estimator.offsets import add_lag, decay_offsets, update_offsets, update_usual_offsets
-from fusion.estimator.outliers import outlier_probabilities, store_outlier_state
+from fusion.estimator.outliers import (
+    add_other_place,
+    outlier_probabilities,
+    store_outlier_state,
+    update_followed_views,
+)
 from fusion.estimator.process import (
     drop_wrong_offsets,
     elapsed,
@@ -115,6 +120,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     # start joints that are seen for the first time
     start_joints(model, state, views, solve)
     store_outlier_state(model, state, views, dt)
+    update_followed_views(state, views, dt)
     # knees and elbows bend in one direction only
     enforce_hinges(model, state, views)
     # the best skeleton with exact bone lengths
@@ -128,6 +134,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     joint_covariances(model, solve, output.covariance[k], output.sigma[k])
     add_lag(state, output.covariance[k], output.sigma[k])
     write_row(state, views, solve, output, k)
+    add_other_place(state, views, output.positions[k], output.covariance[k], output.sigma[k])
     add_registration_error(model, output.positions[k], state.from_b, output.covariance[k], output.sigma[k])
 
 

@@ -125,6 +125,7 @@ def start_joints(model, state, views, solve):  # type: ignore[no-untyped-def]
         for s in range(2):
             seen = views.states[s, i] != 0
             state.outlier_probability[s, i] = 0.0
+            state.alone[s, i] = 1.0 if seen and not both else 0.0
             own = (model.constants.slow_scale * model.slow[i]) ** 2
             state.offset_variances[s, i] = views.fast[s, i] if seen else own
             for c in range(3):

@@ -12,6 +12,9 @@ _TWO_PI = 2.0 * math.pi
 
 _DOUBT_LASTS = 0.9  # share of the doubt about a joint without measurement that lasts for 1/30 s
 _LARGEST_PRIOR = 0.99  # no measurement is an outlier for certain
+_ALONE_SECONDS, _TOGETHER_SECONDS = 0.3, 0.05  # in which S* comes to follow one view alone, and both
+_LEAST_ALONE = 1e-9
+_LEAST_MISLED = 1e-3  # a smaller probability has no visible effect
 _LEAST_CHANCE = 1e-4  # of a surprise between two pairs of nearly the same time
 
 
@@ -30,6 +33,10 @@ def outlier_probabilities(model, state, views, dt):  # type: ignore[no-untyped-d
     over the cube. Earlier doubts do not count where the prediction itself is as uncertain as it is off. Its
     posterior is the surprise, which :func:`fusion.estimator.process.inflate_on_surprise` acts on.
 
+    Where S* has followed one view alone, its prediction is no witness for that view: that the other one alone
+    is right then has the probability of the priors. It changes no trust, and is in the covariance of S*
+    (:func:`add_other_place`).
+
     An outlier lasts for 1/30 s with probability ``outlier_lasts``; β is 0 without a measurement.
     """
     k = model.constants
@@ -41,8 +48,10 @@ def outlier_probabilities(model, state, views, dt):  # type: ignore[no-untyped-d
         has_a, has_b = views.states[0, i] != 0, views.states[1, i] != 0
         if not state.known[i]:
             views.trust[0, i], views.trust[1, i] = 1.0 if has_a else 0.0, 1.0 if has_b else 0.0
+            views.misled[0, i] = views.misled[1, i] = 0.0
             continue
         views.trust[0, i] = views.trust[1, i] = views.surprise[i] = 0.0
+        views.misled[0, i] = views.misled[1, i] = 0.0
         P = state.variances[i, 0]
         if has_a and has_b:
             a = prior_outlier(model, state, views, 0, i, lasts)
@@ -68,13 +77,19 @@ def outlier_probabilities(model, state, views, dt):  # type: ignore[no-untyped-d
             only_a = good_a + uniform + math.log((1.0 - a) * b)
             only_b = good_b + uniform + math.log(a * (1.0 - b))
             none = 2.0 * uniform + math.log(a * b)
+            misled_a = only_a - good_a + good_b + math.log(max(state.alone[1, i], _LEAST_ALONE))
+            misled_b = only_b - good_b + good_a + math.log(max(state.alone[0, i], _LEAST_ALONE))
             top = max(max(both, turn), max(max(only_a, only_b), none))
+            top = max(top, max(misled_a, misled_b))
             both, only_a = math.exp(both - top), math.exp(only_a - top)
             only_b, none, turn = math.exp(only_b - top), math.exp(none - top), math.exp(turn - top)
             total = both + only_a + only_b + none + turn
             views.trust[0, i] = (both + turn + only_a) / total
             views.trust[1, i] = (both + turn + only_b) / total
             views.surprise[i] = turn / total
+            misled_a, misled_b = math.exp(misled_a - top), math.exp(misled_b - top)
+            total += misled_a + misled_b
+            views.misled[0, i], views.misled[1, i] = misled_a / total, misled_b / total
         elif has_a or has_b:
             s = 0 if has_a else 1
             outlier = prior_outlier(model, state, views, s, i, lasts)
@@ -135,3 +150,42 @@ def store_outlier_state(model, state, views, dt):  # type: ignore[no-untyped-def
                 outlier[i] = rare + lasts * (outlier[i] - rare)
         faded = lasts * state.view_outlier_probability[v]
         state.view_outlier_probability[v] = total / count if count > 0 else faded
+
+
+@inner_kernel
+def update_followed_views(state, views, dt):  # type: ignore[no-untyped-def]
+    """The probability that a joint of S* follows view v alone tends to β_v (1 - β_w), w the other view."""
+    sooner, later = 1.0 - math.exp(-dt / _TOGETHER_SECONDS), 1.0 - math.exp(-dt / _ALONE_SECONDS)
+    for i in range(len(state.known)):
+        if views.trust[0, i] + views.trust[1, i] == 0.0:
+            continue
+        for v in range(2):
+            alone = views.trust[v, i] * (1.0 - views.trust[1 - v, i])
+            pace = later if alone > state.alone[v, i] else sooner
+            state.alone[v, i] += pace * (alone - state.alone[v, i])
+
+
+@inner_kernel
+def add_other_place(state, views, positions, covariance, sigma):  # type: ignore[no-untyped-def]
+    """Adds what the joints would be off if the view that S* does not follow were right.
+
+        Σ ← Σ + Σ_v p_v d dᵀ,    d = y_v - b_v - S*
+
+    with p_v the probability that view v alone is right and the prediction followed the other.
+
+    Args:
+        positions: (J, 3) S*, metres.
+        covariance, sigma: (J, 3, 3) m², (J,) metres; changed.
+    """
+    for i in range(len(sigma)):
+        for v in range(2):
+            p = views.misled[v, i]
+            if p < _LEAST_MISLED:
+                continue
+            measured, offset, square = views.positions[v, i], state.offsets[v, i], 0.0
+            for r in range(3):
+                d = measured[r] - offset[r] - positions[i, r]
+                square += d * d
+                for c in range(3):
+                    covariance[i, r, c] += p * d * (measured[c] - offset[c] - positions[i, c])
+            sigma[i] = math.sqrt(sigma[i] * sigma[i] + p * square)

@@ -47,7 +47,7 @@ def forget(model, state, facing):  # type: ignore[no-untyped-def]
         state.known[i] = False
         state.agreed[i] = state.from_b[i] = 0.0
         for v in range(2):
-            state.outlier_probability[v, i] = state.offset_variances[v, i] = 0.0
+            state.outlier_probability[v, i] = state.offset_variances[v, i] = state.alone[v, i] = 0.0
         for c in range(3):
             state.velocities[i, c] = state.lag[i, c] = 0.0
             for v in range(2):

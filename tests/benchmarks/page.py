@@ -115,7 +115,7 @@ def _real(figures):
     ]
     columns = (
         "recording", "roughness of S\\*, views = 1", "own jumps, %", "against the motion A / B / S\\*, %",
-        "heading, ° / astray, %", "live", "flips per minute",
+        "heading, ° / astray, %", "live", "flips per minute", "hands in one place, %",
     )  # fmt: skip
     return _table(columns, rows)
 
@@ -159,6 +159,7 @@ def _real_row(name, rows, over):
         f"{figure('heading_fused', _DEGREES, 0)} / {figure('astray_fused', 100, 0)}",
         f"{figure('live_heading_fused', _DEGREES, 0)} / {figure('live_astray_fused', 100, 0)}",
         figure("flips_per_minute", 1, 1),
+        figure("hands_together", 100, 1),
     )
 
 

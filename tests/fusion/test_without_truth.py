@@ -49,6 +49,15 @@ def test_walking_backwards_fast_is_against_the_motion(backwards, against):
     assert found.rotation_off < 1e-6
 
 
+@pytest.mark.parametrize(("in_b", "together"), [(False, 0.25), (True, 0.0)])
+def test_hands_in_one_place_that_a_view_has_apart_are_counted(in_b, together):
+    walk = walking(1.2)
+    joined, wrists = walk.copy(), [BODY.joint("WristLeft"), BODY.joint("WristRight")]
+    joined[: FRAMES // 4, wrists] = joined[: FRAMES // 4, wrists].mean(axis=1, keepdims=True)
+    found = figures_without_truth(pair(joined if in_b else walk, joined))  # then no view has them apart
+    assert found.hands_together == together
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("rate", [5, 10, 15, 60, 90])
 def test_figures_are_of_seconds_and_not_of_frames(rate):

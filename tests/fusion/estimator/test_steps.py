@@ -63,6 +63,7 @@ def scene():
     state.offsets[:] = random.normal(0.0, 0.02, (2, J, 3))
     state.offset_variances[:] = random.uniform(1e-5, 1e-3, (2, J))
     state.outlier_probability[:] = random.uniform(0.0, 0.6, (2, J))
+    state.alone[:] = random.uniform(0.1, 0.5, (2, J))
     state.view_outlier_probability[:] = 0.1, 0.3
     seen.positions[:] = truth + random.normal(0.0, 0.03, (2, J, 3))
     seen.states[:] = random.integers(0, 3, (2, J))
@@ -205,7 +206,35 @@ def test_trust_is_the_posterior_over_all_hypotheses(scene):
             total += surprised
             good += surprised
             np.testing.assert_allclose(seen.surprise[i], surprised / total, rtol=1e-7, atol=1e-12)
+            misled = np.zeros(2)  # view v alone is right, and the prediction followed the other, w
+            for v, w in ((0, 1), (1, 0)):
+                S = (state.variances[i, 0] + noise[w]) * np.eye(3)
+                near = multivariate_normal.pdf(e[w, i], cov=S)
+                misled[v] = (1.0 - prior[v]) * prior[w] * state.alone[w, i] * near * uniform
+            expected = misled / (total + misled.sum())
+            np.testing.assert_allclose(seen.misled[:, i], expected, rtol=1e-7, atol=1e-12)
         np.testing.assert_allclose(seen.trust[:, i], good / total, rtol=1e-7, atol=1e-12)
+
+
+def test_sigma_holds_the_place_in_the_view_that_is_not_followed(scene):
+    state, seen, i = scene.state, scene.views, BODY.joint("WristLeft")
+    seen.states[:, i], seen.trust[:, i] = 2, (1.0, 0.0)
+    for _ in range(60):  # S* follows A alone
+        interpreted(outliers.update_followed_views)(state, seen, DT)
+    np.testing.assert_allclose(state.alone[:, i], (1.0, 0.0), atol=0.01)
+    state.offsets[:] = state.velocities[:] = state.outlier_probability[:] = 0.0
+    seen.log_odds[:] = seen.side_doubt[:] = 0.0
+    state.view_outlier_probability[:] = 0.3
+    seen.positions[0, i] = state.positions[i]
+    d = np.array((0.2, -0.1, 0.05))
+    seen.positions[1, i] = state.positions[i] + d
+    interpreted(outliers.outlier_probabilities)(scene.model, state, seen, DT)
+    covariance, sigma = np.tile(1e-4 * np.eye(3), (J, 1, 1)), np.full(J, np.sqrt(3e-4))
+    interpreted(outliers.add_other_place)(state, seen, state.positions, covariance, sigma)
+    p = seen.misled[1, i]
+    assert 0.3 < p < 0.7  # nothing else speaks for either view
+    np.testing.assert_allclose(covariance[i], 1e-4 * np.eye(3) + p * np.outer(d, d), rtol=1e-9)
+    np.testing.assert_allclose(sigma**2, np.trace(covariance, axis1=1, axis2=2), rtol=1e-9)
 
 
 def test_a_surprise_lets_both_views_through(scene):
