@@ -46,8 +46,8 @@ WINDOW = f"{SIZE[0]}x{SIZE[1] + MENU}"
 _LIMIT = 250_000
 """Bytes of a picture."""
 _COLORS = (256, 128, 64, 32)
-_CALIBRATING_S = 1.0
-"""When the person of the demo stands in the start-up pose."""
+_CALIBRATED_S = 4.0
+"""When the person of the demo has left the start-up pose."""
 _TRACKING_S = 6.0
 """When a slow machine shows infrared images, too."""
 
@@ -139,25 +139,14 @@ def hard_moment(session):
     return float(session.time_ns[later][np.argmax(apart) + 15] * 1e-9)
 
 
-def both_see(session, moment):
-    """Seconds: the first frame from a moment on in which both sensors saw three quarters of the joints.
-
-    A slow machine loses frames of one sensor, which would leave its picture without a skeleton.
-    """
-    rows = session.rows
-    seen = [np.isfinite(at).all(axis=2).mean(axis=1) > 0.75 for at in (rows.positions_a, rows.positions_b)]
-    found = np.flatnonzero(seen[0] & seen[1] & (session.time_ns >= moment * 1e9))
-    return float(session.time_ns[found[0]] * 1e-9) if found.size else moment
-
-
 def of_demo(out, folder):
-    """The three layouts of ``duplex demo``."""
+    """The three layouts of ``duplex demo``; *setup* live, as only then it says what to do next."""
     file = folder / "demo.rrd"
     main(["demo", "--seconds", "16", "--no-viewer", "--quiet", "--save", str(file)])
     opened = Session.open(file)
     moment = hard_moment(opened)
-    posing = both_see(opened, _CALIBRATING_S)
-    moments = {"setup": posing, "inspect": moment, "report": moment}
+    write_png(out / "setup.png", live_picture(folder, (), _CALIBRATED_S))
+    moments = {"inspect": moment, "report": moment}
     for name, picture in drawn(file, moments, clouds=True).items():
         write_png(out / f"{name}.png", picture)
 
@@ -194,6 +183,11 @@ def of_own_tracker(out, folder):
     if missing("full", cache_folder()):
         print("No networks (duplex tracker fetch): setup_infrared.png stays as it is.")
         return
+    write_png(out / "setup_infrared.png", live_picture(folder, ("--tracker", "blazepose"), _TRACKING_S))
+
+
+def live_picture(folder, options, moment):
+    """*setup* of a running ``duplex demo`` with these options."""
     hub = Hub.on_free_ports(web=False)
     shown = []
 
@@ -203,15 +197,15 @@ def of_own_tracker(out, folder):
 
     thread = threading.Thread(target=show, daemon=True)
     thread.start()
-    options = ["--tracker", "blazepose", "--layout", "setup", "--seconds", "8", "--quiet"]
+    options = [*options, "--layout", "setup", "--seconds", "8", "--quiet"]
     with mock.patch("viewer_app.running.runner.choose_viewing", return_value=Viewing(hub=hub)):
-        main(["demo", *options, "--save", str(folder / "own.rrd")])
+        main(["demo", *options, "--save", str(folder / "live.rrd")])
     thread.join()
     process, port = shown
     try:
         client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
         client.run_command("ui.toggle_top_panel")
-        write_png(out / "setup_infrared.png", settled_picture(client, _TRACKING_S))
+        return settled_picture(client, moment)
     finally:
         stop(process)
 
