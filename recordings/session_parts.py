@@ -136,7 +136,7 @@ class PartOfImages(SessionImages):
             due, left_out = frames.start, None
             for number, image in images:
                 k = int(np.searchsorted(kept, number))
-                if left_out is not None and left_out[0] < k + (kept[k] != number):
+                if left_out is not None and left_out[0] < k:
                     yield left_out
                     left_out = None
                 if kept[k] != number:
