@@ -58,7 +58,7 @@ def write_session(
         path: The file; replaced once the new one is whole.
 
     Returns:
-        The number of damaged images that were skipped.
+        The number of damaged images, or frames of other people, that were skipped.
 
     Raises:
         OSError: The file could not be written completely.
@@ -197,7 +197,7 @@ def check_whole(path: Path) -> None:
 
 
 def _copy_images(session: SessionData, recorder: Recorder) -> int:
-    """Logs the other people and the images; returns the number of damaged images."""
+    """Logs the other people and the images; returns the number of damaged ones."""
     damaged, time_ns = 0, session.rows.time_ns
     for side in layout.SIDES:
         others = session.images.others(side, range(len(session)))
@@ -207,7 +207,7 @@ def _copy_images(session: SessionData, recorder: Recorder) -> int:
             recorder.images.depth(side, frame, int(time_ns[frame]), image)
         for frame, picture in color:
             recorder.images.color(side, frame, int(time_ns[frame]), picture)
-        damaged += depth.damaged + color.damaged
+        damaged += others.damaged + depth.damaged + color.damaged
     return damaged
 
 

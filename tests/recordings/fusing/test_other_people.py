@@ -2,12 +2,16 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fusion.body import KINECT_V2
 from recordings import fuse, layout
 from recordings.file.session_writer import write_session
+from recordings.images import Images, SessionImages
 from recordings.quality.figures import report
 from recordings.session import Session
+from recordings.session_parts import PartOfImages
 from tests.helpers.command_line import duplex
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import moving
@@ -101,6 +105,45 @@ def test_a_written_session_keeps_the_others(fused, tmp_path, first, end):
             assert kept.keys() == expected.keys()
             for t, bones in kept.items():
                 np.testing.assert_array_equal(bones, expected[t])
+
+
+class OthersOf(SessionImages):
+    """So many bones in each frame."""
+
+    def __init__(self, counts):
+        self.counts = counts
+
+    def others(self, side, frames):
+        del side
+        shown = (k for k in frames if self.counts[k] or (k > frames.start and self.counts[k - 1]))
+        every = [(k, np.zeros((self.counts[k], 2, 3), np.float32)) for k in shown]
+        return Images(lambda: iter(every))
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.booleans()), min_size=1, max_size=25))
+def test_a_part_with_gaps_shows_in_each_frame_whom_the_session_shows(frames):
+    counts = [count for count, _ in frames]
+    kept = np.array([k for k, (_, keeps) in enumerate(frames) if keeps], dtype=np.int64)
+    items = list(PartOfImages(OthersOf(counts), kept).others("a", range(len(kept))))
+    numbers = [number for number, _ in items]
+    assert numbers == sorted(set(numbers))
+    shown, newest = 0, {number: len(bones) for number, bones in items}
+    for number, of in enumerate(kept.tolist()):
+        shown = newest.get(number, shown)
+        assert shown == counts[of]
+
+
+def test_damaged_others_are_counted_where_a_session_is_written(fused, tmp_path):
+    whole, damaged = tmp_path / "whole.rrd", tmp_path / "damaged.rrd"
+    write_session(fused[0], whole)
+    data = bytearray(whole.read_bytes())
+    bones = others_of(Session.open(whole), "a")[FIRST + 3]
+    at = data.find(bones[:4, 0].tobytes())
+    assert at > 0, "the bones are not in the file as they are"
+    data[at + 1] ^= 1
+    damaged.write_bytes(data)
+    assert write_session(Session.open(whole), tmp_path / "again.rrd") == 0
+    assert write_session(Session.open(damaged), tmp_path / "part.rrd") == 1
 
 
 def test_recordings_of_one_person_have_no_others(tmp_path):
