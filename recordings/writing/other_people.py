@@ -17,6 +17,7 @@ from recordings.writing.changes import set_time
 from recordings.writing.checksums import image_checksum
 
 _BLOCK = 300  # frames that are sent together
+_GONE_NS = 500_000_000  # a sensor without a frame for longer shows nobody
 
 
 class OthersLog:
@@ -24,12 +25,16 @@ class OthersLog:
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream, self._shown = stream, dict.fromkeys(layout.SIDES, False)
+        self._newest_ns = dict.fromkeys(layout.SIDES, 0)  # of the frames of each sensor
 
     def bones(self, side: str, number: int, time_ns: int, bones: NDArray[np.float32]) -> None:
         """Logs :func:`recordings.images.drawn_bones` of a frame."""
         if not len(bones) and not self._shown[side]:
             return
         self._shown[side] = len(bones) > 0
+        self._log(side, number, time_ns, bones)
+
+    def _log(self, side: str, number: int, time_ns: int, bones: NDArray[np.float32]) -> None:
         set_time(self._stream, number, time_ns)
         self._stream.log(
             layout.others(side),
@@ -54,11 +59,14 @@ class OthersLog:
             )
 
     def record(self, number: int, time_ns: int, pair: FramePair) -> None:
-        """Logs those of a frame; a sensor without a frame keeps what it has."""
+        """Logs those of a frame; a sensor without a frame keeps what it has for half a second."""
         views = (pair.a, pair.skeletons.a), (pair.b, pair.skeletons.b)
         for side, (frame, followed) in zip(layout.SIDES, views, strict=True):
             if frame is None:
+                if time_ns - self._newest_ns[side] > _GONE_NS:
+                    self.bones(side, number, time_ns, np.zeros((0, 2, 3), np.float32))
                 continue
+            self._newest_ns[side] = time_ns
             others = [person.positions for person in frame.people.values() if person is not followed]
             body = next(iter(frame.people.values())).body if others else None
             drawn = np.zeros((0, 2, 3), np.float32) if body is None else drawn_bones(body, np.array(others))

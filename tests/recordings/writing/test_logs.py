@@ -4,6 +4,7 @@ from dataclasses import replace
 from uuid import uuid4
 
 import numpy as np
+import pytest
 import rerun as rr
 from scipy.spatial.transform import Rotation
 
@@ -15,6 +16,7 @@ from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
 from recordings.session_arrays import SessionFrame
 from recordings.writing import changes
+from recordings.writing.other_people import OthersLog
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.live_frames import BODY, frames, known_fuser, session
@@ -154,3 +156,22 @@ def test_a_viewer_s_stream_gets_the_poses_again_and_again(tmp_path, monkeypatch)
         stream.disconnect()
         assert poses(path, layout.kinect("b")) == expected
         assert set(expected[1:]) <= set(poses(path, layout.FLOOR))
+
+
+@pytest.mark.parametrize("gap", [10, 60])
+def test_the_others_of_a_sensor_that_gives_no_frames_go_after_half_a_second(gap, monkeypatch):
+    logged = []
+    monkeypatch.setattr(
+        OthersLog, "_log", lambda _, side, number, *rest: logged.append((side, number, len(rest[-1])))
+    )
+    log = OthersLog(rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4()))
+    pairs = frame_pairs(BODY, 5, noise=0.0)
+    for t in range(5 + gap):
+        pair = pairs[min(t, 4)]
+        log.record(
+            t,
+            t * 33_333_333,
+            replace(pair, a=pair.a if t < 5 else None, skeletons=replace(pair.skeletons, a=None)),
+        )
+    of_a = [(number, count > 0) for side, number, count in logged if side == "a"]
+    assert of_a == [*((t, True) for t in range(5)), *([(20, False)] if gap > 15 else [])]
