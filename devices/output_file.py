@@ -218,7 +218,7 @@ def _lock(path: Path) -> int | None:
     except FileNotFoundError:
         return None
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _flock(lock)
     except BlockingIOError:
         os.close(lock)
         return None
@@ -229,6 +229,12 @@ def _lock(path: Path) -> int | None:
             return lock
     os.close(lock)
     return None
+
+
+def _flock(lock: int) -> None:
+    """Locks what a descriptor is of, or raises an OSError: another process has it, or there are no locks."""
+    if sys.platform != "win32":
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _remove_remains(folder: Path) -> None:
@@ -250,7 +256,7 @@ def _remove_if_left(path: Path) -> None:
         return
     lock = os.open(path, (os.O_RDONLY if stat.S_ISDIR(about.st_mode) else os.O_RDWR) | os.O_NOFOLLOW)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises where there is a writer, or no lock
+        _flock(lock)  # raises where there is a writer, or no lock
         if os.path.samestat(os.fstat(lock), path.stat(follow_symlinks=False)):
             remove(path)
     finally:

@@ -6,6 +6,7 @@ import sys
 import tempfile
 import wave
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -37,13 +38,14 @@ def player() -> Callable[[Path], object] | None:
         return lambda path: winsound.PlaySound(str(path), how)
     for program, *options in _PLAYERS:
         if shutil.which(program):
-            return lambda path, command=(program, *options): subprocess.Popen(  # type: ignore[misc]
-                [*command, path],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
+            return partial(_play, [program, *options])
     return None
+
+
+def _play(command: list[str], path: Path) -> None:
+    subprocess.Popen(
+        [*command, path], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
 
 
 def sound_of(shown: Headline) -> str:
