@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from devices.skeletons.name_tables import listed
 from devices.skeletons.read_file import FoundPoints
-from devices.skeletons.times import FEWEST, LOGGED_TWICE
+from devices.skeletons.times import FEWEST, LOGGED_TWICE, digest
 from fusion.large_arrays import parts
 
 _ONE_FRAME_NS = 250_000_000  # the longest time between two frames of a tracker
@@ -97,6 +97,9 @@ def kept_places(
         keeps[order, point] = np.bincount(run)[run] >= frames
     if not keeps.any():
         return keeps, []
+    for point in np.flatnonzero(keeps.any(axis=0)).tolist():  # also where nothing else moves for a moment
+        place = digest(found.view.positions[:, point], 0, 0)
+        keeps[:, point] |= np.isin(place, place[keeps[:, point]])
     names = [found.points.named(int(point)) for point in np.flatnonzero(keeps.any(axis=0))]
     return keeps, [
         f"{path}: {listed(names)} {'keeps its place' if len(names) == 1 else 'keep their places'} to the "

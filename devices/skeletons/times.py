@@ -38,8 +38,8 @@ _TRACKER_US = 8_000.0, 205_000.0
 _SLOW_US, _ODD_US = 1e6 / 12.0, (2_000.0, 5_000_000.0)
 """The longest interval for which the unit that a column names is taken without a question, and those with
 one: a recording may have few frames per second, or those of a sensor in another unit."""
-_RATES, _RATE_WITHIN = (5.0, 30.0, 15.0, 60.0, 90.0), 0.02
-"""Usual rates of sensors."""
+_RATES, _RATE_WITHIN, _LOOSELY = (5.0, 30.0, 15.0, 60.0, 90.0), 0.02, 0.12
+"""Usual rates of sensors, and how far their median interval may be from that."""
 _WRAPS = (
     (8.64e10, "midnight"),
     (4.32e10, "noon"),
@@ -117,7 +117,7 @@ def find_time_unit(
         unusual one.
 
     Raises:
-        DeviceError: The median interval is no body tracker's in any unit.
+        DeviceError: The usual interval is no body tracker's in any unit.
     """
     called = called or column
     if column == FRAME_NUMBERS:
@@ -132,8 +132,10 @@ def find_time_unit(
     units = [unit for unit in _UNITS if unit.fits(interval)]
     sensors = [unit for unit in _UNITS if _is_usual(interval * unit.us, _RATES[1:])]
     odd = stated and _ODD_US[0] <= own_us <= _ODD_US[1]
-    if odd:
+    if odd and _TRACKER_US[0] <= own_us <= _TRACKER_US[1]:
         units = [unit for unit in units if unit in sensors]
+    elif odd:  # no tracker's: those of a sensor whose frames come late and early, too
+        units = [unit for unit in _UNITS if _is_usual(interval * unit.us, _RATES[1:2], _LOOSELY)]
     by_own = f"{name}: by {called} there are {1e6 / own_us:.3g} frames per second; "
     if odd and _TRACKER_US[0] <= own_us <= _TRACKER_US[1]:
         return own, [
@@ -151,8 +153,8 @@ def find_time_unit(
     if odd:
         return own, [f"{by_own}body trackers give 5 to 120. Check its unit."]
     raise DeviceError(
-        f"{name}: the unit of {called} is unclear; its median interval of {interval:g} is in no unit that of "
-        "5 to 120 frames per second. Name the column time_s, time_ms, time_us or time_ns by its unit."
+        f"{name}: the unit of {called} is unclear; in no unit is its usual interval of {interval:.6g} "
+        "that of 5 to 120 frames per second. Name the column time_s, time_ms, time_us or time_ns by its unit."
     )
 
 
@@ -186,8 +188,8 @@ _UNITS = (
 )
 
 
-def _is_usual(interval_us: float, rates: tuple[float, ...]) -> bool:
-    return any(abs(interval_us * rate * 1e-6 - 1.0) <= _RATE_WITHIN for rate in rates)
+def _is_usual(interval_us: float, rates: tuple[float, ...], within: float = _RATE_WITHIN) -> bool:
+    return any(abs(interval_us * rate * 1e-6 - 1.0) <= within for rate in rates)
 
 
 def _numbered(name: object, column: str) -> str:

@@ -221,15 +221,21 @@ def test_a_column_whose_values_are_no_states_is_said_to_be_ignored(tmp_path):
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.3, 0.9, 1.4), (-1.0, -1.0, -1.0), (9e3, 9e3, 9e3)])
 @pytest.mark.parametrize("metres", [1.0, 0.001])
-def test_a_place_of_joints_that_nobody_sees_changes_nothing_else(tmp_path, place, metres):
-    """Legs at a constant place; the other joints, the unit and the size as without them."""
+@pytest.mark.parametrize("held", [(), (22, 27)])
+def test_a_place_of_joints_that_nobody_sees_changes_nothing_else(tmp_path, place, metres, held):
+    """Legs at a constant place; the other joints, the unit and the size as without them.
+
+    In some frames the tracker holds all joints.
+    """
     legs = [k for k, name in enumerate(KINECT_V2.joints) if name[:3] in ("Kne", "Ank", "Foo")]
-    unseen = TRUE / metres
+    true = TRUE.copy()
+    for frame in held:
+        true[frame] = true[frame - 1]
+    unseen = true / metres
     unseen[:, legs] = place
     read = opened(write_view(tmp_path / "a.csv", KINECT_V2, unseen))
-    expected = TRUE.copy()
-    expected[:, legs] = np.nan
-    np.testing.assert_allclose(positions_of(read), expected, atol=1e-5)
+    true[:, legs] = np.nan
+    np.testing.assert_allclose(positions_of(read), true, atol=1e-5)
     assert any("KneeLeft" in line and "keep their places" in line for line in read.warnings) == any(place)
 
 

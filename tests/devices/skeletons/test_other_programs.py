@@ -84,7 +84,7 @@ def test_the_unit_of_time_is_found_by_the_rate(tmp_path, good, unit, rate, start
 @pytest.mark.parametrize("interval", [300e-6, 0.001, 0.4, 1.2, 1500.0, 1e9])
 def test_an_interval_of_no_body_tracker_is_refused(tmp_path, good, interval):
     path = changed(good, tmp_path / "odd.csv", retimed("time_us", 1.0, 1.0 / interval))
-    with pytest.raises(DeviceError, match="the unit of time_us is unclear; its median interval of"):
+    with pytest.raises(DeviceError, match="unit of time_us is unclear; in no unit is its usual interval"):
         read_csv(path)
 
 
@@ -110,6 +110,17 @@ def test_a_rate_is_found_or_told(unit_rate, column, start):
     assert told or us == pytest.approx(UNITS_US[unit])
     if column == "time" and rate in (15.0, 30.0):
         assert us == pytest.approx(UNITS_US[unit])
+
+
+@given(
+    milliseconds=st.permutations([32] * 26 + [34] * 16 + [35] * 8 + [66] * 3 + [500]),
+    unit=st.sampled_from(["ticks", "60 MHz"]),
+)
+def test_stamps_in_whole_milliseconds_tell_their_unit(milliseconds, unit):
+    """Kinect v2: most often 32 ms from frame to frame, which is 31 per second by the median."""
+    us, told = find_time_unit("a.csv", "time_us", np.cumsum(milliseconds) * 1e3 / UNITS_US[unit])
+    assert us == pytest.approx(UNITS_US[unit])
+    assert told
 
 
 @pytest.mark.parametrize("spelling", ["name", "list"])
