@@ -458,6 +458,8 @@ def _with_person(
     line = f"{count} seen, {has}. The one followed is {names}; {choose} another."
     if not options:
         line = f"{count} seen, {has}. The one followed is {names}."
+    elif found.count > 1 and follow == "longest":
+        line += " That one is seen longest; `follow=middle` takes the one nearest the middle of the views."
     chosen_a, chosen_b = (_of_rows(read, rows) for read, rows in zip(reads, found.rows, strict=True))
     return _told(chosen_a, line), chosen_b, tuple(_seen_people((a, b), found)) if found.count > 1 else ()
 
@@ -488,7 +490,7 @@ def _alone(read: _Read, choice: RecordingChoice) -> _Read:
         return read
     return _told(
         read,
-        f"{read.name}: person {_named(others)} is followed while {person!r} is not seen. "
+        f"{read.name}: {_named(others)} counts as the person {person!r}, as both are never seen together. "
         f"{choice.person_option} {person} follows {person!r} alone.",
     )
 

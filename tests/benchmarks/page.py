@@ -115,7 +115,7 @@ def _real(figures):
     ]
     columns = (
         "recording", "roughness of S\\*, views = 1", "own jumps, %", "against the motion A / B / S\\*, %",
-        "heading, ° / astray, %", "live", "flips per minute", "hands in one place, %",
+        "heading, ° / astray, %", "live", "flips per minute", "hands together, %",
     )  # fmt: skip
     return _table(columns, rows)
 

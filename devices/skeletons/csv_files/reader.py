@@ -177,7 +177,7 @@ def _states(path: Path, rows: _Rows) -> tuple[NDArray[np.uint8], list[str], tupl
             row, value = column.refused()
             raise DeviceError(
                 f"{path}, line {line_of_row(path, row)}: state {value[:40]!r} is none of tracked, inferred, "
-                "not_tracked, 2, 1, 0."
+                "not_tracked, 3, 2, 1, 0."
             )
     told = [
         f"{path}: column {column.name} is ignored, because its values, such as {column.refused()[1][:20]!r}, "
