@@ -9,6 +9,7 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sensing import RecordOptions
 from viewer_app.options.shared import check_seconds
 from viewer_app.output_console import output_console
+from viewer_app.output_files import outputs_of_one_run
 from viewer_app.running.interruption import CtrlC, call_after
 from viewer_app.sensors.local import capture_settings, two_connected_sensors
 from viewer_app.sensors.raw_files import RawFiles
@@ -24,8 +25,9 @@ def run(options: RecordOptions) -> None:
         raise UsageError("duplex record records sensors of this PC: run it on the sensor's own PC.")
     existed = options.folder.exists()
     try:
-        files = RawFiles(options.folder, console, force=options.force, compress=options.compress)
-        record(options, console, files)
+        with outputs_of_one_run():  # what is held in the folder is gone before the folder
+            files = RawFiles(options.folder, console, force=options.force, compress=options.compress)
+            record(options, console, files)
     finally:
         if not existed:
             with suppress(OSError):  # it holds a recording

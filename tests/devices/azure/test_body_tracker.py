@@ -156,7 +156,7 @@ def test_a_frame_without_infrared_cannot_be_tracked(standin):
 def test_a_library_that_is_missing_none_or_another_is_reported(tmp_path):
     (tmp_path / "text.so").write_text("not a library")
     for library, message in (
-        (tmp_path / "libk4abt.so", r"No library at .*libk4abt\.so.*--k4abt PATH"),
+        (tmp_path / "libk4abt.so", r"No library at .*libk4abt\.so.*`k4abt=PATH`"),
         (tmp_path / "text.so", "cannot be loaded.*Body Tracking SDK"),
         (Path(_ctypes.__file__), r"has no k4abt_tracker_create: it is not libk4abt 1\.1"),
     ):

@@ -1,5 +1,6 @@
 """Output that nobody reads, that has no room, or that would act on a terminal."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -52,8 +53,10 @@ def test_an_ignored_hangup_stays_ignored():
     )
     for shell, expected in ((ignored, (0, "goes on\n")), (f"exec '{sys.executable}' -c", (130, ""))):
         ended = subprocess.run(
-            ["bash", "-c", f'{shell} "{program}"'], cwd=ROOT, capture_output=True, text=True, timeout=60.0
-        )
+            ["bash", "-c", f'{shell} "{program}"'],
+            cwd=ROOT, capture_output=True, text=True, timeout=60.0,
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # nohup may run the tests
+        )  # fmt: skip
         assert (ended.returncode, ended.stdout) == expected
 
 
