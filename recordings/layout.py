@@ -135,6 +135,11 @@ def coach_mark(name: str) -> str:
     return f"{COACH}/{name}"
 
 
+def coach_words(name: str) -> str:
+    """Words beside a mark of the coach."""
+    return f"{coach_mark(name)}/words"
+
+
 def weight(side: str) -> str:
     """Component of :data:`FUSED_SKELETON`: w^A or w^B of eq. (11), one value per joint."""
     return f"weight_{side}"

@@ -1,29 +1,32 @@
 """The text and the drawings of the setup coach at one moment."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import rerun as rr
 
 from recordings import layout
-from recordings.appearance.colors import LABEL_COLORS, MARK_COLORS
+from recordings.appearance import entity_styles
+from recordings.appearance.colors import MARK_COLORS
 from recordings.appearance.state_card import State, state_card
 
 Point = tuple[float, float, float]
 Meaning = Literal["do", "mend", "better"]
 
 _MANY = 3  # paragraphs
+_WORDS = {"spot": "stand here", "better_b": "better for B"}
+"""Of marks: never others, see :func:`entity_styles.words_at`."""
 _LINE_RADIUS = rr.components.Radius.ui_points(2.0)
 
 
 @dataclass(frozen=True)
 class Mark:
-    """Lines in the scene, with a label at the first line."""
+    """Lines in the scene, and where the words of :data:`_WORDS` stand, if the mark has words."""
 
     lines: tuple[tuple[Point, ...], ...]  # polylines in K_A's frame, metres
-    words: str  # a short label
     meaning: Meaning  # what the colour means
+    words_at: Point | None = None
 
 
 @dataclass(frozen=True)
@@ -36,33 +39,32 @@ class CoachPage:
     card: tuple[State, str] | None = None  # how far the set-up is, and the next step; None: it is no set-up
     from_start: bool = False  # whether the page holds from the first frame on, even if it is written later
 
-    def entities(self, card: bool) -> Iterator[tuple[str, Any]]:
-        """Pairs of entity and archetype to log. An absent mark is logged as empty, which clears it.
+    def entities(self, card: bool) -> Iterator[tuple[str, Sequence[Any]]]:
+        """Pairs of entity and what to log. An absent mark is logged as empty, which clears it.
 
         Args:
             card: Whether to yield the picture of the state, too.
         """
         if card and self.card is not None:
             # not encoded: a viewer on a slow machine shows the last picture until it has decoded this one
-            yield layout.COACH_CARD, rr.Image(state_card(*self.card))
-        yield layout.COACH, rr.TextDocument(self.text, media_type=rr.MediaType.MARKDOWN)
+            yield layout.COACH_CARD, [rr.Image(state_card(*self.card))]
+        yield layout.COACH, [rr.TextDocument(self.text, media_type=rr.MediaType.MARKDOWN)]
         marks = dict(self.marks)
         for name in layout.COACH_MARKS:
             mark = marks.get(name)
             if mark is None:
-                yield layout.coach_mark(name), rr.LineStrips3D([])
-                continue
-            yield (
-                layout.coach_mark(name),
-                rr.LineStrips3D(
-                    mark.lines,
-                    # a line has one colour with its label: the first one is a point, for the words
-                    colors=[LABEL_COLORS[mark.meaning], *[MARK_COLORS[mark.meaning]] * (len(mark.lines) - 1)],
-                    radii=_LINE_RADIUS,
-                    labels=[mark.words, *[""] * (len(mark.lines) - 1)],
-                    show_labels=True,
-                ),
-            )
+                yield layout.coach_mark(name), [rr.LineStrips3D([])]
+            else:
+                color = MARK_COLORS[mark.meaning]
+                yield layout.coach_mark(name), [rr.LineStrips3D(mark.lines, colors=color, radii=_LINE_RADIUS)]
+            if name in _WORDS:
+                at = None if mark is None else mark.words_at
+                words = (
+                    entity_styles.words_at(_WORDS[name], at, layout.ROOT)
+                    if at
+                    else [rr.Clear(recursive=False)]
+                )
+                yield layout.coach_words(name), words
 
 
 def large(text: str) -> str:

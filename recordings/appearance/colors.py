@@ -27,14 +27,6 @@ PREDICTED_COLOR: Color = (97, 97, 97)
 """Colour of a joint of S* without data from any sensor."""
 MARK_COLORS: dict[str, Color] = {"do": (20, 188, 149), "mend": (190, 10, 60), "better": (240, 192, 24)}
 """Of the coach's marks: where to go, what is wrong, and where a sensor could stand: green, red, amber."""
-LABEL_COLORS: dict[str, Color] = {
-    "do": (17, 152, 120),
-    "mend": (212, 92, 125),
-    "better": (160, 129, 17),
-    "a": (201, 108, 19),
-    "b": (85, 135, 192),
-}
-"""Of the words beside a mark or a sensor: read on the viewer's dark ground, and still on its light one."""
 STATE_COLORS: tuple[Color, ...] = (PREDICTED_COLOR, MARK_COLORS["better"], MARK_COLORS["do"])
 """By the indices of :data:`recordings.layout.STATE_NAMES`."""
 FACE_COLOR: Color = (235, 225, 205)

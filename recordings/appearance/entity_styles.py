@@ -1,6 +1,6 @@
 """Appearance of a session's entities, logged once as static data."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import rerun as rr
 from rerun.blueprint import Visualizer
@@ -13,7 +13,6 @@ from recordings.appearance.body_shape import capsule_radii
 from recordings.appearance.colors import (
     FACE_COLOR,
     JOINT_RADII,
-    LABEL_COLORS,
     MARK_COLORS,
     PREDICTED_COLOR,
     SKELETON_COLORS,
@@ -28,6 +27,7 @@ _NOSE_RADIUS = 0.022  # metres
 _BONE_RADIUS = 1.2  # points on the screen: seen beside the body from where the eye stands, light and dark
 _FRUSTUM_DEPTH = 0.25  # metres
 _ABOVE_SENSOR = (0.0, -0.42, 0.0)  # above the frustum, which is drawn 0.2 or 0.3 m deep
+_DOT = 0.001  # metres: a frame without axes has no name in the viewer
 _GRID_X, _GRID_Z = (-5, 5), (-1, 6)  # metres from K_A, to the right and forward
 _GRID_COLOR = (128, 128, 136)
 _MIRRORED = 0.7  # brightness of the right side's lines
@@ -82,15 +82,22 @@ def cloud_look(side: str) -> rr.Points3D:
     return rr.Points3D.from_fields(colors=SKELETON_COLORS[side], radii=_CLOUD_RADIUS)
 
 
-def sensor_label(side: str) -> rr.Points3D:
-    """A sensor's name, a little above it."""
-    return rr.Points3D(
-        [_ABOVE_SENSOR],
-        labels=[f"Kinect {side.upper()}"],
-        colors=LABEL_COLORS[side],
-        radii=0.001,
-        show_labels=True,
+def words_at(words: str, place: Sequence[float], parent: str) -> tuple[rr.AsComponents, ...]:
+    """Words beside a place in an entity's frame, in the text colour of the viewer's theme.
+
+    They are the name of a coordinate frame: Rerun gives all other labels the colour of what they are beside,
+    which cannot be read on a dark and on a light ground. A frame's name stays, so it must not change.
+    """
+    return (
+        rr.Transform3D.from_fields(translation=place, parent_frame=f"tf#{parent}", child_frame=words),
+        rr.CoordinateFrame(words),  # else the entity's own frame is named, too
+        rr.TransformAxes3D.from_fields(axis_length=_DOT, show_frame=True),
     )
+
+
+def sensor_label(side: str) -> tuple[rr.AsComponents, ...]:
+    """A sensor's name, a little above it."""
+    return words_at(f"Kinect {side.upper()}", _ABOVE_SENSOR, layout.kinect(side))
 
 
 def floor_grid() -> rr.LineStrips3D:

@@ -90,7 +90,7 @@ class PlacementLog:
         once = self._stream.log
         once(layout.kinect("a"), rr.Transform3D.from_fields(translation=(0.0, 0.0, 0.0)), static=True)
         for side in layout.SIDES:
-            once(layout.sensor_label(side), entity_styles.sensor_label(side), static=True)
+            once(layout.sensor_label(side), *entity_styles.sensor_label(side), static=True)
         once(layout.FLOOR, entity_styles.floor_grid(), static=True)
         self._log_floor(0, 0)
         for name, entity in layout.FRAME_NAMES.items():

@@ -177,7 +177,7 @@ class Recorder:
         """Logs the coach's page at the time of the last frame, or at the start."""
         set_time(self._stream, *((0, 0) if page.from_start or self._last is None else self._last))
         for entity, what in page.entities(card=self._shown):
-            self._stream.log(entity, what)
+            self._stream.log(entity, *what)
 
     def finish(self) -> None:
         """Marks the session as complete; a reader treats a session without this mark as cut off."""

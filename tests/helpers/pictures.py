@@ -16,8 +16,15 @@ from viewer_app.viewer.window import start_viewer
 @contextlib.contextmanager
 def headless_viewer(*arguments, size=(1200, 800)):
     """A viewer that draws without a screen; the test is skipped where there is none."""
+    with viewer_window("--headless", *arguments, size=size) as viewer:
+        yield viewer
+
+
+@contextlib.contextmanager
+def viewer_window(*arguments, size=(1200, 800)):
+    """A viewer on the display that the environment names."""
     need_viewer()
-    process, port = start_viewer(["--headless", "--window-size", "{}x{}".format(*size), *arguments])
+    process, port = start_viewer(["--window-size", "{}x{}".format(*size), *arguments])
     try:
         yield ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
     finally:
@@ -40,3 +47,15 @@ def shows_skeletons(picture):
 def shows_body(picture, pixels=1000):
     """Whether a picture has S* as a body of at least so many pixels; none: it has not."""
     return picture is not None and pixels_near(picture, SKELETON_COLORS["fused"], 70) >= pixels
+
+
+def linear(color):
+    """(3,) of sRGB without its gamma."""
+    srgb = np.array(color) / 255.0
+    return np.asarray(np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4))
+
+
+def contrast(color, background):
+    """Contrast of WCAG 2, from 1 to 21."""
+    bright = sorted(float(linear(each) @ (0.2126, 0.7152, 0.0722)) + 0.05 for each in (color, background))
+    return bright[1] / bright[0]

@@ -29,7 +29,6 @@ _THERE = 0.4  # metres from the spot that count as standing on it
 _FLOOR_OVER = 60  # frames
 _COARSE = 0.1  # metres: rounding of the drawings, so that invisible changes are not logged
 _FRUSTUM = 0.35  # metres: around the sensor's own
-_LABEL_UNDER = {"A": 0.3, "B": 0.6}  # metres
 _BEST_ANGLE = 90.0  # degrees
 
 
@@ -65,6 +64,8 @@ class CoachScene:
         }
         drawn = tuple((name, mark) for name, mark in marks.items() if mark is not None)
         card = None if shown is None else (shown.state, shown.step)
+        if shown is not None and shown.kind == "pose" and now.held > 0.0:
+            card = shown.state, f"Hold still: {math.ceil(max(0.0, HOLD - now.held))} s"
         return CoachPage(to_markdown(advice), drawn, card)
 
     def _person(self, fused: FusedFrame) -> NDArray[np.float64] | None:
@@ -103,35 +104,24 @@ class CoachScene:
             ),
             axis=-1,
         )
-        # the label is beside the first line, below the ring and the point clouds, which would cover it
-        under = np.array([place.x, floor + _UNDER, place.z])
-        post = np.array([[place.x, floor, place.z], under])
-        lines = _line(np.stack((under, under))), _line(ring), _line(post)
-        if now.held > 0.0:
-            return Mark(lines, f"hold still: {math.ceil(max(0.0, HOLD - now.held))} s", "do")
-        if person is None:
-            return Mark(lines, "stand here", "do")
-        to_go = np.array([place.x, place.z]) - person
+        # the words are below the ring and the point clouds, which would cover them
+        post = np.array([[place.x, floor, place.z], [place.x, floor + _UNDER, place.z]])
+        lines, under = (_line(ring), _line(post)), _line(post)[1]
+        to_go = np.zeros(2) if person is None else np.array([place.x, place.z]) - person
         far = float(np.linalg.norm(to_go))
-        if far <= _THERE:
-            return Mark(lines, "here" if now.final else "here: arms out, legs apart, hold still", "do")
+        if person is None or now.held > 0.0 or far <= _THERE:
+            return Mark(lines, "do", under)
         along = to_go / far
         across = np.array([-along[1], along[0]])
         tip = person + along * (far - _RING)
         flat = [person, tip, tip - 0.15 * (along + 0.6 * across), tip, tip - 0.15 * (along - 0.6 * across)]
         arrow = np.array([[x, floor, z] for x, z in flat])
-        return Mark((*lines, _line(arrow)), f"stand here: {far:.1f} m to go", "do")
+        return Mark((*lines, _line(arrow)), "do", under)
 
     def _sensor(self, side: str, advice: Sequence[Advice], in_a: RigidTransform) -> Mark | None:
-        wrong = [
-            each.label for each in advice if each.level == "WARN" and side in each.sensors and each.label
-        ]
-        if not wrong:
+        if not any(each.level == "WARN" and side in each.sensors and each.label for each in advice):
             return None
-        camera = self._cameras["AB".index(side)]
-        # the label is beside the first line: below the sensor, and those of two sensors side by side apart
-        under = _line(np.array([in_a.translation + (0.0, _LABEL_UNDER[side], 0.0)] * 2))
-        return Mark((under, *_frustum(camera, in_a)), f"{side}: {wrong[0]}", "mend")
+        return Mark(tuple(_frustum(self._cameras["AB".index(side)], in_a)), "mend")
 
     def _better(self, calibration: Calibration) -> Mark | None:
         """The position of B if it moved around the person until the axes form a right angle."""
@@ -141,8 +131,8 @@ class CoachScene:
         best = better_place(calibration.a_from_b, self._place(calibration))
         way = np.linspace(calibration.a_from_b.translation, best.translation, 9)
         lines = (*_frustum(self._cameras[1], best), _line(way))
-        reached = math.degrees(math.acos(float(np.clip(best.rotation[2, 2], -1.0, 1.0))))
-        return Mark(lines, f"better for B: {reached:.0f}°", "better")
+        under = _line(best.translation[None] + (0.0, _FRUSTUM, 0.0))[0]
+        return Mark(lines, "better", under)
 
 
 def better_place(a_from_b: RigidTransform, around: StandingSpot) -> RigidTransform:
@@ -167,7 +157,7 @@ def places(setup: FusionSetup) -> NDArray[np.float64]:
     best = better_place(a_from_b, spot).translation
     sensors = [np.zeros(3), a_from_b.translation if known else best, best]
     person = [[spot.x, y, spot.z] for y in (CAMERA_HEIGHT + _UNDER, CAMERA_HEIGHT - TALL)]
-    edges = [each + [0.0, y, 0.0] for each in sensors for y in (-_FRUSTUM, max(_LABEL_UNDER.values()))]
+    edges = [each + [0.0, y, 0.0] for each in sensors for y in (-_FRUSTUM, _FRUSTUM)]
     return np.array([*person, *edges])
 
 

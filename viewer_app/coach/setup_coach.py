@@ -331,7 +331,7 @@ class Coach:
     def _pose(self, now: Situation) -> Iterator[Advice]:
         if now.final:
             return
-        # without a count, which the ring's label has: the headline is steady
+        # without a count, which the card has: the headline is steady
         yield _remark(
             "pose", "", "not calibrated yet", f"in the ring: arms and legs apart, hold still {HOLD:.0f} s"
         )

@@ -38,14 +38,18 @@ def fused(at=PERSON):
     return Fuser(FusionSetup(KNOWN)).update(pair_of(BODY, at))
 
 
-def marks(now=None, seen=None, *advice, state=State.NOT_YET):
+def page(now=None, seen=None, *advice, state=State.NOT_YET, kind=""):
     now = now or Situation(KNOWN, final=False, held=0.0)
-    return dict(CoachScene(BODY, CAMERAS).page(advice, now, seen, Headline(state, "")).marks)
+    return CoachScene(BODY, CAMERAS).page(advice, now, seen, Headline(state, "as advised", kind))
+
+
+def marks(*given, **more):
+    return dict(page(*given, **more).marks)
 
 
 def middle_of_ring(mark):
-    under, ring = (np.array(line) for line in mark.lines[:2])
-    assert under[0, 1] > ring[0, 1]  # the words' place
+    ring = np.array(mark.lines[0])
+    assert mark.words_at[1] > ring[0, 1]
     assert ring[0] == pytest.approx(ring[-1])
     return np.asarray(ring[:-1].mean(axis=0))
 
@@ -75,24 +79,25 @@ def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it():
     mark = marks(seen=away)["spot"]
     floor = max(away.positions[BODY.joint(f"ANKLE_{side}"), 1] for side in ("LEFT", "RIGHT")) + 0.08
     assert middle_of_ring(mark)[1] == pytest.approx(floor, abs=0.051)  # drawn in steps of 0.1 m
-    arrow = np.array(mark.lines[3])
+    arrow = np.array(mark.lines[2])
     torso = away.positions[list(BODY.torso)].mean(axis=0)
     assert np.linalg.norm(arrow[0] - torso, axis=0) > 0.3  # on the floor, not in the body
     assert np.abs(arrow[0] - torso)[[0, 2]].max() < 0.051
-    to_go = np.linalg.norm((middle_of_ring(mark) - arrow[0])[[0, 2]])
-    assert mark.words == f"stand here: {to_go:.1f} m to go"
+    along, to_go = (each[[0, 2]] for each in (arrow[1] - arrow[0], middle_of_ring(mark) - arrow[0]))
+    assert along / np.linalg.norm(along) == pytest.approx(to_go / np.linalg.norm(to_go), abs=1e-6)
 
 
-def test_the_pose_is_requested_on_the_circle_and_counted_down():
+def test_the_pose_is_counted_down_on_the_card_and_the_circle_stays_until_ready():
     spot = standing_spot(A_FROM_B, CAMERAS, FARTHEST[BODY.name], 1.0)
     torso = PERSON[list(BODY.torso)].mean(axis=0)
     there = fused(PERSON + [spot.x - torso[0], 0.0, spot.z - torso[2]])
-    assert "hold still" in marks(seen=there)["spot"].words
+    assert page(seen=there, kind="pose").card == (State.NOT_YET, "as advised")
     now = Situation(KNOWN, final=False, held=HOLD - 1.4)
-    assert marks(now, there)["spot"].words == "hold still: 2 s"
-    final = replace(now, final=True, held=0.0)
-    assert marks(final, there)["spot"].words == "here"
-    assert "spot" not in marks(final, there, state=State.READY)
+    assert page(now, there, kind="pose").card == (State.NOT_YET, "Hold still: 2 s")
+    assert page(now, there, kind="feet").card == (State.NOT_YET, "as advised")
+    for shown in (None, now, replace(now, final=True, held=0.0)):
+        assert len(marks(shown, there)["spot"].lines) == 2  # no arrow
+    assert "spot" not in marks(now, there, state=State.READY)
 
 
 def test_before_the_first_person_a_circle_is_shown_in_front_of_a():
@@ -106,12 +111,10 @@ def test_a_sensor_with_a_problem_is_marked_where_it_stands():
     problem = Advice("person B", "…", "WARN", "B", "sees no one")
     drawn = marks(None, None, problem, replace(problem, topic="x", level="INFO", sensors="A"))
     assert "sensor_a" not in drawn
-    assert drawn["sensor_b"].words == "B: sees no one"
     assert drawn["sensor_b"].meaning == "mend"
-    label, edge, first, *_ = drawn["sensor_b"].lines
+    edge, first, *_ = drawn["sensor_b"].lines
     assert first[0] == pytest.approx(A_FROM_B.translation)
     assert edge[0] == edge[-1]
-    assert label[0][1] > A_FROM_B.translation[1]  # y is down
 
 
 @pytest.mark.parametrize("angle", [30.0, 150.0])
@@ -126,8 +129,8 @@ def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle):
     # the floor is known to 0.1 m only, which moves the spot by a step at most
     assert np.linalg.norm(way[-1] - away) == pytest.approx(np.linalg.norm(way[0] - away), abs=0.15)
     looks = np.mean([line[1] for line in mark.lines[1:5]], axis=0) - mark.lines[1][0]
+    assert mark.words_at[1] > way[-1, 1]  # y is down
     assert looks[2] / np.linalg.norm(looks) == pytest.approx(0.0, abs=0.02)  # at a right angle to A's axis
-    assert "90°" in mark.words
 
 
 def test_a_good_angle_needs_no_better_place():

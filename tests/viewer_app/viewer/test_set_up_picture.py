@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pytest
 import rerun as rr
+import rerun.blueprint as rrb
 from PIL import Image
 
 from fusion.body import KINECT_V2
@@ -12,9 +13,11 @@ from fusion.calibration.calibration import nominal_calibration
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
+from recordings.appearance.entity_styles import words_at
 from recordings.appearance.state_card import LOOKS, State
 from recordings.writing.recorder import Recorder
-from tests.helpers.pictures import headless_viewer, pixels_near
+from tests.helpers.displays import x_server
+from tests.helpers.pictures import contrast, headless_viewer, pixels_near, viewer_window
 from tests.helpers.waiting import eventually
 from viewer_app.viewer.blueprint import session_blueprint
 
@@ -67,3 +70,36 @@ def test_state_and_step_are_read_from_three_metres(picture):
     assert arc_minutes(step_end - step_top) > 10.0
     word = np.flatnonzero(white[:word_end].any(axis=0))
     assert word[-1] - word[0] > SCREEN[0] / 3
+
+
+@pytest.mark.parametrize("theme", ["Dark", "Light"])
+def test_words_in_the_scene_have_a_contrast_on_either_theme(theme, tmp_path, monkeypatch):
+    (tmp_path / "rerun").mkdir()
+    options = f'{{"rerun.version": "{rr.__version__}", "egui": "(options:(theme_preference:{theme}))"}}'
+    (tmp_path / "rerun" / "app.ron").write_text(options)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    scene = rrb.Spatial3DView(line_grid=False, eye_controls=rrb.EyeControls3D(position=(0, 0, -3)))
+    found = []
+    with x_server() as display:
+        monkeypatch.setenv("DISPLAY", display)
+        with viewer_window(size=(1200, 400)) as viewer:
+            stream = rr.RecordingStream(layout.APPLICATION_ID)
+            stream.connect_grpc(viewer.url)
+            stream.send_blueprint(rrb.Blueprint(scene, collapse_panels=True, auto_views=False))
+            stream.log("words", *words_at("HHHHHHHHHH", (0.0, 0.0, 0.0), layout.ROOT), static=True)
+            stream.flush(timeout_sec=20.0)
+
+            def drawn():
+                picture = np.asarray(Image.open(io.BytesIO(viewer.take_screenshot())).convert("RGB"))
+                middle = picture[150:300, 450:750].reshape(-1, 3)
+                colors, counts = np.unique(middle, axis=0, return_counts=True)
+                last, found[:] = found[:], [tuple(color) for color in colors[np.argsort(-counts)]]
+                # of the view, of the words' ground, and of their edges
+                themed = (np.mean(found[0]) > 128) == (theme == "Light")
+                return themed and len(found) > 2 and found == last
+
+            assert eventually(drawn, 60.0)
+            stream.disconnect()
+    _, ground, *edges = found
+    assert max(contrast(each, ground) for each in edges) >= 4.5
