@@ -6,7 +6,8 @@ to K_A's frame, by a robust fit to all joints of all three skeletons in all fram
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,13 +22,13 @@ from fusion.errors import CalibrationError
 from fusion.facing.evidence import upright_direction
 from fusion.joint_rotations import rotations_of
 from fusion.medians import median_of_known
-from fusion.registration.rigid_fit import LARGEST_RESIDUAL, fit_recording
+from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError
 from recordings.joint_path import JointPath, Joints
 from recordings.session_series import SessionSeries
 from recordings.truth_files import TruthFile
-from recordings.truth_timing import TimeOffset, find_offset
+from recordings.truth_timing import TimeOffset, correlation_at, find_offset
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,8 @@ _FEWEST_JOINTS = 5
 _FEWEST_FRAMES = 24
 _SIZE_WITHIN = 1.4  # factor between the sizes of the person in both files
 _MOST_FITTED = 3000  # frames that the transform is fitted to
+_LARGEST_RESIDUAL = 0.1  # metres, the median: others are farther apart
+_MIRROR = np.array([-1.0, 1.0, 1.0])
 _MIRRORED = 0.6  # of the residual: a mirror image that fits so much better is right
 
 
@@ -52,6 +55,7 @@ class TruthComparison:
         unit: The truth's unit of length, in words.
         offset: Between the clocks.
         a_from_truth: K_A ← the truth's frame.
+        residual: Metres between the skeletons and the truth after this fit, the median.
         frame, time_ns: (T,) numbers and times of the frames.
         found: (T, J, 3) by :data:`SKELETONS`.
         truth: (T, J, 3) by the same keys, when the skeleton was captured.
@@ -65,6 +69,7 @@ class TruthComparison:
     unit: str
     offset: TimeOffset
     a_from_truth: RigidTransform
+    residual: float
     frame: NDArray[np.int64]
     time_ns: NDArray[np.int64]
     found: dict[str, Array]
@@ -106,17 +111,19 @@ class TruthComparison:
         offset = find_offset(body, views, found["fused"], path)
         if offset_s is not None:
             offset = offset.given(offset_s) if offset else TimeOffset(offset_s)
-        elif offset is not None and not offset.sure:
-            raise RecordingError(
-                f"{truth.name} and {session}: the person moves too little to find the offset; give `offset`."
-            )
-        if offset is None:
+            offset = replace(offset, correlation=correlation_at(found["fused"], path, offset))
+        elif offset is None:
+            _refuse_mirrored(body, views, found["fused"], truth, metres * joints, session)
             raise RecordingError(
                 f"{truth.name} and {session}: no offset in time makes the movements match. Do they show the "
                 "same movement of a person who moves enough, and is the table of names, "
                 f"{table.name}, right? `offset` gives an offset."
             )
-        true = {key: path.at(view.seconds - offset.seconds) for key, view in found.items()}
+        elif not offset.sure:
+            raise RecordingError(
+                f"{truth.name} and {session}: the person moves too little to find the offset; give `offset`."
+            )
+        true = {key: path.at(offset.truth_times(view.seconds)) for key, view in found.items()}
         both = np.isfinite(rows.fused + true["fused"]).any(axis=(1, 2))
         common = np.flatnonzero(both)
         if len(common) < _FEWEST_FRAMES:
@@ -126,7 +133,7 @@ class TruthComparison:
             )
         positions = {key: view.positions[common] for key, view in found.items()}
         true = {key: at[common] for key, at in true.items()}
-        fit = _transform(positions, true, session, truth)
+        fit, residual = _transform(positions, true, session, truth)
         return TruthComparison(
             body=body,
             truth_name=truth.name,
@@ -135,6 +142,7 @@ class TruthComparison:
             unit=unit,
             offset=offset,
             a_from_truth=fit,
+            residual=residual,
             frame=rows.frame[common],
             time_ns=rows.time_ns[common],
             found=positions,
@@ -235,32 +243,50 @@ def _spans(joints: Array) -> Array:
     return median
 
 
+def _refuse_mirrored(
+    body: Body,
+    views: Sequence[Joints],
+    fused: Joints,
+    truth: TruthFile,
+    joints: Array,
+    session: SessionSeries,
+) -> None:
+    """Raises RecordingError where a mirror image of the truth, or one with the other labels, matches."""
+    variants = {
+        "its axes are left-handed: it is a mirror image of": joints * _MIRROR,
+        "its left and right are exchanged against": joints[:, body.mirror],
+    }
+    for words, positions in variants.items():
+        path = JointPath(Joints(truth.seconds, positions))
+        if find_offset(body, views, fused, path) is not None:
+            raise RecordingError(f"{truth.name}: {words} {session}.")
+
+
 def _transform(
     found: dict[str, Array], true: dict[str, Array], session: SessionSeries, truth: TruthFile
-) -> RigidTransform:
-    """K_A ← the truth's frame."""
+) -> tuple[RigidTransform, float]:
+    """K_A ← the truth's frame, and the median residual in metres."""
     every = max(1, len(found["fused"]) // _MOST_FITTED)
     p, q = (np.concatenate([each[key][::every] for key in SKELETONS]) for each in (found, true))
     try:
         fit = fit_recording(p, q)
-        mirror = np.array([-1.0, 1.0, 1.0])
         residual, mirrored = (
             float(np.nanmedian(_length(p - one.apply(at))))
-            for one, at in ((fit, q), (fit_recording(p, q * mirror), q * mirror))
+            for one, at in ((fit, q), (fit_recording(p, q * _MIRROR), q * _MIRROR))
         )
     except CalibrationError as error:
         raise RecordingError(f"{truth.name} and {session}: {error}") from None
-    if mirrored < _MIRRORED * residual:
+    if mirrored < min(_MIRRORED * residual, _LARGEST_RESIDUAL):
         raise RecordingError(
             f"{truth.name} is a mirror image of {session}: its axes are left-handed, or its left and right "
             "are exchanged."
         )
-    if residual > LARGEST_RESIDUAL:
+    if residual > _LARGEST_RESIDUAL:
         raise RecordingError(
             f"{truth.name} and {session} are {residual * 1e3:.0f} mm apart (median) after the best fit: not "
             "the same movement, or another table of names is needed."
         )
-    return fit
+    return fit, residual
 
 
 def _length(vectors: Array) -> Array:

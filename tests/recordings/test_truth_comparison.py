@@ -128,7 +128,7 @@ def test_the_constant_part_is_another_definition_of_the_joint(walk):
     every = dict.fromkeys(SKELETONS, rows.fused)
     found = TruthComparison(
         AZURE_KINECT, "t", "bodies", np.arange(len(AZURE_KINECT)), "metres", TimeOffset(0.0),
-        RigidTransform.identity(), rows.frame, rows.time_ns, every,
+        RigidTransform.identity(), 0.0, rows.frame, rows.time_ns, every,
         every | {"fused": rows.fused - moved}, np.array([0.0, -1.0, 0.0]),
     )  # fmt: skip
     np.testing.assert_allclose(found.constant["fused"], put_in, atol=1e-6)
@@ -159,7 +159,8 @@ def test_what_cannot_be_compared_says_why(walk, tmp_path, monkeypatch):
     scrambled.write_text("[joints]\n" + "\n".join(
         f'{joint} = "{other}"' for joint, other in zip(good.labels, good.labels[::-1], strict=True)
     ))  # fmt: skip
-    assert "or another table of names is needed" in error(table=name_table(scrambled))
+    assert "t.toml, right?" in error(table=name_table(scrambled))
+    assert "or another table of names is needed" in error(table=name_table(scrambled), offset_s=3.7)
     monkeypatch.setattr("recordings.truth_comparison.find_offset", lambda *_: None)  # a given one is taken
     assert "covers 0 frames" in error(offset_s=100.0)
     mirrored = replace(good, points=good.points * [-1.0, 1.0, 1.0])
@@ -180,6 +181,43 @@ def test_standing_before_a_movement_that_repeats_itself_is_no_part_of_it():
     offsets = part_offsets(AZURE_KINECT, truth, session)
     first, *_ = best_offsets(truth, session, offsets)
     assert offsets[first] == pytest.approx(3.7e9, abs=3e7)
+
+
+@pytest.mark.parametrize("fast", [0.001, -0.005, 0.02])
+def test_a_truth_whose_clock_has_another_speed_is_found(walk, fast):
+    right = truth_of(walk, offset_s=3.7, seconds=15.0)
+    wrong = replace(right, seconds=(1.0 + fast) * right.seconds)
+    found, best = (TruthComparison.of(walk.session, each) for each in (wrong, right))
+    # the right one's clock is that of the simulator, from which errors of S* may take it
+    assert found.offset.fast - best.offset.fast == pytest.approx(fast, abs=4.0 * found.offset.fast_sd)
+    assert found.offset.seconds == pytest.approx(3.7, abs=0.003)
+    means = [np.nanmean(each.distance["fused"]) for each in (found, best)]
+    assert means[0] == pytest.approx(means[1], rel=0.01)
+
+
+def test_a_right_clock_stays_as_it_is(walk):
+    assert TruthComparison.of(walk.session, truth_of(walk, offset_s=3.7, seconds=15.0)).offset.fast == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda points: points * [1.0, -1.0, 1.0], "its axes are left-handed"),
+        (lambda points: points[:, AZURE_KINECT.mirror], "its left and right are exchanged"),
+    ],
+)
+def test_a_mirror_image_is_called_so(walk, change, words):
+    right = truth_of(walk, offset_s=3.7, seconds=15.0)
+    with pytest.raises(RecordingError, match=words):
+        TruthComparison.of(walk.session, replace(right, points=change(right.points)))
+
+
+def test_a_movement_backwards_is_refused_and_is_no_mirror_image(walk):
+    right = truth_of(walk, offset_s=3.7, seconds=15.0)
+    with pytest.raises(RecordingError) as raised:
+        TruthComparison.of(walk.session, replace(right, points=right.points[::-1]))
+    assert "mirror" not in str(raised.value)
+    assert "left" not in str(raised.value)
 
 
 @pytest.mark.parametrize("motion", ["squat", "steps", "turn"])

@@ -19,9 +19,12 @@ JOINT_HEAD = ("joint", *NAMES)
 """The columns of :func:`joint_rows`."""
 ANGLE_HEAD = ("angle", *NAMES, "range: truth / A / B / S*")
 """The columns of :func:`angle_rows`."""
+AGREEMENT_HEAD = ("angle", "bias", "limits of agreement", "ICC(A,1)")
+"""The columns of :func:`agreement_rows`."""
 _RANGE = 1.0, 99.0  # percentiles that a range of motion lies between
 _LEAST_RANGE = 1.0  # degrees: the correlation of an angle that moves less says nothing
 _FEWEST = 10  # frames
+_LIMITS = 1.96  # standard deviations between which 95 % of the differences lie (Bland and Altman 1986)
 
 
 def truth_figures(comparison: TruthComparison) -> Figures:
@@ -38,6 +41,10 @@ def truth_figures(comparison: TruthComparison) -> Figures:
         "equal_offsets_s": list(offset.others),
         "offset_by_motion_s": known_or_none(offset.instead_of),
         "lag_ms": known_or_none(1e3 * offset.lag_seconds),
+        "clock_fast_percent": 1e2 * offset.fast,
+        "clock_fast_sd_percent": known_or_none(1e2 * offset.fast_sd),
+        "correlation": known_or_none(offset.correlation),
+        "residual_mm": 1e3 * comparison.residual,
         "a_from_truth": {
             "rotation": transform.rotation.tolist(),
             "translation_m": transform.translation.tolist(),
@@ -56,12 +63,16 @@ def truth_figures(comparison: TruthComparison) -> Figures:
 
 
 def truth_lines(figures: Figures) -> Iterator[Line]:
-    """How the clocks are related."""
+    """How the clocks are related, and how well the movements match."""
     sd, lag, others = figures["offset_sd_ms"], figures["lag_ms"], figures["equal_offsets_s"]
     certain = "as given" if sd is None else f"± {sd:.1f} ms"
     yield Line("Offset", f"{figures['offset_s']:.4f} s to add to the truth's times, {certain}.")
     if (motion := figures["offset_by_motion_s"]) is not None:
         yield Line("", f"The motion contradicts it: by the motion, the offset is {motion:.4f} s.", True)
+    if fast := figures["clock_fast_percent"]:
+        sd, how = figures["clock_fast_sd_percent"], "fast" if fast > 0.0 else "slow"
+        text = f"The truth's clock is {how} by {abs(fast):.3f} ± {sd:.3f} %, which is corrected."
+        yield Line("Clock", text, True)
     if others:
         equal = ", ".join(f"{other:.2f} s" for other in others)
         yield Line(
@@ -69,6 +80,8 @@ def truth_lines(figures: Figures) -> Iterator[Line]:
         )
     if lag is not None:
         yield Line("Lag", f"S* is {abs(lag):.1f} ms {'behind' if lag >= 0.0 else 'ahead of'} the two views.")
+    apart = f"{in_mm(figures['residual_mm'])} (median) after the fit"
+    yield Line("Match", f"Displacements correlate at {_digits(figures['correlation'], 2)}; {apart}.")
 
 
 _OF_ALL = {
@@ -113,6 +126,15 @@ def angle_rows(figures: Figures) -> Iterator[list[str]]:
         ]
 
 
+def agreement_rows(figures: Figures) -> Iterator[list[str]]:
+    """Of each angle of S*: its bias in degrees, between which differences 95 % of them lie, and the ICC."""
+    for name, of in figures["angles"].items():
+        if (of_fused := of["fused"])["limits_deg"] is not None:
+            limits = " to ".join(f"{limit:+.1f}" for limit in of_fused["limits_deg"])
+            bias, icc = f"{of_fused['bias_deg']:+.1f}", _digits(of_fused["icc"], 2)
+            yield [name.replace("_", " "), bias, limits, icc]
+
+
 def _of_all(comparison: TruthComparison, key: str) -> Figures:
     distance, rest = comparison.distance[key], comparison.rest[key]
     common = np.isfinite([comparison.distance[each] for each in SKELETONS]).all(axis=0)
@@ -142,17 +164,34 @@ def _of_angle(comparison: TruthComparison, key: str, angle: int) -> Figures:
     both = np.isfinite(found) & np.isfinite(true)
     found, true = found[both], true[both]
     if len(found) < _FEWEST:
-        return dict.fromkeys(("rmse_deg", "bias_deg", "correlation", "range_deg", "true_range_deg"))
+        return dict.fromkeys(_OF_ANGLE)
     off = (found - true + 180.0) % 360.0 - 180.0
     low, high = np.percentile([found, true], _RANGE, axis=1)
     moves = (high - low > _LEAST_RANGE).all()
     return {
         "rmse_deg": float(np.sqrt(np.mean(off**2))),
         "bias_deg": float(off.mean()),
+        "limits_deg": [float(off.mean() + side * _LIMITS * off.std(ddof=1)) for side in (-1.0, 1.0)],
+        "icc": _agreement(true + off, true) if moves else None,
         "correlation": float(np.corrcoef(found, true)[0, 1]) if moves else None,
         "range_deg": float((high - low)[0]),
         "true_range_deg": float((high - low)[1]),
     }
+
+
+_OF_ANGLE = ("rmse_deg", "bias_deg", "limits_deg", "icc", "correlation", "range_deg", "true_range_deg")
+
+
+def _agreement(found: Array, true: Array) -> float:
+    """ICC(A,1): absolute agreement of single values in a two-way model (McGraw and Wong 1996)."""
+    values = np.stack([found, true], axis=1)
+    n, k = values.shape
+    rows, columns = values.mean(axis=1), values.mean(axis=0)
+    of_rows = k * rows.var(ddof=1)
+    of_columns = n * columns.var(ddof=1)
+    rest = values - rows[:, None] - columns + values.mean()
+    error = np.sum(rest**2) / ((n - 1) * (k - 1))
+    return float((of_rows - error) / (of_rows + (k - 1) * error + k / n * (of_columns - error)))
 
 
 def _digits(value: float | None, digits: int) -> str:

@@ -10,10 +10,12 @@ from recordings.truth_comparison import SKELETONS, TruthComparison
 from viewer_app.report.review_page import page_colors, page_template
 from viewer_app.report.svg_plots import bar_plot, line_plot
 from viewer_app.report.truth_figures import (
+    AGREEMENT_HEAD,
     ALL_HEAD,
     ANGLE_HEAD,
     JOINT_HEAD,
     NAMES,
+    agreement_rows,
     all_rows,
     angle_rows,
     joint_rows,
@@ -41,6 +43,8 @@ def truth_page(session: Session, comparison: TruthComparison, figures: Figures) 
         angle_plots=_angle_plots(comparison, figures),
         angle_head=ANGLE_HEAD,
         angles=list(angle_rows(figures)),
+        agreement_head=AGREEMENT_HEAD,
+        agreement=list(agreement_rows(figures)),
     )
 
 

@@ -12,6 +12,7 @@ from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.motion_capture import captured, true_positions, write_c3d, write_trc
 from tests.helpers.session_text import rows_of
+from viewer_app.report.truth_figures import _agreement
 
 # of laboratories, on the joints of KINECT_V2
 MARKERS = {
@@ -45,6 +46,9 @@ def test_markers_of_a_laboratory_are_compared_without_a_table(walk, tmp_path, ca
     figures = json.loads(report.read_text())
     assert figures["offset_s"] == pytest.approx(3.7, abs=0.002)
     assert figures["offset_sd_ms"] < 5.0
+    assert 0.8 < figures["correlation"] < 1.0
+    assert 0.0 < figures["residual_mm"] < 100.0
+    assert f"correlate at {figures['correlation']:.2f}; {figures['residual_mm']:.0f} mm (median)" in said
     every = figures["all_joints"]
     assert every["fused"]["mean_mm"] < min(every["a"]["mean_mm"], every["b"]["mean_mm"])
     assert figures["joints"].keys() == {"SpineBase", *MARKERS.values()}
@@ -60,11 +64,22 @@ def test_markers_of_a_laboratory_are_compared_without_a_table(walk, tmp_path, ca
     knee = figures["angles"][ANGLES[0]]["fused"]
     assert knee["rmse_deg"] == pytest.approx(np.sqrt(np.nanmean(off**2)), rel=0.1)  # a tenth is missing
     assert knee["true_range_deg"] == pytest.approx(np.ptp(np.percentile(true, [1.0, 99.0])), abs=1.0)
+    # differences of a tenth less frames, as above
+    limits = [np.nanmean(off) + side * 1.96 * np.nanstd(off) for side in (-1.0, 1.0)]
+    assert knee["limits_deg"] == pytest.approx(limits, abs=1.0)
     text = page.read_text()
     assert text.count("<svg") == 2 + len(figures["angles"])
     assert "walk.c3d" in text
     for entity in (layout.TRUTH_SKELETON, layout.FUSED_SKELETON, layout.skeleton("a"), layout.skeleton("b")):
         assert rows_of(scene, entity) == figures["frames"]
+
+
+@pytest.mark.parametrize("shift", [0.0, 2.0, 30.0])
+def test_agreement_falls_with_a_constant_difference(shift):
+    true = np.random.default_rng(3).normal(0.0, 10.0, 200)
+    # of two raters without other differences, ICC(A,1) is the share of the variance of rows
+    expected = true.var(ddof=1) / (true.var(ddof=1) + 0.5 * shift**2)
+    assert _agreement(true + shift, true) == pytest.approx(expected)
 
 
 def test_names_of_ones_own_take_a_table(walk, tmp_path, capsys):
