@@ -1,6 +1,7 @@
 """The quality of each second of a session."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -43,6 +44,15 @@ def good_spans(session: SessionData, seconds: Sequence[SecondQuality]) -> tuple[
             begin = spans.pop().start if spans and spans[-1].end == each.start else each.start
             spans.append(Span(begin, end))
     return tuple(spans)
+
+
+def merged_by_word(seconds: Iterable[SecondQuality]) -> tuple[SecondQuality, ...]:
+    """One for those that follow each other with the same word, with the reason that all of them have."""
+    merged = []
+    for word, each in groupby(seconds, key=lambda second: second.word):
+        starts, _, reasons = zip(*each, strict=True)
+        merged.append(SecondQuality(starts[0], word, reasons[0] if len(set(reasons)) == 1 else ""))
+    return tuple(merged)
 
 
 def good_frames(session: SessionData, seconds: Sequence[SecondQuality]) -> NDArray[np.bool_]:

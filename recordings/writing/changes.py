@@ -19,7 +19,7 @@ from recordings.appearance import entity_styles
 from recordings.appearance.floor import FloorFinder
 from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources
 from recordings.frame_noise import FrameDeviations, noise_of
-from recordings.quality.per_second import quality_per_second
+from recordings.quality.per_second import merged_by_word, quality_per_second
 from recordings.session_arrays import SessionArrays
 from recordings.session_data import SessionData
 from recordings.writing.arrow_columns import Column, Times, converted, state_changes
@@ -178,14 +178,14 @@ class StreamFiguresLog:
 
 
 def log_quality(stream: rr.RecordingStream, session: SessionData) -> None:
-    """Logs how good each second of a session is, and why."""
-    seconds = quality_per_second(session)
-    texts = [f"{each.word}: {each.reason}" if each.reason else each.word for each in seconds]
-    starts = np.array([each.start for each in seconds])
+    """Logs how good the seconds of a session are, equal ones as one: the viewer cuts off the text of each."""
+    stretches = merged_by_word(quality_per_second(session))
+    texts = [f"{each.word}: {each.reason}" if each.reason else each.word for each in stretches]
+    starts = np.array([each.start for each in stretches])
     frames = np.searchsorted(session.rows.time_ns, starts * 1e9).clip(max=len(session) - 1)
     times = Times.of_frames(frames, np.rint(starts * 1e9).astype(np.int64))
     stream.send_columns(layout.SECONDS_LANE, times, state_changes(texts))
-    words = {text: each.word for text, each in zip(texts, seconds, strict=True)}
+    words = {text: each.word for text, each in zip(texts, stretches, strict=True)}
     stream.log(layout.SECONDS_LANE, entity_styles.seconds_lane(words), static=True)
 
 

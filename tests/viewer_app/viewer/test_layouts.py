@@ -63,7 +63,7 @@ def expected(active):
         limbs = ("hip flexion", "knee flexion", "hip abduction", "elbow flexion", "shoulder flexion")
         return {f"{name} (°)" for name in (*limbs, "shoulder abduction", "trunk")}
     limbs = {"upper arms (m)", "forearms (m)", "thighs (m)", "shins (m)"}
-    return limbs | {SCENE, "how good each second is; which sensor each limb follows", "views differ (mm)"}
+    return limbs | {SCENE, "how good it is; which sensor each limb follows", "views differ (mm)"}
 
 
 def ink(picture):
