@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import filecmp
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.association import Follow, Followed, follow_one
+from devices.association import Follow
 from devices.azure.mkv import MkvInfo, MkvRecording
 from devices.capture.host_clock import offset_by_arrival
 from devices.depth.image_thinning import Depth, thinned, thinned_camera
@@ -33,6 +33,7 @@ from devices.pairing import (
     pair_views,
 )
 from devices.people import RecordedPeople
+from devices.recorded_person import OneRecording, SeenPerson, follow_one_person
 from devices.sensor import DeviceError, Orientation, Sensor
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
@@ -49,19 +50,6 @@ _CLOCKS_AGREE_NS = 1_000_000
 """Tolerance between the measured and the configured sync delay; the sensors are accurate to 0.1 ms."""
 
 _SAMPLES = 200  # skeletons that tell whether a sensor stands upright
-
-
-@dataclass(frozen=True)
-class SeenPerson:
-    """Somebody whom two recordings show among others.
-
-    Attributes:
-        ids: In A and in B: the id that chooses this person; None where there is none.
-        seconds: For how long each sensor sees them.
-    """
-
-    ids: tuple[str | None, str | None]
-    seconds: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +188,7 @@ def read_two(
         for choice in (choice_a, choice_b)
     )
     read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
-    read_a, read_b, people = _with_person((read_a, read_b), (choice_a, choice_b), offset_ns, follow)
+    read_a, read_b, people = follow_one_person((read_a, read_b), offset_ns, follow)
     body, about_body = _body_of_both((a, b), (read_a, read_b), choice_a.body)
     read_a, read_b = (
         replace(read, person=_as_body(read.person, source.body, body))
@@ -249,7 +237,7 @@ def read_two(
 
 
 def _body_of_both(
-    sources: tuple[Sensor, Sensor], reads: tuple[_Read, _Read], stated: str
+    sources: tuple[Sensor, Sensor], reads: tuple[OneRecording, OneRecording], stated: str
 ) -> tuple[Body, list[str]]:
     """The body that has the joints seen in either recording, and a warning where it is a guess.
 
@@ -362,29 +350,7 @@ def refuse_same(a: Path, b: Path) -> None:
         raise DeviceError(f"{a} and {b} are the same recording. Fusion needs one recording of each sensor.")
 
 
-@dataclass(frozen=True, eq=False)
-class _Read:
-    """One recording without images, and the person to fuse."""
-
-    name: str
-    people: RecordedPeople
-    info: MkvInfo | None
-    warnings: list[str]
-    arrivals: NDArray[np.int64]
-    """(T, 2) capture and arrival times, where they were recorded."""
-    person: View
-    intrinsics: Intrinsics | None = None
-    orientation: Orientation = 0
-    others: RecordedPeople | None = None  # who are not followed
-
-    @property
-    def seen(self) -> View:
-        """The frames in which the person is seen."""
-        seen = self.person.states.any(axis=1)
-        return self.person if seen.all() else self.person.chosen_whole(np.flatnonzero(seen))
-
-
-def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
+def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRecording:
     with source:
         info, arrivals = None, []
         if isinstance(source, SkeletonRecording):
@@ -416,100 +382,7 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
         )
     give_back()
     times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
-    return _Read(source.name, people, info, warnings, times, people.skeletons, camera, orientation)
-
-
-def _with_person(
-    reads: tuple[_Read, _Read],
-    choices: tuple[RecordingChoice, RecordingChoice],
-    offset_ns: int | None,
-    follow: Follow,
-) -> tuple[_Read, _Read, tuple[SeenPerson, ...]]:
-    """Chooses the person to fuse, the same one in both where one of them shows several at a time.
-
-    Returns:
-        Both with the person, and who else is seen.
-    """
-    read_a, read_b = reads
-    a, b = read_a.people, read_b.people
-    if not (a.crowded or b.crowded) or a.body is not b.body:
-        return _alone(read_a, choices[0]), _alone(read_b, choices[1]), ()
-    ids = choices[0].person, choices[1].person
-    if offset_ns is None and (clock := offset_by_arrival(read_a.arrivals, read_b.arrivals)) is not None:
-        found = follow_one(a, b, clock.at(b.time_ns), follow, ids)
-    else:
-        found = follow_one(a, b, offset_ns, follow, ids)
-    give_back()
-    options = [choice.person_option for choice in choices if choice.person is None]
-    choose = " and ".join(options) + (" choose" if len(options) > 1 else " chooses")
-    has = " and ".join(f"{_listed(read.people)} by {side}" for read, side in zip(reads, "AB", strict=True))
-    if found is None:
-        line = (
-            f"Several people are seen, {has}, and their motion does not tell who is the same in both: those "
-            f"seen longest are followed. {choose} the person."
-        )
-        alone_a, alone_b = _alone(read_a, choices[0]), _alone(read_b, choices[1])
-        return _told(alone_a, line) if options else alone_a, alone_b, ()
-    names = " and ".join(
-        f"{_listed(read.people, rows)} of {side}"
-        for read, rows, side in zip(reads, found.rows, "AB", strict=True)
+    return OneRecording(
+        *(source.name, people, info, warnings, times, people.skeletons),
+        *(choice.person, choice.person_option, camera, orientation),
     )
-    count = "1 person is" if found.count == 1 else f"{found.count} people are"
-    line = f"{count} seen, {has}. The one followed is {names}; {choose} another."
-    if not options:
-        line = f"{count} seen, {has}. The one followed is {names}."
-    elif found.count > 1 and follow == "longest":
-        line += " That one is seen longest; `follow=middle` takes the one nearest the middle of the views."
-    chosen_a, chosen_b = (_of_rows(read, rows) for read, rows in zip(reads, found.rows, strict=True))
-    return _told(chosen_a, line), chosen_b, tuple(_seen_people((a, b), found)) if found.count > 1 else ()
-
-
-def _seen_people(of: tuple[RecordedPeople, RecordedPeople], found: Followed) -> Iterator[SeenPerson]:
-    of_ids = []
-    for view, people in enumerate(of):
-        each = (np.bincount(people.person[rows[view]], minlength=len(people.ids)) for rows in found.everyone)
-        of_ids.append(np.array(list(each)))
-    for k, rows in enumerate(found.everyone[: found.count]):
-        ids: list[str | None] = []
-        for people, counts in zip(of, of_ids, strict=True):
-            own = counts[k] > np.delete(counts, k, axis=0).max(axis=0, initial=0)
-            ids.append(people.ids[int(np.argmax(counts[k] * own))] if own.any() else None)
-        seconds = [
-            1e-9 * len(each) * median_interval(people.time_ns) for people, each in zip(of, rows, strict=True)
-        ]
-        yield SeenPerson((ids[0], ids[1]), (seconds[0], seconds[1]))
-
-
-def _alone(read: _Read, choice: RecordingChoice) -> _Read:
-    """The person seen longest in one recording, and those seen while that one is not."""
-    people = read.people
-    person = people.choose_person(choice.person, read.name, choice.person_option)
-    others = () if choice.person is not None else people.successors(person)
-    read = _of_rows(read, people.rows_of((person, *others)))
-    if not others:
-        return read
-    return _told(
-        read,
-        f"{read.name}: {_named(others)} counts as the person {person!r}, as both are never seen together. "
-        f"{choice.person_option} {person} follows {person!r} alone.",
-    )
-
-
-def _of_rows(read: _Read, rows: NDArray[np.int64]) -> _Read:
-    """The same, with these skeletons as the person."""
-    return replace(read, person=read.people.view_of(rows), others=read.people.without(rows))
-
-
-def _told(read: _Read, line: str) -> _Read:
-    return replace(read, warnings=[*read.warnings, line])
-
-
-def _listed(people: RecordedPeople, rows: NDArray[np.int64] | None = None) -> str:
-    """The ids of people, or of some skeletons, in the order in which they were seen."""
-    of = people.person if rows is None else people.person[rows]
-    ids, first = np.unique(of, return_index=True)
-    return _named([people.ids[k] for k in ids[np.argsort(first)]])
-
-
-def _named(ids: Sequence[str]) -> str:
-    return ", ".join(map(repr, ids[:5])) + (" …" if len(ids) > 5 else "")

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.events import Event
+from devices.recorded_person import SeenPerson
 from devices.sensor import ColorImage
-from devices.two_recordings import SeenPerson
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
