@@ -9,10 +9,10 @@ if TYPE_CHECKING:
     from recordings.errors import MissingFileError as MissingFileError
     from recordings.errors import RecordingError as RecordingError
     from recordings.errors import UnknownNameError as UnknownNameError
-    from recordings.fusing.files import fuse as fuse
-    from recordings.fusing.live_fusion import fuse_live as fuse_live
+    from recordings.file_fusion import fuse as fuse
     from recordings.gait import Gait as Gait
     from recordings.gait import Step as Step
+    from recordings.live_fusion import fuse_live as fuse_live
     from recordings.quality.per_second import SecondQuality as SecondQuality
     from recordings.quality.verdict import Verdict as Verdict
     from recordings.series import AngleSeries as AngleSeries

@@ -62,7 +62,6 @@ class Session(SessionSeries):
     def of(
         fused: Sequence[tuple[FusionSetup, Iterable[SessionFrame | SessionFrames]]],
         sources: tuple[str, str] = ("a", "b"),
-        *,
         events: Sequence[Event] = (),
         images: SessionImages = NO_IMAGES,
         about: Mapping[str, str | float] | None = None,
@@ -153,10 +152,10 @@ class Session(SessionSeries):
             RecordingError: There is no such body, or an array has another shape, unit or order.
             FusionError: The views cannot be calibrated, or cannot be of one person at one time.
         """
-        from recordings.fusing.files import fuse_arrays  # which makes sessions
+        from recordings.fusing.files import fuse_arrays  # an opened session needs no method
 
         views = (positions_a, states_a), (positions_b, states_b)
-        return fuse_arrays(body, time, views, sources, settings, calibration)
+        return Session.of(*fuse_arrays(body, time, views, sources, settings, calibration))
 
     def export(
         self, path: str | Path, *, rate: float | None = None, table: Table = "long", names: Names = "body"

@@ -148,6 +148,7 @@ def simulated_session(
     from fusion.body import BODIES
     from fusion.setup import FuserSettings
     from recordings.fusing.files import fuse_read
+    from recordings.session import Session
 
     if body not in BODIES:
         raise DeviceError(f"There is no body {body!r}. Choose one of {', '.join(BODIES)}.")
@@ -160,7 +161,7 @@ def simulated_session(
     view_a, view_b = (each.view(each.ids) for each in people)
     pairing = pair_views(a.body, view_a, view_b, every_frame=settings.method == "duplex")
     read = TwoRecordings(a.body, pairing, (a.intrinsics, b.intrinsics), ())
-    session = fuse_read(read, (a.name, b.name), settings)
+    session = Session.of(*fuse_read(read, (a.name, b.name), settings))
     true = truth.positions_at(pairing.pairs.skeletons.time_ns)
     return replace(session, rows=replace(session.rows, truth=true))
 

@@ -1,13 +1,13 @@
-"""Fuses two recorded files into a session in memory, as ``duplex fuse`` does, without terminal output."""
+"""Fuses two recordings into what a session is made of; :mod:`recordings.file_fusion` makes the session."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from itertools import islice
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,10 +16,9 @@ from devices.association import Follow
 from devices.depth.image_thinning import Depth
 from devices.events import Event
 from devices.pairing import pair_views
-from devices.sensor import DeviceError
 from devices.skeletons.border import impossible
-from devices.skeletons.stated_format import MIRRORED, StatedFormat, Unit
-from devices.tracker_choice import TrackerChoice, WantedTracker, choose_tracker
+from devices.skeletons.stated_format import MIRRORED
+from devices.tracker_choice import TrackerChoice
 from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
 from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
@@ -28,13 +27,12 @@ from fusion.handedness import mirrored_share
 from fusion.pair_arrays import View
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.progress import Progress, quietly
-from fusion.setup import FuserSettings, Hindsight
+from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import checked_joints
 from recordings.errors import RecordingError, UnknownNameError
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
-from recordings.images import RecordingImages
-from recordings.session import Session
+from recordings.images import RecordingImages, SessionImages
 from recordings.session_arrays import SessionFrames
 
 _UNRELATED = 0.2  # metres
@@ -42,80 +40,14 @@ _MOSTLY = 0.5
 _LARGEST_OFFSET_MS = 1e12  # so that nanoseconds fit into 64 bits
 
 
-def fuse(
-    a: str | Path,
-    b: str | Path,
-    *,
-    calibration: Calibration | None = None,
-    settings: FuserSettings | None = None,
-    person_a: str | None = None,
-    person_b: str | None = None,
-    skeletons_a: str | Path | None = None,
-    skeletons_b: str | Path | None = None,
-    unit: Unit = "auto",
-    axes: str = "",
-    names: str | Path = "",
-    body: str = "",
-    tracker: WantedTracker = "auto",
-    depth: Depth = "full",
-    hindsight: Hindsight = "labels",
-    refine: bool = True,
-    offset_ms: float | None = None,
-    follow: Follow = "longest",
-    force: bool = False,
-) -> Session:
-    """Fuses two recordings of one capture.
+class FusedRecordings(NamedTuple):
+    """What :meth:`recordings.session.Session.of` takes."""
 
-    >>> from recordings import fuse
-    >>> session = fuse("a.csv", "b.csv")
-    >>> session.fused.shape
-    (120, 20, 3)
-
-    This function writes no file. :meth:`recordings.session.Session.save` writes what ``duplex fuse --save``
-    writes, except the advice of the set-up coach.
-
-    Args:
-        a, b: Recordings of the principal sensor K_A, in whose frame S* is, and of the secondary one K_B:
-            ``.csv``, ``.json``, ``.skeleton``, ``.mkv`` of an Azure Kinect, ``.bag`` of Orbbec's SDK v2,
-            ``.db3`` or ``.bag`` of a RealSense.
-        calibration: An earlier calibration. None: calibrate on the start-up pose of the recordings, or on
-            their calmest window if there is no such pose.
-        settings: Settings of the method, except ``hindsight``.
-        person_a, person_b: Ids of the person: whoever has them most of the time, also under other ids. None:
-            by ``follow``.
-        skeletons_a, skeletons_b: For an ``.mkv``: saved skeletons, used instead of the body tracker.
-        unit: Unit of the positions of ``.csv`` files: ``m``, ``cm``, ``mm``, ``ft``, ``in``; ``auto``: found
-            from the size of the person.
-        axes: Axes of the positions of ``.csv`` files: ``kinect``, ``unity``, ``opengl``, ``ros``, or the axes
-            of the file that are x (right), y (down) and z (forward), such as ``x,-y,z``.
-        names: A table of the names of the joints in ``.csv`` files: a TOML file, or ``mixamo``,
-            ``plug-in-gait`` or ``gait2392``.
-        body: Family of the body tracker that made ``.csv`` or ``.json`` files: ``kinect_v1``, ``kinect_v2``,
-            ``azure_kinect`` or ``blazepose``. Empty: by the names of the joints of both.
-        tracker: The body tracker of images: ``k4abt``, Microsoft's; ``blazepose``, the program's own, whose
-            networks ``duplex tracker fetch`` has fetched; ``auto``: k4abt where it works, else blazepose.
-        depth: For an ``.mkv``: how many of its depth images the session contains.
-        hindsight: How later frames are used; see :class:`fusion.setup.FuserSettings`.
-        refine: Whether a calibration found here is refined over the whole recording.
-        offset_ms: Added to the times of ``b``. None: found from the motion, for the method ``duplex``.
-        follow: Whom of several people, where no id chooses: the one seen longest by both sensors, or
-            ``middle``: the one nearest the middle of the views of those seen a third as long.
-        force: Whether to fuse recordings that cannot be of one capture; see :func:`check_related`.
-
-    Raises:
-        DeviceError: A recording cannot be read or tracked, the bodies differ, or they never overlap in time.
-        FusionError: The views cannot be calibrated, or cannot be of one capture.
-    """
-    if body and body not in BODIES:
-        raise DeviceError(f"body is {', '.join(BODIES)}; got {body!r}.")
-    stated = StatedFormat(unit, axes, str(names))
-    choices = (
-        RecordingChoice(Path(a), _path(skeletons_a), person_a, stated, "skeletons_a", "person_a", body),
-        RecordingChoice(Path(b), _path(skeletons_b), person_b, stated, "skeletons_b", "person_b", body),
-    )
-    settings = replace(settings or FuserSettings(), hindsight=hindsight)
-    read = read_for(settings, choices, choose_tracker(tracker), offset_ms, follow=follow)
-    return fuse_read(read, (str(a), str(b)), settings, calibration, refine, depth, force)
+    fused: Sequence[tuple[FusionSetup, Iterable[SessionFrames]]]
+    sources: tuple[str, str]
+    events: Sequence[Event]  # those of the views come in while the frames are taken
+    images: SessionImages
+    about: Mapping[str, str | float]
 
 
 def fuse_arrays(
@@ -125,7 +57,7 @@ def fuse_arrays(
     sources: tuple[str, str] = ("a", "b"),
     settings: FuserSettings | None = None,
     calibration: Calibration | None = None,
-) -> Session:
+) -> FusedRecordings:
     """Fuses positions (T, J, 3) and states (T, J) of A and of B; see
     :meth:`recordings.session.Session.of_arrays`."""
     if isinstance(body, str):
@@ -166,8 +98,8 @@ def fuse_read(
     refine: bool = True,
     depth: Depth = "none",
     force: bool = False,
-) -> Session:
-    """Fuses what two recordings hold, as :func:`fuse` does.
+) -> FusedRecordings:
+    """Fuses what two recordings hold, as :func:`recordings.fuse` does.
 
     Args:
         sources: Names of the sensors, or their files, K_A first.
@@ -178,7 +110,7 @@ def fuse_read(
         check_related(read, plan, *sources)
     segments = setups_of(plan, settings, read.cameras(depth))
     blocks = fuse_segments(segments, read.pairing.pairs, plan.labels)
-    return fused_session(read, plan, segments, blocks, without_folders(sources), depth)
+    return fused_recordings(read, plan, segments, blocks, without_folders(sources), depth)
 
 
 def read_for(
@@ -239,7 +171,7 @@ def without_folders(sources: tuple[str, str]) -> tuple[str, str]:
     return a[-1], b[-1]
 
 
-def fused_session(
+def fused_recordings(
     read: TwoRecordings,
     plan: RecordingPlan,
     segments: Segments,
@@ -247,8 +179,8 @@ def fused_session(
     sources: tuple[str, str],
     depth: Depth,
     progress: Progress = quietly,
-) -> Session:
-    """Returns the session of two fused recordings.
+) -> FusedRecordings:
+    """What the session of two fused recordings is made of.
 
     Args:
         depth: How many depth images the session contains; they are read from the recordings on demand.
@@ -256,12 +188,9 @@ def fused_session(
     times = read.pairing.pairs.skeletons.time_ns
     events = _events_of(read, plan, segments, times)
     watched = watch(read.body, blocks, int(times[0]), events)
-    return Session.of(
-        [(setup, islice(watched, block_count([(setup, own)]))) for setup, own in segments],
-        sources,
-        events=events,  # those of the views come in while the frames are taken
-        images=RecordingImages(read, depth, progress),
-        about=_about(read, plan),
+    frames = [(setup, islice(watched, block_count([(setup, own)]))) for setup, own in segments]
+    return FusedRecordings(
+        frames, sources, events, RecordingImages(read, depth, progress), _about(read, plan)
     )
 
 
@@ -292,7 +221,3 @@ def _events_of(
         frame = min(int(np.searchsorted(times, change.time_ns)), len(times) - 1)
         events.append(Event(change.event, "WARN").placed(frame, int(times[frame] - times[0])))
     return sorted(events, key=lambda event: event.frame)
-
-
-def _path(given: str | Path | None) -> Path | None:
-    return None if given is None else Path(given)

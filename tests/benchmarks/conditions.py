@@ -19,7 +19,7 @@ from devices.simulated.demonstration import demonstrated, demonstration
 from devices.simulated.kinect import Scene, simulated_pair
 from fusion.body import AZURE_KINECT
 from fusion.pair_arrays import View, view_of
-from recordings.fusing.files import fuse
+from recordings import fuse
 from tests.benchmarks import results
 
 _STATES = np.array(["not_tracked", "inferred", "tracked"])

@@ -22,8 +22,8 @@ from fusion.fuser import Fuser
 from fusion.plan import plan_recording
 from fusion.registration.rigid_fit import fit_recording
 from fusion.setup import FuserSettings, FusionSetup
-from recordings.fusing.live_fusion import LiveFusion
 from recordings.fusing.pairs import fuse_segments, setups_of
+from recordings.live_fusion import LiveFusion
 from tests.benchmarks import baselines
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.export import writer_for
-from recordings.fusing.files import check_related, fused_session, read_for, without_folders
+from recordings.fusing.files import check_related, fused_recordings, read_for, without_folders
 from recordings.fusing.pairs import block_count, fuse_segments, setups_of
 from recordings.quality.figures import Figures, report
 from recordings.session import Session
@@ -69,7 +69,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     blocks = progress(
         fuse_segments(segments, read.pairing.pairs, plan.labels), "fusing", block_count(segments)
     )
-    session = fused_session(read, plan, segments, blocks, sources, options.depth, progress)
+    session = Session.of(*fused_recordings(read, plan, segments, blocks, sources, options.depth, progress))
     del plan, blocks  # ends the bar, and frees the labels, 30 bytes of each pair
     figures, kept, about = report(session), session, ""
     if options.good:

@@ -1,6 +1,6 @@
 """The loops at the pace of sensors or of a recording, and the compilation before them.
 
-:class:`recordings.fusing.live_fusion.LiveFusion` fuses and learns; the loop hands its frames to sinks.
+:class:`recordings.live_fusion.LiveFusion` fuses and learns; the loop hands its frames to sinks.
 """
 
 import gc
@@ -27,7 +27,7 @@ from fusion.calibration.calibration import Calibration
 from fusion.calibration.calibrator import Calibrator
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.fusing.live_fusion import LiveFusion
+from recordings.live_fusion import LiveFusion
 from recordings.session_arrays import SessionFrame
 from viewer_app.running.interruption import call_after
 from viewer_app.sinks.sink import Sink

@@ -21,7 +21,7 @@ from fusion.fuser import Fuser
 from fusion.registration import refinement
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
-from recordings.fusing.live_fusion import LiveFusion
+from recordings.live_fusion import LiveFusion
 from tests.experiments.soak import Soak, at_pace, soak
 from tests.helpers.frame_pairs import KnownSensors, frame_pairs
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
