@@ -26,7 +26,7 @@ def page():
     """The whole page."""
     template = Template(Path(__file__).with_name("page.md").read_text(encoding="utf-8"))
     names = {f"accuracy_{name}": f"accuracy_{name}" for name in _SETS}
-    names |= dict.fromkeys(("real", "conditions", "speed", "latency"), "")
+    names |= dict.fromkeys(("real", "certainty", "conditions", "speed", "latency"), "")
     real = results.read("real")["figures"]
     origins = [_origin(name) for name in names if (results.FOLDER / f"{name}.json").exists()]
     return template.substitute(
@@ -36,6 +36,7 @@ def page():
         conditions=_conditions(
             results.read("conditions")["figures"], results.read("real")["figures"]["pairs"]
         ),
+        certainty=_certainty(results.read("certainty")["figures"]),
         speed=_speed(results.read("speed")),
         latency=_latency(results.read("latency")),
         origins="\n".join(origins),
@@ -44,7 +45,7 @@ def page():
 
 def _origin(name):
     command = results.read(name)["command"].removeprefix("python -m tests.benchmarks.")
-    if name == "real":  # one folder after the other
+    if name in ("real", "certainty"):  # one folder after the other
         command = command.partition(" kinect")[0] + " FOLDER…"
     return re.sub(r" --processes \d+", "", command)  # changes no figure
 
@@ -118,6 +119,54 @@ def _real(figures):
         "heading, ° / astray, %", "live", "flips per minute", "hands together, %",
     )  # fmt: skip
     return _table(columns, rows)
+
+
+def _certainty(figures):
+    real, simulated = figures["real"], figures["simulated"]
+    one, both = real["deleted"]["one"], real["deleted"]["both"]
+    thinned, words, set_up = real["thinned"], real["words"], real["one_set_up"]
+
+    def each(name, factor, digits):
+        return ", ".join(_number(row[name], factor, digits) for row in simulated.values())
+
+    rows = [
+        (
+            f"a limb deleted from {views}: rms distance over rms σ added; 95 %, mm",
+            f"{_number(row['rms_over_added'], 1, 2)}; {_mm(row['apart_95'])}",
+        )
+        for views, row in (("one view", one), ("both", both))
+    ]
+    rows += [
+        (
+            "a tenth of B's frames deleted: joints 100 mm elsewhere; of them beyond 2.5 σ, %",
+            f"{_number(thinned['elsewhere'], 100, 2)}; {_number(thinned['unsaid'], 100, 2)}",
+        ),
+        (
+            "events true of S\\*: left and right; limbs, %",
+            f"{_number(words['exchanged'], 100, 1)}; {_number(words['follows'], 100, 1)}",
+        ),
+        (
+            "R in recordings of one set-up: median difference, °; within 2.5 σ, %",
+            f"{_number(set_up['median'], _DEGREES, 1)}; {_number(set_up['within'], 100, 0)}",
+        ),
+        (
+            "clock offsets in 20 s: right, wrong, not found",
+            ", ".join(str(count) for count in real["clocks"].values()),
+        ),
+        (
+            "simulated, Azure, v2: errors within 2 σ, %; rms σ over rms error",
+            f"{each('within_2', 100, 1)}; {each('rms_sigma_over_error', 1, 2)}",
+        ),
+        (
+            "simulated walks: speed over true speed; within 2.5 σ, %",
+            f"{each('speed_over_true', 1, 3)}; {each('speed_within', 100, 0)}",
+        ),
+        (
+            "simulated walks: S\\*'s strikes; toe-offs after the truth's, ms",
+            f"{each('strike_late', 1e3, 0)}; {each('toe_off_late', 1e3, 0)}",
+        ),
+    ]
+    return _table(("", "measured"), rows)
 
 
 def _over(function, rows, name):

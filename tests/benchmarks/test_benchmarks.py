@@ -19,6 +19,7 @@ from tests.benchmarks.harsher_errors import (
     heavy_tails,
     scaled,
 )
+from tests.benchmarks.certainty import limb_figures
 from tests.benchmarks.methods import METHODS, OURS
 from tests.benchmarks.real import mean_of
 from tests.benchmarks.trials import Outcome, Simulation, Trial, run_trials
@@ -174,3 +175,12 @@ def test_tails_change_no_other_error():
         for errors in (heavy_tailed(FITTED), FITTED)
     )
     assert not np.array_equal(heavy, fitted)
+
+
+def test_distances_as_large_as_what_sigma_grows_by_are_honest():
+    random = np.random.default_rng(0)
+    before, added = random.uniform(0.01, 0.03, (2, 20_000))
+    apart = np.linalg.norm(random.normal(size=(20_000, 3)), axis=1) * added / np.sqrt(3.0)
+    figures = limb_figures(np.stack([apart, np.hypot(before, added), before], axis=1))
+    assert figures["rms_over_added"] == pytest.approx(1.0, abs=0.02)
+    assert figures["within"] > 0.95

@@ -1,0 +1,301 @@
+"""Whether S* is as certain as it says: ``python -m tests.benchmarks.certainty FOLDER…``.
+
+Each folder has the recordings ``a.csv`` and ``b.csv`` of two real sensors. They have no ground truth: S* is
+compared with S* of less data. Simulated sessions, with ground truth, follow. The figures are written to
+``results/certainty.json``.
+"""
+
+import argparse
+import sys
+from collections import defaultdict
+from itertools import combinations
+from math import hypot
+from pathlib import Path
+
+import numpy as np
+
+from devices.events import spells_of
+from devices.pairing import clock_by_motion, pair_views
+from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
+from fusion.setup import FuserSettings
+from recordings.fusing.files import fuse_read
+from recordings.gait import find_gait
+from recordings.session import Session
+from recordings.testing import simulated_session
+from tests.benchmarks import results
+
+_LIMBS = {
+    f"{side} {limb}".lower(): [f"{joint}{side}" for joint in joints]
+    for side in ("Left", "Right")
+    for limb, joints in {
+        "arm": ("Elbow", "Wrist", "Hand", "HandTip", "Thumb"),
+        "leg": ("Knee", "Ankle", "Foot"),
+    }.items()
+}
+_JUDGED = ("Elbow", "Wrist", "Knee", "Ankle")
+_PAIRED = ("Shoulder", "Hip", *_JUDGED)
+_WINDOWS, _WINDOW_NS, _BETWEEN_NS = 12, 500_000_000, 2_000_000_000  # in which a limb is deleted
+_AGREE = 0.06  # metres between the views of every joint of the limb
+_ELSEWHERE = 0.1  # metres
+_WITHIN = 2.5  # stated standard deviations
+_DIFFERENT = 0.02  # metres: less does not tell which view S* follows
+_PIECE_NS = 20_000_000_000  # the shortest in which a clock's offset is found
+_OFFSETS_NS = (170_000_000, -850_000_000, 2_300_000_000)
+_BETTER = 0.8  # of the views' distance
+
+
+def fused(body, a, b):
+    """S* of two views as ``duplex fuse`` makes it; their clocks are taken as they are."""
+    read = TwoRecordings(body, pair_views(body, a, b), (None, None), ())
+    return Session.of(*fuse_read(read, ("a", "b"), FuserSettings(hindsight="labels"), force=True))
+
+
+def without(view, joints, windows):
+    """A view whose joints (indices) are not reported in windows [(first, last)], nanoseconds."""
+    positions, states = view.positions.copy(), view.states.copy()
+    for of_window, (first, last) in zip(joints, windows, strict=True):
+        frames = np.flatnonzero((view.time_ns >= first) & (view.time_ns <= last))
+        positions[np.ix_(frames, of_window)] = np.nan
+        states[np.ix_(frames, of_window)] = 0
+    return view._replace(positions=positions, states=states)
+
+
+def deleted_limbs(body, views, clean, random):
+    """Squared distances of S* without a limb to S* with it, what σ² grows by, and σ of it, per joint, m.
+
+    The limb is deleted where both views agree on it, from ``one`` view or from ``both``.
+    """
+    near = np.linalg.norm(clean.b_in_a - clean.rows.positions_a, axis=2) < _AGREE
+    on_a = clean.rows.clock_a
+    joints, judged, windows = [], [], []
+    for number, names in enumerate(_LIMBS.values()):
+        of_limb = [body.joint(name) for name in names if name in body.joints]
+        of_limb_judged = [body.joint(name) for name in names if name.startswith(_JUDGED)]
+        agree = near[:, of_limb_judged].all(axis=1) & (on_a > 0)
+        for first in random.permutation(np.flatnonzero(agree)):
+            within = (on_a >= on_a[first]) & (on_a <= on_a[first] + _WINDOW_NS)
+            apart = all(abs(on_a[first] - other) > _BETWEEN_NS for other, _ in windows)
+            late = clean.time_ns[first] > _BETWEEN_NS and on_a[first] + _WINDOW_NS < on_a.max()
+            if late and apart and agree[within].mean() >= 0.9:
+                joints.append(of_limb)
+                judged.append(of_limb_judged)
+                windows.append((int(on_a[first]), int(on_a[first]) + _WINDOW_NS))
+            if len(windows) >= (number + 1) * _WINDOWS // len(_LIMBS):
+                break
+    found = {}
+    for kind in ("one", "both"):
+        chosen = (random.integers(2),) if kind == "one" else (0, 1)
+        cut = [without(view, joints, windows) if k in chosen else view for k, view in enumerate(views)]
+        less = fused(body, *cut)
+        rows = []
+        for of_window, (first, last) in zip(judged, windows, strict=True):
+            at = (less.time_ns + (on_a[on_a > 0][0] - clean.time_ns[on_a > 0][0])).astype(np.int64)
+            seconds = less.time[(at >= first) & (at <= last)]
+            apart = np.linalg.norm(less.at(seconds) - clean.at(seconds), axis=2)[:, of_window]
+            sigma, before = (of.sigma_at(seconds)[:, of_window] for of in (less, clean))
+            rows.append(np.stack([apart, sigma, before], axis=-1).reshape(-1, 3))
+        rows = np.concatenate([np.zeros((0, 3)), *rows])
+        found[kind] = rows[np.isfinite(rows).all(axis=1)]
+    return found
+
+
+def limb_figures(rows):
+    """Rms distance over rms deviation added, share within 2.5 deviations, 95 % of the distance in metres."""
+    apart, sigma, before = rows.T
+    added = np.sqrt(max(np.mean(sigma**2 - before**2), 1e-8))
+    return {
+        "rms_over_added": float(np.sqrt(np.mean(apart**2)) / added),
+        "within": float(np.mean(apart <= _WITHIN * sigma)),
+        "apart_95": float(np.quantile(apart, 0.95)),
+    }
+
+
+def thinned(body, views, clean):
+    """Shares of joints that S* has elsewhere without a tenth of B's frames, and of those that σ denies."""
+    a, b = views
+    less = fused(body, a, b.chosen(np.flatnonzero(np.arange(len(b.time_ns)) % 10 != 5)))
+    seconds = clean.time[clean.time_ns <= less.time_ns[-1]]
+    apart, sigma = np.linalg.norm(less.at(seconds) - clean.at(seconds), axis=2), clean.sigma_at(seconds)
+    known = np.isfinite(apart) & np.isfinite(sigma)
+    elsewhere = apart[known] > _ELSEWHERE
+    return {
+        "elsewhere": float(elsewhere.mean()),
+        "unsaid": float((elsewhere & (apart[known] > _WITHIN * sigma[known])).mean()),
+    }
+
+
+def true_words(body, session):
+    """Of the frames in which an event says so, whether S* corrects a view, and follows the other view."""
+    views = {"a": session.rows.positions_a, "b": session.b_in_a}
+    spells = defaultdict(lambda: np.zeros(len(session), dtype=bool))
+    for spell in spells_of(session.events):
+        end = spell.end.frame if spell.end else len(session)
+        spells[spell.start.topic][spell.start.frame : end] = True
+
+    def distance(view, joints):
+        return np.nanmean(np.linalg.norm(session.fused[:, joints] - view[:, joints], axis=2), axis=1)
+
+    told = {"exchanged": [], "follows": []}
+    paired = [k for k, name in enumerate(body.joints) if name.startswith(_PAIRED)]
+    for name, view in views.items():
+        reported, corrected = distance(view, paired), distance(view[:, body.mirror], paired)
+        said = spells[f"exchanged_{name}"] & (np.abs(reported - corrected) > _DIFFERENT)
+        told["exchanged"].append((corrected < reported)[said])
+        other = "b" if name == "a" else "a"
+        right = np.where(
+            spells[f"exchanged_{other}"][:, None, None], views[other][:, body.mirror], views[other]
+        )
+        for limb, names in _LIMBS.items():
+            joints = [body.joint(joint) for joint in names if joint in body.joints]
+            own, others = distance(view, joints), distance(right, joints)
+            said = spells[f"lost_{name}_{limb.replace(' ', '_')}"] & (np.abs(own - others) > _DIFFERENT)
+            told["follows"].append((others < own)[said])
+    return {name: np.concatenate(of) for name, of in told.items()}
+
+
+def clock_pieces(body, views):
+    """For pieces of 20 s with a known offset: ``right``, ``wrong``, or ``none`` though it would help."""
+    found = []
+    firsts = range(int(views[0].time_ns[0]), int(views[0].time_ns[-1]) - _PIECE_NS + 1, _PIECE_NS)
+    for first, offset in zip(firsts, _OFFSETS_NS, strict=False):
+        one, other = (
+            of.chosen(np.flatnonzero((of.time_ns >= first) & (of.time_ns < first + _PIECE_NS)))
+            for of in views
+        )
+        other = other._replace(time_ns=other.time_ns - offset)
+        clock = clock_by_motion(body, one, other)
+        frame = float(np.median(np.diff(one.time_ns)))
+        if clock is not None:
+            wrong = np.abs(clock.at(other.time_ns) - offset).max()
+            found.append("right" if wrong < max(frame, _WITHIN * clock.sd_ns) else "wrong")
+        else:
+            moved = other._replace(time_ns=other.time_ns + offset)
+            apart = [np.nanmedian(fused(body, one, b).rows.disagreement) for b in (other, moved)]
+            found.append("none" if apart[1] < _BETTER * apart[0] else "right")
+    return found
+
+
+def set_up_of(name):
+    """The set-up and the person of a recording, without what the person does."""
+    return tuple(part for part in name.split("_") if part not in ("stationary", "steps", "walk"))
+
+
+def rotations_apart(registrations):
+    """Angles between the rotations of recordings of one set-up, radians, and over their deviation."""
+    pairs = [pair for of in registrations.values() for pair in combinations(of, 2)]
+    angles = np.array([x.a_from_b.angle_to(y.a_from_b) for x, y in pairs])
+    stated = np.array([hypot(x.rotation_sd, y.rotation_sd) for x, y in pairs])
+    return {
+        "pairs": len(pairs),
+        "median": float(np.median(angles)),
+        "within": float(np.mean(angles <= _WITHIN * stated)),
+    }
+
+
+def of_real(folders):
+    """All figures of real recordings."""
+    deleted, words, clocks = defaultdict(list), defaultdict(list), []
+    registrations, rows = defaultdict(list), {}
+    for number, folder in enumerate(folders):
+        read = read_two(*(RecordingChoice(folder / f"{side}.csv") for side in "ab"))
+        body, views = read.body, read.pairing.pairs.skeletons.views
+        clean = fused(body, *views)
+        *_, (setup, _) = clean.setups()
+        registration = setup.calibration.registration
+        registrations[set_up_of(folder.name)].append(registration)
+        row = rows[folder.name] = thinned(body, views, clean)
+        for kind, of_kind in deleted_limbs(body, views, clean, np.random.default_rng(number)).items():
+            deleted[kind].append(of_kind)
+            if len(of_kind):  # some views agree on no whole limb
+                row |= {f"{kind}_{name}": figure for name, figure in limb_figures(of_kind).items()}
+        for kind, of_words in true_words(body, clean).items():
+            words[kind].append(of_words)
+            row[kind] = float(of_words.mean()) if len(of_words) else np.nan
+        clocks += clock_pieces(body, views)
+        print(folder.name, *(f"{name} {figure:.3g}" for name, figure in row.items()), file=sys.stderr)
+    return {
+        "pairs": rows,
+        "deleted": {kind: limb_figures(np.concatenate(of)) for kind, of in deleted.items()},
+        "thinned": {
+            name: float(np.mean([row[name] for row in rows.values()])) for name in ("elsewhere", "unsaid")
+        },
+        "words": {kind: float(np.concatenate(of).mean()) for kind, of in words.items()},
+        "clocks": {word: clocks.count(word) for word in ("right", "wrong", "none")},
+        "one_set_up": rotations_apart(registrations),
+    }
+
+
+def of_simulated(bodies, movements, seeds):
+    """Figures with ground truth, by body: σ, the registration, speed and strikes of walks."""
+    found = {}
+    for body in bodies:
+        errors, sigmas, speeds, strikes = [], [], [], []
+        for movement, seed in ((movement, seed) for movement in movements for seed in seeds):
+            session = simulated_session(movement, seed=seed, body=body, seconds=20.0)
+            error = np.linalg.norm(session.fused - session.truth, axis=2)
+            known = np.isfinite(error) & np.isfinite(session.sigma)
+            errors.append(error[known])
+            sigmas.append(session.sigma[known])
+            if movement == "walk":
+                of_walk = _of_walk(session)
+                speeds.append(of_walk[0])
+                strikes.append(of_walk[1])
+        error, sigma, strike = (np.concatenate(of) for of in (errors, sigmas, strikes))
+        found[body] = {
+            "within_2": float(np.mean(error <= 2.0 * sigma)),
+            "beyond_4": float(np.mean(error > 4.0 * sigma)),
+            "rms_sigma_over_error": float(np.sqrt(np.mean(sigma**2) / np.mean(error**2))),
+            "speed_over_true": float(np.mean([value for value, _ in speeds])),
+            "speed_within": float(np.mean([off <= _WITHIN for _, off in speeds])),
+            "strike_late": float(np.median(strike[:, 0])),
+            "toe_off_late": float(np.nanmedian(strike[:, 1])),
+        }
+    return found
+
+
+def _of_walk(session):
+    """Speed over the true one and its error in deviations; (n, 2) seconds that strikes, toe-offs are late."""
+    body, gait = session.body, session.gait
+    hips = session.truth[:, [body.joint("HipLeft"), body.joint("HipRight")]].mean(axis=1)
+    up = session.up
+    on_floor = hips - (hips @ up)[:, None] * up
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(on_floor, axis=0), axis=1))])
+    walked = sum(
+        float(np.diff(np.interp([walk[0].strike, walk[-1].strike], session.time, path))[0])
+        for walk in gait.walks
+    )
+    true_speed = walked / gait.walking_seconds
+    true = find_gait(body, session.time_ns, session.truth, up)
+    late = [
+        (
+            min((step.strike - other.strike for other in of_side), key=abs),
+            min(
+                (step.toe_off - other.toe_off for other in of_side if np.isfinite(other.toe_off)),
+                key=abs,
+                default=np.nan,
+            ),
+        )
+        for step in gait.steps
+        if (of_side := true.of_side(step.side))
+    ]
+    speed = gait.speed
+    return (speed.value / true_speed, abs(speed.value - true_speed) / speed.sigma), np.array(late)
+
+
+def main(arguments=None):
+    """Measures the recordings and the simulated sessions."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", nargs="*", type=Path)
+    parser.add_argument("--bodies", nargs="+", default=["azure_kinect", "kinect_v2"])
+    parser.add_argument("--movements", nargs="+", default=["walk", "arms", "squat", "badminton"])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[7900, 7901, 7902])
+    options = parser.parse_args(arguments)
+    real = of_real(options.folders) if options.folders else None
+    # the folders may lie anywhere: the written command names them without their path
+    sys.argv[1:] = [Path(argument).name for argument in sys.argv[1:]]
+    simulated = of_simulated(options.bodies, options.movements, options.seeds)
+    results.write("certainty", {"real": real, "simulated": simulated})
+
+
+if __name__ == "__main__":
+    main()
