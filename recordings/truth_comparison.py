@@ -6,9 +6,9 @@ to K_A's frame, by a robust fit to all joints of all three skeletons in all fram
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,40 +100,33 @@ class TruthComparison:
         table = table or fitting_table(body, truth.labels)
         joints = _joints_of(body, truth, table)
         metres, unit = _unit_of(rows.fused, joints, session, truth)
-        path = JointPath(Joints(truth.seconds, metres * joints))
         seconds, skew = np.asarray(1e-9 * rows.time_ns), np.asarray(1e-9 * rows.skew_ns)
         found = {
             "a": Joints(seconds, rows.positions_a.astype(np.float64)),
             "b": Joints(seconds + skew, rows.b_in_a),
             "fused": Joints(seconds, rows.fused),
         }
-        views = found["a"], found["b"]
-        offset = find_offset(body, views, found["fused"], path)
-        if offset_s is not None:
-            offset = offset.given(offset_s) if offset else TimeOffset(offset_s)
-            offset = replace(offset, correlation=correlation_at(found["fused"], path, offset))
-        elif offset is None:
-            _refuse_mirrored(body, views, found["fused"], truth, metres * joints, session)
-            raise RecordingError(
-                f"{truth.name} and {session}: no offset in time makes the movements match. Do they show the "
-                "same movement of a person who moves enough, and is the table of names, "
-                f"{table.name}, right? `offset` gives an offset."
-            )
-        elif not offset.sure:
-            raise RecordingError(
-                f"{truth.name} and {session}: the person moves too little to find the offset; give `offset`."
-            )
-        true = {key: path.at(offset.truth_times(view.seconds)) for key, view in found.items()}
-        both = np.isfinite(rows.fused + true["fused"]).any(axis=(1, 2))
-        common = np.flatnonzero(both)
-        if len(common) < _FEWEST_FRAMES:
-            raise RecordingError(
-                f"{truth.name} covers {len(common)} frames of {session} with an S*, at an offset of "
-                f"{offset.seconds:.3f} s: too few to compare."
-            )
-        positions = {key: view.positions[common] for key, view in found.items()}
-        true = {key: at[common] for key, at in true.items()}
-        fit, residual = _transform(positions, true, session, truth)
+        files = f"{truth.name} and {session}"
+
+        def match(points: Array) -> _Match:
+            path = JointPath(Joints(truth.seconds, metres * points))
+            return _match(body, found, path, files, table.name, offset_s)
+
+        try:
+            matched = match(joints)
+        except RecordingError:
+            variants = {
+                "a mirror image: its axes are left-handed": joints * _MIRROR,
+                "of a person whose left and right are exchanged": joints[:, body.mirror],
+            }
+            for words, points in variants.items():
+                try:
+                    match(points)
+                except RecordingError:
+                    continue
+                raise RecordingError(f"{files}: the truth is {words}.") from None
+            raise
+        offset, common, true, fit, residual = matched
         return TruthComparison(
             body=body,
             truth_name=truth.name,
@@ -145,7 +138,7 @@ class TruthComparison:
             residual=residual,
             frame=rows.frame[common],
             time_ns=rows.time_ns[common],
-            found=positions,
+            found={key: view.positions[common] for key, view in found.items()},
             truth={key: fit.apply(at) for key, at in true.items()},
             up=upright_direction(body, rows.fused),
         )
@@ -243,31 +236,47 @@ def _spans(joints: Array) -> Array:
     return median
 
 
-def _refuse_mirrored(
+class _Match(NamedTuple):
+    """How a truth lies in time and space."""
+
+    offset: TimeOffset
+    common: NDArray[np.int64]  # frames of the session
+    true: dict[str, Array]  # the truth in its own frame, as in TruthComparison
+    fit: RigidTransform
+    residual: float
+
+
+def _match(
     body: Body,
-    views: Sequence[Joints],
-    fused: Joints,
-    truth: TruthFile,
-    joints: Array,
-    session: SessionSeries,
-) -> None:
-    """Raises RecordingError where a mirror image of the truth, or one with the other labels, matches."""
-    variants = {
-        "its axes are left-handed: it is a mirror image of": joints * _MIRROR,
-        "its left and right are exchanged against": joints[:, body.mirror],
-    }
-    for words, positions in variants.items():
-        path = JointPath(Joints(truth.seconds, positions))
-        if find_offset(body, views, fused, path) is not None:
-            raise RecordingError(f"{truth.name}: {words} {session}.")
-
-
-def _transform(
-    found: dict[str, Array], true: dict[str, Array], session: SessionSeries, truth: TruthFile
-) -> tuple[RigidTransform, float]:
-    """K_A ← the truth's frame, and the median residual in metres."""
-    every = max(1, len(found["fused"]) // _MOST_FITTED)
-    p, q = (np.concatenate([each[key][::every] for key in SKELETONS]) for each in (found, true))
+    found: dict[str, Joints],
+    path: JointPath,
+    files: str,
+    table: str,
+    offset_s: float | None,
+) -> _Match:
+    """Raises RecordingError where the truth is no truth of the session."""
+    offset = find_offset(body, (found["a"], found["b"]), found["fused"], path)
+    if offset_s is not None:
+        offset = offset.given(offset_s) if offset else TimeOffset(offset_s)
+        offset = replace(offset, correlation=correlation_at(found["fused"], path, offset))
+    elif offset is None:
+        raise RecordingError(
+            f"{files}: no offset in time makes the movements match. Do they show the same movement of a "
+            f"person who moves enough, and is the table of names, {table}, right? `offset` gives an offset."
+        )
+    elif not offset.sure:
+        raise RecordingError(f"{files}: the person moves too little to find the offset; give `offset`.")
+    true = {key: path.at(offset.truth_times(view.seconds)) for key, view in found.items()}
+    common = np.flatnonzero(np.isfinite(found["fused"].positions + true["fused"]).any(axis=(1, 2)))
+    if len(common) < _FEWEST_FRAMES:
+        raise RecordingError(
+            f"{files} have {len(common)} frames with an S* in common, at an offset of "
+            f"{offset.seconds:.3f} s: too few to compare."
+        )
+    true = {key: at[common] for key, at in true.items()}
+    every = max(1, len(common) // _MOST_FITTED)
+    p = np.concatenate([found[key].positions[common][::every] for key in SKELETONS])
+    q = np.concatenate([true[key][::every] for key in SKELETONS])
     try:
         fit = fit_recording(p, q)
         residual, mirrored = (
@@ -275,18 +284,13 @@ def _transform(
             for one, at in ((fit, q), (fit_recording(p, q * _MIRROR), q * _MIRROR))
         )
     except CalibrationError as error:
-        raise RecordingError(f"{truth.name} and {session}: {error}") from None
-    if mirrored < min(_MIRRORED * residual, _LARGEST_RESIDUAL):
+        raise RecordingError(f"{files}: {error}") from None
+    if residual > _LARGEST_RESIDUAL or mirrored < _MIRRORED * residual:
         raise RecordingError(
-            f"{truth.name} is a mirror image of {session}: its axes are left-handed, or its left and right "
-            "are exchanged."
+            f"{files} are {residual * 1e3:.0f} mm apart (median) after the best fit: not the same movement, "
+            "or another table of names is needed."
         )
-    if residual > _LARGEST_RESIDUAL:
-        raise RecordingError(
-            f"{truth.name} and {session} are {residual * 1e3:.0f} mm apart (median) after the best fit: not "
-            "the same movement, or another table of names is needed."
-        )
-    return fit, residual
+    return _Match(offset, common, true, fit, residual)
 
 
 def _length(vectors: Array) -> Array:

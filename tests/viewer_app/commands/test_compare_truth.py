@@ -113,7 +113,7 @@ def test_an_offset_that_the_motion_contradicts_is_kept_with_a_warning(walk, caps
         ("walk.rrd none.c3d", "No file none.c3d"),
         ("walk.c3d walk.c3d", "walk.c3d"),
         ("walk.rrd walk.c3d --names vicon", "No table of names 'vicon'"),
-        ("walk.rrd walk.c3d --offset 100", "covers 0 frames"),
+        ("walk.rrd walk.c3d --offset 100", "have 0 frames with an S*"),
         ("walk.rrd walk.c3d --offset nan", "--offset nan: must be a number of seconds"),
         ("walk.rrd walk.c3d --worst 3", "--worst is for two sessions"),
         ("walk.rrd walk.rrd --report c.json", "--report is for motion capture"),
