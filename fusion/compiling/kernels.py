@@ -7,7 +7,8 @@ message for mismatched shapes, which takes longer than a kernel.
 Importing a module with kernels touches no file and no environment variable: the cache folder is
 looked for, and stale kernels are deleted, when the first kernel is compiled. numba keeps a compiled kernel
 until the kernel's own file changes. A kernel also contains the code of the kernels that it calls and the
-values of imported constants; numba does not notice a change of *their* files.
+values of imported constants; numba does not notice a change of *their* files. A cache that is damaged, full
+or nowhere to be written costs a compilation and no more.
 
 On a first run two processes compile, because numba uses one core; each finds the other's kernels on disk.
 """
@@ -25,8 +26,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import FunctionCache
 
 _Kernel = Callable[..., Any]
+_NumbasCache: Any = FunctionCache
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _INNER_OPTIONS = {**_OPTIONS, "no_cpython_wrapper": True}
 
@@ -61,8 +64,9 @@ def _kept_on_disk(function: _Kernel, options: dict[str, Any]) -> _Kernel:
     def ready() -> None:
         if "ready" in vars(compiled):
             del compiled.compile, compiled.ready
-            _prepare_disk(function.__module__.partition(".")[0])
-            compiled.enable_caching()
+            if _prepare_disk(function.__module__.partition(".")[0]):
+                with suppress(RuntimeError):  # no folder for this one
+                    compiled._cache = _ForgivingCache(function)
 
     def compile_first(signature: Any) -> Any:
         ready()
@@ -73,13 +77,33 @@ def _kept_on_disk(function: _Kernel, options: dict[str, Any]) -> _Kernel:
     return kept
 
 
+class _ForgivingCache(_NumbasCache):  # type: ignore[misc]
+    """numba's cache, whose files may be damaged, and whose disk may be full."""
+
+    def load_overload(self, *of: Any) -> Any:
+        try:
+            return super().load_overload(*of)
+        except Exception:  # what unpickling raises
+            return None
+
+    def save_overload(self, *of: Any) -> None:
+        try:
+            super().save_overload(*of)
+        except Exception:
+            with suppress(Exception):
+                self.flush()  # a damaged index, which is read before it is written
+                super().save_overload(*of)
+
+
 @cache
-def _prepare_disk(package: str) -> None:
-    """Prepares the cache once per package with kernels."""
-    ensure_cache_folder()
+def _prepare_disk(package: str) -> bool:
+    """Prepares the cache once per package with kernels; whether there is one."""
+    if not ensure_cache_folder():
+        return False
     file = getattr(sys.modules.get(package), "__file__", None)
     if file is not None:
         drop_stale_kernels(Path(file).parent, Path(__file__).parents[1])
+    return True
 
 
 def drop_stale_kernels(package: Path, *imported: Path) -> None:
@@ -99,20 +123,28 @@ def drop_stale_kernels(package: Path, *imported: Path) -> None:
                 index.unlink(missing_ok=True)  # without its index a kernel is compiled again
 
 
-def ensure_cache_folder() -> None:
-    """Gives numba a temporary cache folder if it finds none.
+@cache
+def ensure_cache_folder() -> bool:
+    """Gives numba a temporary cache folder if it finds none; whether there is one.
 
-    In a read-only installation without a writable home directory, ``njit(cache=True)`` would fail. Child
-    processes use the same folder.
+    In a read-only installation without a writable home directory, ``njit(cache=True)`` would fail; for a user
+    without a home, numba would make a folder ``~`` where the program runs. Child processes use the same
+    folder.
     """
-    from numba import config, njit
+    from numba import config
 
     try:
-        njit(cache=True)(_probe)  # compiles nothing, but looks for a folder
+        if not (os.environ.get("NUMBA_CACHE_DIR") or os.access(Path(__file__).parent, os.W_OK)):
+            Path.home()
+        _NumbasCache(_probe)
     except RuntimeError:
-        folder = tempfile.mkdtemp(prefix="duplex-kernels-")
+        try:
+            folder = tempfile.mkdtemp(prefix="duplex-kernels-")
+        except OSError:
+            return False
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = folder  # type: ignore[attr-defined]
+    return True
 
 
 def _probe() -> None:
@@ -138,7 +170,10 @@ def compiled_meanwhile(kernel: Any, statements: str) -> Iterator[None]:
 
 
 def _is_on_disk(kernel: Any) -> bool:
+    """True also where nothing is kept on disk: another process would compile for itself."""
     find_on_disk(kernel)
+    if kernel.stats.cache_path is None:
+        return True
     folder = Path(kernel.stats.cache_path)
     python = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
     return any(folder.glob(f"*{kernel.__name__}-*.{python}.nbi"))

@@ -75,8 +75,29 @@ def test_only_kernels_older_than_a_source_go(tmp_path):
     assert sorted(path.name for path in cache.iterdir()) == ["module.pyc"], "they contain its constants"
 
 
-def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path):
+UNWRITABLE = "import os, tempfile\n"
+NOBODY = """
+import os, pwd
+del os.environ["HOME"], os.environ["XDG_CACHE_HOME"]
+os.access = lambda *_: False  # nor may this user write into the installation
+pwd.getpwuid = {}.__getitem__
+"""
+NOWHERE = """
+import os, tempfile
+def mkdtemp(**_): raise FileNotFoundError
+tempfile.mkdtemp = mkdtemp
+"""
+
+
+@pytest.mark.parametrize(
+    ("user", "kept"),
+    [(UNWRITABLE, "True"), (NOBODY, "True"), (NOWHERE, "False")],
+    ids=["home", "nobody", "tmp"],
+)
+def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path, user, kept):
     """Files take the place of the folders, because permissions do not stop root."""
+    if user is NOBODY and sys.platform == "win32":
+        pytest.skip("every user of Windows has a home")
     for package in ("fusion", "devices", "recordings"):
         shutil.copytree(package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     for source in [*tmp_path.rglob("__init__.py")]:
@@ -91,17 +112,55 @@ def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path):
         "import os, pathlib, numpy\n"
         "assert 'NUMBA_CACHE_DIR' not in os.environ\n"
         "devices.depth.rvl.encode_depth(numpy.zeros((1, 1), dtype=numpy.uint16))\n"
-        "folder = pathlib.Path(os.environ['NUMBA_CACHE_DIR'])\n"
+        "folder = pathlib.Path(os.environ.get('NUMBA_CACHE_DIR', 'nowhere'))\n"
         "print(devices.depth.rvl.__file__, folder.is_dir(), folder)"
     )
     run = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment
+        [sys.executable, "-c", user + code], cwd=tmp_path, capture_output=True, text=True, env=environment
     )
     assert run.returncode == 0, run.stderr
     source, there, folder = run.stdout.split()
     assert source.startswith(str(tmp_path))
-    assert there == "True"
+    assert there == kept
     assert not Path(folder).exists()  # it is deleted with the process
+    assert not (tmp_path / "~").exists()
+
+
+def kept_kernel(folder, limit="pass"):
+    """Runs a kernel, which is kept in a folder, in a new process; prints how often it was found there."""
+    (folder / "kept.py").write_text(COLD)
+    packages = os.pathsep.join([str(folder), str(Path.cwd())])
+    return subprocess.run(
+        [sys.executable, "-c", f"{limit}; import kept; print(kept.loop(1), len(kept.loop.stats.cache_hits))"],
+        env={**os.environ, "PYTHONPATH": packages, "NUMBA_CACHE_DIR": str(folder / "kernels")},
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "not a file"])
+def test_kernels_that_are_damaged_on_disk_are_compiled_again(tmp_path, damage):
+    kept_kernel(tmp_path)
+    files = [path for path in (tmp_path / "kernels").rglob("*") if path.is_file()]
+    assert len(files) == 4
+    for file in files:
+        content = file.read_bytes()
+        file.unlink()
+        if damage == "not a file":
+            file.mkdir()
+        else:
+            file.write_bytes(content[: len(content) // 2 if damage == "cut" else 0])
+    first, second = (kept_kernel(tmp_path) for _ in range(2))
+    assert first.stdout == "3 0\n", first.stderr
+    assert second.stdout == ("3 0\n" if damage == "not a file" else "3 1\n"), second.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of file sizes")
+def test_a_full_disk_costs_a_compilation(tmp_path):
+    """Beyond a limit of file sizes writing fails as on a full disk."""
+    limit = "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+    run = kept_kernel(tmp_path, limit + "resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))")
+    assert run.stdout == "3 0\n", run.stderr
 
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
