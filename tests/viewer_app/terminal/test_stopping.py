@@ -37,6 +37,30 @@ def test_ctrl_c_during_the_imports(name):
     assert (ended.returncode, ended.stderr) == (130, "duplex: stopped\n")
 
 
+PRESSED_IN_A_CALLBACK = """
+import ctypes, os, signal, sys, threading
+from viewer_app import cli
+
+def pressed():
+    os.kill(os.getpid(), signal.SIGINT)
+    sum(range(10))  # where Python sees it
+
+def main():
+    ctypes.CFUNCTYPE(None)(pressed)()
+    threading.Event().wait(30.0)
+    print("went on")
+
+cli.main = main
+cli.script()
+"""
+
+
+def test_ctrl_c_in_a_callback_of_a_library_is_not_lost():
+    """ctypes prints the exceptions of callbacks, as of llvmlite's while kernels are compiled."""
+    ended = python("-c", PRESSED_IN_A_CALLBACK, timeout=60.0)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+
+
 LEAVES_A_SENSOR = """
 import ctypes, os, signal, sys, threading
 from devices.capture.sensor_thread import SensorThread
