@@ -21,7 +21,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from devices.input_file import open_input
-from fusion.large_arrays import give_back
+from fusion.large_arrays import GrowingArray, give_back
 from recordings import layout
 from recordings.errors import MissingFileError, RecordingError
 
@@ -67,23 +67,21 @@ class Columns:
     identity: tuple[str, str] | None = None  # application and recording id
 
 
+_Parts = dict[tuple[str, str], tuple[GrowingArray, GrowingArray, NDArray[Any]]]
+"""By (entity, component): frame numbers, values, and an empty array like these."""
+
+
 def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
     """Reads all data of the wanted entities. Raises as :class:`RrdFile`."""
     found = Columns()
-    parts: dict[tuple[str, str], list[tuple[NDArray[np.int64], NDArray[Any]]]] = {}
+    parts: _Parts = {}
     with RrdFile(path) as file:
         for entity, batch in file.chunks(images=False):
             if wanted(entity):
                 _take(entity, batch, found, parts)
         found.damage, found.identity = file.damage, file.identity()
-    while parts:  # one by one, so that a long session is not in memory twice
-        key, pieces = parts.popitem()
-        shape = pieces[0][1].shape[1:]
-        fitting = [p for p in pieces if p[1].shape[1:] == shape and p[1].dtype == pieces[0][1].dtype]
-        found.values[key] = (
-            np.concatenate([frames for frames, _ in fitting]),
-            np.concatenate([values for _, values in fitting]),
-        )
+    arrays = GrowingArray.wholes(array for frames, values, _ in parts.values() for array in (frames, values))
+    found.values = dict(zip(parts, zip(arrays[::2], arrays[1::2], strict=True), strict=True))
     return found
 
 
@@ -262,7 +260,7 @@ def _take(
     entity: str,
     batch: pa.RecordBatch,
     found: Columns,
-    parts: dict[tuple[str, str], list[tuple[NDArray[np.int64], NDArray[Any]]]],
+    parts: _Parts,
 ) -> None:
     names = batch.schema.names
     if entity.startswith(f"{PROPERTIES}/"):
@@ -294,8 +292,14 @@ def _take(
             continue
         for field_name, of_field in _fields_of(name, column):
             dense = _dense(of_field)
-            if dense is not None and len(dense) == len(frames):
-                parts.setdefault((entity, field_name), []).append((frames, dense))
+            if dense is None or len(dense) != len(frames):
+                continue
+            of_frames, of_values, like = parts.setdefault(
+                (entity, field_name), (GrowingArray(), GrowingArray(), dense[:0].copy())
+            )
+            if dense.shape[1:] == like.shape[1:] and dense.dtype == like.dtype:
+                of_frames.append(frames.copy())  # a view would keep the whole chunk in memory
+                of_values.append(dense.copy())
 
 
 def _texts(batch: pa.RecordBatch) -> list[tuple[int | None, int | None, dict[str, Any]]]:

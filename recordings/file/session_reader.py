@@ -1,5 +1,6 @@
 """Reads a session from its file: checks its content, and takes the frames before the first damaged one."""
 
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.intrinsics import Intrinsics
+from fusion.large_arrays import GrowingArray, parts
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
@@ -189,28 +191,42 @@ def _frames_of(
     stored[_JOINT_DIGESTS] = (len(body), np.uint8)
     if _CHECKS_CRC in found.values:  # sessions of 1.0 and earlier have none
         stored[_CHECKS_CRC] = (1, np.uint32)
-    columns: dict[tuple[str, str], NDArray[Any]] = {}
-    counts = []
+    columns: dict[tuple[str, str], tuple[NDArray[Any], NDArray[np.int64]]] = {}
     for key, (width, kind) in stored.items():
-        columns[key] = values = _consecutive(found, key, width, kind)
-        counts.append(len(values))
+        columns[key] = _consecutive(found, key, width, kind)
+    counts = [len(order) for _, order in columns.values()]
     written, n = max(counts), min(counts)
-    figures: dict[str, Any] = {}
-    with np.errstate(invalid="ignore"):  # damaged numbers are detected below
-        for key, specs in groups.items():
-            column = 0
-            for name, spec in specs:
-                width = spec.width(body)
-                figures[name] = spec.from_file(body, columns[key][:n, column : column + width])
-                column += width
-        rows = SessionArrays(body, _targets(calibrations, n), np.arange(n), columns[_TIME][:n, 0], **figures)
-    if n:
-        fits = frame_checksums(rows) == columns[_FRAME_CRC][:n, 0]
-        if _CHECKS_CRC in stored:
-            of_checks = checks_checksums(columns[_FUSED_CRC][:n, 0], columns[_JOINT_DIGESTS][:n])
-            fits &= of_checks == columns[_CHECKS_CRC][:n, 0]
-        n = int(np.argmin(np.append(fits, False)))
-    return rows[:n], (columns[_FUSED_CRC][:n, 0], columns[_JOINT_DIGESTS][:n]), written - n
+    checks = GrowingArray(), GrowingArray()
+
+    def whole_frames() -> Iterator[SessionArrays]:
+        for part in parts(n) if n else [slice(0, 0)]:
+            of_part = {key: values[order[part]] for key, (values, order) in columns.items()}
+            figures: dict[str, Any] = {}
+            with np.errstate(invalid="ignore"):  # damaged numbers are detected below
+                for key, specs in groups.items():
+                    column = 0
+                    for name, spec in specs:
+                        width = spec.width(body)
+                        figures[name] = spec.from_file(body, of_part[key][:, column : column + width])
+                        column += width
+            number = np.arange(part.start, part.stop)
+            targets = _targets(calibrations, number)
+            rows = SessionArrays(body, targets, number, of_part[_TIME][:, 0], **figures)
+            fused_crc, digests = of_part[_FUSED_CRC][:, 0], of_part[_JOINT_DIGESTS]
+            if n:
+                fits = frame_checksums(rows) == of_part[_FRAME_CRC][:, 0]
+                if _CHECKS_CRC in stored:
+                    fits &= checks_checksums(fused_crc, digests) == of_part[_CHECKS_CRC][:, 0]
+                rows = rows[: int(np.argmin(np.append(fits, False)))]
+            checks[0].append(fused_crc[: len(rows)])
+            checks[1].append(digests[: len(rows)])
+            yield rows
+            if len(rows) < len(fused_crc):
+                return
+
+    whole = SessionArrays.joined(whole_frames())
+    fused_checksums, joint_digests = GrowingArray.wholes(checks)
+    return whole, (fused_checksums, joint_digests), written - n
 
 
 def _groups(found: Columns) -> dict[tuple[str, str], list[tuple[str, FrameField]]]:
@@ -223,19 +239,21 @@ def _groups(found: Columns) -> dict[tuple[str, str], list[tuple[str, FrameField]
     return groups
 
 
-def _consecutive(found: Columns, key: tuple[str, str], width: int, kind: type[np.generic]) -> NDArray[Any]:
-    """(N, width) values of frames 0 to N - 1, up to the first missing frame."""
+def _consecutive(
+    found: Columns, key: tuple[str, str], width: int, kind: type[np.generic]
+) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """(N, width) values, and where those of frames 0, 1, … are, up to the first missing frame."""
     frames, values = found.values.get(key, (np.empty(0, np.int64), np.empty((0, width), kind)))
     if values.dtype != kind or values.size != len(frames) * width:
-        return np.empty((0, width), kind)
+        return np.empty((0, width), kind), np.empty(0, np.int64)
     order = np.argsort(frames, kind="stable")
     frames = frames[order]
     count = int(np.argmin(np.concatenate([frames, [-1]]) == np.arange(len(frames) + 1)))
-    return values.reshape(len(frames), width)[order[:count]]
+    return values.reshape(len(frames), width), order[:count]
 
 
-def _targets(calibrations: list[tuple[int, Calibration]], frames: int) -> NDArray[np.float64]:
+def _targets(calibrations: list[tuple[int, Calibration]], number: NDArray[np.int64]) -> NDArray[np.float64]:
     """(T, J) bone lengths used for the fusion of each frame."""
     firsts = [first for first, _ in calibrations]
     lengths = np.array([calibration.bone_lengths for _, calibration in calibrations])
-    return np.asarray(lengths[np.searchsorted(firsts, np.arange(frames), side="right") - 1])
+    return np.asarray(lengths[np.searchsorted(firsts, number, side="right") - 1])

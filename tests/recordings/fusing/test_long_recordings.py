@@ -5,6 +5,7 @@ import gc
 import os
 import tempfile
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +22,9 @@ from fusion.large_arrays import GrowingArray
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
 from recordings import Session, fuse
+from recordings.file import session_reader
 from recordings.file.session_writer import write_session
+from recordings.session_arrays import SessionArrays
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import A_FROM_B, moving
 
@@ -49,6 +52,32 @@ def test_a_fused_recording_keeps_a_few_hundred_bytes_of_each_pair_in_memory(tmp_
         tracemalloc.stop()
         assert len(session) == frames
     assert (held[1800] - held[600]) / 1200 < 300.0
+
+
+def test_a_saved_session_is_opened_in_parts(tmp_path, monkeypatch):
+    """Its arrays are 2,000 bytes of each frame. The summary of a session that has ended opens it."""
+    monkeypatch.setattr(large_arrays, "_LARGE", 4_000)  # bytes
+    monkeypatch.setattr(session_reader, "parts", lambda count: large_arrays.parts(count, 100))
+    short, most = fuse(*write_walk(tmp_path / "walk", 100)), {}
+    for times in (6, 18):
+        rows = SessionArrays.joined([short.rows] * times)
+        number = np.arange(len(rows))
+        checks = {
+            name: np.concatenate([getattr(short, name)] * times)
+            for name in ("fused_checksums", "joint_digests")
+        }
+        replace(short, rows=replace(rows, frame=number, time_ns=number * 33_333_333), **checks).save(
+            tmp_path / "s.rrd"
+        )
+        del rows
+        gc.collect()
+        tracemalloc.start()
+        session = Session.open(tmp_path / "s.rrd")
+        _, most[times] = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert session.damage is None
+        np.testing.assert_array_equal(session.rows.fused[-100:], session.rows.fused[:100])
+    assert (most[18] - most[6]) / 1200 < 600.0
 
 
 def nobody_at_first(rows):
