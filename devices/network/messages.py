@@ -32,6 +32,7 @@ MOST_PEOPLE = 16
 _MOST_PIXELS = 1 << 21
 _MOST_DISTORTION = 8
 _LATEST_NS = 1 << 62
+_LARGEST_WITNESS = 65_504.0  # metres, that a session can hold; NaN is where there was no reading
 
 
 class MalformedError(DeviceError):
@@ -143,6 +144,8 @@ def decode_frame(data: bytes, body: Body) -> FrameMessage:
             raise MalformedError(str(fault)) from fault
         if flags:
             witness = np.frombuffer(rest.take(16 * joints), dtype="<f4").reshape(joints, 4)
+            if (np.abs(witness) > _LARGEST_WITNESS).any():
+                raise MalformedError("A witness that cannot be.")
             person = person.with_witness(witness.astype(np.float32))
         people[name] = person
     image = rest.take(_SIZE.unpack(rest.take(_SIZE.size))[0])

@@ -132,6 +132,20 @@ def test_no_frame_of_a_faulty_sender_reaches_a_kernel_with_arrays_of_another_len
         assert np.isfinite(skeleton.positions[skeleton.has_position]).all()
 
 
+@pytest.mark.parametrize("value", [np.inf, -np.inf, 1e6, np.nan, 65_504.0])
+def test_a_witness_that_no_image_gives_is_refused(value):
+    """Else it would reach the method as a reading; NaN says that there is none."""
+    witness = np.full((len(AZURE_KINECT), 4), 0.01, np.float32)
+    witness[3, 1] = value
+    sent = SensorFrame(7, {"1": person().with_witness(witness)})
+    if np.isnan(value) or abs(value) <= 65_504.0:
+        got = decode_frame(encode_frame(FrameMessage(1, 0, sent, 0)), AZURE_KINECT)
+        np.testing.assert_equal(got.frame.people["1"].witness, witness)
+    else:
+        with pytest.raises(MalformedError, match="A witness that cannot be"):
+            decode_frame(encode_frame(FrameMessage(1, 0, sent, 0)), AZURE_KINECT)
+
+
 def test_people_beyond_the_most_are_left_out_and_long_ids_stay_apart():
     skeleton = person()
     many = FrameMessage(1, 0, SensorFrame(7, {str(k): skeleton for k in range(20)}), 0)
