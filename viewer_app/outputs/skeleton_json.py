@@ -77,21 +77,20 @@ class SkeletonJson:
             separators=(",", ":"),
         )
 
-    def gait_events(self) -> list[str]:
-        """Messages of the heel strikes and toe-offs that the last frames show."""
-        return [self.event(event) for event in self._movement.new_events()]
+    def gait_events(self) -> list[Event]:
+        """The heel strikes and toe-offs that the last frames show."""
+        return self._movement.new_events()
 
-    def event(self, event: Event) -> str:
-        """An event."""
-        return json.dumps(
-            {
-                "type": "event",
-                "version": VERSION,
-                "time_s": event.time_ns * 1e-9,
-                "level": event.level,
-                "text": event.text,
-            }
-        )
+    def event(self, event: Event, count: int = 1) -> str:
+        """An event, the last of so many."""
+        said = {
+            "type": "event",
+            "version": VERSION,
+            "time_s": event.time_ns * 1e-9,
+            "level": event.level,
+            "text": event.text,
+        }
+        return json.dumps(said | ({"count": count} if count > 1 else {}))
 
 
 def _or_null(degrees: NDArray[np.float64]) -> list[float | None]:

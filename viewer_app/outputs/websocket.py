@@ -1,8 +1,8 @@
 """A WebSocket server: the JSON of :mod:`viewer_app.outputs.skeleton_json` for browsers and scripts.
 
 The same port serves a page that draws the skeleton. Each client has a slot for the newest frame, and a ping
-follows each frame: a slow client skips frames, because only some frames may be unanswered, and a blocked one
-is disconnected. Messages of clients are counted and ignored.
+follows each frame: a slow client skips frames, because no more may be unanswered than it takes within 0.3 s,
+and a blocked one is disconnected. Messages of clients are counted and ignored.
 """
 
 from __future__ import annotations
@@ -38,20 +38,41 @@ _PATIENCE = 10.0  # seconds without an answer to a ping
 _OPENS_WITHIN = 10.0
 UNANSWERED = 4
 """Maximum number of frames on the way to a client, 0.13 s at 30 fps: buffers of the network hold seconds."""
-_BEHIND_S = 0.15
-"""A client that takes longer to answer gets the next frame only after that, so that two frames take 0.3 s."""
+_BEHIND_S = 0.3
+_MOST_EVENTS = 64
 _SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self' ws:"
 )
 
 
 class _Client:
-    """What waits for one client: the newest frame and when it was made, and other messages."""
+    """What waits for one client: the newest description, the newest frame and when it was made, events."""
 
     def __init__(self) -> None:
+        self.hello: str | None = None
         self.frame: tuple[str, int] | None = None
-        self.others: deque[str] = deque(maxlen=64)
+        self.events: deque[tuple[Event, int]] = deque()
         self.more = asyncio.Event()
+
+    def add(self, event: Event) -> None:
+        """Adds an event; where many wait, it stands for one that said the same, too, or for the oldest."""
+        count = 1
+        if len(self.events) >= _MOST_EVENTS:
+            said = [(other.level, other.text) for other, _ in self.events]
+            alike = said.index((event.level, event.text)) if (event.level, event.text) in said else 0
+            count += self.events[alike][1]
+            del self.events[alike]
+        self.events.append((event, count))
+
+
+def most_on_the_way(sent: int, seconds: float) -> int:
+    """How many frames may be on the way to a client: as many as it takes within 0.3 s, at least one.
+
+    Args:
+        sent: How many were on the way with the one that it answered.
+        seconds: How long it took to answer that one.
+    """
+    return min(max(int(_BEHIND_S * sent / max(seconds, 1e-3)), 1), UNANSWERED)
 
 
 class WebSocketOutput(LiveOutput):
@@ -105,7 +126,7 @@ class WebSocketOutput(LiveOutput):
         return None  # the server's thread counts
 
     def send_event(self, event: Event) -> None:
-        self._publish(self._json.event(event))
+        self._publish(event)
 
     def send_setup(self, setup: FusionSetup) -> None:
         """Sends the description again."""
@@ -117,17 +138,19 @@ class WebSocketOutput(LiveOutput):
             asyncio.run_coroutine_threadsafe(self._stop(), self._loop).result(2.0)
         self._end_loop()
 
-    def _publish(self, text: str, written_ns: int | None = None) -> None:
-        self._loop.call_soon_threadsafe(self._offer, text, written_ns)
+    def _publish(self, said: str | Event, written_ns: int | None = None) -> None:
+        self._loop.call_soon_threadsafe(self._offer, said, written_ns)
 
-    def _offer(self, text: str, written_ns: int | None) -> None:
+    def _offer(self, said: str | Event, written_ns: int | None) -> None:
         for client in self._clients:
-            if written_ns is None:
-                client.others.append(text)
+            if isinstance(said, Event):
+                client.add(said)
+            elif written_ns is None:
+                client.hello = said
             else:
                 if client.frame is not None:
                     self._unsent(1)
-                client.frame = text, written_ns
+                client.frame = said, written_ns
             client.more.set()
 
     async def _serve(self, port: int) -> Server:
@@ -217,24 +240,27 @@ class WebSocketOutput(LiveOutput):
     async def _feed(self, connection: ServerConnection, client: _Client) -> None:
         from websockets.exceptions import ConnectionClosed
 
-        unanswered: deque[Awaitable[float]] = deque()
-        most = UNANSWERED
+        unanswered: deque[tuple[int, Awaitable[float]]] = deque()
+        most = 1
         with suppress(ConnectionClosed):
             await connection.send(self._hello)
             while True:
                 await client.more.wait()
-                client.more.clear()
-                while client.others:
-                    await connection.send(client.others.popleft())
                 while len(unanswered) >= most:
-                    behind = await unanswered.popleft() > _BEHIND_S
-                    most = 1 if behind else min(most + 1, UNANSWERED)
+                    sent, answered = unanswered.popleft()
+                    most = most_on_the_way(sent, await answered)
+                client.more.clear()
+                if client.hello is not None:
+                    hello, client.hello = client.hello, None
+                    await connection.send(hello)
+                while client.events:
+                    await connection.send(self._json.event(*client.events.popleft()))
                 if client.frame is not None:
                     (text, written_ns), client.frame = client.frame, None
                     await connection.send(text)
-                    unanswered.append(await connection.ping())
                     self._sent += 1
                     self._late += self._clock() - written_ns > LATE_NS
+                unanswered.append((len(unanswered) + 1, await connection.ping()))
 
     async def _stop(self) -> None:
         self._server.close()

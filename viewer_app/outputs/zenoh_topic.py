@@ -35,7 +35,7 @@ class ZenohOutput(LiveOutput):
             self.send_setup(self._setup)
         self._put("frame", self._json.frame(frame))
         for event in self._json.gait_events():
-            self._put("event", event)
+            self.send_event(event)
         return 1
 
     def send_event(self, event: Event) -> None:

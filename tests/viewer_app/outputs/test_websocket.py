@@ -12,6 +12,8 @@ from urllib.request import Request, urlopen
 import numpy as np
 import psutil
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
@@ -26,7 +28,7 @@ from viewer_app.addresses import reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs import websocket
 from viewer_app.outputs.output import confidence
-from viewer_app.outputs.websocket import UNANSWERED, WebSocketOutput
+from viewer_app.outputs.websocket import UNANSWERED, WebSocketOutput, most_on_the_way
 
 
 @pytest.fixture
@@ -117,25 +119,6 @@ def test_a_client_that_does_not_read_skips_frames_and_costs_others_nothing(serve
             assert slowest < 3.0  # a loop that waited would never return
 
 
-def test_few_frames_are_on_the_way_to_a_client_that_answers_no_ping(server, fuser):
-    """Buffers of the network would take all of them, and the client would see the past."""
-    made = frames(fuser, 1)[0]
-    with socket.create_connection(("127.0.0.1", port_of(server))) as slow:
-        slow.sendall(handshake(port_of(server)))
-        assert eventually(lambda: len(server._clients) == 1)
-
-        def all_on_the_way():
-            server.write(made)
-            return server.counts.sent >= UNANSWERED
-
-        assert eventually(all_on_the_way)
-        before = server.counts.dropped
-        for _ in range(60):
-            server.write(made)
-        assert eventually(lambda: server.counts.dropped >= before + 59)  # the last one waits
-        assert server.counts.sent == UNANSWERED
-
-
 def test_a_client_that_pings_and_resets_is_not_worth_a_line(server, caplog):
     """Python's event loop warns of each answer to a connection that is gone."""
     with socket.create_connection(("127.0.0.1", port_of(server))) as rude:
@@ -149,48 +132,95 @@ def test_a_client_that_pings_and_resets_is_not_worth_a_line(server, caplog):
     assert caplog.records == []
 
 
-def test_fewer_frames_are_on_the_way_to_a_client_that_answers_late(server, fuser, monkeypatch):
-    """Four frames that take two seconds each would show eight seconds ago."""
-    made = frames(fuser, 1)[0]
-    with socket.create_connection(("127.0.0.1", port_of(server))) as slow:
-        slow.sendall(handshake(port_of(server)))
-        slow.settimeout(30.0)
-        received = slow.makefile("rb")
-        while received.readline().strip():
+class RawClient:
+    """A client that answers pings when told to."""
+
+    def __init__(self, server):
+        self._socket = socket.create_connection(("127.0.0.1", port_of(server)))
+        self._socket.settimeout(30.0)
+        self._socket.sendall(handshake(port_of(server)))
+        self._received = self._socket.makefile("rb")
+        while self._received.readline().strip():
             pass
         assert eventually(lambda: len(server._clients) == 1)
 
-        def pings(count):
-            """The contents of so many pings, unanswered yet."""
-            found = []
-            while len(found) < count:
-                kind, size = received.read(2)
-                if size == 126:
-                    size = int.from_bytes(received.read(2), "big")
-                content = received.read(size)
-                found += [content] if kind == 0x89 else []
-            return found
+    def __enter__(self):
+        return self
 
-        def are_sent(count):
-            """Whether so many frames are sent, and no more."""
+    def __exit__(self, *_):
+        self._received.close()
+        self._socket.close()
 
-            def sent():
-                server.write(made)
-                return server.counts.sent >= count
+    def until_ping(self):
+        """The messages before the next ping, and the content of this."""
+        messages = []
+        while True:
+            kind, size = self._received.read(2)
+            if size == 126:
+                size = int.from_bytes(self._received.read(2), "big")
+            content = self._received.read(size)
+            if kind == 0x89:
+                return messages, content
+            messages.append(json.loads(content))
 
-            assert eventually(sent)
-            dropped = server.counts.dropped
-            for _ in range(30):
-                server.write(made)
-            assert eventually(lambda: server.counts.dropped >= dropped + 29)
-            return server.counts.sent == count
+    def answer(self, ping):
+        self._socket.sendall(b"\x8a\x84\0\0\0\0" + ping)
 
-        monkeypatch.setattr(websocket, "_BEHIND_S", 0.0)  # each answer is late
-        assert are_sent(UNANSWERED)
-        answers = pings(UNANSWERED)
-        slow.sendall(b"".join(b"\x8a\x84\0\0\0\0" + each for each in answers))
-        assert are_sent(UNANSWERED + 1)
-        assert len(pings(1)) == 1
+
+def are_sent(server, frame, count):
+    """Whether so many frames are sent, and no more however many are made."""
+
+    def sent():
+        server.write(frame)
+        return server.counts.sent >= count
+
+    assert eventually(sent)
+    dropped = server.counts.dropped
+    for _ in range(30):
+        server.write(frame)
+    assert eventually(lambda: server.counts.dropped >= dropped + 29)  # the last one waits
+    return server.counts.sent == count
+
+
+@pytest.mark.parametrize(("behind_s", "on_the_way"), [(0.0, 1), (1e9, UNANSWERED)])
+def test_a_client_gets_as_many_frames_ahead_as_its_answers_allow(
+    server, fuser, monkeypatch, behind_s, on_the_way
+):
+    """Buffers of the network would take all frames, and the client would see the past: four frames that take
+    two seconds each would show eight seconds ago."""
+    monkeypatch.setattr(websocket, "_BEHIND_S", behind_s)
+    frame = frames(fuser, 1)[0]
+    with RawClient(server) as client:
+        assert are_sent(server, frame, 1)
+        client.answer(client.until_ping()[1])
+        assert are_sent(server, frame, 1 + on_the_way)
+
+
+@given(st.floats(1e-3, 10.0), st.integers(1, UNANSWERED))
+def test_no_more_frames_are_on_the_way_than_a_client_takes_in_300_ms(seconds_each, sent):
+    most = most_on_the_way(sent, sent * seconds_each)
+    assert 1 <= most <= UNANSWERED
+    assert most == 1 or most * seconds_each <= 0.3 + 1e-9
+    assert most == UNANSWERED or (most + 1) * seconds_each > 0.3 - 1e-9
+
+
+def test_events_for_a_slow_client_are_merged_and_none_is_lost(server, fuser):
+    with RawClient(server) as client:
+        assert are_sent(server, frames(fuser, 1)[0], 1)
+        _, ping = client.until_ping()
+        server.send_event(Event("sensor B lost", "WARN"))
+        for k in range(3000):
+            server.send_event(Event(f"heel strike {k % 3}", time_ns=k * 1_000_000_000))
+        made, told = frames(fuser, 1)[0], []
+        while sum(event.get("count", 1) for event in told) < 3001:
+            client.answer(ping)
+            server.write(made)
+            messages, ping = client.until_ping()
+            told += [message for message in messages if message["type"] == "event"]
+    assert len(told) < 200
+    assert sum(event.get("count", 1) for event in told) == 3001
+    assert {event["text"] for event in told} == {"sensor B lost", *(f"heel strike {k}" for k in range(3))}
+    assert [event["time_s"] for event in told[-3:]] == [2997.0, 2998.0, 2999.0]
 
 
 def handshake(port):
