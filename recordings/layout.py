@@ -75,9 +75,9 @@ def skeleton(side: str) -> str:
     return f"/kinect_{side}/skeleton"
 
 
-def image_skeleton(side: str) -> str:
-    """S_A or S_B at the moment of the image that is shown; in a running viewer only."""
-    return f"/kinect_{side}/skeleton_of_image"
+def image_skeleton(side: str, kind: str) -> str:
+    """S_A or S_B at the moment of the depth or colour image that is shown; in a running viewer only."""
+    return f"/kinect_{side}/skeleton_of_{kind}"
 
 
 def trust_lane(limb: str) -> str:
@@ -173,3 +173,4 @@ CLASS_IDS = {"a": 1, "b": 2, "fused": 3, "truth": 4, "exchanged_a": 5, "exchange
 LINELESS_CLASS = 7
 """Class of joints that are shown without lines between them."""
 STATE_NAMES = ("not tracked", "inferred", "tracked")
+IMAGE_KINDS = ("depth", "color")

@@ -19,9 +19,9 @@ def has_images(pair: FramePair) -> bool:
     return has_image(pair.a) or has_image(pair.b)
 
 
-def has_image(frame: SensorFrame | None) -> bool:
-    """Whether a frame has an image."""
-    return frame is not None and (frame.depth is not None or frame.color is not None)
+def has_image(frame: SensorFrame | None, *kinds: str) -> bool:
+    """Whether a frame has an image, or one of some kinds: depth, color."""
+    return frame is not None and any(getattr(frame, kind) is not None for kind in kinds or ("depth", "color"))
 
 
 def without_images(pair: FramePair, of: str = "ab") -> FramePair:

@@ -131,8 +131,12 @@ def image_edge(intrinsics: Intrinsics) -> rr.Boxes2D:
     )
 
 
-DEPTH = rr.EncodedDepthImage.from_fields(colormap=rr.components.Colormap.Grayscale)
-"""Grey, so that a skeleton's colour stands out over it."""
+def depth_look(raw: bool) -> rr.DepthImage | rr.EncodedDepthImage:
+    """Appearance of depth images: grey, so that a skeleton's colour stands out over it."""
+    return (rr.DepthImage if raw else rr.EncodedDepthImage).from_fields(
+        colormap=rr.components.Colormap.Grayscale
+    )
+
 
 TRUST_LANES = rr.StateConfiguration(values=SOURCES, labels=SOURCES, colors=SOURCE_COLORS)
 STATE_LANES = rr.StateConfiguration(values=layout.STATE_NAMES, labels=layout.STATE_NAMES, colors=STATE_COLORS)

@@ -75,7 +75,7 @@ class Recorder:
         self._like: SessionArrays | None = None  # the first frame, whose optional figures all have
         self._plots_later, self._unplotted = plots_later, list[SessionArrays]()
         self._shown = points
-        self._with_images: dict[str, NDArray[np.int64]] = {}
+        self._of_images: dict[tuple[str, str], NDArray[np.int64]] = {}
         self.images = ImageLog(stream, setup, depth_every, points)
         self.others = OthersLog(stream)
         self._figures, self._trust_colors = StreamFiguresLog(stream), TrustColors()
@@ -116,9 +116,15 @@ class Recorder:
         rows = SessionArrays.stack(of.body, of.bone_lengths, frames, numbers, begun_ns, like=self._like)
         self._like = self._like or rows[:1]
         if self._shown:
-            self._with_images = {
-                layout.skeleton(side): np.flatnonzero([has_image(getattr(of.pair, side)) for of in frames])
+            self._of_images = {
+                (side, kind): self.images.moments(
+                    side,
+                    kind,
+                    rows.time_ns,
+                    np.array([has_image(getattr(of.pair, side), kind) for of in frames]),
+                )
                 for side in layout.SIDES
+                for kind in layout.IMAGE_KINDS
             }
         self.record_rows(rows)
         for frame, number, time_ns in zip(frames, numbers, rows.time_ns.tolist(), strict=True):
@@ -197,13 +203,12 @@ class Recorder:
             if rows is not timed:
                 timed, times = rows, Times.of_frames(rows.frame, rows.time_ns)
             self._stream.send_columns(entity, times, columns)
-            imaged = self._with_images.get(entity, ())
-            if len(imaged):
-                # under a newer skeleton, an image that a slow machine left on the screen would tell a lie
-                side = layout.SIDES[entity == layout.skeleton("b")]
-                of_image = Times.of_frames(rows.frame[imaged], rows.time_ns[imaged])
-                at_images = [column.at(imaged) for column in columns]
-                self._stream.send_columns(layout.image_skeleton(side), of_image, at_images)
+            for (side, kind), chosen in self._of_images.items():
+                if entity == layout.skeleton(side) and len(chosen):
+                    # under a newer skeleton, an image that a slow machine left on the screen would tell a lie
+                    of_image = Times.of_frames(rows.frame[chosen], rows.time_ns[chosen])
+                    at_images = [column.at(chosen) for column in columns]
+                    self._stream.send_columns(layout.image_skeleton(side, kind), of_image, at_images)
             self._pause()
 
     def _explain(self, rows: SessionArrays) -> None:
@@ -219,9 +224,9 @@ def _log_constant(stream: rr.RecordingStream, setup: FusionSetup, shown: bool) -
     once(layout.ROOT, rr.ViewCoordinates.RDF, entity_styles.annotation_context(setup.body))
     for side, intrinsics in (("a", setup.intrinsics_a), ("b", setup.intrinsics_b)):
         once(layout.skeleton(side), entity_styles.joint_look(setup.body, side))
-        if shown:
-            once(layout.image_skeleton(side), entity_styles.joint_look(setup.body, side))
-        once(layout.depth(side), entity_styles.camera(intrinsics, side), entity_styles.DEPTH)
+        for kind in layout.IMAGE_KINDS if shown else ():
+            once(layout.image_skeleton(side, kind), entity_styles.joint_look(setup.body, side))
+        once(layout.depth(side), entity_styles.camera(intrinsics, side), entity_styles.depth_look(shown))
         once(layout.image_edge(side), entity_styles.image_edge(intrinsics))
         once(layout.others(side), entity_styles.others_look())
         once(layout.points(side), entity_styles.cloud_look(side))

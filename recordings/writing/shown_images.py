@@ -1,15 +1,14 @@
 """Images of the sensors in a stream: depth and colour, and for a viewer point clouds and infrared images."""
 
-import io
 import math
 from functools import lru_cache
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
-from PIL import Image
 
 from devices.blazepose.grey_image import compressed
+from devices.depth.image_thinning import has_image
 from devices.depth.point_cloud import depth_to_points, ray_table
 from devices.depth.rvl import MEDIA_TYPE, encode_depth
 from devices.pairing import FramePair
@@ -24,9 +23,8 @@ from recordings.writing.checksums import image_checksum
 
 _POINTS = 10_000
 """Approximate maximum number of points shown; 120 kB."""
-_CLOUD_NS = 250_000_000
-"""For so long a point cloud is shown: the person of an older one is elsewhere than their skeleton."""
-_INFRARED_QUALITY = 80  # of the JPEG, per cent: 20 KB for an image of 320 × 288 pixels
+LATE_NS = 250_000_000
+"""For so long a viewer shows an image and its point cloud: the person of an older one is elsewhere."""
 
 
 class ImageLog:
@@ -40,7 +38,7 @@ class ImageLog:
     def __init__(self, stream: rr.RecordingStream, setup: FusionSetup, every: int, shown: bool) -> None:
         self._stream, self._every, self._shown = stream, every, shown
         self._cameras = {"a": setup.intrinsics_a, "b": setup.intrinsics_b}
-        self._clouds_ns: dict[str, int] = {}  # when the point clouds that are shown were seen
+        self._images_ns: dict[tuple[str, str], int] = {}  # by side and kind: when what is shown was seen
         self._placed: set[str] = set()  # colour cameras
         if shown:  # takes longer than a frame
             for camera in self._cameras.values():
@@ -50,11 +48,15 @@ class ImageLog:
         """Logs the images of a pair, if they are to be kept."""
         if self._every == 0 or frame % self._every:
             return
-        for side, since_ns in list(self._clouds_ns.items()):
-            if time_ns - since_ns > _CLOUD_NS:
-                del self._clouds_ns[side]
-                set_time(self._stream, frame, time_ns)
-                self._stream.log(layout.points(side), rr.Points3D.from_fields(positions=np.empty((0, 3))))
+        late = [key for key, seen_ns in self._images_ns.items() if time_ns - seen_ns > LATE_NS]
+        for side, kind in late:
+            if has_image(getattr(pair, side), kind):
+                continue
+            del self._images_ns[side, kind]
+            set_time(self._stream, frame, time_ns)
+            gone = (layout.depth, layout.infrared, layout.points) if kind == "depth" else (layout.color,)
+            for entity in gone:
+                self._stream.log(entity(side), rr.Clear(recursive=False))
         for side, seen in (("a", pair.a), ("b", pair.b)):
             if seen is not None and seen.depth is not None:
                 self.depth(side, frame, time_ns, seen.depth)
@@ -63,19 +65,33 @@ class ImageLog:
             if seen is not None and seen.color is not None:
                 self.color(side, frame, time_ns, seen.color)
 
+    def moments(
+        self, side: str, kind: str, time_ns: NDArray[np.int64], has_image: NDArray[np.bool_]
+    ) -> NDArray[np.int64]:
+        """The indices of the following frames whose skeleton is drawn over the image of a viewer.
+
+        They are those with an image, and those without one whose last image is too late to be shown.
+        """
+        last_ns = self._images_ns.get((side, kind), -2 * LATE_NS)
+        newest = np.maximum.accumulate(np.where(has_image, time_ns, last_ns))
+        return np.flatnonzero(has_image | (time_ns - newest > LATE_NS))
+
     def depth(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
         """Logs a depth image losslessly: (height, width) millimetres."""
-        blob = encode_depth(depth)
         set_time(self._stream, frame, time_ns)
+        if self._shown:  # not encoded: a viewer shows the image before until it has decoded this one
+            self._images_ns[side, "depth"] = time_ns
+            self._stream.log(layout.depth(side), rr.DepthImage(depth, meter=1000.0))
+            self._stream.log(layout.points(side), points(thin_points(depth, self._cameras[side])))
+            return
+        blob = encode_depth(depth)
         image = depth_image(blob, MEDIA_TYPE, meter=1000.0)
         self._stream.log(layout.depth(side), image, own_values(crc32=image_checksum(frame, blob)))
-        if self._shown:
-            self._clouds_ns[side] = time_ns
-            self._stream.log(layout.points(side), points(thin_points(depth, self._cameras[side])))
 
     def color(self, side: str, frame: int, time_ns: int, color: ColorImage) -> None:
         """Logs a colour image."""
         set_time(self._stream, frame, time_ns)
+        self._images_ns[side, "color"] = time_ns
         entity, camera = layout.color(side), color.camera
         if side not in self._placed:
             self._placed.add(side)
@@ -109,9 +125,7 @@ def _show_infrared(stream: rr.RecordingStream, side: str, image: NDArray[np.uint
         image: (height, width) uint16, on the pixels of the depth image.
     """
     grey = np.rint(255.0 * compressed(image)).astype(np.uint8)
-    jpeg = io.BytesIO()
-    Image.fromarray(grey).save(jpeg, "JPEG", quality=_INFRARED_QUALITY)
-    stream.log(layout.infrared(side), rr.EncodedImage(contents=jpeg.getvalue(), media_type="image/jpeg"))
+    stream.log(layout.infrared(side), rr.Image(grey, color_model="L"))
 
 
 def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.float32]:

@@ -107,11 +107,14 @@ def _setup(
     card: bool,
 ) -> rrb.Container:
     shown = ", infrared" if infrared else "" if depth else ": its skeleton"
-    of_view = layout.image_skeleton if card and depth else layout.skeleton
+
+    def drawn_over(side: str, kind: str) -> str:
+        return layout.image_skeleton(side, kind) if card and depth else layout.skeleton(side)
+
     depths = [
         rrb.Spatial2DView(
             origin=layout.depth(side),
-            contents=[*_images(side, infrared), of_view(side), layout.others(side)],
+            contents=[*_images(side, infrared), drawn_over(side, "depth"), layout.others(side)],
             name=f"Kinect {side.upper()}{shown}",
             visual_bounds=rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height)),
         )
@@ -120,7 +123,7 @@ def _setup(
     images: list[rrb.View | rrb.Container] = [*depths]
     if color:
         images = [
-            rrb.Tabs(_color_view(side, of_view(side)), depth)
+            rrb.Tabs(_color_view(side, drawn_over(side, "color")), depth)
             for side, depth in zip(layout.SIDES, depths, strict=True)
         ]
     forth = 0.5 * _place_of_b(setup, person_at) - person_at  # to half-way between the sensors
@@ -225,7 +228,11 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
                     *(layout.skeleton(side) for side in layout.SIDES),
                     sigma=True,
                 ),
-                *([scene("point clouds", f"{layout.COACH}/**")] if depth else []),
+                *(
+                    [scene(f"point clouds{', up to 0.25 s old' if live else ''}", f"{layout.COACH}/**")]
+                    if depth
+                    else []
+                ),
                 active_tab=0,
             ),
             rrb.Tabs(
@@ -375,7 +382,7 @@ def _scene(
     moves with the person.
     """
     infrared = [layout.infrared(side) for side in layout.SIDES]
-    of_image = [layout.image_skeleton(side) for side in layout.SIDES]
+    of_image = [layout.image_skeleton(side, kind) for side in layout.SIDES for kind in layout.IMAGE_KINDS]
     left_out = [layout.TRUTH_SKELETON, layout.COACH_CARD, *of_image, *infrared, *hidden]
     return rrb.Spatial3DView(
         origin="/",

@@ -1,32 +1,47 @@
-"""A viewer gets each image with the skeleton of its own moment, and no old point clouds."""
+"""A viewer gets each image with the skeleton of its own moment, and none that is late."""
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import rerun as rr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.depth.image_thinning import without_images
+from devices.sensor import ColorCamera, ColorImage
+from fusion.intrinsics import NOMINAL_INTRINSICS
+from fusion.rigid import RigidTransform
 from recordings import layout
 from recordings.file.rrd_file import RrdFile
 from recordings.writing.recorder import Recorder
-from tests.helpers.live_frames import frames, known_fuser
+from recordings.writing.shown_images import LATE_NS
+from tests.helpers.live_frames import BODY, frames, known_fuser
 from tests.helpers.two_views import FRAME_NS
 
-LEFT_OUT = st.lists(st.sampled_from(["", "a", "b", "ab"]), min_size=8, max_size=8)
-OLD = 8  # frames, a quarter of a second
+COLOR = ColorImage(b"\xff\xd8\xff\xd9", ColorCamera(NOMINAL_INTRINSICS[BODY.name], RigidTransform.identity()))
+FRAMES = 40
+IMAGES = {"depth": ("DepthImage:buffer", layout.depth), "color": ("EncodedImage:blob", layout.color)}
+STREAKS = st.lists(st.tuples(st.booleans(), st.integers(1, 14)), min_size=1, max_size=8)
+"""Whether something is there, and for how many frames; repeated."""
 
 
 @pytest.fixture(scope="module")
 def made():
-    """A second of frames with images, of a fuser."""
+    """Frames with depth images, and the fuser that made them."""
     fuser = known_fuser()
-    return fuser, frames(fuser, 30, depth=True)
+    return fuser, frames(fuser, FRAMES, depth=True)
 
 
-def shown(path, fuser, given_frames, block):
-    """What a viewer gets: by entity, frame numbers and the values of one component."""
+def there(streaks):
+    return np.resize(np.repeat(*zip(*streaks, strict=True)), FRAMES)
+
+
+def seen(sensor_frame, depth, color):
+    return replace(sensor_frame, depth=sensor_frame.depth if depth else None, color=COLOR if color else None)
+
+
+def messages(path, fuser, given_frames, block):
+    """Frame numbers by entity and component, of all that a viewer gets."""
     stream = rr.RecordingStream(layout.APPLICATION_ID)
     stream.save(path)
     recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1, points=True)
@@ -37,35 +52,56 @@ def shown(path, fuser, given_frames, block):
     found = {}
     with RrdFile(path) as file:
         for entity, batch in file.chunks(images=True):
-            if "frame" in batch.schema.names and "Points3D:positions" in batch.schema.names:
-                numbers, values = (batch.column(name).to_pylist() for name in ("frame", "Points3D:positions"))
-                found.setdefault(entity, {}).update(zip(numbers, values, strict=True))
+            if "time" in batch.schema.names:
+                times = batch.column("time").cast("int64").to_pylist()
+                for name in batch.schema.names:
+                    found.setdefault((entity, name), []).extend(times)
     return found
 
 
-@given(LEFT_OUT, st.sampled_from([1, 3]))
-def test_the_skeleton_of_an_image_is_that_of_its_frame(made, tmp_path_factory, left_out, block):
+@given(st.lists(STREAKS, min_size=4, max_size=4), STREAKS, st.sampled_from([1, 4]))
+def test_what_is_on_the_screen_is_of_one_moment(made, tmp_path_factory, images, kept, block):
     fuser, all_frames = made
+    depth_a, color_a, depth_b, color_b = map(there, images)
     some = [
-        replace(each, pair=without_images(each.pair, of))
-        for each, of in zip(all_frames, left_out, strict=False)
+        replace(
+            each,
+            pair=replace(
+                each.pair,
+                a=seen(each.pair.a, depth_a[k], color_a[k]),
+                b=seen(each.pair.b, depth_b[k], color_b[k]),
+            ),
+        )
+        for k, each in enumerate(all_frames)
+        if k == 0 or there(kept)[k]  # of the others, a slow viewer gets nothing
     ]
-    found = shown(tmp_path_factory.mktemp("s") / "s.rrd", fuser, some, block)
-    for side in layout.SIDES:
-        of_images = found.get(layout.image_skeleton(side), {})
-        every = found[layout.skeleton(side)]
-        assert set(of_images) == {k for k, of in enumerate(left_out) if side not in of}
-        assert all(of_images[k] == every[k] for k in of_images)
+    found = messages(tmp_path_factory.mktemp("s") / "s.rrd", fuser, some, block)
+
+    def latest(now_ns, *of):
+        return max((at for at in found.get(of, []) if at <= now_ns), default=-1)
+
+    for frame in some:
+        now_ns = frame.pair.time_ns
+        for side in layout.SIDES:
+            for kind, (component, entity) in IMAGES.items():
+                cleared = latest(now_ns, entity(side), "Clear:is_recursive")
+                image = latest(now_ns, entity(side), component)
+                skeleton = latest(now_ns, layout.image_skeleton(side, kind), "Points3D:positions")
+                if image > cleared:
+                    assert skeleton == image
+                    assert now_ns - image <= LATE_NS
+                else:
+                    assert skeleton == now_ns
+            cleared = latest(now_ns, layout.points(side), "Clear:is_recursive")
+            cloud = latest(now_ns, layout.points(side), "Points3D:positions")
+            assert cloud <= cleared or now_ns - cloud <= LATE_NS
 
 
-@pytest.mark.parametrize("without", [OLD - 2, OLD + 4])
-def test_a_point_cloud_goes_a_quarter_of_a_second_after_its_image(made, tmp_path, without):
+def test_an_image_stays_until_it_is_late(made, tmp_path):
     fuser, all_frames = made
-    some = [
-        replace(each, pair=without_images(each.pair)) if 1 <= k <= without else each
-        for k, each in enumerate(all_frames[: without + 2])
-    ]
-    clouds = shown(tmp_path / "s.rrd", fuser, some, 1)[layout.points("a")]
-    gone = {number for number, points in clouds.items() if not points}
-    assert gone == ({k for k in [250_000_000 // FRAME_NS + 1] if k <= without})
-    assert clouds[without + 1]
+    some = [replace(each, pair=replace(each.pair, a=seen(each.pair.a, k == 0, False)))
+            for k, each in enumerate(all_frames)]  # fmt: skip
+    found = messages(tmp_path / "s.rrd", fuser, some, 1)
+    late = (LATE_NS // FRAME_NS + 1) * FRAME_NS
+    assert found[layout.depth("a"), "Clear:is_recursive"] == [late]
+    assert found[layout.image_skeleton("a", "depth"), "Points3D:positions"][:2] == [0, late]
