@@ -26,8 +26,10 @@ BONES = "/bones"
 """Bone lengths of S_A, S_B, S* and the target, for plots: one component per bone, every second frame."""
 BONE_LENGTHS = "lengths"
 """Component of :data:`BONES`: a struct with one field per bone, [S_A, S_B, S*, target] in metres."""
-ANGLES, DEGREES = "/angles", "degrees"
-"""Joint angles of S*, for plots, every second frame, and their component: a struct, one field per angle."""
+ANGLES, DEGREES, VARIANCES = "/angles", "degrees", "variances"
+"""Joint angles of S*, for plots, every second frame, and their components: structs, one field per angle."""
+ANGLES_BEYOND = "/angles/beyond"
+"""Those that no joint reaches, as :data:`DEGREES`; NaN where an angle is possible."""
 QUALITY = "/quality"
 FIGURES, OF_EACH_SENSOR = "figures", "sensors"
 """Components of :data:`QUALITY`: structs with one value per frame, and with one value per sensor (A, B)."""
@@ -172,5 +174,5 @@ SKELETON_NAMES = {
 CLASS_IDS = {"a": 1, "b": 2, "fused": 3, "truth": 4, "exchanged_a": 5, "exchanged_b": 6}
 LINELESS_CLASS = 7
 """Class of joints that are shown without lines between them."""
-STATE_NAMES = ("not tracked", "inferred", "tracked")
 IMAGE_KINDS = ("depth", "color")
+STATE_NAMES = ("not tracked", "inferred", "tracked")

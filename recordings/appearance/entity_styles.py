@@ -177,9 +177,19 @@ def _darker(color: Color, darker: bool) -> Color:
     return red, green, blue
 
 
-def angle_lines(angle: str, name: str, color: Color) -> Visualizer:
-    """Plot line of an angle of layout.ANGLES."""
-    return _lines(rr.SeriesLines(names=name, colors=color), layout.DEGREES, angle)
+def angle_band(angle: str, name: str, color: Color) -> Visualizer:
+    """Plot line of an angle of layout.ANGLES, with a band of one standard deviation."""
+    look = rr.Measurements.from_fields(names=name, colors=color)
+    fields = {"values": layout.DEGREES, "variances": layout.VARIANCES}
+    return look.visualizer(
+        mappings=[_field(f"Measurements:{of}", component, angle) for of, component in fields.items()]
+    )
+
+
+def beyond_marks(angle: str) -> Visualizer:
+    """Crosses of an angle of layout.ANGLES_BEYOND; in a legend those of both sides are one."""
+    look = rr.SeriesPoints(names="beyond reach", colors=TARGET_COLOR, markers="Cross", marker_sizes=5.0)
+    return look.visualizer(mappings=[_field("Scalars:scalars", layout.DEGREES, angle)])
 
 
 def figure_lines(name: str) -> Visualizer:
@@ -199,13 +209,16 @@ def tracked_lines() -> Visualizer:
 
 def _lines(look: rr.SeriesLines, component: str, field: str | None = None) -> Visualizer:
     """Plots a component other than Scalars, or one field of it."""
-    source = VisualizerComponentMapping(
-        "Scalars:scalars",
+    return look.visualizer(mappings=[_field("Scalars:scalars", component, field)])
+
+
+def _field(target: str, component: str, field: str | None) -> VisualizerComponentMapping:
+    return VisualizerComponentMapping(
+        target,
         ComponentSourceKind.SourceComponent,
         source_component=component,
         selector=None if field is None else f".{field}",
     )
-    return look.visualizer(mappings=[source])
 
 
 def sigma_spheres() -> Visualizer:

@@ -13,6 +13,15 @@ GOOD, USABLE = 40.0, 80.0
 """Thresholds for the median distance between the calibrated views, mm; real Kinects reach 25 to 60 mm."""
 FARTHEST = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9, "blazepose": 3.9}
 """Specified depth range in metres, by body (Azure: NFOV, not binned; BlazePose: as on an Azure Kinect)."""
+POSSIBLE = {
+    "hip_flexion": (-45.0, 165.0),
+    "knee_flexion": (-15.0, 165.0),
+    "hip_abduction": (-50.0, 80.0),
+    "shoulder_flexion": (-90.0, 185.0),
+    "shoulder_abduction": (-60.0, 185.0),
+    "elbow_flexion": (-15.0, 165.0),
+}
+"""Degrees that a joint reaches, with room for very mobile people; those of the trunk depend on the pose."""
 TALL = 2.0
 """Metres that must fit into the image: a tall adult, and some room."""
 

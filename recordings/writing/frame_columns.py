@@ -13,9 +13,10 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.angles import ANGLES, UP, joint_angles
+from fusion.angles import ANGLES, UP, angle_sigma, joint_angles
 from recordings import layout
 from recordings.frame_fields import FrameField
+from recordings.quality.limits import POSSIBLE
 from recordings.session_arrays import SessionArrays
 from recordings.writing.arrow_columns import Column, converted
 from recordings.writing.checksums import (
@@ -95,7 +96,7 @@ def frame_columns(
     if plotted and len(chosen):
         every = rows if len(chosen) == len(rows) else rows[chosen]
         yield layout.BONES, every, [Column.of_data(layout.BONE_LENGTHS, _bones(every), len(every))]
-        yield layout.ANGLES, every, [Column.of_data(layout.DEGREES, _angles(every, up), len(every))]
+        yield from _angles(every, up)
 
 
 class _EntityColumns:
@@ -143,9 +144,29 @@ def _bones(rows: SessionArrays) -> pa.Array:
     return pa.StructArray.from_arrays([of, *bones], names=["of", *(body.bones[j] for j in body.bone_joints)])
 
 
-def _angles(rows: SessionArrays, up: ArrayLike) -> pa.Array:
-    each = joint_angles(rows.body, rows.fused, up).astype(np.float32)
-    return pa.StructArray.from_arrays([_array(of) for of in each.T], names=list(ANGLES))
+def _angles(rows: SessionArrays, up: ArrayLike) -> Iterator[tuple[str, SessionArrays, list[Column]]]:
+    each = joint_angles(rows.body, rows.fused, up)
+    sigma = angle_sigma(rows.body, rows.fused, rows.filled("sigma"), up)
+    yield (
+        layout.ANGLES,
+        rows,
+        [_of_angles(layout.DEGREES, each), _of_angles(layout.VARIANCES, np.minimum(sigma, 180.0) ** 2)],
+    )
+    low, high = np.array([POSSIBLE.get(_of_either(name), (-np.inf, np.inf)) for name in ANGLES]).T
+    beyond = (each < low) | (each > high)
+    at = np.flatnonzero(beyond.any(axis=1))
+    if len(at):
+        marked = np.where(beyond, each, np.nan)[at]
+        yield layout.ANGLES_BEYOND, rows[at], [_of_angles(layout.DEGREES, marked)]
+
+
+def _of_angles(component: str, values: NDArray[Any]) -> Column:
+    fields = [_array(of) for of in values.T.astype(np.float32)]
+    return Column.of_data(component, pa.StructArray.from_arrays(fields, names=list(ANGLES)), len(values))
+
+
+def _of_either(angle: str) -> str:
+    return angle.removesuffix("_left").removesuffix("_right")
 
 
 def _checks(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Array]:

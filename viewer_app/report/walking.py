@@ -7,6 +7,7 @@ import numpy as np
 from markupsafe import Markup
 
 from recordings.gait import SIDES, Gait, Measured
+from recordings.quality.limits import POSSIBLE
 from recordings.series import AngleSeries
 from recordings.session import Session
 from viewer_app.report.svg_plots import cycle_plot, line_plot
@@ -14,15 +15,6 @@ from viewer_app.report.svg_plots import cycle_plot, line_plot
 _OF_A_SIDE = ("hip_flexion", "knee_flexion", "hip_abduction", "shoulder_flexion", "elbow_flexion")
 _FEWEST_CYCLES = 2  # of a side, for a mean
 _MOTION = 3.0  # seconds, of which it is said that they have no steps
-POSSIBLE = {
-    "hip_flexion": (-45.0, 165.0),
-    "knee_flexion": (-15.0, 165.0),
-    "hip_abduction": (-50.0, 80.0),
-    "shoulder_flexion": (-90.0, 185.0),
-    "shoulder_abduction": (-60.0, 185.0),
-    "elbow_flexion": (-15.0, 165.0),
-}
-"""Degrees that a joint reaches, with room for very mobile people; those of the trunk depend on the pose."""
 GAIT_HEAD = ("mean ± standard deviation", "left", "right")
 
 

@@ -38,10 +38,16 @@ _STREAM_FIGURES = (
     ("dropped", "frames dropped"),
     ("unpaired", "frames without a partner"),
 )
-_OF_SIDES = (
-    "hip_flexion", "knee_flexion", "hip_abduction", "elbow_flexion", "shoulder_flexion", "shoulder_abduction",
-)  # fmt: skip
-"""In *angles*: what both sides have."""
+_DEGREES = {
+    "hip_flexion": (-45.0, 125.0),
+    "knee_flexion": (-15.0, 155.0),
+    "hip_abduction": (-32.0, 32.0),
+    "elbow_flexion": (-15.0, 155.0),
+    "shoulder_flexion": (-65.0, 185.0),
+    "shoulder_abduction": (-65.0, 185.0),
+    "trunk": (-32.0, 32.0),
+}
+"""In *angles*: the axes. Rerun numbers whole tens or hundreds: an axis has two of them on a small screen."""
 _LIMBS = {
     "upper_arm": "upper arms (m)",
     "forearm": "forearms (m)",
@@ -302,16 +308,21 @@ def _angles() -> rrb.Container:
             origin=layout.ANGLES,
             name=f"{name.replace('_', ' ')} (°)",
             plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-            overrides={layout.ANGLES: [entity_styles.angle_lines(*line) for line in lines]},
+            axis_y=rrb.ScalarAxis(range=_DEGREES[name]),
+            overrides={
+                layout.ANGLES: [entity_styles.angle_band(*line) for line in lines],
+                layout.ANGLES_BEYOND: [entity_styles.beyond_marks(angle) for angle, *_ in lines],
+            },
         )
 
     forwards, aside = SKELETON_COLORS["fused"], SKELETON_COLORS["truth"]
     trunk = ("trunk_flexion", "forwards", forwards), ("trunk_lean", "to the right", aside)
     of_sides = (
         plot(name, *((f"{name}_{side}", side, color) for side, color in SIDE_COLORS.items()))
-        for name in _OF_SIDES
+        for name in _DEGREES
+        if name != "trunk"
     )
-    return rrb.Grid(*of_sides, plot("trunk", *trunk), grid_columns=2, name="angles")
+    return rrb.Grid(*of_sides, plot("trunk", *trunk), grid_columns=3, name="angles")
 
 
 def _seen(body: Body) -> rrb.View:

@@ -20,6 +20,7 @@ from recordings.appearance.floor import floor_under
 from recordings.fusing.files import without_folders
 from recordings.gait import Gait, Measured
 from recordings.quality.figures import report, truth_free_figures
+from recordings.quality.limits import POSSIBLE
 from tests.helpers.command_line import duplex
 from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs
@@ -38,7 +39,7 @@ from viewer_app.report.svg_plots import (
     skeleton_color,
     trust_map,
 )
-from viewer_app.report.walking import POSSIBLE, _in_words, _mean, _summary, movement_of
+from viewer_app.report.walking import _in_words, _mean, _summary, movement_of
 from viewer_app.report.words import in_percent
 
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
