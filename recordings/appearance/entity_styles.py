@@ -85,8 +85,7 @@ def cloud_look(side: str) -> rr.Points3D:
 def words_at(words: str, place: Sequence[float], parent: str) -> tuple[rr.AsComponents, ...]:
     """Words beside a place in an entity's frame, in the text colour of the viewer's theme.
 
-    They are the name of a coordinate frame: Rerun gives all other labels the colour of what they are beside,
-    which cannot be read on a dark and on a light ground. A frame's name stays, so it must not change.
+    They are the name of a frame, which stays: Rerun gives all other labels the colour of what they are beside.
     """
     return (
         rr.Transform3D.from_fields(translation=place, parent_frame=f"tf#{parent}", child_frame=words),
@@ -133,9 +132,8 @@ def image_edge(intrinsics: Intrinsics) -> rr.Boxes2D:
 
 def depth_look(raw: bool) -> rr.DepthImage | rr.EncodedDepthImage:
     """Appearance of depth images: grey, so that a skeleton's colour stands out over it."""
-    return (rr.DepthImage if raw else rr.EncodedDepthImage).from_fields(
-        colormap=rr.components.Colormap.Grayscale
-    )
+    archetype = rr.DepthImage if raw else rr.EncodedDepthImage
+    return archetype.from_fields(colormap=rr.components.Colormap.Grayscale)
 
 
 TRUST_LANES = rr.StateConfiguration(values=SOURCES, labels=SOURCES, colors=SOURCE_COLORS)
@@ -212,7 +210,7 @@ def _lines(look: rr.SeriesLines, component: str, field: str | None = None) -> Vi
     return look.visualizer(mappings=[_field("Scalars:scalars", component, field)])
 
 
-def _field(target: str, component: str, field: str | None) -> VisualizerComponentMapping:
+def _field(target: str, component: str, field: str | None = None) -> VisualizerComponentMapping:
     return VisualizerComponentMapping(
         target,
         ComponentSourceKind.SourceComponent,
@@ -274,12 +272,7 @@ def thin_bones() -> Visualizer:
 
 def _mapped(archetype: str, **sources: str) -> list[VisualizerComponentMapping]:
     """Where each field of a visualizer comes from: components of its entity."""
-    return [
-        VisualizerComponentMapping(
-            f"{archetype}:{field}", ComponentSourceKind.SourceComponent, source_component=component
-        )
-        for field, component in sources.items()
-    ]
+    return [_field(f"{archetype}:{field}", component) for field, component in sources.items()]
 
 
 STREAM_LINES = {

@@ -31,6 +31,7 @@ from viewer_app.report.events import (
     seconds_of,
     shortest_list,
 )
+from viewer_app.report.film import film
 from viewer_app.report.good_part import good_seconds
 from viewer_app.report.motion import encoded_motion
 from viewer_app.report.svg_plots import bar_plot, line_plot, skeleton_color, trust_map
@@ -85,6 +86,7 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
             for each in events
         ],
         motion=encoded_motion(session, [each.event.time_ns * 1e-9 for each in events]),
+        film=film(session),
         start=0.0 if opening is None else opening.event.time_ns * 1e-9,
     )
 

@@ -10,6 +10,7 @@ const stretches = [...quality.querySelectorAll("i")], mark = quality.querySelect
 const shown = [...player.querySelectorAll(".key input")];
 const jumps = [...list.querySelectorAll("button")];
 const parents = JSON.parse(canvas.dataset.parents), sensors = JSON.parse(canvas.dataset.sensors);
+const film = JSON.parse(document.getElementById("film")?.textContent ?? "{}"), late = 0.25;  // seconds
 const colors = ["--s-a", "--s-b", "--fused"], widths = [0.012, 0.012, 0.03];  // metres
 const count = +canvas.dataset.frames, series = 3 * parents.length * 3, distance = 6;  // metres to the eye
 const unseen = -32768;
@@ -110,7 +111,23 @@ function go(moment) {
     row?.setAttribute("aria-current", "true");
     list.scrollTop = row ? row.offsetTop - list.clientHeight / 2 : 0;
   }
+  for (const figure of document.querySelectorAll(".film figure")) showImage(figure);
   draw();
+}
+
+// The image that is nearest in time to the skeletons, with its age where that is long.
+function showImage(figure) {
+  const now = seconds[frameAt(time)], [image, words] = figure.children;
+  const apart = each => Math.abs(each[0] - now);
+  const [at, jpeg] = film[figure.dataset.side].reduce((best, each) => apart(each) < apart(best) ? each : best);
+  const off = at - now, isLate = Math.abs(off) > late;
+  if (image.dataset.at !== String(at)) {
+    image.dataset.at = at;
+    image.src = `data:image/jpeg;base64,${jpeg}`;
+  }
+  image.classList.toggle("late", isLate);
+  const when = isLate ? `${Math.abs(off).toFixed(1)} s ${off < 0 ? "old" : "later"}` : `at ${at.toFixed(2)} s`;
+  words.textContent = `${figure.dataset.side.toUpperCase()} ${when}`;
 }
 
 function step(now) {
