@@ -85,7 +85,7 @@ def cloud_look(side: str) -> rr.Points3D:
 def words_at(words: str, place: Sequence[float], parent: str) -> tuple[rr.AsComponents, ...]:
     """Words beside a place in an entity's frame, in the text colour of the viewer's theme.
 
-    They are the name of a frame, which stays: Rerun gives all other labels the colour of what they are beside.
+    They are the name of a frame, which stays: Rerun gives all other labels the colour of their entity.
     """
     return (
         rr.Transform3D.from_fields(translation=place, parent_frame=f"tf#{parent}", child_frame=words),
