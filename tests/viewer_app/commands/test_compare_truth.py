@@ -47,7 +47,7 @@ def test_markers_of_a_laboratory_are_compared_without_a_table(walk, tmp_path, ca
     assert figures["offset_s"] == pytest.approx(3.7, abs=0.002)
     assert figures["offset_sd_ms"] < 5.0
     assert 0.8 < figures["correlation"] < 1.0
-    assert 0.0 < figures["residual_mm"] < 100.0
+    assert 0.0 < figures["residual_mm"] < 120.0
     assert f"correlate at {figures['correlation']:.2f}; {figures['residual_mm']:.0f} mm (median)" in said
     every = figures["all_joints"]
     assert every["fused"]["mean_mm"] < min(every["a"]["mean_mm"], every["b"]["mean_mm"])
