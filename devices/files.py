@@ -95,6 +95,14 @@ def open_images(path: Path) -> MkvRecording | OrbbecRecording | RealSenseRecordi
     return OrbbecRecording(path) if suffix == BAG else MkvRecording(path)
 
 
+def recorded_at(path: Path) -> str:
+    """When images were recorded, ISO 8601; empty where the file does not say."""
+    if path.suffix.lower() != ".mkv":
+        return ""
+    with MkvRecording(path) as recording:
+        return "" if recording.info is None else recording.info.recorded
+
+
 def distinct_names(a: Path, b: Path) -> tuple[str, str]:
     """The names of two files, with as many of their folders as tell them apart."""
     for parts in range(1, max(len(a.parts), len(b.parts)) + 1):

@@ -36,6 +36,7 @@ class MkvInfo:
     sync_mode: str  # ``STANDALONE``, ``MASTER`` or ``SUBORDINATE``
     subordinate_delay_ns: int  # delay of a subordinate's captures after the master's
     start_offset_ns: int  # device time of the file's time 0
+    recorded: str  # when, ISO 8601; empty if the file does not say
     interval_ns: int  # time between two frames
     duration_ns: int  # time from the start of the file to its last frame; 0 if the file was never closed
     intrinsics: Intrinsics  # intrinsics of the depth camera in this mode
@@ -152,6 +153,7 @@ class MkvRecording(Sensor):
             sync_mode=tags.get("K4A_WIRED_SYNC_MODE", "STANDALONE"),
             subordinate_delay_ns=_whole(tags.get("K4A_SUBORDINATE_DELAY_NS")),
             start_offset_ns=_whole(tags.get("K4A_START_OFFSET_NS")),
+            recorded=tags.get("creation_time", ""),
             interval_ns=int(1e9 / rate),
             duration_ns=int(container.duration or 0) * 1000,
             intrinsics=depth_intrinsics(calibration, depth),

@@ -10,6 +10,7 @@ Each frame is a cluster, written at once, so a file that was cut off holds every
 from __future__ import annotations
 
 import struct
+import time
 from itertools import accumulate
 from pathlib import Path
 from types import TracebackType
@@ -29,6 +30,8 @@ HOST_TRACK = "HOST"
 _TRACKS = {"DEPTH": 1, "IR": 2, "COLOR": 3, HOST_TRACK: 4}
 _ATTACHMENT = 1
 _CALIBRATION = "calibration.json"
+_DATES_BEGIN_NS = 978_307_200_000_000_000
+"""2001-01-01 UTC, since 1970."""
 _UNKNOWN_SIZE = b"\x01" + b"\xff" * 7
 _VIDEO, _SUBTITLE = 1, 17
 
@@ -155,7 +158,8 @@ class MkvWriter:
         head = _element(0x1A45DFA3, *numbers, _element(0x4282, b"matroska"))
         head += b"\x18\x53\x80\x67" + _UNKNOWN_SIZE  # the segment
         program = b"duplex-kinects"
-        about = (_element(0x4D80, program), _element(0x5741, program))
+        date = _element(0x4461, struct.pack(">q", time.time_ns() - _DATES_BEGIN_NS))
+        about = (date, _element(0x4D80, program), _element(0x5741, program))
         duration = _element(0x4489, struct.pack(">d", 0.0))  # 0 until the file is closed
         file = (_element(0x466E, _CALIBRATION.encode()), _element(0x4660, b"application/octet-stream"))
         attached = (*file, _element(0x46AE, _number(_ATTACHMENT)), _element(0x465C, calibration))

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from devices.association import Follow
 from devices.depth.image_thinning import Depth
 from devices.events import Event
+from devices.files import recorded_at
 from devices.pairing import pair_views
 from devices.skeletons.border import impossible
 from devices.skeletons.stated_format import MIRRORED
@@ -198,6 +199,8 @@ def _about(read: TwoRecordings, plan: RecordingPlan) -> dict[str, str | float]:
     """What a session keeps of its recordings: tracker, dropped frames, people, the clocks' offset."""
     about: dict[str, str | float] = {"tracker": read.tracker} if read.tracker else {}
     about |= read.stated.about
+    if read.images[0] is not None and (recorded := recorded_at(read.images[0])):
+        about["recorded"] = recorded
     about |= {"dropped_a": read.pairing.dropped_a, "dropped_b": read.pairing.dropped_b}
     if read.people:
         about["people"] = json.dumps([asdict(person) for person in read.people])

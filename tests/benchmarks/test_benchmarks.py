@@ -10,6 +10,7 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from tests.benchmarks import accuracy, speed
+from tests.benchmarks.certainty import limb_figures
 from tests.benchmarks.harsher_errors import (
     LARGEST_SHARE,
     SHAPES,
@@ -19,7 +20,6 @@ from tests.benchmarks.harsher_errors import (
     heavy_tails,
     scaled,
 )
-from tests.benchmarks.certainty import limb_figures
 from tests.benchmarks.methods import METHODS, OURS
 from tests.benchmarks.real import mean_of
 from tests.benchmarks.trials import Outcome, Simulation, Trial, run_trials

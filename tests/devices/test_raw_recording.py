@@ -54,7 +54,8 @@ def read(path):
 
 
 @pytest.mark.parametrize("compress", [False, True])
-def test_what_was_recorded_is_read_bit_for_bit(compress, tmp_path):
+def test_what_was_recorded_is_read_bit_for_bit(compress, tmp_path, monkeypatch):
+    monkeypatch.setattr("time.time_ns", lambda: 1_700_000_000_123_456_000)
     lens = replace(
         LENS, cx=321.1234567, cy=280.7, fx=503.3, distortion=(0.5, -2.6, 1e-4, -2e-4, 1.4, 0.4, -2.4, 1.3)
     )
@@ -72,6 +73,7 @@ def test_what_was_recorded_is_read_bit_for_bit(compress, tmp_path):
         np.testing.assert_array_equal(got.depth, wanted.depth)
         np.testing.assert_array_equal(got.ir, wanted.ir)
     assert (info.serial, info.depth_mode, info.sync_mode) == ("000123", "NFOV_UNBINNED", "SUBORDINATE")
+    assert info.recorded == "2023-11-14T22:13:20.123456Z"
     assert info.subordinate_delay_ns == 160_000
     assert info.duration_ns == frames[-1].time_ns - frames[0].time_ns + 33_333_000
     for name in ("fx", "fy", "cx", "cy", "distortion"):

@@ -195,6 +195,7 @@ def _of_images(path: Path) -> Rows:
         assert info is not None
         if isinstance(info, MkvInfo):
             yield "sensor", f"{info.serial or 'unknown'}, {info.depth_mode}, {info.sync_mode.lower()}"
+            yield "recorded", info.recorded or "the file does not say when"
         if camera is not None:
             yield "depth", f"{camera.width} × {camera.height} pixels, focal length {camera.fx:.0f} pixels"
         seconds, rate = info.duration_ns * 1e-9, 1e9 / info.interval_ns
@@ -225,6 +226,8 @@ def _of_session(session: Session, path: Path) -> Rows:
     yield "written by", f"{about['written_by'][0]}, layout {about['layout_version'][0]}"
     yield "body", f"{session.body.name}, {len(session.body)} joints"
     yield "sensors", f"A {session.sources[0]}, B {session.sources[1]}"
+    if "recorded" in about:
+        yield "recorded", about["recorded"][0]
     if session.tracker:
         yield "body tracker", session.tracker
     rate = f"the faster sensor gives {session.frame_rate:.3g} per second"

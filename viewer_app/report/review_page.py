@@ -110,14 +110,16 @@ def page_colors() -> dict[str, str]:
 
 
 def recorded(session: Session) -> str:
-    """What was recorded, with what, and when its file was written."""
+    """What was recorded, when and with what, or when its file was written."""
     rate = rate_without_pauses(session.rows.time_ns)
     written = session.about["session"].get("written_by", [""])[0]
+    when = recorded_when(session)
     with suppress(OSError):  # it may have been moved
-        if session.path is not None:
+        if session.path is not None and not when:
             at = datetime.fromtimestamp(session.path.stat().st_mtime)
-            written += f", file of {at:%Y-%m-%d %H:%M}"
+            written += f", file of {at:%Y-%m-%d %H:%M}; nothing says when it was recorded"
     parts = (
+        when and f"recorded {when}",
         f"{session.time[-1]:.1f} s, {len(session)} frames"
         + ("" if rate is None else f", {rate:.1f} per second"),
         f"body {session.body.name}" + (f", tracker {session.tracker}" if session.tracker else ""),
@@ -125,6 +127,14 @@ def recorded(session: Session) -> str:
         written,
     )
     return "; ".join(filter(None, parts))
+
+
+def recorded_when(session: Session) -> str:
+    """When a live session or its recordings were recorded, in local time; empty where nothing says so."""
+    said = session.about["session"].get("recorded", [""])[0]
+    with suppress(ValueError):  # of another program
+        return f"{datetime.fromisoformat(said).astimezone():%Y-%m-%d %H:%M}"
+    return ""
 
 
 def stretches(session: Session) -> list[dict[str, Any]]:

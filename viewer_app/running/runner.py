@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
@@ -91,7 +92,8 @@ class Runner:
                 file_blueprint=blueprint(setup, infrared=False),
                 reframed=shown if reframes else None,
                 others=self._outputs,
-                about={"tracker": tracker_name(a)} if tracker_name(a) else None,
+                about={"recorded": datetime.now(UTC).isoformat(timespec="seconds")}
+                | ({"tracker": tracker_name(a)} if tracker_name(a) else {}),
             )
         )
         self.viewing.announce(console)

@@ -36,6 +36,7 @@ def test_real_recording_gives_its_one_capture(shared):
     assert (frame.depth > 0).mean() > 0.5
     assert frame.depth.max() < 5500
     assert (info.serial, info.sync_mode, info.depth_mode) == ("001514394512", "STANDALONE", "NFOV_UNBINNED")
+    assert info.recorded == "2020-08-31T15:20:37.000000Z"
 
 
 def test_real_calibration_is_that_of_its_mode(shared):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from devices.azure.mkv import MkvRecording
 from devices.azure.mkv_writer import MkvWriter
 from devices.capture.settings import CaptureSettings
 from devices.sensor import SensorFrame
@@ -57,6 +58,8 @@ def test_recordings_with_skeletons_become_a_session_with_depth(recorded, given, 
     assert "clock" not in said, "one clock by the cable: nothing to warn of"
     session = Session.open(saved)
     assert session.damage is None
+    with MkvRecording(recorded["a"]) as recording:
+        assert session.about["session"]["recorded"] == [recording.info.recorded]
     assert len(session) == FRAMES
     for side, camera in (("a", session.intrinsics_a), ("b", session.intrinsics_b)):
         images = list(session.depth(side))

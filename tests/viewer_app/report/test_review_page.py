@@ -30,7 +30,7 @@ from tests.helpers.screens import browser
 from tests.helpers.two_views import calibration_of
 from viewer_app.report import motion as motion_module
 from viewer_app.report.motion import _kept_frames, encoded_motion
-from viewer_app.report.review_page import review_page
+from viewer_app.report.review_page import recorded, review_page
 from viewer_app.report.svg_plots import (
     _BAND_POINTS,
     _band,
@@ -431,6 +431,10 @@ def test_a_tile_says_its_figure_once_and_the_page_what_was_recorded(session):
     first = text[text.index("<h1>") : text.index("<dl")]
     for part in (f"{len(session)} frames", "body kinect_v2", "method duplex, revision", "file of 20"):
         assert part in first
+    when = {"recorded": ["2020-08-31T15:20:37.000000Z"]}
+    dated = replace(session, about={**session.about, "session": session.about["session"] | when})
+    assert re.search(r"^recorded 2020-0[89]-.. ..:\d0; ", recorded(dated))
+    assert "file of" not in recorded(dated)
     strip = re.findall(
         r'<i class="(\w+)" style="flex-grow: ([\d.]+)" data-at="([\d.]+)" title="(.*?)">', text
     )
