@@ -16,6 +16,7 @@ from devices.orbbec.playback import SUFFIX as BAG
 from devices.orbbec.playback import OrbbecRecording
 from devices.realsense.sensors import SUFFIX as DB3
 from devices.realsense.sensors import RealSenseRecording, is_realsense_bag
+from devices.recording_apart import RecordingApart
 from devices.sensor import DeviceError, Orientation, Sensor, SensorFrame, SensorWrapper
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import StatedFormat, Unit
@@ -87,12 +88,12 @@ def not_of_libk4a(*paths: Path) -> list[str]:
     return [path.name for path in paths if path.suffix.lower() in (BAG, DB3)]
 
 
-def open_images(path: Path) -> MkvRecording | OrbbecRecording | RealSenseRecording:
+def open_images(path: Path) -> MkvRecording | RecordingApart:
     """Creates the sensor for a recording's images, without people; opens nothing."""
     suffix = path.suffix.lower()
     if suffix == DB3 or (suffix == BAG and is_realsense_bag(path)):
-        return RealSenseRecording(path)
-    return OrbbecRecording(path) if suffix == BAG else MkvRecording(path)
+        return RecordingApart(path, RealSenseRecording)
+    return RecordingApart(path, OrbbecRecording) if suffix == BAG else MkvRecording(path)
 
 
 def recorded_at(path: Path) -> str:
@@ -128,10 +129,10 @@ def frame_interval_ns(source: Sensor) -> int | None:
     return None if info is None else info.interval_ns
 
 
-def _of_images(source: Sensor) -> MkvInfo | OrbbecRecording | RealSenseRecording | None:
+def _of_images(source: Sensor) -> MkvInfo | RecordingApart | None:
     images = images_of(source)
     info = images.info if isinstance(images, MkvRecording) else images
-    return info if isinstance(info, MkvInfo | OrbbecRecording | RealSenseRecording) else None
+    return info if isinstance(info, MkvInfo | RecordingApart) else None
 
 
 def images_of(source: Sensor) -> Sensor:

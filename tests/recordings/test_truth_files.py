@@ -11,6 +11,7 @@ from recordings.truth_files import read_truth
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.motion_capture import write_c3d, write_trc
 from tests.helpers.two_views import calibration_of
+from tests.helpers.unreliable import never_ends
 
 LABELS = ("Ann:LASI", "Ann:RASI", "Ann:C7")
 
@@ -153,7 +154,7 @@ def test_a_c3d_that_never_ends_is_given_up(tmp_path, monkeypatch):
     pytest.importorskip("ezc3d")
     path = tmp_path / "m.c3d"
     write_c3d(path, ["A", "B"], np.arange(20) / 30, np.ones((20, 2, 3)))
-    monkeypatch.setattr(c3d_file, "_CHILD", "while True: pass")
+    monkeypatch.setattr(c3d_file, "content", never_ends)
     monkeypatch.setattr(c3d_file, "_SECONDS", 0.2)
     with pytest.raises(RecordingError, match="does not end"):
         read_truth(path)

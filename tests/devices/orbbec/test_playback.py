@@ -2,6 +2,7 @@
 
 import pytest
 
+from devices import recording_apart
 from devices.blazepose.blazepose import BlazePose
 from devices.files import frame_count, open_source
 from devices.orbbec.playback import OrbbecRecording
@@ -99,6 +100,8 @@ def test_two_recordings_are_tracked_by_our_tracker(orbbecs, tmp_path, monkeypatc
         return {"1": Skeleton.of(BLAZEPOSE, A_FROM_B.inverse().apply(seen), time_ns=time_ns)}
 
     monkeypatch.setattr(BlazePose, "track", track)
+    # the stand-in is in this process
+    monkeypatch.setattr(recording_apart, "items_of", lambda function, *arguments, **_: function(*arguments))
     read = read_two(RecordingChoice(tmp_path / "a.bag"), RecordingChoice(tmp_path / "b.bag"), OURS)
     assert read.body is BLAZEPOSE
     assert len(read.pairing.pairs) == 20

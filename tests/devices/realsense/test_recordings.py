@@ -14,6 +14,7 @@ from devices.blazepose.tracked_images import registered_color
 from devices.files import frame_count, open_images, open_source
 from devices.orbbec.playback import OrbbecRecording
 from devices.realsense.sensors import RealSenseRecording
+from devices.recording_apart import RecordingApart
 from devices.sensor import DeviceError
 from devices.simulated.kinect import simulated_pair
 from devices.tracker_choice import TrackerChoice
@@ -145,7 +146,7 @@ def test_without_the_library_one_line_names_the_extra(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     (tmp_path / "a.db3").touch()
     with pytest.raises(DeviceError, match=r"pip install '\.\[realsense\]'") as fault:
-        open_images(tmp_path / "a.db3").__enter__()
+        RealSenseRecording(tmp_path / "a.db3").__enter__()
     assert "\n" not in str(fault.value)
 
 
@@ -153,7 +154,7 @@ def test_without_the_library_one_line_names_the_extra(monkeypatch, tmp_path):
 def test_a_bag_of_an_earlier_version_is_read():
     """pyrealsense2 2.55.1 wrote it; see ``tests/data/README.md``."""
     with open_images(DATA / "realsense_2.55.bag") as recording:
-        assert isinstance(recording, RealSenseRecording)
+        assert recording.library is RealSenseRecording
         frames = list(recording.frames())
     assert [(int(frame.depth[0, 0]), int(frame.ir[0, 0])) for frame in frames] == [
         (2001 + k, k) for k in range(6)
@@ -170,9 +171,20 @@ def test_a_bag_is_of_realsense_or_of_orbbec(tmp_path):
         head = b"#ROSBAG V2.0\nE\0\0\0\x12\0\0\0index_pos=" + (5000).to_bytes(8, "little")
         path = tmp_path / "a.bag"
         path.write_bytes(head.ljust(5000, b"\0") + b"type=" + kind.encode())
-        assert isinstance(open_images(path), library)
+        assert open_images(path).library is library
     path.write_bytes(b"#ROSBAG V2.0\nindex_pos=\xff\xff\xff\xff\xff\xff\xff\xff")
-    assert isinstance(open_images(path), OrbbecRecording)
+    assert open_images(path).library is OrbbecRecording
+
+
+@pytest.mark.usefixtures("rs")
+def test_a_damaged_bag_does_not_take_the_program_along(tmp_path):
+    """pyrealsense2 2.59.1 crashes where the list of connections is said to be far behind the end."""
+    damaged = bytearray((DATA / "realsense_2.55.bag").read_bytes())
+    damaged[58] = 10  # of index_pos
+    (tmp_path / "a.bag").write_bytes(damaged)
+    recording = RecordingApart(tmp_path / "a.bag", RealSenseRecording)
+    with pytest.raises(DeviceError, match=r"^a\.bag cannot be read by its maker's library: it crashed"):
+        recording.__enter__()
 
 
 def test_two_recorded_people_become_one_skeleton(rs, tmp_path):
