@@ -69,7 +69,7 @@ def moments(of: SetUp, seconds: float, depth="none", body: Body = AZURE_KINECT, 
         advice = coach.watch(frame, now)
         time = pair.time_ns * 1e-9
         shown = readiness.watch(time, advice, now.calibration)
-        page = drawings.page(advice, now, frame.fused, shown)
+        page = drawings.page(readiness.advice, now, frame.fused, shown)
         yield Moment(time, fusion.setup, frame, shown, page)
 
 

@@ -39,9 +39,14 @@ class Headline:
 
 
 class Readiness:
-    """Watches all advice. Its headline changes at most every two seconds, or as a view is lost."""
+    """Watches all advice. Its headline changes at most every two seconds, or as a view is lost.
+
+    Attributes:
+        advice: That of the last two seconds, and the headline's.
+    """
 
     def __init__(self) -> None:
+        self.advice: list[Advice] = []
         self._advised: dict[str, tuple[float, Advice]] = {}
         self._since = -math.inf
         self._shown = Headline(State.NOT_YET, "")
@@ -50,10 +55,14 @@ class Readiness:
         """The headline at a time in seconds, which never falls, given all current advice."""
         lately = {topic: (at, each) for topic, (at, each) in self._advised.items() if time - at < LASTS}
         self._advised = lately | {each.topic: (time, each) for each in advice}
-        wanted = headline([each for _, each in self._advised.values()], calibration, self._shown.kind)
+        counts = [each for _, each in self._advised.values()]
+        wanted = headline(counts, calibration, self._shown.kind)
         at_once = wanted.lost and not self._shown.lost
         if wanted != self._shown and (at_once or time - self._since >= LASTS):
             self._shown, self._since = wanted, time
+        kind = self._shown.kind
+        missing = all(each.kind != kind for each in counts)
+        self.advice = counts + [each for each in self.advice if missing and each.kind == kind]
         return self._shown
 
 
@@ -96,13 +105,14 @@ def named(alike: Sequence[Advice]) -> str:
     return " and ".join(sorted(set("".join(each.sensors for each in alike))))
 
 
-def to_markdown(advice: Sequence[Advice]) -> str:
+def to_markdown(advice: Sequence[Advice], said_by: Headline | None = None) -> str:
     """What is wrong, one line a problem, and the figures after it, as Markdown.
 
-    Each thing to do is said once. The first one is the headline's.
+    Each thing to do is said once; that of the headline is not said again.
     """
     asked = ranked(advice)
-    lines, said = [], {step_of(alike) for alike in asked[:1]}
+    kind = "" if said_by is None else said_by.kind
+    lines, said = [], {step_of(alike) for alike in asked if alike[0].kind == kind}
     for alike in asked:
         step = step_of(alike)
         problem = _capital(_problem(alike))

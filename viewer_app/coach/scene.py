@@ -66,7 +66,7 @@ class CoachScene:
         card = None if shown is None else (shown.state, shown.step)
         if shown is not None and shown.kind == "pose" and now.held > 0.0:
             card = shown.state, f"Hold still: {math.ceil(max(0.0, HOLD - now.held))} s"
-        return CoachPage(to_markdown(advice), drawn, card)
+        return CoachPage(to_markdown(advice, shown), drawn, card)
 
     def _person(self, fused: FusedFrame) -> NDArray[np.float64] | None:
         """(2,) rounded x and z of the person's position."""

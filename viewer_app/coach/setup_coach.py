@@ -253,7 +253,7 @@ class Coach:
                 text = (
                     f"Sensor {side} sees someone else. Until the calibration, only one person may be in view."
                 )
-                step, why = "the other person steps out of view", "Someone else"
+                step, why = "let them step aside", "Someone else in view"
                 yield _problem("others", side, text, "someone else in view", step, why)
             if skeleton is None:
                 if not comes or (seen_at is None and view is not None and not view.people):

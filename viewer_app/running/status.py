@@ -140,7 +140,7 @@ class LiveDisplay:
         shown = self._readiness.watch(time, advice, situation.calibration)
         if self._sounds is not None:
             self._sounds.tell(shown)
-        page = self._scene.page(advice, situation, status.frame.fused, shown)
+        page = self._scene.page(self._readiness.advice, situation, status.frame.fused, shown)
         if page != self._page:
             self._page = page
             self._session.coach(page)
