@@ -6,9 +6,10 @@ import shutil
 import pytest
 
 from recordings import layout
+from recordings.appearance.state_card import LOOKS, State
 from tests.acceptance.conftest import copied
 from tests.helpers.displays import SIZE
-from tests.helpers.pictures import shows_body, shows_skeletons
+from tests.helpers.pictures import pixels_near, shows_body, shows_skeletons
 from tests.helpers.programs import NO_DISPLAY, ROOT, typed
 from tests.helpers.screens import wayland_screen
 from tests.helpers.waiting import eventually
@@ -69,6 +70,22 @@ def test_the_demonstration_is_shown_while_it_runs(screen, shows, home):
         assert "Verdict" in demonstration.said, demonstration.said
     assert "Traceback" not in demonstration.said
     assert screen.titles().count("Rerun") == 1
+
+
+def test_a_bad_set_up_is_told_while_the_sensors_are_placed(screen, seen, tmp_path, home):
+    line = "duplex demo --bad-setup --seconds 300"
+    pictures = []
+
+    def told():
+        pictures[:] = [window.picture() for window in screen.windows()]
+        red = LOOKS[State.NOT_YET].ground
+        return any(each is not None and pixels_near(each, red) > 0.05 * each.size / 3 for each in pictures)
+
+    with typed(line, tmp_path, **screen.environment, **home) as demonstration:
+        assert eventually(told, _DRAWN_WITHIN, every=0.5), demonstration.said
+        seen(pictures[0], "-setup")
+        demonstration.end()
+    assert "Move them further apart round the person." in demonstration.said
 
 
 @pytest.fixture(scope="module")
