@@ -14,7 +14,7 @@ _SAME_M = 1e-5  # lengths that differ by rounding
 _LONGEST = 0.3  # seconds: S* is not interpolated across a longer interval
 
 
-def positions_at(rows: SessionArrays, time_ns: Ints) -> Array:
+def positions_at(rows: SessionArrays, time_ns: Ints, longest: float = _LONGEST) -> Array:
     """S* at (N,) times since the first pair, ns, from the frames before and after.
 
     The root moves in a straight line. Each bone turns at a constant rate about the axis across both of its
@@ -22,9 +22,12 @@ def positions_at(rows: SessionArrays, time_ns: Ints) -> Array:
     method ``published``, whose bones are nearly right, it changes from that of one frame to that of the next.
     Where a new calibration changes the lengths, it is that of the frame before.
 
+    Args:
+        longest: Seconds between frames that are interpolated at most.
+
     Returns:
         (N, J, 3) metres in K_A's frame; the recorded S* at the times of frames. NaN before the first and
-        after the last frame, in intervals of more than 0.3 s, and where a frame has no S*.
+        after the last frame, in longer intervals, and where a frame has no S*.
     """
     times, fused, body = rows.time_ns, rows.fused, rows.body
     if len(times) == 0:
@@ -42,7 +45,7 @@ def positions_at(rows: SessionArrays, time_ns: Ints) -> Array:
         found[:, joint] = found[:, parent] + lengths[:, joint, None] * direction
     exact = share == 0.0
     found[exact] = start[exact]
-    outside = (time_ns < times[0]) | (time_ns > times[-1]) | (~exact & (seconds > _LONGEST))
+    outside = (time_ns < times[0]) | (time_ns > times[-1]) | (~exact & (seconds > longest))
     found[outside] = np.nan
     return found
 

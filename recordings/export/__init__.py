@@ -35,7 +35,7 @@ def writer_for(path: Path, table: Table = "long", rate: float | None = None, nam
 
     Args:
         table: Layout of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
-        rate: Frames per second. None: that of the recording, or in a ``.trc`` the recorded times.
+        rate: Frames per second. None: that of the recording.
         names: Names of the bones of a ``.bvh`` or ``.glb``: the body's, of Unity's humanoid, or Mixamo's.
 
     Raises:
@@ -48,9 +48,9 @@ def writer_for(path: Path, table: Table = "long", rate: float | None = None, nam
         )
     options: dict[str, Any] = {}
     if rate is not None:
-        if writer not in (write_bvh, write_c3d, write_glb, write_trc):
+        if writer not in (write_bvh, write_c3d, write_glb, write_mot, write_trc):
             raise RecordingError(
-                f"`rate` is for .bvh, .c3d, .glb and .trc; {path.suffix} keeps the recorded times."
+                f"`rate` is for .bvh, .c3d, .glb, .mot and .trc; {path.suffix} keeps the recorded times."
             )
         if not 1.0 <= rate <= 1000.0:
             raise RecordingError(f"`rate` is {rate:g}; a rate is 1 to 1000 frames per second.")

@@ -1,23 +1,22 @@
 """Export to marker files of biomechanics: C3D and OpenSim's TRC, in millimetres above the floor.
 
-C3D has z up, an even rate, at which S* is interpolated, and residual -1 for a gap. TRC has y up, one time per
-frame, and empty cells for gaps; as in OpenSim's models, a person who faces the first sensor faces +x. A joint
-that was never seen is a gap in both.
+Both have an even rate. C3D has z up, and residual -1 for a gap. TRC has y up, and nan for gaps of more than
+0.25 s: OpenSim refuses a row that ends in empty cells. As in its models, a person who faces the first sensor
+faces +x. A joint that was never seen is a gap in both.
 """
 
 import errno
 import os
-from itertools import count
-from math import isnan
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fusion.large_arrays import parts
 from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
-from recordings.export.even_frames import even_moments
+from recordings.export.even_frames import EvenPositions, even_moments
 from recordings.interpolation import positions_at
+from recordings.session_arrays import SessionArrays
 from recordings.session_series import SessionSeries
 
 # Vendors count further in parameters of their own; ezc3d and all that is built on it read none of those
@@ -73,11 +72,13 @@ def write_c3d(session: SessionSeries, path: Path, rate: float | None = None) -> 
 
 
 def write_trc(session: SessionSeries, path: Path, rate: float | None = None) -> str:
-    """Writes S* as markers named after the joints, at an even rate, or where None at the recorded times."""
-    rows, joints = session.rows, session.body.joints
-    even = even_moments(rows, rate)
-    times = rows.time_ns if rate is None else even.time_ns
-    T, J, stated = len(times), len(joints), f"{even.rate:.6g}"
+    """Writes S* as markers named after the joints, at an even rate, that of the recording where None.
+
+    Raises:
+        RecordingError: No frame has an S*.
+    """
+    even, joints = EvenPositions(session, rate), session.body.joints
+    T, J, stated = len(even.time_ns), len(joints), f"{even.rate:.6g}"
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{session.name.removesuffix('.rrd')}.trc",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
@@ -86,15 +87,18 @@ def write_trc(session: SessionSeries, path: Path, rate: float | None = None) -> 
         "\t\t" + "\t".join(f"X{j}\tY{j}\tZ{j}" for j in range(1, J + 1)),
         "",
     ]
-    floor_from_a, never = floor_under(rows).inverse(), rows.never_seen
     with path.open("w", encoding="utf-8") as file:
         file.write("\n".join(lines) + "\n")
-        number = count(1)
-        for part in parts(T):
-            at = floor_from_a.apply(positions_at(rows, times[part]))
-            at[:, never] = np.nan
-            millimetres = (at[..., [2, 1, 0]] * -1e3).reshape(len(at), -1)
-            for time_ns, values in zip(times[part].tolist(), millimetres.tolist(), strict=True):
-                cells = ("" if isnan(v) else f"{v:.4f}" for v in values)
-                file.write(f"{next(number)}\t{time_ns * 1e-9:.6f}\t" + "\t".join(cells) + "\n")
-    return f"{T} frames at the times they were recorded, {stated} Hz" if rate is None else even.in_words
+        for part, positions, _ in even.parts():
+            millimetres = 1e3 * forward_up_right(session.rows, positions).reshape(len(positions), -1)
+            rows = zip(even.time_ns[part].tolist(), millimetres.tolist(), strict=True)
+            for number, (time_ns, values) in enumerate(rows, start=part.start + 1):
+                cells = "\t".join(f"{v:.4f}" for v in values)
+                file.write(f"{number}\t{time_ns * 1e-9:.6f}\t{cells}\n")
+    return even.in_words("are nan")
+
+
+def forward_up_right(rows: SessionArrays, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(…, 3) metres above the floor in OpenSim's axes from K_A's: x towards the first sensor, y up, z to the
+    right of a person who faces it."""
+    return np.asarray(-floor_under(rows).inverse().apply(positions)[..., [2, 1, 0]])

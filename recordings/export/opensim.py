@@ -1,38 +1,92 @@
-"""Export of the angles of S* as an OpenSim motion, .mot: degrees over seconds.
+"""Export of S* as an OpenSim motion, .mot: degrees and metres over seconds.
 
 The columns are coordinates of the full-body model of Rajagopal et al. (2016), so that OpenSim shows the
-motion on it. Hip angles are against the trunk, so the trunk's inclination is that of the model's pelvis, and
-its lumbar joint stays straight.
+motion on it. Hip angles are against the trunk, so the trunk is the model's pelvis, and its lumbar joint
+stays straight. The pelvis turns about z, x and y (tilt, list, rotation). It is where the middle of the
+model's hips is that of the hips of S*.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from fusion.angles import ANGLES, joint_angles
+from fusion.body import Body
+from recordings.errors import RecordingError
+from recordings.export.even_frames import EvenPositions
+from recordings.export.markers import forward_up_right
 from recordings.gait import SIDES
-from recordings.series import AngleSeries
 from recordings.session_series import SessionSeries
 
+Array = NDArray[np.float64]
+_HIPS = np.array([-0.056276, -0.07849, 0.0])  # metres, in the pelvis of the model as published
 
-def write_mot(session: SessionSeries, path: Path) -> str:
-    """Writes one row per frame at the times they were recorded; nan where an angle is unknown.
 
-    Angles that need a joint that was never seen have no column.
+def write_mot(session: SessionSeries, path: Path, rate: float | None = None) -> str:
+    """Writes S* at an even rate, that of the recording where None, without rows in gaps of more than 0.25 s.
+
+    OpenSim's ``Storage`` reads a file up to its first nan. Coordinates that need a joint that was never seen
+    have no column.
+
+    Raises:
+        RecordingError: No frame has an S*.
     """
-    found = coordinates(session.angles)
-    columns = {name: values for name, values in found.items() if np.isfinite(values).any()}
-    header = [session.name.removesuffix(".rrd"), "version=1", f"nRows={len(session)}"]
-    header += [f"nColumns={len(columns) + 1}", "inDegrees=yes", "endheader", "\t".join(["time", *columns])]
-    rows = np.stack([session.time_ns * 1e-9, *columns.values()], axis=1)
-    lines = ("\t".join([f"{row[0]:.6f}", *(f"{v:.4f}" for v in row[1:])]) for row in rows)
+    even, found = EvenPositions(session, rate), []
+    for part, positions, known in even.parts():
+        places, times = positions[known], even.time_ns[part][known]
+        angles = joint_angles(session.body, places, session.up)
+        of_pelvis = pelvis(session.body, forward_up_right(session.rows, places))
+        of_limbs = coordinates(dict(zip(ANGLES, angles.T, strict=True)))
+        found.append({"time": 1e-9 * times} | of_pelvis | of_limbs)
+    columns = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
+    if not len(columns["time"]):
+        raise RecordingError(f"{session} has no S* at an even rate; there is nothing to export.")
+    for name in ("pelvis_tilt", "pelvis_list", "pelvis_rotation"):
+        columns[name] = np.unwrap(columns[name], period=360.0)
+    columns = {name: _without_gaps(values) for name, values in columns.items() if np.isfinite(values).any()}
+    rows = np.stack(list(columns.values()), axis=1)
+    header = [session.name.removesuffix(".rrd"), "version=1", f"nRows={len(rows)}"]
+    header += [f"nColumns={len(columns)}", "inDegrees=yes", "endheader", "\t".join(columns)]
+    lines = ("\t".join(f"{v:.6f}" for v in row) for row in rows.tolist())
     path.write_text("\n".join([*header, *lines]) + "\n", encoding="utf-8")
-    return f"{len(session)} frames at the times they were recorded"
+    return even.in_words("are left out")
 
 
-def coordinates(angles: AngleSeries) -> dict[str, NDArray[np.float64]]:
-    """(T,) degrees of each coordinate of the model, by its name."""
-    found = {"pelvis_tilt": -angles["trunk_flexion"], "pelvis_list": angles["trunk_lean"]}
+def _without_gaps(values: Array) -> Array:
+    """(N,) with interpolated values where none is finite, as an angle of a limb without length."""
+    known = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(len(values)), known, values[known])
+
+
+def pelvis(body: Body, positions: Array) -> dict[str, Array]:
+    """(T,) degrees and metres of the pelvis, by the coordinates' names.
+
+    Args:
+        positions: (T, J, 3) metres; x forward, y up, z to the right of a person who faces +x.
+    """
+    hips, shoulders = (
+        [positions[:, body.joint(f"{name} {side}")] for side in SIDES] for name in ("hip", "shoulder")
+    )
+    middle = 0.5 * (hips[0] + hips[1])
+    up = 0.5 * (shoulders[0] + shoulders[1]) - middle
+    forward = np.cross(up, hips[1] - hips[0] + shoulders[1] - shoulders[0])
+    axes = np.stack([forward, up, np.cross(forward, up)], axis=2)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    degrees, place = np.full((2, *middle.shape), np.nan)
+    if len(known := np.flatnonzero(np.isfinite(axes).all(axis=(1, 2)))):
+        turned = Rotation.from_matrix(axes[known])
+        degrees[known] = turned.as_euler("ZXY", degrees=True)
+        place[known] = middle[known] - turned.apply(_HIPS)
+    names = ("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz")
+    return dict(zip(names, (*degrees.T, *place.T), strict=True))
+
+
+def coordinates(angles: Mapping[str, Array]) -> dict[str, Array]:
+    """(T,) degrees of the coordinates of limbs, by their names."""
+    found: dict[str, Array] = {}
     for side in SIDES:
         flexion, abduction = (np.radians(angles[f"shoulder_{of}_{side}"]) for of in ("flexion", "abduction"))
         elevation = np.hypot(flexion, abduction)

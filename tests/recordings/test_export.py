@@ -3,11 +3,16 @@
 import itertools
 import re
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import get_args
 
 import numpy as np
 import pyarrow.csv
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fusion.angles import ANGLES, joint_angles
@@ -32,6 +37,7 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.two_views import calibration_of
+from tests.helpers.uneven import uneven
 
 GAP = (20, 21, 22)
 
@@ -152,27 +158,88 @@ def test_a_walk_s_steps_are_in_the_wide_tables_and_in_npz(tmp_path):
         np.testing.assert_array_equal(arrays["steps"]["strike"], [step.strike for step in session.gait.steps])
 
 
-def test_mot_has_the_coordinates_of_opensim_s_model(session):
-    pandas = pytest.importorskip("pandas")
-    path = exported(session, "s.mot")
+def read_mot(path):
+    """The head of a .mot and its table."""
     lines = path.read_text(encoding="utf-8").split("\n")
-    head = dict(line.split("=") for line in lines[1:5])
-    table = pandas.read_csv(path, sep="\t", skiprows=6)
+    return dict(line.split("=") for line in lines[1:5]), pytest.importorskip("pandas").read_csv(
+        path, sep="\t", skiprows=6
+    )
+
+
+def test_mot_has_the_coordinates_of_opensim_s_model(session):
+    head, table = read_mot(exported(session, "s.mot"))
     assert head == {
         "version": "1", "nRows": str(len(table)), "nColumns": str(len(table.columns)), "inDegrees": "yes",
     }  # fmt: skip
-    np.testing.assert_allclose(table.time, session.time_ns * 1e-9, atol=1e-6)
-    angles = session.angles
+    seconds = even_moments(session.rows).time_ns * 1e-9
+    np.testing.assert_allclose(table.time, seconds, atol=1e-6)
+    present = np.isfinite(session.at(seconds)).all(axis=(1, 2))  # else in the gap
+    places = on_floor(session, session.at(seconds))[present][..., [2, 1, 0]] * [1.0, 1.0, -1.0]
+    table = table[present]
+    angles = dict(
+        zip(ANGLES, joint_angles(session.body, session.at(seconds)[present], session.up).T, strict=True)
+    )
     np.testing.assert_allclose(table.knee_angle_r, angles["knee_flexion_right"], atol=1e-4)
     np.testing.assert_allclose(table.hip_adduction_l, -angles["hip_abduction_left"], atol=1e-4)
     # the model turns an arm about its lateral axis first, then about the axis that points forwards
-    arm = Rotation.from_euler("ZX", table[["arm_flex_r", "arm_add_r"]].dropna().to_numpy(), degrees=True)
+    arm = Rotation.from_euler("ZX", table[["arm_flex_r", "arm_add_r"]].to_numpy(), degrees=True)
     flexion, abduction = (angles[f"shoulder_{of}_right"] for of in ("flexion", "abduction"))
     elevation = np.hypot(flexion, abduction)
     ahead, out = (np.sin(np.radians(elevation)) * of / elevation for of in (flexion, abduction))
     expected = np.stack([ahead, -np.cos(np.radians(elevation)), out], axis=1)
-    known = np.isfinite(expected).all(axis=1)
-    np.testing.assert_allclose(arm.apply([0.0, -1.0, 0.0]), expected[known], atol=1e-5)
+    np.testing.assert_allclose(arm.apply([0.0, -1.0, 0.0]), expected, atol=1e-5)
+    # and its pelvis about z, x and y; the hips are where the model's are, and the trunk is its long axis
+    turned = Rotation.from_euler(
+        "ZXY", table[["pelvis_tilt", "pelvis_list", "pelvis_rotation"]].to_numpy(), degrees=True
+    )
+    hips, shoulders = (
+        places[:, [session.body.joint(f"{name} {side}") for side in SIDES]] for name in ("hip", "shoulder")
+    )
+    at = table[["pelvis_tx", "pelvis_ty", "pelvis_tz"]].to_numpy()
+    model_s = turned.apply([-0.056276, -0.07849, 0.0])
+    np.testing.assert_allclose(at + model_s, hips.mean(axis=1), atol=1e-5)
+    trunk = shoulders.mean(axis=1) - hips.mean(axis=1)
+    np.testing.assert_allclose(
+        turned.apply([0.0, 1.0, 0.0]), trunk / np.linalg.norm(trunk, axis=1, keepdims=True), atol=1e-5
+    )
+    lateral = turned.inv().apply((hips + shoulders)[:, 1] - (hips + shoulders)[:, 0])
+    assert (lateral[:, 2] > 0.0).all()  # z is the person's right
+    np.testing.assert_allclose(lateral[:, 0], 0.0, atol=1e-5)
+
+
+@given(data=st.data())
+def test_opensim_s_files_have_an_even_rate_and_no_cell_that_it_cannot_read(data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("s")
+    session = uneven(_walk(), data.draw)
+    moments = even_moments(session.rows).time_ns
+    said = {name: session.export(folder / name) for name in ("s.trc", "s.mot")}
+    rows = [line.split("\t") for line in (folder / "s.trc").read_text(encoding="utf-8").splitlines()[6:]]
+    cells = np.array(rows, dtype=float)  # an empty cell is no number
+    np.testing.assert_allclose(cells[:, 1], 1e-9 * moments, atol=1e-6)
+    assert (np.diff(cells[:, 1]) > 0.0).all()
+    known = np.isfinite(cells).all(axis=1)
+    present = np.isfinite(session.fused).all(axis=(1, 2))
+    for time_ns, has in zip(moments, known, strict=True):
+        before, after = (
+            session.time_ns[present & (session.time_ns <= time_ns)],
+            session.time_ns[present & (session.time_ns >= time_ns)],
+        )
+        reached = len(before) and len(after) and after[0] - before[-1] <= 250_000_000
+        assert has == bool(reached)
+    head, table = read_mot(folder / "s.mot")
+    assert int(head["nRows"]) == len(table) == known.sum()
+    assert table.notna().all(axis=None)
+    np.testing.assert_allclose(table.time, cells[known, 1], atol=1e-6)
+    left = np.count_nonzero(~known)
+    assert (f"; {left} in longer gaps are left out" in said["s.mot"]) == (left > 0)
+    assert (f"; {left} in longer gaps are nan" in said["s.trc"]) == (left > 0)
+
+
+@cache
+def _walk():
+    pairs = frame_pairs(KINECT_V2, 60, gap=(), jitter_ns=0)
+    with TemporaryDirectory() as folder:
+        return record_fused(Path(folder) / "s.rrd", pairs, calibration_of(KINECT_V2))
 
 
 @pytest.mark.parametrize(
@@ -209,21 +276,25 @@ def test_npz_has_every_array(session):
         assert tuple(arrays["joints"]) == session.body.joints
 
 
-def test_trc_is_in_millimetres_x_forward_y_up_with_empty_cells_for_gaps(session):
+def test_trc_is_in_millimetres_x_forward_y_up(session):
     pandas = pytest.importorskip("pandas")
     path = exported(session, "s.trc")
     lines = path.read_text(encoding="utf-8").split("\n")
     head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
-    assert (head["Units"], head["NumFrames"]) == ("mm", "60")
+    moments = even_moments(session.rows).time_ns
+    assert (head["Units"], head["NumFrames"]) == ("mm", str(len(moments)))
     assert float(head["DataRate"]) == session.frame_rate == 30.0
     assert [name for name in lines[3].split("\t")[2:] if name] == list(session.body.joints)
     table = pandas.read_csv(path, sep="\t", skiprows=6, header=None, skip_blank_lines=False)
-    joints = table.iloc[:, 2:].to_numpy(dtype=float).reshape(session.rows.fused.shape)
-    right, up, towards = np.moveaxis(1e3 * on_floor(session, session.rows.fused), -1, 0)
-    np.testing.assert_allclose(joints, np.stack([towards, up, -right], axis=-1), atol=1e-4)
-    np.testing.assert_allclose(table[1], session.rows.time_ns * 1e-9, atol=1e-6)
+    joints = table.iloc[:, 2:].to_numpy(dtype=float).reshape(len(moments), -1, 3)
+    expected = positions_at(session.rows, moments)
+    present = np.isfinite(expected).all(axis=(1, 2))
+    right, up, towards = np.moveaxis(1e3 * on_floor(session, expected[present]), -1, 0)
+    np.testing.assert_allclose(joints[present], np.stack([towards, up, -right], axis=-1), atol=1e-4)
+    assert np.isfinite(joints).all()  # three frames are no long gap
+    np.testing.assert_allclose(table[1], moments * 1e-9, atol=1e-6)
     first = int(head["OrigDataStartFrame"])
-    assert table[0].tolist() == list(range(first, first + 60))
+    assert table[0].tolist() == list(range(first, first + len(moments)))
 
 
 def test_c3d_is_read_by_another_library(session):

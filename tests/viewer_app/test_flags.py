@@ -51,4 +51,4 @@ def test_no_text_below_the_command_line_names_a_flag(package):
 def test_the_command_line_and_python_each_say_it_their_way(tmp_path, capsys):
     (tmp_path / "s.rrd").touch()
     assert duplex("export", tmp_path / "s.rrd", "--to", tmp_path / "s.csv", "--rate", 60) == 2
-    assert "--rate is for .bvh, .c3d, .glb and .trc" in capsys.readouterr().err
+    assert "--rate is for .bvh, .c3d, .glb, .mot and .trc" in capsys.readouterr().err

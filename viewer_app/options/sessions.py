@@ -146,8 +146,7 @@ class ExportOptions(GoodOptions):
     """Layout of a .csv or .parquet: one row per joint and skeleton, or one row per frame with S* and its
     angles."""
     rate: float | None = None
-    """Frames per second of a .bvh, .c3d, .glb or .trc; that of the recording if not given, and of a .trc its
-    own times."""
+    """Frames per second of a .bvh, .c3d, .glb, .mot or .trc; that of the recording if not given."""
     names: Literal["body", "humanoid", "mixamo"] = "body"
     """Names of bones in a .bvh or .glb: those of the joints, of Unity's humanoid, or of Mixamo."""
     force: bool = False
