@@ -1,5 +1,7 @@
 """Recordings of one person that tests write, names of the real ones, and sessions compared bit for bit."""
 
+import json
+
 import numpy as np
 
 from fusion.body import KINECT_V2
@@ -22,6 +24,26 @@ def write_view(path, body, positions, start_us=0, every_us=FRAME_NS / 1000):
             for joint, (x, y, z) in zip(body.joints, at, strict=True)
         ]
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+def write_json(path, at):
+    """Writes (T, 25, 3) positions of a KINECT_V2 as Microsoft's offline_processor does."""
+    frames = []
+    for t, positions in enumerate((at * 1e3).tolist()):
+        bodies = [{"body_id": 1, "joint_positions": positions}]
+        frames.append({"timestamp_usec": t * FRAME_NS // 1000, "bodies": bodies})
+    path.write_text(json.dumps({"joint_names": KINECT_V2.joints, "frames": frames}), encoding="utf-8")
+    return path
+
+
+def write_ntu(path, at):
+    """Writes (T, 25, 3) positions of a KINECT_V2 as the .skeleton of NTU RGB+D."""
+    lines = [str(len(at))]
+    for positions in at:
+        lines += ["1", "7 0 0 0 0 0 0 0 0 2", "25"]
+        lines += [f"{-x:.5f} {-y:.5f} {z:.5f} 0 0 0 0 0 0 0 1 2" for x, y, z in positions]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 
 

@@ -1,7 +1,5 @@
 """Files damaged at random: each is read, or refused with one line and exit code 2; never a traceback."""
 
-import json
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,8 +8,8 @@ from fusion.body import KINECT_V2
 from fusion.calibration.calibration import nominal_calibration
 from recordings.calibration_file import calibration_to_json
 from tests.helpers.command_line import duplex
-from tests.helpers.recorded_pairs import write_view
-from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
+from tests.helpers.recorded_pairs import write_json, write_ntu, write_view
+from tests.helpers.two_views import A_FROM_B, moving
 
 FRAMES = 12
 _EXAMPLES = settings(max_examples=12, derandomize=True)
@@ -21,25 +19,11 @@ _ODD = (
 )
 
 
-def _json(path, at):
-    frames = []
-    for t, positions in enumerate((at * 1e3).tolist()):
-        bodies = [{"body_id": 1, "joint_positions": positions}]
-        frames.append({"timestamp_usec": t * FRAME_NS // 1000, "bodies": bodies})
-    path.write_text(json.dumps({"joint_names": KINECT_V2.joints, "frames": frames}), encoding="utf-8")
-    return path
-
-
-def _ntu(path, at):
-    lines = [str(len(at))]
-    for positions in at:
-        lines += ["1", "7 0 0 0 0 0 0 0 0 2", "25"]
-        lines += [f"{-x:.5f} {-y:.5f} {z:.5f} 0 0 0 0 0 0 0 1 2" for x, y, z in positions]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
-
-
-WRITERS = {".csv": lambda path, at: write_view(path, KINECT_V2, at), ".json": _json, ".skeleton": _ntu}
+WRITERS = {
+    ".csv": lambda path, at: write_view(path, KINECT_V2, at),
+    ".json": write_json,
+    ".skeleton": write_ntu,
+}
 
 
 @st.composite

@@ -1,9 +1,7 @@
 """VMC and VRChat, read back by python-osc: bones, trackers and an avatar's proportions."""
 
-import json
 import math
 import socket
-import struct
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +12,7 @@ from pythonosc import osc_packet
 from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V2
+from tests.helpers.avatars import write_vrm
 from tests.helpers.live_frames import frames
 from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, turned_about, world_of_local
 from tests.helpers.two_views import FRAME_NS, moving
@@ -166,33 +165,10 @@ def test_a_jump_does_not_move_the_floor_and_an_outlier_hardly():
     assert hips(outlier, 16) == pytest.approx(height, abs=0.3 / 30 + 0.006)
 
 
-def vrm(path, version, hips=1.0):
-    """A GLB with five bones: Hips under a raised node, UpperChest between Chest and Neck."""
-    front = -1.0 if version == 0 else 1.0
-    nodes = [
-        {"name": "root", "children": [1], "translation": [0, 0.1, 0]},
-        {"name": "hips", "children": [2, 5], "translation": [0, hips - 0.1, 0]},
-        {"name": "chest", "children": [3], "translation": [0, 0.3, 0.02 * front]},
-        {"name": "upper chest", "children": [4], "translation": [0, 0.1, 0]},
-        {"name": "neck", "translation": [0, 0.1, 0]},
-        {"name": "thigh", "translation": [0.08 * front, -0.05, 0]},
-    ]
-    where = {"hips": 1, "chest": 2, "upperChest": 3, "neck": 4, "leftUpperLeg": 5}
-    if version == 0:
-        humanoid = {"VRM": {"humanoid": {"humanBones": [{"bone": b, "node": n} for b, n in where.items()]}}}
-    else:
-        humanoid = {"VRMC_vrm": {"humanoid": {"humanBones": {b: {"node": n} for b, n in where.items()}}}}
-    text = json.dumps({"asset": {"version": "2.0"}, "nodes": nodes, "extensions": humanoid}).encode()
-    text += b" " * (-len(text) % 4)
-    head = struct.pack("<4sII I4s", b"glTF", 2, 20 + len(text), len(text), b"JSON")
-    path.write_bytes(head + text)
-    return path
-
-
 @pytest.mark.parametrize("version", [0, 1])
 def test_an_avatar_keeps_its_proportions_and_moves_at_the_hips(tmp_path, version):
     body = KINECT_V2
-    avatar = read_avatar(vrm(tmp_path / "a.vrm", version, hips=0.5))
+    avatar = read_avatar(write_vrm(tmp_path / "a.vrm", version, hips=0.5))
     encoder, plain = VmcEncoder(body, avatar), VmcEncoder(body)
     standing = posed(body, T_POSE)
     sent = bones(encoder.encode(standing, 0))
@@ -209,7 +185,7 @@ def test_an_avatar_keeps_its_proportions_and_moves_at_the_hips(tmp_path, version
 
 
 def test_a_file_that_is_no_avatar_gives_one_line(tmp_path):
-    whole = vrm(tmp_path / "a.vrm", 1).read_bytes()
+    whole = write_vrm(tmp_path / "a.vrm", 1).read_bytes()
     bad = tmp_path / "bad.vrm"
     rng = np.random.default_rng(3)
     for k in range(300):
