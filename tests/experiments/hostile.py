@@ -258,7 +258,7 @@ def signals(good, folder, chance, _):
                     run.kill()
                     yield "signals", f"{line[3]} hangs after {name}", False
                     continue
-            codes = (0, 1, 2, 130, -signal.SIGINT)  # the last: during an import
+            codes = (0, 1, 2, 130, -getattr(signal, name))  # the last: before the program itself began
             fine = (name in DEADLY or run.returncode in codes) and b"Traceback" not in said and is_whole(path)
             yield "signals", f"{line[3:]} {name}: {run.returncode} {said[-300:]!r}", fine
 
