@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -23,7 +24,7 @@ from fusion.setup import FuserSettings, Method
 from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
 from recordings.export import writer_for
-from recordings.export.bvh import _continuous_angles
+from recordings.export.bvh import _ORDERS, _best_orders, _continuous_angles
 from recordings.export.even_frames import even_moments
 from recordings.export.tables import long_table, wide_table
 from recordings.file.session_writer import write_session
@@ -333,13 +334,28 @@ def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(sess
     np.testing.assert_allclose(bvh_joints(path, body), on_floor(session, there[known]), atol=1e-4)
 
 
-def test_angles_of_a_bvh_do_not_jump_between_equal_rotations():
+@pytest.mark.parametrize("order", _ORDERS)
+def test_angles_of_a_bvh_do_not_jump_between_equal_rotations(order):
     t = np.linspace(0.0, 1.0, 501)
-    path = np.stack([800.0 * t, 151.0 * np.sin(9.0 * t), -500.0 * t], axis=1)[:, None]  # about Z, X, Y
-    rotations = Rotation.from_euler("ZXY", path[:, 0], degrees=True).as_quat()[:, None]
-    first = _continuous_angles(rotations[:200], np.zeros((1, 3)))
-    rest = _continuous_angles(rotations[200:], first[-1])
+    path = np.stack([800.0 * t, 151.0 * np.sin(9.0 * t), -500.0 * t], axis=1)[:, None]
+    rotations = Rotation.from_euler(order, path[:, 0], degrees=True).as_quat()[:, None]
+    first = _continuous_angles(rotations[:200], np.zeros((1, 3)), order)
+    rest = _continuous_angles(rotations[200:], first[-1], order)
     np.testing.assert_allclose(np.concatenate((first, rest)), path, atol=1e-6)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_bvh_has_an_order_of_axes_in_which_a_bone_turns_steadily(axis):
+    """A bone that turns past 90° about one axis, by 2° a frame, and is 8° off about the others."""
+    turn = Rotation.from_rotvec(np.radians(np.linspace(0.0, 120.0, 61))[:, None] * np.eye(3)[axis])
+    rotations = turn * Rotation.from_euler("xyz", [8.0, 8.0, 8.0], degrees=True)
+    parts = [(None, part[:, None]) for part in np.split(rotations.as_quat(), [30])]
+    (order,) = _best_orders(SimpleNamespace(nodes=[None], parts=lambda: parts))
+    angles = _continuous_angles(rotations.as_quat()[:, None], np.zeros((1, 3)), order)[:, 0]
+    half = Rotation.from_euler(order, 0.5 * (angles[:-1] + angles[1:]), degrees=True)
+    between = rotations[:-1] * Rotation.from_rotvec(0.5 * (rotations[:-1].inv() * rotations[1:]).as_rotvec())
+    # an axis that turns first or last by 2° is interpolated exactly, were the others 0
+    assert np.degrees((between.inv() * half).magnitude()).max() < 1.0
 
 
 def test_frames_before_a_calibration_keep_their_directions_and_get_the_last_lengths(tmp_path):
