@@ -12,7 +12,9 @@ from devices.simulated.rig import Rig
 from fusion.angles import ANGLES, joint_angles
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
+from fusion.facing.evidence import upright_direction
 from fusion.setup import FusionSetup
+from recordings.appearance.floor import FloorFinder
 from recordings.gait import find_gait
 from tests.helpers.live_frames import frames
 from viewer_app.outputs.lab_streaming import LabStreamingOutput
@@ -66,6 +68,20 @@ def test_json_has_the_angles_and_their_uncertainty_and_null_where_unknown(walk):
     frame.fused.positions[AZURE_KINECT.joint("WRIST_LEFT")] = np.nan
     said = json.loads(encoder.frame(frame))
     assert said["angles"][ANGLES.index("elbow_flexion_left")] is None
+
+
+def test_angles_sent_are_those_of_the_session_but_for_the_vertical(walk):
+    encoder, floor = SkeletonJson(SETUP), FloorFinder(AZURE_KINECT)
+    joints = np.array([frame.fused.positions for frame in walk])
+    sent, expected = [], []
+    for frame in walk:
+        sent.append(json.loads(encoder.frame(frame))["angles"])
+        floor.add(frame.fused.positions[None])
+        expected.append(joint_angles(AZURE_KINECT, frame.fused.positions, -floor.a_from_floor.rotation[:, 1]))
+    np.testing.assert_allclose(sent, expected, atol=0.006)  # rounded to 0.01
+    saved = joint_angles(AZURE_KINECT, joints, upright_direction(AZURE_KINECT, joints))
+    differs = np.abs(np.array(sent) - saved).max(axis=0) > 0.006
+    assert not differs[[not name.startswith("trunk") for name in ANGLES]].any()
 
 
 def test_an_inlet_reads_angles_and_heel_strikes_at_their_times(walk):
