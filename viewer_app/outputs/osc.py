@@ -89,6 +89,7 @@ class OscOutput(LiveOutput):
     ) -> None:
         super().__init__(name)
         self._encode = encode
+        self._nobody: NDArray[np.float64] | None = None  # (J, 3) NaN, once a frame was sent
         family, self._to = looked_up(address, option)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -96,10 +97,17 @@ class OscOutput(LiveOutput):
 
     def send_frame(self, frame: QueuedFrame) -> int | None:
         """Sends the datagrams of a frame; None if it has none."""
+        self._nobody = np.full(frame.fused.positions.shape, np.nan)
         datagrams = self._encode(frame.fused.positions, frame.time_ns)
         for datagram in datagrams:
             self._socket.sendto(datagram, self._to)
         return 1 if datagrams else None
+
+    def send_silence(self, time_ns: int) -> None:
+        """Sends the datagrams of a frame without a person."""
+        if self._nobody is not None:
+            for datagram in self._encode(self._nobody, time_ns):
+                self._socket.sendto(datagram, self._to)
 
     def shut(self) -> None:
         self._socket.close()

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -18,6 +19,8 @@ from viewer_app.sinks.queued_sink import QueuedSink
 LATE_NS = 33_333_333
 """A frame that is sent later than this after its fusion is late: the next one is there already."""
 _CLOSES_WITHIN = 2.0  # seconds
+_SILENT_S = 1.0  # without a frame, after which receivers are told
+_LEFT_NS = 500_000_000  # without a person, after which they have left
 _HALF_TRUSTED = 0.05  # metres of standard deviation
 _PREDICTED = 0.25  # confidence of a joint without data, for methods without standard deviations
 
@@ -29,6 +32,23 @@ class OutputCounts:
     sent: int = 0  # frames handed to the network; to each receiver, if the output knows its receivers
     dropped: int = 0  # frames that were not sent, because a newer one was there or the network refused them
     late: int = 0  # frames that were sent more than 33 ms after their fusion
+
+
+class _Presence:
+    """Whether the person is there, from one frame to the next."""
+
+    def __init__(self) -> None:
+        self._seen_ns: int | None = None
+        self._left = False
+
+    def news(self, frame: QueuedFrame) -> Event | None:
+        """That the person has left or is there again, at the frame's time."""
+        text = ""
+        if frame.fused.has_person:
+            text, self._left, self._seen_ns = "person returned" if self._left else "", False, frame.time_ns
+        elif self._seen_ns is not None and frame.time_ns - self._seen_ns >= _LEFT_NS and not self._left:
+            text, self._left = "person left", True
+        return Event(text, topic="person", time_ns=frame.time_ns) if text else None
 
 
 class LiveOutput(QueuedSink):
@@ -58,6 +78,9 @@ class LiveOutput(QueuedSink):
         self.page = self.note = ""
         self._closed = False
         self._sent = self._late = self._not_sent = 0
+        self._presence = _Presence()
+        self._newest: QueuedFrame | None = None  # since which there was no silence
+        self._newest_ns = 0  # on the clock
 
     def start(self) -> None:
         """Starts the thread."""
@@ -96,6 +119,13 @@ class LiveOutput(QueuedSink):
         """
         raise NotImplementedError
 
+    def send_silence(self, time_ns: int) -> None:
+        """Says on the output's thread that no frames come any more; the next frame ends it.
+
+        Args:
+            time_ns: Since the first frame.
+        """
+
     def send_event(self, event: Event) -> None:
         """Sends an event on the output's thread."""
 
@@ -108,10 +138,14 @@ class LiveOutput(QueuedSink):
     def _run(self) -> None:
         try:
             while True:
-                wait_s = None if self.even is None else self.even.wait_s(self._clock())
+                wait_s = None if self._newest is None else _SILENT_S
+                if self.even is not None:
+                    wait_s = self.even.wait_s(self._clock())
                 items: Sequence[Item] = self._queue.take(wait_s, most=1)
                 if not items and self._queue.ended:
+                    self._end_frames("")
                     break
+                self._look_for_silence(items)
                 if self.even is not None:
                     items = self.even.passed_on(items, self._clock())
                 for item in items:
@@ -121,10 +155,31 @@ class LiveOutput(QueuedSink):
             self._queue.end()
             self._unsent(sum(isinstance(item, QueuedFrame) for item in self._queue.take(0.0)))
 
+    def _look_for_silence(self, items: Sequence[Item]) -> None:
+        now_ns = self._clock()
+        for item in items:
+            if isinstance(item, QueuedFrame):
+                self._newest, self._newest_ns = item, now_ns
+        if now_ns - self._newest_ns >= 1e9 * _SILENT_S:
+            self._end_frames(f"no frames for {_SILENT_S:g} s")
+
+    def _end_frames(self, text: str) -> None:
+        """Tells receivers that no frames come, once, with a warning if there is a text."""
+        last, self._newest = self._newest, None
+        if last is None:
+            return
+        time_ns = last.time_ns + self._clock() - self._newest_ns
+        with suppress(OSError):  # as of a frame, but it is none that counts
+            self.send_silence(time_ns)
+        if text:
+            self._send(Event(text, "WARN", "frames", time_ns=time_ns))
+
     def _send(self, item: Item) -> None:
         try:
             match item:
                 case QueuedFrame():
+                    if (news := self._presence.news(item)) is not None:
+                        self.send_event(news)
                     self._count(self.send_frame(item), item.written_ns)
                 case Event():
                     self.send_event(item)

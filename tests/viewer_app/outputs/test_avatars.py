@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pythonosc import osc_packet
 from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V2
 from tests.helpers.avatars import write_vrm
 from tests.helpers.live_frames import frames
+from tests.helpers.osc import messages
 from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, turned_about, world_of_local
 from tests.helpers.two_views import FRAME_NS, moving
 from viewer_app.errors import UsageError
@@ -40,12 +40,6 @@ BEGINS = {
     "RightToes": "FootRight", "Head": "Head",
 }  # fmt: skip
 """Where a bone begins, in every body."""
-
-
-def messages(datagrams):
-    """Address and arguments, as python-osc reads them."""
-    read = [m.message for d in datagrams for m in osc_packet.OscPacket(d).messages]
-    return [(message.address, list(message.params)) for message in read]
 
 
 def bones(datagrams):
@@ -226,11 +220,11 @@ JOINTS = {"2": "AnkleLeft", "3": "AnkleRight", "4": "KneeLeft", "5": "KneeRight"
 
 def trackers(datagrams):
     """Values by ``slot/what``."""
-    read = [m.message for d in datagrams for m in osc_packet.OscPacket(d).messages]
-    for message in read:
-        assert message.address.startswith("/tracking/trackers/")
-        assert len(message.params) == 3
-    return {m.address.removeprefix("/tracking/trackers/"): np.array(m.params) for m in read}
+    read = messages(datagrams)
+    for address, values in read:
+        assert address.startswith("/tracking/trackers/")
+        assert len(values) == 3
+    return {address.removeprefix("/tracking/trackers/"): np.array(values) for address, values in read}
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)

@@ -1,5 +1,6 @@
 """An output never delays the loop: its queue is bounded, the oldest frames are dropped and counted."""
 
+import socket
 import threading
 from collections import deque
 from dataclasses import replace
@@ -9,9 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from devices.events import Event
-from tests.helpers.live_frames import frames
+from tests.helpers.live_frames import BODY, frames
+from tests.helpers.osc import messages
 from tests.helpers.waiting import eventually
-from viewer_app.outputs.output import LATE_NS, LiveOutput, confidence
+from viewer_app.outputs.osc import Address, OscOutput
+from viewer_app.outputs.output import LATE_NS, LiveOutput, _Presence, confidence
+from viewer_app.outputs.vmc import VmcEncoder
+from viewer_app.sinks.item_queue import QueuedFrame
 
 
 class Receiver(LiveOutput):
@@ -147,3 +152,59 @@ def test_confidence_falls_with_the_standard_deviation(fuser):
     assert (confidence(nobody) == 0.0).all()
     paper = replace(fused, sigma=None, predicted=np.arange(len(trust)) == 4)
     assert sorted(set(confidence(paper).tolist())) == [0.25, 1.0]
+
+
+def with_person(frame, present):
+    positions = np.full_like(frame.fused.positions, 0.0 if present else np.nan)
+    return replace(frame, fused=replace(frame.fused, positions=positions))
+
+
+@given(present=st.lists(st.booleans(), min_size=1, max_size=60))
+def test_a_person_leaves_after_half_a_second_and_returns(fuser, present):
+    template = frames(fuser, 1)[0]
+    presence, missing, gone, seen = _Presence(), 0, False, False
+    for k, there in enumerate(present):
+        queued = QueuedFrame(k, with_person(template, there), k * 100_000_000, 0)
+        news = presence.news(queued)
+        missing, seen = 0 if there else missing + 1, seen or there
+        expected = "person returned" if there and gone else ""
+        gone = gone and not there
+        if seen and missing == 5:
+            expected, gone = "person left", True
+        assert (news.text if news else "") == expected
+
+
+def test_that_no_frames_come_is_said_once_until_they_come_again(fuser):
+    class Quiet(Receiver):
+        silent = ()
+
+        def send_silence(self, time_ns):
+            self.silent += (time_ns,)
+
+    output, made = Quiet(), frames(fuser, 2)
+    output.let.release(2)
+    output.write(made[0])
+    assert eventually(lambda: output.got == [0])
+    output.now_ns = 1_000_000_000
+    assert eventually(lambda: output.said == ["no frames for 1 s"])
+    output.now_ns = 9_000_000_000
+    output.write(made[1])
+    assert eventually(lambda: output.got == [0, 1])
+    assert output.silent == (1_000_000_000,)  # since the first frame
+    output.close()
+    assert len(output.silent) == 2  # the end
+    assert output.said == ["no frames for 1 s"]
+
+
+def test_the_last_word_of_vmc_is_that_nobody_is_tracked(fuser):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(10.0)
+        address = Address("127.0.0.1", receiver.getsockname()[1])
+        frame = frames(fuser, 1)[0]
+        output = OscOutput("VMC", address, "--vmc", VmcEncoder(BODY).encode)
+        output.write(frame)
+        output.close()
+        said = []
+        while not said or said[-1] != ("/VMC/Ext/OK", [1, 3, 0, 0]):
+            said += [m for m in messages([receiver.recv(2000)]) if m[0] == "/VMC/Ext/OK"]
