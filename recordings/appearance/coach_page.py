@@ -43,12 +43,16 @@ class CoachPage:
         """Pairs of entity and what to log. An absent mark is logged as empty, which clears it.
 
         Args:
-            card: Whether to yield the picture of the state, too.
+            card: Whether to yield the picture of the state; else the text begins with it.
         """
         if card and self.card is not None:
             # not encoded: a viewer on a slow machine shows the last picture until it has decoded this one
             yield layout.COACH_CARD, [rr.Image(state_card(*self.card))]
-        yield layout.COACH, [rr.TextDocument(self.text, media_type=rr.MediaType.MARKDOWN)]
+        text = self.text
+        if not card and self.card is not None:
+            state, step = self.card
+            text = f"## {state.value}: {step}\n\n{text}"
+        yield layout.COACH, [rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)]
         marks = dict(self.marks)
         for name in layout.COACH_MARKS:
             mark = marks.get(name)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from recordings import layout
+from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.state_card import LOOKS, State, fits, state_card
 from tests.recordings.test_appearance import contrast
 
@@ -36,3 +38,12 @@ def test_a_long_step_is_drawn_smaller_and_stays_inside():
     picture = inked(drawn(State.NOT_YET, long), State.NOT_YET)
     assert not picture[[0, -1]].any()
     assert not picture[:, [0, -1]].any()
+
+
+def test_a_file_has_the_state_as_text():
+    page = CoachPage("B: mirror image", card=(State.NOT_YET, "Turn mirroring off in B"))
+    of_file, of_viewer = (dict(page.entities(card)) for card in (False, True))
+    assert layout.COACH_CARD in of_viewer
+    assert layout.COACH_CARD not in of_file
+    texts = [each[layout.COACH][0].text.as_arrow_array().to_pylist()[0] for each in (of_file, of_viewer)]
+    assert texts == ["## NOT YET: Turn mirroring off in B\n\nB: mirror image", "B: mirror image"]

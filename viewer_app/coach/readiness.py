@@ -20,8 +20,8 @@ _RANKED = (
 """Kinds of advice that ask for something, the first to follow first."""
 _AT_ONCE = _LOST | {"others", "mirrored"}
 """Kinds of advice without which the others mean nothing."""
-_OUT_OF_VIEW = frozenset({"distance", "feet"})
-"""Kinds of advice that say already why a person is not whole in view."""
+_TOLD_BY = {"whole": {"distance", "feet"}, "pose": {"calibration"}}
+"""Kinds of advice that are none where another one is: of what is out of view, and of a pose that was held."""
 _LESS_GOOD = frozenset({"rate", "drops", "skew"})
 """Kinds of warnings despite which a set-up is of use."""
 
@@ -89,8 +89,8 @@ def headline(advice: Sequence[Advice], calibration: Calibration, kept: str = "")
 def ranked(advice: Sequence[Advice]) -> list[list[Advice]]:
     """All advice that asks for something, by its kind, the first to follow first."""
     asked = [each for each in advice if each.step]
-    if any(each.kind in _OUT_OF_VIEW for each in asked):
-        asked = [each for each in asked if each.kind != "whole"]
+    told = {each.kind for each in asked}
+    asked = [each for each in asked if not _TOLD_BY.get(each.kind, set()) & told]
     kinds = sorted({(not _needed(each), _RANKED.index(each.kind), each.kind) for each in asked})
     return [
         [each for each in asked if (not _needed(each), each.kind) == (later, kind)]

@@ -90,12 +90,12 @@ def test_the_step_names_the_sensors_and_follows_the_one_that_asks_for_most():
     assert headline(steps, KNOWN).step == "Step back 0.9 m from A and B"
 
 
-def test_a_part_out_of_view_is_no_problem_of_its_own_where_the_person_is_too_near():
-    part, near, pose = (advice(topic, side="A") for topic in ("whole A", "distance A", "pose"))
-    assert "whole" in to_markdown([part, pose])
-    for given_ in ([part, near, pose], [near, pose]):
-        assert to_markdown(given_) == to_markdown([near, pose])
-        assert headline(given_, KNOWN) == headline([near], KNOWN)
+@pytest.mark.parametrize(("told", "by"), [("whole", "distance"), ("pose", "calibration")])
+def test_what_another_advice_tells_is_no_problem_of_its_own(told, by):
+    one, other, third = (advice(topic) for topic in (told, by, "skew"))
+    assert f"{told} wrong" in to_markdown([one, third]).lower()
+    assert to_markdown([one, other, third]) == to_markdown([other, third])
+    assert headline([one, other], KNOWN) == headline([other], KNOWN)
 
 
 def test_ready_states_the_deviation_of_the_calibration():
