@@ -249,12 +249,7 @@ class _Match(NamedTuple):
 
 
 def _match(
-    body: Body,
-    found: dict[str, Joints],
-    path: JointPath,
-    files: str,
-    table: str,
-    offset_s: float | None,
+    body: Body, found: dict[str, Joints], path: JointPath, files: str, table: str, offset_s: float | None
 ) -> _Match:
     """Raises RecordingError where the truth is no truth of the session."""
     offset = find_offset(body, (found["a"], found["b"]), found["fused"], path)
