@@ -1,5 +1,6 @@
 """Output that nobody reads, that has no room, or that would act on a terminal."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -88,3 +89,13 @@ def check(printed):
     text = printed.out + printed.err
     assert "\ufffd" in text or r"\x1b" in text
     assert not set(text) & set("\x1b\x07\x9b\u202e")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a POSIX shell")
+def test_a_closed_standard_input_is_an_empty_one():
+    """``duplex doctor --bundle`` asks it whether it is a terminal."""
+    code = "import sys; from viewer_app import cli;"
+    code += "cli.main = lambda: print(repr(sys.stdin.read())); cli.script()"
+    line = ["sh", "-c", '"$0" -c "$1" <&-', sys.executable, code]
+    ended = subprocess.run(line, capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "''\n", "")
