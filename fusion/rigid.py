@@ -63,3 +63,27 @@ class RigidTransform:
         """The angle of the rotation between the two, in radians."""
         cosine = (np.trace(self.rotation.T @ other.rotation) - 1.0) / 2.0
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def rotation_of(vector: ArrayLike) -> NDArray[np.float64]:
+    """(…, 3, 3) the rotation about each vector (…, 3) by its length in radians (Rodrigues' formula)."""
+    # scipy's Rotation would do it, but loads for as long as all else of the method
+    x, y, z = np.moveaxis(np.asarray(vector, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    K = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    angle = np.sqrt(x * x + y * y + z * z)[..., None, None]
+    half = np.sinc(0.5 * angle / np.pi)
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * half * half * (K @ K))
+
+
+def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) the axis of a rotation (3, 3), as long as its angle in radians."""
+    R = rotation
+    axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = float(np.linalg.norm(axis)), 0.5 * (float(np.trace(R)) - 1.0)
+    if cosine < -0.9:  # near half a turn the axis is in the symmetric part
+        columns = R + R.T - 2.0 * cosine * np.eye(3)
+        longest = columns[:, np.argmax(np.diag(columns))]
+        turned = longest * (-1.0 if longest @ axis < 0.0 else 1.0)
+        return np.asarray(np.arctan2(sine, cosine) / np.linalg.norm(turned) * turned)
+    return axis if sine == 0.0 else np.asarray(np.arctan2(sine, cosine) / sine * axis)

@@ -18,11 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from fusion.body import KINECT_V1, KINECT_V2, Body
 from fusion.registration.keyframes import Evidence
-from fusion.rigid import RigidTransform
+from fusion.rigid import RigidTransform, rotation_of
 
 Array = NDArray[np.float64]
 
@@ -74,14 +73,14 @@ def turned_back(evidence: Evidence, a_from_b: RigidTransform, turn: float) -> Ev
     total = np.maximum(evidence.weights.sum(axis=1), 1e-9)[:, None]
     middle = np.einsum("kj,kjc->kc", evidence.weights, evidence.b, optimize=False) / total
     axis = np.cross(*_towards_sensors(middle, a_from_b.inverse().translation, np.zeros(3)))
-    turns = Rotation.from_rotvec(-turn * axis).as_matrix()
+    turns = rotation_of(-turn * axis)
     b = middle[:, None] + np.einsum("kxy,kjy->kjx", turns, evidence.b - middle[:, None], optimize=False)
     return evidence._replace(b=b)
 
 
 def turned_apart(a_from_b: RigidTransform, middle: Array, turn: float) -> RigidTransform:
     """``a_from_b`` turned by ``turn`` (u_A × u_B) about the person's middle (3,), in K_A's frame."""
-    R = Rotation.from_rotvec(turn * _axis(a_from_b, middle)).as_matrix()
+    R = rotation_of(turn * _axis(a_from_b, middle))
     return RigidTransform.of(R, middle - R @ middle) @ a_from_b
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.errors import CalibrationError
@@ -65,7 +64,7 @@ def fit_rigid(points_a: Array, points_b: Array, weights: Array | None = None) ->
     a = points_a - centre_a if weights is None else weights[:, None] * (points_a - centre_a)
     U, _, Vt = np.linalg.svd(a.T @ (points_b - centre_b))
     U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
-    R = Rotation.from_matrix(U @ Vt).as_matrix()
+    R = U @ Vt
     return RigidTransform.of(R, centre_a - R @ centre_b)
 
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.errors import CalibrationError
@@ -16,7 +15,7 @@ from fusion.registration.error_model import RobustFitSettings, accumulated, elim
 from fusion.registration.keyframes import Evidence
 from fusion.registration.lasting_errors import FrontalTurn, common_variance, turned_back
 from fusion.registration.rigid_fit import Registration
-from fusion.rigid import RigidTransform
+from fusion.rigid import RigidTransform, rotation_of, rotation_vector
 
 Array = NDArray[np.float64]
 
@@ -94,7 +93,7 @@ def fit_robust(
             raise CalibrationError("Joints seen by both sensors do not determine the transform.") from None
         if not np.isfinite(step).all():
             raise CalibrationError("Joints seen by both sensors do not determine the transform.")
-        turn = Rotation.from_rotvec(step[3:]).as_matrix()
+        turn = rotation_of(step[3:])
         t = centre + step[:3] + turn @ (t - centre)
         R = turn @ R
         beta = np.moveaxis(own - coupled @ step, 0, 1)
@@ -122,7 +121,7 @@ def with_frontal_sd(
         iterations=3, noise_sd=fit.noise_sd, biases=fit.biases, prior=prior,
     )  # fmt: skip
     step = other.a_from_b @ fit.a_from_b.inverse()
-    moved = np.append(step.apply(fit.centre) - fit.centre, Rotation.from_matrix(step.rotation).as_rotvec())
+    moved = np.append(step.apply(fit.centre) - fit.centre, rotation_vector(step.rotation))
     return replace(fit, covariance=fit.covariance + np.outer(moved, moved))
 
 
@@ -145,7 +144,7 @@ def _add_prior(
     information: Array, gradient: Array, prior: Prior, inflation: float, R: Array, t: Array, centre: Array
 ) -> None:
     # The covariance is inflated afterwards; the prior is scaled here so that it is not inflated.
-    turn = Rotation.from_matrix(prior.a_from_b.rotation @ R.T).as_rotvec()
+    turn = rotation_vector(prior.a_from_b.rotation @ R.T)
     in_b = R.T @ (centre - t)
     shift = prior.a_from_b.apply(in_b) - centre
     precision = inflation * np.repeat([prior.translation_sd**-2, prior.rotation_sd**-2], 3)

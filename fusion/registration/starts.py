@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.errors import CalibrationError
@@ -76,5 +75,5 @@ def half_turned(a_from_b: RigidTransform, evidence: Evidence) -> RigidTransform:
     The axis is vertical only where sensor A is not tilted. The result is the start of a fit.
     """
     centre: NDArray[np.float64] = evidence.a[evidence.weights > 0.5].mean(axis=0)
-    half = Rotation.from_euler("y", 180.0, degrees=True).as_matrix()
+    half = np.diag([-1.0, 1.0, -1.0])
     return RigidTransform.of(half, centre - half @ centre) @ a_from_b

@@ -9,7 +9,7 @@ from fusion.errors import CalibrationError, FusionError
 from fusion.registration.keyframes import evidence_of
 from fusion.registration.lasting_errors import COMMON_SD, FrontalTurn, opposition, turned_back
 from fusion.registration.rigid_fit import fit_recording, fit_rigid, register
-from fusion.rigid import RigidTransform
+from fusion.rigid import RigidTransform, rotation_of, rotation_vector
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, moving, pair_of, standing
 
@@ -31,6 +31,20 @@ def test_the_fit_finds_the_optimum_of_horns_quaternion(seed):
     fit = fit_rigid(p, q, weights)
     np.testing.assert_allclose(fit.rotation, Rotation.from_quat([x, y, z, w]).as_matrix(), atol=1e-12)
     np.testing.assert_allclose(fit.apply(centre_q), centre_p, atol=1e-12)
+
+
+@given(
+    st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).filter(lambda axis: np.linalg.norm(axis) > 0.1),
+    st.one_of(st.floats(0.0, np.pi), st.floats(0.0, 1e-6), st.floats(np.pi - 1e-6, np.pi)),
+)
+def test_rotations_about_vectors_are_scipys(axis, angle):
+    vector = angle * np.array(axis) / np.linalg.norm(axis)
+    R = rotation_of(vector)
+    np.testing.assert_allclose(R, Rotation.from_rotvec(vector).as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(rotation_of(rotation_vector(R)), R, atol=1e-9)
+    np.testing.assert_array_equal(rotation_of([vector, vector]), [R, R])
+    if angle < np.pi - 1e-3:
+        np.testing.assert_allclose(rotation_vector(R), vector, atol=1e-9)
 
 
 @given(SEEDS)
