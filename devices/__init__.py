@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from devices.blazepose.depth_camera import DepthCamera as DepthCamera
     from devices.capture.sensor_pair import TwoSensors as TwoSensors
     from devices.files import open_source as open_source
-    from devices.pairing import FramePair as FramePair
+    from devices.frame_pairs import FramePair as FramePair
     from devices.pairing import Pairing as Pairing
     from devices.pairing import pair_views as pair_views
     from devices.sensor import ColorCamera as ColorCamera

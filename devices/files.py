@@ -1,4 +1,4 @@
-"""Opens a recording on disk as a sensor."""
+"""Opens a recording on disk as a sensor. What a vendor's files need is imported when one is opened."""
 
 from __future__ import annotations
 
@@ -8,23 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.azure.mkv import MkvInfo, MkvRecording
-from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
-from devices.blazepose.tracked_images import TrackedImages
-from devices.depth.witness import with_witness
-from devices.orbbec.playback import SUFFIX as BAG
-from devices.orbbec.playback import OrbbecRecording
-from devices.realsense.sensors import SUFFIX as DB3
-from devices.realsense.sensors import RealSenseRecording, is_realsense_bag
-from devices.recording_apart import RecordingApart
-from devices.sensor import DeviceError, Orientation, Sensor, SensorFrame, SensorWrapper
+from devices.sensor import DeviceError, ImageRecording, Orientation, Sensor, SensorFrame, SensorWrapper
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import StatedFormat, Unit
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from devices.upright import upright
 from fusion.progress import Progress, quietly
 
-MKV = ".mkv"
+MKV, BAG, DB3 = ".mkv", ".bag", ".db3"  # Azure Kinect; Orbbec, and RealSense of ROS 1; RealSense of ROS 2
 
 
 def open_source(
@@ -64,18 +55,27 @@ def open_source(
         if skeletons is not None:
             raise DeviceError(f"{path.name} has its own skeletons; {option} {skeletons} is for an .mkv.")
         return SkeletonRecording(path, stated, progress)
-    images = open_images(path)
     if skeletons is not None:
-        if not isinstance(images, MkvRecording):
+        if not_of_libk4a(path):
             raise DeviceError(f"{option} {skeletons} is for an .mkv; {path.name} is tracked.")
-        return upright(RecordingWithSkeletons(images, SkeletonRecording(skeletons, stated)), orientation)
+        from devices.azure.mkv import MkvRecording
+        from devices.azure.tracking.tracked_recording import RecordingWithSkeletons
+
+        return upright(
+            RecordingWithSkeletons(MkvRecording(path), SkeletonRecording(skeletons, stated)), orientation
+        )
     stated.refuse_for(path)
     tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(path))
-    if tracker.name == "blazepose" or not isinstance(images, MkvRecording):
-        return TrackedImages(upright(images, orientation), tracker.blazepose)
+    if tracker.name == "blazepose":
+        from devices.blazepose.tracked_images import TrackedImages
+
+        return TrackedImages(upright(open_images(path), orientation), tracker.blazepose)
+    from devices.azure.mkv import MkvRecording
+    from devices.azure.tracking.tracked_recording import TrackedRecording
+
     otherwise = f" Or give its skeletons, saved before, with {option} FILE." if option else ""
     settings = replace(tracker.k4abt, orientation=orientation)
-    return upright(TrackedRecording(images, settings, otherwise=otherwise), orientation)
+    return upright(TrackedRecording(MkvRecording(path), settings, otherwise=otherwise), orientation)
 
 
 def has_images(path: Path) -> bool:
@@ -88,18 +88,27 @@ def not_of_libk4a(*paths: Path) -> list[str]:
     return [path.name for path in paths if path.suffix.lower() in (BAG, DB3)]
 
 
-def open_images(path: Path) -> MkvRecording | RecordingApart:
+def open_images(path: Path) -> ImageRecording:
     """Creates the sensor for a recording's images, without people; opens nothing."""
     suffix = path.suffix.lower()
-    if suffix == DB3 or (suffix == BAG and is_realsense_bag(path)):
-        return RecordingApart(path, RealSenseRecording)
-    return RecordingApart(path, OrbbecRecording) if suffix == BAG else MkvRecording(path)
+    if suffix not in (BAG, DB3):
+        from devices.azure.mkv import MkvRecording
+
+        return MkvRecording(path)
+    from devices.orbbec.playback import OrbbecRecording
+    from devices.realsense.sensors import RealSenseRecording, is_realsense_bag
+    from devices.recording_apart import RecordingApart
+
+    realsense = suffix == DB3 or is_realsense_bag(path)
+    return RecordingApart(path, RealSenseRecording if realsense else OrbbecRecording)
 
 
 def recorded_at(path: Path) -> str:
     """When images were recorded, ISO 8601; empty where the file does not say."""
     if path.suffix.lower() != ".mkv":
         return ""
+    from devices.azure.mkv import MkvRecording
+
     with MkvRecording(path) as recording:
         return "" if recording.info is None else recording.info.recorded
 
@@ -115,8 +124,10 @@ def distinct_names(a: Path, b: Path) -> tuple[str, str]:
 
 def frame_count(source: Sensor) -> int | None:
     """About how many frames an open recording has, for a progress bar; None where it does not say."""
-    info = _of_images(source)
-    return info.duration_ns // info.interval_ns + 1 if info is not None and info.duration_ns else None
+    images = images_of(source)
+    if not isinstance(images, ImageRecording) or not images.duration_ns:
+        return None
+    return images.duration_ns // images.interval_ns + 1
 
 
 def frame_interval_ns(source: Sensor) -> int | None:
@@ -125,14 +136,7 @@ def frame_interval_ns(source: Sensor) -> int | None:
     if isinstance(recording, SkeletonRecording):
         steps = np.diff(recording.people.time_ns)
         return int(np.median(steps)) if len(steps) else None
-    info = _of_images(source)
-    return None if info is None else info.interval_ns
-
-
-def _of_images(source: Sensor) -> MkvInfo | RecordingApart | None:
-    images = images_of(source)
-    info = images.info if isinstance(images, MkvRecording) else images
-    return info if isinstance(info, MkvInfo | RecordingApart) else None
+    return recording.interval_ns if isinstance(recording, ImageRecording) else None
 
 
 def images_of(source: Sensor) -> Sensor:
@@ -147,6 +151,8 @@ def without_images(source: Sensor) -> Iterator[SensorFrame]:
 
     What the depth images say about the joints stays with the skeletons.
     """
+    from devices.depth.witness import with_witness
+
     for frame in source.frames():
         if source.intrinsics is not None:
             frame = with_witness(frame, source.intrinsics)

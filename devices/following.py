@@ -16,7 +16,7 @@ import numpy as np
 
 from devices.association import Follow, Registered
 from devices.events import Event
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair
 from devices.people import RecordedPeople
 from devices.people_tracks import SPEED_M_S, Tracks, TracksAhead
 from devices.room import HOLD_S, REACH_M, Place, Room, Seen

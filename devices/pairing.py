@@ -7,65 +7,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.sensor import DeviceError, SensorFrame
+from devices.frame_pairs import RecordedPairs
+from devices.sensor import DeviceError
 from fusion.body import Body
-from fusion.large_arrays import Rows, stored
+from fusion.large_arrays import stored
 from fusion.pair_arrays import Pairs, View
 from fusion.registration.clock_course import find_clock_course
 from fusion.registration.clock_offset import ClockOffset
 from fusion.registration.clock_search import find_clock_offset
-from fusion.skeleton import SkeletonPair
 
-PERSON = "0"
-"""The id of the only person in recorded pairs."""
 _CERTAIN = 4.0  # standard deviations of the growth of an offset that is corrected
 _GAP = 1.5
 """Frame intervals: if the nearest frame of the other recording is farther away, the other recording has a
 gap."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class FramePair:
-    """The frames of both sensors at one moment, and the person to fuse.
-
-    Attributes:
-        a, b: The frames; None where a sensor has none for this moment.
-        skeletons: S_A and S_B of the person, and the pair's time and skew. A sensor that does not see the
-            person has None; both have None while nobody has been chosen.
-    """
-
-    a: SensorFrame | None
-    b: SensorFrame | None
-    skeletons: SkeletonPair
-
-    @property
-    def time_ns(self) -> int:
-        """The pair's time, on the principal sensor's clock."""
-        return self.skeletons.time_ns
-
-    @property
-    def skew_ns(self) -> int:
-        """Capture time of B minus capture time of A; 0 unless both exist."""
-        return self.skeletons.skew_ns
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RecordedPairs(Rows[FramePair]):
-    """Pairs without images whose skeletons are arrays; each pair is made when it is asked for."""
-
-    skeletons: Pairs  # of views with one row for each frame of the sensor
-
-    def __len__(self) -> int:
-        return len(self.skeletons)
-
-    def row(self, k: int) -> FramePair:
-        pair = self.skeletons[k]
-        frames = zip(self.skeletons.views, self.skeletons.frames[k], (pair.a, pair.b), strict=True)
-        a, b = (
-            None if i < 0 else SensorFrame(int(view.time_ns[i]), {} if seen is None else {PERSON: seen})
-            for view, i, seen in frames
-        )
-        return FramePair(a, b, pair)
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,3 +117,16 @@ class RecordedPeople(Rows[SensorFrame]):
                 taken[when[name]] = True
                 others.append(name)
         return tuple(others[1:])
+
+
+@dataclass(frozen=True)
+class SeenPerson:
+    """Somebody whom two recordings show among others.
+
+    Attributes:
+        ids: In A and in B: the id that chooses this person; None where there is none.
+        seconds: For how long each sensor sees them.
+    """
+
+    ids: tuple[str | None, str | None]
+    seconds: tuple[float, float]

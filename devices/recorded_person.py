@@ -9,27 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.association import Follow, Followed, follow_one
-from devices.azure.mkv import MkvInfo
 from devices.capture.host_clock import offset_by_arrival
 from devices.pairing import median_interval
-from devices.people import RecordedPeople
-from devices.sensor import Orientation
+from devices.people import RecordedPeople, SeenPerson
+from devices.sensor import CableSync, Orientation
 from fusion.intrinsics import Intrinsics
 from fusion.large_arrays import give_back
 from fusion.pair_arrays import View
-
-
-@dataclass(frozen=True)
-class SeenPerson:
-    """Somebody whom two recordings show among others.
-
-    Attributes:
-        ids: In A and in B: the id that chooses this person; None where there is none.
-        seconds: For how long each sensor sees them.
-    """
-
-    ids: tuple[str | None, str | None]
-    seconds: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +24,7 @@ class OneRecording:
 
     name: str
     people: RecordedPeople
-    info: MkvInfo | None
+    sync: CableSync | None
     warnings: list[str]
     arrivals: NDArray[np.int64]
     """(T, 2) capture and arrival times, where they were recorded."""

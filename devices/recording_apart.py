@@ -10,7 +10,7 @@ from devices.apart import ApartError, items_of
 from devices.input_file import check_recording
 from devices.orbbec.playback import OrbbecRecording
 from devices.realsense.sensors import RealSenseRecording
-from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.sensor import DeviceError, ImageRecording, SensorFrame
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 
@@ -18,13 +18,11 @@ Library = type[OrbbecRecording] | type[RealSenseRecording]
 _SECONDS, _BYTES_PER_S, _MEMORY = 20.0, 20e6, 8 << 30
 
 
-class RecordingApart(Sensor):
-    """A recording that another process plays: a :class:`~devices.sensor.Sensor` without people.
+class RecordingApart(ImageRecording):
+    """A recording that another process plays.
 
     Attributes:
         library: Plays it in that process.
-        duration_ns: How long it is, as the file says; 0 before opening.
-        interval_ns: Time between two frames; 0 before opening.
     """
 
     def __init__(self, path: Path, library: Library) -> None:

@@ -121,6 +121,7 @@ class Sensor:
         lost: Number of captured frames that were lost on USB.
         waits_for: What opening, the first frame or closing waits for if that may take minutes, such as "its
             body tracker, which loads its network"; else empty.
+        tracked_by: The body tracker that finds its people, as a session records it; else empty.
         link: How the messages of a sensor on another machine arrive; None for one of this machine.
         recorded: Whether it plays a recording. A failure is its end then, and no cable or power is at fault.
     """
@@ -132,6 +133,7 @@ class Sensor:
     missed: int = 0
     lost: int = 0
     waits_for: str = ""
+    tracked_by: str = ""
     link: LinkFigures | None = None
     recorded: bool = False
 
@@ -170,6 +172,33 @@ class Sensor:
         return []
 
 
+@dataclass(frozen=True)
+class CableSync:
+    """How a sensor was synchronised."""
+
+    mode: str  # ``STANDALONE``, ``MASTER`` or ``SUBORDINATE``
+    delay_ns: int  # of a subordinate's captures after the master's
+
+
+class ImageRecording(Sensor):
+    """A file with a sensor's images; its frames have no people.
+
+    Attributes:
+        warnings: Faults of a file that is still readable: cut off, damaged frames.
+        duration_ns: How long it is, as the file says; 0 before opening, and where the file does not say.
+        interval_ns: Time between two frames; 0 before opening.
+        sensor: Which one and its modes, in words; empty where the file does not say.
+        sync: Known once it is open; None where the file does not say.
+        arrivals: Capture time and arrival of the frames given so far, where the file has arrivals.
+    """
+
+    duration_ns: int = 0
+    interval_ns: int = 0
+    sensor: str = ""
+    sync: CableSync | None = None
+    arrivals: Sequence[tuple[int, int]] = ()
+
+
 def _of_source(attribute: str) -> Any:
     """A property that returns the wrapped sensor's attribute of that name."""
     default = getattr(Sensor, attribute, None)
@@ -194,6 +223,7 @@ class SensorWrapper(Sensor):
     missed = _of_source("missed")
     lost = _of_source("lost")
     waits_for = _of_source("waits_for")
+    tracked_by = _of_source("tracked_by")
     link = _of_source("link")
     recorded = _of_source("recorded")
 

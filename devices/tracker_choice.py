@@ -7,13 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from devices.azure.checks import why_not_k4abt
-from devices.azure.kinect import KinectSensor
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.settings import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings
-from devices.blazepose.tracked_images import TrackedImages
-from devices.sensor import DeviceError, Sensor
-from devices.upright import UprightSensor
+from devices.sensor import DeviceError
 
 WantedTracker = Literal["auto", "blazepose", "k4abt"]
 """What the user may ask for; auto is k4abt where it works, else blazepose."""
@@ -67,16 +63,9 @@ def choose_tracker(
         return TrackerChoice(wanted, "asked for with `tracker`", True, k4abt, blazepose)
     if k4abt.library is not None:
         return TrackerChoice("k4abt", "its library is named with `k4abt`", True, k4abt, blazepose)
+    from devices.azure.checks import why_not_k4abt
+
     why_not = why_not_k4abt(k4abt, root)
     if why_not:
         return TrackerChoice("blazepose", why_not, False, k4abt, blazepose)
     return TrackerChoice("k4abt", "libk4abt is installed", False, k4abt, blazepose)
-
-
-def tracker_name(sensor: Sensor) -> str:
-    """The tracker of a sensor, as a session records it; empty for a sensor with people of its own."""
-    if isinstance(sensor, UprightSensor):
-        sensor = sensor.source
-    if isinstance(sensor, TrackedImages):
-        return f"blazepose {sensor.tracker.settings.network}"
-    return "k4abt" if isinstance(sensor, KinectSensor) else ""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.association import Follow
-from devices.azure.mkv import MkvInfo, MkvRecording
 from devices.capture.host_clock import offset_by_arrival
 from devices.depth.image_thinning import Depth, thinned, thinned_camera
 from devices.files import (
@@ -24,17 +23,11 @@ from devices.files import (
     without_images,
 )
 from devices.following import one_person
-from devices.pairing import (
-    FramePair,
-    Pairing,
-    clock_by_cable,
-    clock_by_motion,
-    median_interval,
-    pair_views,
-)
-from devices.people import RecordedPeople
-from devices.recorded_person import OneRecording, SeenPerson, follow_one_person
-from devices.sensor import DeviceError, Orientation, Sensor
+from devices.frame_pairs import FramePair
+from devices.pairing import Pairing, clock_by_cable, clock_by_motion, median_interval, pair_views
+from devices.people import RecordedPeople, SeenPerson
+from devices.recorded_person import OneRecording, follow_one_person
+from devices.sensor import CableSync, DeviceError, ImageRecording, Orientation, Sensor
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
@@ -197,7 +190,7 @@ def read_two(
     clock = by_arrival = None
     if offset_ns is None:
         clock = by_arrival = offset_by_arrival(read_a.arrivals, read_b.arrivals)
-        delay_ns = cable_delay_ns(read_a.info, read_b.info)
+        delay_ns = cable_delay_ns(read_a.sync, read_b.sync)
         if by_arrival is None:
             clock = clock_by_motion(body, read_a.seen, read_b.seen)
         elif delay_ns is not None:
@@ -214,7 +207,7 @@ def read_two(
         offset_ns=clock.at(read_b.person.time_ns) if clock is not None else offset_ns or 0,
         every_frame=every_frame,
     )
-    about_clocks = clock_warnings(read_a.info, read_b.info, pairing.pairs)
+    about_clocks = clock_warnings(read_a.sync, read_b.sync, pairing.pairs)
     if by_arrival is not None:
         about_clocks = [
             "B's times were put on A's clock by the frames' arrival on the PC that recorded them."
@@ -303,7 +296,7 @@ def _course_in_words(clock: ClockOffset) -> str:
     return f", growing by {clock.skew_ppm:+.1f} millionths of the time," if clock.skew_ppm else ""
 
 
-def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:
+def clock_warnings(a: CableSync | None, b: CableSync | None, pairs: Iterable[FramePair]) -> list[str]:
     """Warnings about the two clocks; none for recordings without information about their origin.
 
     On a sync cable the master's first pulse starts the subordinate's clock at the master's time, and device
@@ -317,7 +310,7 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
     delay_ns = cable_delay_ns(a, b)
     if delay_ns is None:
         return [
-            f"The sensors ran without a common clock ({a.sync_mode.lower()}, {b.sync_mode.lower()}): frames "
+            f"The sensors ran without a common clock ({a.mode.lower()}, {b.mode.lower()}): frames "
             f"are paired as if both had been started at the same moment. Record with a sync cable."
         ]
     off_ns = int(np.median([pair.skew_ns for pair in pairs])) - delay_ns
@@ -330,11 +323,11 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
     ]
 
 
-def cable_delay_ns(a: MkvInfo | None, b: MkvInfo | None) -> int | None:
+def cable_delay_ns(a: CableSync | None, b: CableSync | None) -> int | None:
     """How much later B captures than A by their sync cable; None without one."""
-    if a is None or b is None or {a.sync_mode, b.sync_mode} != {"MASTER", "SUBORDINATE"}:
+    if a is None or b is None or {a.mode, b.mode} != {"MASTER", "SUBORDINATE"}:
         return None
-    return b.subordinate_delay_ns if b.sync_mode == "SUBORDINATE" else -a.subordinate_delay_ns
+    return b.delay_ns if b.mode == "SUBORDINATE" else -a.delay_ns
 
 
 def refuse_same(a: Path, b: Path) -> None:
@@ -352,7 +345,7 @@ def refuse_same(a: Path, b: Path) -> None:
 
 def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRecording:
     with source:
-        info, arrivals = None, []
+        sync, arrivals = None, []
         if isinstance(source, SkeletonRecording):
             people = source.people
         else:
@@ -364,8 +357,8 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRec
                     source.body, one_person(source.body, people)
                 )  # one person gets several ids
             images = images_of(source)
-            if isinstance(images, MkvRecording):
-                info, arrivals = images.info, images.arrivals
+            if isinstance(images, ImageRecording):
+                sync, arrivals = images.sync, list(images.arrivals)
         warnings = list(source.warnings)
     people.choose_person(choice.person, source.name, choice.person_option)
     camera, orientation = source.intrinsics, choice.orientation or 0
@@ -383,6 +376,6 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRec
     give_back()
     times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
     return OneRecording(
-        *(source.name, people, info, warnings, times, people.skeletons),
+        *(source.name, people, sync, warnings, times, people.skeletons),
         *(choice.person, choice.person_option, camera, orientation),
     )

@@ -1,6 +1,7 @@
 """What a session shows beside its frames: images, and people who are not followed.
 
-Of two recordings, or none; :mod:`recordings.file.stored_images` has a file's.
+None here; :mod:`recordings.fusing.recording_images` has those of two recordings,
+:mod:`recordings.file.stored_images` a session file's.
 """
 
 from collections.abc import Callable, Iterator
@@ -9,12 +10,8 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.depth.image_thinning import Depth
 from devices.sensor import ColorImage
-from devices.two_recordings import TwoRecordings
 from fusion.body import Body
-from fusion.large_arrays import parts
-from fusion.progress import Progress, quietly
 
 T = TypeVar("T")
 
@@ -64,43 +61,6 @@ def drawn_bones(body: Body, positions: NDArray[np.floating]) -> NDArray[np.float
     along = positions[:, body.parent_indices[body.bone_joints]] - ends
     known = np.isfinite(along).all(axis=2)
     return np.stack((ends[known], along[known]), axis=1).astype(np.float32, copy=False)
-
-
-class RecordingImages(SessionImages):
-    """The depth images of two recordings, thinned, and the people who are not followed."""
-
-    def __init__(self, read: TwoRecordings, depth: Depth, progress: Progress = quietly) -> None:
-        self._read, self._depth, self._progress = read, depth, progress
-
-    def depth(self, side: str, frames: range) -> Images[NDArray[np.uint16]]:
-        """Reads the recording in a separate pass."""
-
-        def made() -> Iterator[tuple[int, NDArray[np.uint16]]]:
-            images = self._read.depth_images(side, self._depth, self._progress)
-            return ((k, image) for k, image in images if k in frames)
-
-        return Images(made)
-
-    def others(self, side: str, frames: range) -> Images[NDArray[np.float32]]:
-        """Those of the recording."""
-        k = "ab".index(side)
-        people = self._read.others[k]
-        if people is None:
-            return Images()
-
-        def made() -> Iterator[tuple[int, NDArray[np.float32]]]:
-            of_frame = self._read.pairing.pairs.skeletons.frames[:, k]
-            shown = False
-            for part in parts(len(frames)):
-                here = np.arange(frames[part.start], frames[part.stop - 1] + 1)
-                here = here[of_frame[here] >= 0]
-                first, end = (np.searchsorted(people.frame, of_frame[here] + of) for of in (0, 1))
-                for number, begin, stop in zip(here.tolist(), first.tolist(), end.tolist(), strict=True):
-                    if shown or begin < stop:
-                        yield number, drawn_bones(people.body, people.skeletons.positions[begin:stop])
-                    shown = begin < stop
-
-        return Images(made)
 
 
 NO_IMAGES = SessionImages()

@@ -16,7 +16,7 @@ from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, with_depth, without_images
 from devices.events import Event
 from devices.following import PersonOfPair
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair
 from devices.sensor import Sensor
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration

@@ -21,15 +21,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from devices.events import Event
+from devices.frame_pairs import FramePair, RecordedPairs
 from devices.output_file import whole_file
-from devices.pairing import FramePair, RecordedPairs
-from devices.skeletons.name_tables import name_table
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.large_arrays import GrowingArray
@@ -38,15 +37,15 @@ from fusion.setup import FuserSettings, FusionSetup
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.export import Names, Table, writer_for
-from recordings.export.tables import arrow_table, units_of
 from recordings.file.session_reader import read_session
 from recordings.images import NO_IMAGES, SessionImages
 from recordings.session_arrays import SessionArrays, SessionFrame, SessionFrames
 from recordings.session_series import SessionSeries
-from recordings.truth_comparison import TruthComparison
-from recordings.truth_files import read_truth
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
+
+if TYPE_CHECKING:
+    from recordings.truth_comparison import TruthComparison
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -197,11 +196,17 @@ class Session(SessionSeries):
             RecordingError: The file cannot be read, or does not show the same movement.
             DeviceError: There is no such table of names.
         """
+        from devices.skeletons.name_tables import name_table
+        from recordings.truth_comparison import TruthComparison
+        from recordings.truth_files import read_truth
+
         table = None if names is None else name_table(names)
         return TruthComparison.of(self, read_truth(Path(path)), table, offset)
 
     def to_arrow(self, table: Table = "wide") -> Any:
         """The ``pyarrow.Table`` of :meth:`export`; a column's metadata has its ``unit``."""
+        from recordings.export.tables import arrow_table
+
         return arrow_table(self, table)
 
     def to_pandas(self, table: Table = "wide") -> Any:
@@ -210,6 +215,8 @@ class Session(SessionSeries):
         Raises:
             RecordingError: pandas is not installed.
         """
+        from recordings.export.tables import arrow_table, units_of
+
         made = arrow_table(self, table)
         try:
             frame = made.to_pandas()

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.stream_pairing import PairingFigures
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair, PairingFigures
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.facing.labels import DOUBT_STEPS

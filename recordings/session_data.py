@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.events import Event
-from devices.recorded_person import SeenPerson
+from devices.people import SeenPerson
 from devices.sensor import ColorImage
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration

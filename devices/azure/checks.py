@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 
 from devices.azure.pyk4a_access import load_sdk
-from devices.azure.tracking.body_tracker import INSTALL, TrackerSettings
+from devices.azure.tracking.body_tracker import INSTALL
 from devices.azure.tracking.native_library import load_library, loaded_file
+from devices.azure.tracking.settings import TrackerSettings
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.check import Check, failed
 from devices.sensor import DeviceError

@@ -25,7 +25,8 @@ from devices.azure.pyk4a_access import (
 )
 from devices.azure.pyk4a_internals import capsule_pointer, capture_pointer, image_of, log_added
 from devices.azure.settings import KinectSettings, sdk_configuration
-from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
+from devices.azure.tracking.body_tracker import BodyTracker
+from devices.azure.tracking.settings import TrackerSettings
 from devices.azure.tracking.tracker_queue import TrackerQueue
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause
@@ -85,6 +86,7 @@ class KinectSensor(LiveSensor):
     """One Azure Kinect with its body tracker."""
 
     settings: KinectSettings
+    tracked_by = "k4abt"
 
     def __init__(
         self,

@@ -18,7 +18,7 @@ import numpy as np
 
 from devices.azure.calibration import depth_intrinsics, depth_mode
 from devices.input_file import check_recording
-from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
+from devices.sensor import CableSync, ColorCamera, ColorImage, DeviceError, ImageRecording, SensorFrame
 from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
@@ -43,13 +43,8 @@ class MkvInfo:
     calibration_json: bytes  # the JSON that the sensor stores, for the SDK
 
 
-class MkvRecording(Sensor):
-    """A recording of an Azure Kinect: a :class:`~devices.sensor.Sensor` whose frames have no people.
-
-    Attributes:
-        warnings: Faults of a file that is still readable: cut off, damaged frames.
-        arrivals: Capture time and arrival of the frames given so far, where the file has arrivals.
-    """
+class MkvRecording(ImageRecording):
+    """A recording of an Azure Kinect."""
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -72,6 +67,10 @@ class MkvRecording(Sensor):
             self.__exit__()
             raise
         self.intrinsics, self._described = self.info.intrinsics, len(self.warnings)
+        self.duration_ns, self.interval_ns = self.info.duration_ns, self.info.interval_ns
+        serial = self.info.serial or "unknown"
+        self.sensor = f"{serial}, {self.info.depth_mode}, {self.info.sync_mode.lower()}"
+        self.sync = CableSync(self.info.sync_mode, self.info.subordinate_delay_ns)
         return self
 
     def __exit__(self, *exc_info: object) -> None:

@@ -64,6 +64,11 @@ class TrackedImages(SensorWrapper):
         self._news: deque[str] = deque()
 
     @property
+    def tracked_by(self) -> str:  # type: ignore[override]
+        """The tracker with its network."""
+        return f"blazepose {self.tracker.settings.network}"
+
+    @property
     def warnings(self) -> Sequence[str]:  # type: ignore[override]
         """The source's, and when another person was followed."""
         if not self._changes:

@@ -11,9 +11,9 @@ from devices.capture.causes import Cause
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_state import USUAL_LIMITS, Arrival, SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
-from devices.capture.stream_pairing import LivePairing, PairingFigures, Side
+from devices.capture.stream_pairing import LivePairing, Side
 from devices.events import Event
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair, PairingFigures
 from devices.sensor import LinkFigures, Sensor
 
 _POLL_S = 0.005  # latest delay of a pair that no longer waits for a partner

@@ -15,14 +15,14 @@ Pure: time is passed in, nothing waits.
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from statistics import median_low
 from typing import Literal
 
 from devices.capture.host_clock import OutputTime
 from devices.capture.incoming_stream import NEWEST_NS, PENDING, Arrived, IncomingStream
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair, PairingFigures
 from devices.sensor import SensorFrame
 from fusion.skeleton import SkeletonPair
 
@@ -32,31 +32,6 @@ _ONE_CLOCK_NS = 1_000_000  # own times of two frames on a cable that agree to so
 _AGREE_ENOUGH = 3  # of the newest frames of a sensor must agree
 PATIENCE_NS = 5_000_000
 """A frame waits this much longer than the partner's slowest frame of the last ten seconds took."""
-
-
-@dataclass(frozen=True)
-class PairingFigures:
-    """How pairing goes, counted since the start."""
-
-    pairs: int = 0  # frames of both sensors
-    alone_a: int = 0  # frames given without a partner
-    alone_b: int = 0
-    unmatched_b: int = 0  # frames of B without a partner that were left out
-    late: int = 0  # frames left out because their time had passed
-    repeated: int = 0  # frames left out because they had come before
-    reordered: int = 0  # frames that came after a later one, and were put in their place
-    resets: int = 0  # how often a sensor's clock started anew
-    skew_ns: int | None = None  # of the newest pair
-    offset_ns: int | None = None
-    """B's clock minus A's at the same moment, without the sync delay; None before both came."""
-    drift_ppm: float = 0.0  # by how many millionths B's clock runs faster than A's
-    dropped: tuple[int, int] = (0, 0)
-    """Frames of A and of B dropped before pairing because the program was too slow."""
-
-    @property
-    def unpaired(self) -> tuple[int, int]:
-        """Frames of A and of B without a partner."""
-        return self.alone_a, self.alone_b + self.unmatched_b
 
 
 class LivePairing:

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair
 from devices.sensor import SensorFrame
 from fusion.intrinsics import Intrinsics
 

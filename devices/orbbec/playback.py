@@ -13,25 +13,20 @@ from devices.input_file import check_recording
 from devices.orbbec.images import FrameReader, depth_image, infrared_image
 from devices.orbbec.sdk_access import context_of, faults_of, load_sdk
 from devices.orbbec.streams import intrinsics_of
-from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.sensor import DeviceError, ImageRecording, SensorFrame
 from fusion.body import BLAZEPOSE, Body
 from fusion.intrinsics import Intrinsics
 
-SUFFIX = ".bag"
 _WAIT_MS = 200
 _SILENT_S = 10.0  # of a recording that neither gives frames nor says that it has ended
 _ENDS = 5  # frames by which the last one may come before the end that the file states
 
 
-class OrbbecRecording(Sensor):
-    """A recording's depth and infrared images: a :class:`~devices.sensor.Sensor` without people.
+class OrbbecRecording(ImageRecording):
+    """A recording's depth and infrared images.
 
     The SDK plays at the pace of the recording and drops what is not taken in time; frames that are missing
     are counted in ``warnings``.
-
-    Attributes:
-        duration_ns: How long it is, as the file says; 0 before opening.
-        interval_ns: Time between two frames; 0 before opening.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:

@@ -16,11 +16,10 @@ from devices.capture.settings import CaptureSettings
 from devices.input_file import check_recording, open_input
 from devices.realsense.images import FrameReader, Streams, choose_streams, intrinsics_of
 from devices.realsense.sdk_access import is_connected, load_sdk, open_realsense, set_sync_role
-from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.sensor import DeviceError, ImageRecording, SensorFrame
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 
-SUFFIX = ".db3"
 _QUEUE = 16  # frames, of two streams
 _CONNECTIONS = 1 << 20  # bytes, which hold them all
 _WAIT_S, _SILENT_S = 0.2, 10.0
@@ -114,15 +113,11 @@ class RealSenseSensor(LiveSensor):
         return self._opened[2].frame_of(moment, moment.host_ns)
 
 
-class RealSenseRecording(Sensor):
-    """A recording's depth and infrared or colour: a :class:`~devices.sensor.Sensor` without people.
+class RealSenseRecording(ImageRecording):
+    """A recording's depth and infrared or colour.
 
     It is read as fast as its frames are taken; none is dropped. The library plays a damaged file to its first
     fault; a warning then says what is missing.
-
-    Attributes:
-        duration_ns: How long it is, as the file says; 0 before opening.
-        interval_ns: Time between two frames; 0 before opening.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from devices.arrow_numbers import numbers_of
 from devices.input_file import open_input
 from fusion.large_arrays import GrowingArray, give_back
 from recordings import layout
@@ -284,7 +285,7 @@ def _take(
         for frame, _, row in _texts(batch):
             of_entity.append((frame or 0, {name: row[name] for name in components}))
         return
-    frames = np.asarray(batch.column(layout.FRAME).to_numpy(zero_copy_only=False))
+    frames = numbers_of(batch.column(layout.FRAME))
     if frames.dtype != np.int64:
         return
     for name, column in [*zip(names, batch.columns, strict=True)][1:]:
@@ -336,7 +337,7 @@ def _dense(column: pa.Array) -> NDArray[Any] | None:
     """
     shape = [len(column)]
     if pa.types.is_list(column.type) or pa.types.is_large_list(column.type):
-        lengths = np.diff(np.asarray(column.offsets))
+        lengths = np.diff(numbers_of(column.offsets))
         if column.null_count or not lengths.size or (lengths != lengths[0]).any():
             return None
         shape.append(int(lengths[0]))
@@ -344,11 +345,11 @@ def _dense(column: pa.Array) -> NDArray[Any] | None:
     while pa.types.is_fixed_size_list(column.type):
         shape.append(column.type.list_size)
         column = column.flatten()
-    if pa.types.is_duration(column.type):
+    if pa.types.is_temporal(column.type):
         column = column.view(pa.int64())
     if pa.types.is_dictionary(column.type):
         column = column.indices
     if column.null_count or not (pa.types.is_primitive(column.type)):
         return None
-    values = np.asarray(column.to_numpy(zero_copy_only=False))
+    values = numbers_of(column)
     return values.reshape(shape) if values.size == math.prod(shape) else None

@@ -97,7 +97,7 @@ class FileImages(SessionImages):
 
 def _checked_others(batch: pa.RecordBatch, k: int, frame: int) -> tuple[NDArray[np.float32], bool]:
     parts = (batch.column(f"Arrows3D:{of}")[k].values for of in ("origins", "vectors"))
-    bones = np.stack([part.flatten().to_numpy().reshape(-1, 3) for part in parts], axis=1)
+    bones = np.stack([np.from_dlpack(part.flatten()).reshape(-1, 3) for part in parts], axis=1)
     return bones, batch.column("crc32")[k].as_py() == [image_checksum(frame, bones.tobytes())]
 
 
@@ -124,5 +124,4 @@ def _decoded_color(raw: tuple[bytes, NDArray[np.float64]]) -> ColorImage:
 
 
 def _bytes(batch: pa.RecordBatch, component: str, k: int) -> bytes:
-    blob: bytes = batch.column(component)[k].values[0].values.to_numpy().tobytes()
-    return blob
+    return np.from_dlpack(batch.column(component)[k].values[0].values).tobytes()

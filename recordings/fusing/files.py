@@ -32,8 +32,9 @@ from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import checked_joints
 from recordings.errors import RecordingError, UnknownNameError
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
+from recordings.fusing.recording_images import RecordingImages
 from recordings.fusing.view_events import watch
-from recordings.images import RecordingImages, SessionImages
+from recordings.images import SessionImages
 from recordings.session_arrays import SessionFrames
 
 _UNRELATED = 0.2  # metres

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.events import Event
-from devices.pairing import FramePair, RecordedPairs
+from devices.frame_pairs import FramePair, RecordedPairs
 from fusion.facing.labels import Labels
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics

@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from devices.capture.stream_pairing import PairingFigures
+from devices.frame_pairs import PairingFigures
 from fusion.body import Body
 from fusion.setup import FusionSetup
 from recordings import layout

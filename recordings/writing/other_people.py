@@ -9,7 +9,7 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair
 from recordings import layout
 from recordings.images import drawn_bones
 from recordings.writing.arrow_columns import Column, Times, own_values

@@ -11,7 +11,7 @@ from devices.blazepose.grey_image import compressed
 from devices.depth.image_thinning import has_image
 from devices.depth.point_cloud import depth_to_points, ray_table
 from devices.depth.rvl import MEDIA_TYPE, encode_depth
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair
 from devices.sensor import ColorCamera, ColorImage
 from fusion.intrinsics import Intrinsics
 from fusion.setup import FusionSetup

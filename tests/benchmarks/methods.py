@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.pairing import RecordedPairs
+from devices.frame_pairs import RecordedPairs
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.estimator.constants import Constants

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.pairing import RecordedPairs
+from devices.frame_pairs import RecordedPairs
 from devices.two_recordings import RecordingChoice, read_two
 from fusion.pair_arrays import Pairs
 from fusion.plan import plan_recording

@@ -16,7 +16,7 @@ import numpy as np
 
 from devices import people_tracks
 from devices.following import PersonOfPair
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair
 from devices.simulated.demonstration import good_rig, therapist
 from devices.simulated.kinect import simulated_pair
 from fusion.body import BODIES, KINECT_V1, KINECT_V2

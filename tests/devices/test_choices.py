@@ -11,7 +11,7 @@ from devices import live_sensors
 from devices.azure import checks
 from devices.azure.kinect import KinectSensor
 from devices.azure.settings import KinectSettings
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.settings import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.capture_stream import LiveSensor
@@ -20,7 +20,7 @@ from devices.files import images_of
 from devices.live_sensors import connected_sensors
 from devices.raw_recording import camera_of
 from devices.sensor import DeviceError, Sensor
-from devices.tracker_choice import TrackerChoice, choose_tracker, tracker_name
+from devices.tracker_choice import TrackerChoice, choose_tracker
 from devices.upright import UprightSensor
 from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.standin_pyk4a import Device
@@ -86,8 +86,8 @@ def test_the_programs_tracker_takes_images_of_other_sensors():
 
 def test_the_name_is_that_of_the_sensors_tracker():
     kinect = KinectSensor("000123", track=False)
-    assert tracker_name(TrackedImages(kinect, BlazePoseSettings(network="lite"))) == "blazepose lite"
-    assert tracker_name(KinectSensor("000123")) == "k4abt"
+    assert TrackedImages(kinect, BlazePoseSettings(network="lite")).tracked_by == "blazepose lite"
+    assert KinectSensor("000123").tracked_by == "k4abt"
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_a_sensor_on_its_side_is_made_upright_before_the_own_tracker_and_after_m
     assert isinstance(camera_of(sensor), LiveSensor)
     assert images_of(sensor) is camera_of(sensor)
     assert turned.source is camera_of(sensor)
-    assert tracker_name(sensor) == tracker.full_name
+    assert sensor.tracked_by == tracker.full_name
     if tracker is MICROSOFTS:
         assert turned.source._tracker.settings.orientation == 270
 

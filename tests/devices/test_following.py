@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from devices.association import Registered
 from devices.following import PersonOfPair, _Search, one_person
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair
 from devices.room import Seen
 from devices.sensor import SensorFrame
 from devices.simulated.demonstration import therapist

@@ -19,9 +19,9 @@ from unittest import mock
 import numpy as np
 
 from devices.capture.sensor_pair import TwoSensors
-from devices.capture.stream_pairing import PairingFigures
 from devices.depth import witness as depth_witness
 from devices.depth.rvl import encode_depth
+from devices.frame_pairs import PairingFigures
 from devices.real_time import paced_together
 from devices.simulated.kinect import simulated_pair
 from fusion.body import AZURE_KINECT

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from devices.pairing import FramePair, pair_views
+from devices.frame_pairs import FramePair
+from devices.pairing import pair_views
 from devices.people import RecordedPeople
 from devices.sensor import SensorFrame
 from fusion.skeleton import Skeleton, SkeletonPair

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from rich.markup import escape
 from rich.table import Table
 
-from devices.azure.mkv import MkvInfo, MkvRecording
-from devices.files import has_images, open_images
+from devices.files import has_images, open_images, recorded_at
 from devices.input_file import check_recording, open_input
 from devices.sensor import DeviceError
 from devices.skeletons.border import METRES, ReadFile
@@ -191,14 +190,12 @@ def _of_times(time_ns: NDArray[np.int64]) -> Rows:
 def _of_images(path: Path) -> Rows:
     with open_images(path) as recording:
         camera = recording.intrinsics
-        info = recording.info if isinstance(recording, MkvRecording) else recording
-        assert info is not None
-        if isinstance(info, MkvInfo):
-            yield "sensor", f"{info.serial or 'unknown'}, {info.depth_mode}, {info.sync_mode.lower()}"
-            yield "recorded", info.recorded or "the file does not say when"
+        if recording.sensor:
+            yield "sensor", recording.sensor
+            yield "recorded", recorded_at(path) or "the file does not say when"
         if camera is not None:
             yield "depth", f"{camera.width} × {camera.height} pixels, focal length {camera.fx:.0f} pixels"
-        seconds, rate = info.duration_ns * 1e-9, 1e9 / info.interval_ns
+        seconds, rate = recording.duration_ns * 1e-9, 1e9 / recording.interval_ns
         yield "frames", f"{1 + seconds * rate:.0f} in {seconds:.2f} s, {rate:.3g} per second"
         yield "people", "found by a body tracker while the file is fused"
         for k, line in enumerate(recording.warnings):

@@ -15,7 +15,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from devices.recorded_person import SeenPerson
+from devices.people import SeenPerson
 from recordings.appearance.colors import MARK_COLORS, PROMINENT_BONES
 from recordings.appearance.joint_trust import TrustColors
 from recordings.frame_noise import frame_noise_of

@@ -12,7 +12,6 @@ import rerun.blueprint as rrb
 from rich.console import Console
 
 from devices.capture.sensor_pair import TwoSensors
-from devices.tracker_choice import tracker_name
 from fusion.setup import FusionSetup
 from recordings.quality.figures import Figures, fusion_figures, with_verdict
 from recordings.session import Session
@@ -93,7 +92,7 @@ class Runner:
                 reframed=shown if reframes else None,
                 others=self._outputs,
                 about={"recorded": datetime.now(UTC).isoformat(timespec="seconds")}
-                | ({"tracker": tracker_name(a)} if tracker_name(a) else {}),
+                | ({"tracker": a.tracked_by} if a.tracked_by else {}),
             )
         )
         self.viewing.announce(console)

@@ -9,7 +9,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
-from devices.azure.mkv import MkvInfo, MkvRecording
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.host_clock import ONE_RUN_NS
 from devices.capture.sensor_pair import TwoSensors
@@ -20,7 +19,7 @@ from devices.live_sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
 from devices.raw_recording import RawRecorder, camera_of, record_images
 from devices.real_time import Beat, PacedSensor
-from devices.sensor import Sensor
+from devices.sensor import CableSync, Sensor
 from devices.two_recordings import cable_delay_ns, refuse_same
 from devices.upright import upright
 from viewer_app.errors import UsageError
@@ -139,18 +138,17 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
     refuse_same(*paths)
     tracker = tracker_of(options).for_images_of(not_of_libk4a(*paths))
     announce_tracker(tracker, console)
-    infos: list[MkvInfo | None] = []
+    syncs: list[CableSync | None] = []
     intervals: list[int] = []
     arrivals: list[int] = []  # of the first frames, where they were recorded
     for path in paths:
         with open_images(path) as images:
-            info = images.info if isinstance(images, MkvRecording) else None
-            infos.append(info)
-            intervals.append((info or images).interval_ns)  # type: ignore[union-attr]
-            if isinstance(images, MkvRecording):
+            syncs.append(images.sync)
+            intervals.append(images.interval_ns)
+            if images.sync is not None:
                 arrivals += filter(None, [next(images.frames()).host_ns])
     one_run = len(arrivals) == 2 and abs(arrivals[1] - arrivals[0]) < ONE_RUN_NS
-    delay_ns = cable_delay_ns(*infos)
+    delay_ns = cable_delay_ns(*syncs)
     decimation = decimation_of(tracker, 1e9 / min(intervals))
     on_cable = delay_ns is not None and len(arrivals) < 2
     beat = Beat(2, common="arrival" if one_run else "capture" if on_cable else None)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.settings import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import TrackerOptions

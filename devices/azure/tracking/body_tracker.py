@@ -7,15 +7,13 @@ pyk4a (``devices.azure.kinect``); for a recording they are made from its images
 
 import ctypes
 from ctypes import POINTER, byref, c_char_p, c_float, c_int, c_int32, c_uint32, c_uint64, c_void_p
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from devices.azure.tracking.native_library import Prototypes, declare, load_library
+from devices.azure.tracking.settings import TrackerSettings
 from devices.capture.causes import Cause
-from devices.sensor import DeviceError, Orientation, SensorFrame
+from devices.sensor import DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton, TrackingState
 
@@ -33,19 +31,6 @@ _JOINT = np.dtype([("position", "<f4", 3), ("orientation", "<f4", 4), ("confiden
 _STATES = np.array(
     [TrackingState.NOT_TRACKED, TrackingState.INFERRED, *[TrackingState.TRACKED] * 2], np.uint8
 )
-
-
-@dataclass(frozen=True)
-class TrackerSettings:
-    """Settings of the body tracker."""
-
-    processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
-    """Where the network runs. On a CPU it processes about one frame per second."""
-    orientation: Orientation = 0  # of the sensor, whose frame stays its own
-    library: Path | None = None  # file of libk4abt; found by the system if None
-    timeout_s: float = 5.0
-    """Longest time for one frame. The first frame may take ten times as long, because the network is
-    loaded."""
 
 
 class _Configuration(ctypes.Structure):

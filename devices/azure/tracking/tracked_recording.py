@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Self
 
 from devices.azure.mkv import MkvRecording
-from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
+from devices.azure.tracking.body_tracker import BodyTracker
 from devices.azure.tracking.recorded_captures import CaptureMaker
+from devices.azure.tracking.settings import TrackerSettings
 from devices.azure.tracking.tracker_queue import TrackerQueue
 from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
 from fusion.body import Body

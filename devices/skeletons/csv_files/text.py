@@ -15,6 +15,7 @@ import pyarrow.compute as pc
 import pyarrow.csv
 from numpy.typing import NDArray
 
+from devices.arrow_numbers import numbers_of
 from devices.sensor import DeviceError
 from devices.skeletons.csv_files.columns import COLUMNS, Columns, columns_of, header_of
 from devices.skeletons.read_file import text_blocks
@@ -82,7 +83,7 @@ class TextRows:
         """A column as numbers; an empty coordinate is NaN."""
         text = self.table[column]
         with suppress(pa.ArrowInvalid):
-            found = np.asarray(pc.cast(text, kind).to_numpy())
+            found = numbers_of(pc.cast(text, kind))
             self.decimals.note(text)
             return found
         text = pc.utf8_trim_whitespace(text)
@@ -94,7 +95,7 @@ class TextRows:
         else:
             text = pc.replace_substring_regex(text, r"^([0-9]+)\.0*$", r"\1")  # as pandas writes times
         try:
-            return np.asarray(pc.cast(text, kind).to_numpy())
+            return numbers_of(pc.cast(text, kind))
         except pa.ArrowInvalid:
             for row, value in enumerate(text.to_pylist()):
                 try:
@@ -212,7 +213,7 @@ def codes(table: pa.Table, column: str) -> tuple[list[str], NDArray[np.int64]]:
     encoded = table[column].combine_chunks().dictionary_encode()
     if pc.utf8_trim_whitespace(encoded.dictionary) != encoded.dictionary:
         encoded = pc.utf8_trim_whitespace(table[column]).combine_chunks().dictionary_encode()
-    return encoded.dictionary.to_pylist(), np.asarray(encoded.indices.to_numpy(), dtype=np.int64)
+    return encoded.dictionary.to_pylist(), numbers_of(encoded.indices).astype(np.int64)
 
 
 def refuse_cut_off(text: TextRows, before: pa.Table | None, times: NDArray[Any]) -> None:
@@ -235,7 +236,7 @@ def refuse_cut_off(text: TextRows, before: pa.Table | None, times: NDArray[Any])
     name = text.table.column_names[-1]
     table = text.table if before is None else pa.concat_tables([before, text.table])
     last = table[name]
-    decimals = pc.utf8_length(pc.replace_substring_regex(last, r"^[^.]*\.?", "")).to_numpy()
+    decimals = numbers_of(pc.utf8_length(pc.replace_substring_regex(last, r"^[^.]*\.?", "")))
     if (
         (len(rows) > 1 and rows[-1] < rows[-2])
         or (name in "xyz" and decimals[-1] < decimals.max())

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
+from devices.azure.tracking.body_tracker import BodyTracker
 from devices.azure.tracking.recorded_captures import CaptureMaker
+from devices.azure.tracking.settings import TrackerSettings
 from devices.azure.tracking.tracker_queue import TrackerQueue
 from devices.sensor import DeviceError, SensorFrame
 from fusion.skeleton import TrackingState

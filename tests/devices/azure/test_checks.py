@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from devices.azure import pyk4a_access
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.settings import TrackerSettings
 from devices.blazepose.checks import networks_check
 from devices.blazepose.settings import BlazePoseSettings
 from devices.capture.usb import permission_check, usb_kinects

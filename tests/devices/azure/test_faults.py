@@ -10,7 +10,8 @@ from devices.azure import pyk4a_access
 from devices.azure.kinect import KinectSensor
 from devices.azure.pyk4a_access import connected_kinects
 from devices.azure.settings import KinectSettings
-from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
+from devices.azure.tracking.body_tracker import BodyTracker
+from devices.azure.tracking.settings import TrackerSettings
 from devices.capture.sensor_choice import choose_two
 from devices.capture.usb import usb_kinects
 from devices.live_sensors import connected_sensors

@@ -16,7 +16,7 @@ from devices.azure.kinect import KinectSensor
 from devices.azure.pyk4a_access import connected_kinects
 from devices.azure.pyk4a_internals import capsule_pointer, loaded_libk4a
 from devices.azure.settings import KinectSettings
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.settings import TrackerSettings
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.sensor_thread import SensorThread
 from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from devices.azure.mkv import MkvRecording
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.settings import TrackerSettings
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.file_sensor import SkeletonRecording

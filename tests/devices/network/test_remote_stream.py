@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from devices.capture.stream_pairing import LivePairing
+from devices.frame_pairs import FramePair
 from devices.network import remote_stream
 from devices.network.messages import ClockMessage, FrameMessage, SensorMessage, encode_clock, encode_frame
 from devices.network.remote_stream import RemoteClock, RemoteStream
-from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import AZURE_KINECT
 from tests.helpers.network import arrivals

@@ -12,7 +12,7 @@ import pytest
 
 from devices.depth import witness as depth_witness
 from devices.events import Event
-from devices.pairing import FramePair
+from devices.frame_pairs import FramePair
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
 from fusion.body import KINECT_V1
