@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
 
@@ -26,6 +25,8 @@ class JointPath:
     """Joints over time, interpolated by cubic splines over short gaps only."""
 
     def __init__(self, joints: Joints) -> None:
+        from scipy.interpolate import CubicSpline
+
         self.seconds, self._shape = joints.seconds, joints.positions.shape[1:]
         longest = max(_LONGEST_GAP, 2.5 * float(np.median(np.diff(joints.seconds))))
         self._splines: dict[int, tuple[Array, Any, NDArray[np.bool_]]] = {}

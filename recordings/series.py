@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from recordings.errors import UnknownNameError
 from recordings.session_data import read_only
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 
 class _Series:
@@ -103,7 +105,7 @@ class AngleSeries(_Series, Mapping[str, NDArray[np.float64]]):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RotationSeries(_Series, Mapping[str, Rotation]):
+class RotationSeries(_Series, Mapping[str, "Rotation"]):
     """Rotations of the bones of S* over T frames, in K_A's frame; see :mod:`fusion.joint_rotations`.
 
     A mapping: ``rotations["KneeRight"]`` is the scipy ``Rotation`` (T,) of the bone that ends in this joint,
@@ -123,9 +125,13 @@ class RotationSeries(_Series, Mapping[str, Rotation]):
     @property
     def body(self) -> Rotation:
         """(T,) the rotation of the whole body, which is the pelvis'."""
+        from scipy.spatial.transform import Rotation
+
         return Rotation.from_quat(self.quaternions[:, self.of_body.root])
 
     def __getitem__(self, joint: str) -> Rotation:
+        from scipy.spatial.transform import Rotation
+
         found = self.of_body.find(joint)
         if found is None:
             raise UnknownNameError("joint", joint, self.of_body.joints)

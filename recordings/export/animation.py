@@ -13,7 +13,6 @@ T-pose faces +z.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,13 +25,13 @@ from fusion.joint_rotations import JointRotations, joint_bones
 from fusion.large_arrays import PART
 from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
+from recordings.export import Names
 from recordings.export.even_frames import even_moments, y_up, y_up_rotations
 from recordings.interpolation import positions_at
 from recordings.session_series import SessionSeries
 
 Array = NDArray[np.float64]
 _SAME_M = 1e-4  # metres: differences by rounding, added up along the bones
-Names = Literal["body", "humanoid", "mixamo"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from recordings.export.animation import Animation, Names, Node
+from recordings.export import Names
+from recordings.export.animation import Animation, Node
 from recordings.session_series import SessionSeries
 
 _CM = 100.0

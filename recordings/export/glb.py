@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from recordings.appearance.body_shape import capsule_lengths, capsule_radii, parents
 from recordings.appearance.colors import SKELETON_COLORS
 from recordings.errors import RecordingError
-from recordings.export.animation import Animation, Names
+from recordings.export import Names
+from recordings.export.animation import Animation
 from recordings.session_series import SessionSeries
 
 _AROUND, _ALONG = 16, 4  # faces around a capsule, and from its rim to its tip

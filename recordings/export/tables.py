@@ -6,7 +6,6 @@ Each writer returns a description of what was written.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pyarrow as pa
@@ -15,11 +14,11 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from recordings.errors import UnknownNameError
+from recordings.export import Table
 from recordings.gait import SIDES, Step
 from recordings.session_arrays import SessionArrays
 from recordings.session_series import SessionSeries
 
-Table = Literal["long", "wide"]
 """One row per joint, skeleton and frame, or one per frame."""
 _STATES = np.array(["not_tracked", "inferred", "tracked"])
 _FUSED_STATES = np.array(["fused", "predicted", "never_seen"])

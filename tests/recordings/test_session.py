@@ -297,6 +297,24 @@ def test_a_part_of_the_package_does_not_wait_for_sessions():
         recordings.Sessions  # noqa: B018
 
 
+@pytest.mark.parametrize(
+    ("statement", "without"),
+    [
+        ("from recordings import Session", {"scipy.spatial", "scipy.interpolate", "pandas", "rerun", "cv2"}),
+        ("from recordings import fuse", {"scipy.spatial", "scipy.interpolate", "pandas", "rerun", "cv2"}),
+    ],
+)
+def test_reading_sessions_and_files_loads_no_vendor_and_no_large_package(statement, without):
+    program = f"{statement}; import sys; print(*sys.modules)"
+    loaded = python("-c", program).stdout.split()
+    assert not without & set(loaded)
+    vendors = {"orbbec", "realsense", "freenect", "freenect2", "simulated", "network", "live_sensors"}
+    own = [name for name in loaded if name.startswith("devices.")]
+    assert not [name for name in own if name.split(".")[1] in vendors]
+    if statement.endswith("Session"):
+        assert len(own) <= 12
+
+
 @pytest.mark.parametrize("package", ["fusion", "devices", "recordings", "viewer_app"])
 def test_type_checkers_are_told_that_there_are_types(package):
     assert (files(package) / "py.typed").is_file()

@@ -44,7 +44,8 @@ def test_what_this_program_exports_is_read(fused_run, tmp_path, name, table):
     unit = 1.0 if name.endswith(".csv") else 1e-3  # metres, but in axes of the format
     apart, expected = (np.linalg.norm(at[:, 1:] - at[:, :-1], axis=2) for at in (read.points, session.fused))
     known = np.isfinite(apart).all(axis=1)
-    assert 37 <= known.sum() <= 39  # an even rate leaves out the frames beside the gap
+    most = 40 if name.endswith(".trc") else 39  # which interpolates over a gap of one frame
+    assert 37 <= known.sum() <= most  # an even rate leaves out the frames beside the gap
     assert not known[20]
     np.testing.assert_allclose(unit * apart[known], expected[known], atol=1e-5)
 

@@ -32,11 +32,9 @@ from viewer_app.options.shared import calibration_source
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, output_file, save_report, write_text
 from viewer_app.report.good_part import good_frames_of
-from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
-from viewer_app.viewer.file_window import served, write_for_viewer, written_and_shown
 from viewer_app.viewer.viewer_choice import FileWindow, choose_viewing
 
 
@@ -80,6 +78,12 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
             written = export(kept, hidden)
         console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)
     hub, window = viewing.hub, isinstance(viewing, FileWindow)
+    if options.save is None and not window and hub is None:
+        _summarise(console, options, session, figures)
+        viewing.announce(console)
+        return session, figures
+    from viewer_app.report.session_page import session_page
+    from viewer_app.viewer.file_window import served, write_for_viewer, written_and_shown
 
     def write(path: Path) -> int:
         page = session_page(kept.last_setup, figures, about)

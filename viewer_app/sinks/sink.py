@@ -1,13 +1,17 @@
 """The contract of the outputs of a loop: viewer, file, network."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from devices.events import Event
 from fusion.setup import FusionSetup
-from recordings.appearance.coach_page import CoachPage
 from recordings.session_arrays import SessionFrame
+
+if TYPE_CHECKING:
+    from recordings.appearance.coach_page import CoachPage
 
 
 class Sink:
