@@ -49,7 +49,7 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
             f"90°) each sees what the other cannot. Move them {way} round the person.",
             "WARN",
             label=f"A and B look {beside(angle, low, high)}° apart",
-            step=f"move B {towards} A, round you, to 90°",
+            step=f"carry B {towards} A, round you, to 90°",
             why=f"Only {angle:.0f}° apart" if angle < low else f"{angle:.0f}° apart",
         )
     yield verdict(calibration)
@@ -80,7 +80,7 @@ def verdict(calibration: Calibration) -> Advice:
     frames = "of one frame" if registration.frames == 1 else f"median of {registration.frames} frames"
     begins = "Provisional calibration" if calibration.provisional else "Calibration"
     asks = not calibration.provisional and (word == "poor" or uncertain > CERTAIN_TURN_DEG)
-    label = f"the views differ by {apart:.0f} mm" if word == "poor" else "A and B were seen in one pose only"
+    label = f"the views differ by {apart:.0f} mm" if word == "poor" else "you were seen in one pose only"
     return Advice(
         "calibration",
         f"{begins} {word}: the views differ by {beside(apart, GOOD, USABLE)} mm ({frames}; good below "

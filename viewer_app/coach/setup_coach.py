@@ -274,12 +274,12 @@ class Coach:
                 continue
             yield from self._distance(side, skeleton, self.intrinsics[k])
             if self._mirrored(k):
-                step = "turn mirroring off in {who}"
-                text = f"Sensor {side} gives the mirror image of a person. Turn its mirroring off."
+                step = "turn mirroring off in the driver of {who}"
+                text = f"Sensor {side} gives the mirror image of a person. Turn mirroring off in its driver."
                 yield _problem("mirrored", side, text, "mirror image", step, "Mirror image")
             if self._share(k, time, "feet_gone") > MOST:
-                text = f"Sensor {side} does not see both feet. Step back, or tilt the sensor down."
-                step = "step back, or tilt {who} down"
+                text = f"Sensor {side} does not see both feet. Tilt it down, or step back."
+                step = "tilt {who} down, or step back"
                 yield _problem("feet", side, text, "feet out of view", step, "Feet out of view")
             elif self._share(k, time, "cut_off") > MOST:
                 yield _remark("whole", side, "a part of you out of view", "step towards the ring")

@@ -98,7 +98,7 @@ def test_feet_that_are_hidden_or_outside_the_image_are_noticed(lost):
     lowered = standing(BODY) + [0.0, 1.2, 0.0]
     said = watched(lost_feet=("LEFT", "RIGHT")) if lost == "states" else watched(lowered)
     assert {"feet A", "feet B"} <= wrong(said)
-    assert said["feet A"].text == "Sensor A does not see both feet. Step back, or tilt the sensor down."
+    assert said["feet A"].text == "Sensor A does not see both feet. Tilt it down, or step back."
 
 
 def test_a_foot_behind_the_other_leg_is_no_fault_of_the_placement():
