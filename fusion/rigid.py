@@ -87,3 +87,33 @@ def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
         turned = longest * (-1.0 if longest @ axis < 0.0 else 1.0)
         return np.asarray(np.arctan2(sine, cosine) / np.linalg.norm(turned) * turned)
     return axis if sine == 0.0 else np.asarray(np.arctan2(sine, cosine) / sine * axis)
+
+
+def through_quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3, 3) the same rotation by way of its unit quaternion, which takes rounding errors away.
+
+    The operations are those of scipy's ``Rotation.from_matrix(…).as_matrix()``, bit for bit, on which the
+    calibrations of the paper's methods depend.
+    """
+    R = rotation
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    largest = int(np.argmax([R[0, 0], R[1, 1], R[2, 2], trace]))
+    q = np.empty(4)
+    if largest == 3:
+        q[:] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], 1.0 + trace
+    else:
+        i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
+        q[i] = 1.0 - trace + 2.0 * R[i, i]
+        q[j], q[k], q[3] = R[j, i] + R[i, j], R[k, i] + R[i, k], R[k, j] - R[j, k]
+    x, y, z, w = q
+    x, y, z, w = q / np.sqrt(x * x + y * y + z * z + w * w)
+    xx, yy, zz, ww, xy, zw, xz, yw, yz, xw = (
+        x * x, y * y, z * z, w * w, x * y, z * w, x * z, y * w, y * z, x * w
+    )  # fmt: skip
+    return np.array(
+        [
+            [xx - yy - zz + ww, 2.0 * (xy - zw), 2.0 * (xz + yw)],
+            [2.0 * (xy + zw), -xx + yy - zz + ww, 2.0 * (yz - xw)],
+            [2.0 * (xz - yw), 2.0 * (yz + xw), -xx - yy + zz + ww],
+        ]
+    )

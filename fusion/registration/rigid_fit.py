@@ -18,7 +18,7 @@ from fusion.registration.lasting_errors import (
     opposition,
     turned_apart,
 )
-from fusion.rigid import RigidTransform
+from fusion.rigid import RigidTransform, through_quaternion
 from fusion.skeleton import SkeletonPair
 
 LARGEST_RESIDUAL = 0.300
@@ -64,7 +64,7 @@ def fit_rigid(points_a: Array, points_b: Array, weights: Array | None = None) ->
     a = points_a - centre_a if weights is None else weights[:, None] * (points_a - centre_a)
     U, _, Vt = np.linalg.svd(a.T @ (points_b - centre_b))
     U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
-    R = U @ Vt
+    R = through_quaternion(U @ Vt)
     return RigidTransform.of(R, centre_a - R @ centre_b)
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from devices.association import Followed
 from devices.people import RecordedPeople
+from devices.recorded_person import _seen_people
 from devices.sensor import DeviceError, SensorFrame
-from devices.two_recordings import _seen_people
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton
 

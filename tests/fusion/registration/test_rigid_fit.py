@@ -9,7 +9,7 @@ from fusion.errors import CalibrationError, FusionError
 from fusion.registration.keyframes import evidence_of
 from fusion.registration.lasting_errors import COMMON_SD, FrontalTurn, opposition, turned_back
 from fusion.registration.rigid_fit import fit_recording, fit_rigid, register
-from fusion.rigid import RigidTransform, rotation_of, rotation_vector
+from fusion.rigid import RigidTransform, rotation_of, rotation_vector, through_quaternion
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, moving, pair_of, standing
 
@@ -43,6 +43,7 @@ def test_rotations_about_vectors_are_scipys(axis, angle):
     np.testing.assert_allclose(R, Rotation.from_rotvec(vector).as_matrix(), atol=1e-12)
     np.testing.assert_allclose(rotation_of(rotation_vector(R)), R, atol=1e-9)
     np.testing.assert_array_equal(rotation_of([vector, vector]), [R, R])
+    np.testing.assert_array_equal(through_quaternion(R), Rotation.from_matrix(R).as_matrix())
     if angle < np.pi - 1e-3:
         np.testing.assert_allclose(rotation_vector(R), vector, atol=1e-9)
 

@@ -17,7 +17,6 @@ from tests.helpers.machine import small_disk
 from tests.helpers.programs import python
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
 from tests.helpers.two_views import A_FROM_B, moving
-from viewer_app.commands import fuse as fuse_command
 from viewer_app.errors import UsageError
 from viewer_app.viewer import file_window
 
@@ -236,7 +235,7 @@ def test_a_window_opens_on_the_whole_session_which_is_gone_afterwards(recordings
 def test_a_browser_is_served_the_whole_session(recordings, monkeypatch, capsys):
     served = []
     monkeypatch.setattr(
-        fuse_command, "served", lambda path, _: nullcontext(served.append(len(Session.open(path))))
+        file_window, "served", lambda path, _: nullcontext(served.append(len(Session.open(path))))
     )
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.WebPage.stay", lambda *_: None)
     monkeypatch.setattr("viewer_app.viewer.web_page.has_display", lambda: False)
