@@ -43,6 +43,7 @@ def items_of(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
+        process_group=0,  # else Ctrl-C would end it while it starts
     ) as child:
         assert child.stdin is not None
         assert child.stdout is not None
@@ -67,10 +68,13 @@ def serve() -> None:
     """Runs the function that the standard input names, until that is closed."""
     module, name, arguments, seconds, memory = pickle.load(sys.stdin.buffer)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(sys.stdin.buffer,), daemon=True).start()
-    if sys.platform != "win32":
+    threading.Thread(target=_end_with, args=(os.fdopen(os.dup(0), "rb"),), daemon=True).start()
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # libraries that load would wait for the thread on Windows
+    if sys.platform == "linux":  # macOS refuses
         import resource
 
+        most = resource.getrlimit(resource.RLIMIT_AS)[1]
+        memory = memory if most == resource.RLIM_INFINITY else min(memory, most)
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     out = os.fdopen(os.dup(1), "wb")

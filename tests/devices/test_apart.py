@@ -1,5 +1,6 @@
 """Generators in a process of their own."""
 
+import os
 import sys
 
 import psutil
@@ -44,6 +45,53 @@ def test_what_never_ends_is_ended():
 def test_what_needs_too_much_memory_is_refused():
     with pytest.raises(ApartError, match="it does not fit into memory"):
         list(items(unreliable.hoards))
+
+
+LIMITED = """
+import resource
+from devices.apart import items_of
+from tests.helpers.unreliable import counts
+resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30))
+print(*items_of(counts, 3, seconds=60.0, memory=8 << 30))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits the memory")
+def test_a_lower_limit_of_the_memory_stays():
+    """As of ``ulimit -v``; a process may not raise it."""
+    assert python("-c", LIMITED).stdout == "0 1 2\n"
+
+
+def test_the_standard_input_is_empty():
+    """On Windows a library that looks at it waits until no other thread reads from it."""
+    assert list(items(unreliable.reads_its_input, seconds=20.0)) == [b""]
+
+
+PRESSED = """
+import os, signal, threading
+from devices.apart import items_of
+from tests.helpers.unreliable import counts
+
+os.setpgrp()
+signal.signal(signal.SIGINT, lambda *_: None)  # as while a session is opened
+ended = threading.Event()
+
+def press():
+    while not ended.wait(0.02):
+        os.killpg(0, signal.SIGINT)
+
+threading.Thread(target=press).start()
+try:
+    print(*items_of(counts, 3, seconds=60.0, memory=4 << 30))
+finally:
+    ended.set()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs groups of processes")
+def test_ctrl_c_is_the_program_s_alone():
+    """A terminal sends it to the whole group; the process would die while it starts."""
+    assert python("-c", PRESSED).stdout == "0 1 2\n"
 
 
 def test_who_stops_reading_ends_the_process():

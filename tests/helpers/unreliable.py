@@ -37,6 +37,10 @@ def refuses():
     raise DeviceError("it is no recording")
 
 
+def reads_its_input():
+    yield os.read(0, 1)
+
+
 def tells_its_process():
     yield os.getpid()
     threading.Event().wait()
