@@ -139,8 +139,8 @@ class LiveOutput(QueuedSink):
         try:
             while True:
                 wait_s = None if self._newest is None else _SILENT_S
-                if self.even is not None:
-                    wait_s = self.even.wait_s(self._clock())
+                if self.even is not None and (due_s := self.even.wait_s(self._clock())) is not None:
+                    wait_s = due_s
                 items: Sequence[Item] = self._queue.take(wait_s, most=1)
                 if not items and self._queue.ended:
                     self._end_frames("")

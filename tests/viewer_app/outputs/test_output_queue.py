@@ -13,6 +13,7 @@ from devices.events import Event
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.osc import messages
 from tests.helpers.waiting import eventually
+from viewer_app.outputs.even_samples import EvenSamples
 from viewer_app.outputs.osc import Address, OscOutput
 from viewer_app.outputs.output import LATE_NS, LiveOutput, _Presence, confidence
 from viewer_app.outputs.vmc import VmcEncoder
@@ -194,6 +195,19 @@ def test_that_no_frames_come_is_said_once_until_they_come_again(fuser):
     output.close()
     assert len(output.silent) == 2  # the end
     assert output.said == ["no frames for 1 s"]
+
+
+def test_at_an_even_rate_too_it_is_said_that_no_frames_come(fuser):
+    output = Receiver()
+    output.even = EvenSamples(BODY, 10.0)
+    output.let.release(4)
+    output.write(frames(fuser, 1)[0])
+    assert eventually(lambda: output.got == [0])
+    output.now_ns = 400_000_000
+    assert eventually(lambda: output.got == [0, 1, 2, 3])  # S* is not predicted farther ahead
+    output.now_ns = 1_000_000_000
+    assert eventually(lambda: output.said == ["no frames for 1 s"])
+    output.close()
 
 
 def test_the_last_word_of_vmc_is_that_nobody_is_tracked(fuser):
