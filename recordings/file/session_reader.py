@@ -226,7 +226,7 @@ def _frames_of(
 
     whole = SessionArrays.joined(whole_frames())
     fused_checksums, joint_digests = GrowingArray.wholes(checks)
-    return whole, (fused_checksums, joint_digests), written - n
+    return whole, (fused_checksums, joint_digests), written - len(whole)
 
 
 def _groups(found: Columns) -> dict[tuple[str, str], list[tuple[str, FrameField]]]:

@@ -142,6 +142,22 @@ def test_it_can_be_read_while_it_grows(tmp_path):
     assert [frame for frame, _ in session.depth("b")] == [n for n in range(40) if n != 5]
 
 
+def test_damage_in_a_file_that_was_not_ended_is_counted(tmp_path):
+    fuser, frames = fused_frames(20)
+    file = file_of(tmp_path / "s.rrd", fuser)
+    for frame in frames:
+        file.write(frame)
+    assert eventually(lambda: frames_in(tmp_path / "s.rrd") == 20)
+    data = bytearray((tmp_path / "s.rrd").read_bytes())
+    needle = Session.open(tmp_path / "s.rrd").rows.positions_a[12, 5].tobytes()
+    assert data.count(needle) == 1
+    data[data.index(needle) + 2] ^= 1
+    (tmp_path / "flipped.rrd").write_bytes(data)
+    flipped = Session.open(tmp_path / "flipped.rrd")
+    assert (len(flipped), flipped.frames_lost) == (12, 8)
+    file.close()
+
+
 def grown(path, whole):
     """A file of 200 frames in blocks of ten."""
     fuser, frames = fused_frames(200)
