@@ -38,7 +38,9 @@ class ImageLog:
     def __init__(self, stream: rr.RecordingStream, setup: FusionSetup, every: int, shown: bool) -> None:
         self._stream, self._every, self._shown = stream, every, shown
         self._cameras = {"a": setup.intrinsics_a, "b": setup.intrinsics_b}
-        self._images_ns: dict[tuple[str, str], int] = {}  # by side and kind: when what is shown was seen
+        self._images_ns: dict[
+            tuple[str, str], int
+        ] = {}  # by side and kind: when what a viewer shows was seen
         self._placed: set[str] = set()  # colour cameras
         if shown:  # takes longer than a frame
             for camera in self._cameras.values():
@@ -91,7 +93,8 @@ class ImageLog:
     def color(self, side: str, frame: int, time_ns: int, color: ColorImage) -> None:
         """Logs a colour image."""
         set_time(self._stream, frame, time_ns)
-        self._images_ns[side, "color"] = time_ns
+        if self._shown:
+            self._images_ns[side, "color"] = time_ns
         entity, camera = layout.color(side), color.camera
         if side not in self._placed:
             self._placed.add(side)

@@ -37,11 +37,15 @@ def images():
 @pytest.fixture
 def session(images, tmp_path):
     """Four frames, of which A has colour in all and B in none."""
+    return written(tmp_path / "s.rrd", images)
+
+
+def written(path, images):
+    """A session with these images of A, one for each frame."""
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V2)))
     made = []
     for pair, image in zip(frame_pairs(KINECT_V2, len(images)), images, strict=True):
         made.append(fuse_one(fuser, replace(pair, a=replace(pair.a, color=image))))
-    path = tmp_path / "s.rrd"
     stream = rr.RecordingStream(layout.APPLICATION_ID)
     stream.set_sinks(rr.FileSink(str(path)))
     recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1)
@@ -65,3 +69,10 @@ def test_images_come_back_with_lens_and_place(session, images):
         np.testing.assert_array_equal(image.camera.color_from_depth.rotation, _TURN.rotation)
         np.testing.assert_array_equal(image.camera.color_from_depth.translation, _TURN.translation)
     assert list(images_of(session).color("b", ALL)) == []
+
+
+def test_a_gap_in_the_images_is_no_damage(images, tmp_path):
+    given = [images[0], *[None] * 12, images[1]]
+    read = images_of(written(tmp_path / "s.rrd", given)).color("a", ALL)
+    assert [frame for frame, _ in read] == [0, 13]
+    assert read.damaged == 0
