@@ -285,9 +285,9 @@ def _take(
         for frame, _, row in _texts(batch):
             of_entity.append((frame or 0, {name: row[name] for name in components}))
         return
-    frames = numbers_of(batch.column(layout.FRAME))
-    if frames.dtype != np.int64:
+    if batch.column(layout.FRAME).type != pa.int64() or batch.column(layout.FRAME).null_count:
         return
+    frames = numbers_of(batch.column(layout.FRAME))
     for name, column in [*zip(names, batch.columns, strict=True)][1:]:
         if name == layout.FRAME:
             continue
@@ -346,6 +346,8 @@ def _dense(column: pa.Array) -> NDArray[Any] | None:
         shape.append(column.type.list_size)
         column = column.flatten()
     if pa.types.is_temporal(column.type):
+        if column.type.bit_width != 64:  # dates
+            return None
         column = column.view(pa.int64())
     if pa.types.is_dictionary(column.type):
         column = column.indices

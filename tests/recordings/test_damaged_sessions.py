@@ -3,11 +3,13 @@
 from collections import Counter
 from dataclasses import replace
 
+import pyarrow as pa
 import pytest
+import rerun as rr
 
 from devices.events import Event
 from fusion.body import KINECT_V1
-from recordings import Session, fuse
+from recordings import Session, fuse, layout
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
 from tests.helpers.damage import damaged, opened
@@ -65,3 +67,16 @@ def test_events_are_kept_up_to_the_cut(told, tmp_path):
         # what was written in one go, frames and events, may be torn apart: at most two blocks
         assert kept >= set(range(0, len(found) - 2 * _BLOCK, 2)), share
     assert len(lengths) >= 3, "the cuts fall between frames"
+
+
+@pytest.mark.parametrize("moment", [{"sequence": 1}, {"duration": 1.0}, {"timestamp": 1.7e9}])
+def test_a_recording_of_another_program_is_refused_whatever_its_frames_are(moment, tmp_path):
+    stream = rr.RecordingStream("another")
+    stream.save(tmp_path / "s.rrd")
+    stream.set_time(layout.FRAME, **moment)
+    stream.log(
+        layout.FUSED_SKELETON, rr.Points3D([[0.0, 0.0, 0.0]]), rr.AnyValues(day=pa.array([1], pa.date32()))
+    )
+    stream.disconnect()
+    with pytest.raises(RecordingError, match="not a session of duplex-kinects"):
+        Session.open(tmp_path / "s.rrd")
