@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -184,6 +185,7 @@ class ImageRecording(Sensor):
     """A file with a sensor's images; its frames have no people.
 
     Attributes:
+        path: The file.
         warnings: Faults of a file that is still readable: cut off, damaged frames.
         duration_ns: How long it is, as the file says; 0 before opening, and where the file does not say.
         interval_ns: Time between two frames; 0 before opening.
@@ -192,6 +194,7 @@ class ImageRecording(Sensor):
         arrivals: Capture time and arrival of the frames given so far, where the file has arrivals.
     """
 
+    path: Path
     duration_ns: int = 0
     interval_ns: int = 0
     sensor: str = ""

@@ -12,6 +12,8 @@ import rerun.blueprint as rrb
 from rich.console import Console
 
 from devices.capture.sensor_pair import TwoSensors
+from devices.files import images_of, recorded_at
+from devices.sensor import ImageRecording, Sensor
 from fusion.setup import FusionSetup
 from recordings.quality.figures import Figures, fusion_figures, with_verdict
 from recordings.session import Session
@@ -91,8 +93,11 @@ class Runner:
                 file_blueprint=blueprint(setup, infrared=False),
                 reframed=shown if reframes else None,
                 others=self._outputs,
-                about={"recorded": datetime.now(UTC).isoformat(timespec="seconds")}
-                | ({"tracker": a.tracked_by} if a.tracked_by else {}),
+                about={
+                    name: value
+                    for name, value in (("recorded", _recorded(a)), ("tracker", a.tracked_by))
+                    if value
+                },
             )
         )
         self.viewing.announce(console)
@@ -232,3 +237,11 @@ def latency_figures(frames: Sequence[SessionFrame]) -> dict[str, float | None]:
     if not known:
         return {"p50": None, "p99": None, "max": None}
     return {"p50": float(np.median(known)), "p99": float(np.percentile(known, 99)), "max": float(max(known))}
+
+
+def _recorded(sensor: Sensor) -> str:
+    """When its frames are or were captured, ISO 8601; empty where a recording does not say."""
+    images = images_of(sensor)
+    if isinstance(images, ImageRecording):
+        return recorded_at(images.path)
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -25,6 +25,8 @@ class TrackedRecording(SensorWrapper):
     Every frame is tracked, at the tracker's speed. A frame without infrared has no people.
     """
 
+    tracked_by = "k4abt"
+
     def __init__(
         self,
         recording: MkvRecording,

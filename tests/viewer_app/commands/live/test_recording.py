@@ -11,6 +11,7 @@ from rich.console import Console
 from devices.azure.mkv import MkvRecording
 from devices.azure.mkv_writer import MkvWriter
 from devices.capture.settings import CaptureSettings
+from devices.files import recorded_at
 from devices.real_time import PacedSensor
 from devices.sensor import SensorFrame
 from devices.tracker_choice import TrackerChoice
@@ -150,6 +151,8 @@ def test_recordings_give_the_same_s_as_live_did(live, standin, tmp_path):
     assert duplex("fuse", *files, *given, tmp_path / "f.rrd") == 0
     for name in "lf":
         now = Session.open(tmp_path / f"{name}.rrd")
+        assert now.about["session"]["recorded"] == [recorded_at(files[0])]
+        assert now.tracker == was.tracker == "k4abt"
         for side in "ab":
             _, i, j = np.intersect1d(
                 *(_column(each, f"clock_{side}") for each in (was, now)), return_indices=True
