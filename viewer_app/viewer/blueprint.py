@@ -115,7 +115,8 @@ def _setup(
     shown = ", infrared" if infrared else "" if depth else ": its skeleton"
 
     def drawn_over(side: str, kind: str) -> str:
-        return layout.image_skeleton(side, kind) if card and depth else layout.skeleton(side)
+        there = {"depth": depth, "color": color}[kind]
+        return layout.image_skeleton(side, kind) if card and there else layout.skeleton(side)
 
     depths = [
         rrb.Spatial2DView(

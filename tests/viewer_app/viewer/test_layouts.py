@@ -168,6 +168,17 @@ def test_a_session_without_depth_images_promises_none():
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("depth", [False, True])
+def test_a_running_sensors_image_has_the_skeleton_of_its_moment(depth):
+    person = np.array([0.1, 0.1, 2.6])
+    shown = session_blueprint(FusionSetup(nominal_calibration(KINECT_V2)), person, "setup", depth=depth,
+                              color=True, live=True, card=True)  # fmt: skip
+    for view in panes(shown.root_container.contents[0])[:2]:
+        side = view.name[len("Kinect ")].lower()
+        assert layout.image_skeleton(side, "color") in view.contents
+        assert layout.skeleton(side) not in view.contents
+
+
 @pytest.mark.parametrize("a_from_b", [A_FROM_B, A_FROM_B.inverse()], ids=["B on the right", "B on the left"])
 def test_a_is_on_the_left_in_every_tab_and_the_eye_follows_the_person(a_from_b):
     setup = FusionSetup(Calibration(BODY, a_from_b, BODY.nominal_lengths, "known"))
