@@ -10,11 +10,12 @@ from recordings.errors import RecordingError, UnknownNameError
 from recordings.session_series import SessionSeries
 
 Table = Literal["long", "wide"]
+"""One row per joint, skeleton and frame, or one per frame."""
 Names = Literal["body", "humanoid", "mixamo"]
 Writer = Callable[[SessionSeries, Path], str]
 """Writes a session to a file and returns a description of what was written."""
 
-_MODULES = {  # with ``write_…``; imported when a file is written
+_MODULES = {  # with ``write_…``; imported when one is asked for
     ".bvh": "bvh",
     ".c3d": "markers",
     ".csv": "tables",
@@ -61,10 +62,6 @@ def writer_for(path: Path, table: Table = "long", rate: float | None = None, nam
         if suffix not in (".csv", ".parquet"):
             raise RecordingError(f"`table` is for .csv and .parquet; {path.suffix} has one layout.")
         options["layout"] = table
-    return partial(_write, suffix, options)
-
-
-def _write(suffix: str, options: dict[str, Any], session: SessionSeries, path: Path) -> str:
-    module = import_module(f"recordings.export.{_MODULES[suffix]}")
-    written: str = getattr(module, f"write_{suffix[1:]}")(session, path, **options)
-    return written
+    # before hours of work, after which a missing library would be of no use
+    writer: Writer = getattr(import_module(f"recordings.export.{_MODULES[suffix]}"), f"write_{suffix[1:]}")
+    return partial(writer, **options)

@@ -19,7 +19,6 @@ from recordings.gait import SIDES, Step
 from recordings.session_arrays import SessionArrays
 from recordings.session_series import SessionSeries
 
-"""One row per joint, skeleton and frame, or one per frame."""
 _STATES = np.array(["not_tracked", "inferred", "tracked"])
 _FUSED_STATES = np.array(["fused", "predicted", "never_seen"])
 

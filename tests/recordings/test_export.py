@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -518,3 +519,10 @@ def test_a_pause_in_the_recording_is_a_gap_at_an_even_rate(tmp_path):
 def test_an_unknown_ending_says_which_are_known(tmp_path):
     with pytest.raises(RecordingError, match=r"Known: \.bvh, \.c3d"):
         writer_for(tmp_path / "s.fbx")
+
+
+def test_a_format_whose_library_is_missing_is_refused_before_anything_is_computed(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "recordings.export.glb", None)
+    assert writer_for(tmp_path / "s.csv")
+    with pytest.raises(ImportError):
+        writer_for(tmp_path / "s.glb")
