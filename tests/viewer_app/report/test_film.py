@@ -43,10 +43,18 @@ class Colored(SessionImages):
         def made():
             for frame in frames:
                 if side == "a" or frame not in GAP:
-                    jpeg = b"\xff\xd8" if frame == 0 and side == "a" else picture(frame, side)
+                    jpeg = claiming(65_500, 65_500) if (frame, side) == (0, "a") else picture(frame, side)
                     yield frame, ColorImage(jpeg, CAMERA)
 
         return Images(made)
+
+
+def claiming(width, height):
+    """An image that says that it is of this size."""
+    jpeg = bytearray(picture(0, "a"))
+    at = jpeg.index(b"\xff\xc0") + 5
+    jpeg[at : at + 4] = height.to_bytes(2) + width.to_bytes(2)
+    return bytes(jpeg)
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +78,12 @@ def test_the_film_has_small_images_at_their_moments_and_fits_into_a_page(session
             assert np.mean(np.asarray(small)) == pytest.approx(frame + 60.0, abs=4.0)
     bytes_of_a_minute = len(json.dumps(found)) * 60.0 / session.time[-1]
     assert bytes_of_a_minute < 12e6  # a page of a minute has at most 15 MB, and all the rest has 1.5
+
+
+def test_there_are_at_most_ten_images_a_second(session):
+    faster = replace(session, rows=replace(session.rows, time_ns=session.rows.time_ns * 6 // 5))  # 25 Hz
+    seconds = [at for at, _ in film(faster)["a"]]
+    assert np.diff(seconds).min() > 0.099
 
 
 def test_the_player_shows_the_image_of_its_moment_or_how_old_it_is(session, tmp_path):
