@@ -435,6 +435,9 @@ def test_a_tile_says_its_figure_once_and_the_page_what_was_recorded(session):
     dated = replace(session, about={**session.about, "session": session.about["session"] | when})
     assert re.search(r"^recorded 2020-0[89]-.. ..:\d0; ", recorded(dated))
     assert "file of" not in recorded(dated)
+    for said in ("0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00", 5.0):
+        other = {**session.about["session"], "recorded": [said]}
+        assert "nothing says when" in recorded(replace(session, about={**session.about, "session": other}))
     strip = re.findall(
         r'<i class="(\w+)" style="flex-grow: ([\d.]+)" data-at="([\d.]+)" title="(.*?)">', text
     )
