@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from fusion.angles import ANGLES, UP, angle_sigma, joint_angles
 from recordings import layout
 from recordings.frame_fields import FrameField
-from recordings.quality.limits import POSSIBLE
+from recordings.quality.limits import PLOTTED_DEGREES, POSSIBLE
 from recordings.session_arrays import SessionArrays
 from recordings.writing.arrow_columns import Column, converted
 from recordings.writing.checksums import (
@@ -31,6 +31,7 @@ from recordings.writing.checksums import (
 )
 from recordings.writing.shown_figures import SHOWN_FIGURES
 
+_INSIDE = 3.0  # degrees from the edge of a plot to the mark of an angle that is farther out
 _EVERY = 2  # bones and angles are plotted every second frame; S_A, S_B and S* are logged every frame
 
 
@@ -156,7 +157,10 @@ def _angles(rows: SessionArrays, up: ArrayLike) -> Iterator[tuple[str, SessionAr
     beyond = (each < low) | (each > high)
     at = np.flatnonzero(beyond.any(axis=1))
     if len(at):
-        marked = np.where(beyond, each, np.nan)[at]
+        bottom, top = np.array(
+            [PLOTTED_DEGREES.get(_of_either(name), (-np.inf, np.inf)) for name in ANGLES]
+        ).T
+        marked = np.where(beyond, np.clip(each, bottom + _INSIDE, top - _INSIDE), np.nan)[at]
         yield layout.ANGLES_BEYOND, rows[at], [_of_angles(layout.DEGREES, marked)]
 
 

@@ -19,6 +19,7 @@ from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.colors import PROMINENT_JOINTS, SIDE_COLORS, SKELETON_COLORS, Color
 from recordings.appearance.state_card import HEIGHT, WIDTH
+from recordings.quality.limits import PLOTTED_DEGREES
 from viewer_app.coach.scene import places
 
 Layout = Literal["setup", "inspect", "report", "angles"]
@@ -38,16 +39,6 @@ _STREAM_FIGURES = (
     ("dropped", "frames dropped"),
     ("unpaired", "frames without a partner"),
 )
-_DEGREES = {
-    "hip_flexion": (-45.0, 125.0),
-    "knee_flexion": (-15.0, 155.0),
-    "hip_abduction": (-32.0, 32.0),
-    "elbow_flexion": (-15.0, 155.0),
-    "shoulder_flexion": (-65.0, 185.0),
-    "shoulder_abduction": (-65.0, 185.0),
-    "trunk": (-32.0, 32.0),
-}
-"""In *angles*: the axes. Rerun numbers whole tens or hundreds: an axis has two of them on a small screen."""
 _LIMBS = {
     "upper_arm": "upper arms (m)",
     "forearm": "forearms (m)",
@@ -309,7 +300,7 @@ def _angles() -> rrb.Container:
             origin=layout.ANGLES,
             name=f"{name.replace('_', ' ')} (°)",
             plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-            axis_y=rrb.ScalarAxis(range=_DEGREES[name]),
+            axis_y=rrb.ScalarAxis(range=PLOTTED_DEGREES[name]),
             overrides={
                 layout.ANGLES: [entity_styles.angle_band(*line) for line in lines],
                 layout.ANGLES_BEYOND: [entity_styles.beyond_marks(angle) for angle, *_ in lines],
@@ -320,7 +311,7 @@ def _angles() -> rrb.Container:
     trunk = ("trunk_flexion", "forwards", forwards), ("trunk_lean", "to the right", aside)
     of_sides = (
         plot(name, *((f"{name}_{side}", side, color) for side, color in SIDE_COLORS.items()))
-        for name in _DEGREES
+        for name in PLOTTED_DEGREES
         if name != "trunk"
     )
     return rrb.Grid(*of_sides, plot("trunk", *trunk), grid_columns=3, name="angles")
