@@ -204,6 +204,8 @@ def _displacements(
 ) -> tuple[Array, Array, Array, Ints]:
     """(N, 3) m and e, and (N, 2, 3) derivatives of e by δ and f, of the joints and times of a view, and (N,)
     the part of the session."""
+    if len(view.seconds) < 2:
+        raise CalibrationError("Displacements need two frames.")
     step = max(1, round(_HALF_SPAN / max(float(np.median(np.diff(view.seconds))), 1e-3)))
     true_times = offset.truth_times(view.seconds)
     inside = (true_times >= truth.seconds[0]) & (true_times <= truth.seconds[-1])

@@ -195,6 +195,16 @@ def test_a_truth_whose_clock_has_another_speed_is_found(walk, fast):
     assert means[0] == pytest.approx(means[1], rel=0.01)
 
 
+def test_a_session_with_a_pause_in_its_middle_is_compared(walk):
+    """The search of the clock's speed begins there."""
+    rows = walk.session.rows
+    kept = np.abs(1e-9 * rows.time_ns - 0.5 * SECONDS) > 4.0
+    session = replace(walk.session, rows=rows[np.flatnonzero(kept)])
+    found = TruthComparison.of(session, truth_of(walk, offset_s=0.3, seconds=21.0))
+    assert found.offset.seconds == pytest.approx(0.3, abs=0.002)
+    assert found.offset.fast == 0.0
+
+
 def test_a_right_clock_stays_as_it_is(walk):
     assert TruthComparison.of(walk.session, truth_of(walk, offset_s=3.7, seconds=15.0)).offset.fast == 0.0
 
