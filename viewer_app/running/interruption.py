@@ -28,7 +28,9 @@ def ends_as_ctrl_c() -> None:
 def _interrupt_again(unraisable: sys.UnraisableHookArgs) -> None:
     """Raises Ctrl-C once more that came in a callback of a library, where it ended the callback only."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
-        again = threading.Timer(_AGAIN_S, _thread.interrupt_main)  # at once it would end this function only
+        heard = (number for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN)
+        # at once it would end this function only
+        again = threading.Timer(_AGAIN_S, _thread.interrupt_main, (next(heard, signal.SIGINT),))
         again.daemon = True
         again.start()
     else:

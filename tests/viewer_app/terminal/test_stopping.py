@@ -55,9 +55,16 @@ cli.script()
 """
 
 
-def test_ctrl_c_in_a_callback_of_a_library_is_not_lost():
-    """ctypes prints the exceptions of callbacks, as of llvmlite's while kernels are compiled."""
-    ended = python("-c", PRESSED_IN_A_CALLBACK, timeout=60.0)
+@pytest.mark.parametrize("signals", ["SIGINT", "SIGTERM"])
+def test_ctrl_c_in_a_callback_of_a_library_is_not_lost(signals):
+    """ctypes prints the exceptions of callbacks, as of llvmlite's while kernels are compiled. A shell lets a
+    command that it starts in the background ignore SIGINT."""
+    if signals == "SIGTERM" and sys.platform == "win32":
+        pytest.skip("Windows has no SIGTERM that can be caught")
+    code = PRESSED_IN_A_CALLBACK.replace("SIGINT", signals)
+    if signals != "SIGINT":
+        code = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n" + code
+    ended = python("-c", code, timeout=60.0)
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
 
 
