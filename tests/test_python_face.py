@@ -103,8 +103,10 @@ def test_a_live_session_is_kept_on_request_and_saved(tmp_path):
     assert running.setup is setup
     with pytest.raises(RecordingError, match="keep=True"):
         _ = fuse_live(made[0], made[1], setup).session
-    learning = fuse_live(made[0], made[1], keep=True)
-    list(learning)
-    changes = [frame for frame, _ in learning.session.calibrations][1:]
+    for _ in range(10):  # it learns beside the frames, which may all have passed on a busy machine
+        learning = fuse_live(made[0], made[1], keep=True)
+        list(learning)
+        if changes := [frame for frame, _ in learning.session.calibrations][1:]:
+            break
     assert changes, "it calibrates on any pose, for the time being"
     assert [event.frame for event in learning.session.events if "calibrated" in event.text] == changes
