@@ -1,4 +1,4 @@
-"""Opens a recording on disk as a sensor. What a vendor's files need is imported when one is opened."""
+"""Opens a recording on disk as a sensor. A vendor's modules are imported when its file is opened."""
 
 from __future__ import annotations
 

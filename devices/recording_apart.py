@@ -29,7 +29,6 @@ class RecordingApart(ImageRecording):
         self.path, self.name, self.body, self.library = path, path.name, BLAZEPOSE, library
         self.intrinsics: Intrinsics | None = None
         self.warnings: list[str] = []
-        self.duration_ns = self.interval_ns = 0
         self._playing: Generator[Any, None, None] | None = None
 
     def __enter__(self) -> RecordingApart:

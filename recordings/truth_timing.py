@@ -79,8 +79,10 @@ class TimeOffset:
         return self.sd_seconds <= _LARGEST_SD and abs(self.lag_seconds) <= _LARGEST_LAG
 
     def given(self, seconds: float) -> TimeOffset:
-        """An offset that is given instead of this one."""
-        near = min(abs(seconds - each) for each in (self.seconds, *self.others)) < _CONTRADICTS
+        """An offset that is given instead of this one; it keeps the speed of the clock where it is near."""
+        if abs(seconds - self.seconds) < _CONTRADICTS:
+            return TimeOffset(seconds, fast=self.fast, fast_sd=self.fast_sd, first=self.first)
+        near = any(abs(seconds - other) < _CONTRADICTS for other in self.others)
         return TimeOffset(seconds, instead_of=self.seconds if self.sure and not near else float("nan"))
 
 

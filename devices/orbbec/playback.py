@@ -34,7 +34,6 @@ class OrbbecRecording(ImageRecording):
         self.body: Body = BLAZEPOSE
         self.intrinsics: Intrinsics | None = None
         self.warnings: list[str] = []
-        self.duration_ns = self.interval_ns = 0
         self._clock = clock
         self._sdk: Any = None
         self._device: Any = None

@@ -124,7 +124,6 @@ class RealSenseRecording(ImageRecording):
         self.path, self.name, self.body = path, path.name, BLAZEPOSE
         self.intrinsics: Intrinsics | None = None
         self.warnings: list[str] = []
-        self.duration_ns = self.interval_ns = 0
         self._clock = clock
         self._opened: tuple[Any, Any, Any, Streams] | None = None
 

@@ -43,7 +43,7 @@ _LARGEST_OFFSET_MS = 1e12  # so that nanoseconds fit into 64 bits
 
 
 class FusedRecordings(NamedTuple):
-    """What :meth:`recordings.session.Session.of` takes."""
+    """Two fused recordings: the arguments of :meth:`recordings.session.Session.of`."""
 
     fused: Sequence[tuple[FusionSetup, Iterable[SessionFrames]]]
     sources: tuple[str, str]

@@ -61,9 +61,11 @@ def without(view, joints, windows):
 
 
 def deleted_limbs(body, views, clean, random):
-    """Squared distances of S* without a limb to S* with it, what σ² grows by, and σ of it, per joint, m.
+    """Compares S* without a limb with S* of all data. The limb is deleted where both views agree on it.
 
-    The limb is deleted where both views agree on it, from ``one`` view or from ``both``.
+    Returns:
+        For a limb deleted from ``one`` view and from ``both``: (N, 3) metres of the limb's joints, which are
+        the distance between both S*, σ without the limb, and σ of all data.
     """
     near = np.linalg.norm(clean.b_in_a - clean.rows.positions_a, axis=2) < _AGREE
     on_a = clean.rows.clock_a
@@ -111,7 +113,12 @@ def limb_figures(rows):
 
 
 def thinned(body, views, clean):
-    """Shares of joints that S* has elsewhere without a tenth of B's frames, and of those that σ denies."""
+    """How S* differs without a tenth of B's frames.
+
+    Returns:
+        ``elsewhere``: the share of joints that are more than 100 mm away. ``unsaid``: the share that is also
+        more than 2.5 of the stated deviations away.
+    """
     a, b = views
     less = fused(body, a, b.chosen(np.flatnonzero(np.arange(len(b.time_ns)) % 10 != 5)))
     seconds = clean.time[clean.time_ns <= less.time_ns[-1]]
@@ -125,7 +132,12 @@ def thinned(body, views, clean):
 
 
 def true_words(body, session):
-    """Of the frames in which an event says so, whether S* corrects a view, and follows the other view."""
+    """Whether S* does what an event says, for each frame of that event.
+
+    Returns:
+        ``exchanged``: S* is nearer to the view with left and right exchanged. ``follows``: the limb of S* is
+        nearer to the other view.
+    """
     views = {"a": session.rows.positions_a, "b": session.b_in_a}
     spells = defaultdict(lambda: np.zeros(len(session), dtype=bool))
     for spell in spells_of(session.events):

@@ -153,7 +153,7 @@ def files(good, folder, chance, count):
 
 
 def commands(folder, good):
-    """Outputs that are there already, and the commands that write them; None for those that write none."""
+    """Existing outputs, and the commands that write them; None for commands that write none."""
     session = good.session
     fuse = ("fuse", good.a, good.b, "--no-viewer")
     for name, line in (

@@ -1,4 +1,4 @@
-"""Generators as of libraries that fail; another process imports them."""
+"""Generators that fail as libraries do; a child process imports this module."""
 
 import os
 import threading

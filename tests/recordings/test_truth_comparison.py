@@ -193,6 +193,9 @@ def test_a_truth_whose_clock_has_another_speed_is_found(walk, fast):
     assert found.offset.seconds == pytest.approx(3.7, abs=0.003)
     means = [np.nanmean(each.distance["fused"]) for each in (found, best)]
     assert means[0] == pytest.approx(means[1], rel=0.01)
+    given = TruthComparison.of(walk.session, wrong, offset_s=found.offset.seconds)
+    assert given.offset.fast == found.offset.fast
+    np.testing.assert_allclose(given.distance["fused"], found.distance["fused"], atol=1e-9)
 
 
 def test_a_session_with_a_pause_in_its_middle_is_compared(walk):
