@@ -1,7 +1,7 @@
 """Heel strikes, toe-offs and steps, by the coordinate method of Zeni, Richards and Higginson (2008).
 
 A foot swings from where its ankle is farthest behind the pelvis, along the direction in which the pelvis
-moves, to where it is farthest in front. It stands while it is slower than 0.65 of the pelvis: the toes
+moves, to where it is farthest in front. It stands while it is slower than 0.75 of the pelvis: the toes
 leave the floor when they become faster at the beginning of a swing, and the heel strikes when the ankle
 becomes slower at its end. The pelvis is the middle of the hips. Only walking counts: the person moves to
 where they face, and the feet strike in turn. Limits are relative to the leg and to the person's own swings.
@@ -28,7 +28,7 @@ SIDES = ("left", "right")
 _RATE = 100.0  # Hz, of the points that are filtered
 _CUT_OFF = 6.0  # Hz, as in the source
 _WINDOW = 0.35  # seconds, standard deviation: over about a stride, hips and shoulders swing no more
-_STANDS = 0.65  # of the pelvis' speed; half to two thirds suit labelled walks and simulated ones
+_STANDS = 0.75  # of the pelvis' speed: labelled toes leave the floor at 0.7 to 1, simulated ones at 0.7
 _SLOWEST = 0.06  # of the pelvis, lengths of the leg per second
 _LEAST_SWING = 0.06  # of the ankle's place from the pelvis, lengths of the leg
 _OWN_SWING = 0.3  # the least swing, of the median of the part

@@ -37,6 +37,12 @@ def contacts(name, seconds):
     return found
 
 
+def stood(strikes, offs):
+    """(C,) share of each cycle of a foot in which it stands, by seconds of its strikes and toe-offs."""
+    after = offs[np.searchsorted(offs, strikes[:-1])]
+    return (after - strikes[:-1]) / np.diff(strikes)
+
+
 def walking_session(path):
     """Ten seconds whose S* is the true place of a person who walks."""
     times = np.arange(300) * 33_333_333
