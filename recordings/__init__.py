@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from recordings.file_fusion import fuse as fuse
     from recordings.gait import Gait as Gait
     from recordings.gait import Step as Step
+    from recordings.gait import Turn as Turn
     from recordings.live_fusion import fuse_live as fuse_live
     from recordings.quality.per_second import SecondQuality as SecondQuality
     from recordings.quality.verdict import Verdict as Verdict

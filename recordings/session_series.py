@@ -14,7 +14,8 @@ from fusion.angles import ANGLES, angle_sigma, joint_angles
 from fusion.calibration.calibration import Calibration
 from fusion.facing.evidence import upright_direction
 from fusion.joint_rotations import rotations_of
-from recordings.gait import Gait, find_gait
+from recordings.gait import Gait
+from recordings.gait.events import find_gait
 from recordings.interpolation import nanoseconds, positions_at, sigma_at
 from recordings.quality.figures import report
 from recordings.quality.per_second import SecondQuality, Span, good_frames, good_spans, quality_per_second
@@ -122,7 +123,7 @@ class SessionSeries(SessionData):
 
     @cached_property
     def gait(self) -> Gait:
-        """Heel strikes, toe-offs and steps of S*; see :mod:`recordings.gait`."""
+        """Heel strikes, toe-offs, steps and turns of S*; see :mod:`recordings.gait.events`."""
         found = find_gait(self.body, self.time_ns, self.rows.seen, self.up, self.rows.sigma)
         return replace(found, time=self.time, angles=self.angles)
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from fusion.angles import ANGLES, angle_sigma, joint_angles
 from fusion.facing.evidence import upright_direction
-from recordings.gait import SIDES, find_gait
+from recordings.gait import SIDES
+from recordings.gait.events import find_gait
 from tests.benchmarks import results
 from tests.benchmarks.accuracy import MOTIONS
 from tests.benchmarks.methods import METHODS, OURS

@@ -19,7 +19,7 @@ from devices.pairing import clock_by_motion, pair_views
 from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
 from fusion.setup import FuserSettings
 from recordings.fusing.files import fuse_read
-from recordings.gait import find_gait
+from recordings.gait.events import find_gait
 from recordings.session import Session
 from recordings.testing import simulated_session
 from tests.benchmarks import results

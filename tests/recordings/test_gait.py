@@ -7,12 +7,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from devices.simulated.kinect import Scene, Truth, movement
+from devices.simulated.person.footsteps import smooth
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from fusion.angles import UP
 from fusion.body import AZURE_KINECT, BODIES
 from recordings.errors import RecordingError
-from recordings.gait import SIDES, Gait, Step, find_gait
+from recordings.gait import SIDES, Gait, Step
+from recordings.gait.events import find_gait
 from tests.helpers.footfalls import contacts, laboratory_walk, stood, walker
 
 SECONDS, RATE = 20.0, 30.0
@@ -127,7 +129,7 @@ def test_a_person_who_stands_still_for_a_while_takes_two_walks(begins):
     assert second[0].strike > begins + 1.7
 
 
-STEP = Step("left", 0, 0.0, 0.02, 0.0, 0.02, np.nan, 0.4, 0.02, np.nan, np.nan)
+STEP = Step("left", 0, 0.0, 0.02, 0.0, 0.02, np.nan, 0.4, 0.02, 0.1, np.nan, np.nan)
 
 
 def gait_of(strikes, speeds):
@@ -252,11 +254,62 @@ def test_another_size_side_or_hour_changes_nothing_else(how, scale, later_ns):
     larger = find_gait(AZURE_KINECT, times, scale * joints, UP)
     np.testing.assert_allclose(events(larger), events(gait), atol=1e-6)
     assert larger.speed.value == pytest.approx(scale * gait.speed.value)
+    widths = np.array([step.width for step in gait.steps])
+    np.testing.assert_allclose([step.width for step in larger.steps], scale * widths, atol=1e-6)
     mirrored = find_gait(AZURE_KINECT, times, joints[:, AZURE_KINECT.mirror] * (-1.0, 1.0, 1.0), UP)
     np.testing.assert_allclose(events(mirrored), events(gait), atol=1e-6)
     assert [step.side for step in mirrored.steps] == [SIDES[step.side == "left"] for step in gait.steps]
+    np.testing.assert_allclose([step.width for step in mirrored.steps], widths, atol=1e-6)
+    for name, each in gait.asymmetry.items():
+        assert mirrored.asymmetry[name].value == pytest.approx(-each.value, abs=1e-4)
+        assert larger.asymmetry[name].value == pytest.approx(each.value, abs=1e-4)
     later = find_gait(AZURE_KINECT, times + later_ns, joints, UP)
     np.testing.assert_allclose(events(later) - later_ns * 1e-9, events(gait), atol=1e-6)
+
+
+@given(st.fixed_dictionaries(WALKS), st.floats(1.0, 2.0))
+def test_a_slower_walk_has_the_same_steps_later(how, slower):
+    times, joints = walker(8.0, 100.0, **how)
+    whole = find_gait(AZURE_KINECT, times, joints, UP)
+    slow_how = how | {"speed": how["speed"] / slower, "stride": how["stride"] * slower}
+    slow = find_gait(AZURE_KINECT, *walker(8.0 * slower, 100.0 / slower, **slow_how), UP)
+    inner = slice(1, -1)  # others may not show
+    assume(len(slow.steps) == len(whole.steps))
+    np.testing.assert_allclose(events(slow)[inner], slower * events(whole)[inner], atol=0.05)
+
+
+@given(st.floats(0.3, 1.4), st.floats(-1.0, 1.0))
+def test_the_steps_are_as_wide_as_the_feet_are_apart_in_curves_too(speed, turning):
+    times, joints = walker(10.0, RATE, speed=speed, turning=turning)  # ankles 0.16 m apart
+    widths = [step.width for step in find_gait(AZURE_KINECT, times, joints, UP).steps]
+    assert np.mean(widths) == pytest.approx(0.16, abs=0.02)
+
+
+@given(st.sampled_from([-1.0, 1.0]), st.floats(45.0, 120.0), st.floats(1.5, 4.0))
+def test_a_turn_on_the_spot_has_its_angle_and_its_time(sign, per_second, lasts):
+    degrees = per_second * lasts
+    t = np.arange(0.0, lasts + 4.0, 1.0 / RATE)
+    left = sign * np.radians(degrees) * smooth((t - 2.0) / lasts)
+    joints = np.repeat(walker(1.0, RATE)[1][:1], len(t), axis=0)
+    cos, sin = np.cos(left)[:, None], np.sin(left)[:, None]
+    turned = joints.copy()
+    turned[..., 0] = cos * joints[..., 0] - sin * joints[..., 2]
+    turned[..., 2] = sin * joints[..., 0] + cos * joints[..., 2]
+    (turn,) = find_gait(AZURE_KINECT, np.rint(t * 1e9), turned, UP, np.full(turned.shape[:2], 0.01)).turns
+    fast = np.flatnonzero(np.abs(np.gradient(left, t)) > np.radians(15.0))
+    # it is smoothed with a standard deviation of 0.2 s
+    assert -0.1 < turn.seconds - (t[fast[-1]] - t[fast[0]]) < 0.5
+    assert -0.3 < turn.begins - t[fast[0]] < 0.1
+    assert np.degrees(turn.angle) == pytest.approx(sign * degrees, abs=10.0)
+    assert 0.0 < turn.angle_sigma < turn.seconds_sigma < 0.5
+
+
+def test_the_asymmetry_is_what_left_has_more_than_right_over_their_mean():
+    gait = gait_of(np.arange(1.0, 9.0), np.full(7, 0.7))
+    longer = Gait(tuple(step._replace(length=0.44 if step.side == "left" else 0.36) for step in gait.steps))
+    assert gait.asymmetry["step_length"] == (0.0, 0.0)
+    assert longer.asymmetry["step_length"].value == pytest.approx(20.0)
+    assert np.isnan(Gait(()).asymmetry["stance"].value)
 
 
 @given(st.fixed_dictionaries(WALKS))
@@ -334,7 +387,7 @@ def test_nobody_and_nothing_have_no_steps():
 
 def test_curves_over_the_gait_cycle_begin_and_end_with_their_strikes():
     seconds = np.linspace(0.0, 10.0, 301)
-    step = Step("left", 0, *([np.nan] * 9))
+    step = Step("left", 0, *([np.nan] * 10))
     steps = tuple(
         step._replace(strike=strike, walk=walk) for strike, walk in ((1, 0), (2, 0), (4, 1), (6, 1))
     )

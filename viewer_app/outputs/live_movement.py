@@ -10,7 +10,7 @@ from devices.events import Event
 from fusion.angles import angle_sigma, joint_angles
 from fusion.body import Body
 from recordings.appearance.floor import FloorFinder
-from recordings.gait import find_gait
+from recordings.gait.events import find_gait
 from viewer_app.sinks.item_queue import QueuedFrame
 
 _WINDOW_NS = 4_000_000_000  # in which steps are looked for

@@ -10,7 +10,7 @@ from rich.console import Console
 from fusion.angles import UP
 from fusion.body import Body
 from fusion.setup import FusionSetup
-from recordings.gait import find_gait
+from recordings.gait.events import find_gait
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
 from viewer_app.outputs.even_samples import EvenSamples

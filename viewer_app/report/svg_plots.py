@@ -73,23 +73,34 @@ def line_plot(
     return _svg(figure, f"{title}, {unit}, over time", wide)
 
 
-def cycle_plot(title: str, curves: Mapping[str, NDArray[Any]], toe_offs: Mapping[str, float]) -> str:
-    """Plots degrees over the gait cycle, from heel strike to heel strike: median and middle two thirds.
+def cycle_plot(
+    title: str,
+    curves: Mapping[str, NDArray[Any]],
+    toe_offs: Mapping[str, float],
+    healthy: tuple[NDArray[Any], float] | None = None,
+) -> str:
+    """Plots degrees over the gait cycle, from heel strike to heel strike: mean and standard deviation.
 
     Args:
         curves: (C, 101) by side.
         toe_offs: Share of the cycle at which the foot leaves the floor, by side; a dotted line.
+        healthy: (101,) of healthy people, and their standard deviation; a grey band.
     """
     figure, axes = _figure(4.0, 2.6)
     percent = np.arange(101)
+    if healthy is not None:
+        mean, deviation = healthy
+        band = mean - deviation, mean + deviation
+        axes.fill_between(percent, *band, color=_INK, alpha=0.15, linewidth=0, label="healthy")
     for side, each in curves.items():
         known = each[np.isfinite(each).all(axis=1)]
         if not len(known):
             continue
-        low, median, high = np.percentile(known, [16.7, 50.0, 83.3], axis=0)
-        axes.fill_between(percent, low, high, color=line_color(side), alpha=0.2, linewidth=0)
+        mean, deviation = known.mean(axis=0), known.std(axis=0, ddof=min(1, len(known) - 1))
+        band = mean - deviation, mean + deviation
+        axes.fill_between(percent, *band, color=line_color(side), alpha=0.2, linewidth=0)
         dashes = _DASHES if side == "right" else "-"
-        axes.plot(percent, median, color=line_color(side), linewidth=1.6, linestyle=dashes, label=side)
+        axes.plot(percent, mean, color=line_color(side), linewidth=1.6, linestyle=dashes, label=side)
         if np.isfinite(toe_offs[side]):
             axes.axvline(100.0 * toe_offs[side], color=line_color(side), linewidth=0.9, linestyle=(0, (1, 2)))
     axes.axhline(0.0, color=_INK, linewidth=0.5)
@@ -98,7 +109,7 @@ def cycle_plot(title: str, curves: Mapping[str, NDArray[Any]], toe_offs: Mapping
     axes.set_title(title, fontsize=10, loc="left", color=_INK)
     axes.set_xlabel("% of the gait cycle")
     axes.set_ylabel("°")
-    _legend(axes, len(curves))
+    _legend(axes, 3)
     return _svg(figure, f"{title}, degrees, over the gait cycle")
 
 

@@ -1,10 +1,12 @@
 """The joint angles and the gait of a session, for its page."""
 
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from recordings.gait import SIDES, Gait, Measured
 from recordings.quality.limits import POSSIBLE
@@ -15,7 +17,14 @@ from viewer_app.report.svg_plots import cycle_plot, line_plot
 _OF_A_SIDE = ("hip_flexion", "knee_flexion", "hip_abduction", "shoulder_flexion", "elbow_flexion")
 _FEWEST_CYCLES = 2  # of a side, for a mean
 _MOTION = 3.0  # seconds, of which it is said that they have no steps
-GAIT_HEAD = ("mean ± standard deviation", "left", "right")
+GAIT_HEAD = ("mean ± standard deviation", "left", "right", "asymmetry (%)", "healthy")
+_STEP_LENGTH, _STRIDE_TIME, _STANCE = "0.53 to 0.93", "0.87 to 1.32", "about 60"
+"""Of adults of 18 to 49 years at their own pace, 95 % (Levine, Richards, Whittle 2012)."""
+_PHASES = 0, 12, 31, 50, 62, 75, 87, 100
+"""Percent of the gait cycle at which its phases end (Perry, Burnfield 2010)."""
+_HEALTHY = {"hip_flexion": (20, 20, 0, -20, -10, 15, 25, 20), "knee_flexion": (5, 15, 5, 10, 40, 60, 25, 5)}
+"""Degrees then, of the thigh against the vertical and of the knee, of healthy adults (same source)."""
+_HEALTHY_SD = 6.0  # degrees, between persons; that of Schwartz et al. (2008) at most moments
 
 
 class Movement(NamedTuple):
@@ -63,9 +72,18 @@ def _over_cycles(gait: Gait) -> Iterator[str]:
     toe_offs = {side: _median(gait.stance(side)) for side in SIDES}
     for name in _OF_A_SIDE:
         curves = {side: gait.curves(f"{name}_{side}") for side in SIDES}
-        yield cycle_plot(name.replace("_", " "), curves, toe_offs)
+        yield cycle_plot(name.replace("_", " "), curves, toe_offs, _healthy(name))
     trunk = {side: gait.curves("trunk_flexion", side) for side in SIDES}
     yield cycle_plot("trunk flexion", trunk, toe_offs)
+
+
+def _healthy(name: str) -> tuple[NDArray[np.float64], float] | None:
+    """(101,) degrees of an angle of healthy adults over the gait cycle, and their standard deviation."""
+    from scipy.interpolate import PchipInterpolator
+
+    if name not in _HEALTHY:
+        return None
+    return PchipInterpolator(_PHASES, _HEALTHY[name])(np.arange(101)), _HEALTHY_SD
 
 
 def _summary(gait: Gait) -> str:
@@ -74,18 +92,24 @@ def _summary(gait: Gait) -> str:
     if not gait.steps:
         return f"No steps; {left_out}." if gait.moving_seconds > _MOTION else ""
     walks = len(gait.walks)
+    turns = ""
+    if gait.turns:
+        angle = _mean([abs(math.degrees(turn.angle)) for turn in gait.turns], 0)
+        number = f"{len(gait.turns)} {'turn' if len(gait.turns) == 1 else 'turns'}"
+        turns = f"; {number} of {angle}° in {_mean([turn.seconds for turn in gait.turns], 1)} s"
     return (
         f"{len(gait.steps)} steps in {walks} {'walk' if walks == 1 else 'walks'} of "
         f"{gait.walking_seconds:.0f} s; cadence {_in_words(gait.cadence, 1)} steps/min, speed "
-        f"{_in_words(gait.speed, 2)} m/s (± standard error){left_out and '; '}{left_out}."
+        f"{_in_words(gait.speed, 2)} m/s (± standard error){turns}{left_out and '; '}{left_out}."
     )
 
 
 def _in_words(measured: Measured, digits: int) -> str:
+    value = f"{measured.value:.{digits}f}".replace("-", "−")
     if not np.isfinite(measured.sigma):
-        return f"{measured.value:.{digits}f}"
+        return value
     # no more certain than the value is rounded
-    return f"{measured.value:.{digits}f} ± {max(measured.sigma, 10.0**-digits):.{digits}f}"
+    return f"{value} ± {max(measured.sigma, 10.0**-digits):.{digits}f}"
 
 
 def _gait_rows(gait: Gait) -> Iterator[tuple[str, ...]]:
@@ -93,13 +117,21 @@ def _gait_rows(gait: Gait) -> Iterator[tuple[str, ...]]:
     if not gait.steps:
         return
     sides = [gait.of_side(side) for side in SIDES]
-    yield ("steps", *(str(len(steps)) for steps in sides))
-    yield ("step length (m)", *(_mean([step.length for step in steps], 2) for steps in sides))
-    yield ("step time (s)", *(_mean([step.seconds for step in steps], 2) for steps in sides))
-    yield ("gait cycles", *(str(len(gait.cycles(side))) for side in SIDES))
     strides = [np.diff(gait.cycles(side), axis=1) for side in SIDES]
-    yield ("stride time (s)", *(_mean(each, 2) for each in strides))
-    yield ("stance (% of the cycle)", *(_mean(100.0 * gait.stance(side), 0) for side in SIDES))
+    stance = [100.0 * gait.stance(side) for side in SIDES]
+    uneven = {
+        name: _in_words(each, 0) if np.isfinite(each.value) else "–" for name, each in gait.asymmetry.items()
+    }
+    yield ("steps", *(str(len(steps)) for steps in sides), "", "")
+    lengths = ([step.length for step in steps] for steps in sides)
+    yield ("step length (m)", *(_mean(each, 2) for each in lengths), uneven["step_length"], _STEP_LENGTH)
+    widths = ([step.width for step in steps] for steps in sides)
+    yield ("step width (m)", *(_mean(each, 2) for each in widths), "", "")
+    times = ([step.seconds for step in steps] for steps in sides)
+    yield ("step time (s)", *(_mean(each, 2) for each in times), uneven["step_time"], "")
+    yield ("gait cycles", *(str(len(gait.cycles(side))) for side in SIDES), "", "")
+    yield ("stride time (s)", *(_mean(each, 2) for each in strides), "", _STRIDE_TIME)
+    yield ("stance (% of the cycle)", *(_mean(each, 0) for each in stance), uneven["stance"], _STANCE)
 
 
 def _mean(values: object, digits: int) -> str:

@@ -15,7 +15,7 @@ from fusion.calibration.calibration import nominal_calibration
 from fusion.facing.evidence import upright_direction
 from fusion.setup import FusionSetup
 from recordings.appearance.floor import FloorFinder
-from recordings.gait import find_gait
+from recordings.gait.events import find_gait
 from tests.helpers.live_frames import frames
 from viewer_app.outputs.lab_streaming import LabStreamingOutput
 from viewer_app.outputs.live_movement import LiveMovement
