@@ -26,9 +26,9 @@ from tests.benchmarks import results
 from tests.experiments.soak import soak
 from viewer_app.addresses import LOOPBACK
 from viewer_app.options.shared import LiveOutputOptions
+from viewer_app.outputs.avatars.osc import Address, OscOutput
+from viewer_app.outputs.avatars.vmc import VmcEncoder
 from viewer_app.outputs.opening import plan_outputs
-from viewer_app.outputs.osc import Address, OscOutput
-from viewer_app.outputs.vmc import VmcEncoder
 from viewer_app.running.loop import run_live
 from viewer_app.sinks.sink import FanOut, Sink
 

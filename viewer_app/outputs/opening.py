@@ -13,12 +13,12 @@ from fusion.setup import FusionSetup
 from recordings.gait.events import find_gait
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
+from viewer_app.outputs.avatars.osc import Address, OscOutput, looked_up
+from viewer_app.outputs.avatars.vmc import VmcEncoder
+from viewer_app.outputs.avatars.vrchat import VRChatEncoder
+from viewer_app.outputs.avatars.vrm import Avatar, read_avatar
 from viewer_app.outputs.even_samples import EvenSamples
-from viewer_app.outputs.osc import Address, OscOutput, looked_up
 from viewer_app.outputs.output import LiveOutput
-from viewer_app.outputs.vmc import VmcEncoder
-from viewer_app.outputs.vrchat import VRChatEncoder
-from viewer_app.outputs.vrm import Avatar, read_avatar
 
 _VMC_PORT, _VRCHAT_PORT = 39539, 9000  # the usual ones of the receivers
 
@@ -42,7 +42,7 @@ class OutputPlan:
         """Compiles and loads what the outputs need before the first frame."""
         if self:
             find_gait(body, [0], np.full((1, len(body), 3), np.nan), UP)
-            from viewer_app.outputs.unity_pose import UnitySkeleton
+            from viewer_app.outputs.avatars.unity_pose import UnitySkeleton
 
             joints = np.zeros((len(body), 3))
             for joint in body.order[1:]:

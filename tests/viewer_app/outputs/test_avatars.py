@@ -17,11 +17,11 @@ from tests.helpers.osc import messages
 from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, turned_about, world_of_local
 from tests.helpers.two_views import FRAME_NS, moving
 from viewer_app.errors import UsageError
-from viewer_app.outputs import vrm as vrm_module
-from viewer_app.outputs.osc import Address, OscOutput, bundled
-from viewer_app.outputs.vmc import VmcEncoder
-from viewer_app.outputs.vrchat import VRChatEncoder, euler_degrees
-from viewer_app.outputs.vrm import read_avatar
+from viewer_app.outputs.avatars import vrm as vrm_module
+from viewer_app.outputs.avatars.osc import Address, OscOutput, bundled
+from viewer_app.outputs.avatars.vmc import VmcEncoder
+from viewer_app.outputs.avatars.vrchat import VRChatEncoder, euler_degrees
+from viewer_app.outputs.avatars.vrm import read_avatar
 
 FLOAT32 = 1e-6  # of values up to 3 m, a few roundings
 PARENTS = {

@@ -15,7 +15,7 @@ from tests.helpers.fused_runs import record_fused
 from tests.helpers.live_frames import frames
 from tests.helpers.network import free_port
 from tests.helpers.two_views import FRAME_NS, calibration_of
-from viewer_app.outputs.osc import Address, looked_up
+from viewer_app.outputs.avatars.osc import Address, looked_up
 from viewer_app.running.loop import played
 from viewer_app.sinks.sink import Sink
 

@@ -13,10 +13,10 @@ from devices.events import Event
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.osc import messages
 from tests.helpers.waiting import eventually
+from viewer_app.outputs.avatars.osc import Address, OscOutput
+from viewer_app.outputs.avatars.vmc import VmcEncoder
 from viewer_app.outputs.even_samples import EvenSamples
-from viewer_app.outputs.osc import Address, OscOutput
 from viewer_app.outputs.output import LATE_NS, LiveOutput, _Presence, confidence
-from viewer_app.outputs.vmc import VmcEncoder
 from viewer_app.sinks.item_queue import QueuedFrame
 
 

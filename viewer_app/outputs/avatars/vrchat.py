@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
-from viewer_app.outputs.osc import bundled
-from viewer_app.outputs.unity_pose import UnitySkeleton
+from viewer_app.outputs.avatars.osc import bundled
+from viewer_app.outputs.avatars.unity_pose import UnitySkeleton
 
 # slot: (bone whose rotation it has, bone at whose beginning it is)
 TRACKERS = {

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from viewer_app.outputs.osc import Message, bundled
-from viewer_app.outputs.unity_pose import UnitySkeleton
-from viewer_app.outputs.vrm import Avatar
+from viewer_app.outputs.avatars.osc import Message, bundled
+from viewer_app.outputs.avatars.unity_pose import UnitySkeleton
+from viewer_app.outputs.avatars.vrm import Avatar
 
 _HERE = (1, 3, 0)  # loaded; calibrated; in the normal calibration mode
 _ROOT = ["root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]

@@ -1,0 +1,1 @@
+"""S* as avatars take it: VMC and VRChat over OSC, in Unity's axes."""
