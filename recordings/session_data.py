@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, fields
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -57,6 +59,7 @@ _WRITTEN_ANEW = (
     *("first_frame", "made_of_damaged", "made_without_frames"),
 )
 """Properties that are not copied when a session is saved, trimmed or replayed: they are written anew."""
+_YEARS = range(1971, 2038)  # that seconds since 1970 tell in 31 bits
 OF_DAMAGED = "it was made of a session that was not: "
 """Begins the damage of a session that is whole itself."""
 
@@ -141,6 +144,25 @@ class SessionData:
     def tracker(self) -> str:
         """The body tracker that found the people, such as "blazepose full"; empty where not recorded."""
         return str(self.about["session"].get("tracker", [""])[0])
+
+    @property
+    def recorded(self) -> datetime | None:
+        """When the capture began; None where the session does not say."""
+        said = str(self.about["session"].get("recorded", [""])[0])
+        with suppress(ValueError, OverflowError, OSError):  # of another program
+            return datetime.fromisoformat(said).astimezone()
+        return None
+
+    @property
+    def first_unix_ns(self) -> int | None:
+        """When the first frame was captured, nanoseconds since 1970 UTC; None where that is not known.
+
+        Sensors give their first frame some tenths of a second after :attr:`recorded`, which is neglected.
+        """
+        if self.recorded is None or self.recorded.year not in _YEARS:
+            return None
+        later = float(self.about["session"].get("seconds_before", [0.0])[0])
+        return round(1e3 * (self.recorded.timestamp() + later)) * 1_000_000
 
     @property
     def people(self) -> tuple[SeenPerson, ...]:

@@ -22,8 +22,8 @@ T = TypeVar("T")
 def part_of(session: S, frames: ArrayLike) -> S:
     """The session of some frames, whose numbers and times start at 0; a gap between them stays in the times.
 
-    Its properties ``first_frame`` and ``left_out`` are the number of its first frame in the original capture,
-    and how many frames within it are missing.
+    Its properties ``first_frame``, ``seconds_before`` and ``left_out`` are the number of its first frame in
+    the original capture, when that was there, and how many frames within it are missing.
 
     Args:
         frames: (N,) their numbers, increasing.
@@ -51,6 +51,8 @@ def part_of(session: S, frames: ArrayLike) -> S:
     of_all = "dropped", "others_seen"
     about = {n: of for n, of in session.about["session"].items() if not n.startswith(of_all)}
     about["first_frame"] = [session.first_frame + first]
+    before = about.get("seconds_before", [0.0])[0]
+    about["seconds_before"] = [before + 1e-9 * float(session.rows.time_ns[first])]
     if gaps or session.left_out:
         about["left_out"] = [session.left_out + gaps]
     return replace(

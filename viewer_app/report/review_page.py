@@ -131,10 +131,7 @@ def recorded(session: Session) -> str:
 
 def recorded_when(session: Session) -> str:
     """When a live session or its recordings were recorded, in local time; empty where nothing says so."""
-    said = str(session.about["session"].get("recorded", [""])[0])
-    with suppress(ValueError, OverflowError, OSError):  # of another program, or of no year of this machine
-        return f"{datetime.fromisoformat(said).astimezone():%Y-%m-%d %H:%M}"
-    return ""
+    return "" if session.recorded is None else f"{session.recorded:%Y-%m-%d %H:%M}"
 
 
 def stretches(session: Session) -> list[dict[str, Any]]:

@@ -244,4 +244,4 @@ def _recorded(sensor: Sensor) -> str:
     images = images_of(sensor)
     if isinstance(images, ImageRecording):
         return recorded_at(images.path)
-    return datetime.now(UTC).isoformat(timespec="seconds")
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
