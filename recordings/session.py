@@ -162,8 +162,8 @@ class Session(SessionSeries):
         """Writes S* for another program, as ``duplex export`` does; an existing file is replaced.
 
         Args:
-            path: Its ending is the format: ``.bvh``, ``.c3d``, ``.csv``, ``.glb``, ``.mot``, ``.npz``,
-                ``.parquet`` or ``.trc``.
+            path: Its ending is the format: ``.bvh``, ``.c3d``, ``.csv``, ``.glb``, ``.mcap``, ``.mot``,
+                ``.npz``, ``.parquet`` or ``.trc``.
             rate: Frames per second. None: that of the recording, or in a table its own times.
             table: Of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
             names: Of the bones in a ``.bvh`` or ``.glb``: those of the body, ``humanoid`` or ``mixamo``.

@@ -20,6 +20,7 @@ _MODULES = {  # with ``write_…``; imported when one is asked for
     ".c3d": "markers",
     ".csv": "tables",
     ".glb": "glb",
+    ".mcap": "ros",
     ".mot": "opensim",
     ".npz": "tables",
     ".parquet": "tables",

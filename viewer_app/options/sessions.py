@@ -135,8 +135,8 @@ class ReviewOptions(WebOptions, SummaryOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(GoodOptions):
-    """Write S* for another program: .bvh, .c3d, .csv, .glb, .mot, .npz, .parquet or .trc, by the file's
-    ending."""
+    """Write S* for another program: .bvh, .c3d, .csv, .glb, .mcap (ROS 2), .mot, .npz, .parquet or .trc, by
+    the file's ending."""
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to export."""
