@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from devices.sensor import SensorFrame
-from fusion.large_arrays import Rows
 from fusion.pair_arrays import Pairs
 from fusion.skeleton import SkeletonPair
+from fusion.support.large_arrays import Rows
 
 PERSON = "0"
 """The id of the only person in recorded pairs."""

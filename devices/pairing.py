@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from devices.frame_pairs import RecordedPairs
 from devices.sensor import DeviceError
 from fusion.body import Body
-from fusion.large_arrays import stored
 from fusion.pair_arrays import Pairs, View
 from fusion.registration.clock_course import find_clock_course
 from fusion.registration.clock_offset import ClockOffset
 from fusion.registration.clock_search import find_clock_offset
+from fusion.support.large_arrays import stored
 
 _CERTAIN = 4.0  # standard deviations of the growth of an offset that is corrected
 _GAP = 1.5

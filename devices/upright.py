@@ -27,10 +27,10 @@ from devices.sensor import (
 from fusion.body import Body
 from fusion.facing.evidence import upright_direction
 from fusion.intrinsics import Intrinsics
-from fusion.large_arrays import parts
 from fusion.pair_arrays import View, joined_views
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
+from fusion.support.large_arrays import parts
 
 _QUARTER = np.array(((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
 _LEVEL = 0.7  # length of the upward direction in the image's plane, below which the sensor looks up or down

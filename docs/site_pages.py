@@ -16,7 +16,7 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[1]
 _COPIED = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
-_MODULES = {"fusion/joint_rotations.py": "python.md#fusion.joint_rotations"}
+_MODULES = {"fusion/movement/joint_rotations.py": "python.md#fusion.movement.joint_rotations"}
 """Modules that pages link to, and where the site describes them."""
 _LINK = re.compile(r"\]\((?P<up>(?:\.\./)*)(?P<path>[^)#:]+)(?P<anchor>#[^)]*)?\)")
 _EQUATION = re.compile(r"^```math\n(.*?)^```$", re.DOTALL | re.MULTILINE)

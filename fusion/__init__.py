@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from fusion.lazy_names import lazy_names
+from fusion.support.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from fusion.body import AZURE_KINECT as AZURE_KINECT

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.large_arrays import Rows
 from fusion.rigid import RigidTransform
+from fusion.support.large_arrays import Rows
 
 
 @dataclass(frozen=True, eq=False)

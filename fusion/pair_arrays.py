@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel
 from fusion.facing.labels import Labels
-from fusion.large_arrays import PART, GrowingArray, parts
 from fusion.skeleton import NO_FRAME, Skeleton, SkeletonPair, nobody
+from fusion.support.large_arrays import PART, GrowingArray, parts
 
 
 class PairArrays(NamedTuple):
@@ -33,7 +33,8 @@ class PairArrays(NamedTuple):
 
 
 class View(NamedTuple):
-    """One person in T frames of a sensor; a recording's may lie in a file (:mod:`fusion.large_arrays`)."""
+    """One person in T frames of a sensor; a recording's may lie in a file
+    (:mod:`fusion.support.large_arrays`)."""
 
     time_ns: NDArray[np.int64]  # (T,) in order, on the sensor's clock
     positions: NDArray[np.float32]  # (T, J, 3) metres in the sensor's frame; NaN where not tracked

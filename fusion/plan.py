@@ -26,13 +26,13 @@ from fusion.errors import CalibrationError
 from fusion.facing.labels import Labels
 from fusion.facing.model import WHOLE
 from fusion.facing.sequence import relabel_sequence, reported_pairs
-from fusion.large_arrays import parts
-from fusion.medians import median_of_known
 from fusion.pair_arrays import PairArrays, Pairs
-from fusion.progress import Progress, quietly
 from fusion.registration.clock_offset import ClockOffset
 from fusion.setup import FuserSettings
 from fusion.skeleton import SkeletonPair
+from fusion.support.large_arrays import parts
+from fusion.support.medians import median_of_known
+from fusion.support.progress import Progress, quietly
 
 Segments = Sequence[tuple[Calibration, slice]]
 _LONG = 18_000

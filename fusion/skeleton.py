@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
 from fusion.errors import BodyError, FusionError
-from fusion.large_arrays import parts
+from fusion.support.large_arrays import parts
 
 
 class TrackingState(IntEnum):

@@ -2,10 +2,17 @@
 
 from typing import TYPE_CHECKING
 
-from fusion.lazy_names import lazy_names
+from fusion.support.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from devices.events import Event as Event
+    from recordings.comparing.truth_comparison import TruthComparison as TruthComparison
+    from recordings.data.series import AngleSeries as AngleSeries
+    from recordings.data.series import QualitySeries as QualitySeries
+    from recordings.data.series import RotationSeries as RotationSeries
+    from recordings.data.series import SkeletonSeries as SkeletonSeries
+    from recordings.data.session_arrays import SessionArrays as SessionArrays
+    from recordings.data.session_arrays import SessionFrame as SessionFrame
     from recordings.errors import MissingFileError as MissingFileError
     from recordings.errors import RecordingError as RecordingError
     from recordings.errors import UnknownNameError as UnknownNameError
@@ -16,13 +23,6 @@ if TYPE_CHECKING:
     from recordings.live_fusion import fuse_live as fuse_live
     from recordings.quality.per_second import SecondQuality as SecondQuality
     from recordings.quality.verdict import Verdict as Verdict
-    from recordings.series import AngleSeries as AngleSeries
-    from recordings.series import QualitySeries as QualitySeries
-    from recordings.series import RotationSeries as RotationSeries
-    from recordings.series import SkeletonSeries as SkeletonSeries
     from recordings.session import Session as Session
-    from recordings.session_arrays import SessionArrays as SessionArrays
-    from recordings.session_arrays import SessionFrame as SessionFrame
-    from recordings.truth_comparison import TruthComparison as TruthComparison
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from devices.association import Follow
 from devices.depth.image_thinning import Depth
+from devices.people.association import Follow
+from devices.recorded.two_recordings import RecordingChoice
 from devices.sensor import DeviceError
 from devices.skeletons.stated_format import StatedFormat, Unit
 from devices.tracker_choice import WantedTracker, choose_tracker
-from devices.two_recordings import RecordingChoice
 from fusion.body import BODIES
 from fusion.calibration.calibration import Calibration
 from fusion.setup import FuserSettings, Hindsight

@@ -9,14 +9,14 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
-from devices import people_tracks
-from devices.association import Follow
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, with_depth, without_images
 from devices.events import Event
-from devices.following import PersonOfPair
 from devices.frame_pairs import FramePair
+from devices.people import tracks as people_tracks
+from devices.people.association import Follow
+from devices.people.following import PersonOfPair
 from devices.sensor import Sensor
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration
@@ -26,11 +26,11 @@ from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
 from fusion.registration.refinement import RefinementSettings
 from fusion.setup import FusionSetup
+from recordings.data.session_arrays import SessionFrame
 from recordings.errors import RecordingError
 from recordings.fusing.pairs import fuse_one
 from recordings.fusing.view_events import ViewEvents
 from recordings.session import Session
-from recordings.session_arrays import SessionFrame
 
 
 class LiveFusion:
@@ -39,7 +39,7 @@ class LiveFusion:
     Args:
         calibrated: Whether to keep its calibration; otherwise one is found while pairs arrive, and refined.
         refine: Whether to refine a calibration that is kept.
-        follow: Whom of several people; see :class:`devices.following.PersonOfPair`.
+        follow: Whom of several people; see :class:`devices.people.following.PersonOfPair`.
     """
 
     def __init__(

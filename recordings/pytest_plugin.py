@@ -100,8 +100,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 def _kept(item: pytest.Item, sessions: Sequence[Session]) -> dict[str, Path]:
     """The files of the sessions, written without images where they are none yet, and a picture of two."""
-    from recordings.images import NO_IMAGES
-    from recordings.session_differences import write_worst_moment
+    from recordings.comparing.session_differences import write_worst_moment
+    from recordings.data.images import NO_IMAGES
 
     cached = getattr(item.config, "cache", None)
     root = Path(tempfile.mkdtemp(prefix="duplex-")) if cached is None else cached.mkdir("duplex")
@@ -122,8 +122,8 @@ def _kept(item: pytest.Item, sessions: Sequence[Session]) -> dict[str, Path]:
 
 def _commands(sessions: Sequence[Session], paths: Sequence[str]) -> list[list[str]]:
     """The command that shows what differs; sessions of different bodies are shown one by one."""
+    from recordings.comparing.session_comparison import Comparison
     from recordings.errors import RecordingError
-    from recordings.session_comparison import Comparison
 
     if len(sessions) == 1 or sessions[0].body is not sessions[1].body:
         return [["duplex", "review", path] for path in paths]

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from fusion.facing.labels import DOUBT_STEPS, Labels
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
+from recordings.data.images import NO_IMAGES
+from recordings.data.session_arrays import SessionFrames
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
-from recordings.images import NO_IMAGES
 from recordings.session import Session
-from recordings.session_arrays import SessionFrames
 from recordings.writing.checksums import fused_checksums, joint_digests
 
 CUT_WITHIN = 1e-6  # metres; float32 shows 2.4e-7 at 4 m

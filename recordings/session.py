@@ -31,30 +31,30 @@ from devices.frame_pairs import FramePair, RecordedPairs
 from devices.output_file import whole_file
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.large_arrays import GrowingArray
 from fusion.pair_arrays import Pairs, View
 from fusion.setup import FuserSettings, FusionSetup
-from recordings import layout
+from fusion.support.large_arrays import GrowingArray
+from recordings.data import layout
+from recordings.data.images import NO_IMAGES, SessionImages
+from recordings.data.session_arrays import SessionArrays, SessionFrame, SessionFrames
 from recordings.errors import RecordingError
 from recordings.export import Names, Table, writer_for
 from recordings.file.session_reader import read_session
-from recordings.images import NO_IMAGES, SessionImages
-from recordings.session_arrays import SessionArrays, SessionFrame, SessionFrames
 from recordings.session_series import SessionSeries
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
 
 if TYPE_CHECKING:
-    from recordings.truth_comparison import TruthComparison
+    from recordings.comparing.truth_comparison import TruthComparison
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Session(SessionSeries):
     """A recorded capture: the sensor data, the fused skeletons and the settings of the fusion.
 
-    Its data are the attributes of :class:`recordings.session_data.SessionData`; what follows from them is in
-    :class:`recordings.session_series.SessionSeries`. It can be pickled, with its depth images where they are
-    in a file.
+    Its data are the attributes of :class:`recordings.data.session_data.SessionData`; what follows from them
+    is in :class:`recordings.session_series.SessionSeries`. It can be pickled, with its depth images where
+    they are in a file.
     """
 
     @staticmethod
@@ -197,8 +197,8 @@ class Session(SessionSeries):
             DeviceError: There is no such table of names.
         """
         from devices.skeletons.name_tables import name_table
-        from recordings.truth_comparison import TruthComparison
-        from recordings.truth_files import read_truth
+        from recordings.comparing.truth_comparison import TruthComparison
+        from recordings.comparing.truth_files import read_truth
 
         table = None if names is None else name_table(names)
         return TruthComparison.of(self, read_truth(Path(path)), table, offset)

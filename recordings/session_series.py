@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from devices.events import Spell, spells_of
-from fusion.angles import ANGLES, angle_sigma, joint_angles
 from fusion.calibration.calibration import Calibration
 from fusion.facing.evidence import upright_direction
-from fusion.joint_rotations import rotations_of
+from fusion.movement.angles import ANGLES, angle_sigma, joint_angles
+from fusion.movement.joint_rotations import rotations_of
+from recordings.data.interpolation import nanoseconds, positions_at, sigma_at
+from recordings.data.series import AngleSeries, QualitySeries, RotationSeries, SkeletonSeries
+from recordings.data.session_data import SessionData, read_only
+from recordings.data.session_parts import part_of
 from recordings.gait import Gait
 from recordings.gait.events import find_gait
-from recordings.interpolation import nanoseconds, positions_at, sigma_at
 from recordings.quality.figures import report
 from recordings.quality.per_second import SecondQuality, Span, good_frames, good_spans, quality_per_second
 from recordings.quality.verdict import Verdict, verdict
-from recordings.series import AngleSeries, QualitySeries, RotationSeries, SkeletonSeries
-from recordings.session_data import SessionData, read_only
-from recordings.session_parts import part_of
 
 _SAMPLES = 9000  # frames, from which a person's usual place is found
 
@@ -80,7 +80,8 @@ class SessionSeries(SessionData):
         return self.rows.truth
 
     def at(self, time: ArrayLike) -> NDArray[np.float64]:
-        """S* at any times, with bones of constant length; see :func:`recordings.interpolation.positions_at`.
+        """S* at any times, with bones of constant length; see
+        :func:`recordings.data.interpolation.positions_at`.
 
         Args:
             time: One or (N,) seconds since the first frame, or numpy's durations (``timedelta64``).
@@ -94,7 +95,8 @@ class SessionSeries(SessionData):
         return positions_at(self.rows, nanoseconds(self.rows, time))
 
     def sigma_at(self, time: ArrayLike) -> NDArray[np.float64]:
-        """(N, J) metres, the uncertainty of :meth:`at`; see :func:`recordings.interpolation.sigma_at`."""
+        """(N, J) metres, the uncertainty of :meth:`at`; see
+        :func:`recordings.data.interpolation.sigma_at`."""
         return sigma_at(self.rows, nanoseconds(self.rows, time))
 
     @cached_property
@@ -193,7 +195,7 @@ class SessionSeries(SessionData):
 
     @cached_property
     def frame_rate(self) -> float:
-        """Frames per second; see :attr:`recordings.session_arrays.SessionArrays.frame_rate`."""
+        """Frames per second; see :attr:`recordings.data.session_arrays.SessionArrays.frame_rate`."""
         return self.rows.frame_rate
 
     @property

@@ -63,8 +63,8 @@ def assert_sessions_match(
         ValueError: A tolerance is negative or not a number.
     """
     __tracebackhide__ = True
+    from recordings.comparing.session_differences import differences
     from recordings.session import Session
-    from recordings.session_differences import differences
 
     joints_mm = joints_mm or {}
     for name, mm in {"position_mm": position_mm, **joints_mm}.items():
@@ -141,10 +141,10 @@ def simulated_session(
     from dataclasses import replace
 
     from devices.pairing import pair_views
-    from devices.people import RecordedPeople
+    from devices.people.recorded_people import RecordedPeople
+    from devices.recorded.two_recordings import TwoRecordings
     from devices.sensor import DeviceError
     from devices.simulated.kinect import simulated_pair
-    from devices.two_recordings import TwoRecordings
     from fusion.body import BODIES
     from fusion.setup import FuserSettings
     from recordings.fusing.files import fuse_read

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.capture.causes import Cause, in_brackets
+from devices.capture.clock.moments import ImageJoiner, Incomplete, Moment
 from devices.capture.frame_decimation import FrameDecimation
-from devices.capture.moments import ImageJoiner, Incomplete, Moment
 from devices.capture.settings import CaptureSettings
 from devices.capture.stream_health import ImageHealth, Losses, RecordingTime, Silence
 from devices.sensor import AbsentError, ColorCamera, DeviceError, Sensor, SensorFrame

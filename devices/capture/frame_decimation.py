@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Hashable
 
-from devices.capture.moment_grid import MomentGrid
+from devices.capture.clock.moment_grid import MomentGrid
 from devices.capture.step_choice import StepChoice
 
 
@@ -55,7 +55,7 @@ class FrameDecimation:
             self.choice.restart(sensor)
 
     def moment(self, sensor: Hashable, time_ns: int, host_ns: int) -> int:
-        """As :meth:`~devices.capture.moment_grid.MomentGrid.number`."""
+        """As :meth:`~devices.capture.clock.moment_grid.MomentGrid.number`."""
         with self._lock:
             return self._grid.number(sensor, time_ns, host_ns)
 

@@ -19,7 +19,7 @@ class ConnectedSensor:
     sync_out: bool | None = None
     """Whether a cable is in the jack; None if it cannot be opened."""
     fault: str = ""  # why it cannot be opened; empty if it can
-    sdk: str = "k4a"  # whose software gives its images: libk4a's, or a name in ``devices.live_sensors``
+    sdk: str = "k4a"  # whose software gives its images: libk4a's, or a name in ``devices.live.sensors``
     description: str = ""  # its model, connection or firmware, as far as the software tells
     advice: str = ""  # what to do about its firmware; empty if nothing
     tells_jacks: bool = True  # whether its software tells whether a cable is in a jack

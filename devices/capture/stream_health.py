@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Callable, Iterator
 
 from devices.capture.causes import Cause
+from devices.capture.clock.moments import Incomplete, Moment
 from devices.capture.frame_decimation import FrameDecimation
-from devices.capture.moments import Incomplete, Moment
 from devices.capture.settings import CaptureSettings
 from devices.sensor import Sensor
 

@@ -7,7 +7,7 @@ of one moment. Where it does not set it, the pairs found so far tell the offset 
 
 Each frame gets its moment on this machine's clock when it arrives; those so far get a new one when the clocks
 are found to be one. By it a frame waits for its partner. Pairs carry A's time, continued where A's clock is
-reset. It never goes back. The person has not been selected yet: see :mod:`devices.people`.
+reset. It never goes back. The person has not been selected yet: see :mod:`devices.people.recorded_people`.
 
 Pure: time is passed in, nothing waits.
 """
@@ -20,8 +20,8 @@ from itertools import islice
 from statistics import median_low
 from typing import Literal
 
-from devices.capture.host_clock import OutputTime
-from devices.capture.incoming_stream import NEWEST_NS, PENDING, Arrived, IncomingStream
+from devices.capture.clock.host_clock import OutputTime
+from devices.capture.clock.incoming_stream import NEWEST_NS, PENDING, Arrived, IncomingStream
 from devices.frame_pairs import FramePair, PairingFigures
 from devices.sensor import SensorFrame
 from fusion.skeleton import SkeletonPair

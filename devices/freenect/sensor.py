@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause, in_brackets
-from devices.capture.moments import ImageJoiner, Moment
+from devices.capture.clock.moments import ImageJoiner, Moment
 from devices.capture.settings import CaptureSettings
 from devices.freenect.libfreenect import PROGRAMS, Context
 from devices.freenect.ticks import FPS, TICKS_PER_S, TickCounter

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor
-from devices.capture.moments import ImageJoiner, Moment
+from devices.capture.clock.moments import ImageJoiner, Moment
 from devices.capture.settings import CaptureSettings
 from devices.freenect2.library import SHAPE, Camera
 from devices.sensor import DeviceError, SensorFrame

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.moments import ImageJoiner, arrival_ns
+from devices.capture.clock.moments import ImageJoiner, arrival_ns
 from devices.sensor import ColorCamera, ColorImage
 
 

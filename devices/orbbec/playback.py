@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from devices.capture.moments import ImageJoiner
+from devices.capture.clock.moments import ImageJoiner
 from devices.input_file import check_recording
 from devices.orbbec.images import FrameReader, depth_image, infrared_image
 from devices.orbbec.sdk_access import context_of, faults_of, load_sdk

@@ -7,7 +7,7 @@ from typing import Any
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause, in_brackets
-from devices.capture.moments import ImageJoiner, Moment
+from devices.capture.clock.moments import ImageJoiner, Moment
 from devices.orbbec.images import FrameReader, color_image, depth_image, infrared_image
 from devices.orbbec.sdk_access import faults_of, is_connected, load_sdk, open_orbbec, set_sync_role
 from devices.orbbec.streams import Streams, check_modes, choose_streams, color_camera, intrinsics_of

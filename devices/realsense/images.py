@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.moments import ImageJoiner, Moment
+from devices.capture.clock.moments import ImageJoiner, Moment
 from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform

@@ -11,7 +11,7 @@ from typing import Any
 
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause, in_brackets
-from devices.capture.moments import Moment
+from devices.capture.clock.moments import Moment
 from devices.capture.settings import CaptureSettings
 from devices.input_file import check_recording, open_input
 from devices.realsense.images import FrameReader, Streams, choose_streams, intrinsics_of

@@ -10,16 +10,16 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.people import RecordedPeople
+from devices.people.recorded_people import RecordedPeople
 from devices.sensor import DeviceError
 from devices.skeletons.read_file import FoundPoints
 from devices.skeletons.repetition import ALMOST_ALWAYS, kept_places, logged_again, repeats_of
 from devices.skeletons.stated_format import UNSTATED, StatedFormat, Unit
 from devices.skeletons.times import FEWEST
 from fusion.body import Body
-from fusion.large_arrays import parts
 from fusion.pair_arrays import View, joined_views
 from fusion.skeleton import FARTHEST, checked_joints
+from fusion.support.large_arrays import parts
 
 METRES: MappingProxyType[str, tuple[float, str]] = MappingProxyType(
     {

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from devices.people import RecordedPeople
+from devices.people.recorded_people import RecordedPeople
 from devices.sensor import DeviceError, MissingRecordingError, Sensor, SensorFrame
 from devices.skeletons.border import ReadFile, checked
 from devices.skeletons.csv_files.reader import read_csv
@@ -16,7 +16,7 @@ from devices.skeletons.read_file import FoundPoints
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
-from fusion.progress import Progress, quietly
+from fusion.support.progress import Progress, quietly
 
 Reader = Callable[[Path, StatedFormat, Progress], FoundPoints]
 

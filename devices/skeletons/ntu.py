@@ -8,7 +8,7 @@ from devices.sensor import DeviceError
 from devices.skeletons.read_file import Bodies, FoundPoints, found_of, text_bytes
 from devices.skeletons.stated_format import UNSTATED, FilePoints, StatedFormat
 from fusion.body import KINECT_V2
-from fusion.progress import Progress, quietly
+from fusion.support.progress import Progress, quietly
 
 FRAME_NS = 33_333_333
 """Frame interval. The files contain no times; the frame rate is 30 Hz."""

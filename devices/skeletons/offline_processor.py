@@ -9,7 +9,7 @@ import numpy as np
 from devices.sensor import DeviceError
 from devices.skeletons.read_file import Bodies, FoundPoints, found_of, text_bytes
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
-from fusion.progress import Progress, quietly
+from fusion.support.progress import Progress, quietly
 
 
 def read_json(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> FoundPoints:

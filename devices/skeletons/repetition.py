@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from devices.skeletons.name_tables import listed
 from devices.skeletons.read_file import FoundPoints
 from devices.skeletons.times import FEWEST, LOGGED_TWICE, digest
-from fusion.large_arrays import parts
+from fusion.support.large_arrays import parts
 
 _ONE_FRAME_NS = 250_000_000  # the longest time between two frames of a tracker
 _DIGITS = 200  # steps within a person: centimetres are fewer, millimetres more

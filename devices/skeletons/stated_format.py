@@ -17,7 +17,7 @@ from devices.sensor import DeviceError
 from devices.skeletons.name_tables import NameTable, listed, name_table
 from fusion.body import BODIES, Body, body_of
 from fusion.errors import FusionError
-from fusion.handedness import mirrored_share
+from fusion.facing.handedness import mirrored_share
 
 AXES: MappingProxyType[str, str] = MappingProxyType(
     {"kinect": "-x,-y,z", "unity": "x,-y,z", "opengl": "x,-y,-z", "ros": "-y,-z,x"}
@@ -27,7 +27,7 @@ AXES: MappingProxyType[str, str] = MappingProxyType(
 Kinect is the SDK of Kinect v1 and v2. Unity's axes are left-handed, so that one changes its sign.
 """
 MIRRORED = 0.5
-"""The value of :func:`fusion.handedness.mirrored_share` above which a person is a mirror image."""
+"""The value of :func:`fusion.facing.handedness.mirrored_share` above which a person is a mirror image."""
 Unit = Literal["auto", "m", "cm", "mm", "ft", "in"]
 """Unit of a file's positions; auto: found from the size of the person."""
 

@@ -13,9 +13,7 @@ from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.online import CalibrationChange, CalibrationLearner, LearnerSettings, prior_of
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
-from fusion.large_arrays import PART, give_back, parts
 from fusion.pair_arrays import Pairs
-from fusion.progress import Progress, quietly
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
 from fusion.registration.knock import fit_knock
@@ -25,6 +23,8 @@ from fusion.registration.robust_fit import RobustFit, fit_robust, registration_o
 from fusion.registration.starts import better_fit
 from fusion.rigid import RigidTransform
 from fusion.skeleton import NO_FRAME, SkeletonPair, stale_frames
+from fusion.support.large_arrays import PART, give_back, parts
+from fusion.support.progress import Progress, quietly
 
 _KEYFRAMES = 128  # per span; the tempering of the fit was chosen for this number
 _BONE_PAIRS = 256

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.calibration.calibration import FEWEST_PAIRS
 from fusion.errors import CalibrationError
-from fusion.large_arrays import parts
 from fusion.pair_arrays import Pairs
 from fusion.registration.rigid_fit import NOBODY_IN_BOTH
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from fusion.support.large_arrays import parts
 
 _SHORTEST_NS = 1_000_000_000
 _SHORTEST_PARTLY_NS = 2_000_000_000

@@ -1,7 +1,7 @@
 """The estimator's named arrays. The fuser owns them, so that no frame allocates memory.
 
-J is the number of joints, T that of pairs (:func:`fusion.array_fields.new_arrays`). Arrays of both views have
-the view first: 0 is A, 1 is B.
+J is the number of joints, T that of pairs (:func:`fusion.support.array_fields.new_arrays`). Arrays of both
+views have the view first: 0 is A, 1 is B.
 """
 
 from __future__ import annotations

@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 from numba import typeof
 
-from fusion.array_fields import new_arrays
 from fusion.calibration.calibration import Calibration
 from fusion.estimator.arrays import Filter, LastSkeletons, Model, Output, Solve, State, Views, new_model
 from fusion.estimator.constants import Constants
 from fusion.estimator.estimator import boxed, estimate_pairs
+from fusion.estimator.measurements.views import relabel
 from fusion.estimator.smoother import Trace, smooth_pairs
-from fusion.estimator.views import relabel
 from fusion.facing.exchange import exchange
 from fusion.facing.model import FacingState, new_facing_model
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays
 from fusion.registration.lasting_errors import COMMON_SD
 from fusion.setup import FusionSetup
+from fusion.support.array_fields import new_arrays
 
 
 class DuplexFusion:

@@ -16,21 +16,22 @@ from fusion.estimator.bones import (
     solve_bones,
 )
 from fusion.estimator.covariance import find_covers, set_covariances, set_rays
-from fusion.estimator.evidence import (
+from fusion.estimator.kalman import kalman_update, predict, start_joints, update_common_error
+from fusion.estimator.measurements.evidence import (
     depth_evidence,
     length_evidence,
     measure_surface,
     other_limb_evidence,
 )
-from fusion.estimator.heading import turn_girdles
-from fusion.estimator.kalman import kalman_update, predict, start_joints, update_common_error
-from fusion.estimator.offsets import add_lag, decay_offsets, update_offsets, update_usual_offsets
-from fusion.estimator.outliers import (
+from fusion.estimator.measurements.heading import turn_girdles
+from fusion.estimator.measurements.offsets import add_lag, decay_offsets, update_offsets, update_usual_offsets
+from fusion.estimator.measurements.outliers import (
     add_other_place,
     outlier_probabilities,
     store_outlier_state,
     update_followed_views,
 )
+from fusion.estimator.measurements.views import relabel, remove_scales, transform_views
 from fusion.estimator.process import (
     drop_wrong_offsets,
     elapsed,
@@ -39,7 +40,6 @@ from fusion.estimator.process import (
     inflate_where_astray,
 )
 from fusion.estimator.smoother import trace_result
-from fusion.estimator.views import relabel, remove_scales, transform_views
 from fusion.pair_arrays import anyone_seen
 
 _LEAST_TRUST = 0.01  # a joint with less trust counts as predicted

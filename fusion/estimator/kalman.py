@@ -9,7 +9,7 @@ import math
 
 from fusion.compiling.kernels import inner_kernel
 from fusion.estimator.constants import FRAME_SECONDS
-from fusion.estimator.outliers import innovation
+from fusion.estimator.measurements.outliers import innovation
 from fusion.estimator.process import process
 from fusion.solvers.small_matrices import add_inverse, inverse
 

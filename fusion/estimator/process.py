@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel
-from fusion.estimator.outliers import innovation
+from fusion.estimator.measurements.outliers import innovation
 from fusion.facing.filter import forget_facing
 from fusion.facing.model import FORGET_NS
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.array_fields import new_arrays
 from fusion.errors import FusionError
+from fusion.support.array_fields import new_arrays
 
 DOUBT_STEPS, HEADING_STEPS = 255, 1024
 """Sessions store doubt and heading in steps of 1/255 and 1/1024."""

@@ -60,7 +60,7 @@ class FacingConstants(NamedTuple):
     axis_weight: float = 0.4  # weight of an axis in a frame
     axis_bias: Table = (0.0, 0.0, 0.0, 0.0, 0.0)
     """Standard deviation of an axis's error that lasts as long as the pose; 0: shoulders and hips stay as
-    reported (:func:`fusion.estimator.heading.turn_girdles`)."""
+    reported (:func:`fusion.estimator.measurements.heading.turn_girdles`)."""
     reported_angle: Table = (0.0, 60.0, 90.0, 120.0, 180.0)
     """Angle to the sensor that shoulders and hips show, degrees."""
     unbiased: float = 1.0  # probability that an axis nevertheless shows the true angle

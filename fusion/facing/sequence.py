@@ -7,7 +7,6 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.array_fields import new_arrays
 from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.facing.evidence import measure_view, upright_direction
@@ -23,6 +22,7 @@ from fusion.facing.model import (
 )
 from fusion.facing.whole_body import retrodict, set_headings, set_turning
 from fusion.skeleton import stale_frames
+from fusion.support.array_fields import new_arrays
 
 Floats = NDArray[np.float64]
 

@@ -4,13 +4,13 @@ from typing import Any
 
 from numba import typeof
 
-from fusion.array_fields import new_arrays
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays
 from fusion.paper import method
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.solvers.tree_solver import solve_tree
+from fusion.support.array_fields import new_arrays
 
 
 class PaperFusion:

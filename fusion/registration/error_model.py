@@ -16,13 +16,13 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.array_fields import new_arrays
 from fusion.body import Body
 from fusion.compiling.kernels import kernel
 from fusion.joint_kinds import by_joint
 from fusion.registration.keyframes import Evidence
 from fusion.registration.lasting_errors import COMMON_SD
 from fusion.rigid import RigidTransform
+from fusion.support.array_fields import new_arrays
 
 Array = NDArray[np.float64]
 

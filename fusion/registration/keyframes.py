@@ -12,12 +12,12 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.array_fields import new_arrays
 from fusion.body import Body
 from fusion.joint_kinds import limbs
-from fusion.large_arrays import give_back
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.support.array_fields import new_arrays
+from fusion.support.large_arrays import give_back
 
 Array = NDArray[np.float64]
 

@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.medians import median_of_known
 from fusion.registration.error_model import RobustFitSettings, cost_of
 from fusion.registration.keyframes import Evidence, match_sides
 from fusion.registration.robust_fit import Prior, RobustFit, fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED, Skeleton, SkeletonPair
+from fusion.support.medians import median_of_known
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 
-from fusion.array_fields import new_arrays
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.solvers import MAX_ITERATIONS
 from fusion.solvers.tree_elimination import (
@@ -34,6 +33,7 @@ from fusion.solvers.tree_start import (
     place,
     stretch,
 )
+from fusion.support.array_fields import new_arrays
 
 MAX_SYSTEMS = 150
 """Limit of linear systems from one start, about 0.5 ms."""

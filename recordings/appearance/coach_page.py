@@ -6,10 +6,10 @@ from typing import Any, Literal
 
 import rerun as rr
 
-from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.colors import MARK_COLORS
 from recordings.appearance.state_card import State, state_card
+from recordings.data import layout
 
 Point = tuple[float, float, float]
 Meaning = Literal["do", "mend", "better"]

@@ -14,7 +14,7 @@ SKELETON_COLORS: dict[str, Color] = {
     "exchanged_a": (250, 240, 60),  # yellow, and cyan: each next to the colour of its own view
     "exchanged_b": (90, 220, 235),
 }
-"""By the names of :data:`recordings.layout.SKELETON_NAMES`."""
+"""By the names of :data:`recordings.data.layout.SKELETON_NAMES`."""
 SIDE_COLORS: dict[str, Color] = {"left": (220, 50, 47), "right": (38, 139, 210)}
 """Of the person's sides in plots of angles: red and blue. Pages draw the right side dashed, too."""
 VIEW_COLORS: dict[str, tuple[Color, Color, Color]] = {
@@ -28,7 +28,7 @@ PREDICTED_COLOR: Color = (97, 97, 97)
 MARK_COLORS: dict[str, Color] = {"do": (20, 188, 149), "mend": (190, 10, 60), "better": (240, 192, 24)}
 """Of the coach's marks: where to go, what is wrong, and where a sensor could stand: green, red, amber."""
 STATE_COLORS: tuple[Color, ...] = (PREDICTED_COLOR, MARK_COLORS["better"], MARK_COLORS["do"])
-"""By the indices of :data:`recordings.layout.STATE_NAMES`."""
+"""By the indices of :data:`recordings.data.layout.STATE_NAMES`."""
 FACE_COLOR: Color = (235, 225, 205)
 """Of the nose of S*, which shows where the person faces."""
 TARGET_COLOR = (128, 128, 128)

@@ -8,7 +8,6 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
-from recordings import layout
 from recordings.appearance.body_shape import capsule_radii
 from recordings.appearance.colors import (
     FACE_COLOR,
@@ -21,6 +20,7 @@ from recordings.appearance.colors import (
     Color,
 )
 from recordings.appearance.joint_trust import SOURCE_COLORS, SOURCES
+from recordings.data import layout
 
 _CLOUD_RADIUS = rr.components.Radius.ui_points(0.5)  # metres would hide the person behind points near the eye
 _NOSE_RADIUS = 0.022  # metres

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.facing.evidence import upright_direction
 from fusion.rigid import RigidTransform
-from recordings.session_arrays import SessionArrays
+from recordings.data.session_arrays import SessionArrays
 
 ANKLE = 0.08
 """Metres: height of an ankle above the floor."""

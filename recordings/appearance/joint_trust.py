@@ -9,7 +9,7 @@ from fusion.body import Body
 from fusion.joint_kinds import ARM, LEG, kind_of, limbs
 from fusion.skeleton import NO_FRAME
 from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS, Color
-from recordings.session_arrays import SessionArrays
+from recordings.data.session_arrays import SessionArrays
 
 LIMBS = ("head", "left arm", "right arm", "trunk", "left leg", "right leg")
 SOURCES = ("from A", "from B", "from both", "predicted")

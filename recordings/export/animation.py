@@ -3,9 +3,9 @@
 Bones of constant length are represented exactly by rotations. A file has one length per bone: that of the
 session's last calibration. Frames with others, before a new calibration or of method ``published``, are shown
 with these: their bones have the directions of S*, and their joints are off by what is reported. Rotations are
-those of :mod:`fusion.joint_rotations`. If several bones leave a joint, their angles vary and one rotation
-cannot represent all of them. The node of the joint then turns with the pelvis, trunk, head, hand or foot, and
-each other bone gets a node of its own at the same position.
+those of :mod:`fusion.movement.joint_rotations`. If several bones leave a joint, their angles vary and one
+rotation cannot represent all of them. The node of the joint then turns with the pelvis, trunk, head, hand or
+foot, and each other bone gets a node of its own at the same position.
 
 Axes: x right, y up, z towards the first sensor, the floor at y = 0; the origin is below the sensor. The
 T-pose faces +z.
@@ -20,14 +20,14 @@ from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
-from fusion.humanoid import human_bones, mixamo_name, rest_from_t_pose
-from fusion.joint_rotations import JointRotations, joint_bones
-from fusion.large_arrays import PART
+from fusion.movement.humanoid import human_bones, mixamo_name, rest_from_t_pose
+from fusion.movement.joint_rotations import JointRotations, joint_bones
+from fusion.support.large_arrays import PART
 from recordings.appearance.floor import floor_under
+from recordings.data.interpolation import positions_at
 from recordings.errors import RecordingError
 from recordings.export import Names
 from recordings.export.even_frames import even_moments, y_up, y_up_rotations
-from recordings.interpolation import positions_at
 from recordings.session_series import SessionSeries
 
 Array = NDArray[np.float64]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.large_arrays import parts
+from fusion.support.large_arrays import parts
+from recordings.data.interpolation import positions_at
+from recordings.data.session_arrays import SessionArrays
 from recordings.errors import RecordingError
-from recordings.interpolation import positions_at
-from recordings.session_arrays import SessionArrays
 from recordings.session_series import SessionSeries
 
 _LONGEST_GAP = 0.25  # seconds without S* that are interpolated

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.appearance.floor import floor_under
+from recordings.data.interpolation import positions_at
+from recordings.data.session_arrays import SessionArrays
 from recordings.errors import RecordingError
 from recordings.export.even_frames import EvenPositions, even_moments
-from recordings.interpolation import positions_at
-from recordings.session_arrays import SessionArrays
 from recordings.session_series import SessionSeries
 
 # Vendors count further in parameters of their own; ezc3d and all that is built on it read none of those

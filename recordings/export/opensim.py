@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fusion.angles import ANGLES, joint_angles
 from fusion.body import Body
+from fusion.movement.angles import ANGLES, joint_angles
 from recordings.errors import RecordingError
 from recordings.export.even_frames import EvenPositions
 from recordings.export.markers import forward_up_right

@@ -13,10 +13,10 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from recordings.data.session_arrays import SessionArrays
 from recordings.errors import UnknownNameError
 from recordings.export import Table
 from recordings.gait import SIDES, Step
-from recordings.session_arrays import SessionArrays
 from recordings.session_series import SessionSeries
 
 _STATES = np.array(["not_tracked", "inferred", "tracked"])
@@ -72,8 +72,8 @@ def units_of(table: pa.Table) -> dict[str, str]:
 
 
 def write_npz(session: SessionSeries, path: Path) -> str:
-    """Writes the arrays of :class:`recordings.session_arrays.SessionArrays`, the names of the joints, the
-    angles of :class:`recordings.series.AngleSeries`, and the steps as an array with named fields."""
+    """Writes the arrays of :class:`recordings.data.session_arrays.SessionArrays`, the names of the joints,
+    the angles of :class:`recordings.data.series.AngleSeries`, and the steps as an array with named fields."""
     rows, angles = session.rows, session.angles
     kinds = [(name, "U5" if name == "side" else np.float64) for name in Step._fields]
     arrays = {name: getattr(rows, name) for name in ("bone_lengths", "frame", "time_ns")}

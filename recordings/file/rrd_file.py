@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from devices.arrow_numbers import numbers_of
 from devices.input_file import open_input
-from fusion.large_arrays import GrowingArray, give_back
-from recordings import layout
+from fusion.support.large_arrays import GrowingArray, give_back
+from recordings.data import layout
 from recordings.errors import MissingFileError, RecordingError
 
 PROPERTIES = "/__properties"

@@ -13,17 +13,17 @@ from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.intrinsics import Intrinsics
-from fusion.large_arrays import GrowingArray, parts
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
-from recordings import layout
+from fusion.support.large_arrays import GrowingArray, parts
+from recordings.data import layout
+from recordings.data.frame_fields import FRAME_FIELDS, FrameField
+from recordings.data.session_arrays import SessionArrays
+from recordings.data.session_data import OF_DAMAGED, SessionData
 from recordings.errors import RecordingError
 from recordings.file.rrd_file import Columns, read_columns
 from recordings.file.stored_images import FileImages
-from recordings.frame_fields import FRAME_FIELDS, FrameField
-from recordings.session_arrays import SessionArrays
-from recordings.session_data import OF_DAMAGED, SessionData
 from recordings.writing.checksums import (
     CHECKS_CRC,
     FRAME_CRC,

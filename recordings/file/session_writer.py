@@ -22,14 +22,14 @@ import rerun as rr
 import rerun_bindings
 
 from devices.output_file import whole_file
-from fusion.large_arrays import parts
-from fusion.progress import Progress, quietly
-from recordings import layout
+from fusion.support.large_arrays import parts
+from fusion.support.progress import Progress, quietly
 from recordings.appearance.coach_page import CoachPage
+from recordings.data import layout
+from recordings.data.session_data import OF_DAMAGED, SessionData
+from recordings.data.session_parts import PartOfImages
 from recordings.errors import RecordingError
 from recordings.file.rrd_file import RrdFile, damage_of
-from recordings.session_data import OF_DAMAGED, SessionData
-from recordings.session_parts import PartOfImages
 from recordings.writing.changes import log_quality
 from recordings.writing.recorder import Recorder
 

@@ -12,10 +12,10 @@ from devices.depth.rvl import decode_depth
 from devices.sensor import ColorCamera, ColorImage
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
-from recordings import layout
+from recordings.data import layout
+from recordings.data.images import Images, SessionImages
 from recordings.errors import RecordingError
 from recordings.file.rrd_file import RrdFile
-from recordings.images import Images, SessionImages
 from recordings.writing.checksums import image_checksum
 
 T = TypeVar("T")

@@ -12,30 +12,30 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from devices.association import Follow
 from devices.depth.image_thinning import Depth
 from devices.events import Event
-from devices.files import recorded_at
 from devices.pairing import pair_views
+from devices.people.association import Follow
+from devices.recorded.files import recorded_at
+from devices.recorded.two_recordings import RecordingChoice, TwoRecordings, read_two
 from devices.skeletons.border import impossible
 from devices.skeletons.stated_format import MIRRORED
 from devices.tracker_choice import TrackerChoice
-from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
 from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
-from fusion.handedness import mirrored_share
+from fusion.facing.handedness import mirrored_share
 from fusion.pair_arrays import View
 from fusion.plan import RecordingPlan, plan_recording
-from fusion.progress import Progress, quietly
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import checked_joints
+from fusion.support.progress import Progress, quietly
+from recordings.data.images import SessionImages
+from recordings.data.session_arrays import SessionFrames
 from recordings.errors import RecordingError, UnknownNameError
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.recording_images import RecordingImages
 from recordings.fusing.view_events import watch
-from recordings.images import SessionImages
-from recordings.session_arrays import SessionFrames
 
 _UNRELATED = 0.2  # metres
 _MOSTLY = 0.5
@@ -126,7 +126,7 @@ def read_for(
     """Reads two recordings as a method takes them: ``duplex`` every frame, the paper's methods pairs.
 
     Args:
-        choices, tracker, progress, follow: As for :func:`devices.two_recordings.read_two`.
+        choices, tracker, progress, follow: As for :func:`devices.recorded.two_recordings.read_two`.
         offset_ms: Added to the times of B. None: the method ``duplex`` finds it from the motion.
 
     Raises:

@@ -13,10 +13,10 @@ from devices.frame_pairs import FramePair, RecordedPairs
 from fusion.facing.labels import Labels
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
-from fusion.large_arrays import parts
 from fusion.plan import RecordingPlan
 from fusion.setup import FuserSettings, FusionSetup
-from recordings.session_arrays import PairBlock, SessionFrame, SessionFrames
+from fusion.support.large_arrays import parts
+from recordings.data.session_arrays import PairBlock, SessionFrame, SessionFrames
 
 _BLOCK = 256  # pairs that are fused in one compiled loop
 Segments = Sequence[tuple[FusionSetup, slice]]

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth
-from devices.two_recordings import TwoRecordings
-from fusion.large_arrays import parts
-from fusion.progress import Progress, quietly
-from recordings.images import Images, SessionImages, drawn_bones
+from devices.recorded.two_recordings import TwoRecordings
+from fusion.support.large_arrays import parts
+from fusion.support.progress import Progress, quietly
+from recordings.data.images import Images, SessionImages, drawn_bones
 
 
 class RecordingImages(SessionImages):

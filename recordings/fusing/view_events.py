@@ -15,8 +15,8 @@ from fusion.fused_frame import FusedFrame
 from fusion.joint_kinds import of_kind
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair, TrackingState
-from recordings.corrected_sides import corrects_sides
-from recordings.session_arrays import SessionFrames
+from recordings.data.corrected_sides import corrects_sides
+from recordings.data.session_arrays import SessionFrames
 
 Array = NDArray[Any]
 _LIMBS = {"arm": ("elbow", "wrist", "hand", "tip"), "leg": ("knee", "ankle", "foot")}  # kinds of joints

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.appearance.joint_trust import SeenJoints
+from recordings.data.session_arrays import SessionArrays
 from recordings.quality.limits import USABLE
-from recordings.session_arrays import SessionArrays
 
 UNCERTAIN = 150.0
 """Millimetres of a wrist or ankle, one standard deviation."""

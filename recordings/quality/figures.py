@@ -12,20 +12,25 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.facing.evidence import upright_direction
-from fusion.handedness import mirrored_share
-from fusion.large_arrays import parts
+from fusion.facing.handedness import mirrored_share
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import NO_FRAME
-from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without_truth, judge_registration
+from fusion.support.large_arrays import parts
 from recordings.calibration_file import is_loaded
+from recordings.data.session_arrays import SessionArrays, rate_without_pauses
+from recordings.data.session_data import SessionData, ViewsAgree
 from recordings.quality.doubtful_time import doubtful_seconds, seen_people
 from recordings.quality.limits import FARTHEST, nearest
 from recordings.quality.verdict import Figures as Figures
 from recordings.quality.verdict import Shortcoming, verdict
-from recordings.session_arrays import SessionArrays, rate_without_pauses
-from recordings.session_data import SessionData, ViewsAgree
+from recordings.quality.without_truth import (
+    FiguresWithoutTruth,
+    FusedPair,
+    figures_without_truth,
+    judge_registration,
+)
 
 _SAMPLES = 100_000  # frames, from which a median distance is found
 _STANDING = 10_000  # frames, from which the vertical is found

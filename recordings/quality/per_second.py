@@ -7,10 +7,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.data.session_data import SessionData
 from recordings.quality.doubtful_time import LIMBS, UNCERTAIN, seen_people, time_of_frames, uncertain_limbs
 from recordings.quality.limits import GOOD, USABLE, beside, graded
 from recordings.quality.verdict import DOUBTFUL, OFFSETS
-from recordings.session_data import SessionData
 
 Word = Literal["good", "usable", "poor"]
 _WORDS: tuple[Word, ...] = ("poor", "usable", "good")

@@ -16,7 +16,7 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from recordings import layout
+from recordings.data import layout
 
 
 class Batch:

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from devices.frame_pairs import PairingFigures
 from fusion.body import Body
 from fusion.setup import FusionSetup
-from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.floor import FloorFinder
 from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources
-from recordings.frame_noise import FrameDeviations, noise_of
+from recordings.data import layout
+from recordings.data.frame_noise import FrameDeviations, noise_of
+from recordings.data.session_arrays import SessionArrays
+from recordings.data.session_data import SessionData
 from recordings.quality.per_second import merged_by_word, quality_per_second
-from recordings.session_arrays import SessionArrays
-from recordings.session_data import SessionData
 from recordings.writing.arrow_columns import Column, Times, converted, state_changes
 
 _POSE_AGAIN_NS = 10_000_000_000

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.events import Event
-from recordings.session_arrays import SessionArrays
+from recordings.data.session_arrays import SessionArrays
 
 _BLOCK = 4096  # frames per step, which temporarily need three times their memory
 FRAME_CRC, FUSED_CRC = "figures.frame_crc32", "figures.fused_crc32"

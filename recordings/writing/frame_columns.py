@@ -13,11 +13,11 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.angles import ANGLES, UP, angle_sigma, joint_angles
-from recordings import layout
-from recordings.frame_fields import FrameField
+from fusion.movement.angles import ANGLES, UP, angle_sigma, joint_angles
+from recordings.data import layout
+from recordings.data.frame_fields import FrameField
+from recordings.data.session_arrays import SessionArrays
 from recordings.quality.limits import PLOTTED_DEGREES, POSSIBLE
-from recordings.session_arrays import SessionArrays
 from recordings.writing.arrow_columns import Column, converted
 from recordings.writing.checksums import (
     CHECKS_CRC,

@@ -10,8 +10,8 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from devices.frame_pairs import FramePair
-from recordings import layout
-from recordings.images import drawn_bones
+from recordings.data import layout
+from recordings.data.images import drawn_bones
 from recordings.writing.arrow_columns import Column, Times, own_values
 from recordings.writing.changes import set_time
 from recordings.writing.checksums import image_checksum
@@ -28,7 +28,7 @@ class OthersLog:
         self._newest_ns = dict.fromkeys(layout.SIDES, 0)  # of the frames of each sensor
 
     def bones(self, side: str, number: int, time_ns: int, bones: NDArray[np.float32]) -> None:
-        """Logs :func:`recordings.images.drawn_bones` of a frame."""
+        """Logs :func:`recordings.data.images.drawn_bones` of a frame."""
         if not len(bones) and not self._shown[side]:
             return
         self._shown[side] = len(bones) > 0

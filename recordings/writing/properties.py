@@ -10,7 +10,7 @@ import numpy as np
 from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
 from fusion.setup import REVISIONS, FusionSetup
-from recordings import layout
+from recordings.data import layout
 
 _RESIDUALS = ("residual_median", "residual_rms", "rotation_sd", "translation_sd")
 

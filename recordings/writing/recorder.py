@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from devices.depth.image_thinning import has_image
 from devices.events import Event
 from fusion.setup import FusionSetup
-from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import TrustColors
-from recordings.session_arrays import SessionArrays, SessionFrame
+from recordings.data import layout
+from recordings.data.session_arrays import SessionArrays, SessionFrame
 from recordings.writing.arrow_columns import Times, own_values
 from recordings.writing.changes import (
     PlacementLog,

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.skeleton import TrackingState
-from recordings import layout
 from recordings.appearance.body_shape import (
     bone_vectors,
     capsule_lengths,
@@ -21,14 +20,15 @@ from recordings.appearance.body_shape import (
     pelvis_rotations,
 )
 from recordings.appearance.colors import VIEW_COLORS
-from recordings.session_arrays import SessionArrays
+from recordings.data import layout
+from recordings.data.session_arrays import SessionArrays
 
 
 @dataclass(frozen=True, eq=False)
 class ShownFigure:
     """A derived figure."""
 
-    entity: str  # place in the file, named as in :class:`recordings.frame_fields.FrameField`
+    entity: str  # place in the file, named as in :class:`recordings.data.frame_fields.FrameField`
     component: str
     compute: Callable[[SessionArrays], NDArray[Any] | None]
     """Computes (T, …) values from the frames; None where the session lacks what they come from."""

@@ -15,8 +15,8 @@ from devices.frame_pairs import FramePair
 from devices.sensor import ColorCamera, ColorImage
 from fusion.intrinsics import Intrinsics
 from fusion.setup import FusionSetup
-from recordings import layout
 from recordings.appearance import entity_styles
+from recordings.data import layout
 from recordings.writing.arrow_columns import depth_image, own_values, points
 from recordings.writing.changes import set_time
 from recordings.writing.checksums import image_checksum

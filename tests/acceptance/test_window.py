@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 
-from recordings import layout
 from recordings.appearance.state_card import LOOKS, State
+from recordings.data import layout
 from tests.acceptance.conftest import copied
 from tests.helpers.displays import SIZE
 from tests.helpers.pictures import pixels_near, shows_body, shows_skeletons

@@ -8,8 +8,8 @@ from itertools import product
 
 import numpy as np
 
-from fusion.angles import ANGLES, angle_sigma, joint_angles
 from fusion.facing.evidence import upright_direction
+from fusion.movement.angles import ANGLES, angle_sigma, joint_angles
 from recordings.gait import SIDES
 from recordings.gait.events import find_gait
 from tests.benchmarks import results

@@ -16,7 +16,7 @@ import numpy as np
 
 from devices.events import spells_of
 from devices.pairing import clock_by_motion, pair_views
-from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
+from devices.recorded.two_recordings import RecordingChoice, TwoRecordings, read_two
 from fusion.setup import FuserSettings
 from recordings.fusing.files import fuse_read
 from recordings.gait.events import find_gait

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from devices.capture.sensor_pair import TwoSensors
-from devices.real_time import paced_together
 from devices.simulated.kinect import simulated_pair
+from devices.simulated.real_time import paced_together
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from devices.frame_pairs import RecordedPairs
-from devices.two_recordings import RecordingChoice, read_two
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from fusion.pair_arrays import Pairs
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
-from fusion.without_truth import FusedPair, figures_without_truth, judge_registration
 from recordings.fusing.pairs import fuse_segments, setups_of
+from recordings.quality.without_truth import FusedPair, figures_without_truth, judge_registration
 from tests.benchmarks import results
 
 HELD_OUT = "walk_18"

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from devices import people_tracks
-from devices.following import PersonOfPair
 from devices.frame_pairs import FramePair
+from devices.people import tracks as people_tracks
+from devices.people.following import PersonOfPair
 from devices.simulated.demonstration import good_rig, therapist
 from devices.simulated.kinect import simulated_pair
 from fusion.body import BODIES, KINECT_V1, KINECT_V2

@@ -6,7 +6,7 @@ import sys
 import psutil
 import pytest
 
-from devices.apart import ApartError, items_of
+from devices.recorded.apart import ApartError, items_of
 from devices.sensor import DeviceError
 from tests.helpers import unreliable
 from tests.helpers.programs import python
@@ -49,7 +49,7 @@ def test_what_needs_too_much_memory_is_refused():
 
 LIMITED = """
 import resource
-from devices.apart import items_of
+from devices.recorded.apart import items_of
 from tests.helpers.unreliable import counts
 resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30))
 print(*items_of(counts, 3, seconds=60.0, memory=8 << 30))
@@ -69,7 +69,7 @@ def test_the_standard_input_is_empty():
 
 PRESSED = """
 import os, signal, threading
-from devices.apart import items_of
+from devices.recorded.apart import items_of
 from tests.helpers.unreliable import counts
 
 os.setpgrp()
@@ -103,7 +103,7 @@ def test_who_stops_reading_ends_the_process():
 
 ENDS_AT_ONCE = """
 import os
-from devices.apart import items_of
+from devices.recorded.apart import items_of
 from tests.helpers.unreliable import tells_its_process
 print(next(items_of(tells_its_process, seconds=60.0, memory=4 << 30)), flush=True)
 os._exit(0)

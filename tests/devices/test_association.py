@@ -8,17 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices import association
-from devices.association import follow_one
-from devices.people import RecordedPeople
-from devices.people_tracks import TracksAhead, tracks_of
+from devices.people import association
+from devices.people.association import follow_one
+from devices.people.recorded_people import RecordedPeople
+from devices.people.tracks import TracksAhead, tracks_of
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import Beside, movement
-from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import KINECT_V2
-from fusion.large_arrays import parts
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
+from fusion.support.large_arrays import parts
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_people import (
     BEHIND,

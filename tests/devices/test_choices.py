@@ -7,7 +7,6 @@ from itertools import product
 import pytest
 from rich.console import Console
 
-from devices import live_sensors
 from devices.azure import checks
 from devices.azure.kinect import KinectSensor
 from devices.azure.settings import KinectSettings
@@ -16,9 +15,10 @@ from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.capture_stream import LiveSensor
 from devices.capture.sensor_choice import ConnectedSensor, NeedsChoiceError, choose_two, sync_master
-from devices.files import images_of
-from devices.live_sensors import connected_sensors
-from devices.raw_recording import camera_of
+from devices.live import sensors as live_sensors
+from devices.live.sensors import connected_sensors
+from devices.recorded.files import images_of
+from devices.recorded.raw_recording import camera_of
 from devices.sensor import DeviceError, Sensor
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from devices.upright import UprightSensor

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.association import Registered
-from devices.following import PersonOfPair, _Search, one_person
 from devices.frame_pairs import FramePair
-from devices.room import Seen
+from devices.people.association import Registered
+from devices.people.following import PersonOfPair, _Search, one_person
+from devices.people.room import Seen
 from devices.sensor import SensorFrame
 from devices.simulated.demonstration import therapist
 from devices.simulated.kinect import PERSON, Beside, simulated_pair

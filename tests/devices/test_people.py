@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from devices.association import Followed
-from devices.people import RecordedPeople
-from devices.recorded_person import _seen_people
+from devices.people.association import Followed
+from devices.people.recorded_people import RecordedPeople
+from devices.people.recorded_person import _seen_people
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton

@@ -16,14 +16,14 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from devices import raw_recording
 from devices.azure.mkv import MkvRecording
 from devices.azure.mkv_writer import MkvWriter
 from devices.blazepose.tracked_images import registered_color
-from devices.capture.host_clock import offset_by_arrival
+from devices.capture.clock.host_clock import offset_by_arrival
 from devices.capture.settings import CaptureSettings
 from devices.pairing import clock_by_cable
-from devices.raw_recording import RawRecorder, _FileTimes
+from devices.recorded import raw_recording
+from devices.recorded.raw_recording import RawRecorder, _FileTimes
 from devices.sensor import ColorCamera, ColorImage, Sensor, SensorFrame
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.rigid import RigidTransform
@@ -301,7 +301,7 @@ _RECORDS = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from devices.raw_recording import RawRecorder
+from devices.recorded.raw_recording import RawRecorder
 from devices.sensor import Sensor, SensorFrame
 from fusion.intrinsics import NOMINAL_INTRINSICS
 class Camera(Sensor):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from devices.capture.frame_decimation import FrameDecimation
-from devices.real_time import Beat, PacedSensor, paced_together
 from devices.sensor import Sensor, SensorFrame
 from devices.simulated.kinect import simulated_pair
+from devices.simulated.real_time import Beat, PacedSensor, paced_together
 from fusion.body import KINECT_V1
 
 
@@ -208,7 +208,7 @@ def test_sensors_begin_together():
 
 
 def test_a_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch):
-    monkeypatch.setattr("devices.real_time._TOGETHER", 0.3)
+    monkeypatch.setattr("devices.simulated.real_time._TOGETHER", 0.3)
     a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
     frames = list(paced_together(a, b)[0].frames())
     assert len(frames) == 6
@@ -216,7 +216,7 @@ def test_a_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch):
 
 
 def test_a_sensor_ends_while_it_waits_for_its_fellow(monkeypatch):
-    monkeypatch.setattr("devices.real_time._TOGETHER", 60.0)
+    monkeypatch.setattr("devices.simulated.real_time._TOGETHER", 60.0)
     a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
     waiting, _ = paced_together(a, b)
     threading.Timer(0.2, waiting.interrupt).start()

@@ -17,8 +17,8 @@ from devices.capture.settings import CaptureSettings
 from devices.freenect.sensor import INTRINSICS, FreenectSensor
 from devices.freenect2.sensor import Freenect2Sensor
 from devices.orbbec.sensor import OrbbecSensor
-from devices.raw_recording import RawRecorder, record_images
 from devices.realsense.sensors import RealSenseSensor
+from devices.recorded.raw_recording import RawRecorder, record_images
 from devices.sensor import SensorWrapper
 from devices.simulated.kinect import simulated_pair
 from fusion.body import BLAZEPOSE

@@ -10,11 +10,11 @@ from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.settings import CaptureSettings
 from devices.depth.camera import in_image, project
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import ORIENTATIONS, ColorCamera, ColorImage, DeviceError, Sensor
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from devices.two_recordings import RecordingChoice, read_two
 from devices.upright import UprightSensor, orientation_of, rotation, turned_camera, upright
 from fusion.body import AZURE_KINECT
 from fusion.calibration.bone_lengths import bone_lengths_of

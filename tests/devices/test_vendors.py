@@ -13,14 +13,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from devices import live_sensors
 from devices.azure import pyk4a_access
 from devices.azure.pyk4a_access import load_sdk as azure_sdk
 from devices.capture.capture_stream import LiveSensor
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
-from devices.live_checks import device_checks
-from devices.live_sensors import VENDORS, Vendor, connected_sensors
+from devices.live import sensors as live_sensors
+from devices.live.checks import device_checks
+from devices.live.sensors import VENDORS, Vendor, connected_sensors
 from devices.network.zenoh_session import load_zenoh
 from devices.orbbec import sdk_access as orbbec_access
 from devices.orbbec.sdk_access import load_sdk as orbbec_sdk

@@ -53,3 +53,11 @@ def test_every_long_module_has_a_reason():
         for module in (ROOT / package).rglob("*.py"):
             if len(module.read_text(encoding="utf-8").splitlines()) > 300:
                 assert f"| `{module.relative_to(ROOT).as_posix()}` |" in reasons
+
+
+def test_no_folder_has_more_than_twelve_modules():
+    for package in PACKAGES:
+        for folder in [ROOT / package, *(path for path in (ROOT / package).rglob("*") if path.is_dir())]:
+            modules = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
+            if folder != ROOT / "viewer_app/commands":  # one per command
+                assert len(modules) <= 12, folder

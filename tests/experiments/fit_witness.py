@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from devices.depth.witness import with_witness
 from devices.simulated.kinect import PERSON, simulated_pair
-from fusion.array_fields import new_arrays
 from fusion.body import AZURE_KINECT, Body
 from fusion.joint_kinds import kind_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TrackingState
+from fusion.support.array_fields import new_arrays
 from fusion.witness import (
     _GROUPS,
     FLESH,

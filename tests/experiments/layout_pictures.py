@@ -23,7 +23,8 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from devices.blazepose.networks.files import cache_folder, missing
-from recordings import Session, layout
+from recordings import Session
+from recordings.data import layout
 from recordings.file.rrd_file import RrdFile
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK

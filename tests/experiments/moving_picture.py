@@ -20,10 +20,11 @@ from PIL import Image, ImageDraw, ImageFont
 from rerun.experimental import ViewerClient
 
 from devices.simulated.demonstration import MIRRORED, MISPLACED
-from recordings import Session, layout
+from recordings import Session
 from recordings.appearance.body_shape import capsule_lengths, capsule_radii, capsule_rotations, parents
 from recordings.appearance.colors import SKELETON_COLORS
 from recordings.appearance.floor import find_floor
+from recordings.data import layout
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main

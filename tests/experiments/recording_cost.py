@@ -11,7 +11,7 @@ import time
 from itertools import islice
 from pathlib import Path
 
-from devices.raw_recording import RawRecorder
+from devices.recorded.raw_recording import RawRecorder
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
 

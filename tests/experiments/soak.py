@@ -22,8 +22,8 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
 from devices.depth.rvl import encode_depth
 from devices.frame_pairs import PairingFigures
-from devices.real_time import paced_together
 from devices.simulated.kinect import simulated_pair
+from devices.simulated.real_time import paced_together
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser

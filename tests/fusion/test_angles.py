@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion.angles import ANGLES, UP, angle_sigma, joint_angles
 from fusion.body import AZURE_KINECT, BODIES
+from fusion.movement.angles import ANGLES, UP, angle_sigma, joint_angles
 from tests.helpers.poses import BACK, DOWN, FRONT, LEFT, RIGHT, posed, turned_about
 
 each_body = pytest.mark.parametrize("body", BODIES.values(), ids=str)

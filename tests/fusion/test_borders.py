@@ -23,10 +23,10 @@ from fusion import (
     find_start_up_pose,
     nominal_calibration,
 )
-from fusion.angles import angle_sigma, joint_angles
 from fusion.calibration.online import CalibrationLearner
 from fusion.facing.labels import Labels
-from fusion.joint_rotations import rotations_of
+from fusion.movement.angles import angle_sigma, joint_angles
+from fusion.movement.joint_rotations import rotations_of
 from fusion.pair_arrays import Pairs, view_of
 from fusion.plan import plan_recording
 

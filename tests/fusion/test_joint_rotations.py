@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V2
-from fusion.joint_rotations import JointRotations, joint_bones, rotations_of
+from fusion.movement.joint_rotations import JointRotations, joint_bones, rotations_of
 from tests.helpers.poses import BACK, FRONT, LEFT, posed, turned_about
 from tests.helpers.two_views import FRAME_NS, moving, standing
 

@@ -13,12 +13,12 @@ from fusion.calibration.offline import CalibrationSpan, LearnedCalibration, fres
 from fusion.facing.labels import Labels
 from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
-from fusion.large_arrays import parts
 from fusion.pair_arrays import Pairs
 from fusion.plan import plan_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair, stale_frames
+from fusion.support.large_arrays import parts
 from tests.helpers.laws import (
     BODY,
     FRONT,

@@ -5,7 +5,7 @@ import pytest
 
 from fusion.body import AZURE_KINECT, BLAZEPOSE, BODIES, KINECT_V1, KINECT_V2, body_of
 from fusion.errors import FusionError
-from fusion.handedness import mirrored_share
+from fusion.facing.handedness import mirrored_share
 from fusion.skeleton import Skeleton, TrackingState
 from tests.helpers.labelled_views import simulated_views
 from tests.helpers.two_views import moving

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion.array_fields import new_arrays
 from fusion.body import BODIES, KINECT_V2
 from fusion.joint_kinds import kind_of
 from fusion.skeleton import Skeleton, TrackingState
+from fusion.support.array_fields import new_arrays
 from fusion.witness import (
     EVIDENCE,
     FLESH,

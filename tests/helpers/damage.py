@@ -4,9 +4,10 @@ from dataclasses import fields
 
 import numpy as np
 
-from recordings import Session, layout
+from recordings import Session
+from recordings.data import layout
+from recordings.data.session_arrays import SessionArrays
 from recordings.errors import RecordingError
-from recordings.session_arrays import SessionArrays
 
 
 def damaged(whole, seed):

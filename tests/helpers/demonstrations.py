@@ -8,9 +8,9 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.calibration.calibration import calibrate, nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
+from recordings.data.session_arrays import SessionFrame
 from recordings.fusing.pairs import fuse_one
 from recordings.live_fusion import LiveFusion
-from recordings.session_arrays import SessionFrame
 from tests.helpers.frame_pairs import frame_pair
 from viewer_app.coach.setup_coach import Coach, Situation
 

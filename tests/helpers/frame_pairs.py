@@ -4,7 +4,7 @@ import numpy as np
 
 from devices.frame_pairs import FramePair
 from devices.pairing import pair_views
-from devices.people import RecordedPeople
+from devices.people.recorded_people import RecordedPeople
 from devices.sensor import SensorFrame
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving

@@ -7,10 +7,10 @@ import pytest
 from devices.events import Event
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
+from recordings.data.images import Images, SessionImages
+from recordings.data.session_arrays import SessionFrame
 from recordings.file.session_writer import write_session
-from recordings.images import Images, SessionImages
 from recordings.session import Session
-from recordings.session_arrays import SessionFrame
 
 
 class FrameImages(SessionImages):

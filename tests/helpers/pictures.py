@@ -5,8 +5,8 @@ import contextlib
 import numpy as np
 from rerun.experimental import ViewerClient
 
-from recordings import layout
 from recordings.appearance.colors import SKELETON_COLORS
+from recordings.data import layout
 from tests.helpers.machine import need_viewer
 from viewer_app.addresses import LOOPBACK
 from viewer_app.viewer.rerun_process import stop

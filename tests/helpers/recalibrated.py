@@ -7,9 +7,9 @@ import rerun as rr
 from devices.events import Event
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings import layout
+from recordings.data import layout
+from recordings.data.session_arrays import SessionFrame
 from recordings.session import Session
-from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 
 

@@ -11,8 +11,8 @@ from fusion.calibration.calibration import nominal_calibration
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
 from recordings.appearance.coach_page import CoachPage
+from recordings.data.session_arrays import SessionFrame
 from recordings.live_fusion import LiveFusion
-from recordings.session_arrays import SessionFrame
 from tests.helpers.frame_pairs import frame_pair
 from viewer_app.coach.readiness import Headline, Readiness
 from viewer_app.coach.scene import CoachScene

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.array_fields import new_arrays
 from fusion.solvers.published import solve_published
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_start import TreeWorkspace
+from fusion.support.array_fields import new_arrays
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from devices.people import RecordedPeople
+from devices.people.recorded_people import RecordedPeople
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import PERSON, Beside, movement, simulated_pair
 from devices.simulated.rig import Rig

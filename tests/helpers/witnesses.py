@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fusion.array_fields import new_arrays
+from fusion.support.array_fields import new_arrays
 from fusion.witness import JointEvidence, new_witness_model, weigh_witness
 
 

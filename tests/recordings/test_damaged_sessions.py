@@ -9,7 +9,8 @@ import rerun as rr
 
 from devices.events import Event
 from fusion.body import KINECT_V1
-from recordings import Session, fuse, layout
+from recordings import Session, fuse
+from recordings.data import layout
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
 from tests.helpers.damage import damaged, opened

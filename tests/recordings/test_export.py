@@ -17,12 +17,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from fusion.angles import ANGLES, joint_angles
 from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.movement.angles import ANGLES, joint_angles
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, Method
 from recordings.appearance.floor import floor_under
+from recordings.data.interpolation import positions_at, sigma_at
 from recordings.errors import RecordingError
 from recordings.export import writer_for
 from recordings.export.bvh import _ORDERS, _best_orders, _continuous_angles
@@ -30,7 +31,6 @@ from recordings.export.even_frames import even_moments
 from recordings.export.tables import long_table, wide_table
 from recordings.file.session_writer import write_session
 from recordings.gait import SIDES
-from recordings.interpolation import positions_at, sigma_at
 from recordings.session import Session
 from tests.helpers.animations import bvh_joints
 from tests.helpers.command_line import duplex

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recordings.appearance.joint_trust import _RunningMean
-from recordings.frame_noise import FrameDeviations, frame_noise_of, noise_of
+from recordings.data.frame_noise import FrameDeviations, frame_noise_of, noise_of
 
 SPEED = np.array([0.6, -0.5, 0.9])  # m/s
 

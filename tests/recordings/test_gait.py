@@ -10,8 +10,8 @@ from devices.simulated.kinect import Scene, Truth, movement
 from devices.simulated.person.footsteps import smooth
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
-from fusion.angles import UP
 from fusion.body import AZURE_KINECT, BODIES
+from fusion.movement.angles import UP
 from recordings.errors import RecordingError
 from recordings.gait import SIDES, Gait, Step
 from recordings.gait.events import find_gait

@@ -11,11 +11,11 @@ from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import NO_FRAME, TrackingState
-from recordings import layout
 from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS
 from recordings.appearance.joint_trust import LIMBS, LimbSources, TrustColors
+from recordings.data import layout
+from recordings.data.session_arrays import SessionArrays
 from recordings.file.rrd_file import RrdFile
-from recordings.session_arrays import SessionArrays
 from recordings.writing.changes import Lanes
 from recordings.writing.frame_columns import frame_columns
 from recordings.writing.recorder import Recorder

@@ -13,7 +13,7 @@ from devices.sensor import DeviceError
 from fusion.body import KINECT_V1
 from fusion.setup import FuserSettings
 from recordings import Session, fuse
-from recordings.session_differences import write_worst_moment
+from recordings.comparing.session_differences import write_worst_moment
 from recordings.testing import SessionsDifferError, assert_sessions_match, simulated_session
 from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs

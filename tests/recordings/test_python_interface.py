@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from devices import DeviceError
 from devices.simulated.kinect import simulated_pair
 from fusion import BODIES, KINECT_V2, DuplexError
-from fusion.humanoid import human_bones
-from fusion.joint_rotations import rotations_of
+from fusion.movement.humanoid import human_bones
+from fusion.movement.joint_rotations import rotations_of
 from recordings import RecordingError, Session, UnknownNameError, fuse
 from recordings.quality.figures import report
 from recordings.testing import SessionsDifferError, assert_session, assert_sessions_match, simulated_session

@@ -11,8 +11,8 @@ from fusion.fuser import Fuser
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings import Session
+from recordings.data.session_arrays import SessionArrays
 from recordings.fusing.pairs import fuse_one
-from recordings.session_arrays import SessionArrays
 from tests.helpers.demonstrations import pairs_of
 from tests.helpers.frame_pairs import paired
 

@@ -20,12 +20,13 @@ from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
 from fusion.setup import FuserSettings, FusionSetup
-from recordings import Session, layout
+from recordings import Session
+from recordings.comparing.session_comparison import Comparison
+from recordings.data import layout
+from recordings.data.session_arrays import SessionFrame
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
 from recordings.replaying import Agreement, Replay
-from recordings.session_arrays import SessionFrame
-from recordings.session_comparison import Comparison
 from recordings.writing.checksums import image_checksum
 from tests.helpers.damage import damaged, opened
 from tests.helpers.frame_pairs import frame_pairs

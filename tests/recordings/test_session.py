@@ -14,16 +14,17 @@ import recordings.session
 from devices.depth.rvl import encode_depth
 from devices.events import Event
 from devices.pairing import pair_views
-from devices.people import RecordedPeople
+from devices.people.recorded_people import RecordedPeople
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import BODIES, KINECT_V1, KINECT_V2
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
-from recordings import Session, layout
+from recordings import Session
+from recordings.data import layout
+from recordings.data.session_arrays import SessionFrame
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
 from recordings.fusing.pairs import fuse_segments
-from recordings.session_arrays import SessionFrame
 from recordings.writing.checksums import event_checksum, fused_checksums
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs

@@ -11,13 +11,13 @@ from hypothesis.extra import numpy as hnp
 
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
-from fusion.medians import median_of_known
 from fusion.setup import FusionSetup
-from recordings import layout
-from recordings.frame_fields import FRAME_FIELDS, JOINTS, FrameField, no_joint_or_joint
+from fusion.support.medians import median_of_known
+from recordings.data import layout
+from recordings.data.frame_fields import FRAME_FIELDS, JOINTS, FrameField, no_joint_or_joint
+from recordings.data.session_arrays import SessionArrays
 from recordings.fusing.pairs import fuse_one
 from recordings.session import Session
-from recordings.session_arrays import SessionArrays
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 

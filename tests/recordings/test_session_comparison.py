@@ -7,10 +7,10 @@ import pytest
 
 from fusion.body import KINECT_V1
 from fusion.setup import FuserSettings
+from recordings.comparing.session_comparison import Comparison
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
 from recordings.session import Session
-from recordings.session_comparison import Comparison
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 

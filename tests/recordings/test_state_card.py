@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.state_card import LOOKS, State, fits, state_card
+from recordings.data import layout
 from tests.recordings.test_appearance import contrast
 
 

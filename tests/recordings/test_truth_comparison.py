@@ -8,16 +8,16 @@ from scipy.spatial.transform import Rotation
 
 from devices.skeletons.name_tables import name_table
 from fusion.body import AZURE_KINECT
-from fusion.joint_rotations import rotations_of
+from fusion.movement.joint_rotations import rotations_of
 from fusion.pair_arrays import View
 from fusion.registration.clock_search import best_offsets, part_offsets
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED
+from recordings.comparing.truth_comparison import SKELETONS, TruthComparison
+from recordings.comparing.truth_files import TruthFile, read_truth
+from recordings.comparing.truth_timing import TimeOffset
 from recordings.errors import RecordingError
-from recordings.truth_comparison import SKELETONS, TruthComparison
-from recordings.truth_files import TruthFile, read_truth
-from recordings.truth_timing import TimeOffset
 from tests.benchmarks.scores import accuracy
 from tests.helpers.motion_capture import captured, true_positions, write_c3d, write_trc
 
@@ -76,7 +76,7 @@ def test_a_truth_of_few_frames_per_second_is_found(walk, rate):
 @pytest.mark.parametrize(("sd", "lag"), [(0.05, 0.0), (0.001, -0.2)])
 def test_an_offset_that_is_not_certain_is_refused_unless_it_is_given(walk, sd, lag, monkeypatch):
     monkeypatch.setattr(
-        "recordings.truth_comparison.find_offset",
+        "recordings.comparing.truth_comparison.find_offset",
         lambda *_: TimeOffset(3.7, sd_seconds=sd, correlation=0.9, lag_seconds=lag),
     )
     file = truth_of(walk, offset_s=3.7, seconds=12.0)
@@ -161,7 +161,8 @@ def test_what_cannot_be_compared_says_why(walk, tmp_path, monkeypatch):
     ))  # fmt: skip
     assert "t.toml, right?" in error(table=name_table(scrambled))
     assert "or another table of names is needed" in error(table=name_table(scrambled), offset_s=3.7)
-    monkeypatch.setattr("recordings.truth_comparison.find_offset", lambda *_: None)  # a given one is taken
+    # A stated offset is used as it is.
+    monkeypatch.setattr("recordings.comparing.truth_comparison.find_offset", lambda *_: None)
     assert "have 0 frames with an S*" in error(offset_s=100.0)
     mirrored = replace(good, points=good.points * [-1.0, 1.0, 1.0])
     assert "is a mirror image" in error(truth=mirrored, offset_s=3.7)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from fusion.body import KINECT_V1
-from recordings import c3d_file
+from recordings.comparing import c3d_file
+from recordings.comparing.truth_files import read_truth
 from recordings.errors import RecordingError
 from recordings.export import writer_for
-from recordings.truth_files import read_truth
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.motion_capture import write_c3d, write_trc
 from tests.helpers.two_views import calibration_of

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from devices.files import BAG, DB3, MKV
+from devices.recorded.files import BAG, DB3, MKV
 from devices.skeletons.file_sensor import READERS
 from viewer_app.errors import UsageError, refuse_bytes
 

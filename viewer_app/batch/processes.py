@@ -13,7 +13,7 @@ from typing import Any
 from pebble import ProcessExpired, ProcessPool
 
 from devices.pairing import pair_views
-from devices.people import RecordedPeople
+from devices.people.recorded_people import RecordedPeople
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser

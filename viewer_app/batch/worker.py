@@ -54,7 +54,7 @@ def _fuse(job: Job) -> Record:
             session, figures = fuse_files(options, Console(file=nothing, highlight=False))
         figures["without_truth"] = truth_free_figures(session)
         if job.options.pages:
-            from viewer_app.report.review_page import review_page  # imports matplotlib
+            from viewer_app.report.pages.review_page import review_page  # imports matplotlib
 
             page = review_page(replace(session, path=job.session), figures)
             (partial / job.page.name).write_text(page, encoding="utf-8")

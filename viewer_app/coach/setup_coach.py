@@ -18,12 +18,12 @@ from devices.depth.camera import in_image, project
 from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.handedness import mirrored_share
+from fusion.facing.handedness import mirrored_share
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 from recordings.appearance.floor import CAMERA_HEIGHT
+from recordings.data.session_arrays import SessionFrame
 from recordings.quality.limits import FARTHEST, nearest
-from recordings.session_arrays import SessionFrame
 from viewer_app.coach.advice import Advice, placement
 from viewer_app.coach.standing_spot import standing_spot
 

@@ -11,26 +11,26 @@ from rich.console import Console
 from rich.markup import escape
 
 from devices.skeletons.name_tables import name_table
-from recordings import layout
 from recordings.appearance import entity_styles
-from recordings.comparison_scene import (
+from recordings.comparing.comparison_scene import (
     DIFFERENCE,
     LARGEST,
     MEANS,
     record_comparison,
     record_truth_comparison,
 )
+from recordings.comparing.session_comparison import Comparison
+from recordings.comparing.truth_comparison import TruthComparison
+from recordings.comparing.truth_files import SUFFIXES, read_truth
+from recordings.data import layout
 from recordings.file.session_writer import whole_recording
 from recordings.quality.figures import Figures
 from recordings.session import Session
-from recordings.session_comparison import Comparison
-from recordings.truth_comparison import TruthComparison
-from recordings.truth_files import SUFFIXES, read_truth
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import CompareOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, save_report, write_text
-from viewer_app.report.comparison_figures import (
+from viewer_app.report.pages.comparison_figures import (
     BONES_HEAD,
     BONES_TITLE,
     JOINTS_HEAD,
@@ -41,8 +41,7 @@ from viewer_app.report.comparison_figures import (
     moments,
     other_settings,
 )
-from viewer_app.report.terminal import figure_table, print_damage, print_lines
-from viewer_app.report.truth_figures import (
+from viewer_app.report.pages.truth_figures import (
     ALL_HEAD,
     ANGLE_HEAD,
     JOINT_HEAD,
@@ -52,6 +51,7 @@ from viewer_app.report.truth_figures import (
     truth_figures,
     truth_lines,
 )
+from viewer_app.report.terminal import figure_table, print_damage, print_lines
 from viewer_app.report.words import Line
 from viewer_app.viewer.file_window import written_and_shown
 from viewer_app.viewer.viewer_choice import window_opens
@@ -92,7 +92,7 @@ def _compare_with_truth(options: CompareOptions, console: Console) -> None:
     comparison = TruthComparison.of(session, truth, table, options.offset)
     figures = truth_figures(comparison)
     if options.html is not None:
-        from viewer_app.report.truth_page import truth_page
+        from viewer_app.report.pages.truth_page import truth_page
 
         write_text(options.html, truth_page(session, comparison, figures), options.force)
     save_report(options.report, figures, options.force)
@@ -134,7 +134,7 @@ def _compare_sessions(options: CompareOptions, console: Console) -> None:
     comparison = Comparison.of(sessions[0], sessions[1], options.any_capture)
     worst = comparison.worst(_WORST if options.worst is None else options.worst)
     if options.html is not None:
-        from viewer_app.report.comparison_page import comparison_page
+        from viewer_app.report.pages.comparison_page import comparison_page
 
         write_text(options.html, comparison_page(sessions, comparison, worst), options.force)
     window = window_opens(options.no_viewer, console)

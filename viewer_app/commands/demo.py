@@ -16,7 +16,6 @@ from rich.markup import escape
 
 from devices.capture.sensor_pair import TwoSensors
 from devices.output_file import free_name
-from devices.real_time import paced_together
 from devices.simulated.demonstration import (
     BAD_ANGLE_DEG,
     Demonstration,
@@ -27,11 +26,12 @@ from devices.simulated.demonstration import (
 )
 from devices.simulated.kinect import Scene, SimulatedKinect, Truth, TruthAhead
 from devices.simulated.person.movements import MOTIONS
+from devices.simulated.real_time import paced_together
 from fusion.body import BLAZEPOSE, BODIES
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.session_arrays import SessionArrays, SessionFrame
+from recordings.data.session_arrays import SessionArrays, SessionFrame
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions

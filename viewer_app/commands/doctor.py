@@ -15,8 +15,8 @@ from rich.text import Text
 
 from devices.capture.sensor_choice import NeedsChoiceError, choose_two
 from devices.check import Check
-from devices.live_checks import device_checks
-from devices.live_sensors import connected_sensors
+from devices.live.checks import device_checks
+from devices.live.sensors import connected_sensors
 from viewer_app.commands.record import record
 from viewer_app.errors import UsageError
 from viewer_app.flags import in_flags

@@ -7,7 +7,7 @@ from recordings.session import Session
 from viewer_app.options.sessions import ExportOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, output_file
-from viewer_app.report.good_part import good_frames_of
+from viewer_app.report.pages.good_part import good_frames_of
 from viewer_app.report.terminal import print_damage
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from devices.files import not_of_libk4a
-from devices.two_recordings import RecordingChoice, TwoRecordings
+from devices.recorded.files import not_of_libk4a
+from devices.recorded.two_recordings import RecordingChoice, TwoRecordings
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.fuser import Fuser
@@ -31,7 +31,7 @@ from viewer_app.options.sensing import FuseOptions, recording_settings
 from viewer_app.options.shared import calibration_source
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, output_file, save_report, write_text
-from viewer_app.report.good_part import good_frames_of
+from viewer_app.report.pages.good_part import good_frames_of
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
@@ -82,7 +82,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
         _summarise(console, options, session, figures)
         viewing.announce(console)
         return session, figures
-    from viewer_app.report.session_page import session_page
+    from viewer_app.report.pages.session_page import session_page
     from viewer_app.viewer.file_window import served, write_for_viewer, written_and_shown
 
     def write(path: Path) -> int:

@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 from rich.markup import escape
 from rich.table import Table
 
-from devices.files import has_images, open_images, recorded_at
 from devices.input_file import check_recording, open_input
+from devices.recorded.files import has_images, open_images, recorded_at
 from devices.sensor import DeviceError
 from devices.skeletons.border import METRES, ReadFile
 from devices.skeletons.file_sensor import READERS, SkeletonRecording
 from devices.skeletons.name_tables import listed, name_table
 from devices.skeletons.stated_format import AXES, MIRRORED, StatedFormat
-from fusion.handedness import mirrored_share
-from recordings import layout
+from fusion.facing.handedness import mirrored_share
+from recordings.comparing.truth_files import TruthFile, read_truth
+from recordings.data import layout
+from recordings.data.images import Images
+from recordings.data.session_arrays import pauses_of, rate_without_pauses
 from recordings.errors import RecordingError
-from recordings.images import Images
 from recordings.quality.figures import calibration_figures
 from recordings.session import Session
-from recordings.session_arrays import pauses_of, rate_without_pauses
-from recordings.truth_files import TruthFile, read_truth
 from viewer_app.options.sessions import InfoOptions
 from viewer_app.output_console import output_console
 from viewer_app.report.events import list_events

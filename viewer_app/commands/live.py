@@ -13,8 +13,8 @@ from devices.azure.settings import check_modes
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth.image_thinning import thinned_camera
-from devices.files import has_images
 from devices.network.remote_sensor import PREFIX, RemoteSensor
+from devices.recorded.files import has_images
 from devices.sensor import Sensor
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser

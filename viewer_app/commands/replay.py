@@ -14,17 +14,17 @@ from rich.progress import track
 
 from fusion.fuser import Fuser
 from fusion.setup import REVISIONS
+from recordings.data.session_arrays import SessionFrames
 from recordings.quality.figures import report
 from recordings.replaying import CUT_WITHIN, SHARE_AGREEING, Agreement, Replay
 from recordings.session import Session
-from recordings.session_arrays import SessionFrames
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReplayOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, save_report
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
-from viewer_app.report.session_page import session_page
+from viewer_app.report.pages.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images, print_summary, say_more, say_saved
 from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut

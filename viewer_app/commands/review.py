@@ -14,8 +14,8 @@ from viewer_app.report.events import (
     opening_event,
     seconds_of,
 )
-from viewer_app.report.good_part import MOST_STRETCHES, good_seconds
-from viewer_app.report.session_page import session_page
+from viewer_app.report.pages.good_part import MOST_STRETCHES, good_seconds
+from viewer_app.report.pages.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_events, print_lines, print_summary, say_more
 from viewer_app.viewer.file_window import in_this_layout, served, show
 from viewer_app.viewer.viewer_choice import NoViewer, choose_viewing
@@ -34,7 +34,7 @@ def run(options: ReviewOptions) -> None:
     if options.verbose or options.html is not None:
         figures["without_truth"] = truth_free_figures(session)
     if options.html is not None:
-        from viewer_app.report.review_page import review_page
+        from viewer_app.report.pages.review_page import review_page
 
         write_text(options.html, review_page(session, figures), options.force)
     print_summary(console, figures, verbose=options.verbose)

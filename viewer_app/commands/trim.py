@@ -8,8 +8,8 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sessions import TrimOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, output_file
-from viewer_app.report.good_part import good_frames_of
-from viewer_app.report.session_page import session_page
+from viewer_app.report.pages.good_part import good_frames_of
+from viewer_app.report.pages.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images
 from viewer_app.viewer.file_window import write_for_viewer
 

@@ -48,7 +48,9 @@ class Need:
 
 def _reads_images(options: Any) -> bool:
     """Whether a recording of images is among the files, or a sensor runs."""
-    from devices.files import has_images  # as below: these commands take it anyway, the others need not wait
+    from devices.recorded.files import (
+        has_images,  # as below: these commands take it anyway, the others need not wait
+    )
 
     files = _files(options, "a", "b", "recording")
     return not files or any(map(has_images, files))
@@ -66,7 +68,7 @@ def _files(options: Any, *names: str) -> list[Path]:
 
 def _tracks_images(options: FuseOptions) -> bool:
     """Whether one of the recordings is of images, without skeletons saved before."""
-    from devices.files import has_images
+    from devices.recorded.files import has_images
 
     given = (options.a, options.skeletons_a), (options.b, options.skeletons_b)
     return any(has_images(path) and saved is None for path, saved in given)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from devices.capture.host_clock import HostClock
+from devices.capture.clock.host_clock import HostClock
 from fusion.body import Body
 from viewer_app.sinks.item_queue import Item, QueuedFrame
 

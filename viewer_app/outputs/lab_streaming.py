@@ -11,11 +11,11 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.host_clock import HostClock
+from devices.capture.clock.host_clock import HostClock
 from devices.events import Event
-from fusion.angles import ANGLES
 from fusion.body import Body
 from fusion.fused_frame import FusedFrame
+from fusion.movement.angles import ANGLES
 from viewer_app.errors import UsageError
 from viewer_app.outputs.live_movement import LiveMovement
 from viewer_app.outputs.output import LiveOutput, confidence

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.events import Event
-from fusion.angles import angle_sigma, joint_angles
 from fusion.body import Body
+from fusion.movement.angles import angle_sigma, joint_angles
 from recordings.appearance.floor import FloorFinder
 from recordings.gait.events import find_gait
 from viewer_app.sinks.item_queue import QueuedFrame

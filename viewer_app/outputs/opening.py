@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from rich.console import Console
 
-from fusion.angles import UP
 from fusion.body import Body
+from fusion.movement.angles import UP
 from fusion.setup import FusionSetup
 from recordings.gait.events import find_gait
 from viewer_app.errors import UsageError

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.events import Event
-from fusion.angles import ANGLES
-from fusion.joint_rotations import JointRotations
+from fusion.movement.angles import ANGLES
+from fusion.movement.joint_rotations import JointRotations
 from fusion.setup import FusionSetup
 from viewer_app.outputs.live_movement import LiveMovement
 from viewer_app.outputs.output import confidence

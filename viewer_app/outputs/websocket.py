@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 from devices.events import Event
 from fusion.setup import FusionSetup
-from recordings.session_arrays import SessionFrame
+from recordings.data.session_arrays import SessionFrame
 from viewer_app.addresses import LOOPBACK, in_url, is_loopback, reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LATE_NS, LiveOutput

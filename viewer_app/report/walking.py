@@ -8,9 +8,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from recordings.data.series import AngleSeries
 from recordings.gait import SIDES, Gait, Measured
 from recordings.quality.limits import POSSIBLE
-from recordings.series import AngleSeries
 from recordings.session import Session
 from viewer_app.report.svg_plots import cycle_plot, line_plot
 

@@ -15,20 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from devices import people_tracks
-from devices.association import Follow
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, without_images
 from devices.depth.rvl import encode_depth
 from devices.events import Event
-from fusion import angles
+from devices.people import tracks as people_tracks
+from devices.people.association import Follow
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.calibrator import Calibrator
 from fusion.fuser import Fuser
+from fusion.movement import angles
 from fusion.setup import FusionSetup
+from recordings.data.session_arrays import SessionFrame
 from recordings.live_fusion import LiveFusion
-from recordings.session_arrays import SessionFrame
 from viewer_app.running.interruption import call_after
 from viewer_app.sinks.sink import Sink
 
@@ -102,7 +102,7 @@ def run_live(
         calibrated: Whether to keep the calibration of `setup`. If not, one is computed while the loop runs.
         truth_at: Returns the true joints (J, 3) at a time of A's clock; None if they are unknown.
         go_on: Called with the status after each frame; returns whether to continue.
-        follow: Whom of several people; see :class:`devices.following.PersonOfPair`.
+        follow: Whom of several people; see :class:`devices.people.following.PersonOfPair`.
 
     Returns:
         The last setup, and the frames of the last minute without their images.

@@ -12,12 +12,12 @@ import rerun.blueprint as rrb
 from rich.console import Console
 
 from devices.capture.sensor_pair import TwoSensors
-from devices.files import images_of, recorded_at
+from devices.recorded.files import images_of, recorded_at
 from devices.sensor import ImageRecording, Sensor
 from fusion.setup import FusionSetup
+from recordings.data.session_arrays import SessionArrays, SessionFrame
 from recordings.quality.figures import Figures, fusion_figures, with_verdict
 from recordings.session import Session
-from recordings.session_arrays import SessionArrays, SessionFrame
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions

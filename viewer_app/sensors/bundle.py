@@ -18,8 +18,8 @@ from rich.console import Console
 
 from devices.capture.usb import usb_kinects
 from devices.check import Check, installed_version
-from devices.live_checks import log_libraries_to
-from devices.live_sensors import connected_sensors
+from devices.live.checks import log_libraries_to
+from devices.live.sensors import connected_sensors
 from devices.output_file import Hidden
 from devices.sensor import DeviceError
 from viewer_app.errors import UsageError

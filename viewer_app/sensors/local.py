@@ -18,7 +18,7 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import LASER_GAP_US
 from devices.capture.stream_pairing import LivePairing
-from devices.live_sensors import connected_sensors, decimation_of, live_sensor
+from devices.live.sensors import connected_sensors, decimation_of, live_sensor
 from devices.network.remote_sensor import PREFIX
 from devices.sensor import Orientation, Sensor
 from devices.tracker_choice import TrackerChoice

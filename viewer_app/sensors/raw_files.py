@@ -10,17 +10,17 @@ from rich.console import Console
 from rich.markup import escape
 
 from devices.blazepose.tracked_images import TrackedImages
-from devices.capture.host_clock import ONE_RUN_NS
+from devices.capture.clock.host_clock import ONE_RUN_NS
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.settings import CaptureSettings
 from devices.capture.stream_pairing import LivePairing
-from devices.files import distinct_names, images_of, not_of_libk4a, open_images, open_source
-from devices.live_sensors import decimation_of
+from devices.live.sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
-from devices.raw_recording import RawRecorder, camera_of, record_images
-from devices.real_time import Beat, PacedSensor
+from devices.recorded.files import distinct_names, images_of, not_of_libk4a, open_images, open_source
+from devices.recorded.raw_recording import RawRecorder, camera_of, record_images
+from devices.recorded.two_recordings import cable_delay_ns, refuse_same
 from devices.sensor import CableSync, Sensor
-from devices.two_recordings import cable_delay_ns, refuse_same
+from devices.simulated.real_time import Beat, PacedSensor
 from devices.upright import upright
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions
@@ -36,7 +36,7 @@ class RawFiles(ExitStack):
     """The recordings a.mkv and b.mkv of a folder. Enter it before the sensors, so that it closes after them.
 
     Args:
-        hide: As for :class:`~devices.raw_recording.RawRecorder`.
+        hide: As for :class:`~devices.recorded.raw_recording.RawRecorder`.
 
     Raises:
         UsageError: The folder cannot be made, or has such files and `force` is not set, or one of them is

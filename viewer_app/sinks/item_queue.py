@@ -9,7 +9,7 @@ from devices.events import Event
 from fusion.fused_frame import FusedFrame
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
-from recordings.session_arrays import SessionFrame
+from recordings.data.session_arrays import SessionFrame
 
 _KEPT_OTHERS = 256
 """Maximum number of queued items besides frames; events are rare."""

@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 
 from devices.events import Event
 from fusion.setup import FusionSetup
-from recordings import layout
+from recordings.data import layout
 from recordings.writing.recorder import Recorder
 from viewer_app.sinks.session_file import SessionFile
 from viewer_app.sinks.sink import FanOut, Sink

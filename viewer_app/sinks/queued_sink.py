@@ -10,7 +10,7 @@ import rerun as rr
 from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
-from recordings.session_arrays import SessionFrame
+from recordings.data.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.sinks.item_queue import Item, ItemQueue, Policy, QueuedFrame
 from viewer_app.sinks.sink import Sink

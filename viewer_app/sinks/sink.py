@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from devices.events import Event
 from fusion.setup import FusionSetup
-from recordings.session_arrays import SessionFrame
+from recordings.data.session_arrays import SessionFrame
 
 if TYPE_CHECKING:
     from recordings.appearance.coach_page import CoachPage

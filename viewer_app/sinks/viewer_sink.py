@@ -18,8 +18,8 @@ import rerun.blueprint as rrb
 
 from devices.depth.image_thinning import has_images, without_images
 from fusion.setup import FusionSetup
-from recordings import layout
-from recordings.session_arrays import SessionFrame
+from recordings.data import layout
+from recordings.data.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.errors import UsageError
 from viewer_app.sinks.item_queue import DropOldest, Item

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.setup import FusionSetup
-from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.colors import PROMINENT_JOINTS, SIDE_COLORS, SKELETON_COLORS, Color
 from recordings.appearance.state_card import HEIGHT, WIDTH
+from recordings.data import layout
 from recordings.quality.limits import PLOTTED_DEGREES
 from viewer_app.coach.scene import places
 

@@ -10,9 +10,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from fusion.progress import Progress, quietly
-from recordings import layout
+from fusion.support.progress import Progress, quietly
 from recordings.appearance.coach_page import CoachPage
+from recordings.data import layout
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from viewer_app.addresses import LOOPBACK

@@ -19,7 +19,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from recordings import layout
+from recordings.data import layout
 from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
 from recordings.writing.changes import log_quality

@@ -23,10 +23,10 @@ from devices.skeletons.read_file import FoundPoints
 from devices.skeletons.stated_format import UNSTATED, FilePoints, StatedFormat
 from devices.skeletons.times import capture_times, digest, times_of_new_frames
 from fusion.body import BODIES
-from fusion.large_arrays import GrowingArray, parts
 from fusion.pair_arrays import View, joined_views
-from fusion.progress import Progress, quietly
 from fusion.skeleton import TrackingState
+from fusion.support.large_arrays import GrowingArray, parts
+from fusion.support.progress import Progress, quietly
 
 _BLOCK = 4_000_000  # bytes
 _OFTEN = 0.2  # of the rows: as where each frame is logged more than once, or where times lost digits

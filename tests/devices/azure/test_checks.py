@@ -12,8 +12,8 @@ from devices.azure.tracking.settings import TrackerSettings
 from devices.blazepose.checks import networks_check
 from devices.blazepose.settings import BlazePoseSettings
 from devices.capture.usb import permission_check, usb_kinects
-from devices.live_checks import device_checks
-from devices.live_sensors import NoLibraryError, connected_sensors, software
+from devices.live.checks import device_checks
+from devices.live.sensors import NoLibraryError, connected_sensors, software
 from devices.orbbec.checks import sdk_check, sensor_check
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.sensor import DeviceError

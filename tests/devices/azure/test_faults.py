@@ -14,7 +14,7 @@ from devices.azure.tracking.body_tracker import BodyTracker
 from devices.azure.tracking.settings import TrackerSettings
 from devices.capture.sensor_choice import choose_two
 from devices.capture.usb import usb_kinects
-from devices.live_sensors import connected_sensors
+from devices.live.sensors import connected_sensors
 from devices.sensor import AbsentError, DeviceError
 from devices.tracker_choice import choose_tracker
 from tests.helpers.standin_camera import VirtualTime

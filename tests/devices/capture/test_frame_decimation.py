@@ -13,8 +13,8 @@ from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.stream_pairing import LivePairing
 from devices.events import Event
-from devices.real_time import PacedSensor
 from devices.sensor import Sensor, SensorFrame
+from devices.simulated.real_time import PacedSensor
 from tests.helpers.scripted_sensor import ScriptedSensor
 from tests.helpers.slow_trackers import run_slow_trackers
 

@@ -8,8 +8,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from devices.capture.causes import Cause
+from devices.capture.clock.moments import ImageJoiner, Incomplete, Moment
 from devices.capture.frame_decimation import FrameDecimation
-from devices.capture.moments import ImageJoiner, Incomplete, Moment
 from devices.capture.settings import CaptureSettings
 from devices.capture.stream_health import ImageHealth, Losses, Silence
 from devices.sensor import DeviceError

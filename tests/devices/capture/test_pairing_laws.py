@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from devices.capture.host_clock import HostClock
+from devices.capture.clock.host_clock import HostClock
 from devices.capture.stream_pairing import LivePairing
 from devices.sensor import SensorFrame
 from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS

@@ -22,8 +22,8 @@ from devices.freenect import libfreenect
 from devices.freenect.libfreenect import connected_freenects, how_to_install
 from devices.freenect.sensor import INTRINSICS, FreenectSensor
 from devices.freenect.ticks import TickCounter
-from devices.live_checks import device_checks
-from devices.live_sensors import connected_sensors, live_sensor
+from devices.live.checks import device_checks
+from devices.live.sensors import connected_sensors, live_sensor
 from devices.sensor import AbsentError, DeviceError
 from devices.tracker_choice import choose_tracker
 from tests.helpers.freenect import PERIOD, film, numbered, write_dump

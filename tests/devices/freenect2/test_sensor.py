@@ -20,8 +20,8 @@ from devices.capture.settings import CaptureSettings
 from devices.freenect2 import library
 from devices.freenect2.library import connected_freenect2s
 from devices.freenect2.sensor import Freenect2Sensor, unmirrored, unmirrored_lens
-from devices.live_checks import device_checks
-from devices.live_sensors import connected_sensors, live_sensor
+from devices.live.checks import device_checks
+from devices.live.sensors import connected_sensors, live_sensor
 from devices.sensor import AbsentError, DeviceError
 from devices.tracker_choice import choose_tracker
 from tests.helpers.freenect2.contract import DEPTH, INFRARED

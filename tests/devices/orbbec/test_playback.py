@@ -2,13 +2,13 @@
 
 import pytest
 
-from devices import recording_apart
 from devices.blazepose.blazepose import BlazePose
-from devices.files import frame_count, open_source
 from devices.orbbec.playback import OrbbecRecording
+from devices.recorded import recording_apart
+from devices.recorded.files import frame_count, open_source
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice
-from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import Skeleton
 from tests.helpers.orbbec.standin import Bag, Orbbec

@@ -14,7 +14,7 @@ from devices.capture.sensor_choice import cable_unknown, sync_master
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import CaptureSettings
-from devices.live_sensors import VENDORS, connected_sensors
+from devices.live.sensors import VENDORS, connected_sensors
 from devices.realsense import sensors
 from devices.realsense.images import FrameReader, choose_streams
 from devices.realsense.sdk_access import (

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from devices.blazepose.tracked_images import registered_color
-from devices.files import frame_count, open_images, open_source
 from devices.orbbec.playback import OrbbecRecording
 from devices.realsense.sensors import RealSenseRecording
-from devices.recording_apart import RecordingApart
+from devices.recorded.files import frame_count, open_images, open_source
+from devices.recorded.recording_apart import RecordingApart
 from devices.sensor import DeviceError
 from devices.simulated.kinect import simulated_pair
 from devices.tracker_choice import TrackerChoice

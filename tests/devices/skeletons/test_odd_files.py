@@ -8,11 +8,11 @@ import re
 import numpy as np
 import pytest
 
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError
 from devices.skeletons.border import METRES
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import StatedFormat
-from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V1, KINECT_V2
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion.array_fields import new_arrays
 from fusion.body import KINECT_V2
-from fusion.estimator import outliers
 from fusion.estimator.arrays import Solve, State, Views, new_model
-from fusion.estimator.evidence import depth_evidence, measure_surface
+from fusion.estimator.measurements import outliers
+from fusion.estimator.measurements.evidence import depth_evidence, measure_surface
 from fusion.facing.labels import Labels
 from fusion.facing.model import ARMS, WHOLE, new_facing_model
 from fusion.fuser import Fuser
 from fusion.pair_arrays import PairStacker
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
+from fusion.support.array_fields import new_arrays
 from fusion.witness import new_witness_model
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing

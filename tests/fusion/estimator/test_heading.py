@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from fusion.array_fields import new_arrays
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.calibration.calibration import Calibration
 from fusion.compiling.kernels import kernel
 from fusion.estimator.arrays import Views
 from fusion.estimator.constants import Constants
-from fusion.estimator.heading import turn_girdles
+from fusion.estimator.measurements.heading import turn_girdles
 from fusion.facing.model import new_facing_model
 from fusion.fuser import Fuser
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.support.array_fields import new_arrays
 from tests.helpers.labelled_views import heading, simulated_views
 from tests.helpers.two_views import standing
 

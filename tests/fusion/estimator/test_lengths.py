@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion.array_fields import new_arrays
 from fusion.body import KINECT_V2
-from fusion.estimator import outliers
 from fusion.estimator.arrays import State, Views, new_model
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
-from fusion.estimator.evidence import length_evidence
+from fusion.estimator.measurements import outliers
+from fusion.estimator.measurements.evidence import length_evidence
 from fusion.facing.labels import Labels
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
+from fusion.support.array_fields import new_arrays
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
 

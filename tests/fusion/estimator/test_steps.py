@@ -13,14 +13,15 @@ from scipy.stats import multivariate_normal
 
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion import joint_kinds
-from fusion.array_fields import new_arrays
 from fusion.body import AZURE_KINECT, KINECT_V2
-from fusion.estimator import covariance, evidence, kalman, offsets, outliers, process, smoother, views
+from fusion.estimator import covariance, kalman, process, smoother
 from fusion.estimator.arrays import Model, Solve, State, Views, new_model
 from fusion.estimator.bones import enforce_hinges, joint_covariances
 from fusion.estimator.constants import Constants
+from fusion.estimator.measurements import evidence, offsets, outliers, views
 from fusion.facing.model import new_facing_model
 from fusion.joint_kinds import KINDS, by_joint, kind_of, limbs, of_kind
+from fusion.support.array_fields import new_arrays
 from recordings.fusing.view_events import ViewEvents
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, standing

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from fusion.array_fields import new_arrays
 from fusion.body import KINECT_V2
 from fusion.facing import whole_body
 from fusion.facing.filter import update_facing
 from fusion.facing.model import HEADINGS, TAPS, FacingConstants, FacingState, new_facing_model
+from fusion.support.array_fields import new_arrays
 from tests.helpers.interpreted import interpreted
 from tests.helpers.labelled_views import UP, simulated_views, step
 

@@ -6,10 +6,10 @@ from itertools import cycle, product
 import numpy as np
 import pytest
 
-from fusion.array_fields import new_arrays
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2
 from fusion.facing.filter import update_facing
 from fusion.facing.model import WHOLE, FacingConstants, FacingState, new_facing_model
+from fusion.support.array_fields import new_arrays
 from tests.helpers.labelled_views import FRAME, UNKNOWN, UP, flips, heading, simulated_views, step, swapped
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.two_recordings import RecordingChoice, read_two
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from fusion.body import KINECT_V2
 from fusion.calibration.calibrator import Calibrator
 from fusion.calibration.offline import learn_from_recording

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.capture.moments import ImageJoiner
+from devices.capture.clock.moments import ImageJoiner
 from devices.orbbec.images import FrameReader, color_image, depth_image, infrared_image
 from devices.orbbec.streams import color_camera, intrinsics_of
 from tests.helpers.pyk4a_contract import fault_of

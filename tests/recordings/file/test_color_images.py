@@ -13,7 +13,7 @@ from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
-from recordings import layout
+from recordings.data import layout
 from recordings.file.rrd_file import RrdFile
 from recordings.file.stored_images import FileImages
 from recordings.fusing.pairs import fuse_one

@@ -18,10 +18,10 @@ from devices.output_file import whole_file
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings import layout
+from recordings.data import layout
+from recordings.data.session_arrays import SessionFrame
 from recordings.errors import RecordingError
 from recordings.session import Session
-from recordings.session_arrays import SessionFrame
 from recordings.testing import assert_sessions_match
 from recordings.writing.recorder import Recorder
 from tests.helpers.command_line import duplex

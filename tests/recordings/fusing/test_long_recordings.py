@@ -10,21 +10,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError
 from devices.skeletons.border import checked
 from devices.skeletons.csv_files import reader
 from devices.skeletons.csv_files.reader import read_csv
-from devices.two_recordings import RecordingChoice, read_two
-from fusion import large_arrays, plan
+from fusion import plan
 from fusion.body import KINECT_V2
 from fusion.errors import FusionError
-from fusion.large_arrays import GrowingArray
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
+from fusion.support import large_arrays
+from fusion.support.large_arrays import GrowingArray
 from recordings import Session, fuse
+from recordings.data.session_arrays import SessionArrays
 from recordings.file import session_reader
 from recordings.file.session_writer import write_session
-from recordings.session_arrays import SessionArrays
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import A_FROM_B, moving
 

@@ -6,12 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.body import KINECT_V2
-from recordings import fuse, layout
+from recordings import fuse
+from recordings.data import layout
+from recordings.data.images import Images, SessionImages
+from recordings.data.session_parts import PartOfImages
 from recordings.file.session_writer import write_session
-from recordings.images import Images, SessionImages
 from recordings.quality.figures import report
 from recordings.session import Session
-from recordings.session_parts import PartOfImages
 from tests.helpers.command_line import duplex
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import moving

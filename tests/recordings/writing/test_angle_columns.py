@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fusion.angles import ANGLES
-from recordings import layout
+from fusion.movement.angles import ANGLES
+from recordings.data import layout
 from recordings.file.rrd_file import read_columns
 from recordings.quality.limits import PLOTTED_DEGREES, POSSIBLE
 from recordings.session import Session

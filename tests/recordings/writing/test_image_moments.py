@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from devices.sensor import ColorCamera, ColorImage
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
-from recordings import layout
+from recordings.data import layout
 from recordings.file.rrd_file import RrdFile
 from recordings.writing.recorder import Recorder
 from recordings.writing.shown_images import LATE_NS

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from fusion.calibration.calibration import Calibration
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
-from recordings import layout
+from recordings.data import layout
+from recordings.data.session_arrays import SessionFrame
 from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
-from recordings.session_arrays import SessionFrame
 from recordings.writing import changes
 from recordings.writing.other_people import OthersLog
 from recordings.writing.recorder import Recorder

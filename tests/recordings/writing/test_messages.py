@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from recordings import layout
+from recordings.data import layout
 from recordings.session import Session
 from recordings.writing.arrow_columns import Column, Times, converted, depth_image, points, state_changes
 from recordings.writing.frame_columns import PLOTTED

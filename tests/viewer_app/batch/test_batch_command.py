@@ -25,7 +25,7 @@ from viewer_app.batch.finding import Pair
 from viewer_app.batch.jobs import Job
 from viewer_app.batch.worker import fuse_job
 from viewer_app.options.sensing import BatchOptions
-from viewer_app.report import review_page
+from viewer_app.report.pages import review_page
 
 ROOT = Path(__file__).resolve().parents[3]
 

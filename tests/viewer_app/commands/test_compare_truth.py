@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from fusion.angles import ANGLES, joint_angles
 from fusion.body import KINECT_V2
-from recordings import layout
+from fusion.movement.angles import ANGLES, joint_angles
+from recordings.data import layout
 from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.motion_capture import captured, true_positions, write_c3d, write_trc
 from tests.helpers.session_text import rows_of
-from viewer_app.report.truth_figures import _agreement
+from viewer_app.report.pages.truth_figures import _agreement
 
 # of laboratories, on the joints of KINECT_V2
 MARKERS = {

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices import live_checks as device_doctor
 from devices.check import Check
+from devices.live import checks as device_doctor
 from tests.helpers.command_line import duplex
 from tests.helpers.displays import x_server
 from tests.helpers.machine import need_viewer

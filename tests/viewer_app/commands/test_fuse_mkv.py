@@ -6,9 +6,9 @@ import pytest
 from devices.azure.mkv import MkvRecording
 from devices.azure.mkv_writer import MkvWriter
 from devices.capture.settings import CaptureSettings
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import SensorFrame
 from devices.skeletons.file_sensor import SkeletonRecording
-from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import AZURE_KINECT
 from recordings.session import Session
 from tests.helpers.command_line import duplex
@@ -93,7 +93,7 @@ def test_a_clock_that_the_master_did_not_set_is_reported(recorded, tmp_path, cap
 @pytest.mark.parametrize("arrivals", [True, False])
 def test_the_motion_is_not_asked_for_what_arrivals_and_cable_tell(arrivals, tmp_path, monkeypatch):
     asked, choices, late = [], [], A_FROM_B.inverse()
-    monkeypatch.setattr("devices.two_recordings.clock_by_motion", lambda *_: asked.append(True))
+    monkeypatch.setattr("devices.recorded.two_recordings.clock_by_motion", lambda *_: asked.append(True))
     for side, sync, delay_us, place in (("a", "master", 0, None), ("b", "subordinate", DELAY_US, late)):
         path, image = tmp_path / f"{side}.mkv", np.ones((288, 320), np.uint16)
         skeletons = write_skeletons(tmp_path / f"{side}.csv", START_US + delay_us, place)

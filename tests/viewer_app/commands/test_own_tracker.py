@@ -14,7 +14,7 @@ from devices.simulated.rig import Rig
 from fusion.body import BLAZEPOSE
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings import layout
+from recordings.data import layout
 from recordings.session import Session
 from recordings.writing.recorder import Recorder
 from tests.helpers.command_line import duplex

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
-from recordings import layout
+from recordings.data import layout
 from recordings.file.session_writer import write_session
 from recordings.quality.figures import fusion_figures, report
 from recordings.quality.per_second import SecondQuality
@@ -28,7 +28,7 @@ from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import calibration_of
 from viewer_app.commands.replay import verify
 from viewer_app.errors import UsageError
-from viewer_app.report.good_part import good_seconds
+from viewer_app.report.pages.good_part import good_seconds
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_no_line_is_wrapped_where_no_terminal_reads_it(session, tmp_path, capsys
 def without_plots(monkeypatch):
     """Leaves out the plots of the page, which take most of the time."""
     for name in ("line_plot", "bar_plot", "trust_map"):
-        monkeypatch.setattr(f"viewer_app.report.review_page.{name}", lambda *_, **__: "")
+        monkeypatch.setattr(f"viewer_app.report.pages.review_page.{name}", lambda *_, **__: "")
     monkeypatch.setattr("viewer_app.report.walking.line_plot", lambda *_, **__: "")
 
 

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from devices.files import frame_interval_ns, open_source
-from devices.real_time import PacedSensor
+from devices.recorded.files import frame_interval_ns, open_source
+from devices.simulated.real_time import PacedSensor
 from fusion.body import KINECT_V2
 from recordings import Session
 from tests.helpers.command_line import duplex, one_line

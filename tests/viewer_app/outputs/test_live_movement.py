@@ -9,10 +9,10 @@ import pytest
 
 from devices.simulated.kinect import Scene, Truth, movement
 from devices.simulated.rig import Rig
-from fusion.angles import ANGLES, joint_angles
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.facing.evidence import upright_direction
+from fusion.movement.angles import ANGLES, joint_angles
 from fusion.setup import FusionSetup
 from recordings.appearance.floor import FloorFinder
 from recordings.gait.events import find_gait

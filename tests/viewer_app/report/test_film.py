@@ -13,14 +13,14 @@ from devices.sensor import ColorCamera, ColorImage
 from fusion.body import KINECT_V2
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
-from recordings.images import Images, SessionImages
+from recordings.data.images import Images, SessionImages
 from recordings.quality.figures import report, truth_free_figures
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.screens import browser
 from tests.helpers.two_views import calibration_of
-from viewer_app.report.film import film
-from viewer_app.report.review_page import review_page
+from viewer_app.report.pages.film import film
+from viewer_app.report.pages.review_page import review_page
 
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
 CAMERA = ColorCamera(Intrinsics(320, 180, 157.0, 157.0, 159.5, 89.5), RigidTransform.identity())

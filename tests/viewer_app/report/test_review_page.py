@@ -30,7 +30,7 @@ from tests.helpers.screens import browser
 from tests.helpers.two_views import calibration_of
 from viewer_app.report import motion as motion_module
 from viewer_app.report.motion import _kept_frames, encoded_motion
-from viewer_app.report.review_page import recorded, review_page
+from viewer_app.report.pages.review_page import recorded, review_page
 from viewer_app.report.svg_plots import (
     _BAND_POINTS,
     _band,
@@ -288,7 +288,7 @@ def test_joints_that_were_never_seen_are_marked(session, monkeypatch):
     names = []
     for plot in ("bar_plot", "trust_map"):
         drawn = lambda _, joints, __: names.append(joints) or ""  # noqa: E731
-        monkeypatch.setattr(f"viewer_app.report.review_page.{plot}", drawn)
+        monkeypatch.setattr(f"viewer_app.report.pages.review_page.{plot}", drawn)
     titles_instead_of([PLOTS[0], "walking.line_plot", "walking.cycle_plot"], monkeypatch)
     changed = without(session, "FootLeft")
     text = review_page(changed, report(changed) | {"without_truth": truth_free_figures(changed)})

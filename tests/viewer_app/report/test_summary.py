@@ -30,8 +30,8 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of, standing
 from viewer_app.batch.worker import _session_figures
 from viewer_app.output_files import save_report
-from viewer_app.report.review_page import review_page
-from viewer_app.report.session_page import session_page
+from viewer_app.report.pages.review_page import review_page
+from viewer_app.report.pages.session_page import session_page
 from viewer_app.report.terminal import print_lines, print_summary, say_saved
 from viewer_app.report.words import Line, bone_rows, detail_lines, in_mm, lead_lines
 from viewer_app.running.runner import stream_figures

@@ -14,7 +14,7 @@ import rerun as rr
 from fusion.calibration.calibration import nominal_calibration
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
-from recordings import layout
+from recordings.data import layout
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, numbers_in, session
 from tests.helpers.machine import need_viewer

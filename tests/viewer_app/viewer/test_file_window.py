@@ -13,8 +13,9 @@ import pytest
 import rerun as rr
 import rerun.blueprint as rrb
 
-from recordings import Session, layout
+from recordings import Session
 from recordings.appearance.coach_page import CoachPage
+from recordings.data import layout
 from recordings.file.rrd_file import damage_of
 from recordings.file.session_writer import whole_recording
 from tests.helpers.machine import need_viewer

@@ -13,10 +13,10 @@ from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import TrackingState
-from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.colors import SKELETON_COLORS, VIEW_COLORS
-from recordings.session_arrays import SessionArrays
+from recordings.data import layout
+from recordings.data.session_arrays import SessionArrays
 from recordings.writing.shown_figures import SHOWN_FIGURES
 from tests.helpers.live_frames import BODY, frames, known_fuser
 from tests.helpers.pictures import headless_viewer

@@ -11,10 +11,10 @@ from PIL import Image
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import nominal_calibration
 from fusion.setup import FusionSetup
-from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.entity_styles import words_at
 from recordings.appearance.state_card import LOOKS, State
+from recordings.data import layout
 from recordings.writing.recorder import Recorder
 from tests.helpers.displays import x_server
 from tests.helpers.pictures import contrast, headless_viewer, pixels_near, viewer_window

@@ -5,7 +5,8 @@ import shutil
 import pytest
 
 from devices.depth.point_cloud import depth_to_points, ray_table
-from recordings import Session, layout
+from recordings import Session
+from recordings.data import layout
 from recordings.file.rrd_file import RrdFile
 from tests.helpers.live_frames import frames, known_fuser, session
 from tests.helpers.machine import need_viewer

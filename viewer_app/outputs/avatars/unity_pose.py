@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
-from fusion.humanoid import human_bones, rest_from_t_pose
-from fusion.joint_rotations import JointRotations
+from fusion.movement.humanoid import human_bones, rest_from_t_pose
+from fusion.movement.joint_rotations import JointRotations
 from recordings.appearance.floor import ANKLE
 
 Array = NDArray[np.float64]

@@ -11,9 +11,9 @@ from rich.console import Console
 from devices.azure.mkv import MkvRecording
 from devices.azure.mkv_writer import MkvWriter
 from devices.capture.settings import CaptureSettings
-from devices.files import recorded_at
-from devices.real_time import PacedSensor
+from devices.recorded.files import recorded_at
 from devices.sensor import SensorFrame
+from devices.simulated.real_time import PacedSensor
 from devices.tracker_choice import TrackerChoice
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration

@@ -1,0 +1,382 @@
+"""Reads two recordings of one capture, puts them on one clock, and pairs their frames."""
+
+from __future__ import annotations
+
+import filecmp
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.capture.clock.host_clock import offset_by_arrival
+from devices.depth.image_thinning import Depth, thinned, thinned_camera
+from devices.frame_pairs import FramePair
+from devices.pairing import Pairing, clock_by_cable, clock_by_motion, median_interval, pair_views
+from devices.people.association import Follow
+from devices.people.following import one_person
+from devices.people.recorded_people import RecordedPeople, SeenPerson
+from devices.people.recorded_person import OneRecording, follow_one_person
+from devices.recorded.files import (
+    frame_count,
+    has_images,
+    images_of,
+    not_of_libk4a,
+    open_images,
+    open_source,
+    without_images,
+)
+from devices.sensor import CableSync, DeviceError, ImageRecording, Orientation, Sensor
+from devices.skeletons.file_sensor import SkeletonRecording
+from devices.skeletons.stated_format import UNSTATED, StatedFormat
+from devices.tracker_choice import TrackerChoice, choose_tracker
+from devices.upright import orientation_of, turned_camera, turned_image, turned_view
+from fusion.body import BODIES, Body
+from fusion.intrinsics import Intrinsics
+from fusion.pair_arrays import View, joined_views
+from fusion.registration.clock_offset import ClockOffset
+from fusion.support.large_arrays import give_back, parts
+from fusion.support.progress import Progress, quietly
+
+_CLOCKS_AGREE_NS = 1_000_000
+"""Tolerance between the measured and the configured sync delay; the sensors are accurate to 0.1 ms."""
+
+_SAMPLES = 200  # skeletons that tell whether a sensor stands upright
+
+
+@dataclass(frozen=True, eq=False)
+class TwoRecordings:
+    """The content of two recordings without their images.
+
+    Attributes:
+        body: Of both.
+        pairing: Their frames, paired.
+        intrinsics: Of the depth cameras, where the recordings say.
+        warnings: What a person should know about them, a line each.
+        images: The files that hold depth images, A's and B's; None for skeletons alone.
+        tracker: The body tracker that found the people; empty where the files had skeletons.
+        clock: The offset by which B's times were corrected; None where they are as recorded.
+        stated: What was stated about the files.
+        others: The people who are not followed, of each recording; None where there are none.
+        people: Where several are seen: those who are seen for some time, the one followed first.
+        orientations: Of both sensors; intrinsics, skeletons and depth images are of the upright sensors.
+    """
+
+    body: Body
+    pairing: Pairing
+    intrinsics: tuple[Intrinsics | None, Intrinsics | None]
+    warnings: tuple[str, ...]
+    images: tuple[Path | None, Path | None] = (None, None)
+    tracker: str = ""
+    clock: ClockOffset | None = None
+    stated: StatedFormat = UNSTATED
+    orientations: tuple[Orientation, Orientation] = (0, 0)
+    others: tuple[RecordedPeople | None, RecordedPeople | None] = (None, None)
+    people: tuple[SeenPerson, ...] = ()
+
+    @property
+    def others_seen(self) -> float:
+        """The share of pairs in which a sensor sees somebody who is not followed."""
+        frames = self.pairing.pairs.skeletons.frames
+        seen = np.zeros(len(frames), dtype=np.bool_)
+        for of_view, others in zip(frames.T, self.others, strict=True):
+            if others is not None:
+                seen |= np.isin(of_view, others.frame)
+        return float(seen.mean())
+
+    def cameras(self, depth: Depth) -> tuple[Intrinsics | None, Intrinsics | None]:
+        """The intrinsics, for depth images as they are logged."""
+        a, b = (None if camera is None else thinned_camera(camera, depth) for camera in self.intrinsics)
+        return a, b
+
+    def depth_images(
+        self, side: str, depth: Depth, progress: Progress = quietly
+    ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
+        """A sensor's depth images and the numbers of their pairs, in a pass of its own over the file.
+
+        One image is in memory at a time, however long the recordings are.
+        """
+        pairs = self.pairing.pairs
+        path, orientation = self.images["ab".index(side)], self.orientations["ab".index(side)]
+        if path is None or depth == "none":
+            return
+        frames = enumerate(getattr(pair, side) for pair in pairs)
+        number = {frame.time_ns: k for k, frame in frames if frame is not None}
+        with open_images(path) as recording:
+            for frame in progress(recording.frames(), f"depth of {recording.name}", len(pairs)):
+                k = number.get(frame.time_ns)
+                if k is not None and frame.depth is not None:
+                    yield k, thinned(turned_image(frame.depth, orientation), depth)
+
+
+@dataclass(frozen=True)
+class RecordingChoice:
+    """One of the two recordings.
+
+    Attributes:
+        path: Recorded skeletons, or a recording with images.
+        skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
+        person: Id of the person; where None, the one seen longest by both sensors.
+        stated: What is stated about a ``.csv``: unit, axes, names of the joints.
+        body: Family of the body tracker, of both recordings; found from the joints of both where empty.
+        orientation: Of the sensor, for a recording of images; where None, found from the person.
+        skeletons_option, person_option: What the caller's user knows these two as, for messages.
+    """
+
+    path: Path
+    skeletons: Path | None = None
+    person: str | None = None
+    stated: StatedFormat = UNSTATED
+    skeletons_option: str = "skeletons"
+    person_option: str = "person"
+    body: str = ""
+    orientation: Orientation | None = None
+
+    @property
+    def is_tracked(self) -> bool:
+        """Whether its people come from a body tracker."""
+        return has_images(self.path) and self.skeletons is None
+
+
+def read_two(
+    choice_a: RecordingChoice,
+    choice_b: RecordingChoice,
+    tracker: TrackerChoice | None = None,
+    progress: Progress = quietly,
+    *,
+    offset_ns: int | None = None,
+    every_frame: bool = True,
+    follow: Follow = "longest",
+) -> TwoRecordings:
+    """Reads both recordings, one after the other: only one body tracker is in the GPU's memory at once.
+
+    Where B's clock is off by two thirds of a frame or more and the motion tells by how much, its times are
+    corrected.
+
+    Args:
+        tracker: The body tracker, where one is needed. None: chosen for this machine.
+        offset_ns: Added to the times of B; found from the motion where None.
+        every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_views`.
+        follow: Whom of several people, where no id chooses; see
+        :func:`devices.people.association.follow_one`.
+
+    Raises:
+        DeviceError: A recording cannot be read or tracked, both are the same recording, the bodies differ,
+            or the two never overlap.
+    """
+    refuse_same(choice_a.path, choice_b.path)
+    tracked = any(choice.is_tracked for choice in (choice_a, choice_b))
+    if tracked:
+        tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(choice_a.path, choice_b.path))
+    a, b = (
+        open_source(
+            choice.path,
+            choice.skeletons,
+            tracker,
+            choice.skeletons_option,
+            progress=progress,
+            **asdict(choice.stated),
+            orientation=choice.orientation or 0,
+        )
+        for choice in (choice_a, choice_b)
+    )
+    read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
+    read_a, read_b, people = follow_one_person((read_a, read_b), offset_ns, follow)
+    body, about_body = _body_of_both((a, b), (read_a, read_b), choice_a.body)
+    read_a, read_b = (
+        replace(read, person=_as_body(read.person, source.body, body))
+        for source, read in ((a, read_a), (b, read_b))
+    )
+    clock = by_arrival = None
+    if offset_ns is None:
+        clock = by_arrival = offset_by_arrival(read_a.arrivals, read_b.arrivals)
+        delay_ns = cable_delay_ns(read_a.sync, read_b.sync)
+        if by_arrival is None:
+            clock = clock_by_motion(body, read_a.seen, read_b.seen)
+        elif delay_ns is not None:
+            times = read_a.person.time_ns, read_b.person.time_ns
+            clock = by_arrival = clock_by_cable(by_arrival, delay_ns, *times)
+        give_back()
+    # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
+    tolerance_ns = None if clock is None else median_interval(read_a.seen.time_ns)
+    pairing = pair_views(
+        body,
+        read_a.person,
+        read_b.person,
+        tolerance_ns,
+        offset_ns=clock.at(read_b.person.time_ns) if clock is not None else offset_ns or 0,
+        every_frame=every_frame,
+    )
+    about_clocks = clock_warnings(read_a.sync, read_b.sync, pairing.pairs)
+    if by_arrival is not None:
+        about_clocks = [
+            "B's times were put on A's clock by the frames' arrival on the PC that recorded them."
+        ]
+    elif clock is not None:
+        about_clocks = [
+            f"The clocks differ: {clock.offset_ns * 1e-6:+.0f} ± {clock.sd_ns * 1e-6:.0f} ms"
+            f"{_course_in_words(clock)} were added to B's times, so that both views show one motion. "
+            "`offset_ms=MS` sets another correction."
+        ]
+    warnings = *read_a.warnings, *read_b.warnings, *about_body, *about_clocks
+    path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
+    name = tracker.full_name if tracked and tracker is not None else ""
+    cameras, paths = (read_a.intrinsics, read_b.intrinsics), (path_a, path_b)
+    turned = read_a.orientation, read_b.orientation
+    others = read_a.others, read_b.others
+    return TwoRecordings(
+        body, pairing, cameras, warnings, paths, name, clock, choice_a.stated, turned, others, people
+    )
+
+
+def _body_of_both(
+    sources: tuple[Sensor, Sensor], reads: tuple[OneRecording, OneRecording], stated: str
+) -> tuple[Body, list[str]]:
+    """The body that has the joints seen in either recording, and a warning where it is a guess.
+
+    Raises:
+        DeviceError: There is none, or not the one stated.
+    """
+    both = [source.body for source in sources]
+    names = {
+        body.joints[j]
+        for body, read in zip(both, reads, strict=True)
+        for j in np.flatnonzero(read.person.states.any(axis=0))
+    }
+    fixed = [source.body for source in sources if not isinstance(source, SkeletonRecording)]
+    wanted = [BODIES[stated]] if stated else list(BODIES.values())
+    fitting = [
+        body
+        for body in wanted
+        if all(body is of for of in fixed) and all(body.find(name) is not None for name in names)
+    ]
+    if stated and not fitting:
+        strangers = sorted(name for name in names if wanted[0].find(name) is None)
+        lacks = (
+            f"has no {', '.join(strangers[:4])}" if strangers else f"is not {fixed[0].name}, of the images"
+        )
+        raise DeviceError(f"`body={stated}`: it {lacks}.")
+    if both[0] is not both[1] and not fitting:
+        (a, b), (body_a, body_b) = sources, both
+        raise DeviceError(
+            f"{a.name} has the {len(body_a)} joints of {body_a.name}, {b.name} the {len(body_b)} of "
+            f"{body_b.name}. Both sensors must be of one family."
+        )
+    if stated or fixed or len(fitting) < 2:
+        return fitting[0] if stated or both[0] is not both[1] else both[0], []
+    body = both[0] if both[0] is both[1] else fitting[0]
+    listed = ", ".join(one.name for one in fitting)
+    return body, [
+        f"The joints of both recordings fit {listed}: the errors of {body.name}'s tracker are assumed. State "
+        "the family of yours with `body`."
+    ]
+
+
+def _as_body(view: View, body: Body, other: Body) -> View:
+    """The same joints as those of another body; its further joints are not tracked."""
+    if other is body or not len(view.time_ns):
+        return view
+    of = [body.find(name) for name in other.joints]
+    has, joints = [j is not None for j in of], [j for j in of if j is not None]
+
+    def block(rows: slice) -> View:
+        count = len(view.time_ns[rows])
+        at = np.full((count, len(other), 3), np.nan, np.float32)
+        states = np.zeros((count, len(other)), np.uint8)
+        at[:, has], states[:, has] = view.positions[rows][:, joints], view.states[rows][:, joints]
+        return View(view.time_ns[rows], at, states)
+
+    return joined_views(block(rows) for rows in parts(len(view.time_ns)))
+
+
+def _course_in_words(clock: ClockOffset) -> str:
+    if clock.steps:
+        longer = ", ".join(f"{longer_ns * 1e-6:+.0f}" for _, longer_ns in clock.steps)
+        return f", changing in steps of {longer} ms, as where times are frame numbers and frames were lost,"
+    return f", growing by {clock.skew_ppm:+.1f} millionths of the time," if clock.skew_ppm else ""
+
+
+def clock_warnings(a: CableSync | None, b: CableSync | None, pairs: Iterable[FramePair]) -> list[str]:
+    """Warnings about the two clocks; none for recordings without information about their origin.
+
+    On a sync cable the master's first pulse starts the subordinate's clock at the master's time, and device
+    times (start offset + time in the file) are of one clock, on which B lags A by the delay set: pairs are
+    then right as they are, and their skew is that delay. Firmware 1.6.107 and later may not restart the
+    clock: it then has a constant offset. The skew shows that there is one, but only arrivals show by how many
+    whole frames; without them, the function warns. Without a cable each clock starts with its sensor.
+    """
+    if a is None or b is None:
+        return []
+    delay_ns = cable_delay_ns(a, b)
+    if delay_ns is None:
+        return [
+            f"The sensors ran without a common clock ({a.mode.lower()}, {b.mode.lower()}): frames "
+            f"are paired as if both had been started at the same moment. Record with a sync cable."
+        ]
+    off_ns = int(np.median([pair.skew_ns for pair in pairs])) - delay_ns
+    if abs(off_ns) <= _CLOCKS_AGREE_NS:
+        return []
+    return [
+        f"The sensors captured {delay_ns / 1e6:.2f} ms apart by their cable, but their times lie "
+        f"{(off_ns + delay_ns) / 1e6:.1f} ms apart: the subordinate's clock was not set by its master, and "
+        f"frames may be paired with their neighbours. Start the subordinate first, the master last."
+    ]
+
+
+def cable_delay_ns(a: CableSync | None, b: CableSync | None) -> int | None:
+    """How much later B captures than A by their sync cable; None without one."""
+    if a is None or b is None or {a.mode, b.mode} != {"MASTER", "SUBORDINATE"}:
+        return None
+    return b.delay_ns if b.mode == "SUBORDINATE" else -a.delay_ns
+
+
+def refuse_same(a: Path, b: Path) -> None:
+    """Raises a DeviceError if two recordings are one."""
+    try:
+        files = a.is_file() and b.is_file()
+        same, compared = files and a.samefile(b), files and a.stat().st_size > 0
+        if not same and compared and not (has_images(a) or has_images(b)):
+            same = filecmp.cmp(a, b, shallow=False)
+    except OSError:
+        return  # the readers say what is wrong with the files
+    if same:
+        raise DeviceError(f"{a} and {b} are the same recording. Fusion needs one recording of each sensor.")
+
+
+def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRecording:
+    with source:
+        sync, arrivals = None, []
+        if isinstance(source, SkeletonRecording):
+            people = source.people
+        else:
+            work = "tracking" if choice.is_tracked else "reading"
+            read = progress(without_images(source), f"{work} {source.name}", frame_count(source))
+            people = RecordedPeople.of(source.body, read)
+            if choice.person is None and not people.crowded:
+                people = RecordedPeople.of(
+                    source.body, one_person(source.body, people)
+                )  # one person gets several ids
+            images = images_of(source)
+            if isinstance(images, ImageRecording):
+                sync, arrivals = images.sync, list(images.arrivals)
+        warnings = list(source.warnings)
+    people.choose_person(choice.person, source.name, choice.person_option)
+    camera, orientation = source.intrinsics, choice.orientation or 0
+    if choice.orientation is None and has_images(choice.path):
+        seen = people.skeletons.positions
+        orientation = orientation_of(people.body, seen[:: max(1, len(seen) // _SAMPLES)])
+    if orientation and choice.orientation is None:
+        people = replace(people, skeletons=turned_view(people.skeletons, orientation))
+        camera = None if camera is None else turned_camera(camera, orientation)
+        tracked = f"`orientation={orientation}` also tracks it so; " if choice.is_tracked else ""
+        warnings.append(
+            f"{source.name}: the sensor is turned clockwise by {orientation}°. Its images and skeletons are "
+            f"turned upright; {tracked}`orientation=0` leaves them."
+        )
+    give_back()
+    times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
+    return OneRecording(
+        *(source.name, people, sync, warnings, times, people.skeletons),
+        *(choice.person, choice.person_option, camera, orientation),
+    )

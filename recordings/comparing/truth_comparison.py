@@ -1,0 +1,299 @@
+"""Compares S_A, S_B and S* of a session with motion capture of the same movement.
+
+The files share neither clock (:mod:`recordings.comparing.truth_timing`) nor frame. One rigid transform takes
+the truth to K_A's frame, by a robust fit to all joints of all three skeletons in all frames; nothing is
+scaled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from devices.skeletons.border import METRES
+from devices.skeletons.name_tables import NameTable, fitting_table, listed
+from fusion.body import Body
+from fusion.errors import CalibrationError
+from fusion.facing.evidence import upright_direction
+from fusion.movement.angles import joint_angles
+from fusion.movement.joint_rotations import rotations_of
+from fusion.registration.rigid_fit import fit_recording
+from fusion.rigid import RigidTransform
+from fusion.support.medians import median_of_known
+from recordings.comparing.joint_path import JointPath, Joints
+from recordings.comparing.truth_files import TruthFile
+from recordings.comparing.truth_timing import TimeOffset, correlation_at, find_offset
+from recordings.errors import RecordingError
+from recordings.session_series import SessionSeries
+
+Array = NDArray[np.float64]
+
+SKELETONS = ("a", "b", "fused")
+"""S_A, S_B and S*, as in :data:`recordings.data.layout.SKELETON_NAMES`."""
+_FEWEST_JOINTS = 5
+_FEWEST_FRAMES = 24
+_SIZE_WITHIN = 1.4  # factor between the sizes of the person in both files
+_MOST_FITTED = 3000  # frames that the transform is fitted to
+_LARGEST_RESIDUAL = 0.12  # metres, the median of S*; others whose displacements correlate are 0.17 apart
+_NAMED = 0.9  # correlation at which a variant of a truth is said to be the right one
+_MIRROR = np.array([-1.0, 1.0, 1.0])
+_MIRRORED = 0.6  # of the residual: a mirror image that fits so much better is right
+
+
+@dataclass(frozen=True, eq=False)
+class TruthComparison:
+    """The T frames of a session that have S* and are covered by the truth; metres, K_A's frame.
+
+    Attributes:
+        body: The body of the session.
+        truth_name: The file of the truth.
+        table: The table of names by which its points are joints.
+        joints: (M,) the joints that the truth has.
+        unit: The truth's unit of length, in words.
+        offset: Between the clocks.
+        a_from_truth: K_A ← the truth's frame.
+        residual: Metres between S* and the truth after this fit, the median.
+        frame, time_ns: (T,) numbers and times of the frames.
+        found: (T, J, 3) by :data:`SKELETONS`.
+        truth: (T, J, 3) by the same keys, when the skeleton was captured.
+        up: (3,) unit vector against gravity.
+    """
+
+    body: Body
+    truth_name: str
+    table: str
+    joints: NDArray[np.int64]
+    unit: str
+    offset: TimeOffset
+    a_from_truth: RigidTransform
+    residual: float
+    frame: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    found: dict[str, Array]
+    truth: dict[str, Array]
+    up: Array
+
+    @staticmethod
+    def of(
+        session: SessionSeries,
+        truth: TruthFile,
+        table: NameTable | None = None,
+        offset_s: float | None = None,
+    ) -> TruthComparison:
+        """Finds the names, the unit, the offset and the transform.
+
+        Args:
+            table: Which points are joints; the ready-made table that finds most where None.
+            offset_s: Seconds to add to the truth's times; found by the motion where None.
+
+        Raises:
+            RecordingError: There is no S*, the truth has too few of the joints, another person or another
+                movement, or does not overlap with the session.
+            DeviceError: The table names a point that the truth does not have.
+        """
+        body, rows = session.body, session.rows
+        if not np.isfinite(rows.fused).any():
+            raise RecordingError(f"{session} has no S*: no frame shows a person after a calibration.")
+        table = table or fitting_table(body, truth.labels)
+        joints = _joints_of(body, truth, table)
+        metres, unit = _unit_of(rows.fused, joints, session, truth)
+        seconds, skew = np.asarray(1e-9 * rows.time_ns), np.asarray(1e-9 * rows.skew_ns)
+        found = {
+            "a": Joints(seconds, rows.positions_a.astype(np.float64)),
+            "b": Joints(seconds + skew, rows.b_in_a),
+            "fused": Joints(seconds, rows.fused),
+        }
+        files = f"{truth.name} and {session}"
+
+        def match(points: Array) -> _Match:
+            path = JointPath(Joints(truth.seconds, metres * points))
+            return _match(body, found, path, files, table.name, offset_s)
+
+        try:
+            matched = match(joints)
+        except RecordingError:
+            variants = {
+                "a mirror image: its axes are left-handed": joints * _MIRROR,
+                "of a person whose left and right are exchanged": joints[:, body.mirror],
+            }
+            for words, points in variants.items():
+                try:
+                    if match(points).offset.correlation < _NAMED:
+                        continue
+                except RecordingError:
+                    continue
+                raise RecordingError(f"{files}: the truth is {words}.") from None
+            raise
+        offset, common, true, fit, residual = matched
+        return TruthComparison(
+            body=body,
+            truth_name=truth.name,
+            table=table.name,
+            joints=np.flatnonzero(np.isfinite(joints).any(axis=(0, 2))),
+            unit=unit,
+            offset=offset,
+            a_from_truth=fit,
+            residual=residual,
+            frame=rows.frame[common],
+            time_ns=rows.time_ns[common],
+            found={key: view.positions[common] for key, view in found.items()},
+            truth={key: fit.apply(at) for key, at in true.items()},
+            up=upright_direction(body, rows.fused),
+        )
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @cached_property
+    def distance(self) -> dict[str, Array]:
+        """(T, J) of each skeleton to the truth, metres; NaN where either is unknown."""
+        return {key: _length(self.found[key] - self.truth[key]) for key in SKELETONS}
+
+    def mean_distance(self, key: str) -> Array:
+        """(T,) of a skeleton to the truth, mean over the joints that both have, metres; NaN without any."""
+        known = np.isfinite(self.distance[key])
+        count = known.sum(axis=1)
+        total = np.where(known, self.distance[key], 0.0).sum(axis=1)
+        return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+    @cached_property
+    def angles(self) -> dict[str, tuple[Array, Array]]:
+        """(T, K) angles of each skeleton and of the truth, degrees, of
+        :data:`fusion.movement.angles.ANGLES`."""
+        found, truth = self.found, self.truth
+        return {
+            key: (joint_angles(self.body, found[key], self.up), joint_angles(self.body, truth[key], self.up))
+            for key in SKELETONS
+        }
+
+    @cached_property
+    def _rest(self) -> dict[str, tuple[Array, Array]]:
+        """(J, 3) constant part, and (T, J) length of the rest."""
+        turns = rotations_of(self.body, self.found["fused"], self.time_ns)
+        known = np.isfinite(turns).all(axis=2)
+        frames = Rotation.from_quat(turns[known])
+        parts = {}
+        for key in SKELETONS:
+            own = np.full(self.found[key].shape, np.nan)
+            own[known] = frames.apply((self.found[key] - self.truth[key])[known], inverse=True)
+            constant = median_of_known(own.transpose(1, 0, 2))
+            parts[key] = constant, _length(own - constant)
+        return parts
+
+    @property
+    def constant(self) -> dict[str, Array]:
+        """(J, 3) of each skeleton: what its distance to the truth has in common over all frames.
+
+        It is the median of found less true in the frame of the bone of S* that ends in the joint (x to the
+        person's left, y down, z to the back, of a person upright with hanging arms): another definition of
+        the joint, rather than an error of tracking.
+        """
+        return {key: constant for key, (constant, _) in self._rest.items()}
+
+    @property
+    def rest(self) -> dict[str, Array]:
+        """(T, J) distance of each skeleton to the truth without the constant part, metres."""
+        return {key: rest for key, (_, rest) in self._rest.items()}
+
+
+def _joints_of(body: Body, truth: TruthFile, table: NameTable) -> Array:
+    """(N, J, 3) the joints of a file; NaN where it has none."""
+    joints = np.full((len(truth.seconds), len(body), 3), np.nan)
+    for joint, points in table.points_of(body, truth.labels).items():
+        joints[:, joint] = truth.points[:, points].mean(axis=1)
+    count = int(np.isfinite(joints).any(axis=(0, 2)).sum())
+    if count < _FEWEST_JOINTS:
+        raise RecordingError(
+            f"{truth.name}: {count} of the joints of {body.name} are found by the table {table.name}, and "
+            f"{_FEWEST_JOINTS} are needed. The file has {listed(truth.labels)}. Name its points in a table "
+            "with `names=TABLE.toml`."
+        )
+    return joints
+
+
+def _unit_of(fused: Array, joints: Array, session: SessionSeries, truth: TruthFile) -> tuple[float, str]:
+    """Metres per unit of the truth, and the unit's name: the person has the same size as S*."""
+    ratio = float(np.nanmedian(_spans(fused) / _spans(joints)))
+    metres, words = min(METRES.values(), key=lambda unit: abs(np.log(ratio / unit[0])))
+    factor = max(ratio / metres, metres / ratio)
+    if not factor < _SIZE_WITHIN:
+        raise RecordingError(
+            f"The person of {truth.name}, in {words}, has {metres / ratio:.2g} times the size of that of "
+            f"{session}. Is the table of names right?"
+        )
+    return metres, words
+
+
+def _spans(joints: Array) -> Array:
+    """(J, J) median distance between two joints; NaN where unknown."""
+    some = joints[:: max(1, len(joints) // 200)]
+    spans = np.linalg.norm(some[:, :, None] - some[:, None], axis=3)
+    spans[spans == 0.0] = np.nan
+    known = np.isfinite(spans).any(axis=0)
+    median = np.full(known.shape, np.nan)
+    median[known] = np.nanmedian(spans[:, known], axis=0)
+    return median
+
+
+class _Match(NamedTuple):
+    """How a truth lies in time and space."""
+
+    offset: TimeOffset
+    common: NDArray[np.int64]  # frames of the session
+    true: dict[str, Array]  # the truth in its own frame, as in TruthComparison
+    fit: RigidTransform
+    residual: float
+
+
+def _match(
+    body: Body, found: dict[str, Joints], path: JointPath, files: str, table: str, offset_s: float | None
+) -> _Match:
+    """Raises RecordingError where the truth is no truth of the session."""
+    offset = find_offset(body, (found["a"], found["b"]), found["fused"], path)
+    if offset_s is not None:
+        offset = offset.given(offset_s) if offset else TimeOffset(offset_s)
+        offset = replace(offset, correlation=correlation_at(found["fused"], path, offset))
+    elif offset is None:
+        raise RecordingError(
+            f"{files}: no offset in time makes the movements match. Do they show the same movement of a "
+            f"person who moves enough, and is the table of names, {table}, right? `offset` gives an offset."
+        )
+    elif not offset.sure:
+        raise RecordingError(f"{files}: the person moves too little to find the offset; give `offset`.")
+    true = {key: path.at(offset.truth_times(view.seconds)) for key, view in found.items()}
+    common = np.flatnonzero(np.isfinite(found["fused"].positions + true["fused"]).any(axis=(1, 2)))
+    if len(common) < _FEWEST_FRAMES:
+        raise RecordingError(
+            f"{files} have {len(common)} frames with an S* in common, at an offset of "
+            f"{offset.seconds:.3f} s: too few to compare."
+        )
+    true = {key: at[common] for key, at in true.items()}
+    every = max(1, len(common) // _MOST_FITTED)
+    p = np.concatenate([found[key].positions[common][::every] for key in SKELETONS])
+    q = np.concatenate([true[key][::every] for key in SKELETONS])
+    try:
+        fit = fit_recording(p, q)
+        residual, mirrored = (
+            float(np.nanmedian(_length(found["fused"].positions[common] - one.apply(at))))
+            for one, at in (
+                (fit, true["fused"]),
+                (fit_recording(p, q * _MIRROR), true["fused"] * _MIRROR),
+            )
+        )
+    except CalibrationError as error:
+        raise RecordingError(f"{files}: {error}") from None
+    if residual > _LARGEST_RESIDUAL or mirrored < _MIRRORED * residual:
+        raise RecordingError(
+            f"{files} are {residual * 1e3:.0f} mm apart (median) after the best fit: not the same movement, "
+            "or another table of names is needed."
+        )
+    return _Match(offset, common, true, fit, residual)
+
+
+def _length(vectors: Array) -> Array:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))

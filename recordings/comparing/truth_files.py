@@ -1,0 +1,161 @@
+"""Reads motion capture: points over time from .c3d, OpenSim's .trc, or a .csv as this program writes it."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from devices.input_file import open_input
+from devices.sensor import DeviceError
+from devices.skeletons.csv_files.text import codes, refuse_cut_off, text_rows
+from devices.skeletons.times import capture_times
+from recordings.comparing.c3d_file import read_c3d
+from recordings.errors import MissingFileError, RecordingError
+
+SUFFIXES = (".c3d", ".trc", ".csv")
+"""Suffixes of files of motion capture."""
+_TRC_HEAD = 5  # lines before the first frame; an empty one may follow
+
+
+@dataclass(frozen=True, eq=False)
+class TruthFile:
+    """Points over time.
+
+    Attributes:
+        name: The file, for messages.
+        labels: Names of the M points.
+        seconds: (N,) times in order.
+        points: (N, M, 3) in the file's unit and axes; NaN where a point is missing.
+        warning: What the user should know about the file, if anything.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    seconds: NDArray[np.float64]
+    points: NDArray[np.float64]
+    warning: str = ""
+
+
+def read_truth(path: Path) -> TruthFile:
+    """Reads a file of :data:`SUFFIXES`.
+
+    Raises:
+        RecordingError: The file cannot be read, is not complete, or has no points or times.
+    """
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise RecordingError(f"{path} is no motion capture: its name ends in none of {', '.join(SUFFIXES)}.")
+    try:
+        labels, seconds, points, warning = reader(path)
+    except FileNotFoundError:
+        raise MissingFileError(f"No file {path}.") from None
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from None
+    except DeviceError as error:
+        raise RecordingError(str(error)) from None
+    points[~np.isfinite(points).all(axis=2)] = np.nan
+    if len(labels) == 0 or not np.isfinite(points).any():
+        raise RecordingError(f"{path} has no points.")
+    if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all():  # false where NaN
+        raise RecordingError(f"{path} needs at least two frames, with times that increase.")
+    return TruthFile(str(path), tuple(labels), seconds, points, warning)
+
+
+_Read = tuple[list[str], NDArray[np.float64], NDArray[np.float64], str]
+
+
+def _read_c3d(path: Path) -> _Read:
+    with open_input(path) as file:
+        header = np.frombuffer(file.read(10).ljust(10, b"\0"), dtype="<u2").astype(np.int64)
+    read = read_c3d(path)
+    rate, points, labels = float(read["rate"]), read["points"], read["labels"].tolist()
+    if not 0.0 < rate < math.inf:
+        raise RecordingError(f"{path} states {rate:g} frames per second.")
+    stated = header[4] - header[3] + 1  # last and first frame; long files have more
+    if len(points) < stated:  # ezc3d reads what is there
+        raise RecordingError(f"{path} is cut off: it states {stated} frames and has {len(points)}.")
+    points[read["residuals"] < 0.0] = np.nan
+    return labels[: points.shape[1]], np.arange(len(points)) / rate, _without_origin(points), ""
+
+
+def _read_trc(path: Path) -> _Read:
+    with open_input(path) as file:
+        lines = file.read().decode(errors="replace").splitlines()
+    if len(lines) <= _TRC_HEAD or not lines[3].lower().startswith("frame#"):
+        raise RecordingError(f"{path} is not a .trc: its fourth line does not begin with Frame#.")
+    tabs = "\t" if "\t" in lines[3] else None  # else spaces, between which no cell can be empty
+    labels = [name.strip() for name in lines[3].split(tabs)[2:] if name.strip()]
+    width = 2 + 3 * len(labels)
+    heads, values = (line.split(tabs) for line in lines[1:3])
+    stated = dict(zip(heads, values, strict=False)).get("NumFrames", "").strip()
+    rows = []
+    for number, line in enumerate(lines[_TRC_HEAD:], start=_TRC_HEAD + 1):
+        if not line.strip():
+            continue
+        cells = line.split(tabs)
+        if len(cells) < width:
+            what = "is cut off" if tabs else "has spaces instead of tabs and lacks cells"
+            raise RecordingError(
+                f"{path}, line {number} {what}: {len(labels)} points need {width} columns, and it has "
+                f"{len(cells)}."
+            )
+        try:
+            rows.append([float(cell) if cell.strip() else math.nan for cell in cells[:width]])
+        except ValueError:
+            raise RecordingError(f"{path}, line {number}: not a row of numbers separated by tabs.") from None
+    if stated.isdecimal() and len(rows) < int(stated):
+        raise RecordingError(f"{path} is cut off: it states {stated} frames and has {len(rows)}.")
+    table = np.array(rows).reshape(-1, width)
+    return labels, table[:, 1], _without_origin(table[:, 2:].reshape(len(table), -1, 3)), ""
+
+
+def _without_origin(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points at exactly 0, 0, 0 are missing."""
+    return np.where((points == 0.0).all(axis=2, keepdims=True), np.nan, points)
+
+
+def _read_csv(path: Path) -> _Read:
+    """A row for each joint and frame, or for each frame with columns such as HEAD_x, HEAD_y and HEAD_z."""
+    (text,) = text_rows(path, -1, required=())
+    time_ns, told = capture_times(path, *text.times(), shortest_us=2_000.0)  # motion capture is fast
+    times, frame = np.unique(time_ns, return_inverse=True)
+    refuse_cut_off(text, None, frame)
+    names = text.table.column_names
+    wide = [name[:-2] for name in names if name.endswith("_x")]
+    columns = [f"{label}_{axis}" for label in wide for axis in "xyz"] or ["joint", *"xyz"]
+    if missing := [name for name in columns if name not in names]:
+        raise RecordingError(
+            f"{path} is no .csv of motion: it has no column {missing[0]}. Its columns must be those of "
+            "duplex export, or time_us,body,joint,x,y,z."
+        )
+    if wide:
+        labels, joint = wide, np.tile(np.arange(len(wide)), len(frame))
+        row = np.repeat(np.arange(len(frame)), len(wide))
+        values = np.stack([text.numbers(name, pa.float64()) for name in columns], axis=1).reshape(-1, 3)
+    else:
+        labels, joint = codes(text.table, "joint")
+        row = np.arange(len(frame))
+        if "skeleton" in names:  # of duplex export: a, b and S*
+            row = np.flatnonzero(pc.equal(text.table["skeleton"], "fused").to_numpy())
+        elif "body" in names and len(bodies := codes(text.table, "body")[0]) > 1:
+            raise RecordingError(f"{path} has {len(bodies)} bodies, and one is compared.")
+        joint = joint[row]
+        values = np.stack([text.numbers(axis, pa.float64()) for axis in "xyz"], axis=1)[row]
+    slot = frame[row] * len(labels) + joint
+    order = np.argsort(slot, kind="stable")
+    if len(again := order[1:][np.diff(slot[order]) == 0]):
+        first = int(again.min())
+        raise RecordingError(
+            f"{path}, line {text.line(int(row[first]))}: {labels[joint[first]]} has a second row at one time."
+        )
+    points = np.full((len(times) * len(labels), 3), np.nan)
+    points[slot] = values
+    text.decimals.check(path)
+    return labels, times.astype(np.float64) * 1e-9, points.reshape(len(times), -1, 3), " ".join(told)
+
+
+_READERS = {".c3d": _read_c3d, ".trc": _read_trc, ".csv": _read_csv}

@@ -1,0 +1,145 @@
+"""Arrays over the frames of a session that belong together, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from recordings.data.session_data import read_only
+from recordings.errors import UnknownNameError
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+
+class _Series:
+    """Arrays over the frames of a session; they are read-only."""
+
+    def __post_init__(self) -> None:
+        for values in vars(self).values():
+            if isinstance(values, np.ndarray):
+                read_only(values)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy's arrays are read-only, too; also after pickling."""
+        self.__dict__.update(state)
+        self.__post_init__()
+
+    def __repr__(self) -> str:
+        names = (each.name for each in fields(self))  # type: ignore[arg-type]
+        return f"<{type(self).__name__}: {', '.join(names)}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SkeletonSeries(_Series):
+    """S_A or S_B over T frames of J joints, as given by the sensor.
+
+    Attributes:
+        positions: (T, J, 3) float32 metres in the sensor's own frame; NaN without a skeleton.
+        states: (T, J) uint8, 0 not tracked, 1 inferred, 2 tracked.
+        weights: (T, J) float32, w of eq. (11).
+        captured_ns: (T,) time on the sensor's clock; :data:`recordings.data.layout.NO_FRAME` if it gave
+            no frame.
+        stale: (T,) whether the sensor repeated its last skeleton.
+    """
+
+    positions: NDArray[np.float32]
+    states: NDArray[np.uint8]
+    weights: NDArray[np.float32]
+    captured_ns: NDArray[np.int64]
+    stale: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class QualitySeries(_Series):
+    """Quality figures of T frames.
+
+    Attributes:
+        bone_error: (T,) largest absolute error of a bone length of S*, metres; NaN without S*.
+        disagreement: (T,) median distance between p and R q + t, metres; NaN if no joint is in both views.
+        skew_ns: (T,) capture time of B minus capture time of A; 0 where only one of them gave a frame.
+        fuse_ms: (T,) duration of the fusion, milliseconds.
+        iterations: (T,) iterations of the solver.
+        predicted: (T, J) whether a joint of S* has no data.
+    """
+
+    bone_error: NDArray[np.float64]
+    disagreement: NDArray[np.float64]
+    skew_ns: NDArray[np.int64]
+    fuse_ms: NDArray[np.float64]
+    iterations: NDArray[np.int64]
+    predicted: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AngleSeries(_Series, Mapping[str, NDArray[np.float64]]):
+    """Joint angles of S* over T frames; see :mod:`fusion.movement.angles` for their definitions.
+
+    A mapping: ``angles["knee_flexion_left"]`` is (T,) degrees. Another name raises
+    :class:`recordings.errors.UnknownNameError`, which lists all.
+
+    Attributes:
+        names: The K angles.
+        degrees: (T, K); NaN where a joint is missing.
+        sigma: (T, K) degrees, one standard deviation; NaN with the paper's methods.
+    """
+
+    names: tuple[str, ...]
+    degrees: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        if name not in self.names:
+            raise UnknownNameError("angle", name, self.names)
+        return np.asarray(self.degrees[:, self.names.index(name)])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RotationSeries(_Series, Mapping[str, "Rotation"]):
+    """Rotations of the bones of S* over T frames, in K_A's frame; see :mod:`fusion.movement.joint_rotations`.
+
+    A mapping: ``rotations["KneeRight"]`` is the scipy ``Rotation`` (T,) of the bone that ends in this joint,
+    from rest, where the person stands upright with hanging arms and faces the sensor. Joints are named in any
+    spelling of :meth:`fusion.body.Body.joint`; another name raises
+    :class:`recordings.errors.UnknownNameError`.
+
+    Attributes:
+        of_body: The body.
+        quaternions: (T, J, 4) x, y, z, w, by the joint in which a bone ends; at the root, of the pelvis. NaN
+            without S*.
+    """
+
+    of_body: Body
+    quaternions: NDArray[np.float64]
+
+    @property
+    def body(self) -> Rotation:
+        """(T,) the rotation of the whole body, which is the pelvis'."""
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_quat(self.quaternions[:, self.of_body.root])
+
+    def __getitem__(self, joint: str) -> Rotation:
+        from scipy.spatial.transform import Rotation
+
+        found = self.of_body.find(joint)
+        if found is None:
+            raise UnknownNameError("joint", joint, self.of_body.joints)
+        return Rotation.from_quat(self.quaternions[:, found])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.of_body.joints)
+
+    def __len__(self) -> int:
+        return len(self.of_body)

@@ -1,0 +1,341 @@
+"""The frames of a session stacked into arrays, used for writing, reading and reporting."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.frame_pairs import FramePair, PairingFigures
+from fusion.body import Body
+from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.facing.labels import DOUBT_STEPS
+from fusion.fused_frame import FusedFrame, FusedFrames
+from fusion.pair_arrays import View
+from fusion.skeleton import Skeleton
+from fusion.support.large_arrays import GrowingArray, Rows, parts
+from fusion.support.medians import median_of_known
+from recordings.data import layout
+from recordings.data.corrected_sides import corrects_sides
+from recordings.data.frame_fields import FRAME_FIELDS, FrameField
+
+
+@dataclass(frozen=True)
+class SessionFrame:
+    """A pair, its fused frame, and how long the fusion took."""
+
+    pair: FramePair
+    fused: FusedFrame
+    fuse_ns: int
+    truth: NDArray[np.float64] | None = None
+    """(J, 3) true joint positions in K_A's frame, metres; simulations only."""
+    streams: PairingFigures | None = None
+    """Figures of the two streams; live sensors only."""
+    latency_ns: int | None = None
+    """From the arrival of the pair's first images to S*; live sensors only. It is not recorded."""
+    bone_lengths: NDArray[np.float64] | None = None
+    """(J,) metres, with which S* was fused; None where the calibration tells. It is not recorded."""
+
+
+class PairBlock(NamedTuple):
+    """The pairs of :class:`SessionFrames` as arrays; the names are those of a ``FramePair``."""
+
+    time_ns: NDArray[np.int64]
+    skew_ns: NDArray[np.int64]
+    a: View
+    b: View
+
+
+@dataclass(frozen=True, eq=False)
+class SessionFrames(Rows[SessionFrame]):
+    """T pairs and their fused frames. Its attributes are those of :class:`SessionFrame`, with T rows."""
+
+    pair: PairBlock
+    fused: FusedFrames
+    fuse_ns: int
+    pairs: Sequence[FramePair]
+    first: int  # number of the first of them among the pairs
+    truth = None
+
+    def __len__(self) -> int:
+        return len(self.fused)
+
+    def row(self, k: int) -> SessionFrame:
+        return SessionFrame(self.pairs[self.first + k], self.fused[k], self.fuse_ns)
+
+
+_STANDARD_RATES, _STANDARD_WITHIN = (5.0, 15.0, 30.0, 60.0, 90.0), 0.05
+_LONG_PAUSE = 3.0  # median intervals
+
+
+@dataclass(frozen=True, eq=False)
+class SessionArrays:
+    """T frames of J joints; metres, nanoseconds; NaN where data is missing.
+
+    Of all attributes but the first four, :data:`recordings.data.frame_fields.FRAME_FIELDS` has a line each.
+
+    Attributes:
+        body: The body that defines the joints.
+        bone_lengths: (T, J) the target lengths each frame was fused with; 0 at the root.
+        frame: (T,) number of the pair.
+        time_ns: (T,) time since the first pair.
+        skew_ns: (T,) capture time of B minus capture time of A.
+        clock_a, clock_b: (T,) time on the sensor's own clock, ns; layout.NO_FRAME where it gave no frame.
+        positions_a, positions_b: (T, J, 3) S_A and S_B in their sensors' own frames.
+        states_a, states_b: (T, J) tracking states of S_A and S_B.
+        weights_a, weights_b: (T, J) w^A and w^B of eq. (11), rounded to 1/128.
+        misleading: (T, J) index of the mis-leading joint of sec. 3, or -1.
+        rotation, translation: (T, 3, 3) R and (T, 3) t, K_A ← K_B.
+        fused: (T, J, 3) S* in K_A's frame.
+        predicted: (T, J) whether a joint of S* has no data.
+        iterations: (T,) iterations of the solver.
+        stale_a, stale_b: (T,) whether the sensor repeated its last skeleton.
+        fuse_ms: (T,) duration of the fusion, milliseconds.
+        truth: (T, J, 3) where the joints really are, in K_A's frame; simulations only.
+        sigma: (T, J) metres, one standard deviation of S*; sessions of the method ``duplex`` only, as are the
+            next, side_doubt and heading.
+        exchanged: (T, 2) which sides of A and of B were exchanged, see :mod:`fusion.facing.model`.
+        witness_a, witness_b: (T, J, 4) depth evidence for each joint, metres; columns:
+            ``fusion.witness.COLUMNS``.
+        side_doubt: (T, 2) probability that the sides of A and of B are wrong all the same, in 1/255.
+        heading: (T, 3) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to
+            1, is the confidence.
+    """
+
+    body: Body
+    bone_lengths: NDArray[np.float64]
+    frame: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    skew_ns: NDArray[np.int64]
+    clock_a: NDArray[np.int64]
+    clock_b: NDArray[np.int64]
+    positions_a: NDArray[np.float32]
+    positions_b: NDArray[np.float32]
+    states_a: NDArray[np.uint8]
+    states_b: NDArray[np.uint8]
+    weights_a: NDArray[np.float32]
+    weights_b: NDArray[np.float32]
+    misleading: NDArray[np.int32]
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    fused: NDArray[np.float64]
+    predicted: NDArray[np.bool_]
+    iterations: NDArray[np.int64]
+    stale_a: NDArray[np.bool_]
+    stale_b: NDArray[np.bool_]
+    fuse_ms: NDArray[np.float64]
+    truth: NDArray[np.float64] | None = None
+    sigma: NDArray[np.float32] | None = None
+    exchanged: NDArray[np.int8] | None = None
+    witness_a: NDArray[np.float32] | None = None
+    witness_b: NDArray[np.float32] | None = None
+    side_doubt: NDArray[np.uint8] | None = None
+    heading: NDArray[np.float32] | None = None
+
+    @staticmethod
+    def stack(
+        body: Body,
+        bone_lengths: NDArray[np.float64],
+        frames: Sequence[SessionFrame],
+        numbers: Sequence[int] | None = None,
+        start_ns: int | None = None,
+        like: SessionArrays | None = None,
+    ) -> SessionArrays:
+        """Stacks one or more turns of the loop.
+
+        Args:
+            bone_lengths: (J,) metres, or (T, J) where they change.
+            numbers: Of the frames; from 0 where None.
+            start_ns: When the session began; with the first of these frames where None.
+            like: Earlier frames of the session: these then have the same optional figures.
+        """
+        figures: dict[str, Any] = {}
+        if isinstance(frames, SessionFrames):
+            of_block, times = _figures_of(frames), frames.pair.time_ns
+            for name, spec in FRAME_FIELDS.items():
+                figures[name] = spec.of_block(body, of_block[name], len(frames))
+        else:
+            each = [_figures_of(frame) for frame in frames]
+            times = np.array([frame.pair.time_ns for frame in frames], dtype=np.int64)
+            for name, spec in FRAME_FIELDS.items():
+                figures[name] = spec.stacked(body, [of_frame[name] for of_frame in each])
+        if like is not None:
+            for name in (name for name, spec in FRAME_FIELDS.items() if spec.optional):
+                if getattr(like, name) is None:
+                    figures[name] = None
+                elif figures[name] is None:
+                    figures[name] = FRAME_FIELDS[name].nothing(body, len(frames))
+        return SessionArrays(
+            body,
+            np.broadcast_to(bone_lengths, (len(frames), len(body))),
+            np.array(range(len(frames)) if numbers is None else numbers, dtype=np.int64),
+            times - (times[0] if start_ns is None else start_ns),
+            **figures,
+        )
+
+    @staticmethod
+    def joined(blocks: Iterable[SessionArrays]) -> SessionArrays:
+        """Joins consecutive frames; a figure that a block lacks is absent in its frames."""
+        joined: dict[str, GrowingArray] = {}
+        end = 0
+        for block in blocks:
+            for name in (f.name for f in fields(SessionArrays) if f.name != "body"):
+                if name not in joined and getattr(block, name) is not None:
+                    joined[name] = GrowingArray()
+                    if name in FRAME_FIELDS:
+                        joined[name].append(FRAME_FIELDS[name].nothing(block.body, end))
+                if name in joined:
+                    joined[name].append(block.filled(name) if name in FRAME_FIELDS else getattr(block, name))
+            end += len(block)
+        return SessionArrays(
+            body=block.body, **dict(zip(joined, GrowingArray.wholes(joined.values()), strict=True))
+        )
+
+    def figures(self) -> Iterator[tuple[str, FrameField, NDArray[Any]]]:
+        """Name, declaration and values of every figure that these frames have."""
+        for name, spec in FRAME_FIELDS.items():
+            values = getattr(self, name)
+            if values is not None:
+                yield name, spec, values
+
+    def filled(self, name: str) -> NDArray[Any]:
+        """A figure by its name; its absent value in every frame where the session does not have it."""
+        values: NDArray[Any] | None = getattr(self, name)
+        return FRAME_FIELDS[name].nothing(self.body, len(self)) if values is None else values
+
+    def parts(self) -> Iterator[SessionArrays]:
+        """The frames in parts, for work that would need much memory for all of them."""
+        return (self[part] for part in parts(len(self)))
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def __getitem__(self, frames: slice | NDArray[np.int64]) -> SessionArrays:
+        """Selects frames; their numbers and times stay unchanged."""
+        kept = {f.name: getattr(self, f.name) for f in fields(self)}
+        per_frame = {n: v[frames] for n, v in kept.items() if n != "body" and v is not None}
+        return replace(self, **per_frame)
+
+    @property
+    def b_in_a(self) -> NDArray[np.float64]:
+        """(T, J, 3) S_B transformed to K_A's frame."""
+        return np.asarray(
+            np.einsum("tij,tkj->tki", self.rotation, self.positions_b.astype(np.float64))
+            + self.translation[:, None]
+        )
+
+    @property
+    def never_seen(self) -> NDArray[np.bool_]:
+        """(J,) whether no sensor reports the joint in any frame: S* there is a guess by its bones."""
+        return np.asarray(~(self.states_a.any(axis=0) | self.states_b.any(axis=0)))
+
+    @property
+    def seen(self) -> NDArray[np.float64]:
+        """(T, J, 3) S*; NaN for joints that were never seen."""
+        never = self.never_seen
+        return np.where(never[:, None], np.nan, self.fused) if never.any() else self.fused
+
+    def corrects(self, side: int) -> NDArray[np.bool_]:
+        """(T,) whether A (0) or B (1) reports left and right exchanged, and S* corrects this."""
+        codes = self.filled("exchanged")[:, side]
+        if side == 0:
+            return corrects_sides(self.body, self.fused, self.positions_a, self.states_a, codes)
+        return corrects_sides(self.body, self.fused, self.b_in_a, self.states_b, codes)
+
+    @property
+    def frame_rate(self) -> float:
+        """Frames per second of the faster sensor without its pauses: 1 / mean interval, as 5, 15, 30, 60 or
+        90 if within 5 % of it. 30 for a single frame.
+        """
+        clocks = () if len(self) < 2 else (self.clock_a, self.clock_b)
+        rates = (rate_without_pauses(self.time_ns[clock != layout.NO_FRAME]) for clock in clocks)
+        fastest = max((rate for rate in rates if rate is not None), default=30.0)
+        nearest = min(_STANDARD_RATES, key=lambda rate: abs(rate - fastest))
+        return nearest if abs(nearest - fastest) <= _STANDARD_WITHIN * nearest else fastest
+
+    @property
+    def bone_length_of_each(self) -> NDArray[np.float64]:
+        """(3, T, J) length of each bone of S_A, S_B and S*, indexed by the child joint."""
+        each = (self.positions_a, self.positions_b, self.fused)
+        return np.array([bone_lengths_of(self.body, positions) for positions in each])
+
+    @property
+    def bone_error(self) -> NDArray[np.float64]:
+        """(T,) metres, the largest absolute error of a bone length of S*; NaN without S*."""
+        error = np.abs(bone_lengths_of(self.body, self.fused) - self.bone_lengths)
+        error[:, self.body.root] = 0.0  # the root has no bone
+        return np.asarray(error.max(axis=1))
+
+    @property
+    def view_difference(self) -> NDArray[np.float64]:
+        """(T, J) metres between p and R q + t; NaN where a joint is not in both views."""
+        return np.asarray(np.linalg.norm(self.positions_a - self.b_in_a, axis=2))
+
+    @property
+    def disagreement(self) -> NDArray[np.float64]:
+        """(T,) metres between p and R q + t, median over the joints that both see; NaN without any."""
+        parts = (median_of_known(rows.view_difference) for rows in self.parts())
+        return np.concatenate([np.zeros(0), *parts])
+
+
+def rate_without_pauses(time_ns: NDArray[np.int64]) -> float | None:
+    """Frames per second at (T,) increasing times, between pauses; None where all have one time."""
+    steps = np.diff(time_ns) * 1e-9
+    return float(1.0 / steps[steps <= _LONG_PAUSE * np.median(steps)].mean()) if steps.any() else None
+
+
+def pauses_of(time_ns: NDArray[np.int64]) -> list[tuple[float, float]]:
+    """Where the pauses begin, and how long they are, in seconds from the first of (T,) increasing times."""
+    steps = np.diff(time_ns)
+    usual = np.median(steps) if len(steps) else 0.0
+    long = np.flatnonzero(steps > _LONG_PAUSE * usual)
+    return [((time_ns[k] - time_ns[0]) * 1e-9, steps[k] * 1e-9) for k in long]
+
+
+def _figures_of(frame: SessionFrame | SessionFrames) -> dict[str, Any]:
+    """The value of each figure, by name: of a frame, or of T frames with T rows; None if it has none."""
+    pair, fused = frame.pair, frame.fused
+    skeletons = pair if isinstance(pair, PairBlock) else pair.skeletons
+    exchanged = doubt = None
+    if fused.sigma is not None:
+        exchanged = np.stack((fused.exchanged_a, fused.exchanged_b), axis=-1)
+        doubt = np.rint(DOUBT_STEPS * np.stack((fused.doubt_a, fused.doubt_b), axis=-1))
+    return {
+        "skew_ns": pair.skew_ns,
+        "clock_a": None if pair.a is None else pair.a.time_ns,
+        "clock_b": None if pair.b is None else pair.b.time_ns,
+        "positions_a": None if skeletons.a is None else skeletons.a.positions,
+        "positions_b": None if skeletons.b is None else skeletons.b.positions,
+        "states_a": None if skeletons.a is None else skeletons.a.states,
+        "states_b": None if skeletons.b is None else skeletons.b.states,
+        "weights_a": fused.weights_a,
+        "weights_b": fused.weights_b,
+        "misleading": fused.misleading_joint,
+        "rotation": fused.a_from_b.rotation,
+        "translation": fused.a_from_b.translation,
+        "fused": fused.positions,
+        "predicted": fused.predicted,
+        "iterations": fused.iterations,
+        "stale_a": fused.stale_a,
+        "stale_b": fused.stale_b,
+        "fuse_ms": frame.fuse_ns * 1e-6,
+        "truth": frame.truth,
+        "sigma": fused.sigma,
+        "exchanged": exchanged,
+        "witness_a": _witness(frame, skeletons.a),
+        "witness_b": _witness(frame, skeletons.b),
+        "side_doubt": doubt,
+        "heading": fused.heading,
+    }
+
+
+def _witness(frame: SessionFrame | SessionFrames, of: Skeleton | View | None) -> NDArray[np.float32] | None:
+    """The depth evidence of a skeleton; all NaN without a person or frame, if a sensor has images."""
+    if isinstance(frame, SessionFrames) or (of is not None and of.witness is not None):
+        return None if of is None else of.witness
+    if all(seen is None or seen.depth is None for seen in (frame.pair.a, frame.pair.b)):
+        return None
+    return np.full((len(frame.fused.positions), 4), np.nan, dtype=np.float32)
