@@ -158,10 +158,8 @@ class PersonOfPair:
     def _of_rooms(self, time_ns: int, seen: Sequence[Seen], known: RigidTransform | None) -> list[int | None]:
         if known is not None and len(self._rooms) > 1:
             both = self._room(0, 1)
-            if self._rooms[0].followed is None and self._rooms[1].followed is not None:
-                both.adopt_room(self._rooms[1], known)
-            else:
-                both.adopt_room(self._rooms[0], _HERE)
+            first = min((0, 1), key=lambda view: _precedence(self._rooms[view]))
+            both.adopt_room(self._rooms[first], known if first else _HERE)
             self._rooms = (both,)
         for room in self._rooms:
             room.observe(time_ns, seen)
@@ -206,6 +204,14 @@ class PersonOfPair:
         )
         text = f"Several people are seen. The one followed is {names or 'out of sight'}."
         self._events.append(Event(text, topic="others", phase="start"))
+
+
+def _precedence(room: Room) -> tuple[float, float]:
+    """The lower one of two rooms has the person to follow: seen last, else nearest to the axis."""
+    if room.followed is None:
+        return np.inf, 0.0
+    x, _, z = room.followed.place
+    return -room.followed.seen_ns, abs(math.atan2(x, z))
 
 
 class _Search:

@@ -137,7 +137,9 @@ class Room:
                     if cost < np.inf:
                         costs.append((cost, view, k, person))
         for _, view, k, person in sorted(costs, key=lambda each: each[0]):
-            if (view, k) in left and person.now[view] is None:
+            if (view, k) not in left or person.now[view] is not None:
+                continue
+            if self._cost(person, view, k, seen, time_ns) < np.inf:  # not elsewhere in the other view
                 others = sum(of.now[view] is None for of in self.people)
                 if person is self.followed and (others > 1 or seen[view].doubtful[k]):
                     self.guessed = True

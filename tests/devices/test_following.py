@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from devices.frame_pairs import FramePair
@@ -310,6 +310,9 @@ SIGHT = st.lists(
 
 @settings(max_examples=40)
 @given(SIGHT)
+@example([(set(), {"1"}, 1), ({"2"}, set(), 1), ({"1", "2"}, {"1"}, 1)])
+@example([({"2"}, {"1"}, 1), ({"1", "2"}, {"1"}, 1)])
+@example([(set(), {"1", "2"}, 1), (set(), set(), 12), ({"1"}, {"2", "3"}, 1)])
 def test_both_views_follow_one_person_and_neither_comes_first(sight):
     """Sensors in one place see the same people, as far as they see them."""
     at = {name: still(*place) for name, place in PLACES.items()}
