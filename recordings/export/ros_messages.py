@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from devices.events import Event
-from fusion.angles import ANGLES
 from fusion.body import Body
-from fusion.humanoid import human_bones
-from fusion.joint_rotations import joint_bones
+from fusion.movement.angles import ANGLES
+from fusion.movement.humanoid import human_bones
+from fusion.movement.joint_rotations import joint_bones
 from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError
 
@@ -57,7 +57,7 @@ class RosFrame(NamedTuple):
 
     time_ns: int  # of the capture, since 1970 UTC; where that is not known since the first frame
     positions: Array  # (J, 3) metres; NaN without a person
-    rotations: Array  # (J, 4) x, y, z, w, of :class:`fusion.joint_rotations.JointRotations`
+    rotations: Array  # (J, 4) x, y, z, w, of :class:`fusion.movement.joint_rotations.JointRotations`
     seen: NDArray[np.bool_]  # (J,) which joints are told
     covariance: Array | None  # (J, 3, 3) m²
     angles: Array  # (K,) degrees; NaN where unknown
