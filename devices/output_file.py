@@ -151,25 +151,37 @@ class GrowingOutput:
         self._hidden = Hidden(self.path)
         self._file = FileIO(self._hidden.path, "r+")
         self.size, self.placed = 0, False
+        self._ending = b""
         self._since = time.monotonic()
 
-    def append(self, block: bytes | memoryview) -> None:
-        """Writes a block completely; or raises an OSError, and the file ends with the block before."""
+    def append(self, block: bytes | memoryview, ending: bytes = b"") -> None:
+        """Writes a block completely; or raises an OSError, and the file is as after the block before.
+
+        Args:
+            ending: What makes the file whole; the next block replaces it.
+        """
         if self.placed and not self._is_there():
             raise FileNotFoundError("it was moved or deleted")
-        rest = memoryview(block)
         try:
-            while rest:
-                rest = rest[self._file.write(rest) or 0 :]
+            self._write_all(block, ending)
         except OSError:
             with suppress(OSError):
-                self._file.truncate(self.size)
                 self._file.seek(self.size)
+                self._write_all(self._ending)
             raise
-        self.size += len(block)
+        self.size, self._ending = self.size + len(block), ending
+        self._file.seek(self.size)
         waits = self._overwrite and self.path.exists() and time.monotonic() - self._since < _SAFE_S
         if not self.placed and not waits:
             self._place()
+
+    def _write_all(self, *parts: bytes | memoryview) -> None:
+        """Writes from here on; nothing follows."""
+        for part in parts:
+            rest = memoryview(part)
+            while rest:
+                rest = rest[self._file.write(rest) or 0 :]
+        self._file.truncate()
 
     def patch(self, at: int, block: bytes) -> None:
         """Replaces bytes that are written."""
@@ -191,7 +203,7 @@ class GrowingOutput:
         self._hidden.place(self.path, self._overwrite)
         self._hidden.remove()
         self._file = FileIO(self.path, "r+")
-        self._file.seek(0, os.SEEK_END)
+        self._file.seek(self.size)
         self.placed = True
 
     def _is_there(self) -> bool:
