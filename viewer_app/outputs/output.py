@@ -12,13 +12,14 @@ from devices.events import Event
 from fusion.fused_frame import FusedFrame
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
+from viewer_app.errors import UsageError
+from viewer_app.outputs.capture_time import CaptureTime
 from viewer_app.outputs.even_samples import EvenSamples
 from viewer_app.sinks.item_queue import DropOldest, Item, QueuedFrame
 from viewer_app.sinks.queued_sink import QueuedSink
 
 LATE_NS = 33_333_333
 """A frame that is sent later than this after its fusion is late: the next one is there already."""
-_CLOSES_WITHIN = 2.0  # seconds
 _SILENT_S = 1.0  # without a frame, after which receivers are told
 _LEFT_NS = 500_000_000  # without a person, after which they have left
 _HALF_TRUSTED = 0.05  # metres of standard deviation
@@ -66,9 +67,14 @@ class LiveOutput(QueuedSink):
         page: Address of a web page that shows it; empty for none.
         note: What the user should know about it before it starts.
         even: Sends S* at a constant rate; None: once per frame. Set it before the first frame.
+        unix: Tells when a frame was captured. Set it before the first frame.
+        keeps: Whether it is a file, so that the command fails where it does.
+        closes_within: Seconds in which it sends what is queued at its end; None: as long as that takes.
     """
 
     even: EvenSamples | None = None
+    keeps = False
+    closes_within: float | None = 2.0
 
     def __init__(self, name: str, keep: int = 1, clock: Callable[[], int] = time.perf_counter_ns) -> None:
         self._drop_oldest = DropOldest(keep)
@@ -76,6 +82,7 @@ class LiveOutput(QueuedSink):
         self.name = name
         self.failure: str | None = None
         self.page = self.note = ""
+        self.unix = CaptureTime()
         self._closed = False
         self._sent = self._late = self._not_sent = 0
         self._presence = _Presence()
@@ -95,17 +102,22 @@ class LiveOutput(QueuedSink):
         """Where it sent and its counts, as plain data for a report."""
         return {"to": self.name, **asdict(self.counts)}
 
+    def recalibrated(self, setup: FusionSetup) -> None:
+        """Takes the setup of the following frames, which is an event, too."""
+        super().recalibrated(setup)
+        self.event(Event("calibration changed", topic="calibration"))
+
     def coach(self, page: CoachPage) -> None:
         """Has no effect: outputs do not show the coach's page."""
 
     def close(self) -> None:
-        """Sends what is queued, at most for two seconds, then closes. Closing twice has no effect."""
+        """Sends what is queued, then closes. Closing twice has no effect."""
         if self._closed:
             return
         self._closed = True
         self._queue.end()
         if self._thread.is_alive():
-            self._thread.join(_CLOSES_WITHIN)
+            self._thread.join(self.closes_within)
         self.shut()
 
     def send_frame(self, frame: QueuedFrame) -> int | None:
@@ -151,7 +163,8 @@ class LiveOutput(QueuedSink):
                 for item in items:
                     self._send(item)
         except Exception as fault:  # an output must not end the session
-            self.failure = f"{self.name} stopped: {type(fault).__name__}: {fault}"
+            said = str(fault) if isinstance(fault, UsageError) else f"{type(fault).__name__}: {fault}"
+            self.failure = said if self.keeps else f"{self.name} stopped: {said}"
             self._queue.end()
             self._unsent(sum(isinstance(item, QueuedFrame) for item in self._queue.take(0.0)))
 

@@ -1,4 +1,4 @@
-"""S* as JSON: schema ``duplex-kinects/skeleton``, version 1. ``docs/outputs.md`` documents it.
+"""S* as JSON: schema ``duplex-kinects/skeleton``, version 2. ``docs/outputs.md`` documents it.
 
 Three kinds of messages, told apart by ``type``: ``hello`` (body, joints, units; first, and again when the
 calibration changes), ``frame`` and ``event``. A later version of the schema keeps the meaning of a field or
@@ -19,7 +19,7 @@ from viewer_app.outputs.live_movement import LiveMovement
 from viewer_app.outputs.output import confidence
 from viewer_app.sinks.item_queue import QueuedFrame
 
-SCHEMA, VERSION = "duplex-kinects/skeleton", 1
+SCHEMA, VERSION = "duplex-kinects/skeleton", 2
 
 
 class SkeletonJson:
@@ -28,6 +28,7 @@ class SkeletonJson:
     def __init__(self, setup: FusionSetup) -> None:
         self._rotations = JointRotations(setup.body)
         self._movement = LiveMovement(setup.body)
+        self._first_unix_ns: int | None = None
 
     def hello(self, setup: FusionSetup) -> str:
         """The message that describes the others."""
@@ -48,20 +49,27 @@ class SkeletonJson:
             }
         )
 
-    def frame(self, timed: QueuedFrame) -> str:
-        """A frame: positions (J, 3), rotations (J, 4) x, y, z, w, confidence (J,), sigma (J,) or null, angles
-        and their sigma (K,)."""
+    def frame(self, timed: QueuedFrame, unix_ns: int | None) -> str:
+        """A frame: positions and velocities (J, 3), rotations (J, 4) x, y, z, w, confidence (J,), sigma (J,),
+        covariances (J, 3, 3), angles and their sigma (K,); null where the method does not know them.
+
+        Args:
+            unix_ns: When it was captured, since 1970 UTC; None where that is not known.
+        """
         fused, sigma = timed.fused, timed.fused.sigma
+        self._first_unix_ns = None if unix_ns is None else unix_ns - timed.time_ns
         angles, angle_sigma = self._movement.angles(timed)
-        names = "positions", "rotations", "confidence", "sigma", "angles", "angle_sigma"
-        person: dict[str, object] = dict.fromkeys(names)
+        names = "positions", "velocities", "rotations", "confidence", "sigma", "covariances"
+        person: dict[str, object] = dict.fromkeys((*names, "angles", "angle_sigma"))
         if fused.has_person:
             rotations = self._rotations.update(fused.positions, timed.time_ns)
             person = {
                 "positions": fused.positions.round(4).tolist(),
+                "velocities": _rounded(fused.velocities, 3),
                 "rotations": rotations.round(5).tolist(),
                 "confidence": confidence(fused).round(3).tolist(),
                 "sigma": None if sigma is None else np.minimum(sigma, 9.0).round(4).tolist(),
+                "covariances": _rounded(fused.covariance, 8),
                 "angles": _or_null(angles),
                 "angle_sigma": None if sigma is None else _or_null(np.minimum(angle_sigma, 180.0)),
             }
@@ -70,12 +78,17 @@ class SkeletonJson:
                 "type": "frame",
                 "version": VERSION,
                 "number": timed.number,
-                "time_s": round(timed.time_ns * 1e-9, 6),
+                **self._times(timed.time_ns),
                 "person": fused.has_person,
                 **person,
             },
             separators=(",", ":"),
         )
+
+    def _times(self, time_ns: int) -> dict[str, float | None]:
+        first_ns = self._first_unix_ns
+        unix_s = None if first_ns is None else round((first_ns + time_ns) * 1e-9, 6)
+        return {"time_s": round(time_ns * 1e-9, 6), "unix_time_s": unix_s}
 
     def gait_events(self) -> list[Event]:
         """The heel strikes and toe-offs that the last frames show."""
@@ -86,11 +99,16 @@ class SkeletonJson:
         said = {
             "type": "event",
             "version": VERSION,
-            "time_s": event.time_ns * 1e-9,
+            **self._times(event.time_ns),
             "level": event.level,
             "text": event.text,
         }
         return json.dumps(said | ({"count": count} if count > 1 else {}))
+
+
+def _rounded(values: NDArray[np.float64] | None, digits: int) -> object:
+    """A joint of which little is known has covariances of any size, but no JSON does without an end."""
+    return None if values is None else np.clip(values, -81.0, 81.0).round(digits).tolist()
 
 
 def _or_null(degrees: NDArray[np.float64]) -> list[float | None]:

@@ -61,12 +61,12 @@ def test_json_has_the_angles_and_their_uncertainty_and_null_where_unknown(walk):
     encoder = SkeletonJson(SETUP)
     assert json.loads(encoder.hello(SETUP))["angles"] == list(ANGLES)
     frame = walk[0]
-    said = json.loads(encoder.frame(frame))
+    said = json.loads(encoder.frame(frame, None))
     expected = joint_angles(AZURE_KINECT, frame.fused.positions)
     np.testing.assert_allclose(said["angles"][:-2], expected[:-2], atol=0.006)
     assert all(0.0 < sigma < 180.0 for sigma in said["angle_sigma"])
     frame.fused.positions[AZURE_KINECT.joint("WRIST_LEFT")] = np.nan
-    said = json.loads(encoder.frame(frame))
+    said = json.loads(encoder.frame(frame, None))
     assert said["angles"][ANGLES.index("elbow_flexion_left")] is None
 
 
@@ -75,7 +75,7 @@ def test_angles_sent_are_those_of_the_session_but_for_the_vertical(walk):
     joints = np.array([frame.fused.positions for frame in walk])
     sent, expected = [], []
     for frame in walk:
-        sent.append(json.loads(encoder.frame(frame))["angles"])
+        sent.append(json.loads(encoder.frame(frame, None))["angles"])
         floor.add(frame.fused.positions[None])
         expected.append(joint_angles(AZURE_KINECT, frame.fused.positions, -floor.a_from_floor.rotation[:, 1]))
     np.testing.assert_allclose(sent, expected, atol=0.006)  # rounded to 0.01

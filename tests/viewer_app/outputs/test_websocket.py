@@ -28,7 +28,9 @@ from viewer_app.addresses import reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs import websocket
 from viewer_app.outputs.output import confidence
+from viewer_app.outputs.skeleton_json import SkeletonJson
 from viewer_app.outputs.websocket import UNANSWERED, WebSocketOutput, most_on_the_way
+from viewer_app.sinks.item_queue import QueuedFrame
 
 
 @pytest.fixture
@@ -55,18 +57,21 @@ def read(client):
 def test_a_client_reads_the_description_then_frames_and_events(server, fuser):
     with client_of(server) as client:
         hello = read(client)
-        assert (hello["type"], hello["schema"], hello["version"]) == ("hello", "duplex-kinects/skeleton", 1)
+        assert (hello["type"], hello["schema"], hello["version"]) == ("hello", "duplex-kinects/skeleton", 2)
         assert (hello["joints"], hello["parents"]) == (list(KINECT_V2.joints), list(KINECT_V2.parents))
         lengths = np.array(hello["bone_lengths"])
         for number, frame in enumerate(frames(fuser, 10)):
             server.write(frame)
             said = read(client)
             assert (said["type"], said["number"], said["person"]) == ("frame", number, True)
+            assert abs(said["unix_time_s"] - time.time()) < 60.0
             assert said["time_s"] == pytest.approx(frame.pair.time_ns * 1e-9, abs=1e-6)
             at = np.array(said["positions"])
             np.testing.assert_allclose(at, frame.fused.positions, atol=0.5e-4 + 1e-9)  # four digits
             np.testing.assert_allclose(said["confidence"], confidence(frame.fused), atol=0.5e-3 + 1e-9)
             np.testing.assert_allclose(said["sigma"], frame.fused.sigma, atol=0.5e-4 + 1e-9)
+            np.testing.assert_allclose(said["velocities"], frame.fused.velocities, atol=0.5e-3 + 1e-9)
+            np.testing.assert_allclose(said["covariances"], frame.fused.covariance, atol=0.5e-8 + 1e-12)
             # rotations have five digits, bones at most 0.5 m, the tree has eight levels: 0.04 mm;
             # positions have four digits: 0.05 mm for the root and for the joint
             made = at[KINECT_V2.root] + np.zeros((25, 3))
@@ -80,7 +85,24 @@ def test_a_client_reads_the_description_then_frames_and_events(server, fuser):
         assert (event["type"], event["level"], event["text"]) == ("event", "WARN", "B lost")
         server.recalibrated(fuser.setup)
         assert read(client)["type"] == "hello"
+        changed = read(client)
+        assert (changed["type"], changed["text"]) == ("event", "calibration changed")
+        assert changed["unix_time_s"] - changed["time_s"] == pytest.approx(
+            said["unix_time_s"] - said["time_s"], abs=1e-5
+        )
     assert server.counts.sent == 10
+
+
+def test_what_a_method_or_a_session_does_not_know_is_null(fuser):
+    encoder, frame = SkeletonJson(fuser.setup), frames(fuser, 1)[0]
+    paper = replace(frame.fused, sigma=None, covariance=None, velocities=None)
+    said = json.loads(encoder.frame(QueuedFrame(0, replace(frame, fused=paper), 0, 0), None))
+    for name in ("velocities", "covariances", "sigma", "unix_time_s"):
+        assert said[name] is None
+    assert said["positions"] is not None
+    unknown = replace(frame.fused, covariance=np.full_like(frame.fused.covariance, np.inf))
+    text = encoder.frame(QueuedFrame(1, replace(frame, fused=unknown), 0, 0), 0)
+    assert "Infinity" not in text  # no JSON
 
 
 def test_an_empty_view_is_reported(server, fuser):
