@@ -3,6 +3,7 @@
 :mod:`recordings.export.ros_messages` has the topics. A file is read by Foxglove, PlotJuggler and Rerun, too.
 """
 
+import copy
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from recordings.errors import RecordingError
 from recordings.export.ros_messages import TOPICS, RosFrame, RosMessages, check_ros, definition
 from recordings.session_series import SessionSeries
 
-_CHUNK = 4_000_000  # bytes
+_CHUNK = 4_000_000  # bytes, a quarter of a minute
 _LATCHED = """\
 - history: keep_last
   depth: 1
@@ -106,6 +107,15 @@ class McapFile:
         """Adds an event."""
         topic, data = self._messages.event(time_ns, event)
         self._add(topic, time_ns, data)
+
+    def ending(self, file: Any, of: Any) -> None:
+        """Writes to `of` what would make the file whole if nothing followed; the file itself stays open.
+
+        Args:
+            file: That of :meth:`__init__`.
+            of: Tells with ``tell()`` where the file's next byte goes.
+        """
+        copy.deepcopy(self._writer, {id(file): of}).finish()  # type: ignore[no-untyped-call]
 
     def finish(self) -> None:
         """Writes the index."""

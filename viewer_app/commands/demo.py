@@ -68,7 +68,7 @@ def run(options: DemoOptions) -> None:
     if save is None and not (options.no_viewer or options.web or has_display()):
         save = free_name(_SAVED_WITHOUT_DISPLAY)
     runner = Runner(options, console, save)
-    check_outputs([options.report], [], options.force, save)
+    check_outputs([options.report, options.save_mcap], [], options.force, save)
     _check(options)
     own_tracker = options.tracker == "blazepose"
     body = BLAZEPOSE if own_tracker else BODIES[options.body]

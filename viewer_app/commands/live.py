@@ -66,7 +66,8 @@ def _check(options: LiveOptions) -> FuserSettings:
     check_modes(capture_settings(options))
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
     read = _played(options) + ([] if options.calibrate == "auto" else [Path(options.calibrate)])
-    check_outputs((options.report, options.save_calibration), read, options.force, options.save)
+    written = options.report, options.save_calibration, options.save_mcap
+    check_outputs(written, read, options.force, options.save)
     check_seconds(options.seconds)
     sensors = (options.kinect_a, options.kinect_b, options.principal, options.sync_master)
     if _played(options) and (options.b is None or any(sensors)):

@@ -22,7 +22,8 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReplayOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, save_report
-from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
+from viewer_app.outputs.capture_time import RecordedTime
+from viewer_app.outputs.opening import OutputPlan, announce_outputs, check_kept, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.pages.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images, print_summary, say_more, say_saved
@@ -35,7 +36,7 @@ from viewer_app.viewer.viewer_choice import window_opens
 def run(options: ReplayOptions) -> None:
     """Runs the command; exits with code 1 if S* differs from the recorded S* under ``--verify``."""
     console = output_console()
-    check_outputs([options.report], [options.session], options.force, options.save)
+    check_outputs([options.report, options.save_mcap], [options.session], options.force, options.save)
     session = Session.open(options.session)
     names = ("method", "h", "weights", "smoothing")
     changed: dict[str, Any] = {name: getattr(options, name) for name in names}
@@ -60,7 +61,8 @@ def run(options: ReplayOptions) -> None:
             f"`duplex fuse --method {settings.method}` leaves such moments out, a replay does not."
         )
     replay = Replay.of(session, settings)
-    with planned.opened(replay.segments[0][0], session.frame_rate) as outputs:
+    recorded = RecordedTime(session.first_unix_ns)
+    with planned.opened(replay.segments[0][0], session.frame_rate, recorded) as outputs:
         announce_outputs(console, outputs)
         blocks = _fused(options, replay, outputs, console)
         replayed = replay.fused(blocks, images=options.save is not None)
@@ -81,6 +83,7 @@ def run(options: ReplayOptions) -> None:
             print_damaged_images(console, damaged or 0)
         if not options.verbose:
             say_more(console)
+    check_kept(outputs)
     if options.verify and not verify(console, session, replayed.rows.fused):
         sys.exit(1)
 
@@ -109,7 +112,7 @@ def _fused(
 
 def _planned(options: ReplayOptions) -> OutputPlan:
     """The outputs, which need the recorded pace."""
-    plan = plan_outputs(options, options.listen)
+    plan = plan_outputs(options, options.listen, overwrite=options.force)
     if plan and options.pace != "live":
         raise UsageError("Outputs send S* at the recorded times: add --pace live.")
     if options.pace == "live" and not plan:

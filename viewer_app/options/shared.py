@@ -251,6 +251,8 @@ class LiveOutputOptions(ZenohOptions):
     """Port of a WebSocket server: JSON, and a page that draws the skeleton."""
     zenoh: Annotated[str | None, OUTPUTS] = None
     """Zenoh key to publish JSON under; needs the extra zenoh."""
+    save_mcap: Annotated[Path | None, OUTPUTS] = None
+    """Record S* as messages of ROS 2, as an .mcap file; needs the extra ros."""
     rate: Annotated[float | None, OUTPUTS] = None
     """Send S* so many times per second, predicted from the newest frame; else once per frame."""
 

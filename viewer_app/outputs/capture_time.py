@@ -2,16 +2,16 @@
 
 import time
 
-from devices.capture.host_clock import HostClock
+from devices.capture.clock.host_clock import HostClock
 from viewer_app.sinks.item_queue import QueuedFrame
 
 
 class CaptureTime:
     """UNIX times of frames that sensors capture now.
 
-    A frame has its time on the sensor's clock and arrives after the least delay of the last ten seconds plus
-    some jitter (:class:`devices.capture.host_clock.HostClock`). The constant time of exposure and transfer is
-    not removed; that of a body tracker is.
+    A frame has its time on the sensor's clock and arrives after a constant delay plus some jitter, which
+    :class:`devices.capture.clock.host_clock.HostClock` leaves out. The constant time of exposure and transfer
+    is not removed; that of a body tracker is.
     """
 
     def __init__(self) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from devices.events import Event
 from fusion.body import Body
 from fusion.movement.angles import angle_sigma, joint_angles
+from fusion.rigid import RigidTransform
 from recordings.appearance.floor import FloorFinder
 from recordings.gait.events import find_gait
 from viewer_app.sinks.item_queue import QueuedFrame
@@ -60,5 +61,10 @@ class LiveMovement:
         return new
 
     @property
+    def floor(self) -> RigidTransform:
+        """K_A ← floor, from the last ten seconds."""
+        return self._floor.a_from_floor
+
+    @property
     def _up(self) -> NDArray[np.float64]:
-        return -self._floor.a_from_floor.rotation[:, 1]
+        return -self.floor.rotation[:, 1]

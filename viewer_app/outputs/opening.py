@@ -17,6 +17,7 @@ from viewer_app.outputs.avatars.osc import Address, OscOutput, looked_up
 from viewer_app.outputs.avatars.vmc import VmcEncoder
 from viewer_app.outputs.avatars.vrchat import VRChatEncoder
 from viewer_app.outputs.avatars.vrm import Avatar, read_avatar
+from viewer_app.outputs.capture_time import CaptureTime
 from viewer_app.outputs.even_samples import EvenSamples
 from viewer_app.outputs.output import LiveOutput
 
@@ -32,11 +33,11 @@ class OutputPlan:
     vmc: Address | None  # receivers
     vrchat: Address | None
     avatar: Avatar | None  # proportions for VMC
+    overwrite: bool  # files that exist
 
     def __bool__(self) -> bool:
         """Whether there is any output."""
-        wanted = (self.vmc, self.vrchat, self.options.lsl, self.options.websocket, self.options.zenoh)
-        return any(each is not None for each in wanted)
+        return _any(self.options)
 
     def warm_up(self, body: Body) -> None:
         """Compiles and loads what the outputs need before the first frame."""
@@ -51,13 +52,21 @@ class OutputPlan:
             skeleton.update(joints, 0)  # each kernel is compiled for one set of types
 
     @contextmanager
-    def opened(self, setup: FusionSetup, rate: float) -> Iterator[Sequence[LiveOutput]]:
-        """Opens the outputs; closes them at the end of the block."""
+    def opened(
+        self, setup: FusionSetup, rate: float, recorded: CaptureTime | None = None
+    ) -> Iterator[Sequence[LiveOutput]]:
+        """Opens the outputs; closes them at the end of the block.
+
+        Args:
+            recorded: Tells when the frames were captured; None: they are captured now.
+        """
         self.warm_up(setup.body)
         with ExitStack() as stack:
             outputs = []
             for output in self._open(setup, self.options.rate or rate):
                 stack.callback(output.close)
+                if recorded is not None:
+                    output.unix = recorded
                 if self.options.rate is not None:
                     output.even = EvenSamples(setup.body, self.options.rate)
                 outputs.append(output)
@@ -85,25 +94,40 @@ class OutputPlan:
 
             addresses = ZenohAddresses.of_meeting_point(options.zenoh_listen, options.zenoh_connect)
             yield ZenohOutput(options.zenoh, addresses, setup)
+        if options.save_mcap is not None:
+            from viewer_app.outputs.mcap_file import McapOutput
+
+            yield McapOutput(options.save_mcap, setup, self.overwrite)
+
+
+def _any(options: LiveOutputOptions) -> bool:
+    """Whether there is any output."""
+    wanted = (options.vmc, options.vrchat, options.lsl, options.websocket, options.zenoh, options.save_mcap)
+    return any(each is not None for each in wanted)
 
 
 def plan_outputs(
-    options: LiveOutputOptions, listen: str | None = None, remote_sensors: bool = False
+    options: LiveOutputOptions,
+    listen: str | None = None,
+    remote_sensors: bool = False,
+    overwrite: bool = False,
 ) -> OutputPlan:
     """Checks the options of the outputs and reads the avatar; opens nothing.
 
     Args:
         listen: Address of this machine for receivers on other machines; None: this machine only.
         remote_sensors: Whether the Zenoh addresses are used by sensors as well.
+        overwrite: Whether files that exist are overwritten.
     """
     vmc = None if options.vmc is None else Address.of(options.vmc, "--vmc", _VMC_PORT)
     vrchat = None if options.vrchat is None else Address.of(options.vrchat, "--vrchat", _VRCHAT_PORT)
     for address, option in ((vmc, "--vmc"), (vrchat, "--vrchat")):
         if address is not None:
             looked_up(address, option)
-    wanted = (options.vmc, options.vrchat, options.lsl, options.websocket, options.zenoh)
-    if options.rate is not None and all(each is None for each in wanted):
-        raise UsageError("--rate is for --vmc, --vrchat, --lsl, --websocket and --zenoh; give one of them.")
+    if options.rate is not None and not _any(options):
+        raise UsageError(
+            "--rate is for --vmc, --vrchat, --lsl, --websocket, --zenoh and --save-mcap; give one of them."
+        )
     if options.rate is not None and not 1.0 <= options.rate <= 240.0:
         raise UsageError(f"--rate {options.rate:g}: a rate is 1 to 240 samples per second.")
     if options.websocket is not None and not 0 < options.websocket < 65536:
@@ -122,8 +146,15 @@ def plan_outputs(
         ZenohAddresses.of_meeting_point(options.zenoh_listen, options.zenoh_connect)
     elif (options.zenoh_listen or options.zenoh_connect) and not remote_sensors:
         raise UsageError("--zenoh-listen and --zenoh-connect are addresses for --zenoh; give its key, too.")
+    if options.save_mcap is not None:
+        from recordings.export.ros_messages import check_ros
+
+        if options.save_mcap.suffix.lower() != ".mcap":
+            example = options.save_mcap.with_suffix(".mcap").name
+            raise UsageError(f"--save-mcap {options.save_mcap}: the name must end in .mcap, as in {example}.")
+        check_ros()
     avatar = None if options.avatar is None else read_avatar(options.avatar)
-    return OutputPlan(options, listen, vmc, vrchat, avatar)
+    return OutputPlan(options, listen, vmc, vrchat, avatar, overwrite)
 
 
 def announce_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
@@ -141,5 +172,12 @@ def print_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
         counts = output.counts
         said = f"{output.name}: frames sent {counts.sent}, dropped {counts.dropped}, late {counts.late}."
         console.print(said, markup=False, soft_wrap=True)
-        if output.failure is not None:
+        if output.failure is not None and not output.keeps:
             console.print(output.failure, style="yellow", markup=False, soft_wrap=True)
+
+
+def check_kept(outputs: Sequence[LiveOutput]) -> None:
+    """Reports a file that is not whole as a usage error: one line and exit code 2."""
+    for output in outputs:
+        if output.keeps and output.failure is not None:
+            raise UsageError(output.failure)

@@ -22,7 +22,7 @@ from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions
 from viewer_app.output_files import save_report, warn_of_little_room
-from viewer_app.outputs.opening import announce_outputs, plan_outputs, print_outputs
+from viewer_app.outputs.opening import announce_outputs, check_kept, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.terminal import print_details, print_summary, say_more, say_saved
 from viewer_app.running.interruption import call_after
@@ -52,7 +52,7 @@ class Runner:
         remote_sensors: bool = False,
     ) -> None:
         self.viewing = choose_viewing(options, save, live=True, served=options.listens)
-        self._plan = plan_outputs(options, options.listen, remote_sensors)
+        self._plan = plan_outputs(options, options.listen, remote_sensors, options.force)
         self._options, self._console, self._save = options, console, save
         self._outputs: Sequence[LiveOutput] = ()
 
@@ -154,10 +154,11 @@ class Runner:
             say_more(console)
 
     def check_saved(self) -> None:
-        """Reports a failure of saving as a usage error: one line and exit code 2."""
+        """Reports a file that is not whole as a usage error: one line and exit code 2."""
         file = self.session.file
         if file is not None and file.failure is not None:
             raise UsageError(file.failure)
+        check_kept(self._outputs)
 
 
 def rows_of(setup: FusionSetup, frames: Sequence[SessionFrame]) -> SessionArrays | None:

@@ -1,0 +1,126 @@
+"""A recording of ROS 2 while the loop runs: the messages of :mod:`recordings.export.ros_messages`."""
+
+from pathlib import Path
+
+import numpy as np
+
+from devices.events import Event
+from devices.output_file import GrowingOutput
+from fusion.movement.joint_rotations import JointRotations
+from fusion.setup import FusionSetup
+from recordings.export.ros import McapFile, is_placed
+from recordings.export.ros_messages import RosFrame
+from viewer_app.errors import UsageError
+from viewer_app.outputs.live_movement import LiveMovement
+from viewer_app.outputs.output import LiveOutput
+from viewer_app.sinks.item_queue import QueuedFrame
+
+_KEEP = 1800  # frames: one minute without progress of the disk
+_EVERY_NS = 2_000_000_000  # between two blocks
+
+
+class McapOutput(LiveOutput):
+    """Writes a block every two seconds. After each the file is whole, so that a killed process leaves one.
+
+    Raises:
+        RecordingError: The packages that write it are not installed.
+    """
+
+    closes_within = None
+    keeps = True
+
+    def __init__(self, path: Path, setup: FusionSetup, overwrite: bool) -> None:
+        super().__init__(f"ROS 2 recording {path}", keep=_KEEP)
+        self._path, self._overwrite = path, overwrite
+        self._setup, self._written, self._due_ns = setup, 0, 0
+        self._unix_ns: int | None = None  # of the first frame
+        self._movement, self._rotations = LiveMovement(setup.body), JointRotations(setup.body)
+        self._waiting = _Waiting()
+        self._mcap = McapFile(self._waiting, setup.body)
+        self._file: GrowingOutput | None = None
+        self.start()
+
+    def send_frame(self, frame: QueuedFrame) -> int:
+        """Adds a frame, and once in a while writes what was added."""
+        unix_ns, fused, body = self.unix(frame), frame.fused, self._setup.body
+        self._unix_ns = None if unix_ns is None else unix_ns - frame.time_ns
+        angles, _ = self._movement.angles(frame)
+        rotations = np.full((len(body), 4), np.nan)
+        if fused.has_person:
+            rotations = self._rotations.update(fused.positions, frame.time_ns)
+        self._mcap.write(
+            RosFrame(
+                self._at(frame.time_ns),
+                fused.positions,
+                rotations,
+                np.ones(len(body), dtype=bool),
+                fused.covariance,
+                angles,
+                fused.a_from_b if is_placed(self._setup) else None,
+                self._movement.floor,
+            )
+        )
+        for event in self._movement.new_events():
+            self.send_event(event)
+        self._written += 1
+        if self._clock() >= self._due_ns:
+            self._write()
+        return 1
+
+    def send_event(self, event: Event) -> None:
+        self._mcap.event(self._at(event.time_ns), event)
+
+    def send_setup(self, setup: FusionSetup) -> None:
+        self._setup = setup
+
+    def send_silence(self, time_ns: int) -> None:
+        """Writes what was added: nothing may follow for long."""
+        del time_ns
+        self._write()
+
+    def shut(self) -> None:
+        """Writes the last events, and closes the file."""
+        try:
+            if self._written and self.failure is None:
+                self._write()
+        except UsageError as fault:
+            self.failure = str(fault)
+        if self._file is not None:
+            self._file.close()
+
+    def _at(self, time_ns: int) -> int:
+        return max(time_ns + (self._unix_ns or 0), 0)
+
+    def _write(self) -> None:
+        self._due_ns = self._clock() + _EVERY_NS
+        block = self._waiting.taken()
+        ending = _Waiting(self._waiting.tell())
+        self._mcap.ending(self._waiting, ending)
+        try:
+            self._file = self._file or GrowingOutput(self._path, overwrite=self._overwrite)
+            self._file.append(block, ending.taken())
+        except OSError as error:
+            raise UsageError(
+                f"{self._path} is not saved to its end: {error.strerror or error}. What is before that can "
+                "be read."
+            ) from error
+
+
+class _Waiting:
+    """What was written to a file of which so many bytes are on the disk."""
+
+    def __init__(self, on_disk: int = 0) -> None:
+        self._on_disk, self._bytes = on_disk, bytearray()
+
+    def write(self, block: bytes) -> int:
+        self._bytes += block
+        return len(block)
+
+    def tell(self) -> int:
+        return self._on_disk + len(self._bytes)
+
+    def taken(self) -> bytes:
+        """What is not on the disk; it is from now on."""
+        taken, self._bytes = bytes(self._bytes), bytearray()
+        self._on_disk += len(taken)
+        return taken
