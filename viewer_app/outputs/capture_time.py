@@ -16,13 +16,16 @@ class CaptureTime:
 
     def __init__(self) -> None:
         self._clock, self._unix_ns = HostClock(), time.time_ns() - time.perf_counter_ns()
+        self._last_ns = 0
 
     def __call__(self, frame: QueuedFrame) -> int | None:
-        """Nanoseconds since 1970 UTC; None where that is not known."""
+        """Nanoseconds since 1970 UTC, later than those of the frame before; None where that is not known."""
         arrived_ns = frame.written_ns - (frame.frame.latency_ns or 0)
         self._clock.observe(frame.time_ns, arrived_ns)
         offset_ns = self._clock.offset_ns
-        return self._unix_ns + (arrived_ns if offset_ns is None else frame.time_ns + offset_ns)
+        captured_ns = self._unix_ns + (arrived_ns if offset_ns is None else frame.time_ns + offset_ns)
+        self._last_ns = max(captured_ns, self._last_ns + 1)
+        return self._last_ns
 
 
 class RecordedTime(CaptureTime):

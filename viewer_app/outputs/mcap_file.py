@@ -34,6 +34,7 @@ class McapOutput(LiveOutput):
         self._path, self._overwrite = path, overwrite
         self._setup, self._written, self._due_ns = setup, 0, 0
         self._unix_ns: int | None = None  # of the first frame
+        self._early: list[Event] = []
         self._movement, self._rotations = LiveMovement(setup.body), JointRotations(setup.body)
         self._waiting = _Waiting()
         self._mcap = McapFile(self._waiting, setup.body)
@@ -60,15 +61,20 @@ class McapOutput(LiveOutput):
                 self._movement.floor,
             )
         )
-        for event in self._movement.new_events():
-            self.send_event(event)
         self._written += 1
+        for event in (*self._early, *self._movement.new_events()):
+            self.send_event(event)
+        self._early.clear()
         if self._clock() >= self._due_ns:
             self._write()
         return 1
 
     def send_event(self, event: Event) -> None:
-        self._mcap.event(self._at(event.time_ns), event)
+        """Adds an event; before the first frame its time since 1970 is not known."""
+        if self._written:
+            self._mcap.event(self._at(event.time_ns), event)
+        else:
+            self._early.append(event)
 
     def send_setup(self, setup: FusionSetup) -> None:
         self._setup = setup
