@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V2
-from tests.helpers.avatars import write_vrm
+from tests.helpers.avatars import BEGINS, PARENTS, bones, write_vrm
 from tests.helpers.live_frames import frames
 from tests.helpers.osc import messages
 from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, turned_about, world_of_local
@@ -24,31 +24,6 @@ from viewer_app.outputs.avatars.vrchat import VRChatEncoder, euler_degrees
 from viewer_app.outputs.avatars.vrm import read_avatar
 
 FLOAT32 = 1e-6  # of values up to 3 m, a few roundings
-PARENTS = {
-    "Spine": "Hips", "Chest": "Spine", "Neck": "Chest", "Head": "Neck",
-    **{s + b: (s if a not in ("Chest", "Hips") else "") + a for s in ("Left", "Right") for b, a in (
-        ("Shoulder", "Chest"), ("UpperArm", "Shoulder"), ("LowerArm", "UpperArm"), ("Hand", "LowerArm"),
-        ("UpperLeg", "Hips"), ("LowerLeg", "UpperLeg"), ("Foot", "LowerLeg"), ("Toes", "Foot"),
-    )},
-}  # fmt: skip
-"""Unity's humanoid, as its manual shows it."""
-BEGINS = {
-    "LeftUpperArm": "ShoulderLeft", "LeftLowerArm": "ElbowLeft", "LeftHand": "WristLeft",
-    "RightUpperArm": "ShoulderRight", "RightLowerArm": "ElbowRight", "RightHand": "WristRight",
-    "LeftUpperLeg": "HipLeft", "LeftLowerLeg": "KneeLeft", "LeftFoot": "AnkleLeft", "LeftToes": "FootLeft",
-    "RightUpperLeg": "HipRight", "RightLowerLeg": "KneeRight", "RightFoot": "AnkleRight",
-    "RightToes": "FootRight", "Head": "Head",
-}  # fmt: skip
-"""Where a bone begins, in every body."""
-
-
-def bones(datagrams):
-    found = {}
-    for address, arguments in messages(datagrams):
-        if address == "/VMC/Ext/Bone/Pos":
-            name, *values = arguments
-            found[str(name)] = np.array(values[:3]), np.array(values[3:])
-    return found
 
 
 def world(sent):
