@@ -59,7 +59,7 @@ def fuse(
         settings: Settings of the method, except ``hindsight``.
         person_a, person_b: Ids of the person: whoever has them most of the time, also under other ids. None:
             by ``follow``.
-        skeletons_a, skeletons_b: For an ``.mkv``: saved skeletons, used instead of the body tracker.
+        skeletons_a, skeletons_b: For recordings of images: saved skeletons, used instead of the body tracker.
         unit: Unit of the positions of ``.csv`` files: ``m``, ``cm``, ``mm``, ``ft``, ``in``; ``auto``: found
             from the size of the person.
         axes: Axes of the positions of ``.csv`` files: ``kinect``, ``unity``, ``opengl``, ``ros``, or the axes
@@ -70,7 +70,7 @@ def fuse(
             ``azure_kinect`` or ``blazepose``. Empty: by the names of the joints of both.
         tracker: The body tracker of images: ``k4abt``, Microsoft's; ``blazepose``, the program's own, whose
             networks ``duplex tracker fetch`` has fetched; ``auto``: k4abt where it works, else blazepose.
-        depth: For an ``.mkv``: how many of its depth images the session contains.
+        depth: How much of the depth images of recordings the session contains.
         hindsight: How later frames are used; see :class:`fusion.setup.FuserSettings`.
         refine: Whether a calibration found here is refined over the whole recording.
         offset_ms: Added to the times of ``b``. None: found from the motion, for the method ``duplex``.

@@ -196,7 +196,7 @@ def fuse_live(a: Sensor, b: Sensor, setup: FusionSetup | None = None, *, keep: b
     """Fuses the frames of two sensors as they arrive, until both sensors end.
 
     Each sensor runs on its own thread. A sensor that fails is reopened until it works again. All kernels are
-    compiled before the sensors are opened: the first run takes about a minute.
+    compiled before the sensors are opened, which takes minutes on the first run.
 
     Args:
         a, b: The principal sensor K_A and the secondary sensor K_B, both not yet open. S* is in K_A's frame.

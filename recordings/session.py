@@ -52,9 +52,8 @@ if TYPE_CHECKING:
 class Session(SessionSeries):
     """A recorded capture: the sensor data, the fused skeletons and the settings of the fusion.
 
-    Its data are the attributes of :class:`recordings.data.session_data.SessionData`; what follows from them
-    is in :class:`recordings.session_series.SessionSeries`. It can be pickled, with its depth images where
-    they are in a file.
+    :func:`recordings.fuse`, :meth:`open` and :meth:`of_arrays` make one. It can be pickled; its depth images
+    are then read from its file.
     """
 
     @staticmethod

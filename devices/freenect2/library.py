@@ -76,7 +76,7 @@ def load_library() -> Any:
     prefix = installed_prefix()
     if prefix is None:
         raise DeviceError(
-            f"A Kinect v2 needs libfreenect2, which is not installed. Build it as docs/sensors.md says "
+            f"A Kinect v2 needs libfreenect2, which is not installed. Build it as docs/installing.md says "
             f"(Windows: vcpkg install libfreenect2); {PREFIX} names its folder where it is not found."
         )
     try:

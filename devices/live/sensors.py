@@ -75,7 +75,7 @@ VENDORS = {
     ),
     "freenect2": Vendor(
         "Kinect v2 (Xbox One)",
-        "build libfreenect2 as docs/sensors.md says",
+        "build libfreenect2 as docs/installing.md says",
         connected_freenect2s,
         Freenect2Sensor,
         freenect2_library_check,
@@ -99,7 +99,7 @@ class NoLibraryError(DeviceError):
 
 def software() -> dict[str, tuple[str, str]]:
     """Of every vendor, by :attr:`ConnectedSensor.sdk`: its sensors, and how their software is installed."""
-    azure = "Azure Kinect", "Sensor SDK 1.4 and pip install '.[kinect]' (docs/sensors.md)"
+    azure = "Azure Kinect", "Sensor SDK 1.4 and pip install '.[kinect]' (docs/installing.md)"
     return {"k4a": azure, **{name: (vendor.sensors, vendor.install) for name, vendor in VENDORS.items()}}
 
 

@@ -1,4 +1,4 @@
-"""The messages between a sensor's machine and the machine that fuses; docs/network.md shows every byte.
+"""The messages between a sensor's machine and the machine that fuses; docs/protocols.md shows every byte.
 
 Little endian. Every length is checked before it is used and a checksum covers the message, so that a message
 which is damaged, cut off or not ours raises :class:`MalformedError` and changes nothing.

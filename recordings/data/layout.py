@@ -143,7 +143,7 @@ def coach_words(name: str) -> str:
 
 
 def weight(side: str) -> str:
-    """Component of :data:`FUSED_SKELETON`: w^A or w^B of eq. (11), one value per joint."""
+    """Component of :data:`FUSED_SKELETON`: the weight of A or B, one value per joint."""
     return f"weight_{side}"
 
 

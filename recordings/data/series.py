@@ -42,7 +42,7 @@ class SkeletonSeries(_Series):
     Attributes:
         positions: (T, J, 3) float32 metres in the sensor's own frame; NaN without a skeleton.
         states: (T, J) uint8, 0 not tracked, 1 inferred, 2 tracked.
-        weights: (T, J) float32, w of eq. (11).
+        weights: (T, J) float32, this view's share of the information; w of eq. (11) with the paper's methods.
         captured_ns: (T,) time on the sensor's clock; :data:`recordings.data.layout.NO_FRAME` if it gave
             no frame.
         stale: (T,) whether the sensor repeated its last skeleton.

@@ -25,19 +25,25 @@ from recordings.data.frame_fields import FRAME_FIELDS, FrameField
 
 @dataclass(frozen=True)
 class SessionFrame:
-    """A pair, its fused frame, and how long the fusion took."""
+    """A pair and its fused frame.
+
+    Attributes:
+        pair: What both sensors gave, each in its own frame.
+        fused: S* in K_A's frame, with its uncertainty.
+        fuse_ns: Duration of the fusion.
+        truth: (J, 3) true joint positions in K_A's frame, metres; simulations only.
+        streams: Figures of the two streams; live sensors only.
+        latency_ns: From the arrival of the pair's first images to S*; live sensors only. It is not recorded.
+        bone_lengths: (J,) metres, with which S* was fused; None if the calibration tells. Not recorded.
+    """
 
     pair: FramePair
     fused: FusedFrame
     fuse_ns: int
     truth: NDArray[np.float64] | None = None
-    """(J, 3) true joint positions in K_A's frame, metres; simulations only."""
     streams: PairingFigures | None = None
-    """Figures of the two streams; live sensors only."""
     latency_ns: int | None = None
-    """From the arrival of the pair's first images to S*; live sensors only. It is not recorded."""
     bone_lengths: NDArray[np.float64] | None = None
-    """(J,) metres, with which S* was fused; None where the calibration tells. It is not recorded."""
 
 
 class PairBlock(NamedTuple):
@@ -86,7 +92,8 @@ class SessionArrays:
         clock_a, clock_b: (T,) time on the sensor's own clock, ns; layout.NO_FRAME where it gave no frame.
         positions_a, positions_b: (T, J, 3) S_A and S_B in their sensors' own frames.
         states_a, states_b: (T, J) tracking states of S_A and S_B.
-        weights_a, weights_b: (T, J) w^A and w^B of eq. (11), rounded to 1/128.
+        weights_a, weights_b: (T, J) each view's share of the information, rounded to 1/128; w^A and w^B of
+            eq. (11) with the paper's methods.
         misleading: (T, J) index of the mis-leading joint of sec. 3, or -1.
         rotation, translation: (T, 3, 3) R and (T, 3) t, K_A ← K_B.
         fused: (T, J, 3) S* in K_A's frame.

@@ -60,9 +60,9 @@ class FuseOptions(
     person_b: Annotated[str | None, SENSORS] = None
     """Id of the person in B; by --follow if not given."""
     skeletons_a: Annotated[Path | None, SENSORS] = None
-    """For an .mkv: a file of saved skeletons of A, instead of the body tracker."""
+    """For a recording of images: saved skeletons of A, used instead of the body tracker."""
     skeletons_b: Annotated[Path | None, SENSORS] = None
-    """For an .mkv: a file of saved skeletons of B, instead of the body tracker."""
+    """For a recording of images: saved skeletons of B, used instead of the body tracker."""
     to: Annotated[Path | None, OUTPUTS] = None
     """Write S* for another program, too, as duplex export does: the ending is the format."""
     offset: Annotated[float | None, SENSORS] = None
@@ -165,8 +165,8 @@ class RecordOptions(SensorOptions):
     seconds: float | None = None
     """End after this many seconds; if not given, end with Ctrl-C."""
     compress: Annotated[bool, OUTPUTS] = False
-    """Compress depth and infrared, also without loss: a third of the size. Microsoft's tools read only
-    recordings without it."""
+    """Compress depth and infrared without loss, to some 40 % of the size. Microsoft's tools read only
+    uncompressed recordings."""
     depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
     """Narrow and far, or wide and near."""
     fps: Annotated[Literal[5, 15, 30], SENSORS] = 30

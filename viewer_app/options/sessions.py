@@ -28,7 +28,8 @@ MOTION_CAPTURE = Parameter(group=Group("Motion capture", sort_key=2))
 class ReplayOptions(LiveOutputOptions, SummaryOptions, OutputOptions):
     """Fuse a session's two skeletons again, with its own settings or with others.
 
-    With the session's own settings S* is identical bit for bit; --verify checks this.
+    With the session's own settings and the revision of the method that it records, S* is identical bit for
+    bit; --verify checks this.
     """
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)

@@ -114,7 +114,8 @@ class MethodOptions(FusionOptions):
     """Settings of the method."""
 
     calibrate: Annotated[str, METHOD] = "auto"
-    """auto: calibrate on the start-up pose, once it is held. Or a file of --save-calibration."""
+    """auto: calibrate on the start-up pose, or on a walk if nobody holds it. Or a file of
+    --save-calibration."""
     save_calibration: Annotated[Path | None, METHOD] = None
     """Save the sensors' placement and the bone lengths to a file."""
 
@@ -159,7 +160,7 @@ class RecordingOptions(OwnFileOptions):
     """whole: smooth over the whole recording, using later frames too; no lag, less jitter. Method duplex
     only."""
     depth: Annotated[Literal["none", "half", "full"], SENSORS] = "full"
-    """For an .mkv: its depth images in the session: none, every second pixel in both directions, or all."""
+    """Depth images of the recordings in the session: none, every second pixel in both directions, or all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +195,8 @@ class SensorOptions:
     principal: Annotated[str | None, SENSORS] = None
     """Serial number of the sensor that is K_A, if two are connected; if not given, duplex live asks."""
     sync_master: Annotated[str | None, SENSORS] = None
-    """Serial number of the master on the sync cable; needed with Orbbec's wrapper, which cannot detect it."""
+    """Serial number of the master on the sync cable. Azure Kinects detect the cable; state it for Orbbec and
+    RealSense sensors, which do not."""
 
 
 @dataclass(frozen=True, kw_only=True)

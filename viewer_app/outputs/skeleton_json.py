@@ -1,4 +1,4 @@
-"""S* as JSON: schema ``duplex-kinects/skeleton``, version 2. ``docs/outputs.md`` documents it.
+"""S* as JSON: schema ``duplex-kinects/skeleton``, version 2. ``docs/protocols.md`` documents it.
 
 Three kinds of messages, told apart by ``type``: ``hello`` (body, joints, units; first, and again when the
 calibration changes), ``frame`` and ``event``. A later version of the schema keeps the meaning of a field or
