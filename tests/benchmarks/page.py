@@ -40,7 +40,24 @@ def page():
         speed=_speed(results.read("speed")),
         latency=_latency(results.read("latency")),
         origins="\n".join(origins),
+        machine=_machine(results.read("accuracy_azure")["machine"]),
+        measured_methods=measured("accuracy_azure"),
+        measured_sets=measured(*(f"accuracy_{name}" for name in _SETS)),
+        **{
+            f"measured_{name}": measured(name)
+            for name in ("real", "certainty", "conditions", "speed", "latency")
+        },
     )
+
+
+def measured(*names):
+    """Revision and date of a table's figures, the oldest of several."""
+    documents = [results.read(name) for name in names if (results.FOLDER / f"{name}.json").exists()]
+    return f"Revision {min(one['revision'] for one in documents)}, {min(one['date'] for one in documents)}."
+
+
+def _machine(machine):
+    return f"{machine['system']} {machine['architecture']}, {machine['processors']} processors"
 
 
 def _origin(name):
@@ -70,7 +87,7 @@ def _methods(figures):
         )
     columns = (
         "method", "mean error", "95 %", "hidden in one / both views", "worst bone", "jitter, still",
-        "sides swapped, %", "lag, frames", "recordings in which *duplex* is nearer, %",
+        "sides swapped, %", "lag, frames", "*duplex* closer, % of recordings",
     )  # fmt: skip
     return _table(columns, rows)
 
@@ -95,7 +112,7 @@ def _sets():
         rows.append((title, str(figures["recordings"]), *cells, lost))
     columns = (
         "trackers", "recordings", "best baseline", "paper", "**duplex**", "live", "smoothed", "oracle",
-        "movements × angles where a baseline is nearer",
+        "baseline closer: movements × angles",
     )  # fmt: skip
     return _table(columns, rows)
 

@@ -13,6 +13,8 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
+from fusion.setup import REVISIONS
+
 FOLDER = Path(__file__).parent / "results"
 _LOAD = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None  # before the benchmark adds to it
 
@@ -28,6 +30,7 @@ def write(name, figures):
     document = {
         "command": shlex.join(["python", "-m", module.name if module else name, *sys.argv[1:]]),
         "version": version("duplex-kinects"),
+        "revision": REVISIONS["duplex"],
         "date": datetime.now(UTC).date().isoformat(),
         "machine": {
             "system": platform.system(),
