@@ -158,8 +158,8 @@ def read_two(
         tracker: The body tracker, where one is needed. None: chosen for this machine.
         offset_ns: Added to the times of B; found from the motion where None.
         every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_views`.
-        follow: Whom of several people, where no id chooses; see
-        :func:`devices.people.association.follow_one`.
+        follow: Whom of several people, if no id chooses; see
+            :func:`devices.people.association.follow_one`.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, both are the same recording, the bodies differ,

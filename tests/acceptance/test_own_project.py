@@ -6,7 +6,7 @@ from tests.acceptance.conftest import copied
 from tests.helpers.documents import ROOT, python_of
 from tests.helpers.programs import typed
 
-_VERIFYING, _PRINTED = (block for block in python_of(ROOT / "docs" / "python.md") if "def test_" in block)
+_VERIFYING, _PRINTED = (block for block in python_of(ROOT / "docs" / "testing.md") if "def test_" in block)
 
 
 def test_a_users_tests_are_given_their_sessions_and_pass(walk, tmp_path, home):

@@ -49,7 +49,7 @@ class Step:
 
 
 _START_PAGE = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
-(_SUMMARY,) = re.findall(r"such as this one of a walk.*?```text\n(.*?)\n```", _START_PAGE, re.DOTALL)
+(_SUMMARY,) = re.findall(r"The summary is\n\n```text\n(.*?)\n```", _START_PAGE, re.DOTALL)
 README = (
     Step("make demo", elsewhere="test_window.py"),
     Step("make test", elsewhere="this runs in it"),
@@ -63,21 +63,24 @@ README = (
     ),
     Step("duplex record walk/", "a.mkv", ("walk/a.mkv", "walk/b.mkv"), live=True),
     Step("duplex review s.rrd --html report.html", "Events", ("report.html",), window=True),
-    Step("duplex compare s.rrd mocap.c3d", "S*", window=True),
-    Step("duplex export s.rrd --to s.glb", "s.glb", ("s.glb",)),
+    Step("duplex compare s.rrd mocap.trc", "S*", window=True),
+    Step("duplex export s.rrd --to s.bvh", "s.bvh", ("s.bvh",)),
 )
 START = (
     Step("python3 -m venv ~/duplex && . ~/duplex/bin/activate\npip install .", elsewhere="the test below"),
-    Step("duplex demo --seconds 10 --save demo.rrd", "Verdict", ("demo.rrd",), window=True),
-    Step("duplex review demo.rrd", "Events", window=True),
-    Step("duplex review demo.rrd --at 0.5", "The viewer opens at 0.50 s", window=True),
-    Step("duplex review demo.rrd --html demo.html", "Events", ("demo.html",), window=True),
-    Step("duplex info demo.rrd", "frames"),
-    Step("duplex fuse a.csv b.csv --save walk.rrd", _SUMMARY, ("walk.rrd",), window=True),
+    Step(
+        "duplex fuse examples/data/a.csv examples/data/b.csv --save walk.rrd",
+        _SUMMARY,
+        ("walk.rrd",),
+        window=True,
+    ),
+    Step("duplex review walk.rrd", "Events", window=True),
+    Step("duplex review walk.rrd --html walk.html", "Events", ("walk.html",), window=True),
+    Step("duplex info walk.rrd", "frames"),
     Step("duplex export walk.rrd --to walk.bvh --rate 60", "walk.bvh", ("walk.bvh",)),
     Step("duplex trim walk.rrd --save cut.rrd --from 0.5 --to 2", "cut.rrd", ("cut.rrd",)),
     Step("duplex replay walk.rrd --save paper.rrd --method paper", "paper", ("paper.rrd",), window=True),
-    Step("duplex compare walk.rrd paper.rrd", "827 frames in common", window=True, shows=shows_body),
+    Step("duplex compare walk.rrd paper.rrd", "240 frames in common", window=True, shows=shows_body),
     Step("duplex doctor", "duplex live can start"),
     Step("duplex live --save s.rrd", "Verdict", ("s.rrd",), window=True, live=True),
 )
@@ -108,9 +111,11 @@ def readme(tmp_path_factory, walk):
 
 
 @pytest.fixture(scope="module")
-def start(tmp_path_factory, walk):
+def start(tmp_path_factory):
     """The folder in which the lines of the start page are typed."""
-    return copied(walk, tmp_path_factory.mktemp("start"))
+    folder = tmp_path_factory.mktemp("start")
+    copied(ROOT / "examples" / "data", folder / "examples" / "data")
+    return folder
 
 
 @pytest.fixture
@@ -168,8 +173,8 @@ def take(desk, home, kinects, seen):
 
 @each(README)
 def test_readme(step, readme, take, home):
-    if "mocap.c3d" in step.line:
-        with typed("duplex export s.rrd --to mocap.c3d", readme, **home) as made:
+    if "mocap.trc" in step.line:
+        with typed("duplex export s.rrd --to mocap.trc", readme, **home) as made:
             assert made.code() == 0, made.said
     take(step, readme)
 
@@ -211,7 +216,7 @@ def test_start(step, start, take):
 @pytest.mark.usefixtures("take")
 def test_what_the_start_page_made_is_whole(start):
     walk = Session.open(start / "walk.rrd")
-    assert len(walk) == 827
+    assert len(walk) == 240
     seconds = 1e-9 * Session.open(start / "cut.rrd").time_ns[-1]
     assert 1.5 - 0.2 < seconds <= 1.5, "of 0.5 to 2 s; frames are less than 0.1 s apart"
     assert Session.open(start / "paper.rrd").settings.method == "paper"

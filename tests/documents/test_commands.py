@@ -2,6 +2,8 @@
 
 import re
 import shlex
+from dataclasses import fields
+from io import StringIO
 
 import numpy as np
 import pandas
@@ -10,7 +12,9 @@ import pytest
 from devices.skeletons.stated_format import AXES, StatedFormat
 from fusion import KINECT_V2
 from fusion.body import BODIES
-from recordings import Session, fuse
+from recordings import Session, SessionArrays, fuse
+from recordings.quality.figures import report
+from tests.experiments import example_recordings
 from tests.helpers.command_line import duplex, parsed
 from tests.helpers.documents import ROOT, commands_of, documents, mentions_of, python_of
 from tests.helpers.recorded_pairs import write_recordings, write_view
@@ -43,11 +47,45 @@ def test_commands_in_sentences_exist():
             assert {words[1], " ".join(words[1:3])} & known, f"{document.name}: {mention}"
 
 
-START = ROOT / "docs" / "start.md"
-(FROM_ARRAYS,) = python_of(START)
+EXTRAS = {
+    "cluster": "--scheduler",
+    "export": r"\.(c3d|glb)\b",
+    "lsl": r"--lsl\b",
+    "mocap": r"--motion \S+\.bvh",
+    "ros": r"\.mcap\b",
+    "zenoh": r"--zenoh\b|zenoh:",
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_page_names_the_extra_that_its_lines_need(name):
+    """Their comments count: they promise it likewise."""
+    text = (ROOT / name).read_text(encoding="utf-8")
+    lines = "\n".join(re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL))
+    needed = {extra for extra, pattern in EXTRAS.items() if re.search(pattern, lines)}
+    assert {extra for extra in needed if not re.search(rf"\[[a-z,]*\b{extra}\b[a-z,]*\]'", text)} == set()
+
+
+def test_options_are_accepted_by_the_commands_that_the_page_on_the_viewer_names():
+    """A sentence that names none is about those of the sentence before."""
+    page = (ROOT / "docs" / "viewer.md").read_text(encoding="utf-8").partition("\n## ")[0]
+    found, commands = 0, []
+    for sentence in re.split(r"\. |\n\n", page):
+        spans = [span.removeprefix("duplex ") for span in re.findall("`([^`]*)`", sentence)]
+        commands = [span for span in spans if span in COMMANDS] or commands
+        for option in (span.split()[0] for span in spans if span.startswith("--")):
+            for command in commands:
+                accepted = {field.name.replace("_", "-") for field in fields(COMMANDS[command][0])}
+                assert option[2:] in accepted, f"{command} {option}"
+                found += 1
+    assert found > 2
+
+
+FILES = ROOT / "docs" / "files.md"
+(FROM_ARRAYS,) = python_of(FILES)
 AXES_ROWS = re.findall(
     r"^\| `(?P<name>\w+)` \| [^|]* \| (?P<axes>−?[XYZ], −?[XYZ], −?[XYZ]) \|$",
-    START.read_text(encoding="utf-8"),
+    FILES.read_text(encoding="utf-8"),
     re.MULTILINE,
 )
 
@@ -96,7 +134,7 @@ def test_the_axes_are_those_of_the_option():
 
 
 def test_the_table_of_names_is_one_of_the_program(tmp_path):
-    (text,) = re.findall(r"```toml\n(.*?)```", START.read_text(encoding="utf-8"), re.DOTALL)
+    (text,) = re.findall(r"```toml\n(.*?)```", FILES.read_text(encoding="utf-8"), re.DOTALL)
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     labels = ["LeftUpLeg", "crown", "chin"]
     points = StatedFormat(names=str(tmp_path / "mine.toml")).points("a.csv", labels)
@@ -108,7 +146,7 @@ def test_the_table_of_names_is_one_of_the_program(tmp_path):
 
 def test_the_names_of_the_joints_are_those_of_the_bodies():
     rows = re.findall(
-        r"^\| `(\w+)` \((\d+)\) \| (.*) \+ _?L\w+ or _?R\w+ \|$", START.read_text("utf-8"), re.M | re.I
+        r"^\| `(\w+)` \((\d+)\) \| (.*) \+ _?L\w+ or _?R\w+ \|$", FILES.read_text("utf-8"), re.M | re.I
     )
     assert [name for name, *_ in rows] == list(BODIES)
     for name, count, text in rows:
@@ -118,3 +156,26 @@ def test_the_names_of_the_joints_are_those_of_the_bodies():
         names = middle.split(", ") + [f"{n}{mark}{side}" for n in sided.split(", ") for side in sides]
         assert set(names) == set(BODIES[name].joints)
         assert len(names) == int(count)
+
+
+def test_the_page_of_exports_has_every_key_of_a_report_and_of_arrays(tmp_path):
+    page = (ROOT / "docs" / "exports.md").read_text("utf-8")
+    _, _, tables = page.partition("## Arrays")
+    arrays, _, figures = tables.partition("## Report")
+    session = fuse(*write_recordings(tmp_path))
+    rows = re.findall(r"^\| (`.*?`) \|", figures, re.MULTILINE)
+    named = {name for row in rows for name in re.findall("`(.*?)`", row)}
+    assert named - {"streams", "latency_ms", "network", "outputs"} == report(session).keys()
+    session.export(tmp_path / "s.npz")
+    own = {each.name for each in fields(SessionArrays)}
+    with np.load(tmp_path / "s.npz") as kept:
+        assert {key for key in kept if f"`{key}`" not in arrays} <= own
+
+
+def test_the_example_recordings_are_those_of_their_command():
+    for name, text in example_recordings.recordings():
+        kept, made = (pandas.read_csv(file) for file in (example_recordings.FOLDER / name, StringIO(text)))
+        exact = ["time_us", "body", "joint", "state"]
+        pandas.testing.assert_frame_equal(kept[exact], made[exact])
+        # rounded to 1 mm, which another processor's last digit may turn
+        np.testing.assert_allclose(kept[list("xyz")], made[list("xyz")], atol=1.1e-3)

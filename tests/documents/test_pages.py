@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from packaging.version import Version
 
+from fusion.setup import REVISIONS
 from tests.benchmarks import page as benchmarks_page
 from tests.benchmarks import results
 from tests.experiments.placement_picture import PERSON_AT, a_from_b, seen_by_both
-from tests.helpers.documents import ROOT, documents, message_templates
+from tests.helpers.documents import PACKAGES, ROOT, documents, message_templates, words
 
 MARKUP = re.compile(r"\[(/|bold|yellow|bold yellow)\]")
 HEADING = re.compile(r"^### `(.*)`$", re.MULTILINE)
@@ -34,12 +35,53 @@ def test_every_message_of_the_troubleshooting_page_is_one_of_the_program(message
     assert any(words in plain(template) for template in templates)
 
 
+def test_every_message_of_the_page_on_placing_is_one_of_the_program(templates):
+    page = (ROOT / "docs" / "placing.md").read_text(encoding="utf-8").partition("| it says |")[2]
+    messages = {code for row in page.splitlines()[2:] for code in re.findall("`(.*?)`", row.split("|")[1])}
+    assert len(messages) > 10
+    said = [plain(template) for template in templates]
+    for message in messages:
+        words = re.compile(".*".join(re.escape(part) for part in message.split("…")))
+        assert any(words.search(template) for template in said), message
+
+
 def test_every_link_between_documents_leads_somewhere():
-    pages = {"examples.md", "contributing.md", "changelog.md"}  # made by docs/site_pages.py
+    made = {"examples", "contributing", "changelog", "command-line", "constant-values"}  # docs/site_pages.py
+    pages = {f"{name}.md" for name in made}
     for document in documents():
         for path, _ in LINK.findall(document.read_text(encoding="utf-8")):
             if not re.match(r"[a-z]+:", path) and path not in pages:
                 assert (document.parent / path).exists(), f"{document.name}: {path}"
+
+
+def test_every_picture_says_whether_it_is_simulated():
+    for document in documents():
+        for alt in re.findall(r"!\[(.*?)\]", document.read_text(encoding="utf-8"), re.DOTALL):
+            assert re.match("Simulated|Real recording|From above", alt), f"{document.name}: {alt}"
+
+
+READ = re.compile(r"""environ(?:\.get)?[\[(]"([A-Z][A-Z0-9_]+)"|"((?:DUPLEX|LIBFREENECT2)_[A-Z_]+)\"""")
+OF_THE_SYSTEM = {"PYTHONPATH", "XAUTHORITY", "XDG_RUNTIME_DIR", "HOME", "K4A_DISABLE_SYNCHRONIZATION"}
+
+
+def test_the_page_of_the_environment_has_every_variable():
+    """That the program reads, or its tests of their own."""
+    page = (ROOT / "docs" / "environment.md").read_text(encoding="utf-8")
+    found = set()
+    for folder in (*PACKAGES, "tests"):
+        for module in (ROOT / folder).rglob("*.py"):
+            names = ("".join(pair) for pair in READ.findall(module.read_text(encoding="utf-8")))
+            found |= {name for name in names if folder != "tests" or name.startswith("DUPLEX_")}
+    assert {"NUMBA_CACHE_DIR", "DUPLEX_SHARED", "LIBFREENECT2_PIPELINE"} <= found
+    assert {name for name in found - OF_THE_SYSTEM if f"`{name}`" not in page} == set()
+
+
+def test_the_extras_are_named():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    assert [
+        name for name in project["optional-dependencies"] if name != "dev" and f"`{name}`" not in page
+    ] == []
 
 
 def test_the_site_has_every_page():
@@ -96,8 +138,22 @@ def test_the_page_of_angles_has_the_figures_of_the_file():
     assert (strikes["missed"], strikes["invented"]) == (0, 0)
 
 
-def test_the_page_is_short():
-    assert len(benchmarks_page.page().split()) <= 1500
+def test_each_table_of_benchmarks_is_of_the_methods_revision():
+    """It states revision and date; the figures of time are not of the method alone, and may be older."""
+    page = benchmarks_page.page()
+    for file in results.FOLDER.glob("*.json"):
+        document, name = results.read(file.stem), file.stem
+        if name not in ("speed", "latency"):
+            assert document["revision"] == REVISIONS["duplex"], f"{document['command']}, make benchmarks"
+        assert name == "angles" or benchmarks_page.measured(name) in page
+    tables = re.findall(r"^(.+)\n\n\|", page, re.MULTILINE)
+    assert len(tables) == 7
+    for above in tables:
+        assert re.search(r"Revision \d+, \d{4}-\d\d-\d\d\.$", above), above
+
+
+def test_the_page_of_benchmarks_is_short():
+    assert words(benchmarks_page.page()) <= 1500
 
 
 def test_every_file_names_its_command_and_its_machine():

@@ -48,7 +48,7 @@ def entries(site):
 
 def test_every_public_name_has_an_entry_and_no_other_is_promised(site):
     shown = {name for name in entries(site) if name.count(".") == 1 and name.split(".")[0] in PUBLIC}
-    modules = {"fusion.joint_rotations", "fusion.angles"}
+    modules = {"fusion.movement.joint_rotations", "fusion.movement.angles"}
     assert shown - modules == {f"{one}.{name}" for one in PUBLIC for name in import_module(one).__all__}
 
 

@@ -9,6 +9,7 @@ from viewer_app.flags import in_flags
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("fusion", "devices", "recordings", "viewer_app")
 _FENCE = re.compile(r"^```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_BLOCK = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 _PYTHON = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _FIELD = re.compile(r"\{[^{}]*\}")  # of str.format
 _SPAN = re.compile(r"(?<!`)`(duplex [a-z][^`\n]*)`")
@@ -17,6 +18,11 @@ _SPAN = re.compile(r"(?<!`)`(duplex [a-z][^`\n]*)`")
 def documents():
     """All documents of the project."""
     return [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+
+
+def words(text):
+    """How many words a page has, tables included, without its blocks of code."""
+    return len(_BLOCK.sub("", text).split())
 
 
 def lines_of(document):

@@ -178,9 +178,9 @@ def test_the_person_stands_upright_at_height_zero_also_before_a_tilted_sensor(se
 
 
 def test_the_recipe_moves_s_in_blender(session, monkeypatch):
-    """The code of docs/outputs.md, in Blender's own module; the rest of the recipe is the user's."""
+    """The code of docs/animation.md, in Blender's own module; the rest of the recipe is the user's."""
     bpy = pytest.importorskip("bpy", reason="Blender as a module is 360 MB: pip install --no-deps bpy")
-    page = (ROOT / "docs" / "outputs.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "animation.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(import bpy\n.*?)```", page, re.DOTALL)
     exported(session, "walk.glb")
     monkeypatch.chdir(session.path.parent)

@@ -49,7 +49,7 @@ def test_opensim_loads_every_session_whole(data, opensim, walk, tmp_path_factory
 
 
 def test_scale_and_inverse_kinematics(opensim, walk, tmp_path, monkeypatch):
-    """The recipe of docs/outputs.md, on legs: pelvis, thighs and shins whose lengths are not the person's."""
+    """The recipe of docs/animation.md, on legs: pelvis, thighs and shins, not as long as the person's."""
     monkeypatch.chdir(tmp_path)
     walk.export("walk.trc")
     walk.export("walk.mot")

@@ -70,7 +70,7 @@ def real_freenect2(tmp_path_factory):
     """The real library's folder, and simulated USB for it."""
     prefix = _installed()
     if not sys.platform.startswith("linux") or prefix is None:
-        lacks("the real libfreenect2", "build it as docs/sensors.md says", required=False)
+        lacks("the real libfreenect2", "build it as docs/installing.md says", required=False)
     usb = tmp_path_factory.mktemp("usb") / "usb.so"
     source = _HERE.with_name("simulated_usb_v2.c")
     flags = ["-shared", "-fPIC", "-O1", "-Wall", "-Werror"]
