@@ -11,15 +11,14 @@ import re
 from pathlib import Path
 from typing import Any
 
-from command_line import command_line_page  # MkDocs finds what lies beside a hook
+from api_page import api_page  # MkDocs finds what lies beside a hook
+from command_line import command_line_page
 from constant_values import constant_values_page
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[1]
 _COPIED = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
-_MODULES = {"fusion/movement/joint_rotations.py": "api.md#fusion.movement.joint_rotations"}
-"""Modules that pages link to, and where the site describes them."""
 _LINK = re.compile(r"\]\((?P<up>(?:\.\./)*)(?P<path>[^)#:]+)(?P<anchor>#[^)]*)?\)")
 _EQUATION = re.compile(r"^```math\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
@@ -29,6 +28,7 @@ def on_files(files: Files, config: Any) -> Files:
     for source, page in _COPIED.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
     files.append(File.generated(config, "examples.md", content=_examples()))
+    files.append(File.generated(config, "api.md", content=api_page()))
     files.append(File.generated(config, "command-line.md", content=command_line_page()))
     files.append(File.generated(config, "constant-values.md", content=constant_values_page()))
     return files
@@ -53,7 +53,7 @@ def _redirected(link: re.Match[str], from_root: bool) -> str:
         return f"](examples.md#{Path(path).stem})"
     if path == "README.md":
         return f"](index.md{anchor})"
-    target = _COPIED.get(path) or _MODULES.get(path)
+    target = _COPIED.get(path)
     return link[0] if target is None else f"]({target}{anchor})"
 
 

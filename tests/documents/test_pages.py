@@ -46,7 +46,14 @@ def test_every_message_of_the_page_on_placing_is_one_of_the_program(templates):
 
 
 def test_every_link_between_documents_leads_somewhere():
-    made = {"examples", "contributing", "changelog", "command-line", "constant-values"}  # docs/site_pages.py
+    made = {
+        "api",
+        "examples",
+        "contributing",
+        "changelog",
+        "command-line",
+        "constant-values",
+    }  # docs/site_pages.py
     pages = {f"{name}.md" for name in made}
     for document in documents():
         for path, _ in LINK.findall(document.read_text(encoding="utf-8")):
@@ -109,6 +116,8 @@ def test_the_newest_release_and_its_date_are_the_same_everywhere():
     newest, date = re.search(r"^## (\d\S*) \((.*)\)$", changes, re.MULTILINE).groups()
     assert re.findall(r"^version: (.*)$", citation, re.MULTILINE) == [newest]
     assert re.findall(r'^date-released: "(.*)"$', citation, re.MULTILINE) == [date]
+    cited = (ROOT / "docs" / "related.md").read_text(encoding="utf-8")
+    assert f"version = {{{newest}}},\n  year = {{{date[:4]}}}" in cited
     unreleased = "## Unreleased" in changes
     assert Version(version).is_devrelease == unreleased
     assert (Version(version) > Version(newest)) == unreleased

@@ -1,0 +1,71 @@
+"""The page of the public names: which ones, in which order. The entries are made from the docstrings."""
+
+_ABOUT = """# Python reference
+
+Import a name from the package in its heading: `from recordings import Session`. These names are public: they
+stay within one major version, or change with a note in [Upgrading](upgrading.md). Anything else may change.
+"""
+_TOPICS: tuple[tuple[str, str, str, str], ...] = (
+    (
+        "Sessions",
+        "What `fuse`, `Session.open` and `Session.of_arrays` return, and what a session gives.",
+        "recordings",
+        "Session SkeletonSeries QualitySeries AngleSeries RotationSeries Gait Step Turn Verdict "
+        "SecondQuality TruthComparison Event SessionArrays SessionFrame",
+    ),
+    (
+        "Fusing",
+        "",
+        "",
+        "recordings.fuse recordings.fuse_live recordings.live_fusion.LiveFrames",
+    ),
+    (
+        "Tests",
+        "`from recordings.testing import …`. The fixture `simulated_session` needs no import.",
+        "recordings.testing",
+        "assert_session assert_sessions_match simulated_session",
+    ),
+    (
+        "The method on arrays",
+        "",
+        "fusion",
+        "Fuser FusedFrame FusionSetup FuserSettings Calibration calibrate nominal_calibration Calibrator "
+        "StartUpPose find_start_up_pose Skeleton SkeletonPair TrackingState Body BODIES KINECT_V1 "
+        "KINECT_V2 AZURE_KINECT BLAZEPOSE RigidTransform Intrinsics",
+    ),
+    (
+        "Sensors and recordings",
+        "",
+        "devices",
+        "Sensor SensorFrame ColorImage ColorCamera DepthCamera TwoSensors simulated_pair open_source "
+        "read_two TwoRecordings RecordingChoice FramePair Pairing pair_views",
+    ),
+    (
+        "Exceptions",
+        "All have the base `DuplexError`. Its message is one line: what happened, the value, and what to do.",
+        "",
+        "fusion.DuplexError fusion.FusionError fusion.BodyError fusion.CalibrationError "
+        "devices.DeviceError devices.MissingRecordingError recordings.RecordingError "
+        "recordings.MissingFileError recordings.UnknownNameError recordings.testing.SessionsDifferError",
+    ),
+    (
+        "Values that are returned",
+        "Names below are documented for reading. Import them from nowhere: their modules may change.",
+        "",
+        "recordings.data.session_data.ViewsAgree recordings.quality.verdict.Shortcoming "
+        "recordings.quality.per_second.Span recordings.data.images.Images devices.events.Spell "
+        "devices.people.recorded_people.SeenPerson devices.frame_pairs.RecordedPairs "
+        "devices.blazepose.settings.BlazePoseSettings fusion.registration.rigid_fit.Registration "
+        "fusion.movement.joint_rotations fusion.movement.angles",
+    ),
+)
+"""Title, introduction, package and names of each section; without a package, names with their module."""
+
+
+def api_page() -> str:
+    """Markdown: an entry of mkdocstrings for each name."""
+    parts = [_ABOUT]
+    for title, about, package, names in _TOPICS:
+        entries = [f"::: {package}.{name}" if package else f"::: {name}" for name in names.split()]
+        parts.append("\n\n".join([f"## {title}", *filter(None, [about]), *entries, ""]))
+    return "\n".join(parts)
