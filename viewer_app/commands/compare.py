@@ -42,12 +42,17 @@ from viewer_app.report.pages.comparison_figures import (
     other_settings,
 )
 from viewer_app.report.pages.truth_figures import (
+    AGREEMENT_HEAD,
     ALL_HEAD,
     ANGLE_HEAD,
     JOINT_HEAD,
+    STEP_HEAD,
+    agreement_rows,
     all_rows,
     angle_rows,
     joint_rows,
+    step_line,
+    step_rows,
     truth_figures,
     truth_lines,
 )
@@ -118,7 +123,13 @@ def _print_truth_comparison(
     console.print(figure_table("", ALL_HEAD, all_rows(figures)))
     head = "Angles, degrees: RMSE and correlation; range of motion"
     console.print(figure_table(head, ANGLE_HEAD, angle_rows(figures)))
+    if steps := list(step_rows(figures)):
+        head = "Steps, S* less truth; in brackets 95 % intervals"
+        console.print(figure_table(head, STEP_HEAD, steps))
+        console.print(step_line(figures))
     if options.verbose:
+        head = "Angles, degrees, S* less truth; in brackets 95 % intervals"
+        console.print(figure_table(head, AGREEMENT_HEAD, agreement_rows(figures)))
         head = "Joints, mm: mean distance, its constant part, mean of the rest"
         console.print(figure_table(head, JOINT_HEAD, joint_rows(figures)))
     for written in filter(None, (options.html, options.report, options.save)):

@@ -12,7 +12,6 @@ from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.motion_capture import captured, true_positions, write_c3d, write_trc
 from tests.helpers.session_text import rows_of
-from viewer_app.report.pages.truth_figures import _agreement
 
 # of laboratories, on the joints of KINECT_V2
 MARKERS = {
@@ -67,19 +66,23 @@ def test_markers_of_a_laboratory_are_compared_without_a_table(walk, tmp_path, ca
     # differences of a tenth less frames, as above
     limits = [np.nanmean(off) + side * 1.96 * np.nanstd(off) for side in (-1.0, 1.0)]
     assert knee["limits_deg"] == pytest.approx(limits, abs=1.0)
+    low, high = knee["rmse_interval_deg"]
+    assert low < knee["rmse_deg"] < high
+    assert knee["bias_interval_deg"][0] < knee["bias_deg"] < knee["bias_interval_deg"][1]
+    assert knee["icc_interval"][0] < knee["icc"] < knee["icc_interval"][1]
+    steps = figures["steps"]["of_each"]
+    assert {"step time", "step length", "stance", "cadence", "speed"} <= steps.keys()
+    for of in steps.values():
+        assert of["count"] >= 5
+        assert of["rmse_interval"][0] <= of["rmse"] <= of["rmse_interval"][1]
+    assert "step length, m" in said
+    assert "steps of the truth were not found" in " ".join(said.split())
     text = page.read_text()
+    assert "<h2>Steps</h2>" in text
     assert text.count("<svg") == 2 + len(figures["angles"])
     assert "walk.c3d" in text
     for entity in (layout.TRUTH_SKELETON, layout.FUSED_SKELETON, layout.skeleton("a"), layout.skeleton("b")):
         assert rows_of(scene, entity) == figures["frames"]
-
-
-@pytest.mark.parametrize("shift", [0.0, 2.0, 30.0])
-def test_agreement_falls_with_a_constant_difference(shift):
-    true = np.random.default_rng(3).normal(0.0, 10.0, 200)
-    # of two raters without other differences, ICC(A,1) is the share of the variance of rows
-    expected = true.var(ddof=1) / (true.var(ddof=1) + 0.5 * shift**2)
-    assert _agreement(true + shift, true) == pytest.approx(expected)
 
 
 def test_names_of_ones_own_take_a_table(walk, tmp_path, capsys):

@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.movement.angles import ANGLES
+from recordings.comparing.agreement import Agreement, agreement, step_agreement
 from recordings.comparing.truth_comparison import SKELETONS, TruthComparison
 from recordings.data import layout
+from recordings.gait.events import find_gait
 from recordings.quality.figures import Figures, known_or_none, of_finite
 from viewer_app.report.words import Line, in_mm, in_percent
 
@@ -19,12 +21,14 @@ JOINT_HEAD = ("joint", *NAMES)
 """The columns of :func:`joint_rows`."""
 ANGLE_HEAD = ("angle", *NAMES, "range: truth / A / B / S*")
 """The columns of :func:`angle_rows`."""
-AGREEMENT_HEAD = ("angle", "bias", "limits of agreement", "ICC(A,1)")
+AGREEMENT_HEAD = ("angle", "bias", "limits of agreement", "RMSE", "ICC(A,1)")
 """The columns of :func:`agreement_rows`."""
+STEP_HEAD = ("step", *AGREEMENT_HEAD[1:], "steps")
+"""The columns of :func:`step_rows`."""
 _RANGE = 1.0, 99.0  # percentiles that a range of motion lies between
 _LEAST_RANGE = 1.0  # degrees: the correlation of an angle that moves less says nothing
 _FEWEST = 10  # frames
-_LIMITS = 1.96  # standard deviations between which 95 % of the differences lie (Bland and Altman 1986)
+_BLOCK_S = 2.0  # seconds of frames whose errors may be alike: about two strides
 
 
 def truth_figures(comparison: TruthComparison) -> Figures:
@@ -59,6 +63,7 @@ def truth_figures(comparison: TruthComparison) -> Figures:
             for k, name in enumerate(ANGLES)
             if np.isfinite(comparison.angles["fused"][1][:, k]).sum() >= _FEWEST
         },
+        "steps": _of_steps(comparison),
     }
 
 
@@ -127,12 +132,39 @@ def angle_rows(figures: Figures) -> Iterator[list[str]]:
 
 
 def agreement_rows(figures: Figures) -> Iterator[list[str]]:
-    """Of each angle of S*: its bias in degrees, between which differences 95 % of them lie, and the ICC."""
+    """Of each angle of S*: bias, limits of agreement and RMSE in degrees, and ICC, with 95 % intervals."""
     for name, of in figures["angles"].items():
         if (of_fused := of["fused"])["limits_deg"] is not None:
-            limits = " to ".join(f"{limit:+.1f}" for limit in of_fused["limits_deg"])
-            bias, icc = f"{of_fused['bias_deg']:+.1f}", _digits(of_fused["icc"], 2)
-            yield [name.replace("_", " "), bias, limits, icc]
+            plain = {key.removesuffix("_deg"): value for key, value in of_fused.items()}
+            yield [name.replace("_", " "), *_stated(plain, 1)]
+
+
+def step_rows(figures: Figures) -> Iterator[list[str]]:
+    """Of each parameter of a step, the same, and how many steps both have."""
+    for name, of in (figures["steps"] or {"of_each": {}})["of_each"].items():
+        digits = {"s": 3, "m": 3, "m/s": 3}.get(of["unit"], 1)
+        yield [f"{name}, {of['unit']}", *_stated(of, digits), str(of["count"])]
+
+
+def step_line(figures: Figures) -> str:
+    """Which steps only one of both has; empty without steps."""
+    if (of := figures["steps"]) is None:
+        return ""
+    return f"{of['missed']} steps of the truth were not found, and {of['extra']} of S* are not in the truth."
+
+
+def _stated(of: Figures, digits: int) -> list[str]:
+    limits = " to ".join(f"{limit:+.{digits}f}" for limit in of["limits"])
+    return [
+        f"{of['bias']:+.{digits}f}{_in_brackets(of['bias_interval'], digits, '+')}",
+        limits,
+        f"{of['rmse']:.{digits}f}{_in_brackets(of['rmse_interval'], digits)}",
+        f"{_digits(of['icc'], 2)}{_in_brackets(of['icc_interval'], 2)}",
+    ]
+
+
+def _in_brackets(interval: list[float] | None, digits: int, sign: str = "") -> str:
+    return "" if interval is None else f" ({' to '.join(f'{end:{sign}.{digits}f}' for end in interval)})"
 
 
 def _of_all(comparison: TruthComparison, key: str) -> Figures:
@@ -168,30 +200,58 @@ def _of_angle(comparison: TruthComparison, key: str, angle: int) -> Figures:
     off = (found - true + 180.0) % 360.0 - 180.0
     low, high = np.percentile([found, true], _RANGE, axis=1)
     moves = (high - low > _LEAST_RANGE).all()
+    agrees = agreement(true + off, true, 1e-9 * comparison.time_ns[both] // _BLOCK_S)
     return {
-        "rmse_deg": float(np.sqrt(np.mean(off**2))),
-        "bias_deg": float(off.mean()),
-        "limits_deg": [float(off.mean() + side * _LIMITS * off.std(ddof=1)) for side in (-1.0, 1.0)],
-        "icc": _agreement(true + off, true) if moves else None,
+        **{f"{name}_deg": value for name, value in _of_agreement(agrees).items() if "icc" not in name},
+        "icc": agrees.icc if moves else None,
+        "icc_interval": _or_none(agrees.icc_interval) if moves else None,
         "correlation": float(np.corrcoef(found, true)[0, 1]) if moves else None,
         "range_deg": float((high - low)[0]),
         "true_range_deg": float((high - low)[1]),
     }
 
 
-_OF_ANGLE = ("rmse_deg", "bias_deg", "limits_deg", "icc", "correlation", "range_deg", "true_range_deg")
+_OF_ANGLE = (
+    "bias_deg", "bias_interval_deg", "limits_deg", "limits_intervals_deg", "rmse_deg", "rmse_interval_deg",
+    "icc", "icc_interval", "correlation", "range_deg", "true_range_deg",
+)  # fmt: skip
 
 
-def _agreement(found: Array, true: Array) -> float:
-    """ICC(A,1): absolute agreement of single values in a two-way model (McGraw and Wong 1996)."""
-    values = np.stack([found, true], axis=1)
-    n, k = values.shape
-    rows, columns = values.mean(axis=1), values.mean(axis=0)
-    of_rows = k * rows.var(ddof=1)
-    of_columns = n * columns.var(ddof=1)
-    rest = values - rows[:, None] - columns + values.mean()
-    error = np.sum(rest**2) / ((n - 1) * (k - 1))
-    return float((of_rows - error) / (of_rows + (k - 1) * error + k / n * (of_columns - error)))
+def _of_steps(comparison: TruthComparison) -> Figures | None:
+    """How the steps of S* agree with those of the truth; None without five steps in both."""
+    found, true = (
+        find_gait(comparison.body, comparison.time_ns, positions["fused"], comparison.up)
+        for positions in (comparison.found, comparison.truth)
+    )
+    agrees = step_agreement(found, true)
+    if agrees is None:
+        return None
+    return {
+        "missed": agrees.missed,
+        "extra": agrees.extra,
+        "of_each": {
+            name: {"unit": unit, "count": of.n, **_of_agreement(of)}
+            for name, (unit, of) in agrees.of_each.items()
+        },
+    }
+
+
+def _of_agreement(of: Agreement) -> Figures:
+    low, high = map(_or_none, of.limits_intervals)
+    return {
+        "bias": of.bias,
+        "bias_interval": _or_none(of.bias_interval),
+        "limits": list(of.limits),
+        "limits_intervals": None if low is None or high is None else [low, high],
+        "rmse": of.rmse,
+        "rmse_interval": _or_none(of.rmse_interval),
+        "icc": known_or_none(of.icc),
+        "icc_interval": _or_none(of.icc_interval),
+    }
+
+
+def _or_none(interval: tuple[float, float]) -> list[float] | None:
+    return None if np.isnan(interval).any() else list(interval)
 
 
 def _digits(value: float | None, digits: int) -> str:

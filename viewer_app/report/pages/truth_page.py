@@ -14,10 +14,13 @@ from viewer_app.report.pages.truth_figures import (
     ANGLE_HEAD,
     JOINT_HEAD,
     NAMES,
+    STEP_HEAD,
     agreement_rows,
     all_rows,
     angle_rows,
     joint_rows,
+    step_line,
+    step_rows,
     truth_lines,
 )
 from viewer_app.report.svg_plots import bar_plot, line_plot
@@ -45,6 +48,9 @@ def truth_page(session: Session, comparison: TruthComparison, figures: Figures) 
         angles=list(angle_rows(figures)),
         agreement_head=AGREEMENT_HEAD,
         agreement=list(agreement_rows(figures)),
+        step_head=STEP_HEAD,
+        steps=list(step_rows(figures)),
+        step_line=step_line(figures),
     )
 
 
