@@ -75,8 +75,9 @@ def find_clock_course(a: View, b: View, middle: ClockOffset) -> ClockOffset:
     if not courses:
         return replace(middle, skew_sd_ppm=1e6 * slope_sd)
     # some windows tell steps from growth badly; all frames tell them well
-    before = frame_costs(a, shifted, 0)
-    gains = [before - frame_costs(a, b._replace(time_ns=b.time_ns + one.at(b.time_ns)), 0) for one in courses]
+    before = frame_costs(a, shifted, (0,))[0]
+    timed = [b._replace(time_ns=b.time_ns + one.at(b.time_ns)) for one in courses]
+    gains = [before - frame_costs(a, view, (0,))[0] for view in timed]
     means = [float(np.mean(gain[np.isfinite(gain)])) for gain in gains]
     best = int(np.argmax(means))
     return courses[best] if means[best] > 0.0 else middle
@@ -185,7 +186,7 @@ def _with_steps(
         before, after = levels[number], levels[number + 1]
         span = windows.time_ns[at - 1], windows.time_ns[at]
         within = a.chosen(np.flatnonzero((a.time_ns >= span[0]) & (a.time_ns <= span[1])))
-        costs = [frame_costs(within, b, int(offset)) for offset in (before, after)]
+        costs = frame_costs(within, b, [int(offset) for offset in (before, after)])
         gain = np.nan_to_num(costs[0] - costs[1])  # of the later offset
         split = int(np.argmin(np.append(0.0, np.cumsum(gain))))
         chosen = np.linspace(0, len(within.time_ns) - 1, len(gain)).astype(np.int64)

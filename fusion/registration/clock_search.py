@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.errors import CalibrationError
 from fusion.pair_arrays import View
 from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.rigid_fit import fit_recording
+from fusion.registration.rigid_fit import robust_fits
 from fusion.registration.sampled_motion import Sampling, interpolated
 from fusion.skeleton import TRACKED
 
@@ -73,7 +72,7 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     if len(peaks) == (not apart):
         return None
     offsets = [offset if offset == 0 else _near(a, shifted, offset) for offset, _ in peaks]
-    costs = np.array([frame_costs(a, shifted, offset) for offset in offsets])  # (candidates, frames)
+    costs = frame_costs(a, shifted, offsets)  # (candidates, frames)
     if not (known := np.isfinite(costs).sum(axis=1) >= _FEWEST).any():
         return None
     means = np.where(known, _means(costs), np.inf)
@@ -113,7 +112,7 @@ def part_offsets(body: Body, a: View, b: View) -> list[int]:
     power_y = (_correlate(known_x, y * y) - count * mean_y**2).sum(axis=1)
     r = _coefficients(product, power_x, power_y, _PART_OVERLAP)
     offsets = [offset for offset, _ in _largest(r, reach, _PART_CANDIDATES)]
-    mean = _means(np.array([frame_costs(a, shifted, offset) for offset in offsets]))
+    mean = _means(frame_costs(a, shifted, offsets))
     most = max(_COARSE, min(mean, default=0.0))
     return [base + offset for offset, cost in zip(offsets, mean, strict=True) if cost <= most]
 
@@ -125,11 +124,11 @@ def best_offsets(a: View, b: View, offsets: Sequence[int]) -> list[int]:
         The indices of those that match about as well as the best one, as where a movement repeats itself.
         Those that are not certainly worse are first, and of them those with most frames in common.
     """
-    costs = [frame_costs(a, b, offset) for offset in offsets]
-    frames = [int(np.isfinite(cost).sum()) for cost in costs]
+    costs = frame_costs(a, b, offsets)
+    frames = np.isfinite(costs).sum(axis=1).tolist()
     if not (known := [k for k, count in enumerate(frames) if count >= _FEWEST]):
         return []
-    mean = _means(np.array(costs))
+    mean = _means(costs)
     best = min(known, key=mean.__getitem__)
     near = [k for k in known if mean[k] < _EQUAL * mean[best]]
     worse = {k: k != best and _better(costs[best], costs[k]) for k in near}
@@ -149,14 +148,14 @@ def _usual_times(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 def _near(a: View, b: View, offset: int) -> int:
     """The offset within two steps at which the registered views differ least: peaks are some frames off."""
     offsets = [offset + k * _GRID_NS for k in (-2, -1, 0, 1, 2)]
-    return offsets[int(np.argmin(_means(np.array([frame_costs(a, b, each) for each in offsets]))))]
+    return offsets[int(np.argmin(_means(frame_costs(a, b, offsets))))]
 
 
 def refined_offset(a: View, b: View, near_ns: int, base_ns: int, steps: int = _STEPS) -> ClockOffset | None:
     """The offset nearby at which the registered views differ least, its deviation by the jackknife."""
     step_ns = max(_STEP_NS, round(_STEP * max(Sampling.of(view.time_ns).interval_ns for view in (a, b))))
     offsets = near_ns + step_ns * np.arange(-steps, steps + 1)
-    costs = np.array([frame_costs(a, b, int(offset)) for offset in offsets])
+    costs = frame_costs(a, b, offsets.tolist())
     part = np.arange(_COMPARED) * _PARTS // _COMPARED
     best = _minimum(costs)
     others = np.array([_minimum(costs[:, part != k]) for k in range(_PARTS)])
@@ -274,21 +273,20 @@ def _speed(time_ns: NDArray[np.int64], at: Array, sampling: Sampling) -> Array:
     return speed
 
 
-def frame_costs(a: View, b: View, offset_ns: int) -> Array:
-    """(_COMPARED,) mean robust penalty of the joints of registered views, by frames of A; NaN without B."""
+def frame_costs(a: View, b: View, offsets_ns: Sequence[int]) -> Array:
+    """(K, _COMPARED) mean robust penalty of the joints of registered views at K offsets, by frames of A; NaN
+    without B."""
     chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
-    p, q = _tracked(a, chosen), _at_times(b, a.time_ns[chosen] - offset_ns)
-    tracked = np.asarray(np.isfinite(p + q).all(axis=2))
-    p, q = (np.where(tracked[..., None], view, 0.0) for view in (p, q))
-    costs = np.full(_COMPARED, np.nan)
-    seen = tracked.sum(axis=1) >= _FEWEST_JOINTS
-    try:
-        fit = fit_recording(np.where(tracked[..., None], p, np.nan)[seen], q[seen])
-    except CalibrationError:
-        return costs
-    penalty = np.log1p(np.sum((p - fit.apply(q)) ** 2, axis=2) / _FAR**2)
-    costs[seen] = np.nanmean(np.where(tracked, penalty, np.nan)[seen], axis=1)
-    return costs
+    p = _tracked(a, chosen)
+    q = np.array([_at_times(b, a.time_ns[chosen] - offset) for offset in offsets_ns])
+    seen = np.isfinite(p + q).all(axis=3).sum(axis=2) >= _FEWEST_JOINTS
+    q[~seen] = np.nan
+    R, t = robust_fits(p.reshape(1, -1, 3), q.reshape(len(q), -1, 3))
+    penalty = np.log1p(np.sum((p - (q @ R[:, None].mT + t[:, None, None])) ** 2, axis=3) / _FAR**2)
+    known = np.isfinite(penalty)
+    count = known.sum(axis=2)
+    sums = np.where(known, penalty, 0.0).sum(axis=2)
+    return np.asarray(np.where(count > 0, sums / np.maximum(count, 1), np.nan))
 
 
 def _tracked(view: View, index: NDArray[np.int64]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.compiling.kernels import kernel
 from fusion.errors import CalibrationError
 from fusion.registration.keyframes import Evidence
 from fusion.registration.lasting_errors import (
@@ -71,8 +73,7 @@ def fit_rigid(points_a: Array, points_b: Array, weights: Array | None = None) ->
 def fit_recording(p: Array, q: Array) -> RigidTransform:
     """The robust rigid fit ``a_from_b`` of one view's joints to the other's over a whole recording.
 
-    Iteratively re-weighted least squares (Geman–McClure weights 1 / (1 + (r / s)²)² with s from the median
-    residual) over all joints of all frames with equal weight. For figures and baselines.
+    All joints of all frames have equal weight; see :func:`robust_fits`. For figures and baselines.
 
     Args:
         p, q: (…, 3) the same joints in K_A's and in K_B's frame, metres; NaN where unknown.
@@ -81,13 +82,85 @@ def fit_recording(p: Array, q: Array) -> RigidTransform:
         CalibrationError: See :func:`fit_rigid`.
     """
     both = np.isfinite(p).all(axis=-1) & np.isfinite(q).all(axis=-1)
-    target, source = p[both], q[both]
-    fit = fit_rigid(target, source)
-    for _ in range(_STEPS - 1):
-        residuals = np.linalg.norm(target - fit.apply(source), axis=1)
-        scale = max(_TUNING * float(np.median(residuals)), 1e-9)
-        fit = fit_rigid(target, source, 1.0 / (1.0 + (residuals / scale) ** 2) ** 2)
-    return fit
+    fit_rigid(p[both], q[both])  # raises what leaves the rotation open
+    rotation, translation = robust_fits(p[both][None], q[both][None])
+    return RigidTransform.of(rotation[0], translation[0])
+
+
+def robust_fits(p: Array, q: Array) -> tuple[Array, Array]:
+    """Robust rigid fits of K sets of N points at once.
+
+    Iteratively re-weighted least squares: Geman–McClure weights 1 / (1 + (r / s)²)² with s from the median
+    residual.
+
+    Args:
+        p: (K, N, 3) or (1, N, 3) points, metres, in K_A's frame; NaN where unknown.
+        q: (K, N, 3) the same points in K_B's frame.
+
+    Returns:
+        (K, 3, 3) R and (K, 3) t of ``a_from_b``; NaN where the points leave the rotation open.
+    """
+    p = np.ascontiguousarray(p, dtype=np.float64)
+    q = np.ascontiguousarray(q, dtype=np.float64)
+    apart = np.where(np.isfinite(p).all(axis=-1) & np.isfinite(q).all(axis=-1), 0.0, np.nan)
+    count = np.isfinite(apart).sum(axis=1)
+    scale, sums = np.full(len(q), np.inf), np.empty((len(q), 25))  # all weights are 1 at first
+    undetermined = count < 3
+    for step in range(_STEPS):
+        _weighted_sums(p, q, apart, scale, sums)
+        total = np.maximum(sums[:, :1], 1e-300)
+        centre_p, centre_q = sums[:, 1:4] / total, sums[:, 4:7] / total
+        p_by_q, q_by_q = ((sums[:, k : k + 9] / total).reshape(-1, 3, 3) for k in (7, 16))
+        if not step:
+            squares = np.linalg.eigvalsh(q_by_q - centre_q[:, :, None] * centre_q[:, None])  # least first
+            undetermined |= squares[:, 1] <= _THINNEST**2 * squares[:, 2]
+        U, _, Vt = np.linalg.svd(p_by_q - centre_p[:, :, None] * centre_q[:, None])
+        U[:, :, 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
+        R = U @ Vt
+        t = centre_p - (R @ centre_q[:, :, None])[:, :, 0]
+        if step < _STEPS - 1:
+            _distances(p, q, R, t, apart)
+            medians = [np.partition(row, k)[k] for row, k in zip(apart, count // 2, strict=True)]
+            scale = np.maximum(_TUNING * np.array(medians), 1e-9)
+    R[undetermined], t[undetermined] = np.nan, np.nan
+    return R, t
+
+
+@kernel
+def _distances(p, q, R, t, apart):  # type: ignore[no-untyped-def]
+    """(K, N) metres between p and R q + t; NaN stays where a point is unknown."""
+    for k in range(len(q)):
+        of = min(k, len(p) - 1)
+        for n in range(q.shape[1]):
+            if apart[k, n] == apart[k, n]:
+                square = 0.0
+                for i in range(3):
+                    off = p[of, n, i] - t[k, i]
+                    for j in range(3):
+                        off -= R[k, i, j] * q[k, n, j]
+                    square += off * off
+                apart[k, n] = math.sqrt(square)
+
+
+@kernel
+def _weighted_sums(p, q, apart, scale, sums):  # type: ignore[no-untyped-def]
+    """(K, 25) sums of w, w p, w q, w p qᵀ and w q qᵀ over the known points."""
+    for k in range(len(q)):
+        of = min(k, len(p) - 1)
+        for i in range(sums.shape[1]):
+            sums[k, i] = 0.0
+        for n in range(q.shape[1]):
+            if apart[k, n] == apart[k, n]:
+                ratio = apart[k, n] / scale[k]
+                weight = 1.0 / (1.0 + ratio * ratio) ** 2
+                sums[k, 0] += weight
+                for i in range(3):
+                    wp, wq = weight * p[of, n, i], weight * q[k, n, i]
+                    sums[k, 1 + i] += wp
+                    sums[k, 4 + i] += wq
+                    for j in range(3):
+                        sums[k, 7 + 3 * i + j] += wp * q[k, n, j]
+                        sums[k, 16 + 3 * i + j] += wq * q[k, n, j]
 
 
 @dataclass(frozen=True, eq=False)

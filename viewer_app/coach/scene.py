@@ -6,13 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import FusedFrame
 from fusion.intrinsics import Intrinsics
-from fusion.rigid import RigidTransform
+from fusion.rigid import RigidTransform, rotation_of
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage, Mark, Point
 from recordings.appearance.floor import ANKLE, CAMERA_HEIGHT
@@ -141,7 +140,7 @@ def better_place(a_from_b: RigidTransform, around: StandingSpot) -> RigidTransfo
     centre = np.array([around.x, 0.0, around.z])
     turned = []
     for sign in (-1.0, 1.0):
-        turn = Rotation.from_euler("y", sign * (_BEST_ANGLE - angle), degrees=True).as_matrix()
+        turn = rotation_of([0.0, math.radians(sign * (_BEST_ANGLE - angle)), 0.0])
         turned.append(RigidTransform.of(turn, centre - turn @ centre) @ a_from_b)
     return min(turned, key=lambda each: abs(each.rotation[2, 2]))  # the cosine of the angle
 

@@ -8,7 +8,7 @@ from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from fusion.errors import CalibrationError, FusionError
 from fusion.registration.keyframes import evidence_of
 from fusion.registration.lasting_errors import COMMON_SD, FrontalTurn, opposition, turned_back
-from fusion.registration.rigid_fit import fit_recording, fit_rigid, register
+from fusion.registration.rigid_fit import fit_recording, fit_rigid, register, robust_fits
 from fusion.rigid import RigidTransform, rotation_of, rotation_vector, through_quaternion
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, moving, pair_of, standing
@@ -211,3 +211,27 @@ def test_outliers_and_missing_joints_hardly_move_it():
 def test_too_few_points_of_a_recording_are_an_error():
     with pytest.raises(CalibrationError, match="at least 3 points; there are 2"):
         fit_recording(np.ones((2, 3)), np.ones((2, 3)))
+
+
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=5), SEEDS)
+def test_fits_at_once_are_the_fits_one_by_one(known, seed):
+    """The first ``known[k]`` points of set k are known; fewer than three leave the rotation open."""
+    rng = np.random.default_rng(seed)
+    p = rng.normal(size=(1, 40, 3))
+    q = A_FROM_B.inverse().apply(p) + rng.normal(0.0, 0.01, (len(known), 40, 3))
+    q[np.arange(40) >= np.array(known)[:, None]] = np.nan
+    rotations, translations = robust_fits(p, q)
+    for k, count in enumerate(known):
+        if count < 3:
+            assert np.isnan(rotations[k]).all()
+            assert np.isnan(translations[k]).all()
+        else:
+            alone = fit_recording(p[0], q[k])
+            np.testing.assert_allclose(rotations[k], alone.rotation, atol=1e-12)
+            np.testing.assert_allclose(translations[k], alone.translation, atol=1e-12)
+
+
+def test_points_on_a_line_leave_the_rotation_open():
+    line = np.arange(9.0)[:, None] * np.array([[1.0, 2.0, 0.5]])
+    assert np.isnan(robust_fits(line[None], line[None])[0]).all()
+    assert np.isfinite(robust_fits(line[None], line[None] + np.eye(9, 3)[None])[0]).all()
