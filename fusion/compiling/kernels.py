@@ -4,151 +4,72 @@ A first run waits for compilation, so that every kernel is compiled for one set 
 that Python calls get a Python wrapper. Kernels do not assign whole arrays: numba would compile the error
 message for mismatched shapes, which takes longer than a kernel.
 
-Importing a module with kernels touches no file and no environment variable: the cache folder is
-looked for, and stale kernels are deleted, when the first kernel is compiled. numba keeps a compiled kernel
-until the kernel's own file changes. A kernel also contains the code of the kernels that it calls and the
-values of imported constants; numba does not notice a change of *their* files. A cache that is damaged, full
-or nowhere to be written costs a compilation and no more.
+Importing a module with kernels does not import numba, which takes as long as all else, and touches no file
+and no environment variable. numba keeps a compiled kernel until the kernel's own file changes. A kernel also
+contains the code of the kernels that it calls and the values of imported constants; numba does not notice a
+change of *their* files (:mod:`fusion.compiling.disk_cache`).
 
 On a first run two processes compile, because numba uses one core; each finds the other's kernels on disk.
 """
 
-import atexit
 import os
-import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from functools import cache
+from contextlib import contextmanager
+from functools import cached_property, update_wrapper
 from pathlib import Path
 from typing import Any
 
-import numba
-from numba.core.caching import FunctionCache
-
 _Kernel = Callable[..., Any]
-_NumbasCache: Any = FunctionCache
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _INNER_OPTIONS = {**_OPTIONS, "no_cpython_wrapper": True}
 
 
+class LazyKernel:
+    """A function that becomes numba's dispatcher when it is first called, and has that one's attributes."""
+
+    def __init__(self, function: _Kernel, options: dict[str, Any]) -> None:
+        update_wrapper(self, function)
+        self._function, self._options = function, options
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """numba's dispatcher. The module's names of this kernel and of those it calls become dispatchers,
+        because numba knows no other functions."""
+        from fusion.compiling.disk_cache import dispatcher
+
+        names = self._function.__globals__
+        for name in self._function.__code__.co_names:
+            if isinstance(called := names.get(name), LazyKernel):
+                names[name] = called.dispatcher
+        found = dispatcher(self._function, self._options)
+        if names.get(self._function.__name__) is self:
+            names[self._function.__name__] = found
+        return found
+
+    def __call__(self, *values: Any) -> Any:
+        return self.dispatcher(*values)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.dispatcher, name)
+
+
 def kernel(function: _Kernel) -> _Kernel:
     """Compiles a function that Python calls."""
-    return _kept_on_disk(function, _OPTIONS)
+    return LazyKernel(function, _OPTIONS)
 
 
 def inner_kernel(function: _Kernel) -> _Kernel:
     """Compiles a function that only kernels call."""
-    return _kept_on_disk(function, _INNER_OPTIONS)
+    return LazyKernel(function, _INNER_OPTIONS)
 
 
 def njit(*, nogil: bool = False) -> Callable[[_Kernel], _Kernel]:
     """Compiles a function with numba's own options, for code outside the method."""
-    return lambda function: _kept_on_disk(function, {"nogil": nogil})
-
-
-def find_on_disk(function: _Kernel) -> None:
-    """Loads a kernel from the cache, as its first call does."""
-    ready: Callable[[], None] | None = getattr(function, "ready", None)
-    if ready is not None:
-        ready()
-
-
-def _kept_on_disk(function: _Kernel, options: dict[str, Any]) -> _Kernel:
-    """The compiled function. numba's ``cache=True`` would look for a folder at import."""
-    compiled: Any = numba.njit(**options)(function)
-    compile_now = compiled.compile
-
-    def ready() -> None:
-        if "ready" in vars(compiled):
-            del compiled.compile, compiled.ready
-            if _prepare_disk(function.__module__.partition(".")[0]):
-                with suppress(RuntimeError):  # no folder for this one
-                    compiled._cache = _ForgivingCache(function)
-
-    def compile_first(signature: Any) -> Any:
-        ready()
-        return compile_now(signature)
-
-    compiled.compile, compiled.ready = compile_first, ready
-    kept: _Kernel = compiled
-    return kept
-
-
-class _ForgivingCache(_NumbasCache):  # type: ignore[misc]
-    """numba's cache, whose files may be damaged, and whose disk may be full."""
-
-    def load_overload(self, *of: Any) -> Any:
-        try:
-            return super().load_overload(*of)
-        except Exception:  # what unpickling raises
-            return None
-
-    def save_overload(self, *of: Any) -> None:
-        try:
-            super().save_overload(*of)
-        except Exception:
-            with suppress(Exception):
-                self.flush()  # a damaged index, which is read before it is written
-                super().save_overload(*of)
-
-
-@cache
-def _prepare_disk(package: str) -> bool:
-    """Prepares the cache once per package with kernels; whether there is one."""
-    if not ensure_cache_folder():
-        return False
-    file = getattr(sys.modules.get(package), "__file__", None)
-    if file is not None:
-        drop_stale_kernels(Path(file).parent, Path(__file__).parents[1])
-    return True
-
-
-def drop_stale_kernels(package: Path, *imported: Path) -> None:
-    """Deletes the compiled kernels of a package and its subpackages that are older than its newest source.
-
-    Args:
-        imported: Other packages, whose kernels and constants its kernels contain.
-
-    Only an edit in place can leave a stale kernel, and it updates a source's time. A read-only folder cannot
-    be edited, so it contains no stale kernels.
-    """
-    with suppress(OSError):
-        sources = (source for folder in (package, *imported) for source in folder.rglob("*.py"))
-        newest = max(source.stat().st_mtime_ns for source in sources)
-        for index in package.rglob("__pycache__/*.nbi"):
-            if index.stat().st_mtime_ns <= newest:
-                index.unlink(missing_ok=True)  # without its index a kernel is compiled again
-
-
-@cache
-def ensure_cache_folder() -> bool:
-    """Gives numba a temporary cache folder if it finds none; whether there is one.
-
-    In a read-only installation without a writable home directory, ``njit(cache=True)`` would fail; for a user
-    without a home, numba would make a folder ``~`` where the program runs. Child processes use the same
-    folder.
-    """
-    from numba import config
-
-    try:
-        if not (os.environ.get("NUMBA_CACHE_DIR") or os.access(Path(__file__).parent, os.W_OK)):
-            Path.home()
-        _NumbasCache(_probe)
-    except RuntimeError:
-        try:
-            folder = tempfile.mkdtemp(prefix="duplex-kernels-")
-        except OSError:
-            return False
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-        config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = folder  # type: ignore[attr-defined]
-    return True
-
-
-def _probe() -> None:
-    """A function for which numba looks for a cache folder."""
+    return lambda function: LazyKernel(function, {"nogil": nogil})
 
 
 @contextmanager
@@ -171,7 +92,6 @@ def compiled_meanwhile(kernel: Any, statements: str) -> Iterator[None]:
 
 def _is_on_disk(kernel: Any) -> bool:
     """True also where nothing is kept on disk: another process would compile for itself."""
-    find_on_disk(kernel)
     if kernel.stats.cache_path is None:
         return True
     folder = Path(kernel.stats.cache_path)

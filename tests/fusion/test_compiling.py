@@ -11,7 +11,8 @@ from unittest.mock import Mock
 import pytest
 
 from fusion.compiling import kernels as first_run
-from fusion.compiling.kernels import compiled_meanwhile, drop_stale_kernels
+from fusion.compiling.disk_cache import drop_stale_kernels
+from fusion.compiling.kernels import compiled_meanwhile
 from fusion.solvers.tree_solver import compile_tree_solver, solve_tree
 
 CALLED = """
@@ -33,7 +34,7 @@ print(ask())
 """
 INIT = """
 from pathlib import Path
-from fusion.compiling.kernels import drop_stale_kernels
+from fusion.compiling.disk_cache import drop_stale_kernels
 drop_stale_kernels(Path(__file__).parent)
 """
 
