@@ -33,7 +33,7 @@ from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, output_file, save_report, write_text
 from viewer_app.report.pages.good_part import good_frames_of
 from viewer_app.report.terminal import print_summary, say_more, say_saved
-from viewer_app.running.loop import warm_up
+from viewer_app.running.interruption import compiling
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
 from viewer_app.viewer.viewer_choice import FileWindow, choose_viewing
 
@@ -61,7 +61,8 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     if not options.force:
         check_related(read, plan, options.a.name, options.b.name)
     segments = setups_of(plan, settings, read.cameras(options.depth))
-    warm_up(Fuser(segments[-1][0]), console)
+    with compiling(console):
+        Fuser(segments[-1][0]).warm_up()
     sources = without_folders((str(options.a), str(options.b)))
     progress = _progress(console)
     blocks = progress(

@@ -1,4 +1,4 @@
-"""Ends a run by Ctrl-C or after some time, so that captured data is saved at any moment."""
+"""Ends a run by Ctrl-C or after some time, so that captured data is saved at any moment; notices."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end a command: Ctrl-C, ``docker stop`` and systemd, a closed terminal."""
@@ -106,3 +109,9 @@ class CtrlC:
             return
         if self._raises:
             raise KeyboardInterrupt
+
+
+def compiling(console: Console) -> AbstractContextManager[object]:
+    """Prints a notice if what is done inside, which compiles kernels, takes more than a second."""
+    notice = "Compiling the kernels; only the first run does this …"
+    return call_after(1.0, lambda: console.print(notice))

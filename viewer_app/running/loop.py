@@ -29,7 +29,7 @@ from fusion.movement import angles
 from fusion.setup import FusionSetup
 from recordings.data.session_arrays import SessionFrame
 from recordings.live_fusion import LiveFusion
-from viewer_app.running.interruption import call_after
+from viewer_app.running.interruption import compiling
 from viewer_app.sinks.sink import Sink
 
 _KEPT_FRAMES = 1_800
@@ -54,8 +54,7 @@ def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = la
     """Compiles the kernels, and what `meanwhile` compiles, before the first frame; prints a notice if this
     takes more than a second.
     """
-    notice = "Compiling the kernels; only the first run does this …"
-    with call_after(1.0, lambda: console.print(notice)):
+    with compiling(console):
         fuser.warm_up(meanwhile)
         depth_witness.warm_up()
         people_tracks.warm_up()
