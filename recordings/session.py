@@ -38,7 +38,7 @@ from recordings.data import layout
 from recordings.data.images import NO_IMAGES, SessionImages
 from recordings.data.session_arrays import SessionArrays, SessionFrame, SessionFrames
 from recordings.errors import RecordingError
-from recordings.export import Names, Table, writer_for
+from recordings.export import Feet, Names, Table, writer_for
 from recordings.file.session_reader import read_session
 from recordings.session_series import SessionSeries
 from recordings.writing.checksums import fused_checksums, joint_digests
@@ -156,7 +156,13 @@ class Session(SessionSeries):
         return Session.of(*fuse_arrays(body, time, views, sources, settings, calibration))
 
     def export(
-        self, path: str | Path, *, rate: float | None = None, table: Table = "long", names: Names = "body"
+        self,
+        path: str | Path,
+        *,
+        rate: float | None = None,
+        table: Table = "long",
+        names: Names = "body",
+        feet: Feet = "planted",
     ) -> str:
         """Writes S* for another program, as ``duplex export`` does; an existing file is replaced.
 
@@ -166,6 +172,7 @@ class Session(SessionSeries):
             rate: Frames per second. None: that of the recording, or in a table its own times.
             table: Of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
             names: Of the bones in a ``.bvh`` or ``.glb``: those of the body, ``humanoid`` or ``mixamo``.
+            feet: In a ``.bvh`` or ``.glb``: ``planted`` where they stand, or as in S* (``free``).
 
         Returns:
             What was written, in words.
@@ -176,7 +183,7 @@ class Session(SessionSeries):
             OSError: The file could not be written completely. Then it is as before.
         """
         path = Path(path)
-        write = writer_for(path, table, rate, names)
+        write = writer_for(path, table, rate, names, feet)
         with whole_file(path, overwrite=True) as hidden:
             return write(self, hidden)
 

@@ -12,6 +12,8 @@ from recordings.session_series import SessionSeries
 Table = Literal["long", "wide"]
 """One row per joint, skeleton and frame, or one per frame."""
 Names = Literal["body", "humanoid", "mixamo"]
+Feet = Literal["planted", "free"]
+"""Kept on the floor, see :mod:`recordings.planted_feet`, or as in S*."""
 Writer = Callable[[SessionSeries, Path], str]
 """Writes a session to a file and returns a description of what was written."""
 
@@ -28,13 +30,20 @@ _MODULES = {  # with ``write_…``; imported when one is asked for
 }
 
 
-def writer_for(path: Path, table: Table = "long", rate: float | None = None, names: Names = "body") -> Writer:
+def writer_for(
+    path: Path,
+    table: Table = "long",
+    rate: float | None = None,
+    names: Names = "body",
+    feet: Feet = "planted",
+) -> Writer:
     """Returns the writer for the suffix of a file.
 
     Args:
         table: Layout of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
         rate: Frames per second. None: that of the recording.
         names: Names of the bones of a ``.bvh`` or ``.glb``: the body's, of Unity's humanoid, or Mixamo's.
+        feet: Of a ``.bvh`` or ``.glb``: ``planted`` where they stand, or as in S* (``free``).
 
     Raises:
         RecordingError: No format has this suffix, or an option is given for one that has no use for it.
@@ -59,6 +68,12 @@ def writer_for(path: Path, table: Table = "long", rate: float | None = None, nam
         if names not in get_args(Names):
             raise UnknownNameError("convention of names", names, get_args(Names))
         options["names"] = names
+    if feet != "planted":
+        if suffix not in (".bvh", ".glb"):
+            raise RecordingError(f"`feet` is for .bvh and .glb; {path.suffix} has those of S*.")
+        if feet not in get_args(Feet):
+            raise UnknownNameError("way of feet", feet, get_args(Feet))
+        options["feet"] = feet
     if table != "long":
         if suffix not in (".csv", ".parquet"):
             raise RecordingError(f"`table` is for .csv and .parquet; {path.suffix} has one layout.")

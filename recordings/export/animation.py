@@ -12,7 +12,7 @@ T-pose faces +z.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,9 @@ from fusion.support.large_arrays import PART
 from recordings.appearance.floor import floor_under
 from recordings.data.interpolation import positions_at
 from recordings.errors import RecordingError
-from recordings.export import Names
+from recordings.export import Feet, Names
 from recordings.export.even_frames import even_moments, y_up, y_up_rotations
+from recordings.planted_feet import planted_feet
 from recordings.session_series import SessionSeries
 
 Array = NDArray[np.float64]
@@ -55,15 +56,23 @@ class Animation:
         in_words: The frames, those that hold a pose, and those that are left out.
     """
 
-    def __init__(self, session: SessionSeries, rate: float | None = None, names: Names = "body") -> None:
+    def __init__(
+        self,
+        session: SessionSeries,
+        rate: float | None = None,
+        names: Names = "body",
+        feet: Feet = "planted",
+    ) -> None:
         """Chooses the frames.
 
         Raises:
             RecordingError: No frame has an S*.
         """
         self._rows = session.rows
+        if feet == "planted":
+            self._rows = replace(session.rows, fused=planted_feet(session))
         self._body = body = session.body
-        self._floor_from_a = floor_under(self._rows).inverse()
+        self._floor_from_a = floor_under(session.rows).inverse()
         even = even_moments(self._rows, rate)
         self.rate, self._time_ns = even.rate, even.time_ns
         present = np.concatenate([np.isfinite(self._at(p)).all(axis=(1, 2)) for p in self._parts()])

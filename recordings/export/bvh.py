@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from recordings.export import Names
+from recordings.export import Feet, Names
 from recordings.export.animation import Animation, Node
 from recordings.session_series import SessionSeries
 
@@ -23,13 +23,19 @@ _HARDLY = 1.0  # degrees by which another order's largest error is less, at leas
 _STUB = 0.2  # length of the end site behind a last joint, as a share of the last bone; some programs draw it
 
 
-def write_bvh(session: SessionSeries, path: Path, rate: float | None = None, names: Names = "body") -> str:
+def write_bvh(
+    session: SessionSeries,
+    path: Path,
+    rate: float | None = None,
+    names: Names = "body",
+    feet: Feet = "planted",
+) -> str:
     """Writes S* as BVH. BVH has no gaps: the last pose is held during a gap.
 
     Raises:
         RecordingError: No frame has an S*.
     """
-    animation = Animation(session, rate, names)
+    animation = Animation(session, rate, names, feet)
     orders = _best_orders(animation)
     head = [*_hierarchy(animation.nodes, orders), "MOTION", f"Frames: {len(animation)}"]
     before = np.zeros((len(animation.nodes), 3))

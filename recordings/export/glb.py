@@ -13,14 +13,20 @@ from numpy.typing import NDArray
 from recordings.appearance.body_shape import capsule_lengths, capsule_radii, parents
 from recordings.appearance.colors import SKELETON_COLORS
 from recordings.errors import RecordingError
-from recordings.export import Names
+from recordings.export import Feet, Names
 from recordings.export.animation import Animation
 from recordings.session_series import SessionSeries
 
 _AROUND, _ALONG = 16, 4  # faces around a capsule, and from its rim to its tip
 
 
-def write_glb(session: SessionSeries, path: Path, rate: float | None = None, names: Names = "body") -> str:
+def write_glb(
+    session: SessionSeries,
+    path: Path,
+    rate: float | None = None,
+    names: Names = "body",
+    feet: Feet = "planted",
+) -> str:
     """Writes S* as a ``.glb``. The last pose is held during a gap.
 
     Raises:
@@ -32,7 +38,7 @@ def write_glb(session: SessionSeries, path: Path, rate: float | None = None, nam
         raise RecordingError(
             "Writing .glb needs the package pygltflib: pip install 'duplex-kinects[export]'."
         ) from None
-    animation = Animation(session, rate, names)
+    animation = Animation(session, rate, names, feet)
     nodes, person = animation.nodes, len(animation.nodes)
     file, blob = gl.GLTF2(asset=gl.Asset(generator="duplex-kinects")), bytearray()
 

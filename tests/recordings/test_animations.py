@@ -36,6 +36,7 @@ def session(request, tmp_path):
 
 def exported(session, name, **how):
     path = session.path.with_name(name)
+    how |= {"feet": "free"} if path.suffix in (".bvh", ".glb") else {}
     writer_for(path, **how)(session, path)
     return path
 

@@ -24,7 +24,7 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, Method
 from recordings.appearance.floor import floor_under
 from recordings.data.interpolation import positions_at, sigma_at
-from recordings.errors import RecordingError
+from recordings.errors import RecordingError, UnknownNameError
 from recordings.export import writer_for
 from recordings.export.bvh import _ORDERS, _best_orders, _continuous_angles
 from recordings.export.even_frames import even_moments
@@ -324,7 +324,7 @@ def test_c3d_is_read_by_another_library(session):
 
 
 def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(session):
-    path = exported(session, "s.bvh")
+    path = exported(session, "s.bvh", feet="free")
     even = even_moments(session.rows)
     body = session.body
     header = path.read_text(encoding="utf-8")
@@ -365,7 +365,7 @@ def test_frames_before_a_calibration_keep_their_directions_and_get_the_last_leng
         tmp_path / "s.rrd", frame_pairs(KINECT_V2, 30), [(0, first), (12, other), (20, moved)]
     )
     path = tmp_path / "s.bvh"
-    said = writer_for(path)(session, path)
+    said = writer_for(path, feet="free")(session, path)
     expected, found = on_floor(session, session.rows.fused), bvh_joints(path, KINECT_V2)
     np.testing.assert_allclose(found[12:], expected[12:], atol=1e-4)
     root = [KINECT_V2.root]
@@ -377,7 +377,7 @@ def test_frames_before_a_calibration_keep_their_directions_and_get_the_last_leng
     assert off <= 1e-3 * (int(most) + 0.5) <= 2.0 * off
     write_session(session.part(range(12)), tmp_path / "before.rrd")
     before = Session.open(tmp_path / "before.rrd")
-    assert writer_for(path)(before, path) == "12 frames at a constant 30 Hz"
+    assert writer_for(path, feet="free")(before, path) == "12 frames at a constant 30 Hz"
     np.testing.assert_allclose(bvh_joints(path, KINECT_V2), on_floor(before, before.rows.fused), atol=1e-4)
 
 
@@ -390,7 +390,7 @@ def test_s_star_beside_a_frame_and_in_a_file_is_that_of_the_frame(method, tmp_pa
     for beside_ns in (-1, 1):
         np.testing.assert_allclose(session.at(session.time[1:-1] + 1e-9 * beside_ns), fused[1:-1], atol=1e-5)
     path = tmp_path / "s.bvh"
-    said = writer_for(path)(session, path)
+    said = writer_for(path, feet="free")(session, path)
     moments = session.at(1e-9 * even_moments(session.rows).time_ns)
     off = np.linalg.norm(bvh_joints(path, KINECT_V2) - on_floor(session, moments), axis=2).max()
     told = re.findall(r"bones of (\d+) recorded frames .* up to (\d+) mm off$", said)
@@ -498,6 +498,10 @@ def test_options_are_for_formats_that_have_a_use_for_them(session, tmp_path):
         writer_for(tmp_path / "s.csv", rate=60.0)
     with pytest.raises(RecordingError, match=r"`names` is for \.bvh and \.glb; \.trc has"):
         writer_for(tmp_path / "s.trc", names="mixamo")
+    with pytest.raises(RecordingError, match=r"`feet` is for \.bvh and \.glb; \.c3d has those of S\*"):
+        writer_for(tmp_path / "s.c3d", feet="free")
+    with pytest.raises(UnknownNameError, match="planted"):
+        writer_for(path, feet="glued")
     with pytest.raises(RecordingError, match=r"`table` is for \.csv and \.parquet; \.bvh has one layout"):
         writer_for(path, table="wide")
     with pytest.raises(RecordingError, match="1 to 1000"):

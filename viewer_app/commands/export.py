@@ -14,7 +14,7 @@ from viewer_app.report.terminal import print_damage
 def run(options: ExportOptions) -> None:
     """Runs the command."""
     console = output_console()
-    write = writer_for(options.to, options.table, options.rate, options.names)
+    write = writer_for(options.to, options.table, options.rate, options.names, options.feet)
     check_outputs([options.to], [options.session], options.force)
     session = Session.open(options.session)
     print_damage(console, session)

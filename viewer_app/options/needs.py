@@ -164,6 +164,9 @@ NEEDS = (
     ),
     Need(ReviewOptions, ("event", "at"), lambda o: not o.no_viewer, "a viewer"),
     Need(LiveOutputOptions, ("avatar",), lambda o: o.vmc is not None, "--vmc"),
+    Need(
+        LiveOutputOptions, ("feet",), lambda o: o.vmc is not None or o.vrchat is not None, "--vmc or --vrchat"
+    ),
     Need(TerminalOptions, ("verbose",), lambda o: not o.quiet, "no --quiet"),
 )
 

@@ -150,5 +150,7 @@ class ExportOptions(GoodOptions):
     """Frames per second of a .bvh, .c3d, .glb, .mot or .trc; that of the recording if not given."""
     names: Literal["body", "humanoid", "mixamo"] = "body"
     """Names of bones in a .bvh or .glb: those of the joints, of Unity's humanoid, or of Mixamo."""
+    feet: Literal["planted", "free"] = "planted"
+    """Feet in a .bvh or .glb: planted where they stand, so that they neither slide nor sink, or as in S*."""
     force: bool = False
     """Overwrite a file that exists."""

@@ -247,6 +247,9 @@ class LiveOutputOptions(ZenohOptions):
     """With --vmc: a .vrm, whose proportions are sent instead of the person's."""
     vrchat: Annotated[str | None, OUTPUTS] = None
     """HOST:PORT of VRChat's OSC trackers; usually port 9000."""
+    feet: Annotated[Literal["planted", "free"], OUTPUTS] = "planted"
+    """Feet sent with --vmc or --vrchat: planted where they stand, so that they neither slide nor sink, or as
+    in S*."""
     lsl: Annotated[str | None, OUTPUTS] = None
     """Name of a Lab Streaming Layer stream; needs the extra lsl."""
     websocket: Annotated[int | None, OUTPUTS, WHOLE_NUMBER] = None

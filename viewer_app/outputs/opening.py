@@ -13,7 +13,8 @@ from fusion.setup import FusionSetup
 from recordings.gait.events import find_gait
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
-from viewer_app.outputs.avatars.osc import Address, OscOutput, looked_up
+from viewer_app.outputs.avatars.live_feet import LiveFeet
+from viewer_app.outputs.avatars.osc import Address, Encode, OscOutput, looked_up
 from viewer_app.outputs.avatars.vmc import VmcEncoder
 from viewer_app.outputs.avatars.vrchat import VRChatEncoder
 from viewer_app.outputs.avatars.vrm import Avatar, read_avatar
@@ -50,6 +51,7 @@ class OutputPlan:
                 joints[joint] = joints[body.parents[joint]] + body.nominal_lengths[joint] * body.rest[joint]
             skeleton = UnitySkeleton(body)
             skeleton.update(joints, 0)  # each kernel is compiled for one set of types
+            LiveFeet(body).update(joints, 0)
 
     @contextmanager
     def opened(
@@ -75,11 +77,12 @@ class OutputPlan:
     def _open(self, setup: FusionSetup, rate: float) -> Iterator[LiveOutput]:
         options, body = self.options, setup.body
         if self.vmc is not None:
-            encode = VmcEncoder(body, self.avatar).encode
+            encode = self._on_floor(body, VmcEncoder(body, self.avatar).encode)
             yield OscOutput(f"VMC to {self.vmc}", self.vmc, "--vmc", encode)
         if self.vrchat is not None:
             at = f"VRChat at {self.vrchat}"
-            yield OscOutput(at, self.vrchat, "--vrchat", VRChatEncoder(body).encode)
+            encode = self._on_floor(body, VRChatEncoder(body).encode)
+            yield OscOutput(at, self.vrchat, "--vrchat", encode)
         if options.lsl is not None:
             from viewer_app.outputs.lab_streaming import LabStreamingOutput
 
@@ -98,6 +101,13 @@ class OutputPlan:
             from viewer_app.outputs.mcap_file import McapOutput
 
             yield McapOutput(options.save_mcap, setup, self.overwrite)
+
+    def _on_floor(self, body: Body, encode: Encode) -> Encode:
+        """An encoder of an avatar that gets S* with its feet on the floor, if that is wanted."""
+        if self.options.feet == "free":
+            return encode
+        feet = LiveFeet(body)
+        return lambda positions, time_ns: encode(feet.update(positions, time_ns), time_ns)
 
 
 def _any(options: LiveOutputOptions) -> bool:

@@ -112,7 +112,7 @@ def test_where_no_display_is_a_replay_and_a_comparison_say_so(session, monkeypat
 
 
 def test_outputs_of_a_replay_get_the_session_s_rate(tmp_path, monkeypatch, capsys):
-    def opened(_plan, _setup, rate):
+    def opened(_plan, _setup, rate, *_):
         raise UsageError(f"{rate:g}")
 
     monkeypatch.setattr("viewer_app.outputs.opening.OutputPlan.opened", opened)

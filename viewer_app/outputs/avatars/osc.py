@@ -23,6 +23,8 @@ LARGEST_DATAGRAM = 1472
 
 Message = tuple[str, list[Any]]
 """Address and arguments: texts, whole numbers, floats."""
+Encode = Callable[[NDArray[np.float64], int], list[bytes]]
+"""Gives the datagrams of (J, 3) joints in K_A's frame at a time in nanoseconds."""
 
 
 def bundled(messages: Iterable[Message]) -> list[bytes]:
@@ -77,16 +79,10 @@ class OscOutput(LiveOutput):
 
     Args:
         option: The command's option, for messages.
-        encode: Gives the datagrams of (J, 3) joints in K_A's frame at a time in nanoseconds.
+        encode: Of a frame.
     """
 
-    def __init__(
-        self,
-        name: str,
-        address: Address,
-        option: str,
-        encode: Callable[[NDArray[np.float64], int], list[bytes]],
-    ) -> None:
+    def __init__(self, name: str, address: Address, option: str, encode: Encode) -> None:
         super().__init__(name)
         self._encode = encode
         self._nobody: NDArray[np.float64] | None = None  # (J, 3) NaN, once a frame was sent

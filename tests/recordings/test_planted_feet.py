@@ -1,0 +1,136 @@
+"""Feet on the floor neither slide nor sink, and bones keep their lengths; in files, and live."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion.calibration.bone_lengths import bone_lengths_of
+from recordings.appearance.floor import floor_under
+from recordings.export import writer_for
+from recordings.planted_feet import planted_feet
+from tests.helpers.animations import bvh_joints
+from tests.helpers.footfalls import walking_session
+from viewer_app.outputs.avatars.live_feet import LiveFeet
+
+SIDES = "Left", "Right"
+
+
+@pytest.fixture(scope="module")
+def true_walk(tmp_path_factory):
+    """A walk whose S* is the truth."""
+    return walking_session(tmp_path_factory.mktemp("walk") / "s.rrd")
+
+
+def with_fused(session, fused):
+    return replace(session, rows=replace(session.rows, fused=fused))
+
+
+def erring(session, seed, largest=0.02):
+    """S* with errors that change slowly, as those of trackers: of the whole person, in each direction."""
+    random = np.random.default_rng(seed)
+    hertz, phases = random.uniform(0.3, 1.0, (3, 1)), random.uniform(0.0, 2.0 * np.pi, (3, 1))
+    errors = largest * np.sin(2.0 * np.pi * hertz * session.time + phases).T
+    return with_fused(session, session.fused + errors[:, None])
+
+
+def toes_of(session, positions, part="Foot"):
+    """(T, 2, 3) metres above the floor, y down."""
+    at = floor_under(session.rows).inverse().apply(positions)
+    return at[:, [session.body.joint(part + side) for side in SIDES]]
+
+
+def stances(session, settled):
+    """Side and frames in which toes do not move in truth, from some frames after their beginning."""
+    at = toes_of(session, session.fused)
+    still = np.linalg.norm(np.diff(at, axis=0, prepend=at[:1]), axis=2) < 0.002
+    for side in (0, 1):
+        for begin, end in np.flatnonzero(np.diff(still[:, side], prepend=False, append=False)).reshape(-1, 2):
+            if end - begin > settled + 4:
+                yield side, slice(begin + settled, end - 1)
+
+
+def slides(session, positions, of):
+    """Metres that the toes slide in each stance, and (N,) metres of their heights in all."""
+    at = toes_of(session, positions)
+    parts = [at[frames, side] for side, frames in of]
+    across = [np.hypot(*np.ptp(part[:, [0, 2]], axis=0)) for part in parts]
+    return np.array(across), -np.concatenate(parts)[:, 1]
+
+
+def live(session):
+    """S* with planted feet, frame by frame."""
+    feet = LiveFeet(session.body)
+    return np.array(
+        [feet.update(*each) for each in zip(session.fused, session.time_ns.tolist(), strict=True)]
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_toes_that_stand_neither_slide_nor_sink(true_walk, seed):
+    session = erring(true_walk, seed)
+    for planted, settled in ((planted_feet(session), 3), (live(session), 5)):
+        of = list(stances(true_walk, settled))
+        before, _ = slides(session, session.fused, of)
+        after, heights = slides(session, planted, of)
+        assert len(of) > 12
+        assert np.median(before) > 0.005
+        assert np.median(after) < 0.2 * np.median(before)
+        assert np.quantile(after, 0.9) < 0.01
+        if settled == 3:  # live, the floor itself is still found
+            assert np.quantile(np.abs(heights - np.median(heights)), 0.95) < 0.005
+            everywhere = -toes_of(session, planted)[..., 1]
+            assert everywhere.min() > np.median(heights) - 0.001
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bones_keep_their_lengths_and_what_is_no_leg_only_rises_and_sinks(true_walk, seed):
+    session, body = erring(true_walk, seed), true_walk.body
+    legs = [body.joint(part + side) for part in ("Knee", "Ankle", "Foot") for side in SIDES]
+    others = np.setdiff1d(np.arange(len(body)), legs)
+    for planted in (planted_feet(session), live(session)):
+        lengths, own = (bone_lengths_of(body, each) for each in (planted, session.fused))
+        np.testing.assert_allclose(lengths, own, atol=1e-9)
+        moved = (planted - session.fused)[:, others]
+        np.testing.assert_allclose(moved, np.broadcast_to(moved[:, :1], moved.shape), atol=1e-9)
+
+
+def test_feet_that_stand_already_stay(true_walk):
+    of = list(stances(true_walk, 3))
+    for planted in (planted_feet(true_walk), live(true_walk)):
+        at, there = (toes_of(true_walk, each)[..., [0, 2]] for each in (planted, true_walk.fused))
+        off = [np.linalg.norm((at - there)[frames, side], axis=1).max() for side, frames in of]
+        assert np.median(off) < 0.01
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_mirrored_walk_has_the_feet_exchanged(true_walk, seed):
+    session, mirror = erring(true_walk, seed), true_walk.body.mirror
+    mirrored = with_fused(session, session.fused[:, mirror] * (-1.0, 1.0, 1.0))
+    for plant in (planted_feet, live):
+        np.testing.assert_allclose(plant(mirrored), plant(session)[:, mirror] * (-1.0, 1.0, 1.0), atol=1e-6)
+
+
+def test_frames_without_a_person_stay_so_and_end_what_stood(true_walk):
+    fused = true_walk.fused.astype(np.float64)
+    fused[100:130] = np.nan
+    fused[130:] += (0.3, 0.0, 0.0)
+    session = with_fused(true_walk, fused)
+    for planted in (planted_feet(session), live(session)):
+        np.testing.assert_array_equal(np.isnan(planted), np.isnan(fused))
+        assert np.linalg.norm((planted - fused)[130:], axis=2).max() < 0.2
+    nobody = with_fused(true_walk, np.full_like(fused, np.nan))
+    assert np.isnan(planted_feet(nobody)).all()
+
+
+def test_animations_have_planted_feet_and_other_files_those_of_s(true_walk, tmp_path):
+    session = erring(true_walk, 1)
+    expected = {"planted": planted_feet(session), "free": session.fused}
+    for feet, positions in expected.items():
+        path = tmp_path / f"{feet}.bvh"
+        writer_for(path, feet=feet)(session, path)
+        at = floor_under(session.rows).inverse().apply(positions) * (1.0, -1.0, -1.0)
+        found = bvh_joints(path, session.body)
+        # bones of the file have the lengths of the calibration
+        np.testing.assert_allclose(found[:, session.body.root], at[:, session.body.root], atol=1e-4)
+    np.testing.assert_array_equal(session.at(session.time), session.fused)
