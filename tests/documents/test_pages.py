@@ -171,3 +171,8 @@ def test_every_file_names_its_command_and_its_machine():
         assert document["command"].startswith("python -m tests.benchmarks."), file
         assert document["machine"]["processors"] >= 1
         assert document["figures"]
+
+
+def test_all_documents_together_are_short():
+    pages = [*documents(), ROOT / "CHANGELOG.md"]
+    assert sum(words(page.read_text(encoding="utf-8")) for page in pages) <= 24_000
