@@ -29,7 +29,7 @@ INFERRED, TRACKED = int(TrackingState.INFERRED), int(TrackingState.TRACKED)
 """For kernels, which compare numbers."""
 NO_FRAME = -(2**63)
 """Capture time in arrays where a sensor gave no frame."""
-FARTHEST = 20.0
+FARTHEST_JOINT = 20.0
 """Metres: a larger coordinate is beyond the range of these sensors and counts as not tracked."""
 
 
@@ -154,7 +154,7 @@ def checked_joints(
                 f"Tracking states must be {len(body)} values of 0, 1 or 2; got shape {given.shape}."
             )
         state = given.astype(np.uint8)
-    state[~((np.abs(at) < FARTHEST).all(axis=-1) & (at[..., 2] > 0.0))] = TrackingState.NOT_TRACKED
+    state[~((np.abs(at) < FARTHEST_JOINT).all(axis=-1) & (at[..., 2] > 0.0))] = TrackingState.NOT_TRACKED
     at[state == TrackingState.NOT_TRACKED] = np.nan
     at.flags.writeable = state.flags.writeable = False
     return at, state

@@ -33,8 +33,7 @@ from fusion.body import Body
 from fusion.compiling.kernels import kernel
 from fusion.joint_kinds import by_joint, kind_of, value_of
 from fusion.skeleton import TRACKED
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 COLUMNS = ("gap", "edge", "offset_x", "offset_y")
 """Of a witness."""

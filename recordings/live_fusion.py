@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
-from devices.depth.image_thinning import Depth, with_depth, without_images
+from devices.depth.image_thinning import Depth, pair_without_images, with_depth
 from devices.events import Event
 from devices.frame_pairs import FramePair
 from devices.people import tracks as people_tracks
@@ -188,7 +188,7 @@ class LiveFrames(Iterator[SessionFrame]):
         self._start_ns = frame.pair.time_ns if self._count == 0 else self._start_ns
         since_ns = frame.pair.time_ns - self._start_ns
         self._events += [event.placed(self._count, since_ns) for event in events]
-        self._kept[-1][1].append(replace(frame, pair=without_images(frame.pair)))
+        self._kept[-1][1].append(replace(frame, pair=pair_without_images(frame.pair)))
         self._count += 1
 
 

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.support.types import Array
 from recordings.appearance.floor import floor_under
 from recordings.gait import SIDES
 from recordings.session_series import SessionSeries
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SINKS = 0.08  # metres at most

@@ -272,8 +272,8 @@ class Session(SessionSeries):
 
     def pairs(self, depth: bool = False) -> Iterator[FramePair]:
         """The pairs as given by the sensors, one by one."""
-        images = {side: iter(self.depth(side) if depth else ()) for side in layout.SIDES}
-        ahead = {side: next(images[side], None) for side in layout.SIDES}
+        images = {side: iter(self.depth(side) if depth else ()) for side in layout.VIEWS}
+        ahead = {side: next(images[side], None) for side in layout.VIEWS}
         for t, pair in enumerate(self.recorded_pairs):
             for side, image in ahead.items():
                 if image is not None and image[0] == t:

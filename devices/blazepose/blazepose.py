@@ -14,13 +14,12 @@ from devices.blazepose.joints import joints_of
 from devices.blazepose.landmark_kinds import TRUNK
 from devices.blazepose.lifting import BodyLandmarks, lift
 from devices.blazepose.limbs import LimbLengths, with_lengths
-from devices.blazepose.networks.files import LANDMARKS as LANDMARK_FILES
-from devices.blazepose.networks.files import cache_folder, checked_content, files_of
+from devices.blazepose.networks.files import LANDMARK_NETWORKS, cache_folder, checked_content, files_of
 from devices.blazepose.networks.inference import (
     CENTRE,
     DETECTOR_SIZE,
+    LANDMARK_COUNT,
     LANDMARK_SIZE,
-    LANDMARKS,
     RIM,
     Detector,
     LandmarkNetwork,
@@ -32,8 +31,7 @@ from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _LEAST_SCORE = 0.5  # of the landmark network, below which the crop holds no person; MediaPipe's
 _CANDIDATES = 3  # detections that are tried in one image
@@ -127,7 +125,7 @@ class BlazePose:
         """
         if self._networks is None:
             raise DeviceError("The body tracker is not open: use it in a with statement.")
-        content = checked_content(LANDMARK_FILES[network], self.settings.models or cache_folder())
+        content = checked_content(LANDMARK_NETWORKS[network], self.settings.models or cache_folder())
         self._networks = self._networks[0], LandmarkNetwork(content, self.settings.threads)
         self.settings = replace(self.settings, network=network)
 
@@ -231,8 +229,8 @@ class BlazePose:
         pixels = transformed(to_image, found.pixels)
         c, s = math.cos(region.angle), math.sin(region.angle)
         world = found.world @ np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
-        known = found.visibility[:LANDMARKS], found.presence[:LANDMARKS]
-        lifted = lift(BodyLandmarks(pixels[:LANDMARKS], *known, world), depth, intrinsics)
+        known = found.visibility[:LANDMARK_COUNT], found.presence[:LANDMARK_COUNT]
+        lifted = lift(BodyLandmarks(pixels[:LANDMARK_COUNT], *known, world), depth, intrinsics)
         if lifted is None:
             return None
         middle = lifted.positions[TRUNK].mean(axis=0)
@@ -245,7 +243,7 @@ class BlazePose:
         self.region = Region.around(pixels[CENTRE], pixels[RIM])
         still = _Sighting(self.region, middle, np.zeros(3), time_ns)
         self._last = still if self._last is None else self._last.next(self.region, middle, time_ns)
-        pixels = pixels[:LANDMARKS]
+        pixels = pixels[:LANDMARK_COUNT]
         self._limbs.observe(lifted.positions, lifted.seen)
         at = lifted.positions[:, :2] / lifted.positions[:, 2:]
         moved, seen = with_lengths(lifted.positions, lifted.seen, at, self._limbs.lengths())

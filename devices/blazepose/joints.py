@@ -7,8 +7,7 @@ from devices.blazepose.landmark_kinds import INDEX, LANDMARK_NAMES
 from devices.blazepose.lifting import Lifted
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import TrackingState
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _SEEN_SHARE = 0.35  # of a joint's landmarks, by weight, that must be seen: one hip, or one ear
 _DEEPEST = {"PELVIS": 0.25, "SPINE_NAVEL": 0.25, "NECK": 0.15, "HEAD": 0.25}

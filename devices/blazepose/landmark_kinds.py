@@ -14,7 +14,8 @@ LANDMARK_NAMES = (
     *("HIP_LEFT", "HIP_RIGHT", "KNEE_LEFT", "KNEE_RIGHT", "ANKLE_LEFT", "ANKLE_RIGHT"),
     *("HEEL_LEFT", "HEEL_RIGHT", "FOOT_LEFT", "FOOT_RIGHT"),
 )
-"""The network's landmarks in its order. PINKY and INDEX are knuckles, FOOT is the base of the large toe."""
+"""The network's landmarks in its order. PINKY and INDEX are knuckles, FOOT is the base of the large
+toe."""
 
 INDEX = {name: j for j, name in enumerate(LANDMARK_NAMES)}
 KINDS = tuple(dict.fromkeys(name.split("_")[0] for name in LANDMARK_NAMES))

@@ -17,8 +17,7 @@ from fusion.compiling.kernels import kernel
 from fusion.errors import CalibrationError
 from fusion.intrinsics import Intrinsics
 from fusion.registration.rigid_fit import fit_rigid
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _SMALLEST, _LARGEST = 0.45, 1.5
 """Sizes of a person relative to the network's mean person, who is about 1.65 m tall: 0.75 to 2.5 m."""

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from devices.blazepose.landmark_kinds import INDEX, LANDMARK_NAMES, LONG_BONES
 from fusion.compiling.kernels import inner_kernel, kernel
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _KINDS = len(LONG_BONES) // 2  # left and right have one length
 _ARMS = 4  # of the limbs' bones, which come first; legs are rarely hidden

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 SIDE_PER_RADIUS = 2.5
 """Side of a region per distance between its two points: MediaPipe's 1.25 times the circle's diameter."""

@@ -14,7 +14,7 @@ Depth = Literal["none", "half", "full"]
 """Depth images: none, every second pixel in both directions, or all of them."""
 
 
-def has_images(pair: FramePair) -> bool:
+def pair_has_images(pair: FramePair) -> bool:
     """Whether a frame of the pair has an image."""
     return has_image(pair.a) or has_image(pair.b)
 
@@ -24,7 +24,7 @@ def has_image(frame: SensorFrame | None, *kinds: str) -> bool:
     return frame is not None and any(getattr(frame, kind) is not None for kind in kinds or ("depth", "color"))
 
 
-def without_images(pair: FramePair, of: str = "ab") -> FramePair:
+def pair_without_images(pair: FramePair, of: str = "ab") -> FramePair:
     """The pair without images, or without the images of the sensors in `of`."""
 
     def bare(frame: SensorFrame | None, side: str) -> SensorFrame | None:

@@ -20,7 +20,7 @@ from fusion.errors import FusionError
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 
-VERSION = 1
+PROTOCOL_VERSION = 1
 _MAGIC = b"DXKN"
 _HEADER = struct.Struct("<4sBBHIQQ")  # magic, version, kind, reserved, length, session, sequence number
 _TIMES = struct.Struct("<qqq")
@@ -250,7 +250,7 @@ class _Rest:
 
 def _whole(kind: Kind, session: int, sequence: int, *parts: bytes) -> bytes:
     length = _HEADER.size + sum(map(len, parts)) + 4
-    header = _HEADER.pack(_MAGIC, VERSION, kind, 0, length, session, sequence)
+    header = _HEADER.pack(_MAGIC, PROTOCOL_VERSION, kind, 0, length, session, sequence)
     message = b"".join((header, *parts))
     return message + _SIZE.pack(zlib.crc32(message))
 
@@ -260,8 +260,10 @@ def _opened(data: bytes, kind: Kind) -> tuple[int, int, _Rest]:
     if not _HEADER.size + 4 <= len(data) <= LARGEST_MESSAGE or data[:4] != _MAGIC:
         raise MalformedError(f"{len(data)} bytes that are no message of this program.")
     _, version, got, reserved, length, session, sequence = _HEADER.unpack_from(data)
-    if version != VERSION:
-        raise ForeignError(f"messages of version {version}, not {VERSION} (run the same duplex on both PCs)")
+    if version != PROTOCOL_VERSION:
+        raise ForeignError(
+            f"messages of version {version}, not {PROTOCOL_VERSION} (run the same duplex on both PCs)"
+        )
     if got != kind or reserved or length != len(data):
         raise MalformedError("A message of another kind or length.")
     if zlib.crc32(data[:-4]) != _SIZE.unpack(data[-4:])[0]:

@@ -25,8 +25,8 @@ from fusion.errors import CalibrationError
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.support.large_arrays import parts
+from fusion.support.types import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Follow = Literal["middle", "longest"]
 """Whom to follow of several people: the one nearest the middle of the views, or the one seen longest."""

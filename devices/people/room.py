@@ -11,15 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from devices.people.association import Follow, bones_of, cost_of_return, differing
 from devices.people.tracks import SPEED_M_S
 from fusion.body import Body
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
+from fusion.support.types import Array
 
-Array = NDArray[np.float64]
 Place = Sequence[float]  # (3,) metres
 
 REACH_M = 0.4  # how far the middle of a body may be off from frame to frame: tracker noise and a step

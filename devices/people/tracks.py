@@ -15,8 +15,8 @@ from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 from fusion.support.large_arrays import parts
+from fusion.support.types import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _SLOTS = 16  # bodies in one view at a time

@@ -14,7 +14,6 @@ from devices.simulated.imaging.body_surface import capsules, flesh_over, visibil
 from devices.simulated.imaging.infrared import InfraredModel, clothed_capsules, infrared_image, materials
 from devices.simulated.imaging.rendering import DepthErrors, depth_image, halved, surface
 from devices.simulated.person import anatomy
-from devices.simulated.person.anatomy import Array
 from devices.simulated.person.movement import Beside as Beside
 from devices.simulated.person.movement import Movement as Movement
 from devices.simulated.person.movement import movement as movement
@@ -30,6 +29,7 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.rigid import RigidTransform
+from fusion.support.types import Array
 
 _LEAST_SEEN = 0.5  # of two people, one of whom less is visible is not reported: the other one hides them
 _OTHER_HEIGHT = 0.94  # of the other person, as a share of the person's

@@ -17,8 +17,8 @@ from devices.sensor import Sensor, SensorFrame, SensorWrapper
 from devices.simulated.demonstration import good_rig
 from devices.simulated.kinect import Movement, Scene, SimulatedKinect
 from devices.simulated.person import anatomy
-from devices.simulated.person.anatomy import Array
 from fusion.body import Body
+from fusion.support.types import Array
 
 _FRAME, _TOGETHER = 1.0 / 30.0, 1.0  # seconds
 _MARGIN, _FORGETTING = 1.5, 0.95

@@ -18,7 +18,7 @@ from devices.skeletons.stated_format import UNSTATED, StatedFormat, Unit
 from devices.skeletons.times import FEWEST
 from fusion.body import Body
 from fusion.pair_arrays import View, joined_views
-from fusion.skeleton import FARTHEST, checked_joints
+from fusion.skeleton import FARTHEST_JOINT, checked_joints
 from fusion.support.large_arrays import parts
 
 METRES: MappingProxyType[str, tuple[float, str]] = MappingProxyType(
@@ -196,9 +196,10 @@ def check_metres_forward(name: object, xyz: NDArray[np.float64]) -> None:
     if not known.any():
         return
     distance = float(np.median(largest[known]))
-    if distance > FARTHEST:
+    if distance > FARTHEST_JOINT:
         raise DeviceError(
-            f"{name}: the joints are {distance:.3g} m away (median); no sensor sees beyond {FARTHEST:.0f} m. "
+            f"{name}: the joints are {distance:.3g} m away (median); no sensor sees beyond "
+            f"{FARTHEST_JOINT:.0f} m. "
             "Positions must be in the frame of the sensor; state another unit than metres with `unit`."
         )
     if np.median(xyz[..., 2].ravel()[known]) < 0.0:
@@ -216,18 +217,18 @@ def impossible(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
     """
     x, y, z = np.moveaxis(xyz, -1, 0)
     stated = ~(np.isnan(x) | np.isnan(y) | np.isnan(z)) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
-    near = (np.abs(x) < FARTHEST) & (np.abs(y) < FARTHEST) & (z < FARTHEST) & (z > 0.0)
+    near = (np.abs(x) < FARTHEST_JOINT) & (np.abs(y) < FARTHEST_JOINT) & (z < FARTHEST_JOINT) & (z > 0.0)
     return np.asarray(stated & ~near)
 
 
 def impossible_in_words(name: object, count: int, where: str, value: NDArray[np.float64]) -> str:
     """The warning about so many impossible positions: where the first one is, and (3,) what it is."""
-    axis = int(np.argmax(~(np.abs(value) < FARTHEST)))
-    axis = axis if not abs(value[axis]) < FARTHEST else 2
+    axis = int(np.argmax(~(np.abs(value) < FARTHEST_JOINT)))
+    axis = axis if not abs(value[axis]) < FARTHEST_JOINT else 2
     positions = "1 position is" if count == 1 else f"{count} positions are"
     return (
         f"{name}: {positions} impossible and count as not tracked, first {where}, {'xyz'[axis]} = "
-        f"{value[axis]:.4g} m. Each coordinate must be within {FARTHEST:.0f} m, and z above 0."
+        f"{value[axis]:.4g} m. Each coordinate must be within {FARTHEST_JOINT:.0f} m, and z above 0."
     )
 
 

@@ -10,19 +10,17 @@ from fusion.errors import CalibrationError
 from fusion.registration.keyframes import Evidence
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
+from fusion.support.types import Array
 
 SHORTEST = 0.01
 """Metres: a shorter measured bone is a tracker's error and counts as unseen."""
-Array = NDArray[np.float64]
 _FEWEST_KEYFRAMES = 8  # keyframes in which a bone must be seen
 _ASYMMETRIC = 4.0  # standard errors by which left and right must differ to be told apart
 _SPREAD_FACTOR = 1.253  # standard error of a median over that of a mean, normal errors
 _WANDER_FRAMES = 6.0  # neighbouring keyframes share the tracker's scale: this many count as one
 
 
-def measure_bone_lengths(
-    body: Body, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform
-) -> NDArray[np.float64]:
+def measure_bone_lengths(body: Body, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform) -> Array:
     """The mean length of each bone of the averaged skeleton p* = ½(p + R q + t), eq. (13).
 
     A bone whose joints are never tracked in both views at once takes its length in one view, then that of its
@@ -54,7 +52,7 @@ def measure_bone_lengths(
     return length
 
 
-def bone_lengths_of(body: Body, positions: NDArray[np.floating]) -> NDArray[np.float64]:
+def bone_lengths_of(body: Body, positions: NDArray[np.floating]) -> Array:
     """(…, J) length of the bone that ends in each joint, for (…, J, 3) positions; NaN at the root."""
     at = np.asarray(positions, dtype=np.float64)
     length = np.linalg.norm(at - at[..., body.parent_indices, :], axis=-1)
@@ -62,7 +60,7 @@ def bone_lengths_of(body: Body, positions: NDArray[np.floating]) -> NDArray[np.f
     return np.asarray(length, dtype=np.float64)
 
 
-def _mean_where_seen(body: Body, lengths: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _mean_where_seen(body: Body, lengths: list[Array]) -> Array:
     if not lengths:
         return np.full(len(body), np.nan)
     stacked = np.array(lengths)

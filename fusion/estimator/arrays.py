@@ -18,9 +18,9 @@ from fusion.joint_kinds import by_joint, of_kind
 from fusion.rigid import RigidTransform
 from fusion.setup import DEFAULT_SMOOTHING
 from fusion.solvers.tree_start import TreeWorkspace
+from fusion.support.types import Array
 from fusion.witness import JointEvidence, WitnessModel, new_witness_model
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 

@@ -12,15 +12,11 @@ from __future__ import annotations
 import math
 from typing import Annotated, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.estimator.bones import add_registration_error, joint_covariances
 from fusion.solvers.small_matrices import inverse
 from fusion.solvers.tree_solver import solve_tree
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 
 class Trace(NamedTuple):

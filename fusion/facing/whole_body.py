@@ -67,7 +67,7 @@ def set_headings(state, up):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def mirrored_share(constants, cosine):  # type: ignore[no-untyped-def]
+def mirrored_probability(constants, cosine):  # type: ignore[no-untyped-def]
     """Share of frames that a tracker reports mirrored: a logistic step from front to back."""
     rise = 1.0 + math.exp((cosine - constants.mirrored_centre) / constants.mirrored_width)
     return constants.mirrored_front + (constants.mirrored_back - constants.mirrored_front) / rise
@@ -185,7 +185,7 @@ def log_likelihood(model, state, pair):  # type: ignore[no-untyped-def]
         axis_a = axis_b = 0.0
         for view in range(2):
             cosine = cosine_to_sensor(state, view, f)
-            state.evidence.shares[view, n] = mirrored_share(k, cosine)
+            state.evidence.shares[view, n] = mirrored_probability(k, cosine)
             if stale[view]:
                 continue
             common += _cue_evidence(model, state, view, f, cosine)

@@ -16,8 +16,7 @@ from fusion.setup import FusionSetup
 from fusion.solvers.published import solve_published
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_start import TreeWorkspace, copy
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 PAPER, EQUAL = 0, 1  # which weights
 FORGET_NS = 1_000_000_000

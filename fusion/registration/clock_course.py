@@ -12,13 +12,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.pair_arrays import View
 from fusion.registration.clock_offset import ClockOffset
 from fusion.registration.clock_search import frame_costs, refined_offset
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _SHORTEST_NS = 20_000_000_000  # of what both recordings have in common
 _WINDOW_NS, _LONGEST_NS, _WINDOWS = 4_000_000_000, 60_000_000_000, 12

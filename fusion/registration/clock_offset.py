@@ -20,8 +20,7 @@ from fusion.registration.error_model import relative_noise
 from fusion.registration.sampled_motion import Sampling, interpolated
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED, SkeletonPair
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _WINDOW_NS, _WINDOW_FRAMES = 1_000_000_000, 12  # a window is a second; below 12 frames per second, so many
 _WINDOWS = 120  # stored by the online estimator

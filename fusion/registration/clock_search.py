@@ -16,8 +16,7 @@ from fusion.registration.clock_offset import ClockOffset
 from fusion.registration.rigid_fit import robust_fits
 from fusion.registration.sampled_motion import Sampling, interpolated
 from fusion.skeleton import TRACKED
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _REACH_NS = 30_000_000_000
 _GRID_NS = 33_333_333

@@ -14,7 +14,6 @@ from functools import cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.compiling.kernels import kernel
@@ -23,8 +22,7 @@ from fusion.registration.keyframes import Evidence
 from fusion.registration.lasting_errors import COMMON_SD
 from fusion.rigid import RigidTransform
 from fusion.support.array_fields import new_arrays
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 DEGREES_OF_FREEDOM = 4.0  # of Student's t distribution
 _BASIS_VARIANCE = np.array([0.5, 0.25, 0.25])

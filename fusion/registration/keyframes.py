@@ -18,8 +18,7 @@ from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.support.array_fields import new_arrays
 from fusion.support.large_arrays import give_back
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _SHORTEST_NS = 200_000_000  # between two keyframes
 _LONGEST_NS = 2_000_000_000  # after this time a pair becomes a keyframe even without motion

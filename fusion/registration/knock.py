@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.registration.error_model import RobustFitSettings, cost_of
@@ -29,8 +28,7 @@ from fusion.registration.robust_fit import Prior, RobustFit, fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED, Skeleton, SkeletonPair
 from fusion.support.medians import median_of_known
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 KNOCK_TURN, KNOCK_SHIFT = float(np.radians(8.0)), 0.4
 """Standard deviations of a knock: radians, and metres at the person."""

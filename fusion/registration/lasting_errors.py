@@ -17,13 +17,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.body import KINECT_V1, KINECT_V2, Body
 from fusion.registration.keyframes import Evidence
 from fusion.rigid import RigidTransform, rotation_of
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 COMMON_SD = 0.025
 """Metres, the depth error of one pose between sensors that look at the same side."""

@@ -22,6 +22,7 @@ from fusion.registration.lasting_errors import (
 )
 from fusion.rigid import RigidTransform, through_quaternion
 from fusion.skeleton import SkeletonPair
+from fusion.support.types import Array
 
 LARGEST_RESIDUAL = 0.300
 """Metres: a fit whose median residual is larger cannot be right."""
@@ -29,7 +30,6 @@ NOBODY_IN_BOTH = (
     "No frame shows a person to both sensors. Check that the two recordings overlap and that the person "
     "stands in both views."
 )
-Array = NDArray[np.float64]
 _FEWEST_JOINTS = 5
 _STEPS = 12  # of a robust fit
 _TUNING = 1.4826  # times the median distance: a larger residual counts less than a quarter
@@ -170,7 +170,7 @@ class Registration:
     a_from_b: RigidTransform  # R and t
     residual_median: float  # metres between p_i and R q_i + t over all joints and frames
     residual_rms: float
-    joint_residuals: NDArray[np.float64]
+    joint_residuals: Array
     """(J,) metres, the median of each joint; NaN for a joint never tracked in both views."""
     rotation_sd: float
     """Radians, standard deviation of R about its least certain axis, with the errors of
@@ -259,7 +259,7 @@ def register(pairs: Sequence[SkeletonPair], *, frontal: bool = False) -> Registr
     return registration
 
 
-def _standard_errors(points: NDArray[np.float64], mean_square: float, joints: int) -> tuple[float, float]:
+def _standard_errors(points: Array, mean_square: float, joints: int) -> tuple[float, float]:
     """Those of R, radians, and of the centre, metres, along the least certain axis of each."""
     # A rotation by a small θ moves a point at r from the centre by θ × r, so the information about θ
     # is Σ (|r|² I − r rᵀ) / σ², with σ² the variance of a residual along one axis. A joint counts once,

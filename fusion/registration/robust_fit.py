@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.errors import CalibrationError
@@ -16,8 +15,7 @@ from fusion.registration.keyframes import Evidence
 from fusion.registration.lasting_errors import FrontalTurn, common_variance, turned_back
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform, rotation_of, rotation_vector
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _SMALLEST_NOISE, _LARGEST_NOISE = 0.004, 0.08  # metres, the spine's
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _HALF_SPAN_NS = 66_666_667  # between a frame and those that its velocity is measured between
 _LONGEST_NS = 300_000_000  # a longer interval is a gap, except at low rates

@@ -8,14 +8,11 @@ lengths. Other steps lead away from a saddle, or are longer where the curvature 
 import math
 from typing import Annotated, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fusion.compiling.kernels import inner_kernel
 from fusion.solvers.small_matrices import tangent_basis
 from fusion.solvers.tree_elimination import misfit, retract, substitute
+from fusion.support.types import Array
 
-Array = NDArray[np.float64]
 FROM_START, FROM_TARGETS, BENT, BENT_AWAY = 0, 1, 2, 3
 """Sources of a bone's direction in :func:`place`."""
 _DOUBLINGS = 6

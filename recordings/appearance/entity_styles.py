@@ -64,7 +64,7 @@ def joint_look(body: Body, key: str) -> rr.Points3D:
     S* gets a colour per joint and frame. S_A and S_B get their class, and with it their colour, per frame.
     """
     return rr.Points3D.from_fields(
-        class_ids=None if key in layout.SIDES else layout.CLASS_IDS[key],
+        class_ids=None if key in layout.VIEWS else layout.CLASS_IDS[key],
         keypoint_ids=range(len(body)),
         colors=SKELETON_COLORS[key] if key == "truth" else None,
         radii=JOINT_RADII[key],
@@ -199,8 +199,8 @@ def figure_lines(name: str) -> Visualizer:
 def tracked_lines() -> Visualizer:
     """Plot lines of the number of joints that each sensor tracks."""
     look = rr.SeriesLines(
-        names=[f"tracked by {side.upper()}" for side in layout.SIDES],
-        colors=[SKELETON_COLORS[side] for side in layout.SIDES],
+        names=[f"tracked by {side.upper()}" for side in layout.VIEWS],
+        colors=[SKELETON_COLORS[side] for side in layout.VIEWS],
     )
     return _lines(look, layout.OF_EACH_SENSOR, "tracked_joints")
 
@@ -279,8 +279,8 @@ STREAM_LINES = {
     "drift_ppm": rr.SeriesLines(names="drift (ppm)", colors=SKELETON_COLORS["fused"]),
     **{
         name: rr.SeriesLines(
-            names=[f"{title} {side.upper()}" for side in layout.SIDES],
-            colors=[SKELETON_COLORS[side] for side in layout.SIDES],
+            names=[f"{title} {side.upper()}" for side in layout.VIEWS],
+            colors=[SKELETON_COLORS[side] for side in layout.VIEWS],
         )
         for name, title in (("dropped", "dropped of"), ("unpaired", "without a partner, of"))
     },

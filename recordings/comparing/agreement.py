@@ -13,11 +13,11 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fusion.support.types import Array
 from recordings.gait import SIDES, Gait, Step
 
-Array = NDArray[np.float64]
 Interval = tuple[float, float]
 
 _LIMITS = 1.96  # standard deviations between which 95 % of the differences lie

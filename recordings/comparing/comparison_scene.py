@@ -6,6 +6,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from fusion.support.types import Array
 from recordings.appearance.colors import JOINT_RADII, SKELETON_COLORS, Color
 from recordings.appearance.entity_styles import annotation_context, skeleton_class
 from recordings.comparing.session_comparison import Comparison, largest
@@ -20,7 +21,6 @@ LARGEST = "/difference/largest"
 MEANS = "/difference/means"
 """Mean distance of each skeleton to the truth, millimetres."""
 _SECOND_COLOR, _RADIUS = (64, 168, 96), 0.015
-Array = NDArray[np.float64]
 
 
 def record_comparison(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 _LONGEST_GAP = 0.1  # seconds without a point that are interpolated
 

@@ -25,13 +25,12 @@ from fusion.movement.joint_rotations import rotations_of
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.support.medians import median_of_known
+from fusion.support.types import Array
 from recordings.comparing.joint_path import JointPath, Joints
 from recordings.comparing.truth_files import TruthFile
 from recordings.comparing.truth_timing import TimeOffset, correlation_at, find_offset
 from recordings.errors import RecordingError
 from recordings.session_series import SessionSeries
-
-Array = NDArray[np.float64]
 
 SKELETONS = ("a", "b", "fused")
 """S_A, S_B and S*, as in :data:`recordings.data.layout.SKELETON_NAMES`."""

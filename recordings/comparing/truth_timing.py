@@ -30,7 +30,8 @@ from fusion.pair_arrays import View
 from fusion.registration.clock_search import best_offsets, part_offsets
 from fusion.registration.rigid_fit import fit_recording
 from fusion.skeleton import TRACKED
-from recordings.comparing.joint_path import Array, JointPath, Joints
+from fusion.support.types import Array
+from recordings.comparing.joint_path import JointPath, Joints
 
 Ints = NDArray[np.int64]
 

@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.support.types import Array
 from recordings.data.session_arrays import SessionArrays
 from recordings.errors import RecordingError
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _DAY_NS, _NEVER_NS = 8.64e13, -9.0e18
 _SAME_M = 1e-5  # lengths that differ by rounding

@@ -63,7 +63,7 @@ PELVIS = "/fused/pelvis"
 FRAME_NAMES = {"K_A": "/kinect_a", "K_B": "/kinect_b", "floor": FLOOR, "pelvis": PELVIS}
 """Named coordinate frames and the entities whose frames they are."""
 
-SIDES = ("a", "b")
+VIEWS = ("a", "b")
 """The principal sensor K_A and the secondary sensor K_B."""
 
 

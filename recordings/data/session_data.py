@@ -277,6 +277,6 @@ class SessionData:
 
 
 def _checked_side(side: str) -> str:
-    if side not in layout.SIDES:
-        raise RecordingError(f"A sensor is named {' or '.join(layout.SIDES)}; got {side!r}.")
+    if side not in layout.VIEWS:
+        raise RecordingError(f"A sensor is named {' or '.join(layout.VIEWS)}; got {side!r}.")
     return side

@@ -23,6 +23,7 @@ from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.movement.humanoid import human_bones, mixamo_name, rest_from_t_pose
 from fusion.movement.joint_rotations import JointRotations, joint_bones
 from fusion.support.large_arrays import PART
+from fusion.support.types import Array
 from recordings.appearance.floor import floor_under
 from recordings.data.interpolation import positions_at
 from recordings.errors import RecordingError
@@ -31,7 +32,6 @@ from recordings.export.even_frames import even_moments, y_up, y_up_rotations
 from recordings.planted_feet import planted_feet
 from recordings.session_series import SessionSeries
 
-Array = NDArray[np.float64]
 _SAME_M = 1e-4  # metres: differences by rounding, added up along the bones
 
 

@@ -10,18 +10,17 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.movement.angles import ANGLES, joint_angles
+from fusion.support.types import Array
 from recordings.errors import RecordingError
 from recordings.export.even_frames import EvenPositions
 from recordings.export.markers import forward_up_right
 from recordings.gait import SIDES
 from recordings.session_series import SessionSeries
 
-Array = NDArray[np.float64]
 _HIPS = np.array([-0.056276, -0.07849, 0.0])  # metres, in the pelvis of the model as published
 
 

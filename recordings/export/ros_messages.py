@@ -22,9 +22,8 @@ from fusion.movement.angles import ANGLES
 from fusion.movement.humanoid import human_bones
 from fusion.movement.joint_rotations import joint_bones
 from fusion.rigid import RigidTransform
+from fusion.support.types import Array
 from recordings.errors import RecordingError
-
-Array = NDArray[np.float64]
 
 BODY_ID = "duplex"
 """Identifier of the person, at the end of the names of frames."""

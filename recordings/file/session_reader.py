@@ -35,7 +35,7 @@ from recordings.writing.checksums import (
     properties_checksum,
 )
 
-_NOT_ROWS = {layout.BONES, *map(layout.others, layout.SIDES)}
+_NOT_ROWS = {layout.BONES, *map(layout.others, layout.VIEWS)}
 _TIME = layout.QUALITY, layout.TIME
 _FRAME_CRC, _FUSED_CRC = (layout.QUALITY, FRAME_CRC), (layout.QUALITY, FUSED_CRC)
 _CHECKS_CRC = layout.QUALITY, CHECKS_CRC

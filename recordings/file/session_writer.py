@@ -199,7 +199,7 @@ def check_whole(path: Path) -> None:
 def _copy_images(session: SessionData, recorder: Recorder) -> int:
     """Logs the other people and the images; returns the number of damaged ones."""
     damaged, time_ns = 0, session.rows.time_ns
-    for side in layout.SIDES:
+    for side in layout.VIEWS:
         others = session.images.others(side, range(len(session)))
         recorder.others.all_bones(side, ((frame, int(time_ns[frame]), bones) for frame, bones in others))
         depth, color = session.depth(side), session.color(side)

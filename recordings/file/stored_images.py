@@ -57,7 +57,7 @@ class ImageReader(Images[T]):
                 raise RecordingError(
                     f"{self._path} holds another session now. Open it again to read its images."
                 )
-            for entity, batch in file.chunks(images=self._entity not in map(layout.others, layout.SIDES)):
+            for entity, batch in file.chunks(images=self._entity not in map(layout.others, layout.VIEWS)):
                 if entity != self._entity or layout.FRAME not in batch.schema.names:
                     continue
                 for k, frame in enumerate(batch.column(layout.FRAME).to_pylist()):

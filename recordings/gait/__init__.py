@@ -9,11 +9,10 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fusion.support.types import Array
 from recordings.errors import RecordingError
-
-Array = NDArray[np.float64]
 
 SIDES = ("left", "right")
 _LASTING = 0.5  # of the pelvis' errors on the loops of simulated walks

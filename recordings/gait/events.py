@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
-from recordings.gait import SIDES, UNKNOWN, Array, Gait, Measured, Step, Turn
+from fusion.support.types import Array
+from recordings.gait import SIDES, UNKNOWN, Gait, Measured, Step, Turn
 from recordings.gait.parts import ERRORS_LAST, RATE, Part, parts_of
 from recordings.gait.turns import turns_of
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
-from recordings.gait import Array
+from fusion.support.types import Array
 
 RATE = 100.0  # Hz, of the points that are filtered
 _CUT_OFF = 6.0  # Hz, as in the source

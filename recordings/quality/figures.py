@@ -22,7 +22,7 @@ from recordings.calibration_file import is_loaded
 from recordings.data.session_arrays import SessionArrays, rate_without_pauses
 from recordings.data.session_data import SessionData, ViewsAgree
 from recordings.quality.doubtful_time import doubtful_seconds, seen_people
-from recordings.quality.limits import FARTHEST, nearest
+from recordings.quality.limits import FARTHEST_PERSON, nearest
 from recordings.quality.verdict import Figures as Figures
 from recordings.quality.verdict import Shortcoming, verdict
 from recordings.quality.without_truth import (
@@ -234,7 +234,7 @@ def known_or_none(figure: float) -> float | None:
 
 def _distances(setup: FusionSetup, rows: SessionArrays) -> Figures:
     """Median distance of the trunk from each sensor along its axis, and the sensor's range, metres."""
-    torso, far = list(rows.body.torso), FARTHEST[rows.body.name]
+    torso, far = list(rows.body.torso), FARTHEST_PERSON[rows.body.name]
     cameras = setup.intrinsics_a, setup.intrinsics_b
     every = max(1, len(rows) // _SAMPLES)
     depths = (

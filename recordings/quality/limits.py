@@ -7,11 +7,11 @@ import numpy as np
 
 from fusion.intrinsics import Intrinsics
 
-ANGLES = (60.0, 120.0)
+GOOD_ANGLES = (60.0, 120.0)
 """Range of the angle between the sensors, degrees, in which they complement each other best."""
 GOOD, USABLE = 40.0, 80.0
 """Thresholds for the median distance between the calibrated views, mm; real Kinects reach 25 to 60 mm."""
-FARTHEST = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9, "blazepose": 3.9}
+FARTHEST_PERSON = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9, "blazepose": 3.9}
 """Specified depth range in metres, by body (Azure: NFOV, not binned; BlazePose: as on an Azure Kinect)."""
 POSSIBLE = {
     "hip_flexion": (-45.0, 165.0),

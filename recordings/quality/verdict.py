@@ -25,7 +25,7 @@ from typing import Any, Literal, NamedTuple
 
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, FEWEST_PAIRS
 from recordings.quality.doubtful_time import UNCERTAIN
-from recordings.quality.limits import ANGLES, GOOD, USABLE, beside, graded, spoken
+from recordings.quality.limits import GOOD, GOOD_ANGLES, USABLE, beside, graded, spoken
 
 Figures = dict[str, Any]
 Word = Literal["good", "usable", "poor", "unknown"]
@@ -120,7 +120,7 @@ def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
     else:
         yield from _views(figures, live)
     yield from _doubts(figures, live)
-    angle, (low, high), (least, most) = calibration["angle_deg"], ANGLES, USABLE_ANGLES
+    angle, (low, high), (least, most) = calibration["angle_deg"], GOOD_ANGLES, USABLE_ANGLES
     if calibration["residual_mm"] is not None and not low <= angle <= high:
         way = "further apart" if angle < low else "closer together"
         yield Shortcoming(

@@ -14,8 +14,7 @@ from fusion.body import Body
 from fusion.errors import FusionError
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 JUMP = 4.5
 """m/s from one frame to the next: faster than a walking person; 150 mm at 30 frames per second."""

@@ -89,7 +89,7 @@ class PlacementLog:
     def _log_static(self) -> None:
         once = self._stream.log
         once(layout.kinect("a"), rr.Transform3D.from_fields(translation=(0.0, 0.0, 0.0)), static=True)
-        for side in layout.SIDES:
+        for side in layout.VIEWS:
             once(layout.sensor_label(side), *entity_styles.sensor_label(side), static=True)
         once(layout.FLOOR, entity_styles.floor_grid(), static=True)
         self._log_floor(0, 0)
@@ -234,7 +234,7 @@ class StatesLog:
     def __init__(self, stream: rr.RecordingStream, body: Body, pause: Callable[[], object]) -> None:
         self._stream, self._body, self._pause = stream, body, pause
         self._limb_sources, self._trust = LimbSources(body), Lanes(steady=True)
-        self._states = {side: Lanes() for side in layout.SIDES}
+        self._states = {side: Lanes() for side in layout.VIEWS}
 
     def record(self, rows: SessionArrays) -> None:
         """Takes frames in time order."""

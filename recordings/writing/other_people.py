@@ -24,8 +24,8 @@ class OthersLog:
     """Logs the people who are not followed, while there are any: the bones of each."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
-        self._stream, self._shown = stream, dict.fromkeys(layout.SIDES, False)
-        self._newest_ns = dict.fromkeys(layout.SIDES, 0)  # of the frames of each sensor
+        self._stream, self._shown = stream, dict.fromkeys(layout.VIEWS, False)
+        self._newest_ns = dict.fromkeys(layout.VIEWS, 0)  # of the frames of each sensor
 
     def bones(self, side: str, number: int, time_ns: int, bones: NDArray[np.float32]) -> None:
         """Logs :func:`recordings.data.images.drawn_bones` of a frame."""
@@ -61,7 +61,7 @@ class OthersLog:
     def record(self, number: int, time_ns: int, pair: FramePair) -> None:
         """Logs those of a frame; a sensor without a frame keeps what it has for half a second."""
         views = (pair.a, pair.skeletons.a), (pair.b, pair.skeletons.b)
-        for side, (frame, followed) in zip(layout.SIDES, views, strict=True):
+        for side, (frame, followed) in zip(layout.VIEWS, views, strict=True):
             if frame is None:
                 if time_ns - self._newest_ns[side] > _GONE_NS:
                     self.bones(side, number, time_ns, np.zeros((0, 2, 3), np.float32))

@@ -123,7 +123,7 @@ class Recorder:
                     rows.time_ns,
                     np.array([has_image(getattr(of.pair, side), kind) for of in frames]),
                 )
-                for side in layout.SIDES
+                for side in layout.VIEWS
                 for kind in layout.IMAGE_KINDS
             }
         self.record_rows(rows)

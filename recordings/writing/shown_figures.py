@@ -54,7 +54,7 @@ def _view_figures(side: str) -> Iterator[ShownFigure]:
     entity, ids = layout.skeleton(side), [layout.CLASS_IDS[key] for key in (side, layout.exchanged(side))]
 
     def exchanged(rows: SessionArrays) -> NDArray[np.bool_]:
-        return rows.corrects(layout.SIDES.index(side))[:, None]
+        return rows.corrects(layout.VIEWS.index(side))[:, None]
 
     def colors(rows: SessionArrays) -> NDArray[Any]:
         untracked = getattr(rows, f"states_{side}") != TrackingState.TRACKED

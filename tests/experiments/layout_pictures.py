@@ -158,7 +158,7 @@ def of_two_people(out, folder):
     two = "--people", "2", "--motion", "squat"
     main(["demo", *two, "--seconds", "12", "--no-viewer", "--quiet", "--save", str(file)])
     opened = Session.open(file)
-    others = [dict(opened.images.others(side, range(len(opened)))) for side in layout.SIDES]
+    others = [dict(opened.images.others(side, range(len(opened)))) for side in layout.VIEWS]
     both = [
         k for k in others[0] if len(others[0][k]) and len(others[1].get(k, ())) and opened.time_ns[k] > 8e9
     ]

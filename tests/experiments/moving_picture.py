@@ -215,7 +215,7 @@ def with_captions(picture, skeletons, row):
         pen.text((middle, 24), _TITLES[key], fill=SKELETON_COLORS[key], font=title, anchor="mm")
         words = fault_of(skeletons, key, row)
         color = color_of_fault(skeletons, key, row) if words else _QUIET
-        if not words and key == "fused" and any(fault_of(skeletons, side, row) for side in layout.SIDES):
+        if not words and key == "fused" and any(fault_of(skeletons, side, row) for side in layout.VIEWS):
             words, color = "stays right", SKELETON_COLORS[key]
         elif not words and key != "fused" and skeletons.hidden[key][row]:
             words = "grey: not seen"

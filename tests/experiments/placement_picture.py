@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from recordings.appearance.floor import CAMERA_HEIGHT
-from recordings.quality.limits import FARTHEST, nearest
+from recordings.quality.limits import FARTHEST_PERSON as FARTHEST
+from recordings.quality.limits import nearest
 from viewer_app.coach.standing_spot import ARM, standing_spot
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "pictures" / "placement.svg"

@@ -60,7 +60,7 @@ def opened(path, whole):
     if session.damage is None:
         assert (n, whole.damage, session.frames_lost) == (len(whole), None, 0)
         assert session.events == whole.events
-    for side in layout.SIDES:
+    for side in layout.VIEWS:
         images, found = dict(whole.depth(side)), session.depth(side)
         kept = list(found)
         for frame, image in kept:

@@ -40,7 +40,7 @@ def shows_skeletons(picture):
     """Whether a picture has S_A and S_B as lines and S* as a body, which has shades; none: it has not."""
     if picture is None:
         return False
-    lines = all(pixels_near(picture, SKELETON_COLORS[side]) > 50 for side in layout.SIDES)
+    lines = all(pixels_near(picture, SKELETON_COLORS[side]) > 50 for side in layout.VIEWS)
     return lines and shows_body(picture, 50)
 
 

@@ -39,7 +39,7 @@ def trusting(rows, in_a):
 
 
 def test_a_joint_has_the_colour_of_the_sensor_it_came_from(rows):
-    a, b = (np.array(SKELETON_COLORS[side]) for side in layout.SIDES)
+    a, b = (np.array(SKELETON_COLORS[side]) for side in layout.VIEWS)
     assert (TrustColors().add(trusting(rows, 1.0)) == a).all()
     assert (TrustColors().add(trusting(rows, 0.0)) == b).all()
     assert (TrustColors().add(trusting(rows, 0.5)) == SKELETON_COLORS["fused"]).all()

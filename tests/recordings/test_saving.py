@@ -92,7 +92,7 @@ class Model:
         self.rows = {name: getattr(rows, name).copy() for name in _KEYS if getattr(rows, name) is not None}
         self.fused, self.time_ns = session.fused.copy(), session.time_ns.copy()
         self.calibrations = [(first, one.how) for first, one in session.calibrations]
-        self.images = {side: list(session.depth(side)) for side in layout.SIDES}
+        self.images = {side: list(session.depth(side)) for side in layout.VIEWS}
         self.about = {name: session.about["session"].get(name) for name in _ABOUT}
         self.settings, self.camera = session.settings, session.intrinsics_a
         self.spells = spells_in(session)

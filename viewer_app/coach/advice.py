@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from fusion.calibration.calibration import CERTAIN_TURN_DEG, Calibration
-from recordings.quality.limits import ANGLES, GOOD, USABLE, beside, graded, spoken
+from recordings.quality.limits import GOOD, GOOD_ANGLES, USABLE, beside, graded, spoken
 
 Level = Literal["INFO", "WARN"]
 
@@ -40,7 +40,7 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
         return
     angle = math.degrees(calibration.axes_angle)
     certain = 2.0 * math.degrees(calibration.registration.rotation_sd)
-    low, high = ANGLES
+    low, high = GOOD_ANGLES
     if not calibration.provisional and not low - certain <= angle <= high + certain:
         way, towards = ("further apart", "away from") if angle < low else ("closer together", "towards")
         yield Advice(
@@ -52,10 +52,10 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
             step=f"carry B {towards} A, round you, to 90°",
             why=f"Only {angle:.0f}° apart" if angle < low else f"{angle:.0f}° apart",
         )
-    yield verdict(calibration)
+    yield calibration_advice(calibration)
 
 
-def verdict(calibration: Calibration) -> Advice:
+def calibration_advice(calibration: Calibration) -> Advice:
     """Advice that rates a calibration in millimetres and names the limiting factor.
 
     None is good whose rotation is uncertain, as that of a single pose is.

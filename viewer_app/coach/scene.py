@@ -16,7 +16,7 @@ from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage, Mark, Point
 from recordings.appearance.floor import ANKLE, CAMERA_HEIGHT
 from recordings.appearance.state_card import State
-from recordings.quality.limits import ANGLES, FARTHEST, TALL
+from recordings.quality.limits import FARTHEST_PERSON, GOOD_ANGLES, TALL
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.readiness import Headline, to_markdown
 from viewer_app.coach.setup_coach import HOLD, Situation
@@ -87,7 +87,10 @@ class CoachScene:
         if self._found is None or self._found[:2] != (calibration, floor):
             known = bool(calibration.a_from_b.translation.any())
             spot = standing_spot(
-                calibration.a_from_b if known else None, self._cameras, FARTHEST[self._body.name], floor
+                calibration.a_from_b if known else None,
+                self._cameras,
+                FARTHEST_PERSON[self._body.name],
+                floor,
             )
             self._found = calibration, floor, spot
         return self._found[2]
@@ -125,7 +128,7 @@ class CoachScene:
     def _better(self, calibration: Calibration) -> Mark | None:
         """The position of B if it moved around the person until the axes form a right angle."""
         angle = math.degrees(calibration.axes_angle)
-        if calibration.registration is None or ANGLES[0] <= angle <= ANGLES[1]:
+        if calibration.registration is None or GOOD_ANGLES[0] <= angle <= GOOD_ANGLES[1]:
             return None
         best = better_place(calibration.a_from_b, self._place(calibration))
         way = np.linspace(calibration.a_from_b.translation, best.translation, 9)
@@ -152,7 +155,9 @@ def places(setup: FusionSetup) -> NDArray[np.float64]:
     """
     body, a_from_b = setup.body, setup.calibration.a_from_b
     known = bool(a_from_b.translation.any())
-    spot = standing_spot(a_from_b if known else None, setup.intrinsics, FARTHEST[body.name], CAMERA_HEIGHT)
+    spot = standing_spot(
+        a_from_b if known else None, setup.intrinsics, FARTHEST_PERSON[body.name], CAMERA_HEIGHT
+    )
     best = better_place(a_from_b, spot).translation
     sensors = [np.zeros(3), a_from_b.translation if known else best, best]
     person = [[spot.x, y, spot.z] for y in (CAMERA_HEIGHT + _UNDER, CAMERA_HEIGHT - TALL)]

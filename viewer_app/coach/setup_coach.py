@@ -23,7 +23,7 @@ from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 from recordings.appearance.floor import CAMERA_HEIGHT
 from recordings.data.session_arrays import SessionFrame
-from recordings.quality.limits import FARTHEST, nearest
+from recordings.quality.limits import FARTHEST_PERSON, nearest
 from viewer_app.coach.advice import Advice, placement
 from viewer_app.coach.standing_spot import standing_spot
 
@@ -298,7 +298,7 @@ class Coach:
         if not np.isfinite(torso).any():
             return
         away = float(np.nanmean(torso))
-        near, far = nearest(camera), FARTHEST[self.body.name]
+        near, far = nearest(camera), FARTHEST_PERSON[self.body.name]
         if away < near:
             limit = f"a whole person fits from {near:.1f} m on. Step back."
             text = f"Too close to sensor {side}: {away:.1f} m; {limit}"
@@ -315,7 +315,7 @@ class Coach:
         if calibration is not self._overlap_of[0]:
             self._overlap_of = calibration, math.inf
             if calibration.registration is not None:
-                far = FARTHEST[self.body.name]
+                far = FARTHEST_PERSON[self.body.name]
                 spot = standing_spot(calibration.a_from_b, self.intrinsics, far, CAMERA_HEIGHT)
                 self._overlap_of = calibration, spot.room
         if (room := self._overlap_of[1]) < 0.0:

@@ -234,8 +234,8 @@ def _of_session(session: Session, path: Path) -> Rows:
     for k, line in enumerate(calibration_in_words(calibration_figures(session.calibration))):
         yield "" if k else "calibration", line
     images: dict[str, dict[str, Images[Any]]] = {
-        "depth": {side: session.depth(side) for side in layout.SIDES},
-        "colour": {side: session.color(side) for side in layout.SIDES},
+        "depth": {side: session.depth(side) for side in layout.VIEWS},
+        "colour": {side: session.color(side) for side in layout.VIEWS},
     }
     damage = [] if session.damage is None else [f"{session.damage}; {session.frames_lost} frames lost"]
     for kind, of_sides in images.items():

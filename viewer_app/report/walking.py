@@ -27,7 +27,7 @@ _HEALTHY = {"hip_flexion": (20, 20, 0, -20, -10, 15, 25, 20), "knee_flexion": (5
 _HEALTHY_SD = 6.0  # degrees, between persons; that of Schwartz et al. (2008) at most moments
 
 
-class Movement(NamedTuple):
+class MovementSection(NamedTuple):
     """What the page shows of the person's movement."""
 
     angles: Markup  # plots over time
@@ -36,10 +36,10 @@ class Movement(NamedTuple):
     cycles: Markup  # plots over the gait cycle
 
 
-def movement_of(session: Session) -> Movement:
+def movement_of(session: Session) -> MovementSection:
     """The content of the page's sections about angles and gait."""
     gait = session.gait
-    return Movement(
+    return MovementSection(
         Markup("").join(map(Markup, _over_time(session, session.angles))),
         _summary(gait),
         list(_gait_rows(gait)),

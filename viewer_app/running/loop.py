@@ -17,7 +17,7 @@ from rich.console import Console
 
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
-from devices.depth.image_thinning import Depth, without_images
+from devices.depth.image_thinning import Depth, pair_without_images
 from devices.depth.rvl import encode_depth
 from devices.events import Event
 from devices.people import tracks as people_tracks
@@ -124,7 +124,7 @@ def run_live(
             sink.event(Event(f"calibrated: {fusion.setup.calibration.how}"))
         for event in events:
             sink.event(event)
-        kept.append(replace(frame, pair=without_images(pair)))
+        kept.append(replace(frame, pair=pair_without_images(pair)))
         goes_on = go_on(Status(frame, fusion.setup.calibration, fusion.calibrator, sensors, events))
         if not sensors.waiting:
             sink.rest(_LEARNING_DELAY)

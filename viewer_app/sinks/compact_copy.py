@@ -9,7 +9,7 @@ from pathlib import Path
 
 import rerun as rr
 
-from devices.depth.image_thinning import has_images
+from devices.depth.image_thinning import pair_has_images
 from devices.output_file import Hidden, whole_file
 from recordings.file.session_writer import LEFT_AFTER, check_whole, disconnect
 from recordings.writing.recorder import Recorder
@@ -44,7 +44,7 @@ class CompactCopy:
 
     def add(self, items: Sequence[Item]) -> None:
         """Takes items."""
-        if any(isinstance(item, QueuedFrame) and has_images(item.frame.pair) for item in items):
+        if any(isinstance(item, QueuedFrame) and pair_has_images(item.frame.pair) for item in items):
             self.close()
         if self._recorder is not None:
             self._waiting += items

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import rerun as rr
 
-from devices.depth.image_thinning import has_images, without_images
+from devices.depth.image_thinning import pair_has_images, pair_without_images
 from recordings.file.growing_file import GrowingFile
 from recordings.writing.recorder import Recorder
 from viewer_app.sinks.compact_copy import CompactCopy
@@ -90,7 +90,7 @@ class SessionFile(QueuedSink):
             if len(queued) >= _KEEP:
                 self.lost += 1
                 return None
-            if len(queued) >= _KEEP_WITH_IMAGES and has_images(item.frame.pair):
+            if len(queued) >= _KEEP_WITH_IMAGES and pair_has_images(item.frame.pair):
                 self.without_images += 1
                 return _without_images(item)
         return item
@@ -167,4 +167,4 @@ class SessionFile(QueuedSink):
 
 
 def _without_images(item: QueuedFrame) -> QueuedFrame:
-    return replace(item, frame=replace(item.frame, pair=without_images(item.frame.pair)))
+    return replace(item, frame=replace(item.frame, pair=pair_without_images(item.frame.pair)))

@@ -16,7 +16,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from devices.depth.image_thinning import has_images, without_images
+from devices.depth.image_thinning import pair_has_images, pair_without_images
 from fusion.setup import FusionSetup
 from recordings.data import layout
 from recordings.data.session_arrays import SessionFrame
@@ -175,7 +175,7 @@ class ImageTurns:
 
     def capped(self, frame: SessionFrame) -> SessionFrame:
         """The next frame, with only the images that are due."""
-        if not has_images(frame.pair):
+        if not pair_has_images(frame.pair):
             return frame
         now = frame.pair.time_ns
         if not self._next_ns:
@@ -184,7 +184,7 @@ class ImageTurns:
         for side in shown:
             self._next_ns[side] = now + self._interval_ns
         left_out = "".join(self._next_ns.keys() - shown)
-        return replace(frame, pair=without_images(frame.pair, left_out)) if left_out else frame
+        return replace(frame, pair=pair_without_images(frame.pair, left_out)) if left_out else frame
 
 
 class ViewerSink(ViewerFeed):

@@ -116,13 +116,13 @@ def _setup(
             name=f"Kinect {side.upper()}{shown}",
             visual_bounds=rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height)),
         )
-        for side, camera in zip(layout.SIDES, setup.intrinsics, strict=True)
+        for side, camera in zip(layout.VIEWS, setup.intrinsics, strict=True)
     ]
     images: list[rrb.View | rrb.Container] = [*depths]
     if color:
         images = [
             rrb.Tabs(_color_view(side, drawn_over(side, "color")), depth)
-            for side, depth in zip(layout.SIDES, depths, strict=True)
+            for side, depth in zip(layout.VIEWS, depths, strict=True)
         ]
     forth = 0.5 * _place_of_b(setup, person_at) - person_at  # to half-way between the sensors
     towards_eye = _towards_eye(setup, person_at)
@@ -210,7 +210,7 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
     lengths = setup.calibration.bone_lengths
     prominent = [body.joints[body.joint(name)] for name in PROMINENT_JOINTS]
     disagreement, *others = (_plot(*figure) for figure in _FIGURES)
-    hidden = [*(layout.points(side) for side in layout.SIDES), f"{layout.COACH}/**"]
+    hidden = [*(layout.points(side) for side in layout.VIEWS), f"{layout.COACH}/**"]
 
     def scene(name: str, *hidden: str, sigma: bool = False) -> rrb.View:
         frustum = _FRUSTA["inspect"]
@@ -223,7 +223,7 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
                 scene(
                     "spheres: 1 σ of a joint",
                     *hidden,
-                    *(layout.skeleton(side) for side in layout.SIDES),
+                    *(layout.skeleton(side) for side in layout.VIEWS),
                     sigma=True,
                 ),
                 *(
@@ -243,7 +243,7 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
                 ),
                 rrb.StateTimelineView(
                     origin="/",
-                    contents=[layout.state_lane(side, joint) for joint in prominent for side in layout.SIDES],
+                    contents=[layout.state_lane(side, joint) for joint in prominent for side in layout.VIEWS],
                     name="states of limbs",
                 ),
                 _seen(body),
@@ -384,8 +384,8 @@ def _scene(
     With `sigma`, a sphere of one standard deviation is drawn about each joint of S*. With `follow`, the eye
     moves with the person.
     """
-    infrared = [layout.infrared(side) for side in layout.SIDES]
-    of_image = [layout.image_skeleton(side, kind) for side in layout.SIDES for kind in layout.IMAGE_KINDS]
+    infrared = [layout.infrared(side) for side in layout.VIEWS]
+    of_image = [layout.image_skeleton(side, kind) for side in layout.VIEWS for kind in layout.IMAGE_KINDS]
     left_out = [layout.TRUTH_SKELETON, layout.COACH_CARD, *of_image, *infrared, *hidden]
     return rrb.Spatial3DView(
         origin="/",
@@ -394,12 +394,12 @@ def _scene(
         overrides={
             **{
                 layout.depth(side): rr.Pinhole.from_fields(image_plane_distance=frustum).visualizer()
-                for side in layout.SIDES
+                for side in layout.VIEWS
             },
             **({layout.PELVIS: entity_styles.followed(_AWAY)} if follow else {}),
             **{
                 layout.skeleton(side): [entity_styles.lone_joints(), entity_styles.thin_bones()]
-                for side in layout.SIDES
+                for side in layout.VIEWS
             },
             layout.FUSED_SKELETON: [
                 rr.Points3D.from_fields().visualizer(),

@@ -54,14 +54,14 @@ def add_computed(session: IO[bytes], url: str) -> subprocess.Popen[bytes]:
 
 def has_depth(session: Session) -> bool:
     """Whether an open session has a depth image."""
-    return any(next(iter(session.depth(side)), None) is not None for side in layout.SIDES)
+    return any(next(iter(session.depth(side)), None) is not None for side in layout.VIEWS)
 
 
 def clouds(session: Session) -> Iterator[tuple[str, int, NDArray[np.float32]]]:
     """Side, frame and (N, 3) points in the sensor's frame, metres: both sensors by turns, evenly in time."""
     step = max(1, -(-2 * len(session) // _MOST))
     frames = range(0, len(session), step)
-    streams = {side: iter(session.images.depth(side, frames)) for side in layout.SIDES}
+    streams = {side: iter(session.images.depth(side, frames)) for side in layout.VIEWS}
     cameras = {"a": session.intrinsics_a, "b": session.intrinsics_b}
     while streams:
         for side in list(streams):

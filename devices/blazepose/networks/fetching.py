@@ -14,7 +14,7 @@ from pathlib import Path
 
 from devices.blazepose.networks.files import (
     DETECTOR,
-    LANDMARKS,
+    LANDMARK_NETWORKS,
     WHEEL,
     NetworkFile,
     checked_content,
@@ -165,7 +165,7 @@ def _place(path: Path, content: bytes) -> None:
 
 def _notice() -> str:
     rows = "".join(
-        f"{file.name}: {file.member} of {file.package}\n" for file in (DETECTOR, *LANDMARKS.values())
+        f"{file.name}: {file.member} of {file.package}\n" for file in (DETECTOR, *LANDMARK_NETWORKS.values())
     )
     return (
         "BlazePose networks of MediaPipe, Copyright The MediaPipe Authors (Google LLC).\n"

@@ -33,7 +33,7 @@ DETECTOR = NetworkFile(
     WHEEL,
     "mediapipe/modules/pose_detection/pose_detection.tflite",
 )
-LANDMARKS: dict[NetworkName, NetworkFile] = {
+LANDMARK_NETWORKS: dict[NetworkName, NetworkFile] = {
     "full": NetworkFile(
         "pose_landmark_full.tflite",
         "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
@@ -51,7 +51,7 @@ LANDMARKS: dict[NetworkName, NetworkFile] = {
 
 def files_of(network: NetworkName) -> tuple[NetworkFile, NetworkFile]:
     """The two files that a tracker needs: the detector and the landmark network."""
-    return DETECTOR, LANDMARKS[network]
+    return DETECTOR, LANDMARK_NETWORKS[network]
 
 
 def cache_folder() -> Path:
@@ -84,7 +84,7 @@ def checked_content(file: NetworkFile, folder: Path) -> bytes:
         DeviceError: The file is missing, truncated or another one.
     """
     path = folder / file.name
-    fetch = fetch_command("lite" if file == LANDMARKS["lite"] else "full", folder)
+    fetch = fetch_command("lite" if file == LANDMARK_NETWORKS["lite"] else "full", folder)
     try:
         with open_input(path) as opened:
             content = opened.read()

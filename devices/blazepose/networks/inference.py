@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 
 from devices.check import words_of
 from devices.sensor import DeviceError
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 DETECTOR_SIZE, LANDMARK_SIZE = 224, 256
 """Side of the networks' input images, pixels."""
-LANDMARKS = 33
+LANDMARK_COUNT = 33
 """Number of landmarks on the body; the network gives six more, of which two describe the next region."""
 CENTRE, RIM = 33, 34
 """The two landmarks that describe the region: middle of the hips, and a point of the circle around it."""
@@ -131,7 +130,7 @@ class LandmarkNetwork(_Network):
             pixels - 0.5,
             _sigmoid(rows[:, 3]),
             _sigmoid(rows[:, 4]),
-            world.reshape(39, 3)[:LANDMARKS].astype(np.float64),
+            world.reshape(39, 3)[:LANDMARK_COUNT].astype(np.float64),
             float(score[0]),
         )
 

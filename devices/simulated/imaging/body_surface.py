@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 from devices.depth.camera import project
 from devices.simulated.imaging.rendering import capsule_depth, share_seen
 from devices.simulated.person import anatomy
-from devices.simulated.person.anatomy import INDEX, REFERENCE_HEIGHT, Array
+from devices.simulated.person.anatomy import INDEX, REFERENCE_HEIGHT
 from devices.simulated.person.movements import MOTIONS
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
+from fusion.support.types import Array
 
 # (from landmark, to landmark, share of the way, radius in metres at reference height); _S is either side.
 _TABLE = """

@@ -24,11 +24,11 @@ from devices.simulated.person.anatomy import (
     INDEX,
     LANDMARKS,
     REFERENCE_HEIGHT,
-    Array,
     carrier,
     rest_positions,
 )
 from fusion.intrinsics import Intrinsics
+from fusion.support.types import Array
 
 
 class Material(IntEnum):

@@ -10,11 +10,11 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulated.person.anatomy import Array
 from fusion.body import KINECT_V1, Body
 from fusion.compiling.kernels import njit
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
+from fusion.support.types import Array
 
 WALL_Z = 1.5
 """The wall behind the person is the plane z = 1.5 m of the world. The floor is y = 0."""

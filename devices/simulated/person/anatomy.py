@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-
-Array = NDArray[np.float64]
+from fusion.support.types import Array
 
 REFERENCE_HEIGHT = 1.75
 """The stature, in metres, of the tables in this package. They are scaled to the stature of a person."""

@@ -18,10 +18,11 @@ from scipy.spatial.transform import Rotation
 from devices.input_file import input_text
 from devices.sensor import DeviceError
 from devices.simulated.person import anatomy
-from devices.simulated.person.anatomy import Array, Pose, along, length, offset, unit
+from devices.simulated.person.anatomy import Pose, along, length, offset, unit
 from devices.simulated.person.footsteps import smooth
 from devices.simulated.person.motion import STARTUP_SECONDS
 from devices.simulated.person.movements import MOTIONS
+from fusion.support.types import Array
 
 _BLEND_SECONDS = 1.5
 BEGINS = STARTUP_SECONDS + _BLEND_SECONDS

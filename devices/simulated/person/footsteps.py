@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from devices.simulated.person import anatomy
-from devices.simulated.person.anatomy import Array, offset
+from devices.simulated.person.anatomy import offset
+from fusion.support.types import Array
 
 _FOOT_LENGTH = float(offset("HEEL_LEFT")[2] - offset("FOOT_LEFT")[2])
 

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
-from devices.simulated.person.anatomy import Array
 from devices.simulated.person.footsteps import FEET_APART, FEET_AT_EASE, Footsteps, Stance, Step, smooth
 from devices.simulated.person.motion import CHANNELS, STANDING, Motion, channels
+from fusion.support.types import Array
 
 _STRIDE_SECONDS = 1.15  # two steps
 _SWING = 0.38  # share of a stride in which a foot is off the floor

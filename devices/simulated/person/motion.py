@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from devices.simulated.person import anatomy
-from devices.simulated.person.anatomy import Array, Pose, along, bow, lean, length, offset, turn, two_bones
+from devices.simulated.person.anatomy import Pose, along, bow, lean, length, offset, turn, two_bones
 from devices.simulated.person.footsteps import ARRIVE_AT_EASE, Footsteps, smooth
+from fusion.support.types import Array
 
 STARTUP_SECONDS = 2.5
 """Duration of the start-up pose."""

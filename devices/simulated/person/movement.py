@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from devices.sensor import DeviceError
 from devices.simulated.person import anatomy
-from devices.simulated.person.anatomy import Array
 from devices.simulated.person.captured_motion import read_bvh
 from devices.simulated.person.movements import MOTIONS
+from fusion.support.types import Array
 
 
 class Movement(Protocol):

@@ -11,13 +11,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.hiding import Hiding
 from devices.simulated.tracking.mirroring import MirroringTracker
 from devices.simulated.tracking.report import Error, Report, Tracked, Wandering
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.compiling.kernels import njit
 from fusion.joint_kinds import by_joint
+from fusion.support.types import Array
 
 _BIAS = {
     "spine": 0.7, "head": 0.9, "girdle": 0.9, "elbow": 1.1, "wrist": 1.1, "hand": 1.1, "tip": 1.2,

@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.depth.camera import project
-from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.report import Report, Tracked, Wandering
 from fusion.joint_kinds import by_joint
 from fusion.skeleton import INFERRED, TRACKED, TrackingState
+from fusion.support.types import Array
 
 _HIDING_SECONDS = 0.08  # time constant of the transition from observation to guess
 _GUESS_SECONDS = 0.6  # correlation time of the error of a guess

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulated.person.anatomy import Array
 from fusion.body import Body
 from fusion.joint_kinds import by_joint, of_kind
+from fusion.support.types import Array
 
 _TURNED = {
     "spine": 0.0, "head": 0.0, "girdle": 0.0, "elbow": 0.35, "wrist": 0.5, "hand": 0.3, "tip": 0.3,

@@ -10,12 +10,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulated.person.anatomy import Array
 from devices.simulated.streams import Streams
 from devices.simulated.tracking.scripted_faults import ScriptedFaults
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
+from fusion.support.types import Array
 
 
 @dataclass(frozen=True)

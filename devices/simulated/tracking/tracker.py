@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.errors import ORDER, SCRIPTED
 from devices.simulated.tracking.report import Error, Report, Tracked
 from fusion.skeleton import TRACKED, Skeleton
+from fusion.support.types import Array
 
 
 class Tracker:

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.mirroring import Mirroring
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V1, KINECT_V2, Body
 from fusion.joint_kinds import KINDS
+from fusion.support.types import Array
 
 ByKind = Mapping[str, float]
 """One value for each kind of joint (:mod:`fusion.joint_kinds`)."""

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from devices.blazepose.networks.files import DETECTOR, LANDMARKS
+from devices.blazepose.networks.files import DETECTOR, LANDMARK_NETWORKS
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
@@ -23,7 +23,7 @@ MS = 1_000_000
 @pytest.fixture
 def networks(tmp_path):
     """A folder with files of the networks' names; the pace looks at nothing else."""
-    for file in (DETECTOR, *LANDMARKS.values()):
+    for file in (DETECTOR, *LANDMARK_NETWORKS.values()):
         (tmp_path / file.name).write_bytes(b"")
     return BlazePoseSettings(models=tmp_path)
 
@@ -81,7 +81,7 @@ def test_trackers_that_are_fast_enough_only_at_half_the_rate_go_on_with_lite(net
 @pytest.mark.parametrize("lacks", ["the file", "a lighter one"])
 def test_without_a_lighter_network_only_frames_are_left_out(networks, lacks):
     if lacks == "the file":
-        (networks.models / LANDMARKS["lite"].name).unlink()
+        (networks.models / LANDMARK_NETWORKS["lite"].name).unlink()
     else:
         networks = replace(networks, network="lite")
     pace = paced(networks)
@@ -150,9 +150,9 @@ def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(networks
 
 
 def test_a_damaged_lighter_network_does_not_end_the_session(tmp_path):
-    for file in (DETECTOR, LANDMARKS["full"]):
+    for file in (DETECTOR, LANDMARK_NETWORKS["full"]):
         (tmp_path / file.name).write_bytes((need_networks() / file.name).read_bytes())
-    (tmp_path / LANDMARKS["lite"].name).write_bytes(b"damaged")
+    (tmp_path / LANDMARK_NETWORKS["lite"].name).write_bytes(b"damaged")
     pace = paced(BlazePoseSettings(models=tmp_path))
     work(pace, 60, 50)
     assert pace.network == "lite"

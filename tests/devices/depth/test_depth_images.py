@@ -10,7 +10,13 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from devices.azure.mkv import MkvRecording
 from devices.depth.camera import in_image, project, rays, turned
-from devices.depth.image_thinning import has_images, thinned, thinned_camera, with_depth, without_images
+from devices.depth.image_thinning import (
+    pair_has_images,
+    pair_without_images,
+    thinned,
+    thinned_camera,
+    with_depth,
+)
 from devices.depth.point_cloud import depth_to_points, ray_table
 from devices.depth.rvl import decode_depth, encode_depth
 from devices.sensor import DeviceError
@@ -80,14 +86,14 @@ def test_a_pair_keeps_its_skeletons_whatever_becomes_of_its_images():
         assert kept.skeletons == pair.skeletons
         shapes[depth] = None if kept.a.depth is None else kept.a.depth.shape
     assert shapes == {"none": None, "half": (12, 16), "full": (24, 32)}
-    assert has_images(pair)
-    assert not has_images(without_images(pair))
+    assert pair_has_images(pair)
+    assert not pair_has_images(pair_without_images(pair))
 
 
 def test_infrared_goes_with_the_depth_image_of_the_same_pixels():
     (pair,) = frame_pairs(AZURE_KINECT, 1, depth=True)
     pair = replace(pair, a=replace(pair.a, ir=np.arange(24 * 32, dtype=np.uint16).reshape(24, 32)))
-    half, none, bare = with_depth(pair, "half"), with_depth(pair, "none"), without_images(pair)
+    half, none, bare = with_depth(pair, "half"), with_depth(pair, "none"), pair_without_images(pair)
     assert half.a.ir.shape == half.a.depth.shape
     assert half.a.ir[1, 1] == 2 * 32 + 2
     for kept in (none, bare):

@@ -186,7 +186,7 @@ def test_what_is_not_understood_is_named_once_and_is_no_silence(address, change,
     with publisher(address) as published, thread:
         frames_through(published, thread, 3)
         if change == "version":
-            monkeypatch.setattr(messages, "VERSION", 2)
+            monkeypatch.setattr(messages, "PROTOCOL_VERSION", 2)
         encoded = [encode_frame(FrameMessage(published.session, 10 + k, f, 0)) for k, f in enumerate(second)]
         monkeypatch.undo()
 
@@ -209,7 +209,7 @@ def test_what_is_not_understood_is_named_once_and_is_no_silence(address, change,
 
 
 def test_a_sensor_of_another_version_is_named_at_once(address, monkeypatch):
-    monkeypatch.setattr(messages, "VERSION", 2)
+    monkeypatch.setattr(messages, "PROTOCOL_VERSION", 2)
     with publisher(address):
         monkeypatch.undo()
         with pytest.raises(

@@ -51,7 +51,7 @@ def others_of(session, side):
 def test_the_others_are_those_of_the_files(fused):
     session, others = fused
     bones = KINECT_V2.bone_joints
-    for side, seen in zip(layout.SIDES, others, strict=True):
+    for side, seen in zip(layout.VIEWS, others, strict=True):
         drawn = others_of(session, side)
         assert list(drawn) == list(range(FIRST, END + 1))
         assert len(drawn.pop(END)) == 0  # the last one clears them
@@ -97,7 +97,7 @@ def test_a_written_session_keeps_the_others(fused, tmp_path, first, end):
     part, again = tmp_path / "part.rrd", tmp_path / "again.rrd"
     write_session(session.part(range(first, end)), part)
     write_session(Session.open(part), again)
-    for side in layout.SIDES:
+    for side in layout.VIEWS:
         expected = {
             t - first: bones for t, bones in session.images.others(side, range(first, end)) if len(bones)
         }

@@ -82,7 +82,7 @@ def test_what_is_on_the_screen_is_of_one_moment(made, tmp_path_factory, images, 
 
     for frame in some:
         now_ns = frame.pair.time_ns
-        for side in layout.SIDES:
+        for side in layout.VIEWS:
             for kind, (component, entity) in IMAGES.items():
                 cleared = latest(now_ns, entity(side), "Clear:is_recursive")
                 image = latest(now_ns, entity(side), component)

@@ -17,7 +17,7 @@ from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings.appearance.state_card import State
-from recordings.quality.limits import FARTHEST, nearest
+from recordings.quality.limits import FARTHEST_PERSON, nearest
 from tests.helpers.two_views import A_FROM_B, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.readiness import Headline
@@ -56,7 +56,7 @@ def middle_of_ring(mark):
 
 @pytest.mark.parametrize("b", [None, A_FROM_B])
 def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b):
-    far = FARTHEST[BODY.name]
+    far = FARTHEST_PERSON[BODY.name]
     spot = standing_spot(b, CAMERAS, far, 1.0)
     assert spot.room > 0.0
     for sensor in (RigidTransform.identity(), b):
@@ -71,7 +71,7 @@ def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b):
 
 def test_sensors_that_look_away_from_each_other_leave_no_place():
     back = RigidTransform.of(Rotation.from_euler("y", 180, degrees=True).as_matrix(), [0.0, 0.0, 0.0])
-    assert standing_spot(back, CAMERAS, FARTHEST[BODY.name], 1.0).room < 0.0
+    assert standing_spot(back, CAMERAS, FARTHEST_PERSON[BODY.name], 1.0).room < 0.0
 
 
 def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it():
@@ -88,7 +88,7 @@ def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it():
 
 
 def test_the_pose_is_counted_down_on_the_card_and_the_circle_stays_until_ready():
-    spot = standing_spot(A_FROM_B, CAMERAS, FARTHEST[BODY.name], 1.0)
+    spot = standing_spot(A_FROM_B, CAMERAS, FARTHEST_PERSON[BODY.name], 1.0)
     torso = PERSON[list(BODY.torso)].mean(axis=0)
     there = fused(PERSON + [spot.x - torso[0], 0.0, spot.z - torso[2]])
     assert page(seen=there, kind="pose").card == (State.NOT_YET, "as advised")
@@ -104,7 +104,7 @@ def test_before_the_first_person_a_circle_is_shown_in_front_of_a():
     mark = marks(Situation(nominal_calibration(BODY), final=False, held=0.0))["spot"]
     x, y, z = middle_of_ring(mark)
     assert (abs(x), y) == pytest.approx((0.0, 1.0), abs=0.1)
-    assert nearest(CAMERA) < z < FARTHEST[BODY.name]
+    assert nearest(CAMERA) < z < FARTHEST_PERSON[BODY.name]
 
 
 def test_a_sensor_with_a_problem_is_marked_where_it_stands():
@@ -124,7 +124,7 @@ def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle):
     mark = marks(now, fused())["better_b"]
     way = np.array(mark.lines[-1])
     assert way[0] == pytest.approx(a_from_b.translation, abs=1e-3)
-    spot = standing_spot(a_from_b, CAMERAS, FARTHEST[BODY.name], 1.0)
+    spot = standing_spot(a_from_b, CAMERAS, FARTHEST_PERSON[BODY.name], 1.0)
     away = np.array([spot.x, 0.0, spot.z])
     # the floor is known to 0.1 m only, which moves the spot by a step at most
     assert np.linalg.norm(way[-1] - away) == pytest.approx(np.linalg.norm(way[0] - away), abs=0.15)

@@ -17,10 +17,10 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
 from recordings.fusing.pairs import fuse_one
-from recordings.quality.limits import FARTHEST, nearest
+from recordings.quality.limits import FARTHEST_PERSON, nearest
 from tests.helpers.frame_pairs import frame_pair
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibrated_on, pair_of, standing, turned_around
-from viewer_app.coach.advice import placement, verdict
+from viewer_app.coach.advice import calibration_advice, placement
 from viewer_app.coach.setup_coach import MOVED, Coach, Situation
 
 BODY = KINECT_V2
@@ -110,7 +110,7 @@ def test_too_close_and_too_far_name_the_distance_and_the_limit():
     for distance, words in ((1.0, "Too close to"), (5.5, "Too far from")):
         said = watched(standing(BODY) + [0.0, 0.0, distance - torso])["distance A"]
         assert said.text.startswith(f"{words} sensor A: {distance:.1f} m")
-    assert nearest(CAMERA) < 2.6 < FARTHEST[BODY.name]
+    assert nearest(CAMERA) < 2.6 < FARTHEST_PERSON[BODY.name]
 
 
 def test_a_tall_person_fits_into_the_image_at_the_nearest_distance():
@@ -186,7 +186,7 @@ def test_the_verdict_says_how_many_millimetres_and_what_limits_it():
         pair = pair_of(BODY, standing(BODY), k * FRAME_NS)
         joints = pair.b.positions + rng.normal(0, 0.06, (len(BODY), 3)).astype(np.float32)
         noisy.append(replace(pair, b=Skeleton.of(BODY, joints, None, k * FRAME_NS)))
-    said = verdict(calibrate(BODY, noisy, "start-up pose"))
+    said = calibration_advice(calibrate(BODY, noisy, "start-up pose"))
     # noise of 60 mm an axis in one view: a Maxwell median of 1.538 · 60 mm
     assert millimetres(said) == pytest.approx(92.3, rel=0.05)
     assert said.level == "WARN"
@@ -223,13 +223,13 @@ def test_the_angle_is_judged_once_it_is_certain(angle, sd_deg, provisional, advi
 
 @pytest.mark.parametrize("sd_deg", [0.5, 3.2])
 def test_a_calibration_whose_rotation_is_uncertain_is_not_good(sd_deg):
-    said = verdict(a_calibration(90.0, sd_deg)).text
+    said = calibration_advice(a_calibration(90.0, sd_deg)).text
     assert ("Calibration good" in said) == (sd_deg < 2.0)
     assert ("walk some steps" in said) == (sd_deg > 2.0)
 
 
 def test_a_calibration_of_one_frame_says_that_it_is_provisional():
-    said = verdict(a_calibration(90.0, 3.2, provisional=True, frames=1)).text
+    said = calibration_advice(a_calibration(90.0, 3.2, provisional=True, frames=1)).text
     assert said.startswith("Provisional calibration usable: the views differ by 30 mm (of one frame;")
     assert said.endswith("certain to 3.2° only (limit 2°).")  # who holds the start-up pose is not to walk
 
@@ -237,6 +237,6 @@ def test_a_calibration_of_one_frame_says_that_it_is_provisional():
 def test_a_single_pose_is_never_good():
     for body in BODIES.values():
         pose = [pair_of(body, standing(body))]
-        assert verdict(calibrate(body, pose, "start-up pose", frontal=True)).text.startswith(
+        assert calibration_advice(calibrate(body, pose, "start-up pose", frontal=True)).text.startswith(
             "Calibration usable"
         )

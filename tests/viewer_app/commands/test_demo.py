@@ -14,7 +14,7 @@ from devices.simulated.tracking.scripted_faults import ScriptedFaults, Spells
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V2
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from recordings import Session
-from recordings.quality.limits import ANGLES
+from recordings.quality.limits import GOOD_ANGLES
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.demonstrations import advice_over, fused_demonstration
 from tests.helpers.machine import small_disk
@@ -188,7 +188,7 @@ def test_the_coach_finds_no_fault_with_the_placement_in_any_movement(body, angle
                  if said.level == "WARN"]
         for motion in MOTIONS
     }  # fmt: skip
-    expected = [] if ANGLES[0] <= angle <= ANGLES[1] else ["angle"]  # the one that was asked for
+    expected = [] if GOOD_ANGLES[0] <= angle <= GOOD_ANGLES[1] else ["angle"]  # the one that was asked for
     assert wrong == dict.fromkeys(MOTIONS, expected)
 
 

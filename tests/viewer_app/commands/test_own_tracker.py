@@ -126,7 +126,7 @@ def written(path, *, for_viewer):
 def test_a_viewer_gets_infrared_and_a_file_does_not(tmp_path):
     shown = written(tmp_path / "shown.rrd", for_viewer=True)
     kept = written(tmp_path / "kept.rrd", for_viewer=False)
-    for side in layout.SIDES:
+    for side in layout.VIEWS:
         assert rows_of(shown, layout.infrared(side)) == 10
         assert rows_of(kept, layout.infrared(side)) == 0
     session = Session.open(kept)

@@ -64,7 +64,7 @@ def page(session):
     return path
 
 
-PLOTS = [f"review_page.{name}" for name in ("line_plot", "bar_plot", "trust_map")]
+PLOTS = [f"pages.review_page.{name}" for name in ("line_plot", "bar_plot", "trust_map")]
 
 
 def titles_instead_of(plots, monkeypatch):

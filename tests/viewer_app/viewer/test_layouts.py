@@ -216,15 +216,15 @@ def shown_values(rows, entity, component):
     return next(f for f in SHOWN_FIGURES if (f.entity, f.component) == (entity, component)).values(rows)
 
 
-@pytest.mark.parametrize("side", layout.SIDES)
+@pytest.mark.parametrize("side", layout.VIEWS)
 def test_joints_of_a_view_are_dimmed_where_inferred_or_exchanged(side):
     made = frames(known_fuser(), 3)
     rows = SessionArrays.stack(BODY, BODY.nominal_lengths, made)
-    states = {name: getattr(rows, f"states_{name}").copy() for name in layout.SIDES}
+    states = {name: getattr(rows, f"states_{name}").copy() for name in layout.VIEWS}
     states[side][1, 5] = TrackingState.INFERRED
     exchanged = np.zeros((3, 2), dtype=np.int8)
-    exchanged[2, layout.SIDES.index(side)] = 3
-    positions = {name: getattr(rows, f"positions_{name}").copy() for name in layout.SIDES}
+    exchanged[2, layout.VIEWS.index(side)] = 3
+    positions = {name: getattr(rows, f"positions_{name}").copy() for name in layout.VIEWS}
     positions[side][2] = positions[side][2, BODY.mirror]
     told = replace(
         rows, states_a=states["a"], states_b=states["b"], exchanged=exchanged,

@@ -38,7 +38,7 @@ def saved(recorded, tmp_path):
 def test_clouds_come_by_turns_and_evenly_in_time(saved, monkeypatch):
     monkeypatch.setattr(stored_clouds, "_MOST", 20)
     made = [(side, frame) for side, frame, _ in clouds(Session.open(saved))]
-    assert made == [(side, frame) for frame in range(0, 60, 6) for side in layout.SIDES]
+    assert made == [(side, frame) for frame in range(0, 60, 6) for side in layout.VIEWS]
 
 
 def test_a_cloud_is_a_part_of_the_points_of_its_image(saved):

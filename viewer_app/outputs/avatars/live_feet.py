@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.support.types import Array
 from recordings.appearance.floor import FloorFinder
 from recordings.planted_feet import Legs, fast, lowered, usual_heights
-
-Array = NDArray[np.float64]
 
 _FOOT, _STRIDE = 0.14, 0.7  # seconds, over which the speeds of foot and pelvis are
 _STEADY = 1.3  # of the speed: a foot that stands is not let go at once

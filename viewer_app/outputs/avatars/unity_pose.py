@@ -9,15 +9,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.movement.humanoid import human_bones, rest_from_t_pose
 from fusion.movement.joint_rotations import JointRotations
+from fusion.support.types import Array
 from recordings.appearance.floor import ANKLE
-
-Array = NDArray[np.float64]
 
 _RISES, _SINKS = 0.01, 0.3
 """m/s. The floor follows the lowest joint: down fast, up slowly, so that a jump does not lift it."""

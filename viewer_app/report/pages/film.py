@@ -28,7 +28,7 @@ def film(session: Session) -> dict[str, list[tuple[float, str]]]:
     An image that is damaged, or that no quality makes small enough, is left out.
     """
     step = max(math.ceil(session.frame_rate / _FPS), math.ceil(len(session) / _MOST))
-    shown = {side: list(_shown(session, side, step)) for side in layout.SIDES}
+    shown = {side: list(_shown(session, side, step)) for side in layout.VIEWS}
     return {side: images for side, images in shown.items() if images}
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.movement.angles import ANGLES
 from recordings.comparing.agreement import Agreement, agreement, step_agreement
@@ -13,7 +12,6 @@ from recordings.gait.events import find_gait
 from recordings.quality.figures import Figures, known_or_none, of_finite
 from viewer_app.report.words import Line, in_mm, in_percent
 
-Array = NDArray[np.float64]
 NAMES = tuple(layout.SKELETON_NAMES[key] for key in SKELETONS)
 ALL_HEAD = ("distance to the truth, mm", *NAMES)
 """The columns of :func:`all_rows`."""
