@@ -26,6 +26,7 @@ from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
 from fusion.registration.refinement import RefinementSettings
 from fusion.setup import FusionSetup
+from recordings.appearance.floor import FloorFinder
 from recordings.data.session_arrays import SessionFrame
 from recordings.errors import RecordingError
 from recordings.fusing.pairs import fuse_one
@@ -55,6 +56,7 @@ class LiveFusion:
         settings = LearnerSettings(refinement=RefinementSettings(in_steps=True))
         self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if learns else None
         self._views = ViewEvents(setup.body)
+        self._floor = FloorFinder(setup.body)
 
     def frames(
         self, sensors: TwoSensors, depth: Depth = "full", clock: Callable[[], int] = time.perf_counter_ns
@@ -78,7 +80,8 @@ class LiveFusion:
     def fuse(self, pair: FramePair) -> SessionFrame:
         """Fuses a pair whose person is chosen, with the newest calibration; see :attr:`setup`."""
         self._recalibrate(pair)
-        return replace(fuse_one(self._fuser, pair), bone_lengths=self.setup.calibration.bone_lengths)
+        lengths, floor = self.setup.calibration.bone_lengths, self._floor.a_from_floor
+        return replace(fuse_one(self._fuser, pair), bone_lengths=lengths, floor=floor)
 
     def learn(self, frame: SessionFrame) -> list[Event]:
         """Learns from the frame that was fused last, and returns its events.
@@ -87,6 +90,7 @@ class LiveFusion:
         pairs, takes longer than S*.
         """
         fused, pair = frame.fused, frame.pair
+        self._floor.add(fused.positions[None])
         events = [*self._people.learn(), *self._views.observe(pair.skeletons, fused)]
         if self._learner is not None and self.calibrator.final:
             codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE

@@ -89,7 +89,8 @@ class Replay:
             about=of.origin | {"first_frame": of.first_frame, "replay_of": of.name},
         )
         in_order = tuple(sorted(events, key=lambda event: event.frame))
-        return replace(replayed, events=in_order, damage=of.damage, frames_lost=of.frames_lost)
+        rows = replace(replayed.rows, up=of.rows.up)
+        return replace(replayed, rows=rows, events=in_order, damage=of.damage, frames_lost=of.frames_lost)
 
 
 @dataclass(frozen=True)

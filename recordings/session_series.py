@@ -24,6 +24,7 @@ from recordings.quality.figures import report
 from recordings.quality.per_second import SecondQuality, Span, good_frames, good_spans, quality_per_second
 from recordings.quality.verdict import Verdict, verdict
 
+_ROUNDED = 1e-3  # of the length of a unit vector
 _SAMPLES = 9000  # frames, from which a person's usual place is found
 
 
@@ -113,10 +114,29 @@ class SessionSeries(SessionData):
 
     @cached_property
     def angles(self) -> AngleSeries:
-        """Joint angles of S*; NaN where they need a joint that was never seen."""
-        rows, seen, up = self.rows, self.rows.seen, self.up
-        sigma = angle_sigma(self.body, seen, rows.filled("sigma"), up)
-        return AngleSeries(ANGLES, joint_angles(self.body, seen, up), sigma)
+        """Joint angles of S*; NaN where they need a joint that was never seen.
+
+        Those of the trunk are against the vertical that live outputs had, where there is one, else against
+        :attr:`up`.
+        """
+        seen, sigma = self.rows.seen, self.rows.filled("sigma")
+        degrees, deviations = np.full((2, len(self), len(ANGLES)), np.nan)
+        verticals, of = np.unique(self.up_of_frames, axis=0, return_inverse=True)
+        for k, up in enumerate(verticals):  # a live one changes once a second at most
+            own = np.flatnonzero(of.ravel() == k) if len(verticals) > 1 else slice(None)
+            degrees[own] = joint_angles(self.body, seen[own], up)
+            deviations[own] = angle_sigma(self.body, seen[own], sigma[own], up)
+        return AngleSeries(ANGLES, degrees, deviations)
+
+    @property
+    def up_of_frames(self) -> NDArray[np.float64]:
+        """(T, 3) the vertical of :attr:`angles`: that of live outputs, or else :attr:`up`."""
+        up = np.broadcast_to(self.up, (len(self), 3))
+        if self.rows.up is None:
+            return up
+        with np.errstate(invalid="ignore", over="ignore"):  # a damaged file has any numbers
+            sent = np.abs(np.linalg.norm(self.rows.up, axis=1) - 1.0) < _ROUNDED
+        return np.where(sent[:, None], self.rows.up.astype(np.float64), up)
 
     @cached_property
     def rotations(self) -> RotationSeries:

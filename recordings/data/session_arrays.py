@@ -15,6 +15,7 @@ from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.facing.labels import DOUBT_STEPS
 from fusion.fused_frame import FusedFrame, FusedFrames
 from fusion.pair_arrays import View
+from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 from fusion.support.large_arrays import GrowingArray, Rows, parts
 from fusion.support.medians import median_of_known
@@ -35,6 +36,7 @@ class SessionFrame:
         streams: Figures of the two streams; live sensors only.
         latency_ns: From the arrival of the pair's first images to S*; live sensors only. It is not recorded.
         bone_lengths: (J,) metres, with which S* was fused; None if the calibration tells. Not recorded.
+        floor: K_A ← floor, found from the frames before; live sensors only. Its vertical is recorded.
     """
 
     pair: FramePair
@@ -44,6 +46,7 @@ class SessionFrame:
     streams: PairingFigures | None = None
     latency_ns: int | None = None
     bone_lengths: NDArray[np.float64] | None = None
+    floor: RigidTransform | None = None
 
 
 class PairBlock(NamedTuple):
@@ -64,7 +67,7 @@ class SessionFrames(Rows[SessionFrame]):
     fuse_ns: int
     pairs: Sequence[FramePair]
     first: int  # number of the first of them among the pairs
-    truth = None
+    truth = floor = None
 
     def __len__(self) -> int:
         return len(self.fused)
@@ -110,6 +113,7 @@ class SessionArrays:
         side_doubt: (T, 2) probability that the sides of A and of B are wrong all the same, in 1/255.
         heading: (T, 3) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to
             1, is the confidence.
+        up: (T, 3) against gravity in K_A's frame, as live outputs had it; sessions of live sensors only.
     """
 
     body: Body
@@ -141,6 +145,7 @@ class SessionArrays:
     witness_b: NDArray[np.float32] | None = None
     side_doubt: NDArray[np.uint8] | None = None
     heading: NDArray[np.float32] | None = None
+    up: NDArray[np.float32] | None = None
 
     @staticmethod
     def stack(
@@ -336,6 +341,7 @@ def _figures_of(frame: SessionFrame | SessionFrames) -> dict[str, Any]:
         "witness_b": _witness(frame, skeletons.b),
         "side_doubt": doubt,
         "heading": fused.heading,
+        "up": None if frame.floor is None else -frame.floor.rotation[:, 1],
     }
 
 

@@ -23,20 +23,24 @@ def pairs_of(a, b):
 
 @dataclass(frozen=True)
 class Run:
-    """The frames of a demonstration, and the events of its fusion: seconds and text."""
+    """The frames of a demonstration, also by their setups, and the events of its fusion: seconds and text."""
 
     shown: Demonstration
     frames: list[SessionFrame]
     events: list[tuple[float, str]]
+    parts: list[tuple[FusionSetup, list[SessionFrame]]]
 
 
 def fused_demonstration(body, seconds, seed=0, motion="badminton"):
     """Fuses a demonstration as the live loop does."""
     shown = demonstration(Scene(demonstrated(motion), body, seconds=seconds, seed=seed))
     setup = FusionSetup(nominal_calibration(body), None, shown.a.intrinsics, shown.b.intrinsics)
-    fusion, run = LiveFusion(setup), Run(shown, [], [])
+    fusion, run = LiveFusion(setup), Run(shown, [], [], [])
     for pair in pairs_of(shown.a, shown.b):
         run.frames.append(fusion.fuse(pair))
+        if not run.parts or run.parts[-1][0] is not fusion.setup:
+            run.parts.append((fusion.setup, []))
+        run.parts[-1][1].append(run.frames[-1])
         run.events.extend((pair.time_ns * 1e-9, event.text) for event in fusion.learn(run.frames[-1]))
     return run
 

@@ -1,7 +1,7 @@
 """``duplex replay``: fuses the two skeletons of a session again."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -14,7 +14,8 @@ from rich.progress import track
 
 from fusion.fuser import Fuser
 from fusion.setup import REVISIONS
-from recordings.data.session_arrays import SessionFrames
+from recordings.appearance.floor import floor_frame, floor_under
+from recordings.data.session_arrays import SessionFrame, SessionFrames
 from recordings.quality.figures import report
 from recordings.replaying import CUT_WITHIN, SHARE_AGREEING, Agreement, Replay
 from recordings.session import Session
@@ -105,7 +106,8 @@ def _fused(
     warm_up(Fuser(replay.segments[0][0]), console)
     setups = {own.start: setup for setup, own in replay.segments}
     fused = list(shown)
-    for _ in played(chain.from_iterable(fused), FanOut(outputs), setups, replay.session.events):
+    frames = with_floors(chain.from_iterable(fused), replay.session)
+    for _ in played(frames, FanOut(outputs), setups, replay.session.events):
         pass
     yield from fused
 
@@ -122,6 +124,13 @@ def _planned(options: ReplayOptions) -> OutputPlan:
             f"--listen {options.listen} is the address of --websocket and --lsl; add one of them."
         )
     return plan
+
+
+def with_floors(frames: Iterable[SessionFrame], session: Session) -> Iterator[SessionFrame]:
+    """The frames of a replay with the floor of the session, whose vertical is that of its angles."""
+    height = float(np.linalg.norm(floor_under(session.rows).translation))
+    for frame, up in zip(frames, session.up_of_frames, strict=True):
+        yield replace(frame, floor=floor_frame(up, height))
 
 
 def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bool:

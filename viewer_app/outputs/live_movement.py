@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from devices.events import Event
 from fusion.body import Body
-from fusion.movement.angles import angle_sigma, joint_angles
-from fusion.rigid import RigidTransform
-from recordings.appearance.floor import FloorFinder
+from fusion.movement.angles import UP, angle_sigma, joint_angles
+from recordings.appearance.floor import CAMERA_HEIGHT, floor_frame
 from recordings.gait.events import find_gait
 from viewer_app.sinks.item_queue import QueuedFrame
 
@@ -21,10 +20,15 @@ _APART = 0.3  # seconds, between two events of one kind
 
 
 class LiveMovement:
-    """Follows the movement of one person."""
+    """Follows the movement of one person.
+
+    Attributes:
+        floor: K_A ← floor of the newest frame that tells it.
+    """
 
     def __init__(self, body: Body) -> None:
-        self._body, self._floor = body, FloorFinder(body)
+        self._body = body
+        self.floor = floor_frame(np.array(UP), CAMERA_HEIGHT)
         self._recent: deque[tuple[int, NDArray[np.float64]]] = deque()
         self._due_ns = _WINDOW_NS // 2
         self._told: dict[str, float] = {}
@@ -32,7 +36,7 @@ class LiveMovement:
     def angles(self, frame: QueuedFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(K,) degrees of the angles of a frame, and their standard deviations; NaN where unknown."""
         fused = frame.fused
-        self._floor.add(fused.positions[None])
+        self.floor = frame.frame.floor or self.floor
         self._recent.append((frame.time_ns, fused.positions))
         while self._recent[0][0] < frame.time_ns - _WINDOW_NS:
             self._recent.popleft()
@@ -59,11 +63,6 @@ class LiveMovement:
                 self._told[name] = seconds
                 new.append(Event(name.replace("_", " "), topic="gait", time_ns=round(seconds * 1e9)))
         return new
-
-    @property
-    def floor(self) -> RigidTransform:
-        """K_A ← floor, from the last ten seconds."""
-        return self._floor.a_from_floor
 
     @property
     def _up(self) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import chain
 from uuid import uuid4
 
 import numpy as np
@@ -11,12 +12,14 @@ from devices.simulated.kinect import Scene, Truth, movement
 from devices.simulated.rig import Rig
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
-from fusion.facing.evidence import upright_direction
 from fusion.movement.angles import ANGLES, joint_angles
 from fusion.setup import FusionSetup
-from recordings.appearance.floor import FloorFinder
 from recordings.gait.events import find_gait
+from recordings.replaying import Replay
+from recordings.session import Session
+from tests.helpers.demonstrations import fused_demonstration
 from tests.helpers.live_frames import frames
+from viewer_app.commands.replay import with_floors
 from viewer_app.outputs.lab_streaming import LabStreamingOutput
 from viewer_app.outputs.live_movement import LiveMovement
 from viewer_app.outputs.skeleton_json import SkeletonJson
@@ -70,18 +73,58 @@ def test_json_has_the_angles_and_their_uncertainty_and_null_where_unknown(walk):
     assert said["angles"][ANGLES.index("elbow_flexion_left")] is None
 
 
-def test_angles_sent_are_those_of_the_session_but_for_the_vertical(walk):
-    encoder, floor = SkeletonJson(SETUP), FloorFinder(AZURE_KINECT)
-    joints = np.array([frame.fused.positions for frame in walk])
-    sent, expected = [], []
-    for frame in walk:
-        sent.append(json.loads(encoder.frame(frame, None))["angles"])
-        floor.add(frame.fused.positions[None])
-        expected.append(joint_angles(AZURE_KINECT, frame.fused.positions, -floor.a_from_floor.rotation[:, 1]))
-    np.testing.assert_allclose(sent, expected, atol=0.006)  # rounded to 0.01
-    saved = joint_angles(AZURE_KINECT, joints, upright_direction(AZURE_KINECT, joints))
-    differs = np.abs(np.array(sent) - saved).max(axis=0) > 0.006
-    assert not differs[[not name.startswith("trunk") for name in ANGLES]].any()
+@pytest.fixture(scope="module")
+def live_run(tmp_path_factory):
+    """A demonstration as the live loop fuses it, and its session."""
+    run = fused_demonstration(AZURE_KINECT, 14.0, motion="walk")
+    path = tmp_path_factory.mktemp("live") / "s.rrd"
+    Session.of(run.parts).save(path)
+    return run.frames, Session.open(path)
+
+
+def sent(frames):
+    """(T, K) angles of the stream; NaN where they are null."""
+    encoder, start_ns = SkeletonJson(SETUP), None
+    for k, frame in enumerate(frames):
+        start_ns = frame.pair.time_ns if start_ns is None else start_ns
+        queued = QueuedFrame(k, frame, frame.pair.time_ns - start_ns, 0)
+        yield json.loads(encoder.frame(queued, None))["angles"] or [None] * len(ANGLES)
+
+
+# rounded to 0.01; S* in the file to 1e-7 m, of bones of 0.1 m
+NEAR = 0.006
+
+
+def test_angles_sent_live_are_those_of_the_session(live_run):
+    frames, session = live_run
+    found = np.array(list(sent(frames)), dtype=float)
+    np.testing.assert_allclose(found, session.angles.degrees, atol=NEAR)
+    of_all = joint_angles(AZURE_KINECT, session.fused, session.up)
+    assert np.nanmax(np.abs(of_all - session.angles.degrees)) > 0.5  # of another vertical
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_angles_sent_by_a_replay_are_those_of_its_session(live_run, live):
+    session = live_run[1]
+    if not live:  # as of recordings
+        session = replace(session, rows=replace(session.rows, up=None))
+    replay = Replay.of(session)
+    blocks = list(replay.blocks())
+    found = np.array(list(sent(with_floors(chain.from_iterable(blocks), session))), dtype=float)
+    again = replay.fused(iter(blocks))
+    for each in (session, again):
+        np.testing.assert_allclose(found, each.angles.degrees, atol=NEAR)
+
+
+@pytest.mark.parametrize("damage", [np.nan, 0.0, 1e30])
+def test_a_damaged_vertical_is_that_of_all_frames(live_run, damage):
+    session = live_run[1]
+    up = session.rows.up.copy()
+    up[100:200] = damage
+    odd = replace(session, rows=replace(session.rows, up=up))
+    expected = joint_angles(AZURE_KINECT, session.fused[100:200], session.up)
+    np.testing.assert_allclose(odd.angles.degrees[100:200], expected, atol=1e-9)
+    np.testing.assert_array_equal(odd.angles.degrees[200:], session.angles.degrees[200:])
 
 
 def test_an_inlet_reads_angles_and_heel_strikes_at_their_times(walk):
