@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.capture.usb import usb_kinects
-from devices.check import Check, is_missing, words_of
+from devices.check import Check, failed, is_missing, words_of
 from devices.freenect.libfreenect import connected_freenects
 from devices.freenect.libfreenect import how_to_install as how_to_install_freenect
 from devices.freenect.libfreenect import library_check as freenect_library_check
@@ -90,7 +92,42 @@ VENDORS = {
         realsense_sensor_check,
     ),
 }
-"""All vendors but Microsoft, by :attr:`ConnectedSensor.sdk`."""
+"""All vendors but Microsoft, by :attr:`ConnectedSensor.sdk`; with those of other installed packages."""
+
+
+def installed_vendors() -> dict[str, Vendor]:
+    """The vendors of other packages, which name a :class:`Vendor` as an entry point of ``duplex.sensors``.
+
+    One that cannot be loaded is a vendor whose software is broken.
+    """
+    found = {}
+    for point in entry_points(group="duplex.sensors"):
+        try:
+            vendor = point.load()
+            if not isinstance(vendor, Vendor):
+                raise DeviceError(f"it is a {type(vendor).__name__}, not a devices.live.sensors.Vendor")
+        except Exception as fault:
+            vendor = _broken_vendor(point, fault)
+        found[point.name] = vendor
+    return found
+
+
+def _broken_vendor(point: EntryPoint, fault: Exception) -> Vendor:
+    package = point.dist.name if point.dist is not None else point.name
+    install = f"pip install --upgrade {package}"
+    why = f"The sensors {point.name!r} of {package} cannot be loaded: {words_of(fault)}"
+    error = DeviceError(f"{why}. {install}.")
+
+    def fails(*_: object) -> NoReturn:
+        raise error
+
+    def check(*_: object) -> Check:
+        return failed(point.name, error)
+
+    return Vendor(point.name, install, fails, fails, check, check)
+
+
+VENDORS = {**installed_vendors(), **VENDORS}
 
 
 class NoLibraryError(DeviceError):

@@ -5,6 +5,7 @@ import importlib.abc
 import importlib.machinery
 import re
 import sys
+import tomllib
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
@@ -20,7 +21,7 @@ from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
 from devices.live import sensors as live_sensors
 from devices.live.checks import device_checks
-from devices.live.sensors import VENDORS, Vendor, connected_sensors
+from devices.live.sensors import VENDORS, connected_sensors, installed_vendors
 from devices.network.zenoh_session import load_zenoh
 from devices.orbbec import sdk_access as orbbec_access
 from devices.orbbec.sdk_access import load_sdk as orbbec_sdk
@@ -76,7 +77,7 @@ def example(monkeypatch):
         re.DOTALL,
     )[1]
     assert source.count("\n") < 200
-    names = {"__name__": "acme_sensor"}
+    names = {"__name__": "acme_sensor", "source": source}
     exec(compile(source, PAGE.name, "exec"), names)
     return SimpleNamespace(**names)
 
@@ -84,11 +85,7 @@ def example(monkeypatch):
 @pytest.fixture
 def vendor(request, example):
     """A row of the table; the example is one, too."""
-    row = Vendor(
-        *("Acme sensors", "pip install acme", example.connected_acmes, example.AcmeSensor),
-        *(example.sdk_check, example.sensor_check),
-    )
-    return {**VENDORS, "acme": row}[request.param]
+    return {**VENDORS, "acme": example.VENDOR}[request.param]
 
 
 EVERY = pytest.mark.parametrize("vendor", [*VENDORS, "acme"], indirect=True)
@@ -108,6 +105,34 @@ def test_a_missing_library_is_one_line_with_the_way_out(vendor, monkeypatch):
         pass
 
 
+WRONG = {"another thing": "VENDOR = 3", "broken": "import nothing_of_the_kind"}
+
+
+@pytest.mark.parametrize("state", ["whole", *WRONG])
+def test_the_example_is_a_vendor_as_a_package_of_its_own(example, state, monkeypatch, tmp_path):
+    page = PAGE.read_text(encoding="utf-8")
+    declared = tomllib.loads(re.search(r"```toml\n(\[project.entry-points.*?)```", page, re.DOTALL)[1])
+    ((group, points),) = declared["project"]["entry-points"].items()
+    about = tmp_path / "acme_sensor-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: acme-sensor\nVersion: 1.0\n")
+    lines = [f"[{group}]", *(f"{name} = {place}" for name, place in points.items())]
+    (about / "entry_points.txt").write_text("\n".join(lines))
+    (tmp_path / "acme_sensor.py").write_text(WRONG.get(state, example.source))
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "acme_sensor", raising=False)
+    (vendor,) = installed_vendors().values()
+    if state == "whole":
+        assert [one.serial for one in vendor.connected()] == ["7"]
+        assert vendor.sdk_check().ok
+        return
+    for call in (vendor.connected, lambda: vendor.sensor("7", CaptureSettings(), FrameDecimation(30))):
+        with pytest.raises(DeviceError, match=r"'acme' of acme-sensor cannot be loaded: .*pip install"):
+            call()
+    assert not vendor.sdk_check().ok
+    assert vendor.sdk_check().advice == "pip install --upgrade acme-sensor."
+
+
 @EVERY
 def test_building_a_sensor_opens_nothing(vendor):
     decimation = FrameDecimation(30)
@@ -122,11 +147,7 @@ def test_building_a_sensor_opens_nothing(vendor):
 
 def test_the_example_of_the_page_is_a_sensor(example, monkeypatch):
     acme = sys.modules["acme"]
-    row = Vendor(
-        *("Acme sensors", "pip install acme", example.connected_acmes, example.AcmeSensor),
-        *(example.sdk_check, example.sensor_check),
-    )
-    monkeypatch.setitem(live_sensors.VENDORS, "acme", row)
+    monkeypatch.setitem(live_sensors.VENDORS, "acme", example.VENDOR)
     assert [one.serial for one in connected_sensors(OURS)] == ["7"]
     named = {check.name: check for check in device_checks(OURS)}
     assert named["acme"].ok
