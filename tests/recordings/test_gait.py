@@ -189,6 +189,8 @@ WALKS = {
 
 @given(st.fixed_dictionaries(WALKS))
 def test_the_speed_is_that_of_the_path_whatever_its_curves(how):
+    bends = abs(how["turning"]) + 2.0 * np.pi * np.prod(how["weaving"])
+    assume(how["speed"] * bends < 1.2)  # radians per second: faster, steps in turn are not beside the path
     times, joints = walker(12.0, RATE, **how)
     gait = find_gait(AZURE_KINECT, times, joints, UP)
     assert len(gait.walks) == 1
