@@ -14,7 +14,7 @@ _FOOT, _STRIDE = 0.14, 0.7  # seconds, over which the speeds of foot and pelvis 
 _STEADY = 1.3  # of the speed: a foot that stands is not let go at once
 _LOST = 0.25  # metres from its place: S* was wrong there
 _USUAL = 300  # frames, from which the usual heights are
-_SETTLES, _LEAVES, _FOLLOWS, _RISES = 0.05, 0.08, 0.1, 0.2  # seconds, time constants
+_SETTLES, _LEAVES, _FOLLOWS, _RISES = 0.03, 0.08, 0.1, 0.2  # seconds, time constants
 _GAP = 0.3  # seconds
 
 
