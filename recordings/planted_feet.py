@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.support.types import Array
-from recordings.appearance.floor import floor_under
-from recordings.gait import SIDES
-from recordings.session_series import SessionSeries
+from recordings.gait import SIDES, Gait
 
 Mask = NDArray[np.bool_]
 
@@ -34,26 +32,31 @@ _FOLLOWS = 0.1  # seconds, standard deviation
 _LONGEST_GAP = 0.3  # seconds without S*
 
 
-def planted_feet(session: SessionSeries) -> Array:
-    """(T, J, 3) S* with its feet on the floor, metres in K_A's frame."""
-    rows, legs = session.rows, Legs(session.body)
-    a_from_floor, t = floor_under(rows), session.time
-    at = a_from_floor.inverse().apply(rows.fused).astype(np.float64)
-    known = np.flatnonzero(np.isfinite(at).all(axis=(1, 2)))
-    known = known[np.diff(t[known], prepend=-np.inf) > 0.0]
-    gaps = np.flatnonzero(np.diff(t[known]) > _LONGEST_GAP) + 1
+def planted_feet(body: Body, seconds: Array, positions: Array, gait: Gait) -> Array:
+    """The positions with feet that stand on the floor.
+
+    Args:
+        seconds: (T,) since the first pair, ascending.
+        positions: (T, J, 3) metres in the floor's frame, whose y is down; NaN without a person.
+        gait: Of the person.
+    """
+    legs, planted = Legs(body), positions.copy()
+    known = np.flatnonzero(np.isfinite(positions).all(axis=(1, 2)))
+    known = known[np.diff(seconds[known], prepend=-np.inf) > 0.0]
+    gaps = np.flatnonzero(np.diff(seconds[known]) > _LONGEST_GAP) + 1
     parts = [part for part in np.split(known, gaps) if len(part) > 2]
-    if parts:
-        heights, slow = -legs.feet_of(at)[..., 1], np.zeros((len(t), 2, 2), dtype=bool)
-        for part in parts:
-            slow[part] = _slow(legs, t[part], at[part])
-        usual = usual_heights(heights, slow)
-        # NaN, where there is no gait, is no stance
-        stances = np.stack([session.gait.contact(side, t) > 0.5 for side in SIDES], axis=1)
-        for part in parts:
-            stands = _in_stances(slow[part] & lowered(heights[part], usual), stances[part])
-            at[part] = _planted(legs, t[part], at[part], stands, usual)
-    return np.asarray(a_from_floor.apply(at))
+    if not parts:
+        return planted
+    heights, slow = -legs.feet_of(positions)[..., 1], np.zeros((len(seconds), 2, 2), dtype=bool)
+    for part in parts:
+        slow[part] = _slow(legs, seconds[part], positions[part])
+    usual = usual_heights(heights, slow)
+    # NaN, where there is no gait, is no stance
+    stances = np.stack([gait.contact(side, seconds) > 0.5 for side in SIDES], axis=1)
+    for part in parts:
+        stands = _in_stances(slow[part] & lowered(heights[part], usual), stances[part])
+        planted[part] = _planted(legs, seconds[part], positions[part], stands, usual)
+    return planted
 
 
 class Legs:

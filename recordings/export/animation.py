@@ -12,7 +12,7 @@ T-pose faces +z.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +69,7 @@ class Animation:
             RecordingError: No frame has an S*.
         """
         self._rows = session.rows
-        if feet == "planted":
-            self._rows = replace(session.rows, fused=planted_feet(session))
+        self._planted: Array | None = None
         self._body = body = session.body
         self._floor_from_a = floor_under(session.rows).inverse()
         even = even_moments(self._rows, rate)
@@ -96,6 +95,12 @@ class Animation:
         for joint in body.order[1:]:
             self.rest[joint] = self.rest[body.parents[joint]] + offsets[joint]
         self.nodes = tuple(_nodes(body, offsets, _labels(body, names)))
+        if feet == "planted":
+            positions = np.concatenate([self._at(part) for part in self._parts()])
+            positions = _with_lengths(body, positions, session.calibration.bone_lengths)
+            self._planted = planted_feet(
+                body, 1e-9 * self._time_ns.astype(np.float64), positions, session.gait
+            )
 
     def __len__(self) -> int:
         return len(self._time_ns)
@@ -136,6 +141,8 @@ class Animation:
 
     def _at(self, frames: NDArray[np.int64]) -> Array:
         """(N, J, 3) metres in the floor's frame: x right, y down, z forward."""
+        if self._planted is not None:
+            return self._planted[frames]
         return np.asarray(self._floor_from_a.apply(positions_at(self._rows, self._time_ns[frames])))
 
     def _parts(self) -> Iterator[NDArray[np.int64]]:
@@ -158,6 +165,17 @@ def _other_lengths(session: SessionSeries) -> tuple[int, float]:
         others = worst[worst > _SAME_M]
         count, largest = count + len(others), max(largest, float(others.max(initial=0.0)))
     return count, largest
+
+
+def _with_lengths(body: Body, positions: Array, lengths: Array) -> Array:
+    """(T, J, 3) with the directions of bones, and with (J,) other lengths."""
+    found = positions.copy()
+    for joint in body.order[1:]:
+        parent = body.parents[joint]
+        bone = positions[:, joint] - positions[:, parent]
+        length = np.linalg.norm(bone, axis=1, keepdims=True)
+        found[:, joint] = found[:, parent] + lengths[joint] / np.maximum(length, 1e-9) * bone
+    return found
 
 
 def _labels(body: Body, names: Names) -> dict[tuple[int, int], str]:

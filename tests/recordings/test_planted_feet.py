@@ -34,6 +34,13 @@ def erring(session, seed, largest=0.02):
     return with_fused(session, session.fused + errors[:, None])
 
 
+def recorded(session):
+    """S* with planted feet, in K_A's frame as S*."""
+    floor = floor_under(session.rows)
+    at = floor.inverse().apply(session.fused)
+    return floor.apply(planted_feet(session.body, session.time, at, session.gait))
+
+
 def toes_of(session, positions, part="Foot"):
     """(T, 2, 3) metres above the floor, y down."""
     at = floor_under(session.rows).inverse().apply(positions)
@@ -69,7 +76,7 @@ def live(session):
 @pytest.mark.parametrize("seed", range(4))
 def test_toes_that_stand_neither_slide_nor_sink(true_walk, seed):
     session = erring(true_walk, seed)
-    for planted, settled in ((planted_feet(session), 3), (live(session), 5)):
+    for planted, settled in ((recorded(session), 3), (live(session), 5)):
         of = list(stances(true_walk, settled))
         before, _ = slides(session, session.fused, of)
         after, heights = slides(session, planted, of)
@@ -88,7 +95,7 @@ def test_bones_keep_their_lengths_and_what_is_no_leg_only_rises_and_sinks(true_w
     session, body = erring(true_walk, seed), true_walk.body
     legs = [body.joint(part + side) for part in ("Knee", "Ankle", "Foot") for side in SIDES]
     others = np.setdiff1d(np.arange(len(body)), legs)
-    for planted in (planted_feet(session), live(session)):
+    for planted in (recorded(session), live(session)):
         lengths, own = (bone_lengths_of(body, each) for each in (planted, session.fused))
         np.testing.assert_allclose(lengths, own, atol=1e-9)
         moved = (planted - session.fused)[:, others]
@@ -97,7 +104,7 @@ def test_bones_keep_their_lengths_and_what_is_no_leg_only_rises_and_sinks(true_w
 
 def test_feet_that_stand_already_stay(true_walk):
     of = list(stances(true_walk, 3))
-    for planted in (planted_feet(true_walk), live(true_walk)):
+    for planted in (recorded(true_walk), live(true_walk)):
         at, there = (toes_of(true_walk, each)[..., [0, 2]] for each in (planted, true_walk.fused))
         off = [np.linalg.norm((at - there)[frames, side], axis=1).max() for side, frames in of]
         assert np.median(off) < 0.01
@@ -107,7 +114,7 @@ def test_feet_that_stand_already_stay(true_walk):
 def test_a_mirrored_walk_has_the_feet_exchanged(true_walk, seed):
     session, mirror = erring(true_walk, seed), true_walk.body.mirror
     mirrored = with_fused(session, session.fused[:, mirror] * (-1.0, 1.0, 1.0))
-    for plant in (planted_feet, live):
+    for plant in (recorded, live):
         np.testing.assert_allclose(plant(mirrored), plant(session)[:, mirror] * (-1.0, 1.0, 1.0), atol=1e-6)
 
 
@@ -116,21 +123,28 @@ def test_frames_without_a_person_stay_so_and_end_what_stood(true_walk):
     fused[100:130] = np.nan
     fused[130:] += (0.3, 0.0, 0.0)
     session = with_fused(true_walk, fused)
-    for planted in (planted_feet(session), live(session)):
+    for planted in (recorded(session), live(session)):
         np.testing.assert_array_equal(np.isnan(planted), np.isnan(fused))
         assert np.linalg.norm((planted - fused)[130:], axis=2).max() < 0.2
     nobody = with_fused(true_walk, np.full_like(fused, np.nan))
-    assert np.isnan(planted_feet(nobody)).all()
+    assert np.isnan(recorded(nobody)).all()
 
 
-def test_animations_have_planted_feet_and_other_files_those_of_s(true_walk, tmp_path):
-    session = erring(true_walk, 1)
-    expected = {"planted": planted_feet(session), "free": session.fused}
-    for feet, positions in expected.items():
+def test_animations_have_planted_feet_unless_they_are_free(true_walk, tmp_path):
+    """At another rate, too, and with the lengths of the calibration instead of those of the frames."""
+    session, body = erring(true_walk, 1), true_walk.body
+    lowest, slid = {}, {}
+    for feet in ("planted", "free"):
         path = tmp_path / f"{feet}.bvh"
-        writer_for(path, feet=feet)(session, path)
-        at = floor_under(session.rows).inverse().apply(positions) * (1.0, -1.0, -1.0)
-        found = bvh_joints(path, session.body)
-        # bones of the file have the lengths of the calibration
-        np.testing.assert_allclose(found[:, session.body.root], at[:, session.body.root], atol=1e-4)
-    np.testing.assert_array_equal(session.at(session.time), session.fused)
+        writer_for(path, rate=60.0, feet=feet)(session, path)
+        found = bvh_joints(path, body) * (1.0, -1.0, -1.0)
+        lengths = bone_lengths_of(body, found)
+        np.testing.assert_allclose(lengths, np.broadcast_to(lengths[0], lengths.shape), atol=1e-4)
+        toes = found[:, [body.joint("Foot" + side) for side in SIDES]]
+        lowest[feet] = toes[..., 1].max()
+        of = [(side, slice(2 * frames.start, 2 * frames.stop - 1)) for side, frames in stances(true_walk, 3)]
+        slid[feet] = np.median(
+            [np.hypot(*np.ptp(toes[frames, side][:, [0, 2]], axis=0)) for side, frames in of]
+        )
+    assert slid["planted"] < min(0.005, 0.5 * slid["free"])
+    assert lowest["planted"] < lowest["free"] - 0.01  # y is down
