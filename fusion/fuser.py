@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from fusion.compiling.kernels import compiled_meanwhile
 from fusion.errors import FusionError
@@ -12,10 +13,11 @@ from fusion.facing.labels import Labels
 from fusion.fused_frame import FusedFrame as FusedFrame
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import Pairs, PairStacker
-from fusion.paper.paper_fusion import PaperFusion
-from fusion.registration import error_model
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
+
+if TYPE_CHECKING:
+    from fusion.paper.paper_fusion import PaperFusion
 
 
 class Fuser:
@@ -36,6 +38,8 @@ class Fuser:
         if setup.settings.method == "duplex":
             self._fusion = DuplexFusion(setup, constants)
         else:
+            from fusion.paper.paper_fusion import PaperFusion
+
             self._fusion = PaperFusion(setup)
 
     def warm_up(self, meanwhile: Callable[[], object] = lambda: None) -> None:
@@ -57,6 +61,8 @@ class Fuser:
                 other._fusion.compile(self._stacker.of_pair(SkeletonPair(None, None, 0)))
         other.update(SkeletonPair(None, None, 0))
         if self.setup.settings.method == "duplex":
+            from fusion.registration import error_model
+
             error_model.warm_up()
 
     def recalibrate(self, setup: FusionSetup) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,16 +13,15 @@ from devices.events import Spell, spells_of
 from fusion.calibration.calibration import Calibration
 from fusion.facing.evidence import upright_direction
 from fusion.movement.angles import ANGLES, angle_sigma, joint_angles
-from fusion.movement.joint_rotations import rotations_of
 from recordings.data.interpolation import nanoseconds, positions_at, sigma_at
 from recordings.data.series import AngleSeries, QualitySeries, RotationSeries, SkeletonSeries
 from recordings.data.session_data import SessionData, read_only
 from recordings.data.session_parts import part_of
-from recordings.gait import Gait
-from recordings.gait.events import find_gait
-from recordings.quality.figures import report
-from recordings.quality.per_second import SecondQuality, Span, good_frames, good_spans, quality_per_second
-from recordings.quality.verdict import Verdict, verdict
+
+if TYPE_CHECKING:  # what one reads who opens a session is this module; the rest is imported when asked for
+    from recordings.gait import Gait
+    from recordings.quality.per_second import SecondQuality, Span
+    from recordings.quality.verdict import Verdict
 
 _ROUNDED = 1e-3  # of the length of a unit vector
 _SAMPLES = 9000  # frames, from which a person's usual place is found
@@ -141,11 +140,15 @@ class SessionSeries(SessionData):
     @cached_property
     def rotations(self) -> RotationSeries:
         """Rotations of the bones of S*, and of the body."""
+        from fusion.movement.joint_rotations import rotations_of
+
         return RotationSeries(self.body, rotations_of(self.body, self.rows.fused, self.rows.time_ns))
 
     @cached_property
     def gait(self) -> Gait:
         """Heel strikes, toe-offs, steps and turns of S*; see :mod:`recordings.gait.events`."""
+        from recordings.gait.events import find_gait
+
         found = find_gait(self.body, self.time_ns, self.rows.seen, self.up, self.rows.sigma)
         return replace(found, time=self.time, angles=self.angles)
 
@@ -178,16 +181,22 @@ class SessionSeries(SessionData):
     @cached_property
     def quality_per_second(self) -> tuple[SecondQuality, ...]:
         """How good each second is; see :func:`recordings.quality.per_second.quality_per_second`."""
+        from recordings.quality.per_second import quality_per_second
+
         return quality_per_second(self)
 
     @property
     def good_spans(self) -> tuple[Span, ...]:
         """The good seconds of :attr:`quality_per_second`, joined to stretches of time."""
+        from recordings.quality.per_second import good_spans
+
         return good_spans(self, self.quality_per_second)
 
     @cached_property
     def good_frames(self) -> NDArray[np.bool_]:
         """(T,) whether a frame is in a good second."""
+        from recordings.quality.per_second import good_frames
+
         return read_only(good_frames(self, self.quality_per_second))
 
     def part(self, frames: ArrayLike) -> Self:
@@ -206,6 +215,9 @@ class SessionSeries(SessionData):
     @cached_property
     def verdict(self) -> Verdict:
         """How good the session is, why, and the figures of ``duplex fuse --report``."""
+        from recordings.quality.figures import report
+        from recordings.quality.verdict import verdict
+
         return verdict(report(self))
 
     @property

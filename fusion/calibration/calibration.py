@@ -1,16 +1,20 @@
 """A calibration: K_B's pose in K_A's frame, and the bone lengths."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.calibration.bone_lengths import measure_bone_lengths
-from fusion.registration.rigid_fit import Registration, register
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
+
+if TYPE_CHECKING:
+    from fusion.registration.rigid_fit import Registration
 
 FEWEST_PAIRS = 15
 """Half a second: a calibration on fewer pairs is not trusted."""
@@ -69,6 +73,9 @@ def calibrate(body: Body, pairs: Sequence[SkeletonPair], how: str, *, frontal: b
         BodyError: A skeleton is of another body.
         CalibrationError: See :func:`fusion.registration.rigid_fit.register`.
     """
+    from fusion.calibration.bone_lengths import measure_bone_lengths
+    from fusion.registration.rigid_fit import register
+
     for pair in pairs:
         pair.require(body)
     registration = register(pairs, frontal=frontal)

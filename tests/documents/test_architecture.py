@@ -1,6 +1,8 @@
 """The documents list every folder and every long module, and name modules that exist."""
 
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -59,3 +61,27 @@ def test_no_folder_has_more_than_twelve_modules():
             modules = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
             if folder != ROOT / "viewer_app/commands":  # one per command
                 assert len(modules) <= 12, folder
+
+
+READ = """
+import sys
+from {package} import {name}
+own = [module for name, module in sys.modules.items() if name.partition(".")[0] in {packages}]
+lines = sum(open(module.__file__, encoding="utf-8").read().count("\\n") for module in own if module.__file__)
+print(lines, sum(module.__name__.startswith("devices.") for module in own))
+"""
+
+
+@pytest.mark.parametrize(
+    ("package", "name", "most_lines", "most_of_devices"),
+    [("fusion", "Fuser", 7_000, 0), ("recordings", "Session", 7_600, 12), ("recordings", "fuse", 20_500, 50)],
+)
+def test_who_reads_one_thing_need_not_read_all(package, name, most_lines, most_of_devices):
+    """What a name imports is what its reader may have to read."""
+    program = READ.format(package=package, name=name, packages=PACKAGES)
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    lines, of_devices = map(int, run.stdout.split())
+    assert 0 < lines <= most_lines
+    assert of_devices <= most_of_devices
