@@ -58,7 +58,7 @@ def _redirected(link: re.Match[str], from_root: bool) -> str:
 
 
 def _mathml(latex: str) -> str:
-    return f'<div class="equation">{convert(" ".join(latex.split()), display="block")}</div>\n'
+    return f'<div class="equation" style="overflow-x: auto">{convert(" ".join(latex.split()), display="block")}</div>\n'
 
 
 def _examples() -> str:
