@@ -41,9 +41,9 @@ class TrackerChoice:
         if not others or self.name == "blazepose":
             return self
         if self.asked:
-            raise DeviceError(f"{others[0]}: k4abt takes images of libk4a only. Use `tracker=blazepose`.")
+            raise DeviceError(f"{others[0]}: k4abt accepts images of libk4a only. Use `tracker=blazepose`.")
         return replace(
-            self, name="blazepose", reason=f"k4abt does not take the images of {' and '.join(others)}"
+            self, name="blazepose", reason=f"k4abt does not accept the images of {' and '.join(others)}"
         )
 
 

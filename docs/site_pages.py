@@ -58,7 +58,8 @@ def _redirected(link: re.Match[str], from_root: bool) -> str:
 
 
 def _mathml(latex: str) -> str:
-    return f'<div class="equation" style="overflow-x: auto">{convert(" ".join(latex.split()), display="block")}</div>\n'
+    equation = convert(" ".join(latex.split()), display="block")
+    return f'<div class="equation" style="overflow-x: auto">{equation}</div>\n'
 
 
 def _examples() -> str:

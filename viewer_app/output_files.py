@@ -48,7 +48,7 @@ def warn_of_little_room(path: Path, console: Console, little: int = _LITTLE_FREE
     if free < little:
         console.print(
             f"[yellow]Only {free / 1e6:.0f} MB are free where {escape(str(path))} is saved.[/] When that is "
-            "full, saving stops and everything else goes on."
+            "full, saving stops and everything else continues."
         )
 
 

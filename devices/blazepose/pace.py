@@ -55,13 +55,14 @@ class TrackingPace(FrameDecimation):
             self._has_lighter, self.network = False, "lite"
             self.choice.learn_anew()
             self._news.append(
-                "The body tracker goes on with its network lite, which is faster and less accurate than full."
+                "The body tracker continues with its network lite, which is faster and less accurate than "
+                "full."
             )
 
     def stay(self, network: NetworkName, why: DeviceError) -> None:
         """Goes on with the network that a tracker has, because the other one cannot be loaded."""
         self.network = network
-        self._news.append(f"{why} The body tracker goes on with its network {network}.")
+        self._news.append(f"{why} The body tracker continues with its network {network}.")
 
     def take_news(self) -> list[str]:
         news, self._news = self._news, []

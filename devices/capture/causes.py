@@ -69,17 +69,17 @@ class Cause(Enum):
     # --- Images are missing beside depth
     # Depth comes; for two seconds no image of another kind that it is to have.
     NO_IMAGES = (
-        "{label} gives no {image} images; its depth goes on without them.{found} Unplug it and plug it in "
+        "{label} gives no {image} images; its depth continues without them.{found} Unplug it and plug it in "
         "again{without}."
     )
     # The same, though such images come: a frame later than depth waits for them.
     LATE_IMAGES = (
-        "The {image} images of {label} come {late_ms:.0f} ms later than its depth, which goes on without "
+        "The {image} images of {label} come {late_ms:.0f} ms later than its depth, which continues without "
         "them.{found} Give it a USB controller of its own{without}."
     )
     # Depth comes at its rate, the images at a lower one.
     FEW_IMAGES = (
-        "{label} gives {rate:.3g} {image} images per second, not {fps}; its depth goes on at its own rate."
+        "{label} gives {rate:.3g} {image} images per second, not {fps}; its depth continues at its own rate."
         "{found} {why}{without}."
     )
     # --- The body tracker

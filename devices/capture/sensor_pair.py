@@ -31,7 +31,7 @@ class TwoSensors:
 
     Attributes:
         a, b: The sensors' threads, for their counts of frames and drops.
-        step: Every which frame both sensors go on with, for the slower body tracker; 1 is every one.
+        step: Every which frame both sensors continue with, for the slower body tracker; 1 is every one.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ class TwoSensors:
         name = next((sensor.name for sensor in sensors if sensor.key == slowest.slowest), slowest.slowest)
         message = (
             f"The body tracker of {name} takes {1000 * slowest.slowest_s:.0f} ms per frame: "
-            f"both sensors go on with {kept:.3g} of {full:.3g} frames per second. {decimation.advice}"
+            f"both sensors continue with {kept:.3g} of {full:.3g} frames per second. {decimation.advice}"
             if self.step > 1
             else f"The body trackers keep up again: {full:.3g} frames per second."
         )

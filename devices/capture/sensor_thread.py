@@ -309,7 +309,7 @@ class SensorThread:
         # Retries repeat the same message: report it once.
         if message != self._told:
             self._told = message
-            back = "" if self.sensor.recorded else "; it is taken back when it returns"
+            back = "" if self.sensor.recorded else "; it is used again when it returns"
             self._tell(f"{message} Going on without it{back}.")
         self.arrival.set()
 

@@ -19,7 +19,7 @@ LIBRARY_NAME = "libfreenect 0.5 (Kinect v1)"
 PROGRAMS = "freenect-glview"
 _COMMANDS = {
     "linux": "apt install libfreenect0.5 (Debian, Ubuntu), dnf install libfreenect (Fedora)",
-    "darwin": "brew install libfreenect (DYLD_FALLBACK_LIBRARY_PATH names its folder where it is not found)",
+    "darwin": "brew install libfreenect (DYLD_FALLBACK_LIBRARY_PATH names its folder if it is not found)",
     "win32": "build it as its README says (CMake, libusbK), and put the folder of freenect.dll on PATH",
 }
 _CAMERA = 0x02  # FREENECT_DEVICE_CAMERA: neither the motor nor the microphones are opened

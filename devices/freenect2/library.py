@@ -77,7 +77,7 @@ def load_library() -> Any:
     if prefix is None:
         raise DeviceError(
             f"A Kinect v2 needs libfreenect2, which is not installed. Build it as docs/installing.md says "
-            f"(Windows: vcpkg install libfreenect2); {PREFIX} names its folder where it is not found."
+            f"(Windows: vcpkg install libfreenect2); {PREFIX} names its folder if it is not found."
         )
     try:
         if sys.platform == "win32":

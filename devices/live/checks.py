@@ -33,8 +33,8 @@ _TWO = "two sensors"
 _PROVEN = Check(
     "proven on hardware",
     False,
-    "live capture has met stand-ins and simulations only, never a real sensor",
-    "Send what it finds with yours: duplex doctor --bundle FILE.zip.",
+    "live capture was tested with stand-ins and simulations only, never with a real sensor",
+    "Report on yours with duplex doctor --bundle FILE.zip.",
     needed=False,
 )
 _CABLE_ADVICE = (

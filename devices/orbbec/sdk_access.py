@@ -196,7 +196,7 @@ def set_sync_role(sdk: Any, device: Any, serial: str, settings: CaptureSettings)
         if settings.sync == "standalone":
             return ""  # a sensor without a sync port
         raise DeviceError(
-            f"Orbbec {serial} does not take its place on the sync cable ({fault}). Check the sync hub, its "
+            f"Orbbec {serial} does not assume its role on the sync cable ({fault}). Check the sync hub, its "
             f"power and the cables, or leave `sync_master` out."
         ) from fault
     if kept_us != delay_us:  # reported of a Femto Bolt with firmware 1.1.2: OrbbecSDK_v2 issue 38

@@ -67,7 +67,7 @@ def follow_one_person(
     has = " and ".join(f"{_listed(read.people)} by {side}" for read, side in zip(reads, "AB", strict=True))
     if found is None:
         line = (
-            f"Several people are seen, {has}, and their motion does not tell who is the same in both: those "
+            f"Several people are seen, {has}, and their motion does not show who is the same in both: those "
             f"seen longest are followed. {choose} the person."
         )
         alone_a, alone_b = _alone(read_a), _alone(read_b)
@@ -81,7 +81,7 @@ def follow_one_person(
     if not options:
         line = f"{count} seen, {has}. The one followed is {names}."
     elif found.count > 1 and follow == "longest":
-        line += " That one is seen longest; `follow=middle` takes the one nearest the middle of the views."
+        line += " That one is seen longest; `follow=middle` follows the one nearest the middle of the views."
     chosen_a, chosen_b = (_of_rows(read, rows) for read, rows in zip(reads, found.rows, strict=True))
     return _told(chosen_a, line), chosen_b, tuple(_seen_people((a, b), found)) if found.count > 1 else ()
 

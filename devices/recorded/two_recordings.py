@@ -293,7 +293,7 @@ def _as_body(view: View, body: Body, other: Body) -> View:
 def _course_in_words(clock: ClockOffset) -> str:
     if clock.steps:
         longer = ", ".join(f"{longer_ns * 1e-6:+.0f}" for _, longer_ns in clock.steps)
-        return f", changing in steps of {longer} ms, as where times are frame numbers and frames were lost,"
+        return f", changing in steps of {longer} ms, as when times are frame numbers and frames were lost,"
     return f", growing by {clock.skew_ppm:+.1f} millionths of the time," if clock.skew_ppm else ""
 
 

@@ -175,7 +175,7 @@ def find_unit(
     for metres, words in METRES.values():
         if _PEOPLE[0] <= stature * metres <= _PEOPLE[1]:
             return metres, [
-                f"{name}: the positions are taken as {words}, so that the person is {stature * metres:.2f} m "
+                f"{name}: the positions are read as {words}, so that the person is {stature * metres:.2f} m "
                 "tall. State another unit with `unit`."
             ]
     raise DeviceError(

@@ -54,7 +54,7 @@ def logged_again(
     if share < LOGGED_TWICE or len(begins) < FEWEST:
         return np.zeros_like(drop), []
     return drop, [
-        f"{path}: {100.0 * share:.0f} % of the frames repeat the one before, as where a program logs them "
+        f"{path}: {100.0 * share:.0f} % of the frames repeat the one before, as when a program logs them "
         "faster than its tracker finds people; they are left out."
     ]
 

@@ -75,7 +75,7 @@ def capture_times(
     telling = np.unique(times) if telling is None else telling
     us, told = find_time_unit(name, column, telling, shortest_us, called)
     times, wrapped = _unwrapped(times, us)
-    told = [*told, f"{name}: the times go on over {wrapped}."] if wrapped else told
+    told = [*told, f"{name}: the times continue over {wrapped}."] if wrapped else told
     for epoch_s in _EPOCHS_S:
         if times.min() * us >= max(_LATEST_US, epoch_s * 1e6):
             times = times - times.dtype.type(epoch_s * 1e6 / us)
@@ -147,7 +147,7 @@ def find_time_unit(
         unit = min(units, key=lambda one: one.oddness(interval))
         way = f" Name the column {unit.column} to state this unit." if unit.column else ""
         per_second = f"{unit.rate(interval)} frames per second"
-        return unit.us, [f"{name}: {called} is taken as {unit.words}, so that there are {per_second}.{way}"]
+        return unit.us, [f"{name}: {called} is read as {unit.words}, so that there are {per_second}.{way}"]
     if interval == 1.0 and (times == np.rint(times)).all():
         return _FRAME_US, [_numbered(name, called)]
     if odd:

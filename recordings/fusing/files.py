@@ -155,7 +155,7 @@ def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> N
         if (mirrored_share(read.body, view.positions) or 0.0) > MIRRORED:
             raise CalibrationError(
                 f"{name} is the mirror image of a person: state its axes with `axes`, or change the sign of "
-                "x in it. `force` takes it as it is."
+                "x in it. `force` uses it as it is."
             )
     raise CalibrationError(
         f"{a} and {b} cannot be of one person at the same time: the views differ by "

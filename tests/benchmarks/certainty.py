@@ -45,7 +45,7 @@ _BETTER = 0.8  # of the views' distance
 
 
 def fused(body, a, b):
-    """S* of two views as ``duplex fuse`` makes it; their clocks are taken as they are."""
+    """S* of two views as ``duplex fuse`` makes it; their clocks are read as they are."""
     read = TwoRecordings(body, pair_views(body, a, b), (None, None), ())
     return Session.of(*fuse_read(read, ("a", "b"), FuserSettings(hindsight="labels"), force=True))
 

@@ -78,9 +78,9 @@ def test_the_programs_tracker_takes_images_of_other_sensors():
     changed = MICROSOFTS.for_images_of([BOLT, SECOND])
     assert (changed.name, changed.reason) == (
         "blazepose",
-        f"k4abt does not take the images of {BOLT} and {SECOND}",
+        f"k4abt does not accept the images of {BOLT} and {SECOND}",
     )
-    with pytest.raises(DeviceError, match=f"{BOLT}: k4abt takes images of libk4a only"):
+    with pytest.raises(DeviceError, match=f"{BOLT}: k4abt accepts images of libk4a only"):
         choose_tracker("k4abt").for_images_of([BOLT])
 
 

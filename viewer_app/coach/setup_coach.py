@@ -62,7 +62,7 @@ class Situation:
     held: float  # seconds for which the start-up pose has been held
     dropped: tuple[int, int] = (0, 0)  # frames so far that the program was too slow for, of A and B
     lost: tuple[int, int] = (0, 0)  # frames so far that were lost on USB, of A and B
-    step: int = 1  # every which frame both sensors go on with, for the slower body tracker; 1 is every one
+    step: int = 1  # every which frame both sensors continue with, for the slower body tracker; 1 is every one
 
 
 @dataclass(frozen=True)

@@ -158,9 +158,9 @@ def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bo
             missing = np.isnan(found.worst)
             worst = "only one has an S* in some frame" if missing else f"at most {found.worst * 1e3:.3g} mm"
             if session.left_out:
-                console.print("Frames were left out of the session; they decide, too.")
+                console.print("Frames were left out of the session; they count as well.")
             elif session.first_frame:
-                console.print("The session is trimmed at its beginning; frames before it decide, too.")
+                console.print("The session is trimmed at its beginning; frames before it count as well.")
             console.print(
                 f"[bold]S* differs[/] from the recorded one in {found.differing} of {len(session)} frames, "
                 f"first at frame {found.frame}{joint}; {worst}."

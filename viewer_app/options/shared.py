@@ -74,7 +74,7 @@ class GoodOptions:
     """Option of the commands that write a part of a session."""
 
     good: bool = False
-    """Write only the seconds that are good, as duplex review lists them; the times have gaps then."""
+    """Write only the seconds that are good, as duplex review lists them. The times then have gaps."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +82,7 @@ class SummaryOptions:
     """How much the summary in the terminal says."""
 
     verbose: Annotated[bool, OUTPUTS] = False
-    """Print all figures and every bone after the summary; keep every status line of a running loop."""
+    """Print all figures and every bone after the summary, and keep every status line of a running loop."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,9 +90,9 @@ class TerminalOptions(SummaryOptions):
     """Terminal output of a running loop."""
 
     quiet: Annotated[bool, OUTPUTS] = False
-    """No status line and none of the coach's advice; what fails is printed."""
+    """Print no status line and none of the coach's advice, only what fails."""
     sound: Annotated[bool, OUTPUTS] = False
-    """Short tones while sensors are set up: one low, not yet; three rising, ready; three low, out of view."""
+    """Short tones while sensors are set up. One low: not yet. Three rising: ready. Three low: out of view."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,8 +142,8 @@ class FollowOptions:
     """Which of several people is followed."""
 
     follow: Annotated[Literal["middle", "longest"] | None, SENSORS] = None
-    """Whom of several people: the one nearest the middle (live, if not given), or the one seen longest (in
-    recordings)."""
+    """Which of several people to follow: the one nearest the middle (the default live), or the one seen
+    longest (the default for recordings)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +157,7 @@ class RecordingOptions(OwnFileOptions):
     no_refine: Annotated[bool, EXPERTS] = False
     """Do not refine the calibration over the recording, as that of a file never is. Method duplex only."""
     smooth: Annotated[Literal["off", "whole"], METHOD] = "off"
-    """whole: smooth over the whole recording, using later frames too; no lag, less jitter. Method duplex
+    """whole: smooth over the whole recording, also using later frames: no lag, less jitter. Method duplex
     only."""
     depth: Annotated[Literal["none", "half", "full"], SENSORS] = "full"
     """Depth images of the recordings in the session: none, every second pixel in both directions, or all."""
@@ -169,18 +169,18 @@ class TrackerOptions:
 
     tracker: Annotated[Literal["auto", "blazepose", "k4abt"], TRACKER] = "auto"
     """Finds people in images. k4abt: Microsoft's, needs its library and a GPU. blazepose: the program's own,
-    on any CPU. auto: k4abt where it works, else blazepose."""
+    on any CPU. auto: k4abt if it works, else blazepose."""
     tracker_model: Annotated[Path | None, TRACKER] = None
-    """Folder of blazepose's networks; if not given, the user's cache folder, into which they are fetched
+    """Folder of blazepose's networks. If not given, the user's cache folder, into which they are fetched
     once."""
     tracker_network: Annotated[Literal["full", "lite"], TRACKER] = "full"
-    """Network of blazepose; lite is faster and less accurate."""
+    """Network of blazepose. lite is faster and less accurate."""
     person: Annotated[Literal["middle", "nearest", "left", "right"], TRACKER] = "middle"
-    """Whom blazepose follows of several people: by the place in each sensor's image, or the nearest one."""
+    """Which of several people blazepose follows: by the place in each sensor's image, or the nearest one."""
     k4abt: Annotated[Path | None, EXPERTS] = None
-    """Library of Microsoft's body tracker, libk4abt; if not given, the system's."""
+    """Library of Microsoft's body tracker, libk4abt. If not given, the system's."""
     processing: Annotated[Literal["gpu", "cpu", "cuda", "tensorrt", "directml"], EXPERTS] = "gpu"
-    """Where k4abt runs; on a CPU it tracks about one frame per second."""
+    """Where k4abt runs. On a CPU it tracks about one frame per second."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,14 +188,14 @@ class SensorOptions:
     """Choice of the two sensors."""
 
     kinect_a: Annotated[str | None, SENSORS] = None
-    """Serial number of the principal sensor K_A; S* is in its frame. zenoh:KEY: a sensor on another PC, of
+    """Serial number of the principal sensor K_A. S* is in its frame. zenoh:KEY: a sensor on another PC, of
     duplex sensor."""
     kinect_b: Annotated[str | None, SENSORS] = None
     """Serial number of the secondary sensor K_B, or zenoh:KEY."""
     principal: Annotated[str | None, SENSORS] = None
-    """Serial number of the sensor that is K_A, if two are connected; if not given, duplex live asks."""
+    """Serial number of the sensor that is K_A, if two are connected. If not given, duplex live asks."""
     sync_master: Annotated[str | None, SENSORS] = None
-    """Serial number of the master on the sync cable. Azure Kinects detect the cable; state it for Orbbec and
+    """Serial number of the master on the sync cable. Azure Kinects detect the cable. State it for Orbbec and
     RealSense sensors, which do not."""
 
 
@@ -204,7 +204,7 @@ class OrientationOptions:
     """How the two sensors are mounted."""
 
     orientation: Annotated[str | None, SENSORS] = None
-    """Degrees by which both sensors are turned clockwise, seen from behind: 0, 90, 180 or 270; 90,0 if A
+    """Degrees by which both sensors are turned clockwise, seen from behind: 0, 90, 180 or 270. 90,0: A
     lies on its side and B stands. Images and skeletons are turned upright. For fuse: found from the person
     if not given, for recordings of images."""
 
@@ -242,24 +242,24 @@ class LiveOutputOptions(ZenohOptions):
     """Where S* is sent while the loop runs."""
 
     vmc: Annotated[str | None, OUTPUTS] = None
-    """HOST:PORT of a VMC receiver: VSeeFace, Warudo, Unity, Unreal, Blender; usually port 39539."""
+    """HOST:PORT of a VMC receiver: VSeeFace, Warudo, Unity, Unreal, Blender. The usual port is 39539."""
     avatar: Annotated[Path | None, OUTPUTS] = None
     """With --vmc: a .vrm, whose proportions are sent instead of the person's."""
     vrchat: Annotated[str | None, OUTPUTS] = None
-    """HOST:PORT of VRChat's OSC trackers; usually port 9000."""
+    """HOST:PORT of VRChat's OSC trackers. The usual port is 9000."""
     feet: Annotated[Literal["planted", "free"], OUTPUTS] = "planted"
     """Feet sent with --vmc or --vrchat: planted where they stand, so that they neither slide nor sink, or as
     in S*."""
     lsl: Annotated[str | None, OUTPUTS] = None
-    """Name of a Lab Streaming Layer stream; needs the extra lsl."""
+    """Name of a Lab Streaming Layer stream. It needs the extra lsl."""
     websocket: Annotated[int | None, OUTPUTS, WHOLE_NUMBER] = None
     """Port of a WebSocket server: JSON, and a page that draws the skeleton."""
     zenoh: Annotated[str | None, OUTPUTS] = None
-    """Zenoh key to publish JSON under; needs the extra zenoh."""
+    """Zenoh key to publish JSON under. It needs the extra zenoh."""
     save_mcap: Annotated[Path | None, OUTPUTS] = None
-    """Record S* as messages of ROS 2, as an .mcap file; needs the extra ros."""
+    """Record S* as messages of ROS 2, as an .mcap file. It needs the extra ros."""
     rate: Annotated[float | None, OUTPUTS] = None
-    """Send S* so many times per second, predicted from the newest frame; else once per frame."""
+    """Send S* this many times per second, predicted from the newest frame. If not given, once per frame."""
 
     @property
     def listens(self) -> bool:

@@ -83,7 +83,7 @@ class LiveDisplay:
         for failure in (file and file.failure, viewer and viewer.window_failure):
             if failure and failure not in self._failures_told:
                 self._failures_told.add(failure)
-                self._console.print(f"[bold red]{escape(failure)}[/] The fusion goes on.", soft_wrap=True)
+                self._console.print(f"[bold red]{escape(failure)}[/] The fusion continues.", soft_wrap=True)
         now = self._clock()
         if now >= self._next:
             self._next = now + _EVERY

@@ -147,7 +147,7 @@ def _points(path: Path, stated: StatedFormat, labels: list[str]) -> tuple[FilePo
     if all(label.isdecimal() for label in labels) and not stated.names:
         body = next((body for body in BODIES.values() if len(body) == 1 + max(map(int, labels))), None)
         if body is not None:
-            told = [f"{path}: the numbers of joints are taken as those of {body.name}, from 0 on."]
+            told = [f"{path}: the numbers of joints are read as those of {body.name}, from 0 on."]
             labels = [body.joints[int(label)] for label in labels]
     points = stated.points(path, labels)
     if left_out := points.left_out:
@@ -223,7 +223,7 @@ def _once(
         f"{path}: joint {joint} of one person has two rows in one frame, the second in line "
         f"{line_of_row(path, row)}."
         + (
-            " There is no column body: name the one that tells people apart so."
+            " There is no column body: name the one that distinguishes people so."
             if not rows.has_body
             else " Are two recordings in one file?"
             if backward

@@ -159,4 +159,4 @@ def test_a_damaged_lighter_network_does_not_end_the_session(tmp_path):
     with TrackedImages(simulated(0.1), pace.settings, pace=pace) as sensor:
         assert len(list(sensor.frames())) == 3
     assert pace.network == "full"
-    assert "goes on with its network full" in pace.take_news()[-1]
+    assert "continues with its network full" in pace.take_news()[-1]

@@ -112,6 +112,6 @@ def test_two_recordings_are_tracked_by_our_tracker(orbbecs, tmp_path, monkeypatc
 
 def test_k4abt_cannot_be_asked_for(orbbecs, tmp_path):
     path = _bag(orbbecs, tmp_path / "a.bag")
-    with pytest.raises(DeviceError, match=r"a\.bag: k4abt takes images of libk4a only"):
+    with pytest.raises(DeviceError, match=r"a\.bag: k4abt accepts images of libk4a only"):
         open_source(path, tracker=TrackerChoice("k4abt", "asked for with --tracker", asked=True))
     assert open_source(path, tracker=TrackerChoice("k4abt", "it works")).body is BLAZEPOSE

@@ -66,7 +66,7 @@ def test_b2_every_format_has_a_unit(tmp_path, suffix, written, stated):
     path = write(tmp_path / f"a{suffix}", TRUE * scale)
     read = opened(path, StatedFormat(written if stated else "auto"))
     np.testing.assert_allclose(positions_of(read), TRUE, atol=1e-5)
-    assert any("are taken as" in line for line in read.warnings) == (not stated and scale != of_format)
+    assert any("are read as" in line for line in read.warnings) == (not stated and scale != of_format)
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
@@ -270,8 +270,8 @@ def test_lines_of_dump_kinect_skeleton_are_read(tmp_path):
     read = opened(path, StatedFormat(axes="kinect"))
     np.testing.assert_allclose(positions_of(read), TRUE, atol=1e-6)
     assert read.people.time_ns[-1] == pytest.approx(29 * FRAME_NS, abs=2000)
-    assert "numbers of joints are taken as those of kinect_v2" in read.warnings[0]
-    assert "are taken as" not in "".join(read.warnings[1:])
+    assert "numbers of joints are read as those of kinect_v2" in read.warnings[0]
+    assert "are read as" not in "".join(read.warnings[1:])
 
 
 def test_a_calm_joint_in_centimetres_is_not_taken_for_unseen(tmp_path):
@@ -308,7 +308,9 @@ def test_people_without_a_column_body_are_refused(tmp_path):
     other = [line.replace(",tracked", "5,tracked") for line in lines[1:]]
     both = [re.sub(r"^([^,]*),[^,]*", r"\1", line) for line in [*lines, *other]]
     path.write_text("\n".join(both) + "\n")
-    with pytest.raises(DeviceError, match="There is no column body: name the one that tells people apart so"):
+    with pytest.raises(
+        DeviceError, match="There is no column body: name the one that distinguishes people so"
+    ):
         opened(path)
 
 

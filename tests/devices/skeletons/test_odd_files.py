@@ -185,7 +185,7 @@ def test_another_unit_is_found_by_the_size_of_the_person(tmp_path, body, unit):
         SkeletonRecording(scaled(tmp_path / "b.csv", body, metres)) as found,
     ):
         (said,) = found.warnings
-        assert f"are taken as {name}, so that the person is 1." in said
+        assert f"are read as {name}, so that the person is 1." in said
         # the files have six decimals: half of the last, in metres
         for one, other in zip(expected.frames(), found.frames(), strict=True):
             np.testing.assert_allclose(

@@ -76,7 +76,7 @@ def test_the_unit_of_time_is_found_by_the_rate(tmp_path, good, unit, rate, start
         expected = np.rint((start + np.arange(FRAMES) / rate) * 1e6) * 1000
         np.testing.assert_allclose(np.diff(read.people.time_ns), np.diff(expected), rtol=0, atol=2001)
         assert read.people.time_ns[0] == pytest.approx(expected[0], abs=1001)
-        told = f"{column} is taken as {TIME_COLUMNS[unit][1]}, so that there are {rate:g} frames per second"
+        told = f"{column} is read as {TIME_COLUMNS[unit][1]}, so that there are {rate:g} frames per second"
         told += f". Name the column {unit} to state this unit."
         assert [told in warning for warning in read.warnings] == [True] * (column != unit)
 
@@ -207,7 +207,7 @@ def test_files_of_another_program_are_fused_and_replayed(own_pair, tmp_path, cap
     save = tmp_path / "s.rrd"
     assert duplex("fuse", a, b, "--no-viewer", *stated, "--save", save) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert said.count("time is taken as seconds, so that there are 30 frames per second") == 2
+    assert said.count("time is read as seconds, so that there are 30 frames per second") == 2
     assert said.count("these points are no joints: ring finger.") == 2
     session = Session.open(save)
     np.testing.assert_allclose(session.fused, expected.fused, atol=1e-4)

@@ -45,7 +45,7 @@ def test_what_is_in_a_recording_of_skeletons(recording, capsys):
     assert rows["unit"].startswith("millimetres; the person is 2.6")
     assert rows["mirror image"] == "unknown, without feet or trunk"
     assert rows["ignored"] == "columns remark"
-    assert "are taken as millimetres" in rows["note"]
+    assert "are read as millimetres" in rows["note"]
     assert rows["fuse it"] == f"duplex fuse {recording} OTHER.csv --unit mm --save s.rrd"
     rows, code, _ = told(capsys, recording, "--unit", "mm")
     assert "note" not in rows

@@ -94,7 +94,7 @@ def test_a_window_that_is_given_up_is_said_once(statuses):
     shown.session.viewer.configure_mock(window_failure="No window.")
     for status in statuses:
         shown.display(status)
-    assert shown.printed.getvalue().count("No window. The fusion goes on.") == 1
+    assert shown.printed.getvalue().count("No window. The fusion continues.") == 1
 
 
 @pytest.mark.parametrize("quiet", [False, True])

@@ -25,7 +25,7 @@ def good_frames_of(session: Session, console: Console) -> NDArray[np.bool_]:
     good = session.good_frames
     if not good.any():
         why = in_flags(str(session.verdict))
-        raise UsageError(f"No second of {session} is good. It is {why} Leave out --good to take all.")
+        raise UsageError(f"No second of {session} is good. It is {why} Leave out --good to use all.")
     if not good.all():
         console.print(left_out(session), markup=False, soft_wrap=True)
     return good

@@ -103,7 +103,7 @@ def test_the_named_master_leads(bolts, tmp_path):
 
 def test_impossible_options_give_one_line(bolts, capsys):
     for arguments, message in (
-        (("--tracker", "k4abt"), f"{A}: k4abt takes images of libk4a only"),
+        (("--tracker", "k4abt"), f"{A}: k4abt accepts images of libk4a only"),
         (("--color", "3072P", "--fps", 15), "Orbbec's sensors have no colour 3072P"),
         (("--sync-master", "999"), "--sync-master 999 is neither of the two"),
     ):
