@@ -161,6 +161,19 @@ def test_each_table_of_benchmarks_is_of_the_methods_revision():
         assert re.search(r"Revision \d+, \d{4}-\d\d-\d\d\.$", above), above
 
 
+def test_related_work_compares_with_the_figures_of_the_files():
+    page = (ROOT / "docs" / "related.md").read_text(encoding="utf-8")
+    errors = [
+        results.read(f"accuracy_{name}")["figures"]["methods"]["duplex"]["mpjpe"]
+        for name in ("azure", "kinect_v2")
+    ]
+    angles = results.read("angles")["figures"]["angles"]
+    azure, kinect_v2 = (f"{1e3 * error:.0f} mm" for error in errors)
+    assert f"{azure} for two Azure Kinects and {kinect_v2} for two Kinects v2" in page
+    knee, hip = (f"{angles[name]['rmse']:.1f}°" for name in ("knee_flexion", "hip_flexion"))
+    assert f"Ours, simulated: {knee} and {hip}" in page
+
+
 def test_the_page_of_benchmarks_is_short():
     assert words(benchmarks_page.page()) <= 1500
 

@@ -114,7 +114,7 @@ def test_case_9_frame_numbers_as_times_where_frames_were_lost(seed, tmp_path):
                     )
     session = fuse(tmp_path / "a.csv", tmp_path / "b.csv")
     assert re.search(
-        r"The clocks differ: .*changing in steps of [+\d, ]* ms, as where times are frame", said(session)
+        r"The clocks differ: .*changing in steps of [+\d, ]* ms, as when times are frame", said(session)
     )
     assert "A sensor was moved" not in said(session)
 

@@ -122,7 +122,7 @@ def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch
     said = capsys.readouterr().out
     assert "✓ two sensors: 2 connected, 2 usable" in said
     assert "✓ sync cable: from 000456 to 000123" in said
-    assert "never a real sensor" in said
+    assert "never with a real sensor" in said
     assert said.endswith("duplex live can start. Next: duplex live --save s.rrd\n")
     live(seconds=0.2)
     kinects.devices.append(Device("000789"))
