@@ -29,6 +29,7 @@ _SEEN = 0.1  # the least of what is seen of a swing at an end of the part, of th
 _SHORTEST_STEP = -0.04  # lengths of the leg; in a tight curve the inner foot lands beside the other
 _BETWEEN = 0.4, 2.0  # of the median time between strikes of both feet
 _LONGEST_STEP = 2.0  # seconds
+_LONGEST_SWING = 2.0  # of the walk's median; that of a first step which is longer is not known
 _FEWEST = 3  # strikes in turn
 _AROUND = 0.1  # seconds: errors of S* that count for an event
 _DEFINITION_SD = 0.02  # seconds, between contact and what shows it
@@ -190,6 +191,10 @@ def _of_steps(walk: Sequence[Step]) -> Iterator[list[Step]]:
     """A walk with what its steps took, if they are enough."""
     if len(walk) >= _FEWEST:
         first = walk[0]._replace(progress=math.nan, turned=math.nan)
+        swings = [step.strike - step.toe_off for step in walk if math.isfinite(step.toe_off)]
+        if swings and first.strike - first.toe_off > _LONGEST_SWING * float(np.median(swings)):
+            # the foot rested, and any moment of that may be where it was farthest behind
+            first = first._replace(toe_off=math.nan, toe_off_sigma=math.nan)
         yield [first] + [
             b._replace(
                 seconds=b.strike - a.strike, progress=b.progress - a.progress, turned=b.turned - a.turned

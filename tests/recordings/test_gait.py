@@ -314,6 +314,15 @@ def test_the_asymmetry_is_what_left_has_more_than_right_over_their_mean():
     assert np.isnan(Gait(()).asymmetry["stance"].value)
 
 
+@given(st.fixed_dictionaries(WALKS), st.integers(0, 2**32 - 1))
+def test_who_stands_first_does_not_leave_the_floor_meanwhile(how, seed):
+    _, joints = walker(8.0, RATE, **how)
+    stands = np.concatenate([np.repeat(joints[:1], 90, axis=0), joints])
+    stands = stands + np.random.default_rng(seed).normal(0.0, 0.01, stands.shape)
+    steps = find_gait(AZURE_KINECT, np.arange(len(stands)) * round(1e9 / RATE), stands, UP).steps
+    assert not any(step.strike - step.toe_off > how["stride"] for step in steps)
+
+
 @given(st.fixed_dictionaries(WALKS))
 def test_a_foot_is_on_the_floor_from_its_strike_to_its_toe_off(how):
     times, joints = walker(8.0, RATE, **how)
