@@ -275,6 +275,8 @@ def _speed(time_ns: NDArray[np.int64], at: Array, sampling: Sampling) -> Array:
 def frame_costs(a: View, b: View, offsets_ns: Sequence[int]) -> Array:
     """(K, _COMPARED) mean robust penalty of the joints of registered views at K offsets, by frames of A; NaN
     without B."""
+    if not offsets_ns:
+        return np.zeros((0, _COMPARED))
     chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
     p = _tracked(a, chosen)
     q = np.array([_at_times(b, a.time_ns[chosen] - offset) for offset in offsets_ns])
