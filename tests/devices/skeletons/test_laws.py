@@ -20,7 +20,7 @@ from devices.skeletons.csv_files.reader import read_csv
 from devices.skeletons.read_file import Bodies, found_of
 from devices.skeletons.stated_format import FilePoints
 from fusion.body import BODIES, KINECT_V2
-from fusion.skeleton import FARTHEST
+from fusion.skeleton import FARTHEST_JOINT as FARTHEST
 from tests.helpers.two_views import FRAME_NS, moving, standing
 
 BODY = KINECT_V2
