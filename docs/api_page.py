@@ -49,14 +49,21 @@ _TOPICS: tuple[tuple[str, str, str, str], ...] = (
         "recordings.MissingFileError recordings.UnknownNameError recordings.testing.SessionsDifferError",
     ),
     (
+        "Names with a module of their own",
+        "These are public under the path in the heading.",
+        "",
+        "devices.blazepose.settings.BlazePoseSettings devices.network.publishing.FramePublisher "
+        "devices.network.zenoh_session.ZenohAddresses fusion.movement.angles "
+        "fusion.movement.joint_rotations",
+    ),
+    (
         "Values that are returned",
-        "Names below are documented for reading. Import them from nowhere: their modules may change.",
+        "These are documented for reading. Do not import them: their modules may change.",
         "",
         "recordings.data.session_data.ViewsAgree recordings.quality.verdict.Shortcoming "
         "recordings.quality.per_second.Span recordings.data.images.Images devices.events.Spell "
         "devices.people.recorded_people.SeenPerson devices.frame_pairs.RecordedPairs "
-        "devices.blazepose.settings.BlazePoseSettings fusion.registration.rigid_fit.Registration "
-        "fusion.movement.joint_rotations fusion.movement.angles",
+        "fusion.registration.rigid_fit.Registration",
     ),
 )
 """Title, introduction, package and names of each section; without a package, names with their module."""

@@ -142,6 +142,8 @@ def test_the_page_of_angles_has_the_figures_of_the_file():
     for names, errors in list(rows.items())[2:]:
         measured = [f"{figures['angles'][name]['rmse']:.1f}°" for name in re.findall("`(.*?)`", names)]
         assert errors.strip() == ", ".join(measured), names
+    ratios = [row["stated"] / row["rmse"] for row in figures["angles"].values()]
+    assert f"it is {min(ratios):.1f} to {max(ratios):.1f} times the RMSE" in page
     strikes = figures["strikes"]
     assert f"all {strikes['found']}\nstrikes were found, within {1e3 * strikes['largest']:.0f} ms" in page
     assert (strikes["missed"], strikes["invented"]) == (0, 0)

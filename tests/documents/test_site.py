@@ -10,7 +10,7 @@ import pytest
 from fusion.body import BODIES
 from fusion.estimator.constants import Constants
 from fusion.facing.model import FacingConstants
-from tests.helpers.documents import ROOT
+from tests.helpers.documents import ROOT, documents
 from viewer_app.options.command_line import COMMANDS, parsed
 
 pytest.importorskip("mkdocs", reason="needs mkdocs: pip install '.[dev]'")
@@ -50,6 +50,22 @@ def test_every_public_name_has_an_entry_and_no_other_is_promised(site):
     shown = {name for name in entries(site) if name.count(".") == 1 and name.split(".")[0] in PUBLIC}
     modules = {"fusion.movement.joint_rotations", "fusion.movement.angles"}
     assert shown - modules == {f"{one}.{name}" for one in PUBLIC for name in import_module(one).__all__}
+
+
+IMPORT = re.compile(r"^from ((?:devices|fusion|recordings)[\w.]*) import (.*)$", re.MULTILINE)
+
+
+def test_every_name_that_a_document_imports_has_an_entry(site):
+    pages = [page for page in documents() if page.name != "CONTRIBUTING.md"]  # it is about inner modules
+    texts = [file.read_text("utf-8") for file in [*(ROOT / "examples").glob("*.py"), *pages]]
+    used = {
+        f"{module}.{name.strip()}"
+        for text in texts
+        for module, names in IMPORT.findall(text)
+        for name in names.split(",")
+    }
+    assert len(used) > 15
+    assert used - set(entries(site)) == set()
 
 
 @pytest.mark.parametrize("package", PUBLIC)
