@@ -126,20 +126,27 @@ class RotationSeries(_Series, Mapping[str, "Rotation"]):
     @property
     def body(self) -> Rotation:
         """(T,) the rotation of the whole body, which is the pelvis'."""
-        from scipy.spatial.transform import Rotation
-
-        return Rotation.from_quat(self.quaternions[:, self.of_body.root])
+        return _rotation(self.quaternions[:, self.of_body.root])
 
     def __getitem__(self, joint: str) -> Rotation:
-        from scipy.spatial.transform import Rotation
-
         found = self.of_body.find(joint)
         if found is None:
             raise UnknownNameError("joint", joint, self.of_body.joints)
-        return Rotation.from_quat(self.quaternions[:, found])
+        return _rotation(self.quaternions[:, found])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.of_body.joints)
 
     def __len__(self) -> int:
         return len(self.of_body)
+
+
+def _rotation(quaternions: NDArray[np.float64]) -> Rotation:
+    """(T,) rotations of (T, 4) x, y, z, w; NaN where these are, which ``from_quat`` refuses."""
+    from scipy.spatial.transform import Rotation
+
+    known = np.asarray(np.isfinite(quaternions).all(axis=1))
+    rotations = Rotation.from_quat(np.where(known[:, None], quaternions, (0.0, 0.0, 0.0, 1.0)))
+    if not known.all():
+        rotations[~known] = Rotation.from_rotvec(np.full((int((~known).sum()), 3), np.nan))
+    return rotations

@@ -238,6 +238,16 @@ def test_rotations_are_those_of_other_programs(session):
     assert list(session.rotations) == list(session.body.joints)
 
 
+@pytest.mark.parametrize("missing", [[0], [2, 3], range(1000)])
+def test_rotations_are_nan_without_a_person(session, missing):
+    fused = session.fused.copy()
+    lost = np.isin(np.arange(len(fused)), missing)
+    fused[lost] = np.nan
+    rotations = replace(session, rows=replace(session.rows, fused=fused)).rotations
+    for turned in (rotations.body, rotations["KneeLeft"]):
+        np.testing.assert_array_equal(np.isnan(turned.as_quat()).any(axis=1), lost)
+
+
 def test_tables_name_their_columns_and_units(session):
     frame = session.to_pandas()
     assert len(frame) == len(session)
