@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from packaging.version import Version
 
+from fusion.calibration.calibration import CERTAIN_TURN_DEG
 from fusion.setup import REVISIONS
+from recordings.quality import limits, verdict
 from tests.benchmarks import page as benchmarks_page
 from tests.benchmarks import results
 from tests.experiments.placement_picture import PERSON_AT, a_from_b, seen_by_both
@@ -161,6 +163,19 @@ def test_each_table_of_benchmarks_is_of_the_methods_revision():
     assert len(tables) == 7
     for above in tables:
         assert re.search(r"Revision \d+, \d{4}-\d\d-\d\d\.$", above), above
+
+
+def test_the_start_page_has_the_limits_of_the_verdict():
+    page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
+    (low, high), (least, most) = limits.GOOD_ANGLES, verdict.USABLE_ANGLES
+    rows = (
+        f"| distance of the views, median | < {limits.GOOD:.0f} mm | < {limits.USABLE:.0f} mm |",
+        f"| rotation of B, one standard deviation | ≤ {CERTAIN_TURN_DEG:g}° | ≤ {2 * CERTAIN_TURN_DEG:g}° |",
+        f"about the vertical | {low:.0f}–{high:.0f}° | {least:.0f}–{most:.0f}° |",
+        "| clock offset, less two standard deviations | < {:.0f} ms | < {:.0f} ms |".format(*verdict.OFFSETS),
+        "one view alone | < {:.0%} | < {:.0%} |".format(*verdict.DOUBTFUL).replace("%", " %"),
+    )
+    assert [row for row in rows if row not in page] == []
 
 
 def test_related_work_compares_with_the_figures_of_the_files():
