@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 def numbers_of(column: pa.Array | pa.ChunkedArray) -> NDArray[Any]:
     """(N,) numbers or booleans; read-only where Arrow's memory is used.
 
-    A column with gaps becomes floats with NaN, and objects with None where it has booleans.
+    A column with gaps becomes floats with NaN, and objects with None if it has booleans.
     """
     if column.null_count:
         return np.asarray(column.to_numpy(zero_copy_only=False))

@@ -18,7 +18,7 @@ class FramePair:
     """The frames of both sensors at one moment, and the person to fuse.
 
     Attributes:
-        a, b: The frames; None where a sensor has none for this moment.
+        a, b: The frames; None if a sensor has none for this moment.
         skeletons: S_A and S_B of the person, and the pair's time and skew. A sensor that does not see the
             person has None; both have None while nobody has been chosen.
     """

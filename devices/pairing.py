@@ -27,7 +27,7 @@ class Pairing:
     """All pairs of two recordings, and what was left over.
 
     Attributes:
-        pairs: In time order; with one side None where the other recording has no frame for this moment.
+        pairs: In time order; with one side None if the other recording has no frame for this moment.
         frames_a, frames_b: How many frames each recording has.
         alone_a, alone_b: Frames without a partner that are among the pairs.
         dropped_a, dropped_b: Frames left out.
@@ -58,7 +58,7 @@ def pair_views(
 
     Args:
         a, b: The person in all frames of each recording.
-        tolerance_ns: Half the slower stream's median frame interval where None.
+        tolerance_ns: Half the slower stream's median frame interval if None.
         offset_ns: Added to the times of B, one or (T,), so that both are on A's clock.
         every_frame: Whether all other frames are given alone, too: those that merely find no partner, as
             where one sensor is faster, and those before or after all of the other recording. Else they are
@@ -161,7 +161,7 @@ def clock_by_cable(
 ) -> ClockOffset | None:
     """The offset by which B's captures lie the cable's delay after A's, near that of their arrival.
 
-    None where it is within two frames of none: the master has then set the subordinate's clock.
+    None if it is within two frames of none: the master has then set the subordinate's clock.
     """
     if np.abs(arrival.at(b_ns)).max() < 2 * median_interval(a_ns):
         return None

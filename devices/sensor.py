@@ -54,7 +54,7 @@ class ColorImage:
 
     @staticmethod
     def of(jpeg: bytes, camera: ColorCamera) -> ColorImage | None:
-        """An image of what a camera gave; None where that was cut off."""
+        """An image of what a camera gave; None if that was cut off."""
         whole = jpeg.startswith(b"\xff\xd8") and jpeg.rstrip(b"\0").endswith(b"\xff\xd9")
         return ColorImage(jpeg, camera) if whole else None
 
@@ -67,7 +67,7 @@ class ColorImage:
         return ColorImage(jpeg.tobytes(), camera)
 
     def rgb(self) -> NDArray[np.uint8] | None:
-        """(height, width, 3) RGB pixels; None where the file is damaged."""
+        """(height, width, 3) RGB pixels; None if the file is damaged."""
         import cv2
 
         image = cv2.imdecode(np.frombuffer(self.jpeg, np.uint8), cv2.IMREAD_COLOR)
@@ -189,8 +189,8 @@ class ImageRecording(Sensor):
         warnings: Faults of a file that is still readable: cut off, damaged frames.
         duration_ns: How long it is, as the file says; 0 before opening, and where the file does not say.
         interval_ns: Time between two frames; 0 before opening.
-        sensor: Which one and its modes, in words; empty where the file does not say.
-        sync: Known once it is open; None where the file does not say.
+        sensor: Which one and its modes, in words; empty if the file does not say.
+        sync: Known once it is open; None if the file does not say.
         arrivals: Capture time and arrival of the frames given so far, where the file has arrivals.
     """
 

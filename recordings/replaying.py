@@ -103,7 +103,7 @@ class Agreement:
             CUT_WITHIN. "sigma": once settled, SHARE_AGREEING of the joints are within one standard deviation.
             "none": none of these.
         differing: The number of frames that differ in a bit.
-        frame, joint: The first that differ; the joint is None where not even its digest differs.
+        frame, joint: The first that differ; the joint is None if not even its digest differs.
         apart: Metres between both there; 0 where the recorded float32 does not show it.
         worst: The largest such distance; NaN if some frame has only one S*.
         settled: The first frame without predicted joints.

@@ -125,7 +125,7 @@ def gpu_check(tracker: TrackerSettings, root: Path) -> Check:
 
 
 def why_not_k4abt(settings: TrackerSettings | None = None, root: Path = Path("/")) -> str:
-    """Why libk4abt is of no use here, in one clause; empty where it works, as far as can be told."""
+    """Why libk4abt is of no use here, in one clause; empty if it works, as far as can be told."""
     settings = settings or TrackerSettings()
     try:
         library = load_library("k4abt", settings.library, INSTALL)

@@ -77,7 +77,7 @@ class _HardwareVersion(ctypes.Structure):
 def firmware_version(device: Any) -> Version | None:
     """The firmware of an opened ``pyk4a.PyK4A``: that of its colour camera, which the releases are named by.
 
-    None where libk4a cannot be found in this process, or does not answer.
+    None if libk4a cannot be found in this process, or does not answer.
     """
     library = loaded_libk4a()
     if library is None or not hasattr(library, "k4a_device_get_version"):

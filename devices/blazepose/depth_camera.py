@@ -59,7 +59,7 @@ class _Images(Sensor):
     """The images of a generator as a sensor without people.
 
     Attributes:
-        rgb: (h, w, 3) of the frame given last; None where its image was infrared.
+        rgb: (h, w, 3) of the frame given last; None if its image was infrared.
     """
 
     def __init__(self, name: str, images: DepthImages, intrinsics: Intrinsics) -> None:

@@ -60,7 +60,7 @@ class BodyLandmarks(NamedTuple):
 
 
 def lift(landmarks: BodyLandmarks, depth: NDArray[np.uint16], camera: Intrinsics) -> Lifted | None:
-    """Places the landmarks in space; None where the depth shows no person of possible size.
+    """Places the landmarks in space; None if the depth shows no person of possible size.
 
     Args:
         depth: (h, w) millimetres along z, 0 without a reading.
@@ -93,7 +93,7 @@ def lay_body(
 
     Returns:
         (33, 3) the body's landmarks, metres, sensor frame; its size; (33,) the depth read at each landmark,
-        metres. None where the depth shows no person of possible size.
+        metres. None if the depth shows no person of possible size.
     """
     pixels, visibility, presence, world = landmarks
     at = rays(camera, pixels)

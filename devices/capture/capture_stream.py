@@ -81,7 +81,7 @@ class CaptureStream(ABC):
         return moment
 
     def take(self, wait: bool = True) -> Moment | None:
-        """The newest wanted moment; None where there is none.
+        """The newest wanted moment; None if there is none.
 
         If the wanted moment before it waited for an image that did not come, that one is given first, and the
         newest by the next call.
@@ -153,7 +153,7 @@ class LiveSensor(Sensor):
             frames have no infrared; else None.
         on_capture: Gets for a recording, with all images, every frame given and, while there is time
             (``RecordingTime``), also the others of the SDK's queue.
-        color_camera: The camera of the frames' colour images, once it is open; None where they have none.
+        color_camera: The camera of the frames' colour images, once it is open; None if they have none.
         calibration_json: What an Azure Kinect stores, once it is open; empty for other sensors.
         awaits: What opening, the body tracker or closing waits for, if that may take long; else empty.
     """

@@ -38,7 +38,7 @@ class StepChoice:
         slowest: The sensor whose tracker decided the step last; None before.
         slowest_s: Seconds per frame that this tracker took then.
         taken_back: Whether more frames were tried and were too many.
-        easy_ns: Since when a smaller step would do; None where it would not, and after a choice until five
+        easy_ns: Since when a smaller step would do; None if it would not, and after a choice until five
             new times tell.
     """
 

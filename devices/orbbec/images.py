@@ -60,7 +60,7 @@ def infrared_image(frame: Any) -> NDArray[np.uint16]:
 
 
 def color_image(frame: Any, camera: ColorCamera | None) -> ColorImage | None:
-    """The colour image as the camera compressed it; None where there is none, or a part of one."""
+    """The colour image as the camera compressed it; None if there is none, or a part of one."""
     if frame is None or camera is None:
         return None
     return ColorImage.of(bytes(frame.get_data()), camera)

@@ -136,7 +136,7 @@ class OrbbecRecording(ImageRecording):
 
 
 def _first(sdk: Any, pipeline: Any, sensor: Any) -> Any:
-    """The stream of a recorded camera, of which a recording has one; None where it was not recorded."""
+    """The stream of a recorded camera, of which a recording has one; None if it was not recorded."""
     try:
         profiles = pipeline.get_stream_profile_list(sensor)
         return profiles.get_stream_profile_by_index(0) if profiles.get_count() else None

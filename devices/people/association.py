@@ -83,7 +83,7 @@ def follow_one(
         ids: Of the person, in either recording: who has that id most of the time, whatever other ones.
 
     Returns:
-        None where no registration of the sensors makes two people one, or both ids one person.
+        None if no registration of the sensors makes two people one, or both ids one person.
     """
     tracks = Tracks.of(a), Tracks.of(b)
     best: Registered | None = None
@@ -168,7 +168,7 @@ class Registered:
         """The registration that puts the most skeletons of both views in one place; yields after each fit.
 
         It is fitted to two tracks that are often seen together, then to all skeletons that are in one place.
-        None where no registration puts a fifth of the skeletons in one place.
+        None if no registration puts a fifth of the skeletons in one place.
 
         Args:
             clear: The share of the skeletons in one place at which no other registration is tried.

@@ -124,7 +124,7 @@ class SeenPerson:
     """Somebody whom two recordings show among others.
 
     Attributes:
-        ids: In A and in B: the id that chooses this person; None where there is none.
+        ids: In A and in B: the id that chooses this person; None if there is none.
         seconds: For how long each sensor sees them.
     """
 

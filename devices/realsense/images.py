@@ -122,7 +122,7 @@ class FrameReader:
     Attributes:
         joiner: Infrared is of the exposure of depth and has its time; colour is at most half a frame away.
         image: The stream beside depth, ``infrared`` or ``color``.
-        camera: That of colour registered to depth; None where there is no colour.
+        camera: That of colour registered to depth; None if there is no colour.
         timeless: Whether a frame came without a time of the sensor's own clock.
     """
 

@@ -38,7 +38,7 @@ def open_source(
         path: Recorded skeletons, or a recording of an Azure Kinect, of Orbbec's SDK v2 or of a RealSense
             sensor.
         skeletons: The skeletons of an Azure Kinect recording, saved before.
-        tracker: The body tracker, where one is needed. None: chosen for this machine.
+        tracker: The body tracker, if one is needed. None: chosen for this machine.
         option: What the option that gives ``skeletons`` is called, for messages; empty without one.
         unit, axes, names: Of a ``.csv``; see :class:`devices.skeletons.stated_format.StatedFormat`.
         progress: Shows how far reading a ``.csv`` is.
@@ -104,7 +104,7 @@ def open_images(path: Path) -> ImageRecording:
 
 
 def recorded_at(path: Path) -> str:
-    """When images were recorded, ISO 8601; empty where the file does not say."""
+    """When images were recorded, ISO 8601; empty if the file does not say."""
     if path.suffix.lower() != ".mkv":
         return ""
     from devices.azure.mkv import MkvRecording
@@ -123,7 +123,7 @@ def distinct_names(a: Path, b: Path) -> tuple[str, str]:
 
 
 def frame_count(source: Sensor) -> int | None:
-    """About how many frames an open recording has, for a progress bar; None where it does not say."""
+    """About how many frames an open recording has, for a progress bar; None if it does not say."""
     images = images_of(source)
     if not isinstance(images, ImageRecording) or not images.duration_ns:
         return None

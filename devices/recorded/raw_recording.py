@@ -31,7 +31,7 @@ class _FileTimes:
         self._last_ns: int | None = None
 
     def of(self, frame: SensorFrame) -> int | None:
-        """The time of a frame; None where it came before, or a later one did."""
+        """The time of a frame; None if it came before, or a later one did."""
         sensor_ns, host_ns = frame.time_ns, frame.host_ns or 0
         timing = self._clock.observe(sensor_ns, host_ns)
         passed = self._last_ns is not None and sensor_ns <= self._last_ns
@@ -54,7 +54,7 @@ class RawRecorder:
     one survive a kill of the program.
 
     Attributes:
-        failure: Why the recording ended early, in a sentence; None where it did not.
+        failure: Why the recording ended early, in a sentence; None if it did not.
         written: Frames in the file.
         lost: Frames with depth that are not; one that the sensor gave twice does not count.
         without_images: Frames of the file whose infrared and colour were left out.

@@ -55,10 +55,10 @@ class TwoRecordings:
         intrinsics: Of the depth cameras, where the recordings say.
         warnings: What a person should know about them, a line each.
         images: The files that hold depth images, A's and B's; None for skeletons alone.
-        tracker: The body tracker that found the people; empty where the files had skeletons.
-        clock: The offset by which B's times were corrected; None where they are as recorded.
+        tracker: The body tracker that found the people; empty if the files had skeletons.
+        clock: The offset by which B's times were corrected; None if they are as recorded.
         stated: What was stated about the files.
-        others: The people who are not followed, of each recording; None where there are none.
+        others: The people who are not followed, of each recording; None if there are none.
         people: Where several are seen: those who are seen for some time, the one followed first.
         orientations: Of both sensors; intrinsics, skeletons and depth images are of the upright sensors.
     """
@@ -117,10 +117,10 @@ class RecordingChoice:
     Attributes:
         path: Recorded skeletons, or a recording with images.
         skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
-        person: Id of the person; where None, the one seen longest by both sensors.
+        person: Id of the person; if None, the one seen longest by both sensors.
         stated: What is stated about a ``.csv``: unit, axes, names of the joints.
         body: Family of the body tracker, of both recordings; found from the joints of both where empty.
-        orientation: Of the sensor, for a recording of images; where None, found from the person.
+        orientation: Of the sensor, for a recording of images; if None, found from the person.
         skeletons_option, person_option: What the caller's user knows these two as, for messages.
     """
 
@@ -155,8 +155,8 @@ def read_two(
     corrected.
 
     Args:
-        tracker: The body tracker, where one is needed. None: chosen for this machine.
-        offset_ns: Added to the times of B; found from the motion where None.
+        tracker: The body tracker, if one is needed. None: chosen for this machine.
+        offset_ns: Added to the times of B; found from the motion if None.
         every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_views`.
         follow: Whom of several people, if no id chooses; see
             :func:`devices.people.association.follow_one`.

@@ -152,7 +152,7 @@ class FilePoints:
     Attributes:
         body: The body.
         index: Each point's index, by its name in the file.
-        groups: The points whose mean is a joint, by joint; None where the points are the joints.
+        groups: The points whose mean is a joint, by joint; None if the points are the joints.
     """
 
     body: Body

@@ -211,7 +211,7 @@ def _unwrapped(times: NDArray[Any], us: float) -> tuple[NDArray[Any], str]:
 def moments_of(texts: list[str]) -> NDArray[np.int64] | None:
     """Nanoseconds of times such as 2026-11-25T12:30:00.033, 12:30:00.033 or .NET's 00:00:01.0333333.
 
-    A time of the day has no date, whatever stands before it. None where one of them is no time.
+    A time of the day has no date, whatever stands before it. None if one of them is no time.
     """
     found = [_moment(text) for text in texts]
     return None if None in found else np.array(found, dtype=np.int64)

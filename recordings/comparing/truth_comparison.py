@@ -87,8 +87,8 @@ class TruthComparison:
         """Finds the names, the unit, the offset and the transform.
 
         Args:
-            table: Which points are joints; the ready-made table that finds most where None.
-            offset_s: Seconds to add to the truth's times; found by the motion where None.
+            table: Which points are joints; the ready-made table that finds most if None.
+            offset_s: Seconds to add to the truth's times; found by the motion if None.
 
         Raises:
             RecordingError: There is no S*, the truth has too few of the joints, another person or another

@@ -88,7 +88,7 @@ class TimeOffset:
 
 
 def find_offset(body: Body, views: Sequence[Joints], fused: Joints, truth: JointPath) -> TimeOffset | None:
-    """The offset; None where none matches.
+    """The offset; None if none matches.
 
     Args:
         views: S_A and S_B, which decide: S* may lag behind them.
@@ -150,7 +150,7 @@ def _refined(
 ) -> TimeOffset | None:
     """The offset near another one, its standard deviation and the correlation: steps 2 and 3.
 
-    None where the joints that each view has in common with the truth determine no rotation.
+    None if the joints that each view has in common with the truth determine no rotation.
 
     Args:
         middle: Time of the session at which the offset's standard deviation is that of the result.

@@ -160,8 +160,8 @@ class SessionArrays:
 
         Args:
             bone_lengths: (J,) metres, or (T, J) where they change.
-            numbers: Of the frames; from 0 where None.
-            start_ns: When the session began; with the first of these frames where None.
+            numbers: Of the frames; from 0 if None.
+            start_ns: When the session began; with the first of these frames if None.
             like: Earlier frames of the session: these then have the same optional figures.
         """
         figures: dict[str, Any] = {}
@@ -294,7 +294,7 @@ class SessionArrays:
 
 
 def rate_without_pauses(time_ns: NDArray[np.int64]) -> float | None:
-    """Frames per second at (T,) increasing times, between pauses; None where all have one time."""
+    """Frames per second at (T,) increasing times, between pauses; None if all have one time."""
     steps = np.diff(time_ns) * 1e-9
     return float(1.0 / steps[steps <= _LONG_PAUSE * np.median(steps)].mean()) if steps.any() else None
 

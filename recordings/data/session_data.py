@@ -142,12 +142,12 @@ class SessionData:
 
     @property
     def tracker(self) -> str:
-        """The body tracker that found the people, such as "blazepose full"; empty where not recorded."""
+        """The body tracker that found the people, such as "blazepose full"; empty if not recorded."""
         return str(self.about["session"].get("tracker", [""])[0])
 
     @property
     def recorded(self) -> datetime | None:
-        """When the capture began; None where the session does not say."""
+        """When the capture began; None if the session does not say."""
         said = str(self.about["session"].get("recorded", [""])[0])
         with suppress(ValueError, OverflowError, OSError):  # of another program
             return datetime.fromisoformat(said).astimezone()
@@ -155,7 +155,7 @@ class SessionData:
 
     @property
     def first_unix_ns(self) -> int | None:
-        """When the first frame was captured, nanoseconds since 1970 UTC; None where that is not known.
+        """When the first frame was captured, nanoseconds since 1970 UTC; None if that is not known.
 
         Sensors give their first frame some tenths of a second after :attr:`recorded`, which is neglected.
         """
@@ -166,7 +166,7 @@ class SessionData:
 
     @property
     def people(self) -> tuple[SeenPerson, ...]:
-        """Those whom the recordings show, the one followed first; empty where they show one person."""
+        """Those whom the recordings show, the one followed first; empty if they show one person."""
         told = json.loads(self.about["session"].get("people", ["[]"])[0])
         return tuple(SeenPerson(tuple(each["ids"]), tuple(each["seconds"])) for each in told)
 
@@ -183,7 +183,7 @@ class SessionData:
 
     @property
     def dropped(self) -> tuple[int | None, int | None]:
-        """Frames of A and B that were left out before saving; None where not recorded, as by 1.0."""
+        """Frames of A and B that were left out before saving; None if not recorded, as by 1.0."""
         known = self.about["session"]
         a, b = (known.get(f"dropped_{side}", [None])[0] for side in "ab")
         return a, b

@@ -72,7 +72,7 @@ def write_c3d(session: SessionSeries, path: Path, rate: float | None = None) -> 
 
 
 def write_trc(session: SessionSeries, path: Path, rate: float | None = None) -> str:
-    """Writes S* as markers named after the joints, at an even rate, that of the recording where None.
+    """Writes S* as markers named after the joints, at an even rate, that of the recording if None.
 
     Raises:
         RecordingError: No frame has an S*.

@@ -25,7 +25,7 @@ _HIPS = np.array([-0.056276, -0.07849, 0.0])  # metres, in the pelvis of the mod
 
 
 def write_mot(session: SessionSeries, path: Path, rate: float | None = None) -> str:
-    """Writes S* at an even rate, that of the recording where None, without rows in gaps of more than 0.25 s.
+    """Writes S* at an even rate, that of the recording if None, without rows in gaps of more than 0.25 s.
 
     OpenSim's ``Storage`` reads a file up to its first nan. Coordinates that need a joint that was never seen
     have no column.

@@ -170,7 +170,7 @@ class Gait:
 
         Args:
             angle: Name of an angle of :attr:`angles`, or (T,) values of all frames.
-            side: The foot, ``left`` or ``right``; where None, that at the end of the name.
+            side: The foot, ``left`` or ``right``; if None, that at the end of the name.
 
         Raises:
             RecordingError: There is no such angle or foot, or not a value for each frame.

@@ -44,7 +44,7 @@ def uncertain_limbs(rows: SessionArrays) -> NDArray[np.bool_]:
 def doubtful_seconds(
     rows: SessionArrays, apart: NDArray[np.float64], seen: NDArray[np.bool_]
 ) -> dict[str, float | str | None]:
-    """How long each doubt lasts, in seconds; None where unknown.
+    """How long each doubt lasts, in seconds; None if unknown.
 
     ``all`` is how long the session lasts, without gaps; ``limb`` is uncertain for longest. A wrist or ankle
     that was never seen is not uncertain but missing.

@@ -37,7 +37,7 @@ _STANDING = 10_000  # frames, from which the vertical is found
 
 
 def report(session: SessionData) -> Figures:
-    """The figures of a fused pair of recordings, as ``--report`` writes them; None where one is unknown."""
+    """The figures of a fused pair of recordings, as ``--report`` writes them; None if one is unknown."""
     counts = session.frame_counts
     alone = {side: counts[f"alone_{side}"] for side in "ab"}
     return with_verdict(
@@ -144,7 +144,7 @@ def calibration_figures(calibration: Calibration) -> Figures:
 
 
 def truth_free_figures(session: SessionData) -> dict[str, float | None]:
-    """The figures of :class:`FiguresWithoutTruth` by name, in SI; None where there is no such figure.
+    """The figures of :class:`FiguresWithoutTruth` by name, in SI; None if there is no such figure.
 
     ``roughness_ratio`` and the difference between robust fits of both halves of the session are added:
     ``halves_rotation_off`` in radians, ``halves_position_off`` in metres at the person.

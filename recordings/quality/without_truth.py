@@ -209,7 +209,7 @@ def _usual_interval(time_ns: NDArray[np.int64]) -> float:
 
 
 def _off_the_path(body: Body, positions: Array, way: Array, straight: NDArray[np.bool_], least: int) -> Array:
-    """Angles, radians, between facing and the straight path; empty where it has no more frames than these."""
+    """Angles, radians, between facing and the straight path; empty if it has no more frames than these."""
     cosine = (facing(body, positions) * way).sum(axis=1)[straight]
     found: Array = np.arccos(np.clip(cosine[np.isfinite(cosine)], -1.0, 1.0))
     return found if len(found) > least else found[:0]

@@ -31,11 +31,11 @@ class ShownFigure:
     entity: str  # place in the file, named as in :class:`recordings.data.frame_fields.FrameField`
     component: str
     compute: Callable[[SessionArrays], NDArray[Any] | None]
-    """Computes (T, …) values from the frames; None where the session lacks what they come from."""
+    """Computes (T, …) values from the frames; None if the session lacks what they come from."""
     stored: type[np.generic] = np.float32  # type in the file
 
     def values(self, rows: SessionArrays) -> NDArray[Any] | None:
-        """(T, …) in the type of the file; None where there are none."""
+        """(T, …) in the type of the file; None if there are none."""
         values = self.compute(rows)
         return None if values is None else values.astype(self.stored, copy=False)
 

@@ -139,7 +139,7 @@ class OutputTime(ContinuousTime):
         self._last_ns: int | None = None
 
     def forward(self, time_ns: int) -> int | None:
-        """This time, or just after the last one given; None where it is more than 50 ms before that."""
+        """This time, or just after the last one given; None if it is more than 50 ms before that."""
         given_ns = time_ns if self._last_ns is None else max(time_ns, self._last_ns + 1)
         if given_ns - time_ns > _PASSED_NS:
             return None

@@ -52,7 +52,7 @@ class StateColumn:
         self._codes.append(of[code])
 
     def states(self) -> NDArray[np.uint8] | None:
-        """(N,) states of all rows; None where a value is none.
+        """(N,) states of all rows; None if a value is none.
 
         1 counts as tracked in a column that knows no more, unless it is called ``state``.
         """
@@ -72,7 +72,7 @@ class StateColumn:
 
 
 def state_of(value: str) -> int | None:
-    """A state from a number 0 to 3 or a word in any spelling; None where it is none.
+    """A state from a number 0 to 3 or a word in any spelling; None if it is none.
 
     3 is the highest of Azure Kinect's levels of confidence.
     """
