@@ -138,7 +138,7 @@ def _span(times: NDArray[np.int64]) -> str:
 
 
 def clock_by_motion(body: Body, a: View, b: View) -> ClockOffset | None:
-    """The offset of B's clock, where the motion shows one of two thirds of a frame or more, certain to two.
+    """The offset of B's clock by the motion; None below 2/3 of a frame or with a deviation above two frames.
 
     It may be that large in a part of the recording only, where it grows or changes in steps.
     """
@@ -159,7 +159,7 @@ def clock_by_motion(body: Body, a: View, b: View) -> ClockOffset | None:
 def clock_by_cable(
     arrival: ClockOffset, delay_ns: int, a_ns: NDArray[np.int64], b_ns: NDArray[np.int64]
 ) -> ClockOffset | None:
-    """The offset by which B's captures lie the cable's delay after A's, near that of their arrival.
+    """The offset, nearest to that by arrival times, at which B captures the cable's delay after A.
 
     None if it is within two frames of none: the master has then set the subordinate's clock.
     """

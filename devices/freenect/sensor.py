@@ -187,7 +187,7 @@ class FreenectSensor(LiveSensor):
             camera.close()
 
     def registered(self, _: SensorFrame) -> NDArray[np.uint8] | None:
-        """The colour image of the frame given last, whose pixels depth is registered to."""
+        """The colour image of the latest frame; depth is registered to its pixels."""
         return self.rgb
 
     def frames(self) -> Iterator[SensorFrame]:

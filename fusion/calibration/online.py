@@ -230,6 +230,6 @@ def prior_of(calibration: Calibration) -> Prior:
 
 
 def _difference(old: RigidTransform, fit: RobustFit) -> tuple[float, float]:
-    """Radians, and metres at the person's centre."""
+    """Rotation, radians, and shift, metres at the person's centre, between two calibrations."""
     shift = fit.centre - old.apply(fit.a_from_b.inverse().apply(fit.centre))
     return fit.a_from_b.angle_to(old), float(np.linalg.norm(shift))

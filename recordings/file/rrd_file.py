@@ -41,7 +41,7 @@ END_OF_FILE = _MESSAGE.pack(_END, 0)
 _ROW_ID = "row"  # bytes that increase with every row that is logged
 _LZ4_RATIO = 255  # the most that LZ4 can pack: a message that claims more would only fill the memory
 _ENTITY = b"rerun:entity_path"
-# EncodedDepthImage, as far as it is sure to stand unpacked: "depth" has been in the entity's path before
+# The part of "EncodedDepthImage" that LZ4 cannot pack: "depth" occurs before, in the entity's path.
 _IMAGE, _IMAGE_WITHIN = b"Encoded", 2048
 
 

@@ -89,7 +89,7 @@ def _begin() -> None:
 
 
 def _end_with_parent() -> None:
-    """A second batch must not meet a worker of the first."""
+    """Exits with the parent, so that a later batch finds no worker of this one."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -50,7 +50,7 @@ _USB = "Give it a USB controller of its own, and light."
 _NETWORK = "Check its program and the network."
 _ASKED_OF_SLOW = "close other programs: this machine is too slow"
 _SECOND, _RATE_WINDOW, _MIRRORED_WINDOW, _MOVED_WINDOW = 1.0, 2.0, 4.0, 8.0  # seconds
-_SILENT = 0.3  # seconds without a frame: no low rate, but a sensor that is gone, of which its thread tells
+_SILENT = 0.3  # seconds; a sensor without frames for longer is gone, which its thread reports, not slow
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Situation:
     held: float  # seconds for which the start-up pose has been held
     dropped: tuple[int, int] = (0, 0)  # frames so far that the program was too slow for, of A and B
     lost: tuple[int, int] = (0, 0)  # frames so far that were lost on USB, of A and B
-    step: int = 1  # every which frame both sensors continue with, for the slower body tracker; 1 is every one
+    step: int = 1  # both sensors use every n-th frame, so that the slower body tracker keeps up
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMom
 
 
 def _own_tracker(options: DemoOptions, console: Console) -> TrackingPace:
-    """The pace of the program's own tracker, whose networks are there afterwards."""
+    """Fetches the networks of the program's own tracker if needed, and returns its pace."""
     from devices.blazepose.pace import TrackingPace
     from devices.blazepose.settings import BlazePoseSettings
     from viewer_app.sensors.tracker import ensure_networks

@@ -13,7 +13,7 @@ _FARTHEST_NS = (
 
 
 class EvenSamples:
-    """The moments k / rate since the first frame, each as soon as a frame of that moment could be here.
+    """Resamples S* to a constant rate: sample k is due when a frame captured at k / rate can have arrived.
 
     Frames arrive unevenly: their clock plus their least delay tells when a moment is due.
 

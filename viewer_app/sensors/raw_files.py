@@ -29,7 +29,7 @@ from viewer_app.sensors.remote import teller
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
 
 _NAMES = ("a.mkv", "b.mkv")
-_MINUTE = 5_300_000_000  # bytes, of two sensors
+_BYTES_PER_MINUTE = 5_300_000_000  # of two sensors, uncompressed
 
 
 class RawFiles(ExitStack):
@@ -62,7 +62,7 @@ class RawFiles(ExitStack):
         except OSError as fault:
             raise UsageError(f"The folder {folder} cannot be made: {fault.strerror or fault}.") from None
         check_outputs([folder / name for name in _NAMES], played, force)
-        warn_of_little_room(folder / _NAMES[0], console, _MINUTE)
+        warn_of_little_room(folder / _NAMES[0], console, _BYTES_PER_MINUTE)
 
     def attach(self, sensors: TwoSensors) -> None:
         """Records both sensors from their opening on; they are not open yet."""

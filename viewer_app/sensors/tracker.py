@@ -32,7 +32,7 @@ def tracker_of(options: TrackerOptions) -> TrackerChoice:
         ),
     )
     if choice.name == "k4abt" and options.person != "middle":
-        raise UsageError("--person is of the program's own tracker: add --tracker blazepose.")
+        raise UsageError("--person needs the program's own tracker: add --tracker blazepose.")
     return choice
 
 
