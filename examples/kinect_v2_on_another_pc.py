@@ -1,6 +1,6 @@
 """A Kinect v2 of a Windows PC for duplex live elsewhere: kinect_v2_on_another_pc.py KEY tcp/HOST:7447
 
-Needs kinect-next. Written from the sources of kinect-next 3.0; it could not be tried with a sensor.
+Needs kinect-next. Written from the sources of kinect-next 3.0, and not tested with a sensor.
 """
 
 import sys
