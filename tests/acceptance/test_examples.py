@@ -2,6 +2,7 @@
 
 import io
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ ELSEWHERE = {"test_fusion.py": "test_pytest_plugin.py"}
 def test_every_example_is_short_and_runs_here():
     here = {path.name for path in EXAMPLES.iterdir() if path.is_file()} - ELSEWHERE.keys()
     assert here == {*JOINTS, "fuse_two_recordings.py", NOTEBOOK.name, "kinect_v2_on_another_pc.py"}
-    for example in EXAMPLES.iterdir():
+    for example in filter(Path.is_file, EXAMPLES.iterdir()):
         source = example.read_text(encoding="utf-8")
         if example.suffix == ".ipynb":
             source = "\n".join("".join(cell["source"]) for cell in code_cells(read_notebook(example)))
