@@ -75,7 +75,7 @@ def test_only_the_good_seconds_are_saved_and_exported(good, recordings, tmp_path
 
     whole, saved, table = tmp_path / "whole.rrd", tmp_path / "s.rrd", tmp_path / "s.npz"
     assert duplex("fuse", *recordings, *QUICKLY, "--save", whole) == 0
-    monkeypatch.setattr("recordings.session_series.quality_per_second", judged)
+    monkeypatch.setattr("recordings.quality.per_second.quality_per_second", judged)
     capsys.readouterr()
     options = "--good", "--save", saved, "--to", table
     assert duplex("fuse", *recordings, *QUICKLY, *options) == (0 if good else 2)

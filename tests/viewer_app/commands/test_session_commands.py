@@ -272,7 +272,7 @@ def test_only_the_good_seconds_are_taken_and_a_line_says_what_is_left_out(
         path = tmp_path / name
         path.unlink(missing_ok=True)
         seconds = tuple(SecondQuality(float(k), "good" if good[30 * k + 5] else "poor", "") for k in range(3))
-        monkeypatch.setattr("recordings.session_series.quality_per_second", lambda _, each=seconds: each)
+        monkeypatch.setattr("recordings.quality.per_second.quality_per_second", lambda _, each=seconds: each)
         assert duplex(verb, session, "--good", option, path) == (0 if good.any() else 2)
         told = capsys.readouterr()
         if not good.any():
