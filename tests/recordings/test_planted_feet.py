@@ -130,6 +130,16 @@ def test_frames_without_a_person_stay_so_and_end_what_stood(true_walk):
     assert np.isnan(recorded(nobody)).all()
 
 
+def test_feet_stand_anew_when_a_clock_was_reset(true_walk):
+    feet = LiveFeet(true_walk.body)
+    for begins_ns in (100_000_000_000, 0):
+        planted = [
+            feet.update(at, begins_ns + time_ns)
+            for at, time_ns in zip(true_walk.fused, true_walk.time_ns.tolist(), strict=True)
+        ]
+        assert np.linalg.norm(np.array(planted) - true_walk.fused, axis=2).max() < 0.2
+
+
 def test_animations_have_planted_feet_unless_they_are_free(true_walk, tmp_path):
     """At another rate, too, and with the lengths of the calibration instead of those of the frames."""
     session, body = erring(true_walk, 1), true_walk.body

@@ -41,6 +41,7 @@ class LiveFeet:
         known = bool(np.isfinite(positions).all())
         if not known or not 0.0 <= elapsed < _GAP:
             self._forget()
+            elapsed = 0.0
         if not known:
             return positions
         self._floor.add(positions[None])
