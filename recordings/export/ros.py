@@ -58,7 +58,8 @@ def write_mcap(session: SessionSeries, path: Path) -> str:
             mcap.write(
                 RosFrame(time_ns, rows.fused[k], rotations[k], seen, covariance, angles[k], a_from_b, floor)
             )
-            while at < len(events) and events[at].frame <= k:
+            # those of frames that are lost, at the end of a damaged file, come last
+            while at < len(events) and (events[at].frame <= k or k == len(rows) - 1):
                 mcap.event(begun_ns + max(events[at].time_ns, 0), events[at])
                 at += 1
         mcap.finish()

@@ -242,7 +242,8 @@ def test_covariances_turn_with_the_axes_and_stay_covariances():
 
 
 def test_events_are_lines_of_a_log(session):
-    events = (*session.events, Event("sensor B lost", "WARN").placed(5, int(session.time_ns[5])))
+    lost = Event("saved no more").placed(len(session), int(session.time_ns[-1]) + 1)  # its frame is damaged
+    events = (*session.events, Event("sensor B lost", "WARN").placed(5, int(session.time_ns[5])), lost)
     path, _ = export(replace(session, events=events))
     said = [(message.level, message.msg) for topic, _, message in messages(path) if topic == "/duplex/events"]
     assert (30, "sensor B lost") in said
