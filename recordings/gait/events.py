@@ -46,7 +46,7 @@ def find_gait(
     the floor and what shows it differ, and a quarter of the time between frames are added.
 
     Args:
-        time_ns: (T,) nanoseconds, ascending.
+        time_ns: (T,) nanoseconds, ascending; a walk ends where a reset of a clock sets them back.
         positions: (T, J, 3) metres; NaN where unknown. Hips and ankles are needed. Ankles stand in for toes;
             hips alone tell where a person without shoulders faces.
         up: (3,) against gravity.

@@ -71,8 +71,10 @@ def parts_of(
     legs = np.linalg.norm(points[:, :2] - points[:, 4:6], axis=2).mean(axis=1)
     columns = np.concatenate([(ground @ floor).reshape(len(seconds), 12), errors], axis=1)
     known = np.flatnonzero(np.isfinite(columns[:, :12]).all(axis=1))
-    known = known[np.diff(seconds[known], prepend=-math.inf) > _SHORTEST_GAP]
-    gaps = np.flatnonzero(np.diff(seconds[known]) > _LONGEST_GAP) + 1
+    steps = np.diff(seconds[known], prepend=-math.inf)
+    known = known[(steps > _SHORTEST_GAP) | (steps < 0.0)]
+    steps = np.diff(seconds[known])
+    gaps = np.flatnonzero((steps > _LONGEST_GAP) | (steps < 0.0)) + 1  # or a clock was reset
     for part in np.split(known, gaps):
         if len(part) < _FEWEST_FRAMES or seconds[part[-1]] - seconds[part[0]] < _SHORTEST:
             continue

@@ -119,6 +119,16 @@ def test_a_gap_divides_a_walk_and_nothing_is_invented_in_it():
     assert all(abs(strikes - step.strike).min() < 0.03 for step in (*first, *second))
 
 
+def test_a_walk_ends_where_the_time_goes_back():
+    joints, times = truth_of("walk"), TIMES.copy()
+    times[300:] -= times[300] - times[30]
+    first, second = find_gait(AZURE_KINECT, times, joints, UP).walks
+    for walk, own in ((first, slice(0, 300)), (second, slice(300, None))):
+        (alone,) = find_gait(AZURE_KINECT, times[own], joints[own], UP).walks
+        assert [step.side for step in walk] == [step.side for step in alone]
+        np.testing.assert_allclose([step[2:] for step in walk], [step[2:] for step in alone])
+
+
 @pytest.mark.parametrize("begins", np.arange(9.0, 10.2, 0.1).round(1))
 def test_a_person_who_stands_still_for_a_while_takes_two_walks(begins):
     """In whichever part of a step they stop, so that the next one may be the other foot's."""
