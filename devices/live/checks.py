@@ -18,12 +18,12 @@ from devices.capture.sensor_choice import (
 )
 from devices.check import Check, failed
 from devices.live.sensors import (
-    VENDORS,
     NoLibraryError,
     connected_sensors,
     library_for,
     sdks_on_usb,
     software,
+    vendors,
 )
 from devices.realsense import sdk_access as realsense
 from devices.sensor import DeviceError
@@ -90,7 +90,7 @@ def device_checks(
 
 def _libraries() -> dict[str, Check]:
     """The library of every vendor, by :attr:`ConnectedSensor.sdk`; none alone is needed."""
-    checks = {"k4a": azure.sdk_check(), **{name: vendor.sdk_check() for name, vendor in VENDORS.items()}}
+    checks = {"k4a": azure.sdk_check(), **{name: vendor.sdk_check() for name, vendor in vendors().items()}}
     return {
         name: replace(checks[name], needed=False, about="library", serves=sensors, install=install)
         for name, (sensors, install) in software().items()
@@ -166,5 +166,5 @@ def _sync_cable(there: list[ConnectedSensor], chosen: tuple[str, str], named_mas
 
 
 def _sensor(sensor: ConnectedSensor) -> Check:
-    check = VENDORS[sensor.sdk].sensor_check if sensor.sdk in VENDORS else azure.sensor_check
-    return check(sensor)
+    vendor = vendors().get(sensor.sdk)
+    return azure.sensor_check(sensor) if vendor is None else vendor.sensor_check(sensor)

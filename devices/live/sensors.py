@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import NoReturn
@@ -92,7 +93,12 @@ VENDORS = {
         realsense_sensor_check,
     ),
 }
-"""All vendors but Microsoft, by :attr:`ConnectedSensor.sdk`; with those of other installed packages."""
+"""The vendors of this package but Microsoft, by :attr:`ConnectedSensor.sdk`."""
+
+
+def vendors() -> dict[str, Vendor]:
+    """:data:`VENDORS` and those of other installed packages."""
+    return {**_installed_once(), **VENDORS}
 
 
 def installed_vendors() -> dict[str, Vendor]:
@@ -127,7 +133,8 @@ def _broken_vendor(point: EntryPoint, fault: Exception) -> Vendor:
     return Vendor(point.name, install, fails, fails, check, check)
 
 
-VENDORS = {**installed_vendors(), **VENDORS}
+# not at import: a package that is imported first imports this module before it has its vendor
+_installed_once = cache(installed_vendors)
 
 
 class NoLibraryError(DeviceError):
@@ -137,7 +144,7 @@ class NoLibraryError(DeviceError):
 def software() -> dict[str, tuple[str, str]]:
     """Of every vendor, by :attr:`ConnectedSensor.sdk`: its sensors, and how their software is installed."""
     azure = "Azure Kinect", "Sensor SDK 1.4 and pip install '.[kinect]' (docs/installing.md)"
-    return {"k4a": azure, **{name: (vendor.sensors, vendor.install) for name, vendor in VENDORS.items()}}
+    return {"k4a": azure, **{name: (vendor.sensors, vendor.install) for name, vendor in vendors().items()}}
 
 
 def sdks_on_usb(root: Path = Path("/")) -> set[str]:
@@ -168,7 +175,7 @@ def connected_sensors(tracker: TrackerChoice | None, root: Path = Path("/")) -> 
         kinects = connected_kinects()
     except Exception as fault:
         faults["k4a"] = _told(fault)
-    for name, vendor in VENDORS.items():
+    for name, vendor in vendors().items():
         try:
             others += vendor.connected()
         except Exception as fault:
@@ -179,7 +186,7 @@ def connected_sensors(tracker: TrackerChoice | None, root: Path = Path("/")) -> 
             raise broken[0]  # else it would read as if nothing were connected
         if on_usb := sdks_on_usb(root) & faults.keys():
             raise NoLibraryError(f"{library_for(min(on_usb))} Next: duplex doctor checks the rest.")
-        if len(faults) == len(VENDORS) + 1:
+        if len(faults) == len(vendors()) + 1:
             *names, last = (sensors.partition(" (")[0] for sensors, _ in software().values())
             raise NoLibraryError(
                 "No sensor library is installed. One is enough, that of your two sensors:\n"
@@ -228,8 +235,8 @@ def live_sensor(
         k4abt = replace(tracker.k4abt, orientation=orientation)
         return upright(KinectSensor(serial, settings, k4abt, decimation=decimation), orientation)
     images: LiveSensor
-    if connected.sdk in VENDORS:
-        images = VENDORS[connected.sdk].sensor(serial, settings, decimation)
+    if (vendor := vendors().get(connected.sdk)) is not None:
+        images = vendor.sensor(serial, settings, decimation)
     else:
         images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=decimation)
     if not isinstance(decimation, TrackingPace):

@@ -3,7 +3,9 @@
 import enum
 import importlib.abc
 import importlib.machinery
+import os
 import re
+import subprocess
 import sys
 import tomllib
 from dataclasses import replace
@@ -125,6 +127,13 @@ def test_the_example_is_a_vendor_as_a_package_of_its_own(example, state, monkeyp
     if state == "whole":
         assert [one.serial for one in vendor.connected()] == ["7"]
         assert vendor.sdk_check().ok
+        first = "from acme_sensor import VENDOR as own; from devices.live.sensors import vendors"
+        at = os.pathsep.join((str(tmp_path), str(PAGE.parent)))
+        subprocess.run(
+            [sys.executable, "-c", f"{first}; assert vendors()['acme'] is own"],
+            env={**os.environ, "PYTHONPATH": at},
+            check=True,
+        )
         return
     for call in (vendor.connected, lambda: vendor.sensor("7", CaptureSettings(), FrameDecimation(30))):
         with pytest.raises(DeviceError, match=r"'acme' of acme-sensor cannot be loaded: .*pip install"):
