@@ -163,6 +163,12 @@ class Saving(RuleBasedStateMachine):
         self.session = made(smoothing, integers, about, tuple(no_a - no_b), tuple(no_b), method, moved)
         self.original, self.model = self.session, Model(self.session)
 
+    @property
+    def is_saved(self):
+        """Whether the file of that path has this session; a part in memory has the path of the whole."""
+        path = self.session.path
+        return path is not None and len(Session.open(path)) == len(self.session)
+
     @rule(
         name=st.sampled_from(["rotation", "smoothing", "crc32", "h", "topic", "a", "subject"]), value=values
     )
@@ -175,7 +181,7 @@ class Saving(RuleBasedStateMachine):
         self.session.save(path)
         self.session = Session.open(path)
 
-    @precondition(lambda self: self.session.path is not None)
+    @precondition(lambda self: self.is_saved)
     @rule(linked=st.booleans())
     def save_onto_itself(self, linked):
         path = self.session.path
@@ -232,7 +238,7 @@ class Saving(RuleBasedStateMachine):
         assert self.model.about == expected.about
         self.session = again
 
-    @precondition(lambda self: self.session.path is not None)
+    @precondition(lambda self: self.is_saved)
     @rule(seed=st.integers(0, 10_000))
     def damage(self, seed):
         path = self._path()
