@@ -130,6 +130,14 @@ def test_frames_without_a_person_stay_so_and_end_what_stood(true_walk):
     assert np.isnan(recorded(nobody)).all()
 
 
+@pytest.mark.parametrize("lower", [-0.5, 0.6])
+def test_live_feet_are_not_moved_to_a_floor_that_is_only_assumed(true_walk, lower):
+    down = floor_under(true_walk.rows).rotation[:, 1]
+    session = with_fused(true_walk, true_walk.fused + lower * down)
+    moved = np.linalg.norm(live(session) - session.fused, axis=2)
+    assert moved.max() < 0.2
+
+
 def test_feet_stand_anew_when_a_clock_was_reset(true_walk):
     feet = LiveFeet(true_walk.body)
     for begins_ns in (100_000_000_000, 0):

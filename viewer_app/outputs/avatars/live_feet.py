@@ -23,7 +23,8 @@ class LiveFeet:
 
     def __init__(self, body: Body) -> None:
         self._legs, self._floor = Legs(body), FloorFinder(body)
-        self._heights: deque[Array] = deque(maxlen=_USUAL)  # (2, 2), NaN of feet that are fast
+        self._found = False  # the floor
+        self._heights: deque[Array] = deque(maxlen=_USUAL)  # (2, 2) above it, NaN of feet that are fast
         self._forget()
 
     def _forget(self) -> None:
@@ -35,7 +36,8 @@ class LiveFeet:
         self._rise = self._sink = 0.0
 
     def update(self, positions: Array, time_ns: int) -> Array:
-        """(J, 3) S* in K_A's frame, metres, with its feet on the floor; as it is without a person."""
+        """(J, 3) S* in K_A's frame, metres, with its feet on the floor; as it is without a person, and until
+        ten frames have shown the floor."""
         t = time_ns * 1e-9
         elapsed = t - self._recent[-1][0] if self._recent else 0.0
         known = bool(np.isfinite(positions).all())
@@ -44,7 +46,11 @@ class LiveFeet:
             elapsed = 0.0
         if not known:
             return positions
-        self._floor.add(positions[None])
+        if self._floor.add(positions[None]):
+            self._found = True
+            self._heights.clear()  # above the floor before
+        if not self._found:
+            return positions
         floor, legs = self._floor.a_from_floor, self._legs
         at = np.asarray(floor.inverse().apply(positions[None]), dtype=np.float64)
         feet = legs.feet_of(at)[0]
