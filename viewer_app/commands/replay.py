@@ -128,7 +128,8 @@ def _planned(options: ReplayOptions) -> OutputPlan:
 
 def with_floors(frames: Iterable[SessionFrame], session: Session) -> Iterator[SessionFrame]:
     """The frames of a replay with the floor of the session, whose vertical is that of its angles."""
-    height = float(np.linalg.norm(floor_under(session.rows).translation))
+    under = floor_under(session.rows)
+    height = float(under.translation @ under.rotation[:, 1])  # negative of a person who stands higher
     for frame, up in zip(frames, session.up_of_frames, strict=True):
         yield replace(frame, floor=floor_frame(up, height))
 

@@ -14,6 +14,7 @@ from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.movement.angles import ANGLES, joint_angles
 from fusion.setup import FusionSetup
+from recordings.appearance.floor import floor_under
 from recordings.gait.events import find_gait
 from recordings.replaying import Replay
 from recordings.session import Session
@@ -114,6 +115,16 @@ def test_angles_sent_by_a_replay_are_those_of_its_session(live_run, live):
     again = replay.fused(iter(blocks))
     for each in (session, again):
         np.testing.assert_allclose(found, each.angles.degrees, atol=NEAR)
+
+
+@pytest.mark.parametrize("higher", [0.0, 1.5])
+def test_the_floor_of_a_replay_is_that_of_its_session_also_above_the_sensors(live_run, higher):
+    some, session = live_run
+    fused = session.fused + higher * session.up
+    session = replace(session, rows=replace(session.rows, fused=fused, up=None))
+    floor = next(with_floors(some, session)).floor
+    np.testing.assert_allclose(floor.translation, floor_under(session.rows).translation, atol=1e-9)
+    assert (floor.translation @ session.up > 0.0) == (higher > 0.0)
 
 
 @pytest.mark.parametrize("damage", [np.nan, 0.0, 1e30])
