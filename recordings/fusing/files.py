@@ -202,6 +202,10 @@ def _about(read: TwoRecordings, plan: RecordingPlan) -> dict[str, str | float]:
     about |= read.stated.about
     if read.images[0] is not None and (recorded := recorded_at(read.images[0])):
         about["recorded"] = recorded
+        pairs = read.pairing.pairs.skeletons
+        # frames of A alone may be left out, and B may begin before A, of which is known when it was recorded
+        if later_ns := int(pairs.time_ns[0] - pairs.views[0].time_ns[0]):
+            about["seconds_before"] = 1e-9 * later_ns
     about |= {"dropped_a": read.pairing.dropped_a, "dropped_b": read.pairing.dropped_b}
     if read.people:
         about["people"] = json.dumps([asdict(person) for person in read.people])

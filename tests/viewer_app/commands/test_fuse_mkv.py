@@ -69,6 +69,30 @@ def test_recordings_with_skeletons_become_a_session_with_depth(recorded, given, 
     assert duplex("replay", saved, "--verify", "--no-viewer") == 0
 
 
+@pytest.mark.parametrize("first", ["a", "b"])
+def test_the_first_frame_was_captured_when_its_own_sensor_did(recorded, first, tmp_path):
+    """The file of A says when that was recorded; frames of one sensor alone may begin, or be left out."""
+    later, late_us = 10, START_US + 333_333
+    truth = A_FROM_B.inverse().apply(moving(AZURE_KINECT, FRAMES))[later:]
+    pair = {
+        "a": recorded["a"],
+        "b": write_mkv(tmp_path / "b.mkv", FRAMES - later, start_offset_ns=late_us * 1000),
+        "skeletons_a": recorded["skeletons_a"],
+        "skeletons_b": write_view(tmp_path / "b.csv", AZURE_KINECT, truth, late_us),
+    }
+    method = "paper"  # frames of A alone are left out
+    if first == "b":
+        pair = {key[:-1] + "ba"[key[-1] == "b"]: path for key, path in pair.items()}
+        method = "duplex"
+    saved = tmp_path / "s.rrd"
+    assert fuse(pair, "--save", saved, "--depth", "none", "--method", method) == 0
+    session = Session.open(saved)
+    captured_ns = getattr(session, f"skeleton_{first}").captured_ns[0]
+    since_a_ns = captured_ns - 1000 * (START_US if first == "a" else late_us)
+    assert abs(since_a_ns) > 3e8
+    assert session.first_unix_ns == pytest.approx(1e9 * session.recorded.timestamp() + since_a_ns, abs=2e6)
+
+
 def test_a_cut_off_recording_gives_what_it_has_and_says_so(recorded, tmp_path, capsys):
     whole = recorded["b"].read_bytes()
     cut = tmp_path / "cut.mkv"
