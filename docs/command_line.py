@@ -83,7 +83,11 @@ def _values(kind: Any, field: Field[Any]) -> str:
         said = f" One of {', '.join(f'`{choice}`' for choice in choices)}."
     if field.default is MISSING:
         return f"{said} Required." if field.kw_only else said
-    return said if field.default in (None, False, (), "") else f"{said} Default: `{field.default}`."
+    return (
+        said
+        if field.default in (None, (), "") or field.default is False
+        else f"{said} Default: `{field.default}`."
+    )
 
 
 def _choices(kind: Any) -> list[str]:
