@@ -19,11 +19,11 @@ from recordings.gait import SIDES, Gait
 
 Mask = NDArray[np.bool_]
 
-SINKS = 0.08  # metres at most
+SINKS = 0.02  # metres at most: a person who sinks at each step bobs, and a trailing foot may slide instead
 _OF_PELVIS = 0.75  # of its speed
 _STILL = 0.25  # m/s
 _RAISED = 0.05  # metres
-_REACH = 0.995  # of a leg's length: a straighter one throws the knee about
+_REACH = 0.998  # of a leg's length: a straighter one throws the knee about
 _FOOT, _STRIDE = 0.07, 0.35  # seconds before and after, over which the speeds of foot and pelvis are
 _LEAST = 0.1  # seconds of standing
 _PAUSE = 0.08  # seconds, shorter than a swing
@@ -99,7 +99,7 @@ class Legs:
         return feet
 
     def out_of_reach(self, positions: Array, feet: Array) -> Array:
-        """(T,) metres by which the person must sink, at most 8 cm, so that both legs reach their feet."""
+        """(T,) metres, :data:`SINKS` at most, by which the person sinks so that legs reach their feet."""
         to_ankles = feet[:, :, 0] - positions[:, self._hips]
         across = np.hypot(to_ankles[..., 0], to_ankles[..., 2])
         length = _REACH * sum(self._bones(positions))

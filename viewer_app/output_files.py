@@ -42,6 +42,19 @@ def check_writable(path: Path, force: bool) -> None:
         raise UsageError(f"The folder {path.parent} is not writable.")
 
 
+def check_page(path: Path | None) -> None:
+    """Checks the ending of a page, which a browser opens by it.
+
+    Raises:
+        UsageError: Another ending, such as that of a PDF, which a browser prints from the page.
+    """
+    if path is not None and path.suffix.lower() not in (".html", ".htm"):
+        page = path.with_suffix(".html").name
+        raise UsageError(
+            f"--html {path}: the name must end in .html, as in {page}. A browser prints it as a PDF."
+        )
+
+
 def warn_of_little_room(path: Path, console: Console, little: int = _LITTLE_FREE) -> None:
     """Warns if what is saved there, of unknown length, may fill the disk: if few bytes are free."""
     free = shutil.disk_usage(path.parent).free

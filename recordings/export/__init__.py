@@ -28,6 +28,12 @@ _MODULES = {  # with ``write_…``; imported when one is asked for
     ".parquet": "tables",
     ".trc": "markers",
 }
+_PACKAGES = {
+    ".c3d": (("ezc3d",), "export"),
+    ".glb": (("pygltflib",), "export"),
+    ".mcap": (("rosbags.typesys", "mcap.writer"), "ros"),
+}
+"""What some formats need, and the extra that has it."""
 
 
 def writer_for(
@@ -46,7 +52,8 @@ def writer_for(
         feet: Of a ``.bvh`` or ``.glb``: ``planted`` where they stand, or as in S* (``free``).
 
     Raises:
-        RecordingError: No format has this suffix, or an option is given for one that has no use for it.
+        RecordingError: No format has this suffix, it needs a package that is not installed, or an option is
+            given for one that has no use for it.
     """
     suffix = path.suffix.lower()
     if suffix not in _MODULES:
@@ -78,6 +85,19 @@ def writer_for(
         if suffix not in (".csv", ".parquet"):
             raise RecordingError(f"`table` is for .csv and .parquet; {path.suffix} has one layout.")
         options["layout"] = table
-    # before hours of work, after which a missing library would be of no use
+    check_packages(suffix)
     writer: Writer = getattr(import_module(f"recordings.export.{_MODULES[suffix]}"), f"write_{suffix[1:]}")
     return partial(writer, **options)
+
+
+def check_packages(suffix: str) -> None:
+    """Imports what a format needs, before hours of work after which its absence would be of no use."""
+    packages, extra = _PACKAGES.get(suffix, ((), ""))
+    for package in packages:
+        try:
+            import_module(package)
+        except ImportError as fault:
+            name = package.partition(".")[0]
+            raise RecordingError(
+                f"Writing {suffix} needs the package {name}: pip install 'duplex-kinects[{extra}]'."
+            ) from fault

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from recordings.appearance.body_shape import capsule_lengths, capsule_radii, parents
 from recordings.appearance.colors import SKELETON_COLORS
-from recordings.errors import RecordingError
 from recordings.export import Feet, Names
 from recordings.export.animation import Animation
 from recordings.session_series import SessionSeries
@@ -30,14 +29,10 @@ def write_glb(
     """Writes S* as a ``.glb``. The last pose is held during a gap.
 
     Raises:
-        RecordingError: ``pygltflib`` is not installed, or no frame has an S*.
+        RecordingError: No frame has an S*.
     """
-    try:
-        import pygltflib as gl
-    except ImportError:
-        raise RecordingError(
-            "Writing .glb needs the package pygltflib: pip install 'duplex-kinects[export]'."
-        ) from None
+    import pygltflib as gl
+
     animation = Animation(session, rate, names, feet)
     nodes, person = animation.nodes, len(animation.nodes)
     file, blob = gl.GLTF2(asset=gl.Asset(generator="duplex-kinects")), bytearray()

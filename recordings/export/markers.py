@@ -29,15 +29,11 @@ def write_c3d(session: SessionSeries, path: Path, rate: float | None = None) -> 
     The origin lies on the floor, below K_A.
 
     Raises:
-        RecordingError: ``ezc3d`` is not installed, or the session is too long for the format.
+        RecordingError: The session is too long for the format.
         OSError: The file could not be written completely.
     """
-    try:
-        import ezc3d
-    except ImportError:
-        raise RecordingError(
-            "Writing .c3d needs the package ezc3d: pip install 'duplex-kinects[export]'."
-        ) from None
+    import ezc3d
+
     even = even_moments(session.rows, rate)
     if len(even.time_ns) > _MOST_FRAMES:
         raise RecordingError(

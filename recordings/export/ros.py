@@ -16,7 +16,7 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings.appearance.floor import floor_under
 from recordings.errors import RecordingError
-from recordings.export.ros_messages import TOPICS, RosFrame, RosMessages, check_ros, definition
+from recordings.export.ros_messages import TOPICS, RosFrame, RosMessages, definition
 from recordings.session_series import SessionSeries
 
 _CHUNK = 4_000_000  # bytes, a quarter of a minute
@@ -38,9 +38,8 @@ def write_mcap(session: SessionSeries, path: Path) -> str:
     """Writes S*, its angles and the events of a session, at their recorded times.
 
     Raises:
-        RecordingError: ``rosbags`` or ``mcap`` is not installed, or no frame has an S*.
+        RecordingError: No frame has an S*.
     """
-    check_ros()
     rows, seen, start_ns = session.rows, ~session.rows.never_seen, session.first_unix_ns
     if not np.isfinite(rows.fused[:, session.body.root]).any():
         raise RecordingError(f"{session} has no frame with an S*; there is nothing to export.")

@@ -23,7 +23,6 @@ from fusion.movement.humanoid import human_bones
 from fusion.movement.joint_rotations import joint_bones
 from fusion.rigid import RigidTransform
 from fusion.support.types import Array
-from recordings.errors import RecordingError
 
 BODY_ID = "duplex"
 """Identifier of the person, at the end of the names of frames."""
@@ -62,21 +61,6 @@ class RosFrame(NamedTuple):
     angles: Array  # (K,) degrees; NaN where unknown
     a_from_b: RigidTransform | None  # None before a calibration
     a_from_floor: RigidTransform
-
-
-def check_ros() -> None:
-    """Checks that what writes the messages is installed.
-
-    Raises:
-        RecordingError: It is not.
-    """
-    try:
-        import mcap.writer  # noqa: F401
-        import rosbags.typesys  # noqa: F401
-    except ImportError:
-        raise RecordingError(
-            "Writing .mcap needs the packages rosbags and mcap: pip install 'duplex-kinects[ros]'."
-        ) from None
 
 
 @cache

@@ -1,5 +1,7 @@
 """What a command writes is not written by another process at the same time."""
 
+import sys
+
 import pytest
 
 from devices.output_file import Hidden
@@ -47,3 +49,21 @@ def test_of_two_batches_on_one_folder_the_second_is_refused(tmp_path, capsys):
     assert "is being written by another process" in one_line(capsys)
     assert unfinished.is_dir(), "the first one's work is left alone"
     first.remove()
+
+
+@pytest.mark.parametrize("command", [("review", "s.rrd"), ("compare", "s.rrd", "t.rrd")])
+def test_a_page_is_named_as_one(command, tmp_path, capsys, monkeypatch):
+    """A browser shows a page of another ending as text."""
+    monkeypatch.chdir(tmp_path)
+    assert duplex(*command, "--no-viewer", "--html", "walk.pdf") == 2
+    assert "the name must end in .html, as in walk.html" in one_line(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_an_export_needs_is_looked_for_before_fusing(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygltflib", None)
+    monkeypatch.setattr("viewer_app.commands.fuse._read", lambda *_: pytest.fail("it is read"))
+    write_pair(tmp_path)
+    outputs = "--save", tmp_path / "s.rrd", "--to", tmp_path / "t.glb"
+    assert duplex("fuse", tmp_path / "a.csv", tmp_path / "b.csv", "--no-viewer", *outputs) == 2
+    assert "Writing .glb needs the package pygltflib" in one_line(capsys)

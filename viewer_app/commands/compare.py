@@ -29,7 +29,7 @@ from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import CompareOptions
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, save_report, write_text
+from viewer_app.output_files import check_outputs, check_page, save_report, write_text
 from viewer_app.report.pages.comparison_figures import (
     BONES_HEAD,
     BONES_TITLE,
@@ -75,6 +75,7 @@ def run(options: CompareOptions) -> None:
     if options.offset is not None and not math.isfinite(options.offset):
         raise UsageError(f"--offset {options.offset}: must be a number of seconds.")
     inputs = [options.first, options.second]
+    check_page(options.html)
     check_outputs([options.html, options.report], inputs, options.force, options.save)
     if options.second.suffix.lower() in SUFFIXES:
         for name, chosen in (("worst", options.worst is not None), ("any-capture", options.any_capture)):

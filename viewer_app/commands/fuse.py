@@ -74,12 +74,16 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     if options.good:
         kept = session.part(np.flatnonzero(good_frames_of(session, console)))
         about = "These figures are of the whole recordings, of which this session has the good seconds."
-    if options.to is not None and export is not None:
-        with output_file(options.to, options.force) as hidden:
-            written = export(kept, hidden)
-        console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)
+
+    def export_it() -> None:
+        if options.to is not None and export is not None:
+            with output_file(options.to, options.force) as hidden:
+                written = export(kept, hidden)
+            console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)
+
     hub, window = viewing.hub, isinstance(viewing, FileWindow)
     if options.save is None and not window and hub is None:
+        export_it()
         _summarise(console, options, session, figures)
         viewing.announce(console)
         return session, figures
@@ -92,6 +96,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
 
     shown = written_and_shown(options.save, write, force=options.force, window=window, served=hub is not None)
     with shown as (file, _):
+        export_it()  # a session that is saved survives what fails here
         _summarise(console, options, session, figures)
         with served(file, hub) if file is not None and hub is not None else nullcontext():
             viewing.announce(console)

@@ -7,7 +7,7 @@ from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReviewOptions
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, write_text
+from viewer_app.output_files import check_outputs, check_page, write_text
 from viewer_app.report.events import (
     ListedEvent,
     list_events,
@@ -25,6 +25,7 @@ def run(options: ReviewOptions) -> None:
     """Runs the command."""
     console = output_console()
     viewing = choose_viewing(options, options.session, live=False)
+    check_page(options.html)
     check_outputs([options.html], [options.session], options.force)
     session = Session.open(options.session)
     events = list_events(session.events)

@@ -159,12 +159,12 @@ def plan_outputs(
             "--zenoh-listen and --zenoh-connect are addresses for --zenoh; give its key as well."
         )
     if options.save_mcap is not None:
-        from recordings.export.ros_messages import check_ros
+        from recordings.export import check_packages
 
         if options.save_mcap.suffix.lower() != ".mcap":
             example = options.save_mcap.with_suffix(".mcap").name
             raise UsageError(f"--save-mcap {options.save_mcap}: the name must end in .mcap, as in {example}.")
-        check_ros()
+        check_packages(".mcap")
     avatar = None if options.avatar is None else read_avatar(options.avatar)
     return OutputPlan(options, listen, vmc, vrchat, avatar, overwrite)
 

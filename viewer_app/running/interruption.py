@@ -112,6 +112,6 @@ class CtrlC:
 
 
 def compiling(console: Console) -> AbstractContextManager[object]:
-    """Prints a notice if what is done inside, which compiles kernels, takes more than a second."""
-    notice = "Compiling the kernels; only the first run does this …"
+    """Prints a notice if what is done inside, which loads or compiles kernels, takes more than a second."""
+    notice = "Loading the kernels; the first run compiles them …"
     return call_after(1.0, lambda: console.print(notice))

@@ -1,5 +1,6 @@
 """``duplex fuse`` at the command line: arguments, output and files."""
 
+import errno
 import json
 import math
 import re
@@ -280,3 +281,15 @@ def test_a_clock_that_is_seconds_off_is_corrected_and_every_frame_is_fused(tmp_p
     assert figures_of(two)["paired"] == 151
     assert duplex("fuse", a, b, "--offset", "nan", "--no-viewer") == 2
     assert "The offset of the clocks is nan ms; give at most 1e12 milliseconds." in capsys.readouterr().err
+
+
+def test_a_session_survives_an_export_that_fails(recordings, tmp_path, monkeypatch, capsys):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("recordings.export.tables.write_npz", full)
+    saved, table = tmp_path / "s.rrd", tmp_path / "s.npz"
+    assert duplex("fuse", *recordings, *QUICKLY, "--save", saved, "--to", table) == 2
+    assert "No space left" in capsys.readouterr().err
+    assert not table.exists()
+    assert len(Session.open(saved)) > 0
