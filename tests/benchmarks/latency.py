@@ -80,7 +80,8 @@ def vmc_delay(body, seconds):
     first_ns = departures.times[0][1]
     left = {float(np.float32((time_ns - first_ns) * 1e-9)): now for now, time_ns in departures.times}
     rows = [line.split() for line in printed.splitlines()]
-    delays = np.array([int(now) - left[float(stamp)] for now, stamp in rows][_SETTLING:]) * 1e-6
+    sent = [(now, float(stamp)) for now, stamp in rows if float(stamp) in left]  # not the last word
+    delays = np.array([int(now) - left[stamp] for now, stamp in sent][_SETTLING:]) * 1e-6
     return {"frames": len(departures.times), "arrived": len(rows), **_percentiles(delays)}
 
 
