@@ -245,14 +245,6 @@ def _speed(document):
              figures["solver"]["published"]),
         )
     ]  # fmt: skip
-    rows += [
-        (
-            f"the choice of the person, {people} in view",
-            f"{row['median_us']:.0f} µs",
-            f"{row['p99_us']:.0f} µs",
-        )
-        for people, row in figures.get("association", {}).items()  # measured since 2.0
-    ]
     commands = figures["commands"]
     batch = figures["update"]["kinect_v2"]["duplex"]["batch_per_s"]
     rows.append(("whole recording, Kinect v2", f"{batch:,.0f} pairs/s", ""))
