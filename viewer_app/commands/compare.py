@@ -75,8 +75,8 @@ def run(options: CompareOptions) -> None:
     if options.offset is not None and not math.isfinite(options.offset):
         raise UsageError(f"--offset {options.offset}: must be a number of seconds.")
     inputs = [options.first, options.second]
-    check_page(options.html)
     check_outputs([options.html, options.report], inputs, options.force, options.save)
+    check_page(options.html)
     if options.second.suffix.lower() in SUFFIXES:
         for name, chosen in (("worst", options.worst is not None), ("any-capture", options.any_capture)):
             if chosen:

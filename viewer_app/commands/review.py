@@ -25,8 +25,8 @@ def run(options: ReviewOptions) -> None:
     """Runs the command."""
     console = output_console()
     viewing = choose_viewing(options, options.session, live=False)
-    check_page(options.html)
     check_outputs([options.html], [options.session], options.force)
+    check_page(options.html)
     session = Session.open(options.session)
     events = list_events(session.events)
     at_ns, where = opening_time(options, session, events)

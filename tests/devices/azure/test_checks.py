@@ -227,7 +227,7 @@ def test_orbbecs_software_and_our_tracker_are_enough(orbbecs, monkeypatch, tmp_p
     assert bolt.detail == "Orbbec Femto Bolt, USB3.2, firmware 1.1.3, sync jacks not known"
     assert "recommends firmware 1.4.98" in gemini.advice
     assert "`sync_master=" in named["sync cable"].advice
-    assert "never a real sensor" in named["proven on hardware"].detail
+    assert "never with a real sensor" in named["proven on hardware"].detail
     assert not named["proven on hardware"].needed
     assert orbbecs.open_serials == [], "each is opened briefly"
 

@@ -264,7 +264,7 @@ def test_the_doctor_knows_them(standin_prefix, monkeypatch, tmp_path):
     assert named["two sensors"].detail == "2 connected, 2 usable"
     assert named[f"Kinect v2 {A}"].detail == "no sync port"
     assert named["USB speed"].detail == f"{B} runs at 480 Mbit/s"
-    assert "never a real sensor" in named["proven on hardware"].detail
+    assert "never with a real sensor" in named["proven on hardware"].detail
 
 
 def test_our_tracker_finds_a_simulated_person_in_its_mirrored_images(freenect2):
