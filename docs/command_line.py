@@ -65,7 +65,7 @@ def _is_annotated(hint: Any) -> bool:
 
 
 def _texts(options: type) -> dict[str, str]:
-    """The text below each option, of the class and of its bases."""
+    """The docstring below each option of a class and of its bases."""
     texts = {}
     for one in reversed(options.__mro__[:-1]):
         (of_class,) = ast.parse(inspect.getsource(one)).body

@@ -4,8 +4,8 @@ An ankle, or toes, stand while they are slower than 0.75 of the pelvis, as in
 :mod:`recordings.gait.events`, or than 0.25 m/s, and less than 5 cm above where they usually stand. What is
 between two such times in one stance of the gait counts, too: S* loses a foot for some frames. They are then
 kept in the middle of their places at their usual height, and are led there and away in 0.15 s. The person
-rises and sinks with the feet, and sinks where a leg would not reach its foot. Knees follow by inverse
-kinematics of two bones, in the planes of S*.
+rises and sinks with the feet, and sinks by 2 cm at most where a leg would not reach its foot. Knees follow by
+inverse kinematics of two bones, in the planes of S*.
 """
 
 from __future__ import annotations

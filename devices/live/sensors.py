@@ -104,7 +104,7 @@ def vendors() -> dict[str, Vendor]:
 def installed_vendors() -> dict[str, Vendor]:
     """The vendors of other packages, which name a :class:`Vendor` as an entry point of ``duplex.sensors``.
 
-    One that cannot be loaded is a vendor whose software is broken.
+    If one cannot be loaded, its sensors count as those of a broken library, with the reason.
     """
     found = {}
     for point in entry_points(group="duplex.sensors"):

@@ -31,7 +31,7 @@ class _FileTimes:
         self._last_ns: int | None = None
 
     def of(self, frame: SensorFrame) -> int | None:
-        """The time of a frame; None if it came before, or a later one did."""
+        """The time of a frame in the file; None if the frame repeats or precedes the last one."""
         sensor_ns, host_ns = frame.time_ns, frame.host_ns or 0
         timing = self._clock.observe(sensor_ns, host_ns)
         passed = self._last_ns is not None and sensor_ns <= self._last_ns

@@ -30,7 +30,7 @@ _FEWEST_FRAMES = 3
 
 
 class Part(NamedTuple):
-    """A part without gaps, at an even rate and filtered; places are on the floor."""
+    """Movement without gaps, at an even rate and filtered. Positions are projected onto the floor."""
 
     t: Array  # (n,) seconds
     frame_seconds: float  # between the frames that it is from

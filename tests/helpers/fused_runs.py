@@ -11,6 +11,8 @@ from recordings.data.images import Images, SessionImages
 from recordings.data.session_arrays import SessionFrame
 from recordings.file.session_writer import write_session
 from recordings.session import Session
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 
 class FrameImages(SessionImages):
@@ -30,6 +32,15 @@ class FrameImages(SessionImages):
             seen = getattr(self._frames[k].pair, side)
             if self._every and k % self._every == 0 and seen is not None and getattr(seen, kind) is not None:
                 yield k, getattr(seen, kind)
+
+
+GAP = (20, 21, 22)
+"""The frames in which no sensor sees the person of :func:`record_with_a_gap`."""
+
+
+def record_with_a_gap(path, body):
+    """A moving person, whom no sensor sees in three frames; timestamps jitter by up to 3 ms."""
+    return record_fused(path, frame_pairs(body, 60, gap=GAP, jitter_ns=3_000_000), calibration_of(body))
 
 
 def record_fused(path, pairs, calibration, settings=None, depth_every=0, block=256):

@@ -23,7 +23,7 @@ _PAGE = Path(__file__).with_name("three_vrm.html")
 
 @contextmanager
 def avatar_page(vrm):
-    """A page of a browser that shows an avatar; ``pose(bones)`` moves it as a receiver of VMC does.
+    """A browser page that shows an avatar; ``pose(bones)`` moves it as a receiver of VMC does.
 
     ``pose`` takes (name, position, rotation) in Unity's axes, and gives where the bones of the file are then.
     """

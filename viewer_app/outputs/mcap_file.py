@@ -21,10 +21,7 @@ _EVERY_NS = 2_000_000_000  # between two blocks
 
 class McapOutput(LiveOutput):
     """Writes a block every two seconds. After each the file is whole, so that a killed process leaves one.
-
-    Raises:
-        RecordingError: The packages that write it are not installed.
-    """
+    :func:`recordings.export.check_packages` says whether it can be written."""
 
     closes_within = None
     keeps = True
