@@ -77,7 +77,7 @@ def _methods(figures):
                 f"**{name}**" if name.startswith("duplex") else name,
                 _mm(row["mpjpe"], 1),
                 _mm(row["p95"]),
-                f"{_mm(row['hidden_one'])} / {_mm(row['hidden_both'])}",
+                f"{_mm(row['hidden_one'])}/{_mm(row['hidden_both'])}",
                 _mm(row["bone_error"]),
                 _mm(row["jitter"], 1),
                 _number(row["swapped"], 100, 2),
@@ -86,7 +86,7 @@ def _methods(figures):
             )
         )
     columns = (
-        "method", "mean error", "95 %", "hidden in one / both views", "worst bone", "jitter, still",
+        "method", "mean error", "95 %", "hidden in one/both views", "worst bone", "jitter, still",
         "sides swapped, %", "lag, frames", "*duplex* closer, % of recordings",
     )  # fmt: skip
     return _table(columns, rows)
@@ -101,7 +101,7 @@ def _sets():
         methods = figures["methods"]
         best = min((m for m in _BASELINES if m in methods), key=lambda m: methods[m]["mpjpe"])
         cells = [
-            "–" if m not in methods else f"{_mm(methods[m]['mpjpe'], 1)} / {_mm(methods[m]['p95'])}"
+            "–" if m not in methods else f"{_mm(methods[m]['mpjpe'], 1)}/{_mm(methods[m]['p95'])}"
             for m in (best, "paper", "duplex", "duplex, live", "duplex, smoothed", "oracle")
         ]
         motions = {(case["motion"], case["angle"]) for case in figures["lost"]}
@@ -132,8 +132,8 @@ def _real(figures):
         _real_row(f"{len(others)} people who stand or step, mean", list(others.values()), np.mean),
     ]
     columns = (
-        "recording", "roughness of S\\*, views = 1", "own jumps, %", "against the motion A / B / S\\*, %",
-        "heading, ° / astray, %", "live", "flips per minute", "hands together, %",
+        "recording", "roughness of S\\*, views = 1", "own jumps, %", "against the motion A/B/S\\*, %",
+        "heading, °/*astray*, %", "live", "flips per minute", "hands together, %",
     )  # fmt: skip
     return _table(columns, rows)
 
@@ -148,18 +148,18 @@ def _certainty(figures):
 
     rows = [
         (
-            f"a limb deleted from {views}: rms distance over rms σ added; 95 %, mm",
+            f"a limb deleted from {views}: RMS distance over RMS added σ; 95 %, mm",
             f"{_number(row['rms_over_added'], 1, 2)}; {_mm(row['apart_95'])}",
         )
         for views, row in (("one view", one), ("both", both))
     ]
     rows += [
         (
-            "a tenth of B's frames deleted: joints 100 mm elsewhere; of them beyond 2.5 σ, %",
+            "a tenth of B's frames deleted: joints that move 100 mm; of these beyond 2.5 σ, %",
             f"{_number(thinned['elsewhere'], 100, 2)}; {_number(thinned['unsaid'], 100, 2)}",
         ),
         (
-            "events true of S\\*: left and right; limbs, %",
+            "events that are true of S\\*: left and right; limbs, %",
             f"{_number(words['exchanged'], 100, 1)}; {_number(words['follows'], 100, 1)}",
         ),
         (
@@ -167,11 +167,11 @@ def _certainty(figures):
             f"{_number(set_up['median'], _DEGREES, 1)}; {_number(set_up['within'], 100, 0)}",
         ),
         (
-            "clock offsets in 20 s: right, wrong, not found",
+            "clock offsets found from 20 s: right, wrong, none",
             ", ".join(str(count) for count in real["clocks"].values()),
         ),
         (
-            "simulated, Azure, v2: errors within 2 σ, %; rms σ over rms error",
+            "simulated, Azure, v2: errors within 2 σ, %; RMS σ over RMS error",
             f"{each('within_2', 100, 1)}; {each('rms_sigma_over_error', 1, 2)}",
         ),
         (
@@ -179,7 +179,7 @@ def _certainty(figures):
             f"{each('speed_over_true', 1, 3)}; {each('speed_within', 100, 0)}",
         ),
         (
-            "simulated walks: S\\*'s strikes; toe-offs after the truth's, ms",
+            "simulated walks: delay of strikes; of toe-offs, ms",
             f"{each('strike_late', 1e3, 0)}; {each('toe_off_late', 1e3, 0)}",
         ),
     ]
@@ -197,15 +197,15 @@ def _conditions(figures, real):
     rows = [
         (name, _number(max(row["mpjpe"] for row in of) / clean[1]["mpjpe"], 1, 2))
         for name, of in (
-            ("B's clock 33 ms–7 s off, or 200 ppm fast; worst", clocks),
+            ("B's clock off by 33 ms–7 s, or 200 ppm fast; worst case", clocks),
             *((name, [row]) for name, row in others if row not in clocks),
         )
     ]
     bad = figures["bad_setups"].values()
     worst = max(row[f"fused_where_{view}"] / row[view] for row in bad for view in "ab")
-    title = f"{len(figures['bad_setups'])} bad set-ups: S\\*, a view = 1, same joints; worst"
+    title = f"{len(figures['bad_setups'])} bad set-ups: S\\* if a view is 1, same joints; worst case"
     rows.append((title, _number(worst, 1, 2)))
-    wrong = f"20 frames of a view wrong ({', '.join(FAULTS)}); share in S\\*, "
+    wrong = f"20 faulty frames in a view ({', '.join(FAULTS)}): share that reaches S\\*, "
     new = [row for name, row in real.items() if name.endswith(HELD_OUT)]
     for of, pairs in (("real pairs", real.values()), ("new walks", new)):
         shares = (_number(_over(np.mean, pairs, f"fault_{kind}"), 1, 2) for kind in FAULTS)
@@ -221,9 +221,9 @@ def _real_row(name, rows, over):
         name,
         figure("roughness_ratio", 1, 2),
         figure("jumps_own", 100, 2),
-        " / ".join(figure(f"against_{view}", 100, 1) for view in ("a", "b", "fused")),
-        f"{figure('heading_fused', _DEGREES, 0)} / {figure('astray_fused', 100, 0)}",
-        f"{figure('live_heading_fused', _DEGREES, 0)} / {figure('live_astray_fused', 100, 0)}",
+        "/".join(figure(f"against_{view}", 100, 1) for view in ("a", "b", "fused")),
+        f"{figure('heading_fused', _DEGREES, 0)}/{figure('astray_fused', 100, 0)}",
+        f"{figure('live_heading_fused', _DEGREES, 0)}/{figure('live_astray_fused', 100, 0)}",
         figure("flips_per_minute", 1, 1),
         figure("hands_together", 100, 1),
     )
@@ -241,7 +241,7 @@ def _speed(document):
         (f"eq. (1), 20 joints, {title}", f"{row['median_us']:.0f} µs", f"{row['p99_us']:.0f} µs")
         for title, row in (
             ("our solver, bones exact", figures["solver"]["exact"]),
-            (f"the paper's, bones off by {figures['solver']['published']['bone_error_mm']:.0f} mm at worst",
+            (f"the paper's, with bones off by {figures['solver']['published']['bone_error_mm']:.0f} mm at worst",
              figures["solver"]["published"]),
         )
     ]  # fmt: skip
@@ -249,8 +249,8 @@ def _speed(document):
     batch = figures["update"]["kinect_v2"]["duplex"]["batch_per_s"]
     rows.append(("whole recording, Kinect v2", f"{batch:,.0f} pairs/s", ""))
     timed = [
-        ("`duplex fuse --save`, after its start", f"{commands['fuse_pairs_per_s']:,.0f} pairs/s", ""),
-        ("start of `duplex fuse`", f"{commands['fuse_start_up_s']:.1f} s", ""),
+        ("`duplex fuse --save`, after start-up", f"{commands['fuse_pairs_per_s']:,.0f} pairs/s", ""),
+        ("start-up of `duplex fuse`", f"{commands['fuse_start_up_s']:.1f} s", ""),
         ("`duplex replay --verify`", f"{commands['replay_pairs_per_s']:,.0f} pairs/s", ""),
         ("opening a session of an hour", f"{commands['open_hour_s']:.1f} s", ""),
     ]
@@ -272,19 +272,19 @@ def _latency(document):
         rows.append(
             (
                 title,
-                f"{row['handed_over']['median_ms']:.1f} / {row['handed_over']['p99_ms']:.1f}",
-                "–" if shown is None else f"{shown['median_ms']:.1f} / {shown['p99_ms']:.1f}",
+                f"{row['handed_over']['median_ms']:.1f}/{row['handed_over']['p99_ms']:.1f}",
+                "–" if shown is None else f"{shown['median_ms']:.1f}/{shown['p99_ms']:.1f}",
                 str(row["lost"]),
                 f"{100 * row['processor']:.0f} %",
                 "–" if row["growth_mb"] is None else f"{row['growth_mb']:.0f} MB",
             )
         )
     vmc = figures["vmc"]
-    rows.append(("from S\\* to a VMC receiver", f"{vmc['median_ms']:.1f} / {vmc['p99_ms']:.1f}", "–",
+    rows.append(("from S\\* to a VMC receiver", f"{vmc['median_ms']:.1f}/{vmc['p99_ms']:.1f}", "–",
                  str(vmc["frames"] - vmc["arrived"]), "–", "–"))  # fmt: skip
     columns = (
         "sinks", "S\\* handed over, ms", "logged for the viewer, ms", "frames lost or skipped",
-        "one processor's time", "memory growth",
+        "share of one processor", "memory growth",
     )  # fmt: skip
     return _table(columns, rows)
 
