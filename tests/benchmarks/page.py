@@ -241,7 +241,7 @@ def _speed(document):
         (f"eq. (1), 20 joints, {title}", f"{row['median_us']:.0f} µs", f"{row['p99_us']:.0f} µs")
         for title, row in (
             ("our solver, bones exact", figures["solver"]["exact"]),
-            (f"the paper's, with bones off by {figures['solver']['published']['bone_error_mm']:.0f} mm at worst",
+            (f"the paper's, bones off by up to {figures['solver']['published']['bone_error_mm']:.0f} mm",
              figures["solver"]["published"]),
         )
     ]  # fmt: skip
