@@ -49,7 +49,7 @@ class Step:
 
 
 _START_PAGE = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
-(_SUMMARY,) = re.findall(r"The summary is\n\n```text\n(.*?)\n```", _START_PAGE, re.DOTALL)
+(_SUMMARY,) = re.findall(r"prints this summary:\n\n```text\n(.*?)\n```", _START_PAGE, re.DOTALL)
 README = (
     Step("make demo", elsewhere="test_window.py"),
     Step("make test", elsewhere="this runs in it"),

@@ -169,10 +169,10 @@ def test_the_start_page_has_the_limits_of_the_verdict():
     page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
     (low, high), (least, most) = limits.GOOD_ANGLES, verdict.USABLE_ANGLES
     rows = (
-        f"| distance of the views, median | < {limits.GOOD:.0f} mm | < {limits.USABLE:.0f} mm |",
+        f"| distance between the views, median | < {limits.GOOD:.0f} mm | < {limits.USABLE:.0f} mm |",
         f"| rotation of B, one standard deviation | ≤ {CERTAIN_TURN_DEG:g}° | ≤ {2 * CERTAIN_TURN_DEG:g}° |",
         f"about the vertical | {low:.0f}–{high:.0f}° | {least:.0f}–{most:.0f}° |",
-        "| clock offset, less two standard deviations | < {:.0f} ms | < {:.0f} ms |".format(*verdict.OFFSETS),
+        "| clock offset minus two standard deviations | < {:.0f} ms | < {:.0f} ms |".format(*verdict.OFFSETS),
         "one view alone | < {:.0%} | < {:.0%} |".format(*verdict.DOUBTFUL).replace("%", " %"),
     )
     assert [row for row in rows if row not in page] == []
