@@ -33,11 +33,18 @@ def _interrupt_again(unraisable: sys.UnraisableHookArgs) -> None:
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         heard = (number for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN)
         # at once it would end this function only
-        again = threading.Timer(_AGAIN_S, _thread.interrupt_main, (next(heard, signal.SIGINT),))
+        again = threading.Timer(_AGAIN_S, _interrupt_main_thread, (next(heard, signal.SIGINT),))
         again.daemon = True
         again.start()
     else:
         sys.__unraisablehook__(unraisable)
+
+
+def _interrupt_main_thread(number: signal.Signals) -> None:
+    if sys.platform == "win32":
+        _thread.interrupt_main(number)
+    else:  # unlike interrupt_main, a real signal ends what the main thread waits for
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
 
 
 @contextmanager

@@ -95,7 +95,7 @@ def test_that_no_worker_is_left_is_said_and_ends_it(monkeypatch):
                 lambda: list(cluster.run_on_cluster(jobs, made.scheduler_address, said.append))
             )
             assert FUSING.wait(10.0)
-            made.sync(made.workers[0].close)
+            made.sync(made.workers[0].close, executor_wait=False)
             LEFT.set()
             outcomes = running.result(20.0)
     assert [outcome.error for outcome in outcomes] == ["No worker was left."] * 2

@@ -47,8 +47,7 @@ def pressed():
 
 def main():
     ctypes.CFUNCTYPE(None)(pressed)()
-    threading.Event().wait(30.0)
-    print("went on")
+    threading.Event().wait()
 
 cli.main = main
 cli.script()
