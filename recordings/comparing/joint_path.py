@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from fusion.support.types import Array
 
+Ints = NDArray[np.int64]
+
 _LONGEST_GAP = 0.1  # seconds without a point that are interpolated
 
 
@@ -29,19 +31,21 @@ class JointPath:
 
         self.seconds, self._shape = joints.seconds, joints.positions.shape[1:]
         longest = max(_LONGEST_GAP, 2.5 * float(np.median(np.diff(joints.seconds))))
-        self._splines: dict[int, tuple[Array, Any, NDArray[np.bool_]]] = {}
-        for joint in range(self._shape[0]):
-            known = np.isfinite(joints.positions[:, joint, 0])
-            if known.sum() > 1:
-                times = joints.seconds[known]
-                spline = CubicSpline(times, joints.positions[known, joint])
-                self._splines[joint] = times, spline, np.diff(times) <= longest
+        known = np.isfinite(joints.positions[:, :, 0])
+        masks, of_mask = np.unique(known, axis=1, return_inverse=True)
+        # one for all joints that are known at the same times
+        self._splines = list[tuple[Ints, Array, Any, NDArray[np.bool_]]]()
+        for mask, some in enumerate(masks.T):
+            if some.sum() > 1:
+                times, of = joints.seconds[some], np.flatnonzero(of_mask == mask)
+                spline = CubicSpline(times, joints.positions[np.ix_(some, of)])
+                self._splines.append((of, times, spline, np.diff(times) <= longest))
 
     def at(self, times: Array, derivative: int = 0) -> Array:
         """(T, J, 3) positions or velocities; NaN in gaps and outside."""
         found = np.full((len(times), *self._shape), np.nan)
-        for joint, (known, spline, short) in self._splines.items():
+        for joints, known, spline, short in self._splines:
             before = np.clip(np.searchsorted(known, times, side="right") - 1, 0, len(known) - 2)
-            inside = (times >= known[0]) & (times <= known[-1]) & short[before]
-            found[inside, joint] = spline(times[inside], derivative)
+            inside = np.flatnonzero((times >= known[0]) & (times <= known[-1]) & short[before])
+            found[np.ix_(inside, joints)] = spline(times[inside], derivative)
         return found

@@ -137,6 +137,8 @@ def _with_speed(views: Sequence[Joints], truth: JointPath, near: TimeOffset) -> 
             Joints(view.seconds[some], view.positions[some]) for view, some in zip(views, within, strict=True)
         ]
         found = _refined(parts, truth, found, middle, 2) or found
+        if abs(found.fast) - _FASTEST > _CERTAIN * found.fast_sd:
+            return near
         if all(some.all() for some in within):
             break
         half *= 2.0
