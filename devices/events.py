@@ -18,7 +18,7 @@ class Event:
     """One event, from its producer to the session file.
 
     Attributes:
-        text: What happened, and the way out if there is one.
+        text: What happened, and what to do, if anything.
         level: Severity.
         topic: The subject of a spell, the same for its start and end; empty for a single event.
         phase: Whether a spell starts or ends here.

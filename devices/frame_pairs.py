@@ -40,7 +40,7 @@ class FramePair:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RecordedPairs(Rows[FramePair]):
-    """Pairs without images whose skeletons are arrays; each pair is made when it is asked for."""
+    """Pairs without images, whose skeletons are stored as arrays; each pair is made on demand."""
 
     skeletons: Pairs  # of views with one row for each frame of the sensor
 

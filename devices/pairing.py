@@ -24,11 +24,11 @@ gap."""
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """All pairs of two recordings, and what was left over.
+    """All pairs of two recordings, and the number of frames left over.
 
     Attributes:
-        pairs: In time order; with one side None if the other recording has no frame for this moment.
-        frames_a, frames_b: How many frames each recording has.
+        pairs: In time order; one side is None if that recording has no frame for this moment.
+        frames_a, frames_b: Number of frames in each recording.
         alone_a, alone_b: Frames without a partner that are among the pairs.
         dropped_a, dropped_b: Frames left out.
     """
@@ -60,9 +60,9 @@ def pair_views(
         a, b: The person in all frames of each recording.
         tolerance_ns: Half the slower stream's median frame interval if None.
         offset_ns: Added to the times of B, one or (T,), so that both are on A's clock.
-        every_frame: Whether all other frames are given alone, too: those that merely find no partner, as
-            where one sensor is faster, and those before or after all of the other recording. Else they are
-            left out, because the paper's methods fuse pairs.
+        every_frame: Whether all other frames are also given alone: those without a partner because one
+            sensor is faster, and those before or after the other recording. Otherwise they are left out,
+            because the paper's methods fuse pairs.
 
     Raises:
         DeviceError: A recording is empty, or the two never overlap in time.

@@ -18,7 +18,7 @@ from fusion.skeleton import Skeleton
 
 
 class DeviceError(DuplexError):
-    """A source cannot give frames. The message states what happened, the value and the way out."""
+    """A source cannot give frames. The message states what happened, the value and what to do."""
 
 
 class MissingRecordingError(DeviceError, FileNotFoundError):
@@ -54,7 +54,7 @@ class ColorImage:
 
     @staticmethod
     def of(jpeg: bytes, camera: ColorCamera) -> ColorImage | None:
-        """An image of what a camera gave; None if that was cut off."""
+        """An image from a camera's data; None if they were cut off."""
         whole = jpeg.startswith(b"\xff\xd8") and jpeg.rstrip(b"\0").endswith(b"\xff\xd9")
         return ColorImage(jpeg, camera) if whole else None
 
@@ -110,7 +110,7 @@ class LinkFigures:
 
 
 class Sensor:
-    """One source of frames: derive your own from it. Building one opens nothing; use it as a context manager.
+    """A source of frames; derive your own from it. Creating one opens nothing: use it as a context manager.
 
     Attributes:
         name: Name for messages: a serial number or a file name.
@@ -123,8 +123,8 @@ class Sensor:
         waits_for: What opening, the first frame or closing waits for if that may take minutes, such as "its
             body tracker, which loads its network"; else empty.
         tracked_by: The body tracker that finds its people, as a session records it; else empty.
-        link: How the messages of a sensor on another machine arrive; None for one of this machine.
-        recorded: Whether it plays a recording. A failure is its end then, and no cable or power is at fault.
+        link: How the messages of a sensor on another machine arrive; None for a local sensor.
+        recorded: Whether it plays a recording. A failure then ends it, and is not blamed on cables or power.
     """
 
     name: str
@@ -140,7 +140,7 @@ class Sensor:
 
     @property
     def key(self) -> Hashable:
-        """What tells it from the other sensors of a session, where a name may not."""
+        """Distinguishes it from the other sensors of a session, which may have the same name."""
         return self.name
 
     def __enter__(self) -> Self:
@@ -158,7 +158,7 @@ class Sensor:
         """The frames in capture order, ending when the source ends.
 
         Raises:
-            DeviceError: The source failed; frames before the failure were given.
+            DeviceError: The source failed; frames before the failure were yielded.
         """
         raise NotImplementedError
 
@@ -169,7 +169,7 @@ class Sensor:
         """
 
     def take_news(self) -> list[str]:
-        """What a person should know since the last call, one line each. Called from another thread."""
+        """News for the user since the last call, one line each. Called from another thread."""
         return []
 
 

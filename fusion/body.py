@@ -37,8 +37,8 @@ class Body:
         bones: (J,) name of the bone that ends in the joint; empty for the root.
         torso: Joints of the main body, whose centre carries t from frame to frame (sec. 4).
         rest: (J, 3) unit direction parent → joint at rest, facing the sensor; zero for the root.
-        nominal_lengths: (J,) metres, of an adult 1.75 m tall; zero for the root. For bones that were never
-            seen.
+        nominal_lengths: (J,) metres, the bones of an adult 1.75 m tall, for bones that were never seen; zero
+            for the root.
     """
 
     name: str
@@ -85,7 +85,7 @@ class Body:
 
     @cached_property
     def linked(self) -> NDArray[np.bool_]:
-        """(J, J) whether two joints are the same or share a bone (sec. 3: such a joint cannot mislead)."""
+        """(J, J) whether two joints are the same or share a bone; such a joint cannot mislead (sec. 3)."""
         linked = np.eye(len(self), dtype=bool)
         for child in self.bone_joints:
             parent = self.parents[child]
@@ -94,7 +94,7 @@ class Body:
 
     @cached_property
     def mirror(self) -> NDArray[np.int64]:
-        """(J,) the joint on the other side of the body; a joint on the middle line is its own mirror."""
+        """(J,) the joint on the other side of the body; a joint on the midline is its own mirror."""
         index = {name: j for j, name in enumerate(self.joints)}
         return np.array([index[_other_side(name)] for name in self.joints], dtype=np.int64)
 
@@ -107,7 +107,7 @@ class Body:
     def midpoints(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(M,), (M,) pairs of joints whose midpoints an exchange of left and right does not move.
 
-        Both are the same joint on the middle line, else a joint and its mirror.
+        On the midline both are the same joint; otherwise they are a joint and its mirror.
         """
         own = np.flatnonzero(np.arange(len(self)) <= self.mirror)
         return own, self.mirror[own]
@@ -126,7 +126,7 @@ class Body:
             ) from None
 
     def find(self, name: str) -> int | None:
-        """Like :meth:`joint`, but None where the body has no such joint."""
+        """Like :meth:`joint`, but returns None if the body has no such joint."""
         return self._index_by_plain_name.get(_plain(name))
 
     def bone(self, name: str) -> int:
@@ -142,10 +142,10 @@ class Body:
         )
 
     def require(self, other: "Body", whose: str = "A skeleton") -> None:
-        """Checks that another object describes these joints: a kernel takes its arrays' lengths from here.
+        """Checks that another object has these joints, because kernels take their arrays' lengths from here.
 
         Raises:
-            BodyError: The joints are others. ``whose`` begins the sentence.
+            BodyError: The joints differ. ``whose`` begins the message.
         """
         if other is not self and other.joints != self.joints:  # a body that was pickled is the same body
             raise BodyError(
@@ -157,7 +157,7 @@ class Body:
         """Checks the shape (frames, J, columns) of an array of these joints.
 
         Raises:
-            BodyError: It is another.
+            BodyError: The shape differs.
         """
         if shape != (*frames, len(self), columns):
             raise BodyError(f"{self.name} has {len(self)} joints; an array of them has shape {shape}.")

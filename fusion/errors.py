@@ -2,10 +2,10 @@
 
 
 class DuplexError(Exception):
-    """Something was asked for that cannot be done: the base of this program's errors.
+    """The base of this program's errors: what was asked for cannot be done.
 
-    The message is one line: what happened, the value, the way out. Parameters are in backquotes, as `axes` or
-    `axes=kinect`.
+    The message is one line: what happened, the value, and what to do. Parameters are in backquotes, as `axes`
+    or `axes=kinect`.
     """
 
 
@@ -14,7 +14,7 @@ class FusionError(DuplexError):
 
 
 class BodyError(FusionError):
-    """Joints of another body than the one described, or arrays that do not have its number of joints."""
+    """The joints are those of another body, or an array has the wrong number of joints."""
 
 
 class CalibrationError(FusionError):

@@ -18,23 +18,23 @@ class FusedFrame:
     """S* of one pair, with the figures that explain it.
 
     Attributes:
-        positions: (J, 3) metres, in K_A's frame; NaN throughout where neither sensor sees a person.
-        predicted: (J,) whether a joint has no data and follows from its bones and earlier frames.
-        weights_a, weights_b: (J,) each view's share in a joint; both 0 where predicted. With the paper's
-            methods these are w^A and w^B of eq. (11), else shares of the information.
-        misleading_joint: (J,) the mis-leading joint m of sec. 3; -1 where there is none.
+        positions: (J, 3) metres, in K_A's frame; all NaN if neither sensor sees a person.
+        predicted: (J,) whether a joint has no data, so that only its bones and earlier frames place it.
+        weights_a, weights_b: (J,) each view's share in a joint; both 0 if predicted. With the paper's
+            methods these are w^A and w^B of eq. (11), otherwise shares of the information.
+        misleading_joint: (J,) the misleading joint m of sec. 3; -1 if there is none.
         a_from_b: R and t by which S_B was transformed.
         iterations: Iterations of the solver.
-        stale_a, stale_b: Whether the sensor's skeleton repeats its last one.
+        stale_a, stale_b: Whether the sensor's skeleton repeats its previous one.
         time_ns: The pair's time.
         sigma: (J,) metres, one standard deviation of a joint's distance to the truth: the square root of the
-            covariance's trace; None with the paper's methods, which know none.
+            covariance's trace; None with the paper's methods, which do not estimate it.
         covariance: (J, 3, 3) m², of each joint; None likewise.
         exchanged_a, exchanged_b: Which sides of the view were exchanged: bit 0 arms, bit 1 legs, 3 the whole
-            body; bit 2 where the trunk does not go with them (:mod:`fusion.facing.model`).
-        doubt_a, doubt_b: Probability that the sides of the view are wrong all the same.
+            body; bit 2 if the trunk is not exchanged with them (:mod:`fusion.facing.model`).
+        doubt_a, doubt_b: Probability that the sides of the view are still wrong.
         heading: (3,) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to 1,
-            is the confidence. NaN where it is unknown; None with the paper's methods.
+            is the confidence. NaN if it is unknown; None with the paper's methods.
         velocities: (J, 3) m/s; None with the paper's methods.
     """
 
@@ -63,7 +63,7 @@ class FusedFrame:
         return bool(np.isfinite(self.positions[0, 0]))
 
     def predicted_for(self, body: Body, seconds: float) -> FusedFrame:
-        """This frame some time later: joints keep their velocities, and bones their lengths."""
+        """This frame extrapolated in time: joints keep their velocities, and bones their lengths."""
         if self.velocities is None or not self.has_person:
             return self
         moved = self.positions + seconds * self.velocities

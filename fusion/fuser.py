@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 
 class Fuser:
-    """Fuses two skeletons to one, pair by pair.
+    """Fuses two skeletons into one, pair by pair.
 
     The steps of a frame are those of ``docs/method.md``, compiled in :mod:`fusion.estimator.estimator` and
     :mod:`fusion.paper.method`.
 
     Args:
         setup: Calibration, settings and cameras.
-        constants: Of the method ``duplex``, for ablations and fits; the body's fitted ones where None.
+        constants: Of the method ``duplex``, for ablations and fits; those of the body if None.
     """
 
     def __init__(self, setup: FusionSetup, constants: Constants | None = None) -> None:
@@ -48,7 +48,7 @@ class Fuser:
         The state of this fuser does not change.
 
         Args:
-            meanwhile: Called while another process compiles, on a first run; for further compilation.
+            meanwhile: Called on a first run while another process compiles, for further compilation.
         """
         other = Fuser(self.setup)
         if self.setup.settings.method == "published":
@@ -69,10 +69,10 @@ class Fuser:
         """Continues with another calibration and keeps the state of the person.
 
         Args:
-            setup: With the body and the settings of this fuser.
+            setup: Must have the body and the settings of this fuser.
 
         Raises:
-            FusionError: Another body, or other settings.
+            FusionError: The body or the settings differ.
         """
         if setup.body is not self.setup.body or setup.settings != self.setup.settings:
             raise FusionError("A fuser goes on with another calibration only: its body and settings stay.")
@@ -83,9 +83,9 @@ class Fuser:
         """Fuses the next pair.
 
         Args:
-            pair: Both skeletons in their own sensors' frames, of the calibration's body. A sensor that sees
-                no one gives None, and S* comes from the other alone; with neither there is no S*.
-            labels: One row, where something is known beforehand about sides and heading.
+            pair: Both skeletons in their own sensors' frames, of the calibration's body. None for a
+                sensor that sees no one: S* then comes from the other alone, or is missing without both.
+            labels: One row, if sides and heading are known beforehand.
 
         Raises:
             BodyError: A skeleton is of another body.
@@ -93,11 +93,11 @@ class Fuser:
         return self._fusion.run(self._stacker.of_pair(pair, labels))[0]
 
     def fuse_sequence(self, pairs: Sequence[SkeletonPair], labels: Labels | None = None) -> FusedFrames:
-        """Fuses the next pairs in one compiled loop; bit for bit what :meth:`update` gives one by one.
+        """Fuses the next pairs in one compiled loop, with the same bits as :meth:`update` pair by pair.
 
         Args:
             pairs: In time order.
-            labels: Of each pair; found pair by pair where None.
+            labels: Of each pair; found pair by pair if None.
         """
         return self._fusion.run(Pairs.of(self.setup.body, pairs).arrays(labels))
 

@@ -22,17 +22,17 @@ DEFAULT_SMOOTHING = 0.5
 
 @dataclass(frozen=True)
 class FuserSettings:
-    """Settings of the method. Defaults are the paper's values where it names one.
+    """Settings of the method. Defaults are the paper's values where it gives them.
 
     Attributes:
         method: ``duplex``: an estimator in time (:mod:`fusion.estimator`). ``paper``: eqs. (10)-(13), with
-            t in every frame and exact bones. ``published``: eqs. (3)-(9) as well; bones are nearly right.
-        h: How much more a tracked joint counts than an inferred one, in (0.5, 1); sec. 3. Not of ``duplex``.
-        weights: ``paper`` (eqs. (10), (11)) or ``equal``. Not of ``duplex``.
-        smoothing: Smoothness of S*, from 0 (each frame on its own) to 1. Of ``duplex`` only.
+            t in every frame and exact bones. ``published``: also eqs. (3)-(9); bone lengths are approximate.
+        h: How much more a tracked joint counts than an inferred one, in (0.5, 1), sec. 3. Not for ``duplex``.
+        weights: ``paper`` (eqs. (10), (11)) or ``equal``. Not for ``duplex``.
+        smoothing: Smoothness of S*, from 0 (each frame on its own) to 1. ``duplex`` only.
         hindsight: Use of later frames in a recording. ``none``: as live. ``labels``: for exchanged sides
             (:func:`fusion.plan.plan_recording`). ``whole``: for everything, by a fixed-interval
-            smoother. Of ``duplex`` only.
+            smoother. ``duplex`` only.
     """
 
     method: Method = "duplex"

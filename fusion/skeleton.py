@@ -38,14 +38,14 @@ class Skeleton:
     """One person in one frame of one sensor: S_A or S_B.
 
     Attributes:
-        body: Which joints these are.
+        body: The body that defines the joints.
         positions: (J, 3) float32, metres, in the sensor's frame; NaN where not tracked.
-        states: (J,) uint8, a :class:`TrackingState` a joint.
-        time_ns: When it was captured, on the sensor's clock.
-        witness: (J, 4) float32, evidence of the depth image on each joint, see :mod:`fusion.witness`; None
+        states: (J,) uint8, a :class:`TrackingState` per joint.
+        time_ns: Capture time on the sensor's clock.
+        witness: (J, 4) float32, evidence of the depth image about each joint, see :mod:`fusion.witness`; None
             without an image.
 
-    The constructor checks the shapes (BodyError); :meth:`of` checks the values, too. Arrays that are
+    The constructor checks the shapes (BodyError); :meth:`of` also checks the values. Arrays that are
     writable or of another type are copied.
     """
 
@@ -80,11 +80,11 @@ class Skeleton:
 
         Args:
             positions: (J, 3) metres, sensor frame.
-            states: (J,) tracking states 0, 1 or 2; all tracked where None.
+            states: (J,) tracking states 0, 1 or 2; all tracked if None.
             time_ns: Capture time on the sensor's clock.
 
         Raises:
-            FusionError: A shape does not fit the body, or a state is none of 0, 1, 2.
+            FusionError: A shape does not fit the body, or a state is not 0, 1 or 2.
         """
         return Skeleton(body, *checked_joints(body, positions, states), int(time_ns))
 
@@ -107,7 +107,7 @@ class Skeleton:
         return np.equal(self.states, TrackingState.TRACKED)
 
     def repeats(self, earlier: Skeleton | None) -> bool:
-        """Whether this is the earlier skeleton again: a stale frame, delivered twice by the tracker."""
+        """Whether this repeats the earlier skeleton: a stale frame, which the tracker delivered twice."""
         return (
             earlier is not None
             and np.array_equal(self.positions, earlier.positions, equal_nan=True)
@@ -190,7 +190,7 @@ class SkeletonPair:
         """Checks that both skeletons are of this body.
 
         Raises:
-            BodyError: One is of another.
+            BodyError: One of them is of another body.
         """
         if self.a is not None:
             body.require(self.a.body, "S_A")

@@ -15,7 +15,7 @@ class MissingFileError(RecordingError, FileNotFoundError):
 
 
 class UnknownNameError(RecordingError, KeyError):
-    """There is nothing of this name; the message lists the names that there are."""
+    """Nothing has this name; the message lists the existing names."""
 
     def __init__(self, what: str, name: object, known: Sequence[str]) -> None:
         super().__init__(f"There is no {what} {name!r}. Choose one of {', '.join(known)}.")

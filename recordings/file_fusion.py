@@ -57,8 +57,8 @@ def fuse(
         calibration: An earlier calibration. None: calibrate on the start-up pose of the recordings, or on
             their calmest window if there is no such pose.
         settings: Settings of the method, except ``hindsight``.
-        person_a, person_b: Ids of the person: whoever has them most of the time, also under other ids. None:
-            by ``follow``.
+        person_a, person_b: Ids of the person: whoever has them most of the time, even if at times under other
+            ids. None: chosen by ``follow``.
         skeletons_a, skeletons_b: For recordings of images: saved skeletons, used instead of the body tracker.
         unit: Unit of the positions of ``.csv`` files: ``m``, ``cm``, ``mm``, ``ft``, ``in``; ``auto``: found
             from the size of the person.
@@ -67,15 +67,15 @@ def fuse(
         names: A table of the names of the joints in ``.csv`` files: a TOML file, or ``mixamo``,
             ``plug-in-gait`` or ``gait2392``.
         body: Family of the body tracker that made ``.csv`` or ``.json`` files: ``kinect_v1``, ``kinect_v2``,
-            ``azure_kinect`` or ``blazepose``. Empty: by the names of the joints of both.
-        tracker: The body tracker of images: ``k4abt``, Microsoft's; ``blazepose``, the program's own, whose
-            networks ``duplex tracker fetch`` has fetched; ``auto``: k4abt where it works, else blazepose.
+            ``azure_kinect`` or ``blazepose``. Empty: found from the joint names of both.
+        tracker: The body tracker for images: ``k4abt``, Microsoft's; ``blazepose``, the program's own, whose
+            networks ``duplex tracker fetch`` has fetched; ``auto``: k4abt if it works, else blazepose.
         depth: How much of the depth images of recordings the session contains.
         hindsight: How later frames are used; see :class:`fusion.setup.FuserSettings`.
         refine: Whether a calibration found here is refined over the whole recording.
         offset_ms: Added to the times of ``b``. None: found from the motion, for the method ``duplex``.
-        follow: Whom of several people, where no id chooses: the one seen longest by both sensors, or
-            ``middle``: the one nearest the middle of the views of those seen a third as long.
+        follow: Which of several people to follow, if no id is given: the one seen longest by both sensors or,
+            with ``middle``, the one nearest the middle of the views among those seen a third as long.
         force: Whether to fuse recordings that cannot be of one capture; see :func:`check_related`.
 
     Raises:

@@ -160,7 +160,7 @@ class LiveFrames(Iterator[SessionFrame]):
         """All frames so far, without images; ``session.save(path)`` writes them.
 
         Raises:
-            RecordingError: There is no frame, or ``fuse_live`` was not told to keep them.
+            RecordingError: There is no frame, or ``fuse_live`` was called without ``keep``.
         """
         if not self._keep:
             raise RecordingError("The frames were not kept: use fuse_live(a, b, keep=True).")

@@ -167,20 +167,20 @@ class Session(SessionSeries):
         """Writes S* for another program, as ``duplex export`` does; an existing file is replaced.
 
         Args:
-            path: Its ending is the format: ``.bvh``, ``.c3d``, ``.csv``, ``.glb``, ``.mcap``, ``.mot``,
+            path: Its ending chooses the format: ``.bvh``, ``.c3d``, ``.csv``, ``.glb``, ``.mcap``, ``.mot``,
                 ``.npz``, ``.parquet`` or ``.trc``.
-            rate: Frames per second. None: that of the recording, or in a table its own times.
+            rate: Frames per second. None: that of the recording, or in a table the recorded times.
             table: Of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
             names: Of the bones in a ``.bvh`` or ``.glb``: those of the body, ``humanoid`` or ``mixamo``.
             feet: In a ``.bvh`` or ``.glb``: ``planted`` where they stand, or as in S* (``free``).
 
         Returns:
-            What was written, in words.
+            A description of what was written.
 
         Raises:
-            RecordingError: There is no such format, or it has no use for an argument; or the package that
+            RecordingError: There is no such format, or it does not support an argument, or the package that
                 writes it is not installed.
-            OSError: The file could not be written completely. Then it is as before.
+            OSError: The file could not be written completely. An existing file is then unchanged.
         """
         path = Path(path)
         write = writer_for(path, table, rate, names, feet)

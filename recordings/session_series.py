@@ -66,7 +66,7 @@ class SessionSeries(SessionData):
 
     @property
     def fused(self) -> NDArray[np.float64]:
-        """(T, J, 3) S* in K_A's frame, metres; NaN where S* is missing. A file has it as float32."""
+        """(T, J, 3) S* in K_A's frame, metres; NaN where S* is missing. A file stores it as float32."""
         return self.rows.fused
 
     @cached_property
@@ -76,7 +76,7 @@ class SessionSeries(SessionData):
 
     @property
     def truth(self) -> NDArray[np.float64] | None:
-        """(T, J, 3) metres, where the joints really are, in K_A's frame; None but for simulated sensors."""
+        """(T, J, 3) metres, the true joints in K_A's frame; None unless the sensors are simulated."""
         return self.rows.truth
 
     def at(self, time: ArrayLike) -> NDArray[np.float64]:
@@ -108,7 +108,7 @@ class SessionSeries(SessionData):
 
     @cached_property
     def never_seen(self) -> tuple[str, ...]:
-        """Names of the joints that no sensor reports in any frame. S* there is a guess by the bones."""
+        """Names of the joints that no sensor reports in any frame. In S* the bones alone place them."""
         return tuple(np.array(self.body.joints)[self.rows.never_seen].tolist())
 
     @cached_property
@@ -200,7 +200,7 @@ class SessionSeries(SessionData):
         return read_only(good_frames(self, self.quality_per_second))
 
     def part(self, frames: ArrayLike) -> Self:
-        """Some frames as a session of their own: ``session.part(np.flatnonzero(session.good_frames))``.
+        """Some frames as a separate session: ``session.part(np.flatnonzero(session.good_frames))``.
 
         Its numbers and times start at 0. A gap between the frames stays in the times.
 

@@ -46,7 +46,7 @@ def assert_sessions_match(
     """Fails if two sessions are of different captures or S* differs; says which joints, and by how much.
 
     Two sessions are of the same capture if their frames have equal times and tracking states, and joints of
-    S_A and S_B within the tolerance. ``pytest --duplex-update`` writes `expected`, where it is a file,
+    S_A and S_B within the tolerance. If `expected` is a file, ``pytest --duplex-update`` writes it
     instead of comparing.
 
     Args:
@@ -54,12 +54,12 @@ def assert_sessions_match(
         position_mm: Tolerance for the distance of a joint, millimetres. The default allows for rounding that
             differs between processors and versions of libraries, and is far below the noise of any sensor; 0
             requires bit-identical values.
-        joints_mm: Other tolerances of some joints, by name: ``{"WRIST_LEFT": 5.0}``.
+        joints_mm: Other tolerances for some joints, by name: ``{"WRIST_LEFT": 5.0}``.
 
     Raises:
         SessionsDifferError: An AssertionError. The body, the number of frames, the times or states differ;
             a skeleton is missing in one session; a joint exceeds the tolerance; or there is no expected file.
-        RecordingError: A file cannot be read, or there is no joint of a name in `joints_mm`.
+        RecordingError: A file cannot be read, or a name in `joints_mm` is not a joint's.
         ValueError: A tolerance is negative or not a number.
     """
     __tracebackhide__ = True
@@ -89,19 +89,19 @@ def assert_session(
     bones_mm: float | None = 1e-3,
     gap_s: float | None = None,
 ) -> None:
-    """Fails if a session is not good; says why, and which seconds are not.
+    """Fails if a session is not good; says why, and which seconds are bad.
 
     Args:
         session: A session or its file.
-        verdict: The least of :attr:`recordings.Session.verdict` that passes; None: any.
-        bones_mm: The largest error of a bone of S*, millimetres; None: any. The default is above what float32
-            shows and what the methods ``duplex`` and ``paper`` leave.
+        verdict: The worst :attr:`recordings.Session.verdict` that passes; None: any.
+        bones_mm: The largest error of a bone of S*, millimetres; None: any. The default is above the
+            resolution of float32 and the errors of the methods ``duplex`` and ``paper``.
         gap_s: The longest time without S*, seconds, also at both ends; None: any.
 
     Raises:
         SessionsDifferError: An AssertionError. The session is not as asked for, or its file is damaged.
         RecordingError: The file cannot be read.
-        ValueError: `verdict` is none of those words.
+        ValueError: `verdict` is not one of those words.
     """
     __tracebackhide__ = True
     from recordings.session import Session
@@ -128,7 +128,7 @@ def simulated_session(
 
     Args:
         movement: A movement of the library (``duplex demo --motion list``), a BVH file, or a movement.
-        seconds: Duration; the first frames are the ones of which the registration is found.
+        seconds: Duration; the registration is found from the first frames.
         seed: Seed of the sensors' errors.
         body: Whose body tracker is simulated: ``kinect_v1``, ``kinect_v2``, ``azure_kinect``, ``blazepose``.
         angle_deg: Between the sensors.

@@ -25,9 +25,9 @@ Times are capture times on any clock that does not jump.
 
 
 class DepthCamera(TrackedImages):
-    """A sensor with people from the images of any depth camera.
+    """A sensor that finds people in the images of any depth camera.
 
-    The tracker's networks must be there: ``duplex tracker fetch`` fetches them once.
+    It needs the tracker's networks: ``duplex tracker fetch`` fetches them once.
 
     >>> def images():
     ...     with my_camera() as camera:

@@ -31,7 +31,7 @@ class TwoSensors:
 
     Attributes:
         a, b: The sensors' threads, for their counts of frames and drops.
-        step: Every which frame both sensors continue with, for the slower body tracker; 1 is every one.
+        step: Both sensors use every ``step``-th frame, so that the slower body tracker keeps up.
     """
 
     def __init__(
@@ -73,12 +73,12 @@ class TwoSensors:
 
     @property
     def links(self) -> tuple[LinkFigures | None, LinkFigures | None]:
-        """How the messages of A and of B arrive; None for a sensor of this machine."""
+        """How the messages of A and of B arrive; None for a local sensor."""
         return self.a.sensor.link, self.b.sensor.link
 
     @property
     def waiting(self) -> bool:
-        """Whether a frame has come that was not taken yet."""
+        """Whether a frame has arrived that was not taken yet."""
         return self.a.waiting or self.b.waiting
 
     def __enter__(self) -> TwoSensors:

@@ -36,11 +36,11 @@ class FramePublisher:
     """Publishes frames under a key. Use it as a context manager; ``publish`` never blocks.
 
     Attributes:
-        session: The number of this run; another run has another one.
+        session: The number of this run; every run has a different one.
         published: Frames so far.
         bytes_sent: Bytes so far.
         requests: Clock requests that were answered.
-        malformed: Requests that were left out.
+        malformed: Requests that were ignored.
         most_people: The largest number of people in a frame; 16 of them are sent.
     """
 
@@ -88,7 +88,7 @@ class FramePublisher:
         """Sends a frame to all current subscribers.
 
         Raises:
-            DeviceError: Zenoh cannot send, as after its session was closed.
+            DeviceError: Zenoh cannot send, for example because its session was closed.
         """
         if not self._depth:
             frame = replace(frame, depth=None)

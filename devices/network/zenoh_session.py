@@ -25,7 +25,7 @@ _KEY = re.compile(r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*")
 
 @dataclass(frozen=True)
 class ZenohAddresses:
-    """Where a Zenoh session meets others.
+    """The addresses by which a Zenoh session reaches others.
 
     Raises:
         DeviceError: An address is not ``tcp/HOST:PORT`` or ``udp/HOST:PORT``.
@@ -34,7 +34,7 @@ class ZenohAddresses:
     listen: tuple[str, ...] = ()
     """Addresses of this machine on which it waits for others, such as ``tcp/127.0.0.1:7447``."""
     connect: tuple[str, ...] = ()
-    """Addresses to connect to. A peer that is absent is tried again until it is there."""
+    """Addresses to connect to. An absent peer is retried until it is available."""
 
     @staticmethod
     def of_meeting_point(listen: tuple[str, ...], connect: tuple[str, ...]) -> ZenohAddresses:

@@ -121,11 +121,11 @@ class RecordedPeople(Rows[SensorFrame]):
 
 @dataclass(frozen=True)
 class SeenPerson:
-    """Somebody whom two recordings show among others.
+    """One of several people in two recordings.
 
     Attributes:
         ids: In A and in B: the id that chooses this person; None if there is none.
-        seconds: For how long each sensor sees them.
+        seconds: How long each sensor sees them.
     """
 
     ids: tuple[str | None, str | None]

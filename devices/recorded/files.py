@@ -31,22 +31,22 @@ def open_source(
 ) -> Sensor:
     """Creates the sensor for a recording; opens nothing.
 
-    An ``.mkv``, ``.bag`` or ``.db3`` holds images, so its people come from a body tracker; an ``.mkv``'s may
-    come from skeletons saved before.
+    An ``.mkv``, ``.bag`` or ``.db3`` contains images, so its people come from a body tracker. Those of an
+    ``.mkv`` may come from saved skeletons instead.
 
     Args:
         path: Recorded skeletons, or a recording of an Azure Kinect, of Orbbec's SDK v2 or of a RealSense
             sensor.
-        skeletons: The skeletons of an Azure Kinect recording, saved before.
+        skeletons: Saved skeletons of an Azure Kinect recording.
         tracker: The body tracker, if one is needed. None: chosen for this machine.
-        option: What the option that gives ``skeletons`` is called, for messages; empty without one.
+        option: Name of the option that gives ``skeletons``, for messages; empty without one.
         unit, axes, names: Of a ``.csv``; see :class:`devices.skeletons.stated_format.StatedFormat`.
-        progress: Shows how far reading a ``.csv`` is.
+        progress: Shows the progress of reading a ``.csv``.
         orientation: Of the sensor, for a recording of images; see :mod:`devices.upright`.
 
     Raises:
-        DeviceError: Skeletons or an orientation for a file without images, or a tracker that cannot take its
-            images.
+        DeviceError: Skeletons or an orientation are given for a file without images, or the tracker cannot
+            use its images.
     """
     stated = StatedFormat(unit, axes, names)
     if not has_images(path):

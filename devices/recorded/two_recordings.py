@@ -52,14 +52,14 @@ class TwoRecordings:
     Attributes:
         body: Of both.
         pairing: Their frames, paired.
-        intrinsics: Of the depth cameras, where the recordings say.
-        warnings: What a person should know about them, a line each.
+        intrinsics: Of the depth cameras, if the recordings state them.
+        warnings: Warnings for the user about them, one line each.
         images: The files that hold depth images, A's and B's; None for skeletons alone.
         tracker: The body tracker that found the people; empty if the files had skeletons.
         clock: The offset by which B's times were corrected; None if they are as recorded.
         stated: What was stated about the files.
         others: The people who are not followed, of each recording; None if there are none.
-        people: Where several are seen: those who are seen for some time, the one followed first.
+        people: If several are seen, those who are seen for some time; the one followed comes first.
         orientations: Of both sensors; intrinsics, skeletons and depth images are of the upright sensors.
     """
 
@@ -93,7 +93,7 @@ class TwoRecordings:
     def depth_images(
         self, side: str, depth: Depth, progress: Progress = quietly
     ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
-        """A sensor's depth images and the numbers of their pairs, in a pass of its own over the file.
+        """A sensor's depth images and the numbers of their pairs, in a separate pass over the file.
 
         One image is in memory at a time, however long the recordings are.
         """
@@ -116,12 +116,12 @@ class RecordingChoice:
 
     Attributes:
         path: Recorded skeletons, or a recording with images.
-        skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
+        skeletons: Saved skeletons of an Azure Kinect recording, used instead of the body tracker.
         person: Id of the person; if None, the one seen longest by both sensors.
-        stated: What is stated about a ``.csv``: unit, axes, names of the joints.
-        body: Family of the body tracker, of both recordings; found from the joints of both where empty.
+        stated: Statements about a ``.csv``: unit, axes, names of the joints.
+        body: Family of the body tracker of both recordings; found from the joints of both if empty.
         orientation: Of the sensor, for a recording of images; if None, found from the person.
-        skeletons_option, person_option: What the caller's user knows these two as, for messages.
+        skeletons_option, person_option: Names by which the user knows these two, for messages.
     """
 
     path: Path
@@ -151,14 +151,14 @@ def read_two(
 ) -> TwoRecordings:
     """Reads both recordings, one after the other: only one body tracker is in the GPU's memory at once.
 
-    Where B's clock is off by two thirds of a frame or more and the motion tells by how much, its times are
+    If B's clock is off by two thirds of a frame or more and the motion shows by how much, its times are
     corrected.
 
     Args:
         tracker: The body tracker, if one is needed. None: chosen for this machine.
         offset_ns: Added to the times of B; found from the motion if None.
         every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_views`.
-        follow: Whom of several people, if no id chooses; see
+        follow: Which of several people to follow, if no id is given; see
             :func:`devices.people.association.follow_one`.
 
     Raises:

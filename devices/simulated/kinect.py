@@ -253,12 +253,12 @@ def simulated_pair(
 
     Args:
         motion: A movement by name, a .bvh file, or a movement.
-        angle_deg: Between the sensors; ignored where a rig is given.
+        angle_deg: Between the sensors; ignored if a rig is given.
         depth: Whether frames carry a depth image: ``none``, ``half`` or ``full``.
         errors: Of the body trackers; the real ones of the body if None.
         depth_errors: Of the depth images; those of the body's sensor if None.
-        other: The movement of a second person, who hides the first one and is hidden.
-        exchanged: How often a minute each tracker exchanges the ids of the two.
+        other: The movement of a second person; the two hide each other.
+        exchanged: How often per minute each tracker exchanges the ids of the two.
     """
     moving = movement(motion) if isinstance(motion, str | Path) else motion
     scene = Scene(moving, body, height, seconds, seed, other, exchanged)

@@ -39,9 +39,10 @@ class Calibration:
         body: The body both sensors report.
         a_from_b: R and t. The method ``paper`` renews t in every frame.
         bone_lengths: (J,) metres, by the joint at the bone's far end; 0 at the root.
-        how: A short description of the data that it was measured on.
-        registration: How well the two views agreed; None where the calibration was loaded without it.
-        provisional: Whether it precedes the start-up pose, without data or on a few frames of any pose.
+        how: A short description of the data it was measured on.
+        registration: How well the two views agreed; None if the calibration was loaded without it.
+        provisional: Whether it only serves until the start-up pose. It then has no data, or a few frames of
+            any pose.
     """
 
     body: Body

@@ -127,12 +127,12 @@ def _certain(fit: RobustFit, evidence: Evidence) -> bool:
 
 
 class Calibrator:
-    """Finds a calibration while pairs come in: a provisional one at once, the final one on pose or movement.
+    """Calibrates while pairs arrive: provisionally at once, finally from the start-up pose or from movement.
 
     Args:
-        calibration: An earlier calibration, which is then kept.
-        frontal: Whether a pose's R allows for the trackers' turn of a standing person; see
-            :func:`fusion.registration.rigid_fit.register`. The paper's methods do not.
+        calibration: An earlier calibration to keep.
+        frontal: Whether a pose's R is corrected because trackers show a standing person too frontal; see
+            :func:`fusion.registration.rigid_fit.register`. The paper's methods do not correct it.
     """
 
     def __init__(self, body: Body, calibration: Calibration | None = None, *, frontal: bool = True) -> None:
@@ -154,7 +154,7 @@ class Calibrator:
         return self._pose.held
 
     def watch(self, pair: SkeletonPair) -> Calibration | None:
-        """The new calibration where the next pair completes one, else None.
+        """Takes the next pair; returns the new calibration if the pair completes one, else None.
 
         Raises:
             BodyError: A skeleton is of another body.

@@ -34,13 +34,13 @@ _LEG_ANGLE = np.radians(12.0)  # hips' centre → one ankle against the other
 class StartUpPose:
     """Detects when the start-up pose has been held long enough.
 
-    Pairs that one sensor has no skeleton in tell nothing: a lost frame does not end the pose, but a second
-    without both views does.
+    Pairs without both skeletons are ignored: a lost frame does not end the pose, but a second without both
+    views does.
 
     Args:
-        partly: Whether a pose counts that each sensor sees in part: at least four main joints are tracked by
-            both, and it is held for two seconds. Sensors far apart see no more, because one arm and one leg
-            are hidden from each.
+        partly: Whether a pose seen in part counts: at least four main joints are tracked by both sensors, and
+            the pose is held for two seconds. Sensors far apart see no more, because one arm and one leg are
+            hidden from each.
     """
 
     def __init__(self, body: Body, *, partly: bool = False) -> None:
@@ -58,9 +58,9 @@ class StartUpPose:
         return (self._held[-1].time_ns - self._held[0].time_ns) * 1e-9
 
     def watch(self, pair: SkeletonPair) -> list[SkeletonPair] | None:
-        """The pairs of the held pose once it ends after a second or more, or lasts three; else None.
+        """The pairs of the held pose once it ends after a second or more, or has lasted three; else None.
 
-        It needs fifteen pairs besides: at five frames per second it must last for three seconds.
+        It also needs fifteen pairs: at five frames per second it must last for three seconds.
 
         Raises:
             BodyError: A skeleton is of another body.
@@ -83,7 +83,7 @@ class StartUpPose:
         return self.end() if lasts else None
 
     def end(self, but_last: int = 0) -> list[SkeletonPair] | None:
-        """Ends the pose, without some last pairs; its pairs if it was held long enough, else None."""
+        """Ends the pose, without some last pairs; returns its pairs if it was held long enough, else None."""
         pose = list(self._held)[: len(self._held) - but_last]
         long_enough = len(pose) >= FEWEST_PAIRS and pose[-1].time_ns - pose[0].time_ns >= self._shortest_ns
         if long_enough or not but_last:
@@ -115,8 +115,8 @@ class StartUpPose:
 def find_start_up_pose(body: Body, pairs: Sequence[SkeletonPair]) -> tuple[Sequence[SkeletonPair], str]:
     """Chooses the pairs of a recording to calibrate on, and describes them.
 
-    The first start-up pose held for a second or more; in a recording without one, the calmest two seconds
-    in which most main joints are tracked in both views.
+    They are the first start-up pose held for a second or more or, in a recording without one, the calmest
+    two seconds in which most main joints are tracked in both views.
 
     Raises:
         CalibrationError: No frame shows a person to both sensors.

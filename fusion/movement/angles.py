@@ -2,12 +2,12 @@
 
 Every angle describes a direction in a frame with x forward, y along the trunk and z to a side, as the joint
 coordinate systems of the International Society of Biomechanics do (Wu et al. 2002, hip; 2005, shoulder and
-elbow). Axial rotations are missing, because positions do not contain them.
+elbow). Axial rotations are missing, because positions do not determine them.
 
 * **Knee, elbow**: between the two bones of the limb; 0 is straight, never negative.
 * **Hip**: the thigh in the frame of the trunk, by the sequence Z-X-Y: flexion about the lateral axis, then
   abduction. The long axis goes from the middle of the hips to that of the shoulders, because joints do not
-  show how the pelvis tilts against the trunk. The lateral axis is the sum of the lines of hips and shoulders:
+  show the pelvis's tilt against the trunk. The lateral axis is the sum of the lines of hips and shoulders:
   trackers see that of the hips turned by up to 15° (RMS on simulated walks), that of the shoulders by 1°.
 * **Shoulder**: the upper arm in the frame of the trunk, with the line of the shoulders as lateral axis. The
   elevation, second angle of the sequence Y-X-Y, is resolved by the plane of elevation, its first angle, into
@@ -69,9 +69,9 @@ def angle_sigma(
 ) -> NDArray[np.float64]:
     """The uncertainty of :func:`joint_angles` by linear propagation, var = Σ |∂angle/∂joint|² σ² / 3.
 
-    Assumes errors of the joints that are independent and alike in all directions. Those of neighbouring
-    joints are not quite, since bones have constant lengths and a view errs for a whole limb. The variance of
-    the upward direction is added to the angles of the trunk.
+    Assumes that the errors of the joints are independent and equal in all directions. Those of neighbouring
+    joints are not quite, because bones have constant lengths and a view errs for a whole limb. The variance
+    of the upward direction is added to the angles of the trunk.
 
     Args:
         sigma: (..., J) metres, one standard deviation of each joint's distance to the truth.

@@ -1,13 +1,13 @@
 """Rotations of the bones of S*: the swing follows from the joints, the twist from a convention.
 
-Positions do not determine how a bone turns about itself. The convention is:
+Positions do not determine how a bone turns about its own axis. The convention is:
 
 * **Pelvis and trunk** turn with the line of the hips and with the line of the shoulders.
 * **The head** turns with the line of the ears, if the body has ears, else with the trunk.
 * **Upper arms and thighs**: the axis of the bent elbow or knee is the person's lateral axis at rest. So a
   forearm turns in the plane of the elbow, a shin in the plane of the knee. A straight limb has no such plane.
   Its twist then stays, and slowly approaches the twist of the smallest rotation from the trunk.
-* **All other bones** take the smallest rotation from the bone before them.
+* **All other bones** have the smallest rotation from the bone before them.
 
 The rotation of a bone maps its direction at rest (:attr:`fusion.body.Body.rest`: upright, arms hanging,
 facing the sensor) to its direction in S*. So p_child = p_parent + Q_child · (rest_child · length_child) gives

@@ -201,7 +201,7 @@ class Registration:
         return float(np.hypot(self.translation_sd, distance * self.rotation_sd))
 
     def worst_joints(self, count: int = 3) -> list[tuple[str, float]]:
-        """The joints that disagree most: (name, median residual in metres), worst first."""
+        """The joints with the largest disagreement: (name, median residual in metres), worst first."""
         known = np.flatnonzero(np.isfinite(self.joint_residuals))
         worst = known[np.argsort(-self.joint_residuals[known])][:count]
         return [(self.body.joints[j], float(self.joint_residuals[j])) for j in worst]

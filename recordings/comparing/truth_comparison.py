@@ -51,7 +51,7 @@ class TruthComparison:
     Attributes:
         body: The body of the session.
         truth_name: The file of the truth.
-        table: The table of names by which its points are joints.
+        table: The table of names that maps its points to joints.
         joints: (M,) the joints that the truth has.
         unit: The truth's unit of length, in words.
         offset: Between the clocks.
@@ -87,8 +87,8 @@ class TruthComparison:
         """Finds the names, the unit, the offset and the transform.
 
         Args:
-            table: Which points are joints; the ready-made table that finds most if None.
-            offset_s: Seconds to add to the truth's times; found by the motion if None.
+            table: Maps points to joints; the ready-made table that finds most if None.
+            offset_s: Seconds to add to the truth's times; found from the motion if None.
 
         Raises:
             RecordingError: There is no S*, the truth has too few of the joints, another person or another
@@ -186,11 +186,11 @@ class TruthComparison:
 
     @property
     def constant(self) -> dict[str, Array]:
-        """(J, 3) of each skeleton: what its distance to the truth has in common over all frames.
+        """(J, 3) of each skeleton: the part of its distance to the truth that is common to all frames.
 
-        It is the median of found less true in the frame of the bone of S* that ends in the joint (x to the
-        person's left, y down, z to the back, of a person upright with hanging arms): another definition of
-        the joint, rather than an error of tracking.
+        It is the median of found minus true in the frame of the bone of S* that ends in the joint (x to the
+        person's left, y down, z to the back, of a person upright with hanging arms): a different definition
+        of the joint, rather than a tracking error.
         """
         return {key: constant for key, (constant, _) in self._rest.items()}
 

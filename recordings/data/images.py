@@ -19,7 +19,7 @@ T = TypeVar("T")
 class Images(Generic[T]):
     """Images of one sensor, or its other people, with their frame numbers, in order.
 
-    A function makes them at each iteration.
+    Each iteration makes them anew.
 
     Attributes:
         damaged: Number of images that the last iteration skipped because their checksums do not match.

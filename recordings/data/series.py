@@ -62,7 +62,7 @@ class QualitySeries(_Series):
     Attributes:
         bone_error: (T,) largest absolute error of a bone length of S*, metres; NaN without S*.
         disagreement: (T,) median distance between p and R q + t, metres; NaN if no joint is in both views.
-        skew_ns: (T,) capture time of B minus capture time of A; 0 where only one of them gave a frame.
+        skew_ns: (T,) capture time of B minus capture time of A; 0 if only one of them gave a frame.
         fuse_ms: (T,) duration of the fusion, milliseconds.
         iterations: (T,) iterations of the solver.
         predicted: (T, J) whether a joint of S* has no data.
@@ -81,7 +81,7 @@ class AngleSeries(_Series, Mapping[str, NDArray[np.float64]]):
     """Joint angles of S* over T frames; see :mod:`fusion.movement.angles` for their definitions.
 
     A mapping: ``angles["knee_flexion_left"]`` is (T,) degrees. Another name raises
-    :class:`recordings.errors.UnknownNameError`, which lists all.
+    :class:`recordings.errors.UnknownNameError`, which lists all names.
 
     Attributes:
         names: The K angles.
@@ -125,7 +125,7 @@ class RotationSeries(_Series, Mapping[str, "Rotation"]):
 
     @property
     def body(self) -> Rotation:
-        """(T,) the rotation of the whole body, which is the pelvis'."""
+        """(T,) the rotation of the whole body, that is, of the pelvis."""
         return _rotation(self.quaternions[:, self.of_body.root])
 
     def __getitem__(self, joint: str) -> Rotation:

@@ -29,14 +29,14 @@ class SessionFrame:
     """A pair and its fused frame.
 
     Attributes:
-        pair: What both sensors gave, each in its own frame.
+        pair: The data of both sensors, each in its own frame.
         fused: S* in K_A's frame, with its uncertainty.
         fuse_ns: Duration of the fusion.
         truth: (J, 3) true joint positions in K_A's frame, metres; simulations only.
         streams: Figures of the two streams; live sensors only.
         latency_ns: From the arrival of the pair's first images to S*; live sensors only. It is not recorded.
-        bone_lengths: (J,) metres, with which S* was fused; None if the calibration tells. Not recorded.
-        floor: K_A ← floor, found from the frames before; live sensors only. Its vertical is recorded.
+        bone_lengths: (J,) metres, with which S* was fused; None: those of the calibration. Not recorded.
+        floor: K_A ← floor, found from earlier frames; live sensors only. Its vertical is recorded.
     """
 
     pair: FramePair
@@ -82,9 +82,9 @@ _LONG_PAUSE = 3.0  # median intervals
 
 @dataclass(frozen=True, eq=False)
 class SessionArrays:
-    """T frames of J joints; metres, nanoseconds; NaN where data is missing.
+    """T frames of J joints, in metres and nanoseconds; NaN where data are missing.
 
-    Of all attributes but the first four, :data:`recordings.data.frame_fields.FRAME_FIELDS` has a line each.
+    :data:`recordings.data.frame_fields.FRAME_FIELDS` has a line for each attribute but the first four.
 
     Attributes:
         body: The body that defines the joints.
@@ -92,28 +92,28 @@ class SessionArrays:
         frame: (T,) number of the pair.
         time_ns: (T,) time since the first pair.
         skew_ns: (T,) capture time of B minus capture time of A.
-        clock_a, clock_b: (T,) time on the sensor's own clock, ns; layout.NO_FRAME where it gave no frame.
+        clock_a, clock_b: (T,) time on the sensor's own clock, ns; layout.NO_FRAME if it gave no frame.
         positions_a, positions_b: (T, J, 3) S_A and S_B in their sensors' own frames.
         states_a, states_b: (T, J) tracking states of S_A and S_B.
         weights_a, weights_b: (T, J) each view's share of the information, rounded to 1/128; w^A and w^B of
             eq. (11) with the paper's methods.
-        misleading: (T, J) index of the mis-leading joint of sec. 3, or -1.
+        misleading: (T, J) index of the misleading joint of sec. 3, or -1.
         rotation, translation: (T, 3, 3) R and (T, 3) t, K_A ← K_B.
         fused: (T, J, 3) S* in K_A's frame.
         predicted: (T, J) whether a joint of S* has no data.
         iterations: (T,) iterations of the solver.
         stale_a, stale_b: (T,) whether the sensor repeated its last skeleton.
         fuse_ms: (T,) duration of the fusion, milliseconds.
-        truth: (T, J, 3) where the joints really are, in K_A's frame; simulations only.
-        sigma: (T, J) metres, one standard deviation of S*; sessions of the method ``duplex`` only, as are the
-            next, side_doubt and heading.
-        exchanged: (T, 2) which sides of A and of B were exchanged, see :mod:`fusion.facing.model`.
+        truth: (T, J, 3) the true joints in K_A's frame; simulations only.
+        sigma: (T, J) metres, one standard deviation of S*. Only the method ``duplex`` gives this,
+            ``exchanged``, ``side_doubt`` and ``heading``.
+        exchanged: (T, 2) which sides of A and of B were exchanged; see :mod:`fusion.facing.model`.
         witness_a, witness_b: (T, J, 4) depth evidence for each joint, metres; columns:
             ``fusion.witness.COLUMNS``.
-        side_doubt: (T, 2) probability that the sides of A and of B are wrong all the same, in 1/255.
+        side_doubt: (T, 2) probability that the sides of A and of B are still wrong, in 1/255.
         heading: (T, 3) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to
             1, is the confidence.
-        up: (T, 3) against gravity in K_A's frame, as live outputs had it; sessions of live sensors only.
+        up: (T, 3) against gravity in K_A's frame, as live outputs used it; sessions of live sensors only.
     """
 
     body: Body
@@ -156,7 +156,7 @@ class SessionArrays:
         start_ns: int | None = None,
         like: SessionArrays | None = None,
     ) -> SessionArrays:
-        """Stacks one or more turns of the loop.
+        """Stacks the frames of one or more turns of the loop.
 
         Args:
             bone_lengths: (J,) metres, or (T, J) where they change.
@@ -214,7 +214,7 @@ class SessionArrays:
                 yield name, spec, values
 
     def filled(self, name: str) -> NDArray[Any]:
-        """A figure by its name; its absent value in every frame where the session does not have it."""
+        """A figure by its name; its absent value in every frame if the session does not have it."""
         values: NDArray[Any] | None = getattr(self, name)
         return FRAME_FIELDS[name].nothing(self.body, len(self)) if values is None else values
 
@@ -241,7 +241,7 @@ class SessionArrays:
 
     @property
     def never_seen(self) -> NDArray[np.bool_]:
-        """(J,) whether no sensor reports the joint in any frame: S* there is a guess by its bones."""
+        """(J,) whether no sensor reports the joint in any frame: in S* its bones alone place it."""
         return np.asarray(~(self.states_a.any(axis=0) | self.states_b.any(axis=0)))
 
     @property

@@ -19,7 +19,7 @@ _LASTING = 0.5  # of the pelvis' errors on the loops of simulated walks
 
 
 class Step(NamedTuple):
-    """A step, which a heel strike ends. Times are seconds since the first pair."""
+    """A step, which ends with a heel strike. Times are seconds since the first pair."""
 
     side: str
     """``left`` or ``right``."""
@@ -30,7 +30,7 @@ class Step(NamedTuple):
     strike_sigma: float
     """Its uncertainty, one standard deviation; NaN where that of S* is unknown."""
     toe_off: float
-    """When the foot left the floor before; NaN where that was not seen."""
+    """When the foot last left the floor; NaN if that was not seen."""
     toe_off_sigma: float
     """Its uncertainty, one standard deviation."""
     seconds: float
@@ -40,7 +40,7 @@ class Step(NamedTuple):
     length_sigma: float
     """Its uncertainty, one standard deviation."""
     width: float
-    """Metres from the other ankle to this one across the walk, at the strike; negative where the feet cross.
+    """Metres from the other ankle to this one across the walk, at the strike; negative if the feet cross.
     It is as uncertain as the length."""
     progress: float
     """Metres that the pelvis moved since the other heel's strike; NaN for the first of a walk."""
@@ -49,12 +49,12 @@ class Step(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """The person turns, on the spot or as they walk."""
+    """A turn of the person, on the spot or while walking."""
 
     begins: float
     """Seconds since the first pair."""
     seconds: float
-    """How long it takes; a fast turn up to 0.5 s less, because S* is smoothed for it."""
+    """Duration; that of a fast turn is up to 0.5 s too long, because S* is smoothed."""
     seconds_sigma: float
     """Its uncertainty, one standard deviation; NaN where that of S* is unknown."""
     angle: float
@@ -76,10 +76,10 @@ class Gait:
 
     steps: tuple[Step, ...]
     left_out: Mapping[str, float] = field(default_factory=dict)
-    """Seconds in which the pelvis moves and that are no walk, by the reason."""
+    """Seconds in which the pelvis moves without walking, by the reason."""
     turns: tuple[Turn, ...] = ()
     begun: tuple[tuple[float, str], ...] = ()
-    """Seconds at which a foot left the floor for a step that is not recorded to its end, and its side."""
+    """Seconds at which a foot left the floor for a step whose end is not recorded, and its side."""
     time: Array = field(default_factory=lambda: np.zeros(0))
     """(T,) seconds of the frames."""
     angles: Mapping[str, Array] = field(default_factory=dict)
@@ -103,7 +103,7 @@ class Gait:
 
     @property
     def cadence(self) -> Measured:
-        """Steps per minute. The uncertainty is at least what the scatter of the steps tells."""
+        """Steps per minute. The uncertainty is at least that from the scatter of the steps."""
         count, seconds, sigma = self._duration
         if not count:
             return UNKNOWN
@@ -112,7 +112,7 @@ class Gait:
 
     @property
     def speed(self) -> Measured:
-        """Metres per second. The uncertainty is at least what the scatter of the steps tells."""
+        """Metres per second. The uncertainty is at least that from the scatter of the steps."""
         count, seconds, _ = self._duration
         if not count:
             return UNKNOWN
@@ -129,7 +129,7 @@ class Gait:
 
     @property
     def asymmetry(self) -> dict[str, Measured]:
-        """Left less right over their mean, in percent, of ``step_length``, ``step_time`` and ``stance``.
+        """Left minus right over their mean, in percent, of ``step_length``, ``step_time`` and ``stance``.
 
         The symmetry index of Robinson, Herzog and Nigg (1987); the uncertainty is that of both means.
         """
@@ -170,7 +170,7 @@ class Gait:
 
         Args:
             angle: Name of an angle of :attr:`angles`, or (T,) values of all frames.
-            side: The foot, ``left`` or ``right``; if None, that at the end of the name.
+            side: The foot, ``left`` or ``right``; if None, the one that ends the angle's name.
 
         Raises:
             RecordingError: There is no such angle or foot, or not a value for each frame.

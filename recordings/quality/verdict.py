@@ -49,7 +49,7 @@ _SAME_MOMENT = (
 
 
 class Shortcoming(NamedTuple):
-    """What keeps a session from being good: the word it allows, why, and what to do, if anything."""
+    """Why a session is not good: the word that this allows, the reason, and what to do, if anything."""
 
     word: Word
     reason: str
@@ -62,8 +62,8 @@ class Verdict:
 
     Attributes:
         word: ``good``, ``usable``, ``poor`` or ``unknown``.
-        shortcomings: What is not good, worst first; of equally bad ones, what explains the others.
-        figures: The figures that it is from, as ``duplex fuse --report`` writes them.
+        shortcomings: What is not good, worst first; among equally bad ones, the cause of the others first.
+        figures: The figures it is based on, as ``duplex fuse --report`` writes them.
     """
 
     word: Word
