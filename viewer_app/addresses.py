@@ -45,4 +45,6 @@ def zenoh_warning(listening: Sequence[str]) -> str:
     """Warns of Zenoh addresses, as ``tcp/0.0.0.0:7447``, that others reach; empty if there are none."""
     hosts = {each: urlsplit(each.replace("/", "://", 1)).hostname for each in listening}
     reached = ", ".join(each for each, host in hosts.items() if not is_loopback(host))
-    return f"Whoever reaches {reached} can read and forge skeletons, without a password." if reached else ""
+    return (
+        f"Anyone who can reach {reached} can read and forge skeletons, without a password." if reached else ""
+    )

@@ -67,7 +67,7 @@ def _wait_for_sensors() -> bool:
     names = " and ".join(
         f"{sensor.name} ({sensor.waits_for})" if sensor.waits_for else sensor.name for sensor in sensors
     )
-    complain(f"Waiting for {names} to close, {_CLOSING_S:g} s at most. Ctrl-C ends at once.")
+    complain(f"Waiting for {names} to close, {_CLOSING_S:g} s at most. Ctrl-C stops immediately.")
     ends_as_ctrl_c()
     until_s = time.monotonic() + _CLOSING_S
     while sensors and time.monotonic() < until_s:
@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if isinstance(output.failure, BrokenPipeError):
             sys.exit(1)
         if output.failure is not None:
-            complain(f"duplex: not all could be printed: {output.failure.strerror}.")
+            complain(f"duplex: the output could not be printed completely: {output.failure.strerror}.")
             sys.exit(2)
 
 

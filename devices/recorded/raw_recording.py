@@ -205,7 +205,7 @@ class RawRecorder:
                 return replace(frame, time_ns=time_ns)
 
     def _fail(self, why: str) -> None:
-        rest = f" from frame {self.written} on: {why}. What is before that can be read."
+        rest = f" from frame {self.written} on: {why}. Everything before that can be read."
         self.failure = f"{self.path} is not recorded{rest}" if self.written else f"{self.path}: {why}."
         self._on_failure(self.failure)
 

@@ -213,7 +213,7 @@ def test_a_full_disk_ends_it_in_a_sentence_and_leaves_what_was_written(tmp_path)
         assert said == [recorder.failure]
         assert recorder.failure == (
             f"{disk}/a.mkv is not recorded from frame {recorder.written} on: No space left on device. "
-            f"What is before that can be read."
+            f"Everything before that can be read."
         )
         found, recording = read(disk / "a.mkv")
         assert len(found) == recorder.written == 20_000 * 1024 // (4 * 640 * 576)

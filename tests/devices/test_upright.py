@@ -188,4 +188,4 @@ def test_skeletons_alone_have_no_orientation(tmp_path):
 @pytest.mark.parametrize("given", ["45", "90,0,0", "", "left", "90,x"])
 def test_another_angle_is_refused_in_one_line(given, capsys):
     assert duplex("live", "--orientation", given, "--no-viewer") == 2
-    assert "give 0, 90, 180 or 270 degrees, or two of them, as 90,0" in one_line(capsys)
+    assert "give 0, 90, 180 or 270 degrees, or two of them, such as 90,0" in one_line(capsys)

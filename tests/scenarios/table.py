@@ -87,13 +87,13 @@ _SERIALS = ("000001111111", "000002222222")
 _CTRL_C = int(signal.SIGINT)
 _MASTER = frozenset((Cause.IT_OR_MASTER_UNPLUGGED, Cause.WAITING, Cause.NO_PULSES, Cause.SILENT))
 _LATER = frozenset((Cause.CLOSES_LATER,))
-_NO_ADVICE = ("Step into its view", "controller of its own, and light")
+_NO_ADVICE = ("Step into its view", "its own USB controller, and light")
 
 SCENARIOS = (
     # Without a fault
     _fine("no cable", "", age_ms=_APART, words=("No sync cable",)),
-    _fine("cable", words=("A leads, B captures at its pulses",)),
-    _fine("cable, B the master", "a.jack=1 b.jack=2", words=("B leads, A captures at its pulses",)),
+    _fine("cable", words=("A leads, B captures on its pulses",)),
+    _fine("cable, B the master", "a.jack=1 b.jack=2", words=("B leads, A captures on its pulses",)),
     _fine("B before A on the bus", "swap=1", age_ms=_APART),
     _fine("colour, cable", options="--seconds 3 --color 720P", age_ms=70.0),
     _fine("colour, no cable", "", options="--seconds 3 --color 720P", age_ms=70.0),

@@ -131,7 +131,7 @@ def _difference(before: dict[str, object], now: dict[str, object]) -> str:
         return f"with another --{(changed or ['option'])[0].replace('_', '-')}"
     if before.get("method_revision") != now["method_revision"]:
         return f"by revision {before.get('method_revision')} of its method; this is {now['method_revision']}"
-    return "from other recordings" if before.get("files") != now["files"] else "with other persons"
+    return "from other recordings" if before.get("files") != now["files"] else "with other people"
 
 
 def _absolute(options: BatchOptions) -> BatchOptions:

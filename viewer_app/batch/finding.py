@@ -110,7 +110,7 @@ def _pair(
     whole = [suffix for suffix in SUFFIXES if len(suffixes.get(suffix, {})) == 2]
     if not whole:
         files = [file for of_suffix in suffixes.values() for file in of_suffix.values()]
-        return None, [f"{here / file} has no partner and is left out." for file in files]
+        return None, [f"{here / file} has no partner and is skipped." for file in files]
     skeletons: dict[str, Path | None] = {"a": None, "b": None}
     if whole[0] == MKV:
         for side in skeletons:

@@ -32,13 +32,18 @@ RANKED = (
 _DEGREES = 180.0 / math.pi
 _COLUMNS: dict[str, tuple[str, float, int, str]] = {
     "frames": ("pairs", 1.0, 0, "frames of S*"),
-    "seconds": ("s", 1.0, 1, "how long it is"),
-    "good": ("good %", 1e2, 0, "of the frames, those in good seconds"),
+    "seconds": ("s", 1.0, 1, "its length"),
+    "good": ("good %", 1e2, 0, "share of the frames in good seconds"),
     "axes_angle": ("axes °", _DEGREES, 0, "angle between the axes of the sensors"),
     "rotation_sd": ("R ± °", _DEGREES, 1, "how certain the rotation of B is, one standard deviation"),
-    "rotation_off": ("R off °", _DEGREES, 1, "its difference to a robust fit of the whole session"),
-    "views_agree": ("views agree mm", 1e3, 0, "median distance of the calibrated views"),
-    "roughness_ratio": ("roughness S* by views", 1.0, 2, "second difference of S*, by that of S_A and S_B"),
+    "rotation_off": ("R off °", _DEGREES, 1, "its difference from a robust fit of the whole session"),
+    "views_agree": ("views agree mm", 1e3, 0, "median distance between the calibrated views"),
+    "roughness_ratio": (
+        "roughness S* by views",
+        1.0,
+        2,
+        "second difference of S*, divided by that of S_A and S_B",
+    ),
     "jumps_fused": ("jumps S* %", 1e2, 2, "steps of S* of more than 150 mm per frame"),
     "jumps_own": ("S*'s own %", 1e2, 2, "those of them that no view has"),
     "against_fused": ("faces against motion %", 1e2, 1, "fast frames in which S* faces against its motion"),

@@ -49,7 +49,7 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
             f"90°) each sees what the other cannot. Move them {way} round the person.",
             "WARN",
             label=f"A and B look {beside(angle, low, high)}° apart",
-            step=f"carry B {towards} A, round you, to 90°",
+            step=f"move B {towards} A, round you, to 90°",
             why=f"Only {angle:.0f}° apart" if angle < low else f"{angle:.0f}° apart",
         )
     yield calibration_advice(calibration)
@@ -76,7 +76,7 @@ def calibration_advice(calibration: Calibration) -> Advice:
             f"{CERTAIN_TURN_DEG:g}°)"
         )
         # before the start-up pose the next thing to do is to hold it
-        limit += f"; {only}" if calibration.provisional else f"; {only}: walk some steps"
+        limit += f"; {only}" if calibration.provisional else f"; {only}: walk a few steps"
     frames = "of one frame" if registration.frames == 1 else f"median of {registration.frames} frames"
     begins = "Provisional calibration" if calibration.provisional else "Calibration"
     asks = not calibration.provisional and (word == "poor" or uncertain > CERTAIN_TURN_DEG)
@@ -87,6 +87,6 @@ def calibration_advice(calibration: Calibration) -> Advice:
         f"{GOOD:.0f}, usable below {USABLE:.0f}); {limit}.",
         "WARN" if word == "poor" else "INFO",
         label=label if asks else "",
-        step="walk some steps to and fro" if asks else "",
+        step="walk a few steps back and forth" if asks else "",
         figures=True,
     )

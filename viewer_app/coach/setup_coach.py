@@ -46,7 +46,7 @@ DROPPED = 0.05
 """Largest accepted share of frames that this machine is too slow for, or that are lost on USB."""
 _BUSY = "The body tracker needs more of this machine. Close other programs."
 _SLOW = "This machine is too slow. Close other programs, or use --depth none."
-_USB = "Give it a USB controller of its own, and light."
+_USB = "Give it its own USB controller, and light."
 _NETWORK = "Check its program and the network."
 _ASKED_OF_SLOW = "close other programs: this machine is too slow"
 _SECOND, _RATE_WINDOW, _MIRRORED_WINDOW, _MOVED_WINDOW = 1.0, 2.0, 4.0, 8.0  # seconds
@@ -253,7 +253,7 @@ class Coach:
                 text = (
                     f"Sensor {side} sees someone else. Until the calibration, only one person may be in view."
                 )
-                step, why = "let them step aside", "Someone else in view"
+                step, why = "ask them to step aside", "Someone else in view"
                 yield _problem("others", side, text, "someone else in view", step, why)
             if skeleton is None:
                 if not comes or (seen_at is None and view is not None and not view.people):
@@ -274,8 +274,8 @@ class Coach:
                 continue
             yield from self._distance(side, skeleton, self.intrinsics[k])
             if self._mirrored(k):
-                step = "turn mirroring off in the driver of {who}"
-                text = f"Sensor {side} gives the mirror image of a person. Turn mirroring off in its driver."
+                step = "turn off mirroring in the driver of {who}"
+                text = f"Sensor {side} gives the mirror image of a person. Turn off mirroring in its driver."
                 yield _problem("mirrored", side, text, "mirror image", step, "Mirror image")
             if self._share(k, time, "feet_gone") > MOST:
                 text = f"Sensor {side} does not see both feet. Tilt it down, or step back."
@@ -325,7 +325,7 @@ class Coach:
                 f"{-room:.1f} m (0 is enough). Turn both to the same place, 2.5 m from each.",
                 "WARN",
                 label="A and B have no place to stand in common",
-                step="turn A and B to the same place, 2.5 m from each",
+                step="aim A and B at the same place, 2.5 m from each",
             )
 
     def _pose(self, now: Situation) -> Iterator[Advice]:

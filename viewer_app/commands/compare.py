@@ -71,7 +71,7 @@ def run(options: CompareOptions) -> None:
     """Runs the command."""
     console = output_console()
     if options.worst is not None and options.worst < 0:
-        raise UsageError(f"--worst {options.worst}: how many moments to list, 0 or more.")
+        raise UsageError(f"--worst {options.worst}: must be 0 or more.")
     if options.offset is not None and not math.isfinite(options.offset):
         raise UsageError(f"--offset {options.offset}: must be a number of seconds.")
     inputs = [options.first, options.second]
@@ -84,7 +84,7 @@ def run(options: CompareOptions) -> None:
         _compare_with_truth(options, console)
     elif given := [name for name in _OF_TRUTH if getattr(options, name) is not None]:
         known = ", ".join(SUFFIXES)
-        raise UsageError(f"--{given[0]} is for motion capture ({known}); {options.second} is none.")
+        raise UsageError(f"--{given[0]} is for motion capture ({known}); {options.second} is not.")
     else:
         _compare_sessions(options, console)
 
@@ -125,18 +125,18 @@ def _print_truth_comparison(
     head = "Angles, degrees: RMSE and correlation; range of motion"
     console.print(figure_table(head, ANGLE_HEAD, angle_rows(figures)))
     if steps := list(step_rows(figures)):
-        head = "Steps, S* less truth; in brackets 95 % intervals"
+        head = "Steps, S* minus truth, with 95 % intervals in brackets"
         console.print(figure_table(head, STEP_HEAD, steps))
         console.print(step_line(figures))
     if options.verbose:
-        head = "Angles, degrees, S* less truth; in brackets 95 % intervals"
+        head = "Angles, degrees, S* minus truth, with 95 % intervals in brackets"
         console.print(figure_table(head, AGREEMENT_HEAD, agreement_rows(figures)))
         head = "Joints, mm: mean distance, its constant part, mean of the rest"
         console.print(figure_table(head, JOINT_HEAD, joint_rows(figures)))
     for written in filter(None, (options.html, options.report, options.save)):
         console.print(f"Wrote {written}.", markup=False, soft_wrap=True)
     if not options.verbose:
-        console.print("Every joint: --verbose.")
+        console.print("For every joint, use --verbose.")
 
 
 def _compare_sessions(options: CompareOptions, console: Console) -> None:
@@ -188,7 +188,7 @@ def _print_comparison(
     for written in filter(None, (options.html, options.save)):
         console.print(f"Wrote {written}.", markup=False, soft_wrap=True)
     if not options.verbose:
-        console.print("Every joint and bone: --verbose.")
+        console.print("For every joint and bone, use --verbose.")
 
 
 def _blueprint(scene: str, entity: str, plot: str, whereabouts: NDArray[np.float64]) -> rrb.Blueprint:

@@ -96,11 +96,11 @@ def _check(options: DemoOptions) -> None:
     if own_tracker and options.body not in ("azure_kinect", "blazepose"):
         raise UsageError(f"--tracker blazepose reports the body blazepose, not {options.body}.")
     if own_tracker and options.depth == "none":
-        raise UsageError("--tracker blazepose works on images: give --depth half or full.")
+        raise UsageError("--tracker blazepose needs images: give --depth half or full.")
     if options.record is not None and options.depth == "none":
-        raise UsageError("--record records images: give --depth half or full.")
+        raise UsageError("--record needs images: give --depth half or full.")
     if options.bad_setup and options.angle != DemoOptions.angle:
-        raise UsageError(f"--bad-setup has an angle of its own, {BAD_ANGLE_DEG:.0f}°: leave --angle out.")
+        raise UsageError(f"--bad-setup has its own angle, {BAD_ANGLE_DEG:.0f}°: leave --angle out.")
 
 
 def _show(
@@ -118,7 +118,7 @@ def _show(
     warm_up(Fuser(nominal), console, lambda: next(a.frames(), None))
     if pace is not None:
         console.print(
-            "The program's own body tracker (BlazePose) works on simulated infrared and depth images."
+            "The program's own body tracker (BlazePose) runs on simulated infrared and depth images."
         )
     _introduce(console, options, shown.moments if pace is None else ())
     sensors = _together(a, b, pace)
@@ -168,10 +168,10 @@ def _show(
 def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMoment]) -> None:
     """Prints what happens, and when to look."""
     angle = BAD_ANGLE_DEG if options.bad_setup else options.angle
-    does = {"walks": "walks about", "sits": "sits down before them"}[options.other]
+    does = {"walks": "walks about", "sits": "sits down in front of them"}[options.other]
     beside = f" and another one who {does}" if options.people > 1 else ""
     console.print(
-        f"A simulated person ({escape(options.motion)}){beside} before two Kinects {angle:.0f}° apart, "
+        f"A simulated person ({escape(options.motion)}){beside} in front of two Kinects {angle:.0f}° apart, "
         f"{options.seconds:g} s. Press Ctrl-C to end."
     )
     if options.quiet:
@@ -183,7 +183,7 @@ def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMom
     for moment in sorted(moments, key=lambda each: each.starts[0]):
         when = ", ".join(f"{start:g}" for start in moment.starts[:_MOST_NAMED])
         when += " …" if len(moment.starts) > _MOST_NAMED else ""
-        console.print(f"At {when} s {moment.fault} for a second; S* stays right.")
+        console.print(f"At {when} s {moment.fault} for a second; S* stays correct.")
 
 
 def _own_tracker(options: DemoOptions, console: Console) -> TrackingPace:

@@ -75,7 +75,7 @@ def report_lines(checks: list[Check]) -> list[Text]:
     ranked = sorted((check for check in checks if check not in absent), key=_rank)
     lines = [_line(check, advised=check is not step) for check in ranked]
     if absent:
-        lines.append(Text("Not installed; the library of your sensors is enough:", style=_GREY))
+        lines.append(Text("Not installed; you need only the library for your sensors:", style=_GREY))
     lines += [Text(f"– {check.serves}: {check.install}", style=_GREY) for check in absent]
     lacking = lacks(checks)
     if lacking:

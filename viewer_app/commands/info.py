@@ -33,7 +33,7 @@ from viewer_app.report.words import calibration_in_words, in_percent
 
 Rows = Iterator[tuple[str, object]]
 _FORMATS = {
-    ".csv": "skeletons, a row for each joint and frame",
+    ".csv": "skeletons, one row per joint and frame",
     ".json": "skeletons of Microsoft's offline_processor",
     ".skeleton": "skeletons of NTU RGB+D",
     ".mkv": "images of an Azure Kinect",
@@ -71,8 +71,8 @@ def _of_file(path: Path, stated: StatedFormat) -> Rows:
     if suffix not in _FORMATS:
         yield "begins with", _begins(path)
         raise DeviceError(
-            f"{path}: {suffix or 'no ending'} is no format that is read. Known: .rrd, {', '.join(_FORMATS)}. "
-            "A file of one of these needs its ending."
+            f"{path}: {suffix or 'no ending'} is not a format that can be read. "
+            f"Known: .rrd, {', '.join(_FORMATS)}. A file in one of these formats needs its ending."
         )
     if has_images(path):
         yield "format", _FORMATS[suffix]
@@ -160,7 +160,7 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
     yield "unit", f"{read.unit}; {place}"
     share = mirrored_share(body, positions)
     hands = "unknown, without feet or trunk" if share is None else "yes" if share > MIRRORED else "no"
-    yield "axes", stated.axes or "x right, y down, z forward, as the sensor sees"
+    yield "axes", stated.axes or "x right, y down, z forward, as seen from the sensor"
     yield "mirror image", hands
     if read.ignored:
         yield "ignored", f"columns {listed(read.ignored)}"

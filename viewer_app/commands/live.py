@@ -80,7 +80,7 @@ def _check(options: LiveOptions) -> FuserSettings:
             raise UsageError(f"{name} is on another PC: give --orientation to duplex sensor there.")
     if options.calibrate != "auto" and not Path(options.calibrate).exists():
         raise UsageError(
-            f"--calibrate {options.calibrate}: neither auto nor an existing file. Make one with "
+            f"--calibrate {options.calibrate}: neither auto nor an existing file. Create one with "
             f"--save-calibration."
         )
     return settings

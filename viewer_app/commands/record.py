@@ -22,7 +22,7 @@ def run(options: RecordOptions) -> None:
     check_modes(capture_settings(options))
     check_seconds(options.seconds)
     if names_remote(options):
-        raise UsageError("duplex record records sensors of this PC: run it on the sensor's own PC.")
+        raise UsageError("duplex record records sensors on this PC: run it on the sensor's own PC.")
     existed = options.folder.exists()
     try:
         with outputs_of_one_run():  # what is held in the folder is gone before the folder

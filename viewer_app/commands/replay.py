@@ -159,9 +159,11 @@ def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bo
             missing = np.isnan(found.worst)
             worst = "only one has an S* in some frame" if missing else f"at most {found.worst * 1e3:.3g} mm"
             if session.left_out:
-                console.print("Frames were left out of the session; they count as well.")
+                console.print("Frames that were left out of the session also have an effect.")
             elif session.first_frame:
-                console.print("The session is trimmed at its beginning; frames before it count as well.")
+                console.print(
+                    "The session is trimmed at its beginning; frames before it also have an effect."
+                )
             console.print(
                 f"[bold]S* differs[/] from the recorded one in {found.differing} of {len(session)} frames, "
                 f"first at frame {found.frame}{joint}; {worst}."

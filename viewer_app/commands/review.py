@@ -70,7 +70,7 @@ def run(options: ReviewOptions) -> None:
 def opening_time(options: ReviewOptions, session: Session, events: Sequence[ListedEvent]) -> tuple[int, str]:
     """Where the viewer opens: ns since the first pair, and the same in words."""
     if options.event is not None and options.at is not None:
-        raise UsageError("--event and --at each say where to open; give one of them.")
+        raise UsageError("--event and --at both say where to open; give only one.")
     if options.at is not None:
         last_s = int(session.time_ns[-1]) * 1e-9
         if not 0.0 <= options.at <= last_s:

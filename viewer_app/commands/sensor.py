@@ -89,7 +89,7 @@ def _sensor(options: PublishOptions, console: Console) -> Sensor:
     given = {"--kinect": options.kinect, "--recording": options.recording, "--simulate": options.simulate}
     several = [name for name, value in given.items() if value is not None]
     if len(several) > 1:
-        raise UsageError(f"{' and '.join(several)} exclude each other: one program runs one sensor.")
+        raise UsageError(f"{' and '.join(several)} cannot be combined: one program runs one sensor.")
     if options.simulate is not None:
         which = "ab".index(options.simulate)
         return sensor_by_wall_clock(which, demonstrated(options.motion), BODIES[options.body])

@@ -17,7 +17,7 @@ def run(options: TrackerFetchOptions) -> None:
     where = escape(str(folder))
     if not fetched:
         console.print(
-            f"The network {options.network} is in {where} already, and whole.",
+            f"The network {options.network} is in {where} already, and complete.",
             soft_wrap=True,
         )
         return

@@ -129,4 +129,4 @@ def _program() -> App:
 
 def _worth_showing(default: object) -> str | None:
     """A default as the help shows it; None where it says nothing, as that of a switch."""
-    return None if default is None or default is False or default == () else str(default)
+    return None if default is None or default is False or default in ((), "") else str(default)

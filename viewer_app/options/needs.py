@@ -37,7 +37,7 @@ class Need:
         kind: The commands that have the options.
         options: Their names.
         met: Whether the need is met.
-        what: It in words, after ``--option needs``.
+        what: It in words, after ``--option``.
     """
 
     kind: type
@@ -93,81 +93,100 @@ def _runs_a_sensor(options: PublishOptions) -> bool:
 
 
 NEEDS = (
-    Need(FusionOptions, ("h", "weights"), lambda o: o.method != "duplex", "--method paper or published"),
     Need(
-        FusionOptions, ("smoothing", "smooth", "no_refine"), lambda o: o.method == "duplex", "--method duplex"
+        FusionOptions, ("h", "weights"), lambda o: o.method != "duplex", "needs --method paper or published"
+    ),
+    Need(
+        FusionOptions,
+        ("smoothing", "smooth", "no_refine"),
+        lambda o: o.method == "duplex",
+        "needs --method duplex",
     ),
     Need(
         RecordingOptions,
         ("no_refine",),
         lambda o: not calibration_is_file(o.calibrate),
-        "another --calibrate; the calibration of a file is kept",
+        "needs another --calibrate; a calibration from a file is kept",
     ),
-    Need(FuseOptions, ("depth",), _reads_images, "a recording of images: .mkv, .db3 or .bag"),
-    Need(FuseOptions, ("orientation",), _reads_images, "a recording of images; --axes is of skeletons"),
-    Need(FuseOptions, _TRACKER, _tracks_images, "a recording of images without saved skeletons"),
+    Need(FuseOptions, ("depth",), _reads_images, "needs a recording of images: .mkv, .db3 or .bag"),
     Need(
-        FuseOptions, ("person",), _tracks_images, "images; for skeletons there are --person-a and --person-b"
+        FuseOptions, ("orientation",), _reads_images, "needs a recording of images; for skeletons, use --axes"
     ),
-    Need(FuseOptions, ("depth",), _writes_or_shows, "a viewer, or --save FILE.rrd"),
-    Need(FuseOptions, _STATED, _reads_csv, "a .csv file"),
-    Need(BatchOptions, ("processes",), lambda o: o.scheduler is None, "no --scheduler"),
-    Need(PublishOptions, ("motion", "body"), lambda o: o.simulate is not None, "--simulate"),
-    Need(PublishOptions, _STATED, lambda o: o.recording is not None, "--recording"),
-    Need(PublishOptions, _STATED, _reads_csv, "a .csv file"),
-    Need(PublishOptions, ("depth_mode", "fps"), _runs_a_sensor, "a sensor of this PC"),
+    Need(FuseOptions, _TRACKER, _tracks_images, "needs a recording of images without saved skeletons"),
+    Need(
+        FuseOptions, ("person",), _tracks_images, "needs images; for skeletons, use --person-a and --person-b"
+    ),
+    Need(FuseOptions, ("depth",), _writes_or_shows, "needs a viewer, or --save FILE.rrd"),
+    Need(FuseOptions, _STATED, _reads_csv, "needs a .csv file"),
+    Need(BatchOptions, ("processes",), lambda o: o.scheduler is None, "cannot be used with --scheduler"),
+    Need(PublishOptions, ("motion", "body"), lambda o: o.simulate is not None, "needs --simulate"),
+    Need(PublishOptions, _STATED, lambda o: o.recording is not None, "needs --recording"),
+    Need(PublishOptions, _STATED, _reads_csv, "needs a .csv file"),
+    Need(PublishOptions, ("depth_mode", "fps"), _runs_a_sensor, "needs a sensor on this PC"),
     Need(
         PublishOptions,
         (*_TRACKER, "person", "depth", "orientation"),
         lambda o: o.simulate is None and _reads_images(o),
-        "a sensor, or a recording of images",
+        "needs a sensor, or a recording of images",
     ),
-    Need(LiveOptions, ("compress",), lambda o: o.record is not None, "--record FOLDER"),
-    Need(DemoOptions, ("compress",), lambda o: o.record is not None, "--record FOLDER"),
-    Need(DemoOptions, ("other",), lambda o: o.people > 1, "--people 2"),
+    Need(LiveOptions, ("compress",), lambda o: o.record is not None, "needs --record FOLDER"),
+    Need(DemoOptions, ("compress",), lambda o: o.record is not None, "needs --record FOLDER"),
+    Need(DemoOptions, ("other",), lambda o: o.people > 1, "needs --people 2"),
     Need(
         DemoOptions,
         ("tracker_model", "tracker_network"),
         lambda o: o.tracker == "blazepose",
-        "--tracker blazepose",
+        "needs --tracker blazepose",
     ),
     Need(
         LiveOptions,
         ("fps", "depth_mode"),
         lambda o: o.a is None and not _all_remote(o),
-        "sensors of this PC, no recordings",
+        "needs sensors on this PC, not recordings",
     ),
     Need(
         LiveOptions,
         ("color", "orientation"),
         lambda o: not _all_remote(o),
-        "sensors of this PC, or recordings",
+        "needs sensors on this PC, or recordings",
     ),
-    Need(DoctorOptions, ("force",), lambda o: o.bundle is not None, "--bundle FILE.zip"),
-    Need(LiveOptions, _TRACKER, lambda o: not _all_remote(o), "a sensor of this PC, or recordings"),
+    Need(DoctorOptions, ("force",), lambda o: o.bundle is not None, "needs --bundle FILE.zip"),
+    Need(LiveOptions, _TRACKER, lambda o: not _all_remote(o), "needs a sensor on this PC, or recordings"),
     # after all of a command that has no use for a body tracker
-    Need(TrackerOptions, ("k4abt", "processing"), lambda o: o.tracker != "blazepose", "another --tracker"),
+    Need(
+        TrackerOptions, ("k4abt", "processing"), lambda o: o.tracker != "blazepose", "needs another --tracker"
+    ),
     Need(
         TrackerOptions,
         ("tracker_model", "tracker_network", "person"),
         lambda o: not _asks_for_k4abt(o),
-        "--tracker blazepose",
+        "needs --tracker blazepose",
     ),
-    Need(DoctorOptions, ("person",), lambda _: False, "a command that follows a person; doctor follows none"),
-    Need(ViewerOptions, ("layout",), _writes_or_shows, "a viewer, or --save FILE.rrd"),
-    Need(DemoOptions, ("layout",), lambda o: not o.bad_setup, "no --bad-setup, which opens the tab setup"),
+    Need(
+        DoctorOptions, ("person",), lambda _: False, "needs a command that follows a person; doctor does not"
+    ),
+    Need(ViewerOptions, ("layout",), _writes_or_shows, "needs a viewer, or --save FILE.rrd"),
+    Need(
+        DemoOptions,
+        ("layout",),
+        lambda o: not o.bad_setup,
+        "cannot be used with --bad-setup, which opens the setup tab",
+    ),
     Need(
         DemoOptions,
         tuple(each.name for each in fields(DemoOptions) if each.name != "motion"),
         lambda o: o.motion != "list",
-        "a movement; --motion list only names them",
+        "needs a movement; --motion list only lists them",
     ),
-    Need(ReviewOptions, ("event", "at"), lambda o: not o.no_viewer, "a viewer"),
-    Need(LiveOutputOptions, ("avatar",), lambda o: o.vmc is not None, "--vmc"),
+    Need(ReviewOptions, ("event", "at"), lambda o: not o.no_viewer, "needs a viewer"),
+    Need(LiveOutputOptions, ("avatar",), lambda o: o.vmc is not None, "needs --vmc"),
     Need(
-        LiveOutputOptions, ("feet",), lambda o: o.vmc is not None or o.vrchat is not None, "--vmc or --vrchat"
+        LiveOutputOptions,
+        ("feet",),
+        lambda o: o.vmc is not None or o.vrchat is not None,
+        "needs --vmc or --vrchat",
     ),
-    Need(TerminalOptions, ("verbose",), lambda o: not o.quiet, "no --quiet"),
+    Need(TerminalOptions, ("verbose",), lambda o: not o.quiet, "cannot be used with --quiet"),
 )
 
 
@@ -192,4 +211,4 @@ def refuse_without_effect(*lines: Any) -> None:
     first, *others = map(without_effect, lines)
     for name, what in first.items():
         if all(name in other for other in others):
-            raise UsageError(f"--{name.replace('_', '-')} needs {what}.")
+            raise UsageError(f"--{name.replace('_', '-')} {what}.")

@@ -46,9 +46,9 @@ class FuseOptions(
 ):
     """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
 
-    Recordings are .csv (time_us,body,joint,x,y,z[,state]), .json (Microsoft's offline_processor),
-    .skeleton (NTU RGB+D); or images, on which a body tracker is run: .mkv of an Azure Kinect, .bag of
-    Orbbec's SDK v2, .db3 and .bag of a RealSense.
+    Recordings are skeletons, in .csv (time_us,body,joint,x,y,z[,state]), .json (Microsoft's
+    offline_processor) or .skeleton (NTU RGB+D) files; or images, on which a body tracker runs: .mkv from an
+    Azure Kinect, .bag from Orbbec's SDK v2, .db3 or .bag from a RealSense.
     """
 
     a: Annotated[Path, ARGUMENT] = field(kw_only=False)
@@ -56,60 +56,64 @@ class FuseOptions(
     b: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """Recording of the secondary sensor K_B."""
     person_a: Annotated[str | None, SENSORS] = None
-    """Id of the person in A, also if they have other ids. If not given, --follow chooses."""
+    """Id of the person in A, who is then followed even if it changes. If not given, --follow
+    chooses."""
     person_b: Annotated[str | None, SENSORS] = None
-    """Id of the person in B. If not given, --follow chooses."""
+    """Id of the person in B, who is then followed even if it changes. If not given, --follow
+    chooses."""
     skeletons_a: Annotated[Path | None, SENSORS] = None
     """For a recording of images: saved skeletons of A, used instead of the body tracker."""
     skeletons_b: Annotated[Path | None, SENSORS] = None
     """For a recording of images: saved skeletons of B, used instead of the body tracker."""
     to: Annotated[Path | None, OUTPUTS] = None
-    """Also write S* for another program, as duplex export does. The ending is the format."""
+    """Also write S* for another program, like duplex export. The file's ending chooses the format."""
     offset: Annotated[float | None, SENSORS] = None
-    """Milliseconds to add to B's times. If not given, found from the motion (--method duplex only)."""
+    """Milliseconds to add to B's times. If not given, found from the motion (only with --method duplex)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptions):
     """Run the whole program without a sensor: two simulated Kinects watch one person.
 
-    At some seconds one sensor loses an arm or exchanges left and right. The terminal says when. The person's
-    true joints are also logged, as a fourth skeleton (hidden at first).
+    At times, one sensor misplaces an arm or exchanges left and right. The terminal says when. The person's
+    true joints are logged as a fourth skeleton, which is hidden at first.
     """
 
     motion: str = "badminton"
-    """A movement of the library (duplex demo --motion list names them), or a BVH file."""
+    """A movement from the library (duplex demo --motion list prints their names), or a BVH file."""
     seconds: float = 30.0
-    """Length of the demonstration."""
+    """Length of the demonstration, in seconds."""
     seed: Annotated[int, SENSORS, WHOLE_NUMBER] = 0
     """Seed of the simulated sensors' errors. The same seed gives the same skeletons."""
     angle: Annotated[float, SENSORS] = 90.0
     """Degrees between the two sensors."""
     bad_setup: Annotated[bool, SENSORS] = False
-    """Place the sensors badly, and see what the program advises."""
+    """Place the sensors badly, to see what the program advises."""
     people: Annotated[Literal[1, 2], SENSORS] = 1
-    """2: there is another person, and the trackers exchange their ids."""
+    """Number of people. With 2, the trackers exchange their ids."""
     other: Annotated[Literal["walks", "sits"], SENSORS] = "walks"
-    """What the other one does: walk about behind the first one, or sit down before them in A's view."""
+    """What the other person does: walk about behind the first one, or sit down in front of them in A's
+    view."""
     body: Annotated[Literal["kinect_v1", "kinect_v2", "azure_kinect", "blazepose"], SENSORS] = "azure_kinect"
-    """Whose body tracker is simulated."""
+    """Body tracker to simulate."""
     tracker: Annotated[Literal["simulated", "blazepose"], TRACKER] = "simulated"
     """simulated: a tracker with the errors of --body. blazepose: the program's own tracker runs on simulated
     infrared and depth images."""
     tracker_model: Annotated[Path | None, TRACKER] = None
-    """Folder of blazepose's networks. If not given, the user's cache folder."""
+    """Folder with blazepose's networks. If not given, the user's cache folder."""
     tracker_network: Annotated[Literal["full", "lite"], TRACKER] = "full"
-    """Network of blazepose. lite is faster and less accurate. If full is too slow, lite replaces it, provided
-    that it was fetched (duplex tracker fetch --network lite)."""
+    """Network for blazepose. lite is faster and less accurate. If full is too slow, lite replaces it if it
+    was fetched (duplex tracker fetch --network lite)."""
     depth: Annotated[Literal["none", "half", "full"], SENSORS] = "half"
     """Depth images: none, half the sensor's resolution, or full. If the machine is too slow, as most are for
-    full, images are dropped, skeletons never."""
+    full, images are dropped, but never skeletons."""
     save: Annotated[Path | None, OUTPUTS] = None
-    """Keep the session as an .rrd file. If not given and there is no display, demo.rrd."""
+    """Save the session as an .rrd file. If not given and there is no display, demo.rrd."""
     record: Annotated[Path | None, OUTPUTS] = None
-    """Record the simulated depth and infrared images to this folder, as duplex record does."""
+    """Record the simulated depth and infrared images to this folder, like duplex record."""
     compress: Annotated[bool, OUTPUTS] = False
-    """With --record: compress the images without loss. Microsoft's tools read only recordings without it."""
+    """With --record: compress the images without loss. Microsoft's tools cannot read compressed
+    recordings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,55 +130,56 @@ class LiveOptions(
 ):
     """Fuse two sensors live: Azure Kinect, Orbbec, RealSense, Kinect v1 or v2.
 
-    Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks. Two recordings
-    of images play as if they were live.
+    Ctrl-C stops the command and saves everything. duplex doctor shows what this machine lacks. Instead of
+    sensors, two recordings of images can be played as if they were live.
     """
 
     a: Annotated[Path | None, ARGUMENT] = field(default=None, kw_only=False)
-    """Play this recording, .mkv, .db3 or .bag, instead of sensor K_A."""
+    """Play this recording (.mkv, .db3 or .bag) instead of sensor K_A."""
     b: Annotated[Path | None, ARGUMENT] = field(default=None, kw_only=False)
-    """The recording of K_B."""
+    """Play this recording instead of sensor K_B."""
     record: Annotated[Path | None, OUTPUTS] = None
-    """Record the images of both sensors to this folder, as duplex record does."""
+    """Record the images from both sensors to this folder, like duplex record."""
     compress: Annotated[bool, OUTPUTS] = False
-    """With --record: compress the images without loss. Microsoft's tools read only recordings without it."""
+    """With --record: compress the images without loss. Microsoft's tools cannot read compressed
+    recordings."""
     layout: Annotated[Literal["setup", "inspect", "report", "angles"], VIEWER] = "setup"
-    """Which of the viewer's tabs is open at first."""
+    """The viewer tab that is open at first."""
     seconds: float | None = None
-    """End after this many seconds. If not given, end with Ctrl-C."""
+    """Stop after this many seconds. If not given, stop with Ctrl-C."""
     depth: Annotated[Literal["none", "half", "full"], SENSORS] = "half"
     """Depth images shown and saved: none, every second pixel in both directions, or all."""
     depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
-    """Narrow and far, or wide and near."""
+    """Field of view and range: narrow and far, or wide and near."""
     fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
     """Frames per second."""
     color: Annotated[Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"], SENSORS] = "off"
-    """Colour images, and at which resolution."""
+    """Resolution of the colour images. off: no colour images."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordOptions(SensorOptions):
-    """Record depth and infrared of two sensors, without loss, as FOLDER/a.mkv and FOLDER/b.mkv.
+    """Record depth and infrared from two sensors without loss, as FOLDER/a.mkv and FOLDER/b.mkv.
 
-    Later: duplex fuse FOLDER/a.mkv FOLDER/b.mkv, or duplex live with both. What was recorded before a crash
-    or on a full disk can be read.
+    To fuse them later, use duplex fuse FOLDER/a.mkv FOLDER/b.mkv, or duplex live with both files. After a
+    crash, or if the disk is full, everything recorded so far can be read.
     """
 
     folder: Annotated[Path, ARGUMENT] = field(kw_only=False)
-    """Folder to record to. It is made if it does not exist."""
+    """Folder to record to. It is created if it does not exist."""
     seconds: float | None = None
-    """End after this many seconds. If not given, end with Ctrl-C."""
+    """Stop after this many seconds. If not given, stop with Ctrl-C."""
     compress: Annotated[bool, OUTPUTS] = False
-    """Compress depth and infrared without loss, to some 40 % of the size. Microsoft's tools read only
-    uncompressed recordings."""
+    """Compress depth and infrared without loss, to about 40 % of the size. Microsoft's tools cannot read
+    compressed recordings."""
     depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
-    """Narrow and far, or wide and near."""
+    """Field of view and range: narrow and far, or wide and near."""
     fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
     """Frames per second."""
     color: Annotated[Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"], SENSORS] = "off"
     """Also record colour images, at this resolution."""
     force: Annotated[bool, OUTPUTS] = False
-    """Overwrite recordings that exist."""
+    """Overwrite existing recordings."""
     quiet: bool = False
     """Print only warnings."""
 
@@ -183,60 +188,62 @@ class RecordOptions(SensorOptions):
 class DoctorOptions(TrackerOptions, SensorOptions):
     """Check live capture on this machine, and show how to fix what does not work.
 
-    The exit code is 0 if duplex live could start, 1 if not.
+    The exit code is 0 if duplex live can start, and 1 if not.
     """
 
     bundle: Annotated[Path | None, OUTPUTS] = None
-    """Write a .zip to send to the maintainers: all results, versions, logs. Names of user and machine, paths
-    and serial numbers are replaced."""
+    """Write a .zip with all results, versions and logs, to send to the maintainers. User and machine names,
+    paths and serial numbers are replaced."""
     recording: Annotated[bool | None, OUTPUTS, Parameter(negative="--no-recording")] = None
-    """With --bundle: add ten seconds of depth and infrared, on which you and the room can be seen, or do
-    not. If not given, the command asks."""
+    """With --bundle: add, or leave out, ten seconds of depth and infrared, in which you and the room can be
+    seen. If not given, the command asks."""
     force: Annotated[bool, OUTPUTS] = False
-    """Overwrite a .zip that exists."""
+    """Overwrite an existing .zip."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PublishOptions(ZenohOptions, TrackerOptions, OwnFileOptions):
     """Run one sensor and its body tracker on this PC, and publish its skeletons for duplex live on another.
 
-    There: duplex live --zenoh-listen tcp/0.0.0.0:7447 --kinect-a zenoh:KEY_A --kinect-b zenoh:KEY_B.
-    Nothing is encrypted: use it in a network that you trust.
+    On the other PC, run duplex live --zenoh-listen tcp/0.0.0.0:7447 --kinect-a zenoh:KEY_A --kinect-b
+    zenoh:KEY_B. Nothing is encrypted: use it only in a network that you trust.
     """
 
     publish: Annotated[str, OUTPUTS]
     """The key to publish under, such as lab/a."""
     kinect: Annotated[str | None, SENSORS] = None
-    """Serial number of the sensor. If not given, the only one connected."""
+    """Serial number of the sensor. If not given, the only sensor connected."""
     orientation: Annotated[Literal[0, 90, 180, 270], SENSORS] = 0
     """Degrees by which the sensor is turned clockwise, seen from behind."""
     recording: Annotated[Path | None, SENSORS] = None
-    """Play a recording in real time instead of a sensor: .csv, .json, .skeleton, .mkv, .db3 or .bag."""
+    """Instead of running a sensor, play a recording in real time: .csv, .json, .skeleton, .mkv, .db3 or
+    .bag."""
     simulate: Annotated[Literal["a", "b"] | None, SENSORS] = None
-    """Simulate sensor a or b instead. Two programs see the same person, by the clocks of their PCs."""
+    """Instead of running a sensor, simulate sensor a or b. Two programs see the same person, synchronised by
+    the clocks of their PCs."""
     motion: Annotated[str, SENSORS] = "walk"
-    """With --simulate: a movement of the library (duplex demo --motion list), or a BVH file."""
+    """With --simulate: a movement from the library (see duplex demo --motion list), or a BVH file."""
     body: Annotated[Literal["kinect_v1", "kinect_v2", "azure_kinect"], SENSORS] = "azure_kinect"
-    """With --simulate: whose body tracker."""
+    """With --simulate: body tracker to simulate."""
     depth: Annotated[bool, OUTPUTS] = False
     """Also publish the depth images, without loss: about 5 MB per second."""
     depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
-    """Narrow and far, or wide and near."""
+    """Field of view and range: narrow and far, or wide and near."""
     fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
     """Frames per second."""
     seconds: float | None = None
-    """End after this many seconds. If not given, end with Ctrl-C."""
+    """Stop after this many seconds. If not given, stop with Ctrl-C."""
     quiet: bool = False
     """Print only warnings."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
-    """Fuse many pairs of recordings, in parallel. A second call continues where the first one stopped.
+    """Fuse many pairs of recordings in parallel. A second run continues where the first one stopped.
 
-    In FOLDER and its subfolders, a pair is a.EXT and b.EXT, or NAME_a.EXT and NAME_b.EXT, where EXT is csv,
-    json, skeleton, mkv, bag or db3. Saved skeletons beside an .mkv of the same name are used instead of the
-    body tracker. Or a manifest: a .csv with the columns name,a,b[,skeletons_a,skeletons_b,person_a,person_b].
+    In a folder and its subfolders, a pair is a.EXT and b.EXT, or NAME_a.EXT and NAME_b.EXT, where EXT is csv,
+    json, skeleton, mkv, bag or db3. Saved skeletons with the same name as an .mkv are used instead of the
+    body tracker. A manifest is a .csv with the columns name,a,b[,skeletons_a,skeletons_b,person_a,person_b].
 
     The exit code is 1 if a pair could not be fused.
     """
@@ -246,13 +253,14 @@ class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
     out: Annotated[Path, OUTPUTS]
     """Folder for the sessions, one subfolder each, and the summary (summary.html, summary.parquet)."""
     processes: Annotated[int, WHOLE_NUMBER] = 0
-    """How many recordings are fused at the same time on this machine. 0: one per processor."""
+    """Number of recordings to fuse at the same time on this machine. 0: one per processor."""
     scheduler: str | None = None
-    """Dask scheduler, tcp://HOST:PORT, whose workers fuse. They must see the same paths as this machine."""
+    """Dask scheduler, tcp://HOST:PORT, whose workers fuse the recordings. They must see the same paths as
+    this machine."""
     pages: Annotated[bool, OUTPUTS] = False
-    """Write a page per session, as duplex review --html does. This takes longer than the fusion."""
+    """Write a page for each session, like duplex review --html. This takes longer than the fusion."""
     force: Annotated[bool, OUTPUTS] = False
-    """Fuse again, and overwrite, sessions that were fused from other recordings, with other options or by
+    """Fuse again and overwrite sessions that were fused from other recordings, with other options or by
     another version."""
 
 
@@ -266,12 +274,14 @@ def recording_settings(options: FuseOptions | BatchOptions) -> FuserSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerFetchOptions:
-    """Fetch the networks of the body tracker BlazePose once, from the Python package that carries them.
+    """Fetch the networks of the body tracker BlazePose from the package that contains them.
 
-    The other commands do this by themselves when they need them. The networks are Google's, Apache-2.0.
+    Other commands do this automatically when they need the networks. These are Google's, under the licence
+    Apache-2.0.
     """
 
     network: Literal["full", "lite"] = "full"
-    """full: the default. lite: faster and less accurate, fetched with npm."""
+    """Network to fetch. lite is faster and less accurate, and is fetched with npm."""
     tracker_model: Path | None = None
-    """Folder to put the files into, such as one to copy elsewhere. If not given, the user's cache folder."""
+    """Folder for the files, for example to copy it to another machine. If not given, the user's cache
+    folder."""

@@ -28,8 +28,8 @@ MOTION_CAPTURE = Parameter(group=Group("Motion capture", sort_key=2))
 class ReplayOptions(LiveOutputOptions, SummaryOptions, OutputOptions):
     """Fuse a session's two skeletons again, with its own settings or with others.
 
-    With the session's own settings and the revision of the method that it records, S* is identical bit for
-    bit; --verify checks this.
+    With the session's own settings and the same revision of the method, S* is identical bit for bit. --verify
+    checks this.
     """
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
@@ -37,29 +37,31 @@ class ReplayOptions(LiveOutputOptions, SummaryOptions, OutputOptions):
     h: Annotated[float | None, EXPERTS] = None
     """How much more a tracked joint counts than an inferred one. If not given, as recorded."""
     method: Annotated[Literal["duplex", "paper", "published"] | None, METHOD] = None
-    """duplex: an estimator in time. paper: eqs. (10)-(13), exact bones. published: eqs. (3)-(9) as well. As
-    recorded if not given."""
+    """duplex: an estimator over time. paper: eqs. (10)-(13) with exact bones. published: also eqs. (3)-(9).
+    If not given, as recorded."""
     smoothing: Annotated[float | None, METHOD] = None
     """Smoothing of S*, from 0 (each frame on its own) to 1 (strongest). If not given, as recorded."""
     weights: Annotated[Literal["paper", "equal"] | None, EXPERTS] = None
-    """paper: trust a joint, eqs. (10), (11). equal: both views alike. As recorded if not given."""
+    """paper: weight joints by trust, eqs. (10) and (11). equal: weight both views equally. If not given, as
+    recorded."""
     verify: bool = False
     """Compare S* with the recorded S*. If a bit differs, print the first difference and exit with code 1."""
     no_viewer: Annotated[bool, VIEWER] = False
     """Do not open the viewer."""
     save: Annotated[Path | None, OUTPUTS] = None
-    """Keep the new session, its depth images included, as an .rrd file."""
+    """Save the new session as an .rrd file, including its depth images."""
     pace: Annotated[Literal["fast", "live"], OUTPUTS] = "fast"
     """fast: as fast as possible. live: at the recorded times, for --vmc and other outputs."""
     listen: Annotated[str | None, OUTPUTS] = None
-    """With --websocket or --lsl: the address of this machine to listen on, also for other machines."""
+    """With --websocket or --lsl: the address of this machine on which to accept connections from other
+    machines."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InfoOptions(OwnFileOptions):
     """Show what is in a file.
 
-    Of a session: body, frames, settings, calibration, and whether it is whole. Of a recording or of motion
+    For a session: body, frames, settings, calibration, and whether it is whole. For a recording or motion
     capture: format, joints, people, rate, gaps, unit, what is ignored, and the command that reads it.
     """
 
@@ -69,8 +71,8 @@ class InfoOptions(OwnFileOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class TrimOptions(GoodOptions):
-    """Save a time range or the good seconds of a session as a new session. Frames are copied and
-    not fused again."""
+    """Save a time range or the good seconds of a session as a new session. Frames are copied, not fused
+    again."""
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to cut."""
@@ -81,7 +83,7 @@ class TrimOptions(GoodOptions):
     end: Annotated[float | None, Parameter(name="--to")] = None
     """Last moment to keep. If not given, the end."""
     force: bool = False
-    """Overwrite a file that exists."""
+    """Overwrite an existing file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,53 +93,54 @@ class CompareOptions(SummaryOptions):
     first: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """A session."""
     second: Annotated[Path, ARGUMENT] = field(kw_only=False)
-    """Motion capture of the same movement, .c3d, .trc or .csv; or another session of the same capture: a
-    replay with other settings, say."""
+    """Motion capture of the same movement (.c3d, .trc or .csv), or another session of the same capture, such
+    as a replay with other settings."""
     names: Annotated[Path | None, MOTION_CAPTURE] = None
-    """Which points of the file are joints: a TOML table, or plug-in-gait, gait2392, mixamo or bodies. The
-    one of these that finds most joints if not given."""
+    """Which points in the file are joints: a TOML table, or plug-in-gait, gait2392, mixamo or bodies. If not
+    given, the one of these that finds the most joints."""
     offset: Annotated[float | None, MOTION_CAPTURE] = None
     """Seconds to add to the file's times. If not given, found from the motion."""
     html: Annotated[Path | None, OUTPUTS] = None
-    """Write a self-contained page: distances and how they change; of motion capture also angles, of two
-    sessions also how good both are."""
+    """Write a self-contained page with the distances over time. For motion capture, it also shows angles; for
+    two sessions, the quality of both."""
     report: Annotated[Path | None, MOTION_CAPTURE] = None
     """Write all figures as JSON."""
     save: Annotated[Path | None, OUTPUTS] = None
-    """Keep the skeletons and their difference as an .rrd file."""
+    """Save the skeletons and their differences as an .rrd file."""
     any_capture: bool = False
-    """Also compare sessions of different captures: each frame with the nearest in time since the first."""
+    """Also compare sessions of different captures, by the time since their first frames."""
     worst: Annotated[int | None, WHOLE_NUMBER] = None
-    """Of two sessions: how many of the moments at which they differ most to list. If not given, 5."""
+    """For two sessions: how many moments of largest difference to list. If not given, 5."""
     no_viewer: Annotated[bool, VIEWER] = False
     """Do not open the viewer."""
     force: Annotated[bool, OUTPUTS] = False
-    """Overwrite a file that exists."""
+    """Overwrite an existing file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReviewOptions(WebOptions, SummaryOptions):
-    """Show a saved session: a summary, its events, the viewer at one of them, and an HTML page."""
+    """Show a saved session: print its summary and events, open the viewer, or write an HTML page."""
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to show."""
     event: Annotated[int | None, VIEWER, WHOLE_NUMBER] = None
-    """Open the viewer at the event of this number. If neither this nor --at is given: at the first warning
-    after the calibration, else where a view first had left and right exchanged, else at the beginning."""
+    """Open the viewer at the event with this number. If neither this nor --at is given, it opens at the first
+    warning after the calibration, otherwise at the first exchange of left and right in a view, otherwise at
+    the beginning."""
     at: Annotated[float | None, VIEWER] = None
     """Open the viewer at this time, in seconds since the first pair."""
     layout: Annotated[Literal["setup", "inspect", "report", "angles"] | None, VIEWER] = None
-    """Which of the viewer's tabs is open at first. If not given, that with which the session was written."""
+    """The viewer tab that is open at first. If not given, the tab with which the session was written."""
     html: Annotated[Path | None, OUTPUTS] = None
-    """Write a self-contained page: bone lengths, jitter, trust, disagreement, calibration, timing."""
+    """Write a self-contained page with bone lengths, jitter, trust, disagreement, calibration and timing."""
     force: Annotated[bool, OUTPUTS] = False
-    """Overwrite a file that exists."""
+    """Overwrite an existing file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(GoodOptions):
-    """Write S* for another program: .bvh, .c3d, .csv, .glb, .mcap (ROS 2), .mot, .npz, .parquet or .trc, by
-    the file's ending."""
+    """Write S* for another program. The file's ending chooses the format: .bvh, .c3d, .csv, .glb, .mcap (ROS
+    2), .mot, .npz, .parquet or .trc."""
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to export."""
@@ -149,8 +152,8 @@ class ExportOptions(GoodOptions):
     rate: float | None = None
     """Frames per second of a .bvh, .c3d, .glb, .mot or .trc. If not given, that of the recording."""
     names: Literal["body", "humanoid", "mixamo"] = "body"
-    """Names of bones in a .bvh or .glb: those of the joints, of Unity's humanoid, or of Mixamo."""
+    """Bone names in a .bvh or .glb: those of the joints, of Unity's humanoid, or of Mixamo."""
     feet: Literal["planted", "free"] = "planted"
     """Feet in a .bvh or .glb: planted where they stand, so that they neither slide nor sink, or as in S*."""
     force: bool = False
-    """Overwrite a file that exists."""
+    """Overwrite an existing file."""

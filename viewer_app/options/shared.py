@@ -40,11 +40,11 @@ class OutputOptions:
     """The files that a command writes."""
 
     save: Annotated[Path | None, OUTPUTS] = None
-    """Keep the session as an .rrd file."""
+    """Save the session as an .rrd file."""
     report: Annotated[Path | None, OUTPUTS] = None
     """Write all figures of the summary as JSON."""
     force: Annotated[bool, OUTPUTS] = False
-    """Overwrite files that exist. For fuse: also fuse recordings that cannot be of one capture."""
+    """Overwrite existing files. For fuse: also accept recordings that cannot be from one capture."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,11 +54,11 @@ class WebOptions:
     no_viewer: Annotated[bool, VIEWER] = False
     """Do not open the viewer."""
     web: Annotated[bool, VIEWER] = False
-    """Show the session in a browser instead of a window: a page on port 9090, its data on port 9876, or on
-    the next free ones."""
+    """Show the session in a browser instead of a window: a page on port 9090 and its data on port 9876, or on
+    the next free ports."""
     listen: Annotated[str | None, VIEWER] = None
-    """With --web, --websocket or --lsl: the address of this machine to listen on, also for other machines.
-    If not given: this machine only."""
+    """With --web, --websocket or --lsl: the address of this machine on which to accept connections from other
+    machines. If not given, only this machine can connect."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class ViewerOptions(WebOptions):
     """How a running session is shown."""
 
     layout: Annotated[Literal["setup", "inspect", "report", "angles"], VIEWER] = "inspect"
-    """Which of the viewer's tabs is open at first."""
+    """The viewer tab that is open at first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class GoodOptions:
     """Option of the commands that write a part of a session."""
 
     good: bool = False
-    """Write only the seconds that are good, as duplex review lists them. The times then have gaps."""
+    """Write only the good seconds, as listed by duplex review. This leaves gaps in the times."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +82,7 @@ class SummaryOptions:
     """How much the summary in the terminal says."""
 
     verbose: Annotated[bool, OUTPUTS] = False
-    """Print all figures and every bone after the summary, and keep every status line of a running loop."""
+    """Print all figures and every bone after the summary, and keep every status line of a live session."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,9 +90,10 @@ class TerminalOptions(SummaryOptions):
     """Terminal output of a running loop."""
 
     quiet: Annotated[bool, OUTPUTS] = False
-    """Print no status line and none of the coach's advice, only what fails."""
+    """Print only failures: no status lines and no set-up advice."""
     sound: Annotated[bool, OUTPUTS] = False
-    """Short tones while sensors are set up. One low: not yet. Three rising: ready. Three low: out of view."""
+    """Play short tones while the sensors are set up: one low (not yet), three rising (ready) or three low
+    (out of view)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,11 +103,12 @@ class FusionOptions:
     h: Annotated[float, EXPERTS] = PAPER_H
     """How much more a tracked joint counts than an inferred one, between 0.5 and 1."""
     method: Annotated[Literal["duplex", "paper", "published"], METHOD] = "duplex"
-    """duplex: an estimator in time. paper: eqs. (10)-(13), exact bones. published: eqs. (3)-(9) as well."""
+    """duplex: an estimator over time. paper: eqs. (10)-(13) with exact bones. published: also eqs.
+    (3)-(9)."""
     smoothing: Annotated[float, METHOD] = 0.5
-    """Smoothing of S*, from 0 (each frame on its own) to 1 (strongest). Method duplex only."""
+    """Smoothing of S*, from 0 (each frame on its own) to 1 (strongest). Only for method duplex."""
     weights: Annotated[Literal["paper", "equal"], EXPERTS] = "paper"
-    """paper: trust a joint, eqs. (10), (11). equal: both views alike."""
+    """paper: weight joints by trust, eqs. (10) and (11). equal: weight both views equally."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +116,7 @@ class MethodOptions(FusionOptions):
     """Settings of the method."""
 
     calibrate: Annotated[str, METHOD] = "auto"
-    """auto: calibrate on the start-up pose, or on a walk if nobody holds it. Or a file of
+    """auto: calibrate on the start-up pose, or on a walk if nobody holds the pose. Or a file from
     --save-calibration."""
     save_calibration: Annotated[Path | None, METHOD] = None
     """Save the sensors' placement and the bone lengths to a file."""
@@ -125,11 +127,12 @@ class OwnFileOptions:
     """How the .csv files of other programs are read."""
 
     unit: Annotated[Literal["auto", "m", "cm", "mm", "ft", "in"], SENSORS] = "auto"
-    """Unit of the positions in .csv, .json and .skeleton files. auto: found from the size of the person."""
+    """Unit of the positions in .csv, .json and .skeleton files. auto: found from the person's size."""
     axes: Annotated[str, SENSORS, Parameter(allow_leading_hyphen=True)] = ""
-    """Axes of .csv files: kinect, unity, opengl, ros, or those that are right, down and forward: x,-y,z."""
+    """Axes of .csv files: kinect, unity, opengl, ros, or the axes that point right, down and forward, such as
+    x,-y,z."""
     names: Annotated[str, SENSORS] = ""
-    """Names of the joints in .csv files: a .toml table, or mixamo, plug-in-gait, gait2392."""
+    """Joint names in .csv files: a .toml table, or mixamo, plug-in-gait or gait2392."""
 
     @property
     def stated(self) -> StatedFormat:
@@ -142,8 +145,8 @@ class FollowOptions:
     """Which of several people is followed."""
 
     follow: Annotated[Literal["middle", "longest"] | None, SENSORS] = None
-    """Which of several people to follow: the one nearest the middle (the default live), or the one seen
-    longest (the default for recordings)."""
+    """Which of several people to follow: the one nearest the middle (default for live sensors), or the one
+    seen longest (default for recordings)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,16 +154,18 @@ class RecordingOptions(OwnFileOptions):
     """How recordings are fused."""
 
     body: Annotated[Literal["auto", "kinect_v1", "kinect_v2", "azure_kinect", "blazepose"], SENSORS] = "auto"
-    """Family of the body tracker that made .csv or .json files. auto: by the names of the joints of both."""
+    """Body tracker that made the .csv or .json files. auto: found from the joint names in both files."""
     calibrate: Annotated[str, METHOD] = "auto"
-    """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
+    """auto: calibrate on the start-up pose. seconds:N: on the first N seconds. Or a file from
+    --save-calibration."""
     no_refine: Annotated[bool, EXPERTS] = False
-    """Do not refine the calibration over the recording, as that of a file never is. Method duplex only."""
+    """Do not refine the calibration over the recording. One from a file is never refined. Only for method
+    duplex."""
     smooth: Annotated[Literal["off", "whole"], METHOD] = "off"
-    """whole: smooth over the whole recording, also using later frames: no lag, less jitter. Method duplex
-    only."""
+    """whole: smooth over the whole recording, using later frames too, for less jitter and no lag. Only for
+    method duplex."""
     depth: Annotated[Literal["none", "half", "full"], SENSORS] = "full"
-    """Depth images of the recordings in the session: none, every second pixel in both directions, or all."""
+    """Depth images to keep in the session: none, every second pixel in both directions, or all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,17 +173,17 @@ class TrackerOptions:
     """Options of the body tracker."""
 
     tracker: Annotated[Literal["auto", "blazepose", "k4abt"], TRACKER] = "auto"
-    """Finds people in images. k4abt: Microsoft's, needs its library and a GPU. blazepose: the program's own,
-    on any CPU. auto: k4abt if it works, else blazepose."""
+    """Body tracker for images. k4abt: Microsoft's, which needs its library and a GPU. blazepose: the
+    program's own, which runs on any CPU. auto: k4abt if it works, otherwise blazepose."""
     tracker_model: Annotated[Path | None, TRACKER] = None
-    """Folder of blazepose's networks. If not given, the user's cache folder, into which they are fetched
+    """Folder with blazepose's networks. If not given, the user's cache folder, to which they are fetched
     once."""
     tracker_network: Annotated[Literal["full", "lite"], TRACKER] = "full"
-    """Network of blazepose. lite is faster and less accurate."""
+    """Network for blazepose. lite is faster and less accurate."""
     person: Annotated[Literal["middle", "nearest", "left", "right"], TRACKER] = "middle"
-    """Which of several people blazepose follows: by the place in each sensor's image, or the nearest one."""
+    """Which of several people blazepose follows: by position in each sensor's image, or the nearest one."""
     k4abt: Annotated[Path | None, EXPERTS] = None
-    """Library of Microsoft's body tracker, libk4abt. If not given, the system's."""
+    """Path of Microsoft's body tracker library, libk4abt. If not given, the system's library."""
     processing: Annotated[Literal["gpu", "cpu", "cuda", "tensorrt", "directml"], EXPERTS] = "gpu"
     """Where k4abt runs. On a CPU it tracks about one frame per second."""
 
@@ -188,15 +193,15 @@ class SensorOptions:
     """Choice of the two sensors."""
 
     kinect_a: Annotated[str | None, SENSORS] = None
-    """Serial number of the principal sensor K_A. S* is in its frame. zenoh:KEY: a sensor on another PC, of
-    duplex sensor."""
+    """Serial number of the principal sensor K_A. S* is in its frame. Or zenoh:KEY, for a sensor that duplex
+    sensor runs on another PC."""
     kinect_b: Annotated[str | None, SENSORS] = None
     """Serial number of the secondary sensor K_B, or zenoh:KEY."""
     principal: Annotated[str | None, SENSORS] = None
-    """Serial number of the sensor that is K_A, if two are connected. If not given, duplex live asks."""
+    """Serial number of the sensor to use as K_A, if two are connected. If not given, duplex live asks."""
     sync_master: Annotated[str | None, SENSORS] = None
-    """Serial number of the master on the sync cable. Azure Kinects detect the cable. State it for Orbbec and
-    RealSense sensors, which do not."""
+    """Serial number of the master on the sync cable. Needed for Orbbec and RealSense sensors; Azure Kinects
+    detect the cable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,9 +209,9 @@ class OrientationOptions:
     """How the two sensors are mounted."""
 
     orientation: Annotated[str | None, SENSORS] = None
-    """Degrees by which both sensors are turned clockwise, seen from behind: 0, 90, 180 or 270. 90,0: A
-    lies on its side and B stands. Images and skeletons are turned upright. For fuse: found from the person
-    if not given, for recordings of images."""
+    """Degrees by which both sensors are turned clockwise, seen from behind: 0, 90, 180 or 270. 90,0: A is on
+    its side and B is upright. Images and skeletons are turned upright. If not given, fuse finds it from the
+    person in recordings of images."""
 
     @property
     def orientations(self) -> tuple[Orientation | None, Orientation | None]:
@@ -221,7 +226,8 @@ class OrientationOptions:
         given = [known.get(one.strip()) for one in self.orientation.split(",")]
         if None in given or len(given) > 2:
             raise UsageError(
-                f"--orientation {self.orientation}: give 0, 90, 180 or 270 degrees, or two of them, as 90,0."
+                f"--orientation {self.orientation}: give 0, 90, 180 or 270 degrees, or two of them, "
+                "such as 90,0."
             )
         return given[0], given[-1]
 
@@ -231,10 +237,10 @@ class ZenohOptions:
     """Where Zenoh meets other programs and machines; only addresses given here are used."""
 
     zenoh_listen: Annotated[tuple[str, ...], OUTPUTS] = ()
-    """Wait for other machines on these addresses: tcp/0.0.0.0:7447 for all networks of this machine. If
-    neither this nor --zenoh-connect is given: this machine only."""
+    """Listen for other machines on these addresses, such as tcp/0.0.0.0:7447 for all networks of this
+    machine. If neither this nor --zenoh-connect is given, only this machine can connect."""
     zenoh_connect: Annotated[tuple[str, ...], OUTPUTS] = ()
-    """Connect to others at these addresses: tcp/HOST:7447."""
+    """Connect to other machines at these addresses, such as tcp/HOST:7447."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,20 +250,20 @@ class LiveOutputOptions(ZenohOptions):
     vmc: Annotated[str | None, OUTPUTS] = None
     """HOST:PORT of a VMC receiver: VSeeFace, Warudo, Unity, Unreal, Blender. The usual port is 39539."""
     avatar: Annotated[Path | None, OUTPUTS] = None
-    """With --vmc: a .vrm, whose proportions are sent instead of the person's."""
+    """With --vmc: a .vrm avatar, whose proportions are sent instead of the person's."""
     vrchat: Annotated[str | None, OUTPUTS] = None
     """HOST:PORT of VRChat's OSC trackers. The usual port is 9000."""
     feet: Annotated[Literal["planted", "free"], OUTPUTS] = "planted"
     """Feet sent with --vmc or --vrchat: planted where they stand, so that they neither slide nor sink, or as
     in S*."""
     lsl: Annotated[str | None, OUTPUTS] = None
-    """Name of a Lab Streaming Layer stream. It needs the extra lsl."""
+    """Name of a Lab Streaming Layer stream. Needs the extra lsl."""
     websocket: Annotated[int | None, OUTPUTS, WHOLE_NUMBER] = None
-    """Port of a WebSocket server: JSON, and a page that draws the skeleton."""
+    """Port of a WebSocket server, which sends JSON and serves a page that draws the skeleton."""
     zenoh: Annotated[str | None, OUTPUTS] = None
-    """Zenoh key to publish JSON under. It needs the extra zenoh."""
+    """Zenoh key under which to publish JSON. Needs the extra zenoh."""
     save_mcap: Annotated[Path | None, OUTPUTS] = None
-    """Record S* as messages of ROS 2, as an .mcap file. It needs the extra ros."""
+    """Record S* as ROS 2 messages in an .mcap file. Needs the extra ros."""
     rate: Annotated[float | None, OUTPUTS] = None
     """Send S* this many times per second, predicted from the newest frame. If not given, once per frame."""
 
@@ -289,11 +295,11 @@ def calibration_source(wanted: str) -> Path | float | None:
         except ValueError:
             seconds = -1.0
         if not 0.0 < seconds < float("inf"):
-            raise UsageError(f"--calibrate {wanted}: seconds must be a positive number, as in seconds:3.")
+            raise UsageError(f"--calibrate {wanted}: seconds must be a positive number, such as seconds:3.")
         return seconds
     if not Path(wanted).is_file():
         raise UsageError(
-            f"--calibrate {wanted}: neither auto, nor seconds:N, nor an existing file. Make one with "
+            f"--calibrate {wanted}: neither auto, nor seconds:N, nor an existing file. Create one with "
             "--save-calibration."
         )
     return Path(wanted)

@@ -104,8 +104,8 @@ class McapOutput(LiveOutput):
             self._file.append(block, ending.taken())
         except OSError as error:
             raise UsageError(
-                f"{self._path} is not saved to its end: {error.strerror or error}. What is before that can "
-                "be read."
+                f"{self._path} is not saved to its end: {error.strerror or error}. Everything before "
+                "that can be read."
             ) from error
 
 

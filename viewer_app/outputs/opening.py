@@ -155,9 +155,7 @@ def plan_outputs(
         checked_key(options.zenoh)
         ZenohAddresses.of_meeting_point(options.zenoh_listen, options.zenoh_connect)
     elif (options.zenoh_listen or options.zenoh_connect) and not remote_sensors:
-        raise UsageError(
-            "--zenoh-listen and --zenoh-connect are addresses for --zenoh; give its key as well."
-        )
+        raise UsageError("--zenoh-listen and --zenoh-connect are addresses for --zenoh; give its key too.")
     if options.save_mcap is not None:
         from recordings.export import check_packages
 

@@ -87,7 +87,7 @@ class WebSocketOutput(LiveOutput):
         super().__init__(f"WebSocket on ws://{in_url(self.host)}:{port}")
         self.page = f"http://{reached_at(self.host)}:{port}"
         if not is_loopback(self.host):
-            self.note = f"Whoever reaches {self.host}:{port} can read the skeleton, without a password."
+            self.note = f"Anyone who can reach {self.host}:{port} can read the skeleton, without a password."
         self._json = SkeletonJson(setup)
         self._hello = self._json.hello(setup)
         self._page = resources.files("viewer_app.outputs").joinpath("templates/skeleton.html").read_bytes()

@@ -76,7 +76,7 @@ def say_saved(console: Console, path: Path) -> None:
     command = subprocess.list2cmdline(words) if sys.platform == "win32" else shlex.join(words)
     # a command must be copied in one piece: no wrapping
     console.print(
-        f"{'Saved':{_LABEL_WIDTH}}{path}, {_in_bytes(path.stat().st_size)}. Look at it with: {command}",
+        f"{'Saved':{_LABEL_WIDTH}}{path}, {_in_bytes(path.stat().st_size)}. To look at it: {command}",
         markup=False,
         soft_wrap=True,
     )

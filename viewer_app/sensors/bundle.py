@@ -29,7 +29,7 @@ from viewer_app.sensors.anonymity import Anonymity
 
 SECONDS = 10.0
 _WHAT = (
-    f"{SECONDS:g} seconds of depth and infrared images of both sensors, up to 350 MB, on which you and the "
+    f"{SECONDS:g} seconds of depth and infrared images of both sensors, up to 350 MB, in which you and the "
     f"room can be seen"  # that size is of 640 × 576 pixels: python -m tests.experiments.recording_cost
 )
 _PROGRAM = "duplex-kinects"

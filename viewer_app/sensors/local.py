@@ -44,19 +44,19 @@ def two_connected_sensors(options: LiveOptions | RecordOptions, console: Console
     if master is not None:
         leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
         console.print(
-            f"Sync cable: {leads} leads, {follows} captures at its pulses and is started first, to be there "
-            f"at the first one."
+            f"Sync cable: {leads} leads, {follows} captures on its pulses and is started first, so that it "
+            f"sees the first pulse."
         )
     if tracker is not None and isinstance(options, LiveOptions):
         announce_tracker(tracker, console)
         if options.processing == "cpu" and tracker.name == "k4abt":
             console.print(
-                "A CPU tracks only about one frame per second of both sensors. To fuse every frame, run "
+                "A CPU tracks only about one frame per second from both sensors. To fuse every frame, run "
                 "duplex record, then duplex fuse a.mkv b.mkv.",
                 style="yellow",
             )
         if options.processing == "tensorrt" and tracker.name == "k4abt":
-            console.print("TensorRT builds its engine; minutes the first time.")
+            console.print("TensorRT builds its engine, which takes minutes the first time.")
     decimation = decimation_of(tracker, options.fps)
     settings_a, settings_b = (capture_settings(options, kinect, master) for kinect in (kinect_a, kinect_b))
     turned_a, turned_b = options.orientations if isinstance(options, LiveOptions) else (0, 0)
@@ -137,7 +137,9 @@ def _choose(
 def _ask(choice: NeedsChoiceError, console: Console) -> str:
     one, two = choice.serials
     console.print(f"Two sensors are connected: [bold]1[/] {one}, [bold]2[/] {two}.")
-    console.print("Their serial numbers are on the labels beneath. S* will be in the principal one's frame.")
+    console.print(
+        "Their serial numbers are on the labels underneath. S* will be in the principal one's frame."
+    )
     while True:
         try:
             answer = console.input("Which one is the principal sensor A? [1/2] ").strip()

@@ -60,7 +60,7 @@ class RawFiles(ExitStack):
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as fault:
-            raise UsageError(f"The folder {folder} cannot be made: {fault.strerror or fault}.") from None
+            raise UsageError(f"The folder {folder} cannot be created: {fault.strerror or fault}.") from None
         check_outputs([folder / name for name in _NAMES], played, force)
         warn_of_little_room(folder / _NAMES[0], console, _BYTES_PER_MINUTE)
 
@@ -94,7 +94,7 @@ class RawFiles(ExitStack):
         for recorder in self.recorders:
             if not recorder.written:
                 if recorder.failure is None:
-                    self._console.print(f"{recorder.path} was not written: no frame came.", markup=False)
+                    self._console.print(f"{recorder.path} was not written: no frame arrived.", markup=False)
                 continue
             said = f"{recorder.path}: {recorder.written} frames, {recorder.written_bytes / 1e6:.0f} MB"
             self._console.print(said, markup=False, soft_wrap=True)

@@ -36,7 +36,7 @@ def sensors_by_network(
     """
     if options.principal is not None or options.sync_master is not None:
         unused = "--principal" if options.principal is not None else "--sync-master"
-        raise UsageError(f"{unused} is for two Kinects of this PC; leave it out with zenoh:KEY.")
+        raise UsageError(f"{unused} is for two Kinects on this PC; leave it out with zenoh:KEY.")
     if options.kinect_a == options.kinect_b:
         raise UsageError(f"Sensors A and B are both {options.kinect_a}. Name two different sensors.")
     addresses = ZenohAddresses.of_meeting_point(options.zenoh_listen, options.zenoh_connect)

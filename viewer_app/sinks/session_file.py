@@ -159,7 +159,7 @@ class SessionFile(QueuedSink):
     def _fail(self, error: OSError) -> None:
         why = error.strerror or error
         self.failure = (
-            f"{self.path} is not saved from frame {self.saved} on: {why}. What is before that can be read."
+            f"{self.path} is not saved from frame {self.saved} on: {why}. Everything before that can be read."
             if self.saved
             else f"{self.path} could not be written: {why}."
         )

@@ -32,9 +32,11 @@ def announce_page(hub: Hub, console: Console, live: bool = False) -> None:
 
         file = cast(TextIO, console.file)
         segno.make(hub.page).terminal(file, compact=True)  # for the camera of a phone or tablet
-    console.print("Rerun's page asks its makers' hosts for a font and news; it also works without a network.")
+    console.print(
+        "Rerun's page requests a font and news from its makers' servers; it also works without a network."
+    )
     if live:  # Rerun's server does not say how far a browser is behind
-        console.print("Seconds of latency at its top: a slow browser shows the past. Try --depth none.")
+        console.print("If its top shows seconds of latency, the browser is too slow: try --depth none.")
     if has_display():
         _open_in_browser(hub.page)
 

@@ -61,7 +61,7 @@ def test_a_recording_without_partner_is_named(tmp_path):
     touch(tmp_path, "walk_a.csv", "walk_b.json", "run_a.csv", "run_b.csv")
     pairs, alone = find_pairs(tmp_path, tmp_path / "out")
     assert [pair.name for pair in pairs] == ["run"]
-    assert alone == [f"{tmp_path / f'walk_{x}'} has no partner and is left out." for x in ("a.csv", "b.json")]
+    assert alone == [f"{tmp_path / f'walk_{x}'} has no partner and is skipped." for x in ("a.csv", "b.json")]
 
 
 def test_an_mkv_takes_the_skeletons_beside_it(tmp_path):

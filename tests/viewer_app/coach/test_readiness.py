@@ -107,10 +107,10 @@ def test_ready_states_the_deviation_of_the_calibration():
 
 EXPECTED = {
     "too near": ("distance", "Too near: step back"),
-    "30 degrees apart": ("angle", "Only 30° apart: carry B away from A, round you, to 90°"),
+    "30 degrees apart": ("angle", "Only 30° apart: move B away from A, round you, to 90°"),
     "feet out of view": ("feet", "Feet out of view: tilt A and B down, or step back"),
-    "mirrored B": ("mirrored", "Mirror image: turn mirroring off in the driver of B"),
-    "someone else": ("others", "Someone else in view: let them step aside"),
+    "mirrored B": ("mirrored", "Mirror image: turn off mirroring in the driver of B"),
+    "someone else": ("others", "Someone else in view: ask them to step aside"),
 }
 
 

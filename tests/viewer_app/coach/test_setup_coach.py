@@ -225,7 +225,7 @@ def test_the_angle_is_judged_once_it_is_certain(angle, sd_deg, provisional, advi
 def test_a_calibration_whose_rotation_is_uncertain_is_not_good(sd_deg):
     said = calibration_advice(a_calibration(90.0, sd_deg)).text
     assert ("Calibration good" in said) == (sd_deg < 2.0)
-    assert ("walk some steps" in said) == (sd_deg > 2.0)
+    assert ("walk a few steps" in said) == (sd_deg > 2.0)
 
 
 def test_a_calibration_of_one_frame_says_that_it_is_provisional():

@@ -108,7 +108,7 @@ def test_a_recording_in_it_is_one_with_hashed_serials(planted, tmp_path):
 def test_nothing_is_recorded_unasked(planted, tmp_path, monkeypatch, capsys):
     path, answers = tmp_path / "b.zip", iter(["y", "n", ""])
     assert planted("--bundle", path) == 0
-    assert "up to 350 MB, on which you and the room can be seen" in " ".join(capsys.readouterr().out.split())
+    assert "up to 350 MB, in which you and the room can be seen" in " ".join(capsys.readouterr().out.split())
     assert "a.mkv" not in contents(path)
     monkeypatch.setattr("sys.stdin", type("Terminal", (io.StringIO,), {"isatty": lambda _: True})())
     monkeypatch.setattr("builtins.input", lambda *_: next(answers))

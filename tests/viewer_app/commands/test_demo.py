@@ -26,18 +26,20 @@ QUICK = ("--depth", "none", "--no-viewer")
 def test_the_demo_says_where_to_look_and_what_to_do_next(capsys):
     assert duplex("demo", *QUICK, "--seconds", 5.5) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "At 4.4 s Kinect B exchanges left and right for a second; S* stays right." in said
+    assert "At 4.4 s Kinect B exchanges left and right for a second; S* stays correct." in said
     assert "loses the left arm" not in said  # that comes later than the demo ends
     assert said.endswith("Next: --motion walk, --bad-setup, or your own sensors (duplex doctor).")
 
 
-@pytest.mark.parametrize(("other", "does"), [("walks", "walks about"), ("sits", "sits down before them")])
+@pytest.mark.parametrize(
+    ("other", "does"), [("walks", "walks about"), ("sits", "sits down in front of them")]
+)
 def test_a_demo_of_two_people_says_that_there_are_others(other, does, tmp_path, capsys):
     saved = tmp_path / "two.rrd"
     two = "--people", 2, "--other", other
     assert duplex("demo", *QUICK, "--seconds", 3, *two, "--motion", "squat", "--save", saved) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert f"A simulated person (squat) and another one who {does} before two Kinects" in said
+    assert f"A simulated person (squat) and another one who {does} in front of two Kinects" in said
     assert "Others seen in" in said
     assert any(event.topic == "others" for event in Session.open(saved).events)
 
@@ -64,8 +66,8 @@ def test_a_badly_placed_demo_is_told_what_to_mend(tmp_path, capsys):
         (("--motion", "flying"), "No movement 'flying'"),
         (("--motion", "nowhere.bvh"), "nowhere.bvh"),
         (("--seconds", -1), "--seconds must be a positive number"),
-        (("--bad-setup", "--angle", 60), "--bad-setup has an angle of its own, 30°"),
-        (("--tracker", "blazepose", "--depth", "none"), "works on images"),
+        (("--bad-setup", "--angle", 60), "--bad-setup has its own angle, 30°"),
+        (("--tracker", "blazepose", "--depth", "none"), "needs images"),
         (("--tracker", "blazepose", "--body", "kinect_v2"), "not kinect_v2"),
         (("--tracker", "blazepose", "--tracker-model", "nowhere"), "nowhere"),
         (("--tracker-network", "lite"), "--tracker-network needs --tracker blazepose"),

@@ -145,7 +145,7 @@ def test_real_recordings_fuse_with_exact_bones_and_replay(name, shared, tmp_path
 
 def test_a_place_in_the_image_chooses_no_person_of_recorded_skeletons(recordings, capsys):
     assert duplex("fuse", *recordings, "--no-viewer", "--person", "left") == 2
-    assert "there are --person-a and --person-b" in one_line(capsys)
+    assert "use --person-a and --person-b" in one_line(capsys)
 
 
 def test_a_calibration_can_be_kept_and_used_again(recordings, tmp_path):

@@ -79,7 +79,7 @@ def test_a_recording_that_cannot_be_read_is_described_and_says_why(recording, ca
     other.write_text("a\n")
     rows, code, errors = told(capsys, other)
     assert (code, rows["file"]) == (2, "a.txt, 0 kB")
-    assert ".txt is no format that is read" in errors
+    assert ".txt is not a format that can be read" in errors
 
 
 @pytest.mark.parametrize("write", [write_c3d, write_trc])

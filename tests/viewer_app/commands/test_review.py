@@ -115,7 +115,7 @@ def test_without_an_event_it_opens_at_the_beginning_and_says_so(session, shown, 
         (("--at", 99), "--at 99: the session runs from 0 to 1.97 s."),
         (("--at=-1",), "--at -1: the session runs"),
         (("--at", "nan"), "--at nan: the session runs"),
-        (("--at", 1, "--event", 1), "give one of them"),
+        (("--at", 1, "--event", 1), "give only one"),
     ],
 )
 def test_a_wrong_time_or_number_gives_one_line_and_opens_nothing(options, words, path, shown, capsys):

@@ -154,7 +154,7 @@ def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_
     about = {**recorded.about, "session": {**recorded.about["session"], "first_frame": [7]}}
     fused[80:] += 1.0
     assert verify(Console(width=300), replace(recorded, about=about), fused) is False
-    assert "trimmed at its beginning; frames before it count as well." in capsys.readouterr().out
+    assert "trimmed at its beginning; frames before it also have an effect." in capsys.readouterr().out
 
 
 def test_a_replay_with_other_settings_is_compared_with_the_first(session, tmp_path, capsys):

@@ -113,7 +113,7 @@ def test_a_full_disk_leaves_what_was_written_and_says_so(fuser, tmp_path, monkey
         eventually(lambda number=number: output.failure is not None or output.counts.sent == number)
     output.close()
     assert output.failure == (
-        f"{path} is not saved to its end: No space left on device. What is before that can be read."
+        f"{path} is not saved to its end: No space left on device. Everything before that can be read."
     )
     assert 5 < len(topic(messages(path), "/tf")) < 60
 

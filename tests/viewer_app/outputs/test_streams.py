@@ -147,9 +147,9 @@ def test_a_second_session_reads_the_description_frames_and_events(fuser):
         (LOOPBACK, ""),
         ("tcp/[::1]:7447", ""),
         ("udp/localhost:7447", ""),
-        ("tcp/0.0.0.0:7447", "Whoever reaches tcp/0.0.0.0:7447"),
-        ("tcp/[::]:7447", "Whoever reaches tcp/[::]:7447"),
-        ("tcp/lab-pc:7447", "Whoever reaches tcp/lab-pc:7447"),
+        ("tcp/0.0.0.0:7447", "Anyone who can reach tcp/0.0.0.0:7447"),
+        ("tcp/[::]:7447", "Anyone who can reach tcp/[::]:7447"),
+        ("tcp/lab-pc:7447", "Anyone who can reach tcp/lab-pc:7447"),
     ],
 )
 def test_addresses_that_others_reach_are_warned_of(listening, reached):

@@ -495,5 +495,5 @@ def test_the_printed_command_can_be_pasted(tmp_path):
     path.write_bytes(b"0")
     console = Console(file=io.StringIO(), width=60)
     say_saved(console, path)
-    command = console.file.getvalue().partition("Look at it with: ")[2]
+    command = console.file.getvalue().partition("To look at it: ")[2]
     assert str(path) in shlex.split(command)

@@ -17,7 +17,7 @@ HEADLINES = [
     Headline(State.NOT_YET, "step back 1.0 m", "distance"),
     Headline(State.NOT_YET, "move B", "angle"),
     Headline(State.NOT_YET, "step into view of A", "person"),
-    Headline(State.ALMOST, "walk some steps", "calibration"),
+    Headline(State.ALMOST, "walk a few steps", "calibration"),
     Headline(State.READY, "record now"),
 ]
 

@@ -29,7 +29,7 @@ def saved(tmp_path_factory):
     [
         (">&-", 0, ""),
         (">&- 2>&-", 0, ""),
-        (">/dev/full", 2, "duplex: not all could be printed: No space left on device.\n"),
+        (">/dev/full", 2, "duplex: the output could not be printed completely: No space left on device.\n"),
         (">/dev/full 2>/dev/full", 2, ""),
         ("| true", 1, ""),
     ],

@@ -66,7 +66,7 @@ def test_the_overview_describes_each_command_in_its_first_paragraph(capsys):
     overview = capsys.readouterr().out
     assert duplex("batch", "--help") == 0
     page = capsys.readouterr().out
-    for text in ("In FOLDER and its subfolders", "The exit code is"):
+    for text in ("In a folder and its subfolders", "The exit code is"):
         assert text in page
         assert text not in overview
 

@@ -155,7 +155,7 @@ def test_the_ports_for_browsers_are_fixed_and_the_next_ones_where_they_are_taken
     usual = said(WebPage(hub=Hub(DATA_PORT, PAGE_PORT)), monkeypatch)
     address, hosts = usual.splitlines()
     assert address == "Viewer: http://127.0.0.1:9090/?url=rerun%2Bhttp://127.0.0.1:9876/proxy"
-    assert hosts.startswith("Rerun's page asks its makers' hosts")
+    assert hosts.startswith("Rerun's page requests a font and news")
     assert "latency" in said(WebPage(Hub(DATA_PORT, PAGE_PORT), live=True), monkeypatch)
     moved = said(WebPage(hub=Hub(DATA_PORT + 1, PAGE_PORT)), monkeypatch)
     assert moved.startswith("Port 9876 is taken: using 9877.\n")

@@ -65,7 +65,7 @@ def test_tensorrt_has_time_to_build_its_engine(processing, within_s, monkeypatch
     options = LiveOptions(kinect_a="000123", kinect_b="000456", processing=processing, tracker="k4abt")
     with two_connected_sensors(options, Console()):
         assert given == [within_s] * 4
-    assert ("TensorRT builds its engine; minutes" in capsys.readouterr().out) == (processing == "tensorrt")
+    assert ("TensorRT builds its engine, which" in capsys.readouterr().out) == (processing == "tensorrt")
 
 
 @pytest.mark.parametrize(("answer", "principal"), [("1\n", "000123"), ("x\n\n000456\n", "000456")])

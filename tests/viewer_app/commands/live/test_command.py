@@ -22,7 +22,7 @@ from viewer_app.commands import live as live_command
 
 def test_two_sensors_become_a_session_and_a_summary(kinects, live, tmp_path):
     said = live("--verbose")
-    for words in ("Sync cable: B leads, A captures at its pulses", "Paired", "Largest bone error", "Saved"):
+    for words in ("Sync cable: B leads, A captures on its pulses", "Paired", "Largest bone error", "Saved"):
         assert words in said
     captures = min(device.captures for device in kinects.devices)
     # the first and the last may lack the other sensor; a busy machine drops some

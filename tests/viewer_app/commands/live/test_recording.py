@@ -73,7 +73,7 @@ def test_recordings_are_not_overwritten_unless_asked(tmp_path, capsys):
     assert len(read(tmp_path / "b.mkv")[1]) > 5
     file = tmp_path / "a.mkv" / "x"
     assert duplex("record", file, *SENSORS) == 2
-    assert "cannot be made" in capsys.readouterr().err
+    assert "cannot be created" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("kinects")
@@ -82,7 +82,7 @@ def test_a_full_disk_ends_it_with_one_line(tmp_path, capsys):
         assert duplex("record", disk, *SENSORS, "--seconds", 20) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1
-        assert "No space left on device. What is before that can be read." in error
+        assert "No space left on device. Everything before that can be read." in error
         assert sum(len(read(disk / name)[1]) for name in ("a.mkv", "b.mkv")) >= 18
 
 
@@ -295,7 +295,7 @@ def test_what_the_simulator_saw_is_recorded(monkeypatch, tmp_path, capsys):
         assert images[0].depth.max() > 1000
         assert images[0].ir.max() > 20
     assert duplex("demo", "--no-viewer", "--record", tmp_path / "no", "--depth", "none") == 2
-    assert "--record records images" in capsys.readouterr().err
+    assert "--record needs images" in capsys.readouterr().err
     for command in ("demo", "live"):
         assert duplex(command, "--no-viewer", "--compress") == 2
         assert "--compress needs --record FOLDER" in capsys.readouterr().err
