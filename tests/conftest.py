@@ -12,12 +12,21 @@ from tests.helpers import scripted_sensor
 
 # A deadline measures the machine, and the first example of a test may compile a kernel.
 settings.register_profile(
-    "duplex", deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    "duplex",
+    deadline=None,
+    derandomize=True,
+    max_examples=40,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 settings.load_profile("duplex")
-# for one long run of a state machine: pytest --hypothesis-profile many FILE
+# for one long run of laws without a number of their own: pytest --hypothesis-profile many FILE
 settings.register_profile(
-    "many", max_examples=2000, stateful_step_count=10, phases=[Phase.generate], print_blob=True
+    "many",
+    derandomize=False,
+    max_examples=2000,
+    stateful_step_count=10,
+    phases=[Phase.generate],
+    print_blob=True,
 )
 
 # A shell without job control starts background jobs with SIGINT ignored, and child processes inherit that.

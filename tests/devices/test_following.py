@@ -308,7 +308,6 @@ SIGHT = st.lists(
 )
 
 
-@settings(max_examples=40)
 @given(SIGHT)
 @example([(set(), {"1"}, 1), ({"2"}, set(), 1), ({"1", "2"}, {"1"}, 1)])
 @example([({"2"}, {"1"}, 1), ({"1", "2"}, {"1"}, 1)])

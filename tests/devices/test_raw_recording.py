@@ -249,7 +249,7 @@ def test_a_folder_that_is_gone_is_told(tmp_path):
     assert recorder.failure == f"{tmp_path}/none/a.mkv: No such file or directory."
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(
     clocks=st.lists(
         st.tuples(st.integers(-(10**15), 10**15), st.integers(2, 40), st.floats(0.7, 100.0)),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numba.core import event
 from numba.core.runtime import _nrt_python, rtsys
@@ -290,7 +290,6 @@ def fused_in_moved_frames(pair, weights, by_a, by_b):
 TWICE = 2 * FLOAT32
 
 
-@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), angles=st.tuples(*[st.floats(-180.0, 180.0)] * 2))
 def test_a_sensor_turned_about_its_optical_axis_turns_the_skeleton_with_it(seed, angles):
     """The motion that leaves all distances in a viewing plane as they are, and so eqs. (10), (11)."""
@@ -302,7 +301,6 @@ def test_a_sensor_turned_about_its_optical_axis_turns_the_skeleton_with_it(seed,
     np.testing.assert_allclose(got, expected, rtol=0, atol=TWICE)
 
 
-@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-0.5, 0.5)] * 3))
 def test_with_equal_weights_any_motion_of_a_sensor_moves_the_skeleton_with_it(seed, shift):
     centre = np.array([0.0, 0.0, 2.6])  # a rotation that keeps the person in front of the sensor
@@ -314,7 +312,6 @@ def test_with_equal_weights_any_motion_of_a_sensor_moves_the_skeleton_with_it(se
     np.testing.assert_allclose(got, expected, rtol=0, atol=TWICE)
 
 
-@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), weights=st.sampled_from(WEIGHTS))
 def test_a_weighted_mean_with_the_right_bones_is_the_skeleton(seed, weights):
     body = KINECT_V2

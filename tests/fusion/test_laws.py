@@ -360,7 +360,6 @@ def reported(kinds, seed):
     return skeletons
 
 
-@settings(max_examples=50)
 @given(a=FRAMES, b=FRAMES, part=st.integers(1, 7), seed=st.integers(0, 99))
 def test_what_is_stale_live_is_stale_in_a_recording(a, b, part, seed):
     views = [reported(kinds, seed + k) for k, kinds in enumerate((a, b))]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from recordings.appearance.joint_trust import _RunningMean
@@ -16,7 +16,6 @@ def times_of(rng, rate, uneven, count):
     return (np.cumsum(1.0 + rng.uniform(-uneven, uneven, count)) * 1e9 / rate).astype(np.int64)
 
 
-@settings(max_examples=25)
 @given(
     rate=st.sampled_from([8, 10, 15, 30, 60, 90]),
     uneven=st.sampled_from([0.0, 0.1, 0.45]),
@@ -48,7 +47,6 @@ def test_no_noise_is_told_across_a_gap_or_below_seven_frames_per_second():
     assert np.isnan(noise_of(FrameDeviations().add(np.full((10, 5, 3), np.nan), np.arange(10))))
 
 
-@settings(max_examples=25)
 @given(rate=st.sampled_from([5, 10, 30, 90]), uneven=st.sampled_from([0.0, 0.45]), seed=st.integers(0, 99))
 def test_what_is_shown_of_the_last_second_does_not_depend_on_the_rate(rate, uneven, seed):
     """The answer to a step from 1 to 0 is an exponential in seconds: e⁻¹ remains after the time constant."""

@@ -23,7 +23,7 @@ from recordings.quality.figures import report
 from recordings.testing import SessionsDifferError, assert_session, assert_sessions_match, simulated_session
 from tests.helpers.recorded_pairs import write_recordings
 
-_EXAMPLES = settings(max_examples=15, derandomize=True)
+_EXAMPLES = settings(max_examples=15)
 seconds = st.floats(0.0, 1.0)  # shares of a session
 REFUSED = {
     "depth": lambda s: s.depth("A"),

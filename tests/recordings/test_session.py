@@ -127,17 +127,6 @@ def test_depth_comes_back_exactly_and_only_when_asked_for(fused_run):
     assert with_depth[3].a.depth is None
 
 
-def test_a_rewritten_session_has_the_same_frames(fused_run, tmp_path):
-    session = fused_run(frame_pairs(KINECT_V1, 30, depth=True), calibration_of(KINECT_V1), depth_every=1)
-    write_session(session.part(range(10, 25)), tmp_path / "part.rrd")
-    part = Session.open(tmp_path / "part.rrd")
-    assert (len(part), part.first_frame, part.damage) == (15, 10, None)
-    np.testing.assert_array_equal(part.rows.fused, session.rows.fused[10:25])
-    np.testing.assert_array_equal(part.fused_checksums, session.fused_checksums[10:25])
-    assert part.rows.time_ns[0] == 0
-    np.testing.assert_array_equal(dict(part.depth("a"))[3], dict(session.depth("a"))[13])
-
-
 def test_a_flipped_number_is_noticed_and_counted(tmp_path):
     whole = record_fused(tmp_path / "s.rrd", full_of_faults(KINECT_V1), calibration_of(KINECT_V1), block=10)
     data = bytearray(whole.path.read_bytes())

@@ -16,7 +16,7 @@ from fusion.skeleton import Skeleton
 from tests.helpers.mkv_writer import INTERVAL_US, depth_image, write_mkv
 
 FRAMES = 12
-_EXAMPLES = settings(max_examples=60, derandomize=True)
+_EXAMPLES = settings(max_examples=60)
 
 
 @pytest.fixture(scope="module")

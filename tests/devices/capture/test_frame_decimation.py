@@ -6,7 +6,7 @@ from itertools import count, pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from devices.capture.frame_decimation import FrameDecimation
@@ -79,7 +79,6 @@ def test_the_step_follows_from_the_slowest_tracker(tracking_ms, step, clock):
     )
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
 @given(
     fps=st.sampled_from([5, 10, 15, 30, 60, 90]),
     slow=st.floats(0.2, 6.0),
@@ -184,7 +183,6 @@ def test_clocks_that_drift_apart_for_an_hour_stay_on_one_grid():
     assert off <= 0.75  # the hysteresis is 0.6; a period of B is 50 ppm longer
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
 @given(
     phase=st.floats(-0.4, 0.4),
     reset=st.sampled_from("ab"),
@@ -211,7 +209,6 @@ def test_a_clock_that_is_reset_finds_its_place_again(phase, reset, moved_ms, tol
             assert numbers["a"] == numbers["b"], index
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
 @given(
     late=st.sampled_from("ab"),
     phase=st.floats(-0.4, 0.4),

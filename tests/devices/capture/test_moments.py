@@ -4,7 +4,7 @@ import re
 from types import SimpleNamespace
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from devices.capture.causes import Cause
@@ -45,7 +45,6 @@ def _arrivals(count, lost, others):
 _WHOLE = {"offset": 0, "latency": 0, "every": 0.5, "lost": set(), "from": 0, "until": 200}
 
 
-@settings(deadline=None)
 @given(st.integers(5, 150), st.sets(st.integers(0, 150)), streams, streams)
 # depth is lost while a depth image waits for infrared that has ended: its colour image must be kept
 @example(39, {0, 36, 37}, _WHOLE | {"until": 30}, _WHOLE)

@@ -230,7 +230,7 @@ class Pairing(RuleBasedStateMachine):
 
 
 TestPairing = Pairing.TestCase
-TestPairing.settings = settings(max_examples=25, stateful_step_count=25, deadline=None, derandomize=True)
+TestPairing.settings = settings(max_examples=25, stateful_step_count=25)
 TestPairing = pytest.mark.filterwarnings("error")(TestPairing)
 
 

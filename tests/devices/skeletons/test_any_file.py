@@ -207,7 +207,7 @@ def is_right(read, times, truth, states):
     return off_ns < 3_000_000 and np.nanmax(np.abs(view.positions - truth)) < 1e-4
 
 
-@settings(max_examples=150, derandomize=True, deadline=None)
+@settings(max_examples=150)
 @given(drawn=DRAWN)
 def test_a_file_is_read_right_or_refused(tmp_path, drawn):
     path = tmp_path / "a.csv"
@@ -221,7 +221,6 @@ def test_a_file_is_read_right_or_refused(tmp_path, drawn):
     assert is_right(read, *recorded)
 
 
-@settings(max_examples=40, derandomize=True, deadline=None)
 @given(drawn=DRAWN, time=st.sampled_from(WHOLE_TIMES))
 def test_a_json_file_is_read_right(tmp_path, drawn, time):
     lines = 1 if time == "frame" else drawn.lines  # a number that is there twice is refused
@@ -230,7 +229,6 @@ def test_a_json_file_is_read_right(tmp_path, drawn, time):
         assert is_right(recording.content, *recorded)
 
 
-@settings(max_examples=40, derandomize=True, deadline=None)
 @given(drawn=DRAWN)
 def test_a_skeleton_file_is_read_right(tmp_path, drawn):
     recorded = as_skeleton(drawn, tmp_path / "a.skeleton")

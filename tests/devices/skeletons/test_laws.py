@@ -25,7 +25,7 @@ from tests.helpers.two_views import FRAME_NS, moving, standing
 
 BODY = KINECT_V2
 ROW = 45  # bytes
-LAWS = settings(max_examples=100, derandomize=True)
+LAWS = settings(max_examples=100)
 HEADER = "time_us,body,joint,x,y,z,state"
 FAULTS = {  # what is done to a row, and what is told of it; None: nothing
     "none": (lambda row: [row], None),

@@ -64,29 +64,6 @@ def test_the_worst_tracked_bone_at_a_joint_counts_against_it():
     assert 0.0 in costs, "some joints have no tracked bone"
 
 
-def test_bones_of_the_right_lengths_are_no_evidence():
-    model, seen = two_views(np.random.default_rng(3))
-    seen.positions[:], seen.states[:] = standing(BODY), 2
-    interpreted(length_evidence)(model, new_arrays(State, J=J), seen)
-    np.testing.assert_allclose(seen.log_odds, 0.0, atol=ROUNDING)
-
-
-def test_a_wrong_length_says_less_of_a_limb_that_swings():
-    model, seen = two_views(np.random.default_rng(3))
-    state, wrist, elbow = new_arrays(State, J=J), BODY.joint("WristLeft"), BODY.joint("ElbowLeft")
-    seen.positions[:], seen.states[:] = standing(BODY), 2
-    seen.positions[0, wrist] += 0.03 * (standing(BODY)[wrist] - standing(BODY)[elbow]) / 0.25
-    costs = []
-    for own, trunk in ((0.0, 0.0), (3.0, 0.0), (3.0, 3.0)):
-        state.velocities[:] = trunk
-        state.velocities[[wrist, *(BODY.joint(f"{j}Left") for j in ("Hand", "HandTip", "Thumb"))]] = own
-        seen.log_odds[:] = 0.0
-        interpreted(length_evidence)(model, state, seen)
-        costs.append(-seen.log_odds[0, elbow])
-    assert costs[1] < 0.5 * costs[0]
-    assert costs[2] == pytest.approx(costs[0]), "the whole person moves: the bone does not swing"
-
-
 def with_arm_near_trunk(skeleton, share):
     """The arm on its way, by this share, to a place beside the trunk where its joints are 2 cm apart."""
     at = skeleton.positions.astype(np.float64)

@@ -294,39 +294,6 @@ def test_the_difference_of_the_views_is_shared_by_covariance(scene):
     assert 3 < changed < J
 
 
-def test_offsets_return_to_the_usual_ones(scene):
-    state, seen, k = scene.state, scene.views, scene.model.constants
-    usual = scene.random.normal(0.0, 0.05, (2, J, 3))
-    state.usual_offsets[:], before = usual, state.offsets.copy()
-    interpreted(offsets.decay_offsets)(scene.model, state, seen, DT)
-    agreed = (seen.states > 0).all(axis=0) & (state.outlier_probability < 0.5).all(axis=0)
-    kept = np.exp(-DT / np.where(agreed, k.agreement_seconds, k.alone_seconds))[None, :, None]
-    np.testing.assert_allclose(state.offsets, usual + kept * (before - usual), atol=1e-12)
-    assert 3 < agreed.sum() < J - 3
-
-
-def test_the_usual_offsets_are_means_over_the_time_of_agreement(scene):
-    state, seen, k = scene.state, scene.views, scene.model.constants
-    seen.states[:], seen.trust[:], seen.delays[:] = 2, 1.0, 0.0
-    seen.states[0, 3], seen.trust[0, 4] = 1, 0.0
-    d = np.array((0.06, -0.02, 0.01))
-    seen.positions[0] = seen.positions[1] + d
-    learn = interpreted(offsets.update_usual_offsets)
-    learn(scene.model, state, seen, DT)
-    assert np.linalg.norm(state.usual_offsets[:, 5]) < 0.02 * np.linalg.norm(d), "one frame says little"
-    for _ in range(int(2.0 * k.usual_seconds)):
-        learn(scene.model, state, seen, 1.0)
-    n = known = 0.0  # seconds of agreement, and the part of the difference that is known
-    for dt in (DT, *[1.0] * int(2.0 * k.usual_seconds)):
-        n = min(n + dt, k.usual_seconds)
-        known += dt / (n + 3.0) * (1.0 - known)
-    a, b = (np.trace(seen.slow[v, 5]) for v in range(2))
-    np.testing.assert_allclose(state.usual_offsets[0, 5], known * a / (a + b) * d)
-    np.testing.assert_allclose(state.usual_offsets[1, 5], -known * b / (a + b) * d)
-    np.testing.assert_array_equal(state.usual_offsets[:, 3:5], 0.0)
-    assert state.agreed[5] == k.usual_seconds
-
-
 def test_a_joint_begins_at_the_mean_by_information(scene):
     state, seen = scene.state, scene.views
     state.known[:] = False
@@ -341,32 +308,6 @@ def test_a_joint_begins_at_the_mean_by_information(scene):
         mean = M @ sum(w @ seen.positions[v, i] for w, v in zip(W, here, strict=True))
         np.testing.assert_allclose(state.positions[i], mean, rtol=1e-9)
         np.testing.assert_allclose(state.shared_error[i], M, rtol=1e-7)
-
-
-def test_the_slow_error_approaches_that_of_the_trusted_views(scene):
-    state, seen = scene.state, scene.views
-    seen.trust[:, 3] = 0.02, 0.0
-    before, k, dt = state.shared_error.copy(), scene.model.constants, 0.3
-    state.error_size[:] = sizes = scene.random.uniform(0.5, 2.0, J)
-    apart = seen.positions[0] - seen.positions[1] + state.velocities * seen.delays[1]
-    known = (
-        k.freedom + 3.0 * np.sum(apart**2, axis=1) / np.trace(seen.slow.sum(axis=0), axis1=1, axis2=2)
-    ) / (k.freedom + 3.0)
-    together, alone = math.exp(-dt / k.agreement_seconds), math.exp(-dt / k.alone_seconds)
-    interpreted(kalman.update_common_error)(scene.model, state, seen, scene.solve, dt)
-    paces = set()
-    for i in range(J):
-        total = seen.trust[:, i].sum()
-        kept = together if seen.trust[:, i].prod() > 0.25 else alone
-        pace = (1.0 - kept) * min(total, 1.0) if total >= 0.05 else 0.0
-        W = sum(
-            trust * np.linalg.inv(slow) for trust, slow in zip(seen.trust[:, i], seen.slow[:, i], strict=True)
-        )
-        size = known[i] + kept * (sizes[i] - known[i]) if kept == together else sizes[i]
-        expected = before[i] + pace * (size * np.linalg.inv(W) - before[i]) if pace else before[i]
-        np.testing.assert_allclose(state.shared_error[i], expected, rtol=1e-7, atol=1e-12)
-        paces.add(0.0 if not pace else kept)
-    assert paces == {0.0, together, alone}
 
 
 def test_a_skeleton_that_is_too_large_is_brought_to_its_size(scene):
@@ -472,33 +413,6 @@ def test_a_hand_on_the_other_hand_is_doubted_and_hands_that_touch_are_not():
     assert (told > -0.5).all()
     seen.positions[0, left] = seen.positions[0, right] - 0.02
     assert (evidence_of(scene) > -1.0).all()
-
-
-def test_a_step_back_is_that_of_rauch_tung_and_striebel(scene):
-    random, model, i = scene.random, scene.model, BODY.joint("WristLeft")
-    trace = new_arrays(smoother.Trace, T=2, J=J)
-    trace.seconds[1] = DT
-    kept = math.exp(-DT / model.constants.velocity_seconds)
-    F = np.array(((1.0, kept * DT), (0.0, kept)))
-    root = random.normal(0.0, (0.01, 0.2), (2, 2))
-    P = root @ root.T + np.diag((1e-5, 1e-3))
-    predicted = F @ P @ F.T + np.diag((1e-5, 1e-2))
-    later = predicted - 0.3 * np.outer(predicted[:, 0], predicted[:, 0]) / predicted[0, 0]
-    x, ahead, after = random.normal(0.0, 1.0, (3, 2, 3))
-    trace.filtered[0, i], trace.predicted[1, i], trace.filtered[1, i] = (
-        x.ravel(),
-        ahead.ravel(),
-        after.ravel(),
-    )
-    for row, of in ((trace.filtered_variances[0], P), (trace.predicted_variances[1], predicted)):
-        row[i] = of[0, 0], of[0, 1], of[1, 1]
-    trace.filtered_variances[1, i] = later[0, 0], later[0, 1], later[1, 1]
-    interpreted(smoother.step_back)(model, trace, 0, 1, i)
-    C = P @ F.T @ np.linalg.inv(predicted)
-    np.testing.assert_allclose(trace.filtered[0, i].reshape(2, 3), x + C @ (after - ahead), rtol=1e-9)
-    np.testing.assert_allclose(
-        covariance_of(trace.filtered_variances[0, i]), P + C @ (later - predicted) @ C.T, rtol=1e-8
-    )
 
 
 @pytest.mark.parametrize(("joint", "sign"), [("Knee", -1.0), ("Elbow", 1.0)])

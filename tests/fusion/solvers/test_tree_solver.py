@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.body import AZURE_KINECT, BODIES
@@ -86,7 +86,6 @@ def test_objective_is_the_weighted_misfit():
     assert solution.objective == pytest.approx(misfit, rel=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-5, 5)] * 3))
 def test_solution_moves_with_the_world(seed, shift):
     problem = ordinary_problem(seed)
@@ -98,7 +97,6 @@ def test_solution_moves_with_the_world(seed, shift):
     assert failures(moved, solution) == []
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-5, 5)] * 3))
 def test_hard_problems_are_solved_wherever_the_world_is(seed, shift):
     """The results may differ, because rounding may choose between several minima."""
@@ -124,7 +122,6 @@ def shuffled(problem, seed):
     return replace(solution, positions=solution.positions[place])
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_order_of_joints_does_not_matter(seed):
     problem = ordinary_problem(seed)
@@ -134,14 +131,12 @@ def test_order_of_joints_does_not_matter(seed):
 
 
 @pytest.mark.parametrize(("first", "matrices"), [(73_000_000, False), (73_100_000, True)])
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_hard_problems_are_solved_in_any_order_of_joints(first, matrices, seed):
     problem = random_problem(first + seed, matrices)
     assert failures(problem, shuffled(problem, seed)) == []
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_targets_with_the_right_bones_are_the_solution(seed):
     rng = np.random.default_rng(seed)
@@ -205,7 +200,6 @@ def test_joints_without_depth_are_solved(body, seed):
     assert failures(problem, solve(problem)) == []
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-5, 5)] * 3))
 def test_solution_with_information_matrices_moves_with_the_world(seed, shift):
     """Targets and matrices turned together: W' = R W Rᵀ."""

@@ -23,14 +23,6 @@ from tests.helpers.session_text import rows_of
 QUICK = ("--depth", "none", "--no-viewer")
 
 
-def test_the_demo_says_where_to_look_and_what_to_do_next(capsys):
-    assert duplex("demo", *QUICK, "--seconds", 5.5) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "At 4.4 s Kinect B exchanges left and right for a second; S* stays correct." in said
-    assert "loses the left arm" not in said  # that comes later than the demo ends
-    assert said.endswith("Next: --motion walk, --bad-setup, or your own sensors (duplex doctor).")
-
-
 @pytest.mark.parametrize(
     ("other", "does"), [("walks", "walks about"), ("sits", "sits down in front of them")]
 )
@@ -211,8 +203,8 @@ def test_a_bad_set_up_is_told_what_to_mend():
 
 def test_where_saving_fails_the_report_is_of_all_frames_all_the_same(tmp_path, capsys):
     with small_disk(tmp_path / "small", 400) as disk:
-        shown = "--no-viewer", "--seconds", 3, "--save", disk / "s.rrd", "--report", tmp_path / "r.json"
+        shown = "--no-viewer", "--seconds", 2, "--save", disk / "s.rrd", "--report", tmp_path / "r.json"
         assert duplex("demo", *shown) == 2
         assert "s.rrd could not be written: No space left on device" in one_line(capsys)
     figures = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
-    assert figures["fused_frames"] >= figures["paired"] > 60  # a busy machine leaves some frames alone
+    assert figures["fused_frames"] >= figures["paired"] > 30  # a busy machine leaves some frames alone

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.events import Event
@@ -88,7 +88,6 @@ def test_a_candidate_that_the_network_rejects_is_dropped_and_the_next_is_tried(f
     assert output.failure is None
 
 
-@settings(max_examples=30, derandomize=True)
 @given(kinds=st.lists(st.tuples(st.booleans(), st.sampled_from(["sent", "refused", "nobody"])), max_size=12))
 def test_every_frame_is_sent_or_dropped_and_an_event_is_neither(fuser, kinds):
     """Whatever the network refuses; without a receiver there is nothing to count."""

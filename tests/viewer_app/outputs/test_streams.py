@@ -6,7 +6,7 @@ from uuid import uuid4
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.events import Event
@@ -74,7 +74,6 @@ def test_an_inlet_reads_joints_confidences_times_and_events(fuser):
     assert info.desc().child("acquisition").child_value("manufacturer") == "duplex-kinects"
 
 
-@settings(max_examples=30, derandomize=True)
 @given(
     delays_ms=st.lists(st.one_of(st.integers(5, 40), st.integers(5, 450)), min_size=2, max_size=60),
     interval_ms=st.sampled_from([1, 11, 33, 200]),

@@ -202,7 +202,6 @@ def test_a_line_joins_values_of_every_other_frame_but_not_across_a_gap():
     degrees=st.lists(st.floats(-90.0, 180.0) | st.just(np.nan), min_size=1, max_size=900),
     sigma=st.floats(0.1, 30.0),
 )
-@settings(max_examples=30)
 def test_a_band_holds_every_value_and_its_deviation(degrees, sigma):
     values, time = np.array(degrees), np.arange(len(degrees)) / 30
     starts, lower, upper = _band(time, values, np.full(len(values), sigma))

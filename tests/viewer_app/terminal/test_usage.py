@@ -101,7 +101,7 @@ WORDS = (
 )
 
 
-@settings(max_examples=60, derandomize=True)
+@settings(max_examples=60)
 @given(words=st.lists(st.sampled_from(WORDS), max_size=6))
 def test_any_command_line_is_accepted_or_refused_in_one_line(words, parsed, capsys):
     before = len(parsed)
