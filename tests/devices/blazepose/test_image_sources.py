@@ -129,7 +129,7 @@ def test_opening_and_closing_reach_the_source(tmp_path):
 def test_the_command_says_that_the_networks_are_there(capsys):
     folder = need_networks()
     assert duplex("tracker", "fetch", "--tracker-model", folder) == 0
-    assert "already, and whole" in capsys.readouterr().out
+    assert "already, and complete" in capsys.readouterr().out
 
 
 def test_the_command_fails_in_one_line_without_a_package_index(tmp_path, monkeypatch, capsys):

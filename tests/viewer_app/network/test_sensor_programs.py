@@ -95,7 +95,7 @@ def test_the_rate_is_the_source_s_own(fps, tmp_path):
 MISTAKES = [
     (("sensor", "--publish", "a//b", "--simulate", "a"), "is not a Zenoh key"),
     (("sensor", "--publish", "a", "--simulate", "a", "--zenoh-connect", "host"), "is not a Zenoh address"),
-    (("sensor", "--publish", "a", "--simulate", "a", "--kinect", "1"), "exclude each other"),
+    (("sensor", "--publish", "a", "--simulate", "a", "--kinect", "1"), "cannot be combined"),
     (("sensor", "--publish", "a", "--simulate", "a", "--seconds", "0"), "must be a positive number"),
     (("sensor", "--publish", "a", "--simulate", "a", "--motion", "fly"), "No movement 'fly'"),
     (("sensor", "--publish", "a", "--recording", "none.csv"), "No file none.csv"),

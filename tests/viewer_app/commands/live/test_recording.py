@@ -92,7 +92,7 @@ def test_a_disk_without_room_for_a_frame_is_the_only_reason_told(tmp_path, capsy
         assert duplex("record", disk, *SENSORS, "--seconds", 2) == 2
         said = capsys.readouterr()
         assert "No space left on device" in said.err
-        assert "no frame came" not in said.out
+        assert "no frame arrived" not in said.out
 
 
 def test_realsenses_of_the_real_library_are_recorded(rs, tmp_path, capsys):
