@@ -92,8 +92,7 @@ class TerminalOptions(SummaryOptions):
     quiet: Annotated[bool, OUTPUTS] = False
     """Print only failures: no status lines and no set-up advice."""
     sound: Annotated[bool, OUTPUTS] = False
-    """Play short tones while the sensors are set up: one low (not yet), three rising (ready) or three low
-    (out of view)."""
+    """Play set-up tones: one low (not yet), three rising (ready), three low (out of view)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,8 +102,7 @@ class FusionOptions:
     h: Annotated[float, EXPERTS] = PAPER_H
     """How much more a tracked joint counts than an inferred one, between 0.5 and 1."""
     method: Annotated[Literal["duplex", "paper", "published"], METHOD] = "duplex"
-    """duplex: an estimator over time. paper: eqs. (10)-(13) with exact bones. published: also eqs.
-    (3)-(9)."""
+    """duplex: an estimator over time. paper: eqs. (10)-(13), exact bones. published: also eqs. (3)-(9)."""
     smoothing: Annotated[float, METHOD] = 0.5
     """Smoothing of S*, from 0 (each frame on its own) to 1 (strongest). Only for method duplex."""
     weights: Annotated[Literal["paper", "equal"], EXPERTS] = "paper"
@@ -129,8 +127,7 @@ class OwnFileOptions:
     unit: Annotated[Literal["auto", "m", "cm", "mm", "ft", "in"], SENSORS] = "auto"
     """Unit of the positions in .csv, .json and .skeleton files. auto: found from the person's size."""
     axes: Annotated[str, SENSORS, Parameter(allow_leading_hyphen=True)] = ""
-    """Axes of .csv files: kinect, unity, opengl, ros, or the axes that point right, down and forward, such as
-    x,-y,z."""
+    """Axes of .csv files: kinect, unity, opengl, ros, or those pointing right, down and forward: x,-y,z."""
     names: Annotated[str, SENSORS] = ""
     """Joint names in .csv files: a .toml table, or mixamo, plug-in-gait or gait2392."""
 
@@ -156,11 +153,9 @@ class RecordingOptions(OwnFileOptions):
     body: Annotated[Literal["auto", "kinect_v1", "kinect_v2", "azure_kinect", "blazepose"], SENSORS] = "auto"
     """Body tracker that made the .csv or .json files. auto: found from the joint names in both files."""
     calibrate: Annotated[str, METHOD] = "auto"
-    """auto: calibrate on the start-up pose. seconds:N: on the first N seconds. Or a file from
-    --save-calibration."""
+    """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file from --save-calibration."""
     no_refine: Annotated[bool, EXPERTS] = False
-    """Do not refine the calibration over the recording. One from a file is never refined. Only for method
-    duplex."""
+    """Keep the first calibration instead of refining it over the recording. Only for method duplex."""
     smooth: Annotated[Literal["off", "whole"], METHOD] = "off"
     """whole: smooth over the whole recording, using later frames too, for less jitter and no lag. Only for
     method duplex."""
