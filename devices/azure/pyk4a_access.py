@@ -120,7 +120,7 @@ def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
         os.environ["K4A_DISABLE_SYNCHRONIZATION"] = "1"  # libk4a reads it at opening
         others, faults = sorted(_open_here), []
         if _on_bus(serial) is False:  # says Linux, which is asked without holding the GIL
-            raise AbsentError(_not_found(serial, others, []))
+            raise AbsentError(_not_found(serial, sorted({*others, *_serials_on_bus()}), []))
         count = sdk.connected_device_count()
         if count <= len(others):  # ours cannot be opened twice, so a bus with no more holds no other
             raise AbsentError(_not_found(serial, others, []))

@@ -161,6 +161,8 @@ def test_one_name_leaves_the_other_to_what_is_connected(names, chosen):
         ([A, B], {"a": "000999"}, r"No sensor with serial 000999\. Connected: 000123, 000456"),
         ([A, B], {"a": "000123", "b": "000123"}, "both 000123"),
         ([A, B, C], {}, "3 sensors are connected"),
+        ([A], {}, "Only one sensor is connected, 000123; fusion needs two"),
+        ([], {}, r"No sensor is connected\. Plug in two.*duplex doctor names the sensor libraries"),
         ([A, B], {"a": "000123", "principal": "000456"}, "`kinect_a=000123` and `principal=000456` both"),
     ],
 )

@@ -296,6 +296,19 @@ def test_a_subordinate_says_that_it_waits_for_pulses_until_it_had_one(driver):
 
 
 @OPENED
+def test_a_sensor_that_is_not_there_is_named_with_those_that_are(driver):
+    driver.unplug()
+    for others in (f" Connected: {B}.", ""):
+        with pytest.raises(DeviceError) as told:
+            driver.sensor().__enter__()
+        assert f"with serial {A}" in str(told.value)
+        assert others in str(told.value)
+        assert (B in str(told.value)) == bool(others)
+        assert list(driver.open_serials) == []
+        (driver.bus.devices if hasattr(driver, "bus") else driver.there).clear()
+
+
+@OPENED
 def test_a_busy_sensor_is_called_busy_and_the_other_one_opens(driver, monkeypatch):
     driver.busy(A)
     _on_bus(monkeypatch, [])

@@ -15,8 +15,6 @@ from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_choice import cable_notes, choose_two, sync_master
-from devices.capture.sensor_pair import TwoSensors
-from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import CaptureSettings
 from devices.freenect import libfreenect
 from devices.freenect.libfreenect import connected_freenects, how_to_install
@@ -24,13 +22,12 @@ from devices.freenect.sensor import INTRINSICS, FreenectSensor
 from devices.freenect.ticks import TickCounter
 from devices.live.checks import device_checks
 from devices.live.sensors import connected_sensors, live_sensor
-from devices.sensor import AbsentError, DeviceError
+from devices.sensor import DeviceError
 from devices.tracker_choice import choose_tracker
 from tests.helpers.freenect import PERIOD, film, numbered, write_dump
 from tests.helpers.machine import need_networks
 from tests.helpers.rendered_people import images_of, landmarks_at, share_seen, true_joints
 from tests.helpers.usb_tree import plug_in
-from tests.helpers.waiting import eventually
 
 A, B = "A00366A02534111A", "B00362721456043B"
 PERIOD_NS = 33_333_333
@@ -146,14 +143,6 @@ def test_a_mode_the_sensor_lacks_is_refused(fakenect, dump, settings, message):
 # ------------------------------------------------------------------ faults
 
 
-def test_no_device(dump):
-    with pytest.raises(AbsentError, match=rf"No Kinect v1 with serial {B}\. No other is connected\."):
-        _sensor(B).__enter__()
-    dump()
-    with pytest.raises(AbsentError, match=rf"No Kinect v1 with serial {B}\. Connected: {A}\."):
-        _sensor(B).__enter__()
-
-
 def test_cameras_that_do_not_start_leave_the_sensor_closed(fakenect, dump):
     fakenect.still.add(dump())
     with pytest.raises(DeviceError, match=r"did not start its cameras\. Check that no other.*controllers"):
@@ -175,29 +164,6 @@ def test_a_sensor_without_permission_is_named(fakenect, dump, tmp_path, monkeypa
     assert "no permission for" in other.fault
     assert "51-kinect.rules" in other.fault
     assert libfreenect.sensor_check(other).detail.startswith("Kinect v1 at place 1 cannot be opened")
-
-
-def test_two_run_side_by_side_and_a_lost_one_is_taken_back(fakenect, dump):
-    sensors = [_sensor(dump(*of, repeated=600), timeout_ms=20) for of in ((A, 1, 1000), (B, 1, 2000))]
-    kept = fakenect.dumps[B]
-    with TwoSensors(*sensors, limits=TimeLimits(retry_s=0.02)) as two:
-        found = []
-
-        def now(*wanted):
-            found.extend(two.poll())
-            return (found[-1].a is not None, found[-1].b is not None) == wanted if found else False
-
-        assert eventually(lambda: now(True, True))
-        del fakenect.dumps[B]
-        assert eventually(lambda: now(True, False))
-        fakenect.dumps[B] = kept
-        assert eventually(lambda: now(True, True))
-        told = " ".join(event.text for event in two.events())
-    assert f"Kinect v1 {B} was unplugged" in told
-    assert f"{B} is back" in told
-    assert {int(pair.a.depth[0, 0]) // 1000 for pair in found if pair.a is not None} == {1}
-    assert {int(pair.b.depth[0, 0]) // 1000 for pair in found if pair.b is not None} == {2}
-    assert fakenect.open == []
 
 
 # ------------------------------------------------------------------ beside other vendors

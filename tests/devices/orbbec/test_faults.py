@@ -2,15 +2,12 @@
 
 import pytest
 
-from devices.capture.sensor_pair import TwoSensors
-from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import CaptureSettings
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.orbbec.sensor import OrbbecSensor
-from devices.sensor import AbsentError, DeviceError
+from devices.sensor import DeviceError
 from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.orbbec.standin_values import OBError
-from tests.helpers.waiting import eventually
 
 A, B = "CL8H741005K", "CL8H7410123"
 
@@ -23,16 +20,6 @@ def one(orbbecs):
 
 def _sensor(serial=A, **settings):
     return OrbbecSensor(serial, CaptureSettings(**settings))
-
-
-def test_no_device(orbbecs):
-    assert orbbecs.devices == []
-    assert connected_orbbecs() == []
-    with pytest.raises(AbsentError, match=rf"No Orbbec sensor with serial {A}\. No other is connected\."):
-        _sensor().__enter__()
-    orbbecs.devices = [Orbbec(B)]
-    with pytest.raises(AbsentError, match=rf"No Orbbec sensor with serial {A}\. Connected: {B}"):
-        _sensor().__enter__()
 
 
 def test_the_search_for_sensors_fails(orbbecs):
@@ -70,26 +57,3 @@ def test_a_fault_of_the_sdk_mid_stream(one):
         frames = sensor.frames()
         with pytest.raises(DeviceError, match=r"stopped giving frames \(frame queue overflow\)\. Unplug it"):
             next(frames)
-
-
-def test_a_lost_sensor_is_taken_back(orbbecs):
-    orbbecs.devices = [Orbbec(A, paced=True), Orbbec(B, paced=True)]
-    lost = orbbecs.devices[1]
-    sensors = [_sensor(serial, timeout_ms=20, stall_s=0.1) for serial in (A, B)]
-    with TwoSensors(*sensors, limits=TimeLimits(retry_s=0.02)) as two:
-
-        def alone_now():
-            return any(pair.a is not None and pair.b is None for pair in two.poll())
-
-        def paired_now():
-            return any(pair.a is not None and pair.b is not None for pair in two.poll())
-
-        assert eventually(paired_now)
-        lost.plugged = False
-        assert eventually(alone_now)
-        lost.plugged, lost.clock_us = True, 0  # its clock starts anew
-        assert eventually(paired_now)
-        told = " ".join(event.text for event in two.events())
-    assert f"Orbbec {B} was unplugged" in told
-    assert f"{B} is back" in told
-    assert orbbecs.open_serials == []

@@ -9,7 +9,7 @@ import pytest
 
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
-from devices.orbbec.sdk_access import connected_orbbecs, how_to_install, load_sdk
+from devices.orbbec.sdk_access import connected_orbbecs, how_to_install
 from devices.orbbec.sensor import OrbbecSensor
 from devices.sensor import DeviceError
 from tests.helpers.orbbec import standin_values as values
@@ -169,10 +169,3 @@ def test_without_the_package_the_message_says_how_to_install_it(monkeypatch):
     with pytest.raises(DeviceError, match=r"pyorbbecsdk2.*pip install --upgrade --no-deps pyorbbecsdk2"):
         connected_orbbecs()
     assert "3.11 to 3.13 only" in how_to_install((3, 14))
-
-
-def test_the_bindings_of_the_old_sdk_are_refused(orbbecs, monkeypatch):
-    assert orbbecs.devices == []
-    monkeypatch.delattr(sys.modules["pyorbbecsdk"], "PlaybackDevice")
-    with pytest.raises(DeviceError, match=r"SDK v1\) lacks PlaybackDevice\.get_duration: this program needs"):
-        load_sdk()
