@@ -6,7 +6,6 @@ from itertools import islice, pairwise, product
 import numpy as np
 import pytest
 
-from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from tests.benchmarks import accuracy, speed
@@ -149,32 +148,6 @@ def test_tails_are_as_heavy_as_measured():
             joint,
             tails,
         )
-
-
-def test_tails_change_no_other_error():
-    """A tracker with added errors reports what it reports without them, plus those errors."""
-
-    def one_metre_left(body, frame_seconds, random):
-        del frame_seconds, random
-        while True:
-            yield np.tile((1.0, 0.0, 0.0), (len(body), 1))
-
-    quiet = replace(FITTED, rescale=0.0)
-    plain, added = (
-        [
-            frame.people[PERSON]
-            for frame in simulated_pair(motion="arms", seconds=1.0, seed=1, errors=errors)[0].frames()
-        ]
-        for errors in (quiet, replace(quiet, added=one_metre_left))
-    )
-    for before, after in zip(plain, added, strict=True):
-        np.testing.assert_array_equal(before.states, after.states)
-        np.testing.assert_allclose(after.positions, before.positions + (1.0, 0.0, 0.0), atol=1e-5)
-    heavy, fitted = (
-        next(iter(simulated_pair(seconds=0.1, errors=errors)[0].frames())).people[PERSON].positions
-        for errors in (heavy_tailed(FITTED), FITTED)
-    )
-    assert not np.array_equal(heavy, fitted)
 
 
 def test_distances_as_large_as_what_sigma_grows_by_are_honest():

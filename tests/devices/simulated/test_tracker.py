@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, repeat
 
 import numpy as np
 import pytest
@@ -144,6 +144,8 @@ KNOBS = {
     # 60 spells in four minutes: 13 %
     "lost": (lambda: losing().mean(), 0.1, 0.05),
     "lost_seconds": (lambda: FRAME * np.mean(run_lengths(losing())), 0.4, 0.2),
+    "added": (lambda: Watch(20, added=lambda *_: repeat(np.array((1.0, 0.0, 0.0)))).errors.sum(axis=2).mean(),
+              1.0, FLOAT32),
     "none": (lambda: np.abs(Watch(20).errors).max(), 0.0, FLOAT32),
     "none, states": (lambda: np.mean(Watch(20).states == TRACKED), 1.0, 0.0),
 }  # fmt: skip
