@@ -18,9 +18,7 @@ from recordings.export import writer_for
 from recordings.export.even_frames import even_moments
 from tests.helpers.animations import Glb, bvh_joints
 from tests.helpers.documents import ROOT
-from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.fused_runs import record_fused
-from tests.helpers.two_views import calibration_of
+from tests.helpers.fused_runs import record_with_a_gap
 
 pytest.importorskip("pygltflib", reason="writing GLB needs the extra 'export'")
 GAP = range(20, 30)
@@ -28,10 +26,7 @@ GAP = range(20, 30)
 
 @pytest.fixture(params=BODIES.values(), ids=str)
 def session(request, tmp_path):
-    """A moving person, whom no sensor sees in ten frames; timestamps jitter by up to 3 ms."""
-    body = request.param
-    pairs = frame_pairs(body, 60, gap=GAP, jitter_ns=3_000_000)
-    return record_fused(tmp_path / "s.rrd", pairs, calibration_of(body))
+    return record_with_a_gap(tmp_path / "s.rrd", request.param, gap=GAP)
 
 
 def exported(session, name, **how):

@@ -17,12 +17,11 @@ from recordings.export.ros_messages import TOPICS, RosFrame, RosMessages, defini
 from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.fused_runs import record_fused
+from tests.helpers.fused_runs import GAP, record_fused, record_with_a_gap
 from tests.helpers.machine import lacks
 from tests.helpers.ros import OPTICAL, Frames, messages, nanoseconds, rosbags
 from tests.helpers.two_views import calibration_of
 
-GAP = (20, 21, 22)
 HUMANS = "/humans/bodies/duplex"
 LINKS = {"body", "waist", "torso", "head"} | {
     f"{side}_{joint}" for side in "lr" for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -35,8 +34,7 @@ PRIMITIVES = re.compile(r"(bool|byte|char|string|float(32|64)|u?int(8|16|32|64))
 def session(request, tmp_path):
     """A moving person, whom no sensor sees in three frames."""
     rosbags()
-    pairs = frame_pairs(request.param, 40, gap=GAP)
-    return record_fused(tmp_path / "s.rrd", pairs, calibration_of(request.param))
+    return record_with_a_gap(tmp_path / "s.rrd", request.param, 40, jitter_ns=0)
 
 
 def export(session, **about):
