@@ -18,7 +18,7 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.two_views import calibration_of
 
-_TOUCHING = 0.01  # metres
+_TOUCHING = 0.002  # metres
 
 
 def contacts(name, seconds):

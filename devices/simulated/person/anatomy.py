@@ -184,7 +184,9 @@ def along(down: Array, back: Array) -> Array:
     return np.stack((np.cross(y, z), y, z), axis=-1)
 
 
-def two_bones(target: Array, pole: Array, first: float, second: float) -> tuple[Array, Array, Array]:
+def two_bones(
+    target: Array, pole: Array, first: float, second: float, bent: float = 0.03
+) -> tuple[Array, Array, Array]:
     """Solves the inverse kinematics of two bones from the origin to a target (law of cosines).
 
     The reach saturates smoothly below the length of the straight limb, because the derivative of the bend by
@@ -193,12 +195,13 @@ def two_bones(target: Array, pole: Array, first: float, second: float) -> tuple[
     Args:
         target: (T, 3) desired end of the second bone.
         pole: (T, 3) direction towards which the middle joint bends.
+        bent: Share of the straight limb, from which on it saturates.
 
     Returns:
         (T, 3) the middle joint, (T, 3) the end, and (T, 3) the unit rotation axis of the middle joint.
     """
     reach = first + second
-    soft, hard = 0.97 * reach, 0.998 * reach
+    soft, hard = (1.0 - bent) * reach, (1.0 - bent / 15.0) * reach
     wanted = np.linalg.norm(target, axis=-1, keepdims=True)
     over = np.maximum(wanted - soft, 0.0)
     d = np.where(wanted <= soft, wanted, soft + (hard - soft) * -np.expm1(-over / (hard - soft)))

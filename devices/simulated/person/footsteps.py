@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import offset
@@ -42,6 +43,7 @@ class Step:
     to: Stance  # stance after the step
     lift: float = 0.05  # largest height of the toes, metres
     heel: float = 0.35  # pitch of the foot as the heel rises, radians
+    rolls: bool = False  # whether the foot rolls, as in walking; lift and heel have no effect then
 
 
 FEET_APART = (Stance(0.25, -0.13, 0.25), Stance(-0.25, -0.13, -0.25))
@@ -59,6 +61,10 @@ def walk_feet(
         yaw[:, foot] = stance.yaw
         for step in sorted((s for s in steps if s.foot == foot), key=lambda s: s.start):
             span = step.end - step.start
+            if step.rolls:
+                _roll(toes[:, foot], yaw[:, foot], pitch[:, foot], (t - step.start) / span, stance, step.to)
+                stance = step.to
+                continue
             done = smooth(((t - step.start) / span - 0.06) / 0.88)  # the foot is lifted before it moves
             toes[:, foot, 0] += done * (step.to.x - stance.x)
             toes[:, foot, 2] += done * (step.to.z - stance.z)
@@ -70,6 +76,41 @@ def walk_feet(
             toes[:, foot, 1] -= _FOOT_LENGTH * np.sin(toes_up)
             stance = step.to
     return toes, yaw, pitch
+
+
+def _about_heel(pitch: Array) -> tuple[Array, Array]:
+    """Returns how far the toes of a flat foot rise and come back, metres, if it turns about its heel."""
+    _, drop, ahead = offset("FOOT_LEFT") - offset("HEEL_LEFT")
+    gone = 1.0 - np.cos(pitch)
+    return ahead * np.sin(pitch) + drop * gone, drop * np.sin(pitch) - ahead * gone
+
+
+_LANDS = np.radians(-15.0)
+_ROLL = PchipInterpolator(
+    (-0.5, -0.22, 0.0, 0.1, 0.5, 0.75, 0.9, 1.0, 1.3),
+    (*np.radians((0.0, 6.5, 32.5, 45.0, 21.0, 1.5, -10.5)), _LANDS, 0.0),
+)
+"""Radians, toes down, of a foot that walks, over time as a share of that off the floor. The heel rises at
+0.43 of the stride, and the foot is flat at 0.11."""
+_RISE = PchipInterpolator(
+    (0.0, 0.12, 0.3, 0.5, 0.75, 0.9, 1.0),
+    (0.0, 0.016, 0.028, 0.015, 0.021, 0.047, float(_about_heel(_LANDS)[0])),
+)
+"""Metres, of its toes: least in the middle, most before the heel lands (Winter 1992)."""
+
+
+def _roll(toes: Array, yaw: Array, pitch: Array, x: Array, before: Stance, after: Stance) -> None:
+    """Adds a step that rolls over the toes, swings and lands on the heel, at shares x of its time."""
+    rolled = np.where((x > _ROLL.x[0]) & (x < _ROLL.x[-1]), _ROLL(x), 0.0)
+    swung = np.clip(x, 0.0, 1.0)
+    moved = np.clip((x - 0.01) / 0.99, 0.0, 1.0)  # the foot is lifted before it moves
+    done = moved * (0.25 + 0.75 * moved * (3.0 - 2.0 * moved))  # it leaves and lands at a speed
+    rise, back = _about_heel(np.minimum(rolled, 0.0))
+    toes[:, 1] -= np.where(x < 1.0, _RISE(swung), rise)
+    pitch += rolled
+    yaw += done * (after.yaw - before.yaw)
+    toes[:, 0] += done * (after.x - before.x) - back * np.sin(yaw)
+    toes[:, 2] += done * (after.z - before.z) + back * np.cos(yaw)
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,6 +101,7 @@ class Motion:
     """Steps from the start-up stance to that of the loop, in seconds since the end of the start-up pose."""
     startup: bool = True  # whether the movement begins with the start-up pose
     speeds_up: bool = False  # whether the loop starts from rest: its time advances slowly at first
+    bent: float = 0.03  # of the legs' length, by which their reach begins to end
 
     @property
     def begins(self) -> float:
@@ -118,7 +119,7 @@ class Motion:
         if self.startup:
             moving = smooth((t - STARTUP_SECONDS) / _BLEND_SECONDS)[:, None]
             c = (1.0 - moving) * channels(STARTUP) + moving * c
-        return follow(c + _sway(t), *self.feet(t))
+        return follow(c + _sway(t), *self.feet(t), self.bent)
 
     def feet(self, t: Array) -> tuple[Array, Array, Array]:
         """Converts (T,) seconds to toes, yaw and pitch of both feet; see :func:`walk_feet`."""
@@ -162,7 +163,7 @@ def _sway(t: Array) -> Array:
     return c
 
 
-def follow(c: Array, toes: Array, yaw: Array, pitch: Array) -> Pose:
+def follow(c: Array, toes: Array, yaw: Array, pitch: Array, bent: float = 0.03) -> Pose:
     """Computes poses from (T, C) channels and the feet of :func:`walk_feet`."""
 
     def of(name: str) -> Array:
@@ -183,14 +184,14 @@ def follow(c: Array, toes: Array, yaw: Array, pitch: Array) -> Pose:
         toes[:, f] + hop - foot_rotations[f] @ offset(f"FOOT_{s}") for f, s in enumerate(("LEFT", "RIGHT"))
     ]
     pelvis = np.stack((of("place")[:, 0], -of("height")[:, 0], of("place")[:, 1]), axis=1) + hop
-    pelvis[:, 1] = _within_reach(pelvis, rotations["pelvis"], ankles)
+    pelvis[:, 1] = _within_reach(pelvis, rotations["pelvis"], ankles, bent)
 
     forward = heading @ np.array((0.0, 0.0, -1.0))
     for f, (side, sign) in enumerate((("LEFT", 1.0), ("RIGHT", -1.0))):
         hip = pelvis + rotations["pelvis"] @ offset(f"HIP_{side}")
         ahead = foot_rotations[f] @ np.array((0.15 * sign, 0.0, -1.0))
         knee, ankle, _ = two_bones(
-            ankles[f] - hip, ahead + 0.5 * forward, length(f"KNEE_{side}"), length(f"ANKLE_{side}")
+            ankles[f] - hip, ahead + 0.5 * forward, length(f"KNEE_{side}"), length(f"ANKLE_{side}"), bent
         )
         rotations[f"thigh_{side}"] = along(knee, -ahead)
         rotations[f"shin_{side}"] = along(ankle - knee, -ahead)
@@ -213,15 +214,16 @@ def _bend_arm(rotations: dict[str, Array], side: str, sign: float, c: Array) -> 
     rotations[f"hand_{side}"] = rotations[f"forearm_{side}"] @ lean(sign * bent)
 
 
-def _within_reach(pelvis: Array, rotation: Array, ankles: list[Array]) -> NDArray[np.float64]:
+def _within_reach(pelvis: Array, rotation: Array, ankles: list[Array], bent: float) -> NDArray[np.float64]:
     """Returns (T,) the pelvis's y, lowered smoothly until the legs reach both planted feet."""
     lowest = [pelvis[:, 1]]
     for ankle, side in zip(ankles, ("LEFT", "RIGHT"), strict=True):
-        reach = 0.985 * (length(f"KNEE_{side}") + length(f"ANKLE_{side}"))
+        reach = (1.0 - 0.5 * bent) * (length(f"KNEE_{side}") + length(f"ANKLE_{side}"))
         hip = rotation @ offset(f"HIP_{side}")
         across = np.sum((ankle - pelvis - hip)[:, (0, 2)] ** 2, axis=1)
         lowest.append(ankle[:, 1] - hip[:, 1] - np.sqrt(np.maximum(reach**2 - across, 0.01)))
-    sharpness = 0.012  # metres over which the limits are smoothed
+    # Metres over which the limits are smoothed; a knee bends with the root of what lacks of the leg's length.
+    sharpness = 0.012 * np.sqrt(bent / 0.03)
     y = np.stack(lowest)
     top = y.max(axis=0)
     return np.asarray(top + sharpness * np.log(np.exp((y - top) / sharpness).sum(axis=0)))

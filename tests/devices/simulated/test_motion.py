@@ -6,11 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from devices.simulated.person import anatomy
-from devices.simulated.person.anatomy import INDEX, landmarks_of, two_bones
+from devices.simulated.person.anatomy import INDEX, landmarks_of, offset, two_bones
 from devices.simulated.person.motion import STARTUP_SECONDS
 from devices.simulated.person.movements import MOTIONS
 from fusion.body import BODIES
+from tests.helpers.footfalls import contacts, stood
 
+HEEL_HEIGHT = anatomy.FOOT_HEIGHT + (offset("FOOT_LEFT") - offset("HEEL_LEFT"))[1]
 EVERY_MOTION = pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS.keys())
 
 
@@ -69,6 +71,29 @@ def test_planted_toes_do_not_slide_and_feet_stay_above_the_floor(motion):
         assert planted.any()
         speed = np.linalg.norm(np.diff(toes[:, [0, 2]], axis=0), axis=1) * rate
         assert np.max(speed[planted], initial=0.0) < 0.05  # a twentieth of walking speed
+        heel = -points[:, INDEX[foot.replace("FOOT", "HEEL")], 1]
+        assert heel.min() > HEEL_HEIGHT - 0.002
+
+
+def test_the_walk_bends_its_knees_as_people_do():
+    """Ranges of healthy adults who walk slowly: Perry and Burnfield (2010), Schwartz et al. (2008)."""
+    for side, (strikes, offs) in contacts("walk", 20.0).items():
+        assert 0.60 < stood(strikes, offs).mean() < 0.66
+        cycles = strikes[1:-1, None] + np.linspace(0.0, 1.0, 101) * np.diff(strikes[1:])[:, None]
+        points = MOTIONS["walk"].landmarks(cycles.ravel())
+        hip, knee, ankle, toes = (
+            points[:, INDEX[f"{part}_{side.upper()}"]] for part in ("HIP", "KNEE", "ANKLE", "FOOT")
+        )
+        bones = [anatomy.unit(bone) for bone in (knee - hip, ankle - knee)]
+        flexion = np.degrees(np.arccos(np.sum(np.multiply(*bones), axis=1))).reshape(cycles.shape)
+        typical = np.median(flexion, axis=0)
+        assert typical[0] < typical[5:25].max() - 4.0 < 16.0  # bends as it takes the weight
+        assert 5 < typical[:40].argmax() < 25
+        assert typical[25:50].min() < 10.0  # nearly straight behind the body
+        assert 50.0 < typical.max() < 65.0  # swings
+        assert 65 < typical.argmax() < 78
+        clearance = -toes[:, 1].reshape(cycles.shape)[:, 70:90] - anatomy.FOOT_HEIGHT
+        assert 0.01 < clearance.min() < 0.025
 
 
 @pytest.mark.parametrize("height", [1.2, 1.75, 2.0])

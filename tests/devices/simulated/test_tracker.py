@@ -199,7 +199,7 @@ def test_what_one_error_draws_changes_no_other(body):
 
     def frames(**knobs):
         errors = replace(fitted, **{"lost": 0.0, "stale": 0.0, "mirroring": mirroring, **knobs})
-        sensor = simulated_pair(motion="walk", seconds=4.0, seed=3, body=body, errors=errors)[0]
+        sensor = simulated_pair(motion="walk", seconds=6.0, seed=3, body=body, errors=errors)[0]
         return [frame.people[PERSON] for frame in sensor.frames() if frame.people]
 
     def labels_and_states(**knobs):

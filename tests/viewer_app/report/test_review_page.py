@@ -87,13 +87,13 @@ def test_the_page_has_the_gait_of_people_who_walk_and_of_no_others(page, tmp_pat
     walking = walking_session(tmp_path / "walk.rrd")
     text = review_page(walking, report(walking) | {"without_truth": truth_free_figures(walking)})
     assert re.search(
-        rf"{len(walking.gait.steps)} steps in 1 walk of 8 s; "
+        rf"{len(walking.gait.steps)} steps in 1 walk of {walking.gait.walking_seconds:.0f} s; "
         r"cadence 104\.\d ± \d+\.\d steps/min, .* \(± standard error\); .*"  # a stride takes 1.15 s
         r"left out of 9 s of motion: \d s no three strikes in turn\.",
         text,
     )
     assert text.count("over the gait cycle") == 6
-    assert re.search(r"<td>stance \(% of the cycle\)</td><td>7\d ± \d", text)
+    assert re.search(r"<td>stance \(% of the cycle\)</td><td>6\d ± \d", text)
     for name in ("knee flexion", "shoulder abduction", "trunk"):
         assert re.search(f'aria-label="{name}, 1 σ about \\d+°, °, over time"', text)
     text = page.read_text(encoding="utf-8")
