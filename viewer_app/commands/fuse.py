@@ -33,6 +33,7 @@ from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, output_file, save_report, write_text
 from viewer_app.report.pages.good_part import good_frames_of
 from viewer_app.report.terminal import print_summary, say_more, say_saved
+from viewer_app.report.walking import gait_figures
 from viewer_app.running.interruption import compiling
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
 from viewer_app.viewer.viewer_choice import FileWindow, choose_viewing
@@ -147,7 +148,8 @@ def _progress(console: Console) -> Callable[..., Any]:
 
 
 def _summarise(console: Console, options: FuseOptions, session: Session, figures: Figures) -> None:
-    save_report(options.report, figures, options.force)
+    if options.report is not None:
+        save_report(options.report, figures | {"gait": gait_figures(session.gait)}, options.force)
     if options.save_calibration is not None:
         write_text(options.save_calibration, calibration_to_json(session.calibration), options.force)
     told = [event for event in session.events if event.frame > 0]  # the recordings' own are printed already

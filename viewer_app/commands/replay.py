@@ -28,6 +28,7 @@ from viewer_app.outputs.opening import OutputPlan, announce_outputs, check_kept,
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.pages.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images, print_summary, say_more, say_saved
+from viewer_app.report.walking import gait_figures
 from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.file_window import write_for_viewer, written_and_shown
@@ -76,7 +77,8 @@ def run(options: ReplayOptions) -> None:
     with written_and_shown(options.save, write, force=options.force, window=window) as (_, damaged):
         if outputs:
             figures["outputs"] = [output.figures() for output in outputs]
-        save_report(options.report, figures, options.force)
+        if options.report is not None:
+            save_report(options.report, figures | {"gait": gait_figures(replayed.gait)}, options.force)
         print_summary(console, figures, replayed.events, options.verbose)
         print_outputs(console, outputs)
         if options.save is not None:

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recordings.data.series import AngleSeries
 from recordings.gait import SIDES, Gait, Measured
+from recordings.quality.figures import Figures, known_or_none
 from recordings.quality.limits import POSSIBLE
 from recordings.session import Session
 from viewer_app.report.svg_plots import cycle_plot, line_plot
@@ -94,9 +95,12 @@ def _summary(gait: Gait) -> str:
     walks = len(gait.walks)
     turns = ""
     if gait.turns:
-        angle = _mean([abs(math.degrees(turn.angle)) for turn in gait.turns], 0)
+        turning = gait_figures(gait)["turns"]
+        angle, took = (
+            _told(turning[name], "mean", "sd", k) for k, name in enumerate(("angle_deg", "seconds"))
+        )
         number = f"{len(gait.turns)} {'turn' if len(gait.turns) == 1 else 'turns'}"
-        turns = f"; {number} of {angle}° in {_mean([turn.seconds for turn in gait.turns], 1)} s"
+        turns = f"; {number} of {angle}° in {took} s"
     return (
         f"{len(gait.steps)} steps in {walks} {'walk' if walks == 1 else 'walks'} of "
         f"{gait.walking_seconds:.0f} s; cadence {_in_words(gait.cadence, 1)} steps/min, speed "
@@ -112,34 +116,74 @@ def _in_words(measured: Measured, digits: int) -> str:
     return f"{value} ± {max(measured.sigma, 10.0**-digits):.{digits}f}"
 
 
+def gait_figures(gait: Gait) -> Figures:
+    """The figures of the gait as a report has them, those of its section in the page; None where unknown."""
+
+    def of_side(side: str) -> Figures:
+        steps, cycles = gait.of_side(side), gait.cycles(side)
+        return {
+            "steps": len(steps),
+            "step_length_m": _scatter([step.length for step in steps]),
+            "step_width_m": _scatter([step.width for step in steps]),
+            "step_time_s": _scatter([step.seconds for step in steps]),
+            "gait_cycles": len(cycles),
+            "stride_time_s": _scatter(np.diff(cycles, axis=1)),
+            "stance_percent": _scatter(100.0 * gait.stance(side)),
+        }
+
+    def measured(each: Measured) -> Figures:
+        return {name: known_or_none(figure) for name, figure in each._asdict().items()}
+
+    return {
+        "walks": len(gait.walks),
+        "walking_seconds": gait.walking_seconds,
+        "left_out_seconds": dict(gait.left_out),
+        "cadence_per_minute": measured(gait.cadence),
+        "speed_m_per_s": measured(gait.speed),
+        "turns": {
+            "count": len(gait.turns),
+            "angle_deg": _scatter([abs(math.degrees(turn.angle)) for turn in gait.turns]),
+            "seconds": _scatter([turn.seconds for turn in gait.turns]),
+        },
+        **{side: of_side(side) for side in SIDES},
+        "asymmetry_percent": {name: measured(each) for name, each in gait.asymmetry.items()},
+    }
+
+
 def _gait_rows(gait: Gait) -> Iterator[tuple[str, ...]]:
     """Mean and standard deviation of the steps of each side."""
     if not gait.steps:
         return
-    sides = [gait.of_side(side) for side in SIDES]
-    strides = [np.diff(gait.cycles(side), axis=1) for side in SIDES]
-    stance = [100.0 * gait.stance(side) for side in SIDES]
-    uneven = {
-        name: _in_words(each, 0) if np.isfinite(each.value) else "–" for name, each in gait.asymmetry.items()
-    }
-    yield ("steps", *(str(len(steps)) for steps in sides), "", "")
-    lengths = ([step.length for step in steps] for steps in sides)
-    yield ("step length (m)", *(_mean(each, 2) for each in lengths), uneven["step_length"], _STEP_LENGTH)
-    widths = ([step.width for step in steps] for steps in sides)
-    yield ("step width (m)", *(_mean(each, 2) for each in widths), "", "")
-    times = ([step.seconds for step in steps] for steps in sides)
-    yield ("step time (s)", *(_mean(each, 2) for each in times), uneven["step_time"], "")
-    yield ("gait cycles", *(str(len(gait.cycles(side))) for side in SIDES), "", "")
-    yield ("stride time (s)", *(_mean(each, 2) for each in strides), "", _STRIDE_TIME)
-    yield ("stance (% of the cycle)", *(_mean(each, 0) for each in stance), uneven["stance"], _STANCE)
+    figures = gait_figures(gait)
+    uneven = {name: _told(each, "value", "sigma", 0) for name, each in figures["asymmetry_percent"].items()}
+    for title, name, digits, healthy in (
+        ("steps", "steps", None, ""),
+        ("step length (m)", "step_length_m", 2, _STEP_LENGTH),
+        ("step width (m)", "step_width_m", 2, ""),
+        ("step time (s)", "step_time_s", 2, ""),
+        ("gait cycles", "gait_cycles", None, ""),
+        ("stride time (s)", "stride_time_s", 2, _STRIDE_TIME),
+        ("stance (% of the cycle)", "stance_percent", 0, _STANCE),
+    ):
+        of_sides = (figures[side][name] for side in SIDES)
+        sides = [str(each) if digits is None else _told(each, "mean", "sd", digits) for each in of_sides]
+        yield (title, *sides, uneven.get(name.rpartition("_")[0], ""), healthy)
 
 
-def _mean(values: object, digits: int) -> str:
+def _scatter(values: ArrayLike) -> Figures:
+    """Mean and standard deviation of the values that are known."""
     known = np.asarray(values, dtype=np.float64)
     known = known[np.isfinite(known)]
-    if not len(known):
+    return {
+        "mean": float(known.mean()) if len(known) else None,
+        "sd": float(known.std(ddof=1)) if len(known) > 1 else None,
+    }
+
+
+def _told(figure: Figures, value: str, sigma: str, digits: int) -> str:
+    if figure[value] is None:
         return "–"
-    return _in_words(Measured(known.mean(), known.std(ddof=1) if len(known) > 1 else np.nan), digits)
+    return _in_words(Measured(figure[value], np.nan if figure[sigma] is None else figure[sigma]), digits)
 
 
 def _median(values: object) -> float:

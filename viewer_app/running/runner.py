@@ -25,6 +25,7 @@ from viewer_app.output_files import save_report, warn_of_little_room
 from viewer_app.outputs.opening import announce_outputs, check_kept, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.terminal import print_details, print_summary, say_more, say_saved
+from viewer_app.report.walking import gait_figures
 from viewer_app.running.interruption import call_after
 from viewer_app.running.sounds import Sounds, player
 from viewer_app.running.status import LiveDisplay
@@ -133,7 +134,9 @@ class Runner:
         print_outputs(console, self._outputs)
         if verbose:
             print_details(console, figures)
-        save_report(self._options.report, figures, self._options.force)
+        if self._options.report is not None:
+            gait = None if saved is None else gait_figures(saved.gait)
+            save_report(self._options.report, figures | {"gait": gait}, self._options.force)
 
     def print_end(self) -> None:
         """Prints where the session was saved, which frames are missing, and where all figures are."""

@@ -12,7 +12,9 @@ import rerun as rr
 
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from recordings import Session
+from recordings.gait import SIDES
 from recordings.quality.per_second import SecondQuality
+from tests.experiments import example_recordings
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.machine import small_disk
 from tests.helpers.programs import python
@@ -66,6 +68,34 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(recordings, tmp_
     assert figures["views_agree_mm"]["median"] == pytest.approx(21.7, rel=0.1)
     assert rr.chunk.RrdReader(session).store().schema() is not None
     assert {p.name for p in tmp_path.iterdir()} == {"a.csv", "b.csv", "s.rrd", "r.json"}
+
+
+def test_the_report_has_the_gait_of_the_session(tmp_path):
+    saved, report = tmp_path / "s.rrd", tmp_path / "r.json"
+    walk = example_recordings.FOLDER / "a.csv", example_recordings.FOLDER / "b.csv"
+    assert duplex("fuse", *walk, *QUICKLY, "--save", saved, "--report", report) == 0
+    figures, gait = figures_of(report)["gait"], Session.open(saved).gait
+    for side in SIDES:
+        of_side, steps = figures[side], gait.of_side(side)
+        assert of_side["steps"] == len(steps) > 2
+        assert of_side["gait_cycles"] == len(gait.cycles(side))
+        assert of_side["step_length_m"]["mean"] == pytest.approx(np.mean([step.length for step in steps]))
+        assert of_side["stance_percent"]["sd"] == pytest.approx(
+            100 * np.nanstd(gait.stance(side), ddof=1), rel=1e-4
+        )
+    assert figures["cadence_per_minute"] == {
+        name: pytest.approx(x) for name, x in gait.cadence._asdict().items()
+    }
+    assert figures["asymmetry_percent"].keys() == gait.asymmetry.keys()
+
+
+def test_nobody_who_walks_is_said_in_the_report_too(recordings, tmp_path):
+    report = tmp_path / "r.json"
+    assert duplex("fuse", *recordings, *QUICKLY, "--report", report) == 0
+    gait = figures_of(report)["gait"]
+    assert gait["walks"] == gait["left"]["steps"] == 0
+    assert gait["cadence_per_minute"] == gait["speed_m_per_s"] == {"value": None, "sigma": None}
+    assert gait["right"]["step_length_m"] == {"mean": None, "sd": None}
 
 
 @pytest.mark.parametrize("good", [(0,), (0, 2), (0, 1, 2), ()])

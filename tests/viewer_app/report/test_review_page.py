@@ -39,7 +39,7 @@ from viewer_app.report.svg_plots import (
     skeleton_color,
     trust_map,
 )
-from viewer_app.report.walking import _in_words, _mean, _summary, movement_of
+from viewer_app.report.walking import _in_words, _scatter, _summary, _told, movement_of
 from viewer_app.report.words import in_percent
 
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
@@ -110,8 +110,8 @@ def test_motion_without_steps_is_told_in_seconds_with_the_reason():
 
 def test_no_value_is_more_certain_than_it_is_rounded():
     assert _in_words(Measured(104.19, 0.07), 1) == "104.2 ± 0.1"
-    assert _mean([0.5, 0.5002], 2) == "0.50 ± 0.01"
-    assert _mean([0.5, np.nan], 2) == "0.50"
+    assert _told(_scatter([0.5, 0.5002]), "mean", "sd", 2) == "0.50 ± 0.01"
+    assert _told(_scatter([0.5, np.nan]), "mean", "sd", 2) == "0.50"
 
 
 class _Ids(HTMLParser):
