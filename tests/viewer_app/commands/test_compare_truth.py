@@ -43,7 +43,7 @@ def test_markers_of_a_laboratory_are_compared_without_a_table(walk, tmp_path, ca
     for words in ("Offset ", "mean over joints and frames", "knee flexion left", "AnkleRight"):
         assert words in said
     figures = json.loads(report.read_text())
-    assert figures["offset_s"] == pytest.approx(3.7, abs=0.002)
+    assert figures["offset_s"] == pytest.approx(3.7, abs=2.5e-3 * figures["offset_sd_ms"])
     assert figures["offset_sd_ms"] < 5.0
     assert 0.8 < figures["correlation"] < 1.0
     assert 0.0 < figures["residual_mm"] < 120.0
@@ -59,7 +59,8 @@ def test_markers_of_a_laboratory_are_compared_without_a_table(walk, tmp_path, ca
         joint_angles(KINECT_V2, at)[:, 0]
         for at in (session.fused, true_positions(KINECT_V2, "walk")(seconds))
     ]
-    off, true = (angle[seconds > 3.7] for angle in (angles[0] - angles[1], angles[1]))
+    within = (seconds > 3.7) & (seconds < 13.7)
+    off, true = (angle[within] for angle in (angles[0] - angles[1], angles[1]))
     knee = figures["angles"][ANGLES[0]]["fused"]
     assert knee["rmse_deg"] == pytest.approx(np.sqrt(np.nanmean(off**2)), rel=0.1)  # a tenth is missing
     assert knee["true_range_deg"] == pytest.approx(np.ptp(np.percentile(true, [1.0, 99.0])), abs=1.0)
