@@ -4,8 +4,8 @@ An ankle, or toes, stand while they are slower than 0.75 of the pelvis, as in
 :mod:`recordings.gait.events`, or than 0.25 m/s, and less than 5 cm above where they usually stand. What is
 between two such times in one stance of the gait counts, too: S* loses a foot for some frames. They are then
 kept in the middle of their places at their usual height, and are led there and away in 0.15 s. The person
-rises and sinks with the feet, and sinks by 2 cm at most where a leg would not reach its foot. Knees follow by
-inverse kinematics of two bones, in the planes of S*.
+rises and sinks with the feet, and sinks by 2 cm at most where a leg would not reach its foot, both slowly:
+people do not bob. Knees follow by inverse kinematics of two bones, in the planes of S*.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from recordings.gait import SIDES, Gait
 Mask = NDArray[np.bool_]
 
 SINKS = 0.02  # metres at most: a person who sinks at each step bobs, and a trailing foot may slide instead
+BOBS = 0.05  # m/s at most, by which feet move the hips up or down; as much again, by which reach does
 _OF_PELVIS = 0.75  # of its speed
 _STILL = 0.25  # m/s
 _RAISED = 0.05  # metres
@@ -172,7 +173,7 @@ def _speed(t: Array, points: Array, around: float) -> Array:
 
 
 def _planted(legs: Legs, t: Array, positions: Array, stands: Mask, usual: Array) -> Array:
-    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+    from scipy.ndimage import gaussian_filter1d
 
     feet = legs.feet_of(positions)
     moves, shares, frames = np.zeros_like(feet), np.zeros(feet.shape[:3]), np.arange(len(t))
@@ -195,13 +196,20 @@ def _planted(legs: Legs, t: Array, positions: Array, stands: Mask, usual: Array)
     follows = [gaussian_filter1d(each, _FOLLOWS / step) for each in (higher, shares.sum(axis=(1, 2)))]
     positions = positions.copy()
     rises = follows[0] / np.maximum(follows[1], 1e-3)
+    rises = 0.5 * (_above(t, rises) - _above(t, -rises))
     positions[..., 1] += rises[:, None]
     moves[..., 1] -= shares * rises[:, None, None]
     feet = legs.feet_at(positions, moves, shares, usual)
-    around = int(np.ceil(_LED / step))
-    sinks = maximum_filter1d(legs.out_of_reach(positions, feet), 2 * around + 1)
-    positions[..., 1] += gaussian_filter1d(sinks, around / 3.0, radius=around)[:, None]
+    positions[..., 1] += _above(t, legs.out_of_reach(positions, feet))[:, None]
     return legs.bent(positions, feet)
+
+
+def _above(t: Array, values: Array) -> Array:
+    """(T,) the least above the values that changes by :data:`BOBS` at most."""
+    way = BOBS * t
+    before = np.maximum.accumulate(values + way) - way
+    after = np.maximum.accumulate((values - way)[::-1])[::-1] + way
+    return np.maximum(before, after)
 
 
 def _in_stances(stands: Mask, stances: Mask) -> Mask:

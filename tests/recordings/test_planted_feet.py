@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fusion.calibration.bone_lengths import bone_lengths_of
+from recordings import fuse
 from recordings.appearance.floor import floor_under
 from recordings.export import writer_for
-from recordings.planted_feet import planted_feet
+from recordings.planted_feet import BOBS, planted_feet
 from tests.helpers.animations import bvh_joints
 from tests.helpers.footfalls import walking_session
 from viewer_app.outputs.avatars.live_feet import LiveFeet
@@ -100,6 +103,30 @@ def test_bones_keep_their_lengths_and_what_is_no_leg_only_rises_and_sinks(true_w
         np.testing.assert_allclose(lengths, own, atol=1e-9)
         moved = (planted - session.fused)[:, others]
         np.testing.assert_allclose(moved, np.broadcast_to(moved[:, :1], moved.shape), atol=1e-9)
+
+
+def bobs(session, planted):
+    """m/s, by which the hips rise or fall otherwise than those of S*, between near frames."""
+    hips = [session.body.joint("Hip" + side) for side in SIDES]
+    moved = np.linalg.norm((planted - session.fused)[:, hips].mean(axis=1), axis=1)
+    near = np.diff(session.time) < 0.3
+    return np.abs(np.diff(moved) / np.diff(session.time))[near]
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.2))
+def test_people_do_not_bob(true_walk, seed, largest):
+    session = erring(true_walk, seed, largest)
+    for planted in (recorded(session), live(session)):
+        assert bobs(session, planted).max() <= 2.0 * BOBS + 1e-6
+
+
+@pytest.mark.parametrize("real", ["real/kinect_v2_90deg_walk", "real_more/kinect_v2_90deg_walk_2"])
+def test_real_people_do_not_bob(shared, real):
+    session = fuse(shared / real / "a.csv", shared / real / "b.csv")
+    for planted in (recorded(session), live(session)):
+        off = bobs(session, planted)
+        assert np.nanmax(off) <= 2.0 * BOBS + 1e-3  # S* is saved to a micrometre
+        assert np.nanmax(off) > 0.5 * BOBS  # they are moved
 
 
 def test_feet_that_stand_already_stay(true_walk):

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.support.types import Array
 from recordings.appearance.floor import FloorFinder
-from recordings.planted_feet import Legs, fast, lowered, usual_heights
+from recordings.planted_feet import BOBS, Legs, fast, lowered, usual_heights
 
 _FOOT, _STRIDE = 0.14, 0.7  # seconds, over which the speeds of foot and pelvis are
 _STEADY = 1.3  # of the speed: a foot that stands is not let go at once
 _LOST = 0.25  # metres from its place: S* was wrong there
 _USUAL = 300  # frames, from which the usual heights are
-_SETTLES, _LEAVES, _FOLLOWS, _RISES = 0.03, 0.08, 0.1, 0.2  # seconds, time constants
+_SETTLES, _LEAVES, _FOLLOWS = 0.03, 0.08, 0.1  # seconds, time constants
 _GAP = 0.3  # seconds
 
 
@@ -70,13 +70,14 @@ class LiveFeet:
         self._moves[stands], self._shares[stands] = (places - feet)[stands], 1.0
         self._stands, self._places = stands, np.asarray(floor.apply(places))
         rise = float(self._moves[stands, 1].mean()) if stands.any() else 0.0
-        self._rise += follows * (rise - self._rise)
+        most = BOBS * elapsed
+        self._rise += float(np.clip(follows * (rise - self._rise), -most, most))
         at[..., 1] += self._rise
         moves, shares = self._moves.copy(), self._shares
         moves[..., 1] -= shares * self._rise
         reached = legs.feet_at(at, moves[None], shares[None], usual)
         sink = float(legs.out_of_reach(at, reached)[0])
-        self._sink = max(sink, self._sink * float(np.exp(-elapsed / _RISES)))
+        self._sink += float(np.clip(sink - self._sink, -most, most))
         at[..., 1] += self._sink
         return np.asarray(floor.apply(legs.bent(at, reached)[0]))
 
