@@ -38,14 +38,22 @@ def summary(outcomes):
 
     Returns:
         ``methods``: by name, the mean of each figure over the trials in which every method has it. Also
-        ``nearer``, the share of trials in which ours has the smaller mean error, and ``by_angle``.
+        ``interval`` of the mean error; ``less``, the interval of its difference from ours in the same trial;
+        ``nearer``, the share of trials in which ours has the smaller mean error; and ``by_angle``.
         ``lost``: the movements and angles at which a baseline is nearer on average, and by how many metres.
     """
     methods = {}
-    for name in dict.fromkeys(o.method for o in outcomes):
+    common = common_trials(outcomes, "mpjpe")
+    errors = {
+        name: np.array([o.figures["mpjpe"] for o in outcomes if o.method == name and o.trial in common])
+        for name in dict.fromkeys(o.method for o in outcomes)
+    }
+    for name in errors:
         own = [o for o in outcomes if o.method == name]
         methods[name] = {
             **{figure: _mean(own, figure, common_trials(outcomes, figure)) for figure in own[0].figures},
+            "interval": interval(errors[name]),
+            "less": interval(errors[OURS] - errors[name]) if OURS in errors else None,
             "nearer": nearer(outcomes, name),
             "by_angle": {
                 f"{angle:g}": _mean([o for o in own if o.trial.angle == angle], "mpjpe")
@@ -53,6 +61,12 @@ def summary(outcomes):
             },
         }
     return {"recordings": len({o.trial for o in outcomes}), "methods": methods, "lost": lost(outcomes)}
+
+
+def interval(values):
+    """The 95 % bootstrap interval of a mean, over whole recordings: two numbers."""
+    drawn = np.random.default_rng(0).integers(len(values), size=(10_000, len(values)))
+    return np.quantile(values[drawn].mean(axis=1), (0.025, 0.975)).tolist()
 
 
 def common_trials(outcomes, figure):

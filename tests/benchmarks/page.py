@@ -7,6 +7,7 @@ from string import Template
 import numpy as np
 
 from tests.benchmarks import results
+from tests.benchmarks.methods import OURS
 from tests.benchmarks.real import FAULTS, HELD_OUT
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks.md"
@@ -18,6 +19,7 @@ _SETS = {
     "heavy_tails": "Azure, heavy-tailed errors",
     "depth": "Azure, with depth images",
 }
+_FEWEST = 8  # recordings, of which an interval is stated
 _DEGREES = float(np.degrees(1.0))
 _BASELINES = ("mean, start-up", "mean, refined", "tracked wins", "Kalman, start-up", "Kalman, refined")
 
@@ -75,19 +77,19 @@ def _methods(figures):
         rows.append(
             (
                 f"**{name}**" if name.startswith("duplex") else name,
-                _mm(row["mpjpe"], 1),
+                f"{_mm(row['mpjpe'], 1)} ({_interval(row['interval'])})",
                 _mm(row["p95"]),
                 f"{_mm(row['hidden_one'])}/{_mm(row['hidden_both'])}",
                 _mm(row["bone_error"]),
                 _mm(row["jitter"], 1),
                 _number(row["swapped"], 100, 2),
                 _number(row["lag"], 1, 2),
-                _number(row["nearer"], 100, 0),
+                "–" if name == OURS else f"{_nearer(figures, name)}; {_number(row['nearer'], 100, 0)}",
             )
         )
     columns = (
         "method", "mean error", "95 %", "hidden in one/both views", "worst bone", "jitter, still",
-        "sides swapped, %", "lag, frames", "*duplex* closer, % of recordings",
+        "sides swapped, %", "lag, frames", "*duplex* closer by; %",
     )  # fmt: skip
     return _table(columns, rows)
 
@@ -109,12 +111,28 @@ def _sets():
         lost = f"{len(motions)}, by {_mm(worst, 1)} at most" if motions else "none"
         if name == "depth":
             lost = f"without images {_mm(methods['without depth']['mpjpe'], 1)}"
-        rows.append((title, str(figures["recordings"]), *cells, lost))
+        n = f"{figures['recordings']} ({len(figures['seeds'])})"
+        rows.append((title, n, *cells, _nearer(figures, best), lost))
     columns = (
-        "trackers", "recordings", "best baseline", "paper", "**duplex**", "live", "smoothed", "oracle",
-        "baseline closer: movements × angles",
+        "trackers", "recordings (seeds)", "best baseline", "paper", "**duplex**", "live", "smoothed",
+        "oracle",
+        "**duplex** closer by", "baseline closer: movements × angles",
     )  # fmt: skip
     return _table(columns, rows)
+
+
+def _nearer(figures, name):
+    """By how much ours is nearer to the truth than another method on average, and the interval."""
+    ours, other = (figures["methods"][each] for each in (OURS, name))
+    by = _mm(other["mpjpe"] - ours["mpjpe"], 1)
+    if figures["recordings"] < _FEWEST:
+        return by
+    return f"{by} ({_interval([-each for each in reversed(other['less'])])})".replace("-", "−")
+
+
+def _interval(of):
+    low, high = (_mm(each, 1) for each in of)
+    return f"{low}, {high}" if of[0] < 0.0 else f"{low}–{high}"
 
 
 def _real(figures):
