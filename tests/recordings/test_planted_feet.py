@@ -14,7 +14,7 @@ from recordings.export import writer_for
 from recordings.planted_feet import BOBS, planted_feet
 from tests.helpers.animations import bvh_joints
 from tests.helpers.footfalls import walking_session
-from viewer_app.outputs.avatars.live_feet import LiveFeet
+from viewer_app.outputs.avatars.live_feet import _FASTER, LiveFeet
 
 SIDES = "Left", "Right"
 
@@ -116,17 +116,17 @@ def bobs(session, planted):
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.2))
 def test_people_do_not_bob(true_walk, seed, largest):
     session = erring(true_walk, seed, largest)
-    for planted in (recorded(session), live(session)):
-        assert bobs(session, planted).max() <= 2.0 * BOBS + 1e-6
+    for planted, most in ((recorded(session), 2.0 * BOBS), (live(session), 2.0 * _FASTER * BOBS)):
+        assert bobs(session, planted).max() <= most + 1e-6
 
 
 @pytest.mark.parametrize("real", ["real/kinect_v2_90deg_walk", "real_more/kinect_v2_90deg_walk_2"])
 def test_real_people_do_not_bob(shared, real):
     session = fuse(shared / real / "a.csv", shared / real / "b.csv")
-    for planted in (recorded(session), live(session)):
+    for planted, most in ((recorded(session), 2.0 * BOBS), (live(session), 2.0 * _FASTER * BOBS)):
         off = bobs(session, planted)
-        assert np.nanmax(off) <= 2.0 * BOBS + 1e-3  # S* is saved to a micrometre
-        assert np.nanmax(off) > 0.5 * BOBS  # they are moved
+        assert np.nanmax(off) <= most + 1e-3  # S* is saved to a micrometre
+        assert np.nanmax(off) > 0.25 * most  # they are moved
 
 
 def test_feet_that_stand_already_stay(true_walk):

@@ -15,6 +15,7 @@ _STEADY = 1.3  # of the speed: a foot that stands is not let go at once
 _LOST = 0.25  # metres from its place: S* was wrong there
 _USUAL = 300  # frames, from which the usual heights are
 _SETTLES, _LEAVES, _FOLLOWS = 0.03, 0.08, 0.1  # seconds, time constants
+_FASTER = 2.0  # than hips move in recordings: feet that step down are not known before
 _GAP = 0.3  # seconds
 
 
@@ -70,7 +71,7 @@ class LiveFeet:
         self._moves[stands], self._shares[stands] = (places - feet)[stands], 1.0
         self._stands, self._places = stands, np.asarray(floor.apply(places))
         rise = float(self._moves[stands, 1].mean()) if stands.any() else 0.0
-        most = BOBS * elapsed
+        most = _FASTER * BOBS * elapsed
         self._rise += float(np.clip(follows * (rise - self._rise), -most, most))
         at[..., 1] += self._rise
         moves, shares = self._moves.copy(), self._shares
