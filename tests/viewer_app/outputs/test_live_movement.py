@@ -19,6 +19,7 @@ from recordings.gait.events import find_gait
 from recordings.replaying import Replay
 from recordings.session import Session
 from tests.helpers.demonstrations import fused_demonstration
+from tests.helpers.footfalls import contacts
 from tests.helpers.live_frames import frames
 from viewer_app.commands.replay import with_floors
 from viewer_app.outputs.lab_streaming import LabStreamingOutput
@@ -59,6 +60,22 @@ def test_every_event_of_a_walk_is_reported_once_and_soon(walk):
     third = whole.steps[2].strike
     strikes = [(event, now) for event, now in told if event.text.startswith("heel")]
     assert max(now - event.time_ns for event, now in strikes if event.time_ns * 1e-9 > third) < 0.6e9
+
+
+def test_live_toe_offs_and_strikes_are_when_the_feet_touch_the_floor(walk):
+    live, late = LiveMovement(AZURE_KINECT), {"heel strike": [], "toe off": []}
+    true = contacts("walk", 14.0)
+    for frame in walk:
+        live.angles(frame)
+        for event in live.new_events():
+            kind, _, side = event.text.rpartition(" ")
+            touched = true[side][kind == "toe off"] - 2.0  # the walk is without its first two seconds
+            off = event.time_ns * 1e-9 - touched
+            late[kind].append(off[np.abs(off).argmin()])
+    for of_kind in late.values():
+        assert len(of_kind) > 12
+        assert abs(np.mean(of_kind)) < 0.02
+        assert np.abs(of_kind).max() < 0.05
 
 
 def test_json_has_the_angles_and_their_uncertainty_and_null_where_unknown(walk):
