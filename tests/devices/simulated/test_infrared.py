@@ -12,7 +12,6 @@ from devices.simulated.imaging.infrared import (
     infrared_image,
 )
 from devices.simulated.imaging.rendering import FLOOR, NOTHING, WALL, surface
-from devices.simulated.kinect import simulated_pair
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from fusion.intrinsics import NOMINAL_INTRINSICS
@@ -70,20 +69,3 @@ def test_the_dressed_surface_lies_about_the_plain_one(name, time, which):
     assert both.sum() > 0.9 * (plain_label >= 0).sum()
     # Sleeves and trousers are at most 15 mm thicker than the limb in them.
     assert np.percentile(np.abs(plain - dressed)[both], 90) < 0.020
-
-
-def test_infrared_changes_no_skeleton_and_the_same_seed_gives_the_same_images():
-    a, _, _ = simulated_pair(motion="walk", seed=7, seconds=0.2, depth="half")
-    dressed, _, _ = simulated_pair(motion="walk", seed=7, seconds=0.2, depth="half", infrared=True)
-    assert all(frame.people for frame in a.frames())
-    for plain, frame in zip(a.frames(), dressed.frames(), strict=True):
-        assert plain.ir is None
-        assert plain.depth is not None
-        assert frame.ir.shape == frame.depth.shape
-        assert frame.ir.dtype == np.uint16
-        for who, skeleton in plain.people.items():
-            np.testing.assert_array_equal(skeleton.positions, frame.people[who].positions)
-            np.testing.assert_array_equal(skeleton.states, frame.people[who].states)
-    again, _, _ = simulated_pair(motion="walk", seed=7, seconds=0.2, depth="half", infrared=True)
-    for frame, same in zip(dressed.frames(), again.frames(), strict=True):
-        np.testing.assert_array_equal(frame.ir, same.ir)

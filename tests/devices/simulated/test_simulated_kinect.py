@@ -31,8 +31,8 @@ def same(one, other):
         one.time_ns == other.time_ns
         and one.people.keys() == other.people.keys()
         and all(one.people[k].repeats(other.people[k]) for k in one.people)
-        and (one.depth is None) == (other.depth is None)
-        and (one.depth is None or np.array_equal(one.depth, other.depth))
+        and np.array_equal(one.depth, other.depth)
+        and np.array_equal(one.ir, other.ir)
     )
 
 
@@ -146,7 +146,7 @@ def test_dropped_frames_are_missing_and_change_no_other_frame():
 
 def test_the_same_seed_makes_the_same_frames_bit_for_bit():
     def frames(seed):
-        a, b, _ = simulated_pair(motion="arms", seed=seed, seconds=1.0, depth="half")
+        a, b, _ = simulated_pair(motion="arms", seed=seed, seconds=0.5, depth="half", infrared=True)
         return [*a.frames(), *b.frames()]
 
     first = frames(3)
@@ -165,13 +165,16 @@ def test_frames_depend_neither_on_how_they_are_asked_for_nor_on_the_other_sensor
     assert same(next(started), alone[1])
 
 
-def test_depth_images_change_no_skeleton():
-    with_depth, _, _ = simulated_pair(seed=6, seconds=1.5, depth="half")
-    without, _, _ = simulated_pair(seed=6, seconds=1.5)
-    frames = list(zip(with_depth.frames(), without.frames(), strict=True))
-    assert len(frames) == 45
-    assert all(one.depth is not None and same(replace(one, depth=None), other) for one, other in frames)
-    assert all(one.people and one.people[PERSON].witness is not None for one, _ in frames)
+def test_images_change_no_skeleton():
+    options = {}, {"depth": "half"}, {"depth": "half", "infrared": True}
+    views = [list(simulated_pair(seed=6, seconds=0.5, **images)[0].frames()) for images in options]
+    assert len(views[0]) == 15
+    for without, depth, infrared in zip(*views, strict=True):
+        assert same(replace(depth, depth=None), without)
+        assert same(replace(infrared, depth=None, ir=None), without)
+        assert depth.people[PERSON].witness is not None
+        assert depth.ir is None
+        assert (infrared.ir.shape, infrared.ir.dtype) == (infrared.depth.shape, np.uint16)
 
 
 @pytest.mark.parametrize(("depth", "size"), [("half", (288, 320)), ("full", (576, 640))])
