@@ -210,8 +210,7 @@ def film(depths, rgbs, first_ticks=0, color_late=400_000, period=PERIOD):
     return sorted(events, key=lambda event: event[0])
 
 
-def numbered(count, first=1000, repeated=1):
-    """Depth and colour images that hold their number; all of them so many times, which takes no space."""
-    depths = [np.full((480, 640), first + number, np.uint16) for number in range(count)]
-    rgbs = [np.full((480, 640, 3), number, np.uint8) for number in range(count)]
-    return depths * repeated, rgbs * repeated
+def numbered(count):
+    """Depth and colour images that hold their number."""
+    depths = [np.full((480, 640), 1000 + number, np.uint16) for number in range(count)]
+    return depths, [np.full((480, 640, 3), number, np.uint8) for number in range(count)]

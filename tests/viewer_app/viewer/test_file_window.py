@@ -233,7 +233,7 @@ def test_nothing_survives_sigterm_while_a_page_is_served(tmp_path):
     write_pair(tmp_path)
     files = (tmp_path / "a.csv", tmp_path / "b.csv")
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    command = [sys.executable, "-m", "viewer_app.cli", "fuse", *map(str, files), "--web"]
+    command = [sys.executable, "-m", "viewer_app.cli", "fuse", *map(str, files), "--offset", "0", "--web"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     environment["TMPDIR"] = str(temporary)
     with subprocess.Popen(command, **pipes, cwd=ROOT, env=environment) as program:
