@@ -115,13 +115,10 @@ def show(path: Path, at_ns: int = 0) -> bool:
 @contextmanager
 def served(path: Path, hub: Hub) -> Iterator[None]:
     """Serves a session to browsers during the block."""
-    with path.open("rb") as file:
-        process = hub.serve(file)
-        try:
-            add_computed(file, hub.url)
-            yield
-        finally:
-            stop(process)
+    with path.open("rb") as file, ExitStack() as programs:
+        programs.callback(stop, hub.serve(file))
+        programs.callback(stop, add_computed(file, hub.url))
+        yield
 
 
 def _set_time(process: subprocess.Popen[bytes], url: str, at_ns: int) -> bool:
