@@ -131,9 +131,10 @@ def test_a_viewer_that_is_interrupted_while_it_starts_is_gone(monkeypatch):
         stop(process)
 
 
-def test_a_viewer_shows_the_file_with_its_own_layout_after_the_file_is_gone(headless):
+def test_a_viewer_shows_the_file_with_its_own_layout_after_the_file_is_gone(headless, monkeypatch):
     from rerun.experimental import ViewerClient
 
+    monkeypatch.setattr(file_window, "_READS_WITHIN", 0.1)  # the file has no time to set
     write(None, window=True)
     ((_, port),) = headless
     viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
