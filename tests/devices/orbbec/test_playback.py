@@ -12,6 +12,7 @@ from devices.tracker_choice import TrackerChoice
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import Skeleton
 from tests.helpers.orbbec.standin import Bag, Orbbec
+from tests.helpers.standin_camera import VirtualTime
 from tests.helpers.two_views import A_FROM_B, moving
 
 OURS = TrackerChoice("blazepose", "a test")
@@ -39,32 +40,29 @@ def test_a_recording_gives_its_frames_and_ends(orbbecs, tmp_path):
     assert "frames are missing: 8;" in recording.warnings[0]
 
 
+def _recording(bus, path):
+    """A recording that is played in virtual time."""
+    bus.time = VirtualTime()
+    return OrbbecRecording(path, lambda: 1e-9 * bus.time.now_ns())
+
+
 def test_a_recording_that_never_reports_its_end_is_abandoned(orbbecs, tmp_path):
-    path = _bag(orbbecs, tmp_path / "a.bag", ends=False)
-    now = [0.0]
-
-    def clock():
-        now[0] += 1.0
-        return now[0]
-
-    with OrbbecRecording(path, clock) as recording:
+    with _recording(orbbecs, _bag(orbbecs, tmp_path / "a.bag", ends=False)) as recording:
         assert len(list(recording.frames())) == 5
 
 
 @pytest.mark.parametrize("ends", [True, False])
 def test_a_recording_that_ends_early_is_told(orbbecs, tmp_path, ends):
-    now = iter(range(10**6))
-    with OrbbecRecording(
-        _bag(orbbecs, tmp_path / "a.bag", 90, ends=ends), lambda: float(next(now))
-    ) as recording:
+    with _recording(orbbecs, _bag(orbbecs, tmp_path / "a.bag", 90, ends=ends)) as recording:
         orbbecs.bags[str(recording.path)].frames = 30
         assert len(list(recording.frames())) == 30
     (said,) = recording.warnings
     assert "depth ended early: 30 frames of the first 1.0 of 3.0 s could be read" in said
-    with OrbbecRecording(_bag(orbbecs, tmp_path / "b.bag", 0)) as recording:
-        recording._clock = lambda: float(next(now))
-        with pytest.raises(DeviceError, match="holds no complete frame"):
-            list(recording.frames())
+    with (
+        _recording(orbbecs, _bag(orbbecs, tmp_path / "b.bag", 0)) as recording,
+        pytest.raises(DeviceError, match="holds no complete frame"),
+    ):
+        list(recording.frames())
 
 
 def test_a_fault_of_closing_does_not_hide_what_was_read(orbbecs, tmp_path):
