@@ -181,6 +181,10 @@ class CableSync:
     delay_ns: int  # of a subordinate's captures after the master's
 
 
+IMAGE_SUFFIXES = MKV, BAG, DB3 = ".mkv", ".bag", ".db3"
+"""Of recordings of images: Azure Kinect; Orbbec, and RealSense of ROS 1; RealSense of ROS 2."""
+
+
 class ImageRecording(Sensor):
     """A file with a sensor's images; its frames have no people.
 

@@ -8,14 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.sensor import DeviceError, ImageRecording, Orientation, Sensor, SensorFrame, SensorWrapper
+from devices.sensor import (
+    BAG,
+    DB3,
+    IMAGE_SUFFIXES,
+    DeviceError,
+    ImageRecording,
+    Orientation,
+    Sensor,
+    SensorFrame,
+    SensorWrapper,
+)
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import StatedFormat, Unit
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from devices.upright import upright
 from fusion.support.progress import Progress, quietly
-
-MKV, BAG, DB3 = ".mkv", ".bag", ".db3"  # Azure Kinect; Orbbec, and RealSense of ROS 1; RealSense of ROS 2
 
 
 def open_source(
@@ -80,7 +88,7 @@ def open_source(
 
 def has_images(path: Path) -> bool:
     """Whether a recording holds images, by its suffix; else it holds skeletons."""
-    return path.suffix.lower() in (MKV, BAG, DB3)
+    return path.suffix.lower() in IMAGE_SUFFIXES
 
 
 def not_of_libk4a(*paths: Path) -> list[str]:

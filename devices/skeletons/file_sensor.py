@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from devices.people.recorded_people import RecordedPeople
-from devices.sensor import DeviceError, MissingRecordingError, Sensor, SensorFrame
+from devices.sensor import IMAGE_SUFFIXES, DeviceError, MissingRecordingError, Sensor, SensorFrame
 from devices.skeletons.border import ReadFile, checked
 from devices.skeletons.csv_files.reader import read_csv
 from devices.skeletons.ntu import read_ntu
@@ -64,7 +64,7 @@ class SkeletonRecording(Sensor):
                 raise DeviceError(f"{self.name} is a folder, not a recording.")
             raise DeviceError(
                 f"{self.name}: {self._path.suffix or 'no ending'} is not a format of recorded skeletons. "
-                f"Known: {', '.join(READERS)}; with images: .mkv, .bag."
+                f"Known: {', '.join(READERS)}; with images: {', '.join(IMAGE_SUFFIXES)}."
             )
         try:
             found = reader(self._path, self._stated, self._progress)

@@ -5,13 +5,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from devices.recorded.files import BAG, DB3, MKV
+from devices.sensor import IMAGE_SUFFIXES, MKV
 from devices.skeletons.file_sensor import READERS
 from viewer_app.errors import UsageError, refuse_bytes
 
 PAGE, TABLE = "summary.html", "summary.parquet"
 """The summary, which lies beside the sessions' folders; no session can have these names."""
-SUFFIXES = (MKV, BAG, DB3, *READERS)
+SUFFIXES = (*IMAGE_SUFFIXES, *READERS)
 """Formats of recordings; if a pair exists in several, the first is taken."""
 
 
