@@ -139,7 +139,9 @@ def test_the_page_has_the_figures_of_the_files():
 
 def test_the_page_of_angles_has_the_figures_of_the_file():
     page = (ROOT / "docs" / "angles.md").read_text(encoding="utf-8")
-    figures = results.read("angles")["figures"]
+    document = results.read("angles")
+    figures = document["figures"]
+    assert f"revision {document['revision']}, {document['date']})" in page
     rows = {cells[1]: cells[3] for cells in (line.split("|") for line in page.splitlines()) if len(cells) > 4}
     for names, errors in list(rows.items())[2:]:
         measured = [f"{figures['angles'][name]['rmse']:.1f}°" for name in re.findall("`(.*?)`", names)]
