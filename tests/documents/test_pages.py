@@ -63,6 +63,18 @@ def test_every_link_between_documents_leads_somewhere():
                 assert (document.parent / path).exists(), f"{document.name}: {path}"
 
 
+FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
+
+
+def test_numbered_lists_count_up():
+    """A number that ends a sentence and begins a line would become a list item."""
+    for document in documents():
+        last = 0
+        for number in re.findall(r"^ *(\d+)\. ", FENCE.sub("", document.read_text("utf-8")), re.MULTILINE):
+            assert int(number) in (1, last + 1), f"{document.name}: {number} after {last}"
+            last = int(number)
+
+
 def test_every_picture_says_whether_it_is_simulated():
     for document in documents():
         for alt in re.findall(r"!\[(.*?)\]", document.read_text(encoding="utf-8"), re.DOTALL):
