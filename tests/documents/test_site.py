@@ -99,6 +99,7 @@ def test_no_markup_is_left_in_the_text(site):
         text = plain(prose)
         assert not re.search(r":(attr|class|data|exc|func|meth|mod):", text), f"{name}: a role of Sphinx"
         assert not re.search(r"`|\*\*|\]\(", text), f"{name}: Markdown"
+        assert "\\" not in "".join(re.findall("<math.*?</math>", prose)), f"{name}: LaTeX"
 
 
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
