@@ -20,6 +20,10 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).resolve().parents[1]
 _COPIED = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 _LINK = re.compile(r"\]\((?P<up>(?:\.\./)*)(?P<path>[^)#:]+)(?P<anchor>#[^)]*)?\)")
+_CODE = re.compile(r"(?<!</span>)<code>[^<]*</code>")  # not in a block
+_OPTION = re.compile(r"(?<![\w-])-{1,2}[a-z][\w-]*")
+_WHOLE = r'<span class="option">\g<0></span>'
+_BETWEEN = re.compile(r"(?<=[a-z])[_/](?=[a-z])", re.IGNORECASE)
 _EQUATION = re.compile(r"^```math\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
@@ -41,6 +45,11 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     return _EQUATION.sub(lambda equation: _mathml(equation[1]), markdown)
 
 
+def on_page_content(content: str, **_: Any) -> str:
+    """Marks where code may break at the end of a line: not inside of an option, but inside of a long name."""
+    return _CODE.sub(lambda code: _BETWEEN.sub(r"\g<0><wbr>", _OPTION.sub(_WHOLE, code[0])), content)
+
+
 def _redirected(link: re.Match[str], from_root: bool) -> str:
     path, anchor = link["path"], link["anchor"] or ""
     if not (link["up"] or from_root):
@@ -59,7 +68,7 @@ def _redirected(link: re.Match[str], from_root: bool) -> str:
 
 def _mathml(latex: str) -> str:
     equation = convert(" ".join(latex.split()), display="block")
-    return f'<div class="equation" style="overflow-x: auto">{equation}</div>\n'
+    return f'<div class="equation">{equation}</div>\n'
 
 
 def _examples() -> str:
