@@ -167,14 +167,14 @@ def of_two_people(out, folder):
 
 
 def of_walk(out, folder):
-    """The three layouts of two real recordings."""
+    """*inspect* and *report* of two real recordings, which have no images for *setup*."""
     if not WALK.is_dir():
         print(f"No recordings {WALK}: the pictures of a real walk stay as they are.")
         return
     file = folder / "walk.rrd"
     main(["fuse", str(WALK / "a.csv"), str(WALK / "b.csv"), "--no-viewer", "--save", str(file)])
     moment = hard_moment(Session.open(file))
-    moments = dict.fromkeys(("setup", "inspect", "report"), moment)
+    moments = dict.fromkeys(("inspect", "report"), moment)
     for name, picture in drawn(file, moments, clouds=False).items():
         write_png(out / f"{name}_real.png", picture)
 
