@@ -194,6 +194,18 @@ def test_the_start_page_has_the_limits_of_the_verdict():
     assert [row for row in rows if row not in page] == []
 
 
+def test_a_run_that_is_called_good_is_good_by_the_limits():
+    """And the one that is called usable is not."""
+    page = (ROOT / "docs" / "placing.md").read_text(encoding="utf-8")
+    runs = [run for run in re.findall(r"```text\n(.*?)```", page, re.DOTALL) if "Verdict" in run]
+    assert [re.search(r"Verdict +(\w+)", run)[1] for run in runs] == ["good", "usable"]
+    for run in runs:
+        apart, turn = (
+            float(re.search(rf"{label} +\D*([\d.]+)", run)[1]) for label in ("agree", "Calibration")
+        )
+        assert (apart < limits.GOOD and turn <= CERTAIN_TURN_DEG) == ("Verdict      good" in run)
+
+
 def test_related_work_compares_with_the_figures_of_the_files():
     page = (ROOT / "docs" / "related.md").read_text(encoding="utf-8")
     errors = [
