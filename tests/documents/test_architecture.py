@@ -31,6 +31,33 @@ def _defines(module, name):
     return re.search(rf"\b{name}\b", module.read_text(encoding="utf-8")) is not None
 
 
+def test_each_row_of_where_to_change_what_names_what_its_modules_have():
+    """Found with one look-up: a name beside a module is in it, or in another of the row."""
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = page.partition("## Where to change what")[2].partition("\n## ")[0].splitlines()[4:]
+    checked = 0
+    for row in filter(None, rows):
+        spans = re.findall("`(.*?)`", row)
+        paths = [span for span in spans if "/" in span or span.endswith((".py", ".html"))]
+        files = [file for path in paths for file in _files(path)]
+        text = "\n".join(file.read_text(encoding="utf-8") for file in files)
+        names = {re.match(r"\w+", span)[0] for span in spans if span not in paths and " " not in span}
+        assert {name for name in names if not re.search(rf"\b{name}\b", text)} == set(), row
+        checked += len(names)
+    assert checked > 25
+
+
+def _files(name):
+    """The files that a path, or the name of a file alone, stands for; those of a folder."""
+    path = ROOT / name
+    if "/" not in name:
+        found = [file for package in PACKAGES for file in (ROOT / package).rglob(name)]
+    else:
+        found = [*path.rglob("*.py"), *path.rglob("*.html")] if path.is_dir() else [path]
+    assert found, name
+    return found
+
+
 def test_the_list_of_folders_is_complete():
     listed = set(FOLDER.findall((ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")))
     folders = {
