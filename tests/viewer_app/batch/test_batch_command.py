@@ -1,6 +1,7 @@
 """``duplex batch`` in processes of this machine: sessions, resuming, bad pairs, interruption."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -76,6 +77,10 @@ def test_two_processes_fuse_what_duplex_fuse_fuses(tmp_path, monkeypatch):
     options = "--smooth", "whole"
     assert duplex("batch", pairs, "--out", out, "--processes", 2, *options) == 1
     assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p2") | files_of("p3")
+    page = (ROOT / "docs" / "batch.md").read_text(encoding="utf-8")
+    (columns,) = re.findall(r"columns:\n\n```text\n(.*?)```", page, re.DOTALL)
+    rows = re.findall(r"^(\w+(?:, \w+)*)  ", columns, re.MULTILINE)
+    assert sorted(name for row in rows for name in row.split(", ")) == sorted(table(out))
     alone = tmp_path / "alone.rrd"
     pair = pairs / "p3" / "a.csv", pairs / "p3" / "b.csv"
     assert duplex("fuse", *pair, *options, "--no-viewer", "--save", alone) == 0
