@@ -47,7 +47,7 @@ _COLUMNS: dict[str, tuple[str, float, int, str]] = {
     "jumps_fused": ("jumps S* %", 1e2, 2, "steps of S* of more than 150 mm per frame"),
     "jumps_own": ("S*'s own %", 1e2, 2, "those of them that no view has"),
     "against_fused": ("faces against motion %", 1e2, 1, "fast frames in which S* faces against its motion"),
-    "flips_per_minute": ("flips per min", 1.0, 1, "how often S* turns round within a frame"),
+    "flips_per_minute": ("flips per min", 1.0, 1, "how often S* turns by more than 90° within 0.1 s"),
     "lost": ("not paired %", 1e2, 1, "frames without a partner"),
     "stale": ("repeated %", 1e2, 1, "frames that a sensor repeated"),
     "bone_error": ("bone error mm", 1e3, 0, "largest error of a bone of S*"),
