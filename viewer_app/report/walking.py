@@ -20,7 +20,8 @@ _FEWEST_CYCLES = 2  # of a side, for a mean
 _MOTION = 3.0  # seconds, of which it is said that they have no steps
 GAIT_HEAD = ("mean ± standard deviation", "left", "right", "asymmetry (%)", "healthy")
 _STEP_LENGTH, _STRIDE_TIME, _STANCE = "0.53 to 0.93", "0.87 to 1.32", "about 60"
-"""Of adults of 18 to 49 years at their own pace, 95 % (Levine, Richards, Whittle 2012)."""
+"""Of adults of 18 to 49 years at their own pace, 95 % (Levine, Richards, Whittle 2012).
+These and the next two were written from memory and not checked against the books."""
 _PHASES = 0, 12, 31, 50, 62, 75, 87, 100
 """Percent of the gait cycle at which its phases end (Perry, Burnfield 2010)."""
 _HEALTHY = {"hip_flexion": (20, 20, 0, -20, -10, 15, 25, 20), "knee_flexion": (5, 15, 5, 10, 40, 60, 25, 5)}
