@@ -64,6 +64,9 @@ class State(NamedTuple):
     known: Annotated[NDArray[np.bool_], ("J",)]
     offsets: Annotated[Array, (2, "J", 3)]  # lasting error of each view relative to S*, metres
     offset_variances: Annotated[Array, (2, "J")]
+    displacements: Annotated[Array, (2, 3)]  # of each view's whole skeleton, metres
+    difference: Annotated[Array, (3,)]  # recent mean of A's points less B's, without displacements, metres
+    compared: Annotated[Array, (1,), np.inf]  # seconds since the last pair in it
     usual_offsets: Annotated[Array, (2, "J", 3)]  # mean share of each view in the views' difference, metres
     agreed: Annotated[Array, ("J",)]  # seconds that usual_offsets are means of, at most usual_seconds
     from_b: Annotated[Array, ("J",)]  # B's share of the information when a view had the joint last
@@ -100,6 +103,7 @@ class Views(NamedTuple):
     codes: Annotated[Ints, (2,)]  # exchange codes; see :mod:`fusion.facing.model`
     side_doubt: Annotated[Array, (2,)]  # probability that a view's sides are still wrong
     heading: Annotated[Array, (3,), np.nan]  # see :class:`fusion.facing.labels.Labels`
+    medians: Annotated[Array, (2, 3), np.nan]  # median innovation of the points that both views track, metres
     rays: Annotated[Array, (2, "J", 3)]  # unit vectors from the sensor to the joint
     covers: Annotated[Ints, (2, "J"), -1]  # covering joint nearest in the viewing plane, or -1
     cover_distances: Annotated[Array, (2, "J")]  # its distance across the ray, metres

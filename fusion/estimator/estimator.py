@@ -17,6 +17,7 @@ from fusion.estimator.bones import (
 )
 from fusion.estimator.covariance import find_covers, set_covariances, set_rays
 from fusion.estimator.kalman import kalman_update, predict, start_joints, update_common_error
+from fusion.estimator.measurements.displacement import remove_displacements
 from fusion.estimator.measurements.evidence import (
     depth_evidence,
     length_evidence,
@@ -97,6 +98,8 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
         turn_girdles(filter.facing_model, filter.facing.memory.frame_up, model.translations, views)
     # predict positions, velocities and variances
     predict(model, state, trace, k, dt)
+    # the displacement of a view's whole skeleton
+    remove_displacements(model, state, views, dt)
     # covariance of each measurement
     set_rays(model, views)
     find_covers(model, views)

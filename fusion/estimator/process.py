@@ -39,8 +39,10 @@ def elapsed(state, time_ns):  # type: ignore[no-untyped-def]
 def forget(model, state, facing):  # type: ignore[no-untyped-def]
     """Resets all that is known of the person: the filter, the sides and heading, and the views' scales."""
     state.last_time[1] = 0
-    state.astray[0], state.recalibrated[0] = 0.0, math.inf
+    state.astray[0], state.recalibrated[0], state.compared[0] = 0.0, math.inf, math.inf
     for v in range(2):
+        for c in range(3):
+            state.displacements[v, c] = 0.0
         state.view_outlier_probability[v] = state.scales[v] = 0.0
         state.scale_variances[v] = model.constants.scale_sd**2
     for i in range(len(state.known)):

@@ -32,6 +32,7 @@ from fusion.skeleton import TRACKED
 _OUTLIER_STEP = 0.2  # m between two frames, beside the speed: a larger step of the trunk is an outlier
 _OUTLIER_SPEED = 6.0  # m/s: a faster joint is an outlier, and its speed is limited to this
 _SPEED_SECONDS = 0.3
+_USUAL_DISTANCE = 0.12  # m between the trunks of two views; what is beyond is an error of a whole skeleton
 CONTINUOUS_SECONDS = 0.5
 """After a longer time without a new skeleton a view's labels may have changed."""
 _LOG_ODDS = math.log(0.3), math.log(3000.0)  # smallest and largest
@@ -183,25 +184,33 @@ def agreement(model, state, pair):  # type: ignore[no-untyped-def]
     """Log densities of elbows and knees if A and B label them alike, and if one of them exchanges them.
 
     Shoulders and hips are as near to each other as two views of them are. Elbows and knees tell whether the
-    views differ, and the heading tells which of them is mirrored.
+    views differ, and the heading tells which of them is mirrored. What their trunks are apart beyond 12 cm is
+    removed: a skeleton that is displaced as a whole says nothing of its labels.
     """
     k = model.constants
     equal = other = 0.0
     a, b = pair.positions[0], pair.positions[1]
+    x = _trunk(model, a, 0) - _trunk(model, b, 0)
+    y = _trunk(model, a, 1) - _trunk(model, b, 1)
+    z = _trunk(model, a, 2) - _trunk(model, b, 2)
+    far = math.sqrt(x * x + y * y + z * z)
+    if far > _USUAL_DISTANCE:
+        beyond = 1.0 - _USUAL_DISTANCE / far
+        x, y, z = beyond * x, beyond * y, beyond * z
+    else:  # also where a trunk is missing
+        x = y = z = 0.0
     for row in (ELBOW, KNEE):
         left, right = model.pairs[row, 0], model.pairs[row, 1]
-        equal += _apart(k, a, left, b, left) + _apart(k, a, right, b, right)
-        other += _apart(k, a, left, b, right) + _apart(k, a, right, b, left)
+        equal += _apart(k, a, left, b, left, x, y, z) + _apart(k, a, right, b, right, x, y, z)
+        other += _apart(k, a, left, b, right, x, y, z) + _apart(k, a, right, b, left, x, y, z)
     weight = min(k.limb_weight * state.evidence.frames[2], 1.0)
     return -weight * equal, -weight * other
 
 
 @inner_kernel
-def _apart(k, a, i, b, j):  # type: ignore[no-untyped-def]
+def _apart(k, a, i, b, j, x, y, z):  # type: ignore[no-untyped-def]
     """Cost of joint i of A and joint j of B as one joint; 0 where a view does not have it."""
-    square = 0.0
-    for c in range(3):
-        square += (a[i, c] - b[j, c]) ** 2
+    square = (a[i, 0] - b[j, 0] - x) ** 2 + (a[i, 1] - b[j, 1] - y) ** 2 + (a[i, 2] - b[j, 2] - z) ** 2
     return (
         bounded(0.5 * square / (k.limb_sigma * k.limb_sigma), k.limb_floor) if math.isfinite(square) else 0.0
     )

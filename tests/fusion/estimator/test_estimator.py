@@ -108,7 +108,7 @@ def snapped(at):
     return at
 
 
-@pytest.mark.parametrize(("fault", "share"), [(shifted, 0.25), (snapped, 0.05)])
+@pytest.mark.parametrize(("fault", "share"), [(shifted, 0.12), (snapped, 0.05)])
 @pytest.mark.parametrize("view", ["a", "b"])
 def test_a_fault_in_one_view_does_not_pass_into_the_skeleton(fault, share, view):
     pairs = recording(moving(BODY, 120), 0.004)
