@@ -10,7 +10,7 @@ from fusion.intrinsics import Intrinsics
 GOOD_ANGLES = (60.0, 120.0)
 """Range of the angle between the sensors, degrees, in which they complement each other best."""
 GOOD, USABLE = 40.0, 80.0
-"""Thresholds for the median distance between the calibrated views, mm; real Kinects reach 25 to 60 mm."""
+"""Thresholds for the median distance between the calibrated views, mm; real Kinects v2 reach 44 to 77 mm."""
 FARTHEST_PERSON = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9, "blazepose": 3.9}
 """Specified depth range in metres, by body (Azure: NFOV, not binned; BlazePose: as on an Azure Kinect)."""
 POSSIBLE = {

@@ -144,16 +144,25 @@ def _real(figures):
     }  # a few fast steps are no path
     new = [row for name, row in walks.items() if name.endswith(HELD_OUT)]
     rows = [
-        _real_row(f"{len(walks)} walks, mean", list(walks.values()), np.mean),
+        _real_row(f"{len(walks)} walks of {_people(walks)} people, mean", list(walks.values()), np.mean),
         _real_row(f"{len(new)} of them, new", new, np.mean),
         _real_row("worst in each column", list(walks.values()), np.max),
-        _real_row(f"{len(others)} people who stand or step, mean", list(others.values()), np.mean),
+        _real_row(
+            f"{len(others)} recordings of {_people(others)} people who stand or step, mean",
+            list(others.values()),
+            np.mean,
+        ),
     ]
     columns = (
         "recording", "roughness of S\\*, views = 1", "own jumps, %", "against the motion A/B/S\\*, %",
         "heading, °/*astray*, %", "live", "flips per minute", "hands together, %",
     )  # fmt: skip
     return _table(columns, rows)
+
+
+def _people(names):
+    """How many people: a name ends in its person's number, or in the movement for the first person."""
+    return len({number if (number := name.rpartition("_")[2]).isdigit() else "" for name in names})
 
 
 def _certainty(figures):
@@ -166,10 +175,13 @@ def _certainty(figures):
 
     rows = [
         (
-            f"a limb deleted from {views}: RMS distance over RMS added σ; 95 %, mm",
+            title,
             f"{_number(row['rms_over_added'], 1, 2)}; {_mm(row['apart_95'])}",
         )
-        for views, row in (("one view", one), ("both", both))
+        for title, row in (
+            ("a limb deleted from one view: RMS distance over RMS added σ; 95 %, mm", one),
+            ("the same, from both views", both),
+        )
     ]
     rows += [
         (
@@ -223,11 +235,11 @@ def _conditions(figures, real):
     worst = max(row[f"fused_where_{view}"] / row[view] for row in bad for view in "ab")
     title = f"{len(figures['bad_setups'])} bad set-ups: S\\* if a view is 1, same joints; worst case"
     rows.append((title, _number(worst, 1, 2)))
-    wrong = f"20 faulty frames in a view ({', '.join(FAULTS)}): share that reaches S\\*, "
+    wrong = f"20 faulty frames in a view ({', '.join(FAULTS)}): share that reaches S\\*, real pairs"
     new = [row for name, row in real.items() if name.endswith(HELD_OUT)]
-    for of, pairs in (("real pairs", real.values()), ("new walks", new)):
+    for of, pairs in ((wrong, real.values()), ("the same, new walks only", new)):
         shares = (_number(_over(np.mean, pairs, f"fault_{kind}"), 1, 2) for kind in FAULTS)
-        rows.append((wrong + of, ", ".join(shares)))
+        rows.append((of, ", ".join(shares)))
     return _table(("condition", "error, clean = 1"), rows)
 
 
