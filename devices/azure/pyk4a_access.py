@@ -186,7 +186,8 @@ def _on_bus(serial: str) -> bool | None:
 
 
 def _serials_on_bus() -> list[str]:
-    return [device.serial for device in usb_kinects() if device.serial]
+    """Of the sensors that libk4a can open: it may be Orbbec's wrapper."""
+    return [device.serial for device in usb_kinects() if device.serial and device.sdk in ("k4a", "orbbec")]
 
 
 def _not_found(serial: str, others: list[str], faults: list[str]) -> str:

@@ -61,9 +61,9 @@ class DuplexFusion:
 
         A change of R and t moves S_B. B's offsets absorb the change at the last position of each joint in B,
         as it was labelled, and decay within a second afterwards. Until then S* lags behind by B's share of
-        the change, and its covariance has the square of that. Displacements become offsets: the calibration
-        may explain them. The usual offsets stay and adapt over time: it
-        is not known whether they were learned under the same error or before a sensor was moved.
+        the change, and its covariance has the square of that. Displacements become offsets if the new
+        calibration explains them. The usual offsets stay and adapt over time: it is not known whether they
+        were learned under the same error or before a sensor was moved.
         """
         before, of = self._setup.calibration.a_from_b, self._filter
         reported, states = of.last.positions[1].astype(np.float64), of.last.states[1]
@@ -71,14 +71,18 @@ class DuplexFusion:
         exchange(of.facing_model, reported, states, of.views.codes[1], last, unused)
         moved = setup.calibration.a_from_b.apply(last) - before.apply(last)
         seen = np.isfinite(moved).all(axis=1)
-        own, of_b = of.state.displacements  # the calibration may explain them
+        own, of_b = of.state.displacements.copy()
+        apart, explained = own - of_b, moved[seen].sum(axis=0) / max(seen.sum(), 1)
+        if np.linalg.norm(apart - explained) < 0.5 * np.linalg.norm(apart):
+            of.state.displacements[:] = 0.0
+        else:
+            own, of_b = np.zeros((2, 3))
         moved += of_b
         of.state.offsets[1][seen] += moved[seen]
         of.state.offsets[0][:] += own
         slow = np.trace(of.views.slow, axis1=2, axis2=3)
         share = np.where(of.views.states[0] != 0, slow[0] / np.maximum(slow.sum(axis=0), 1e-12), 1.0)
         of.state.lag[seen] += share[seen, None] * moved[seen] + (1.0 - share[seen, None]) * own
-        of.state.displacements[:] = 0.0
         of.state.recalibrated[0] = 0.0
         self._setup, self._filter = setup, self._filter._replace(model=self._model_of(setup))
         self._box = boxed(self._filter, self._no_trace)

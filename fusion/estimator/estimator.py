@@ -17,7 +17,7 @@ from fusion.estimator.bones import (
 )
 from fusion.estimator.covariance import find_covers, set_covariances, set_rays
 from fusion.estimator.kalman import kalman_update, predict, start_joints, update_common_error
-from fusion.estimator.measurements.displacement import remove_displacements
+from fusion.estimator.measurements.displacement import add_displacements, remove_displacements
 from fusion.estimator.measurements.evidence import (
     depth_evidence,
     length_evidence,
@@ -136,6 +136,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     # covariance of S*
     joint_covariances(model, solve, output.covariance[k], output.sigma[k])
     add_lag(state, output.covariance[k], output.sigma[k])
+    add_displacements(model, state, output.covariance[k], output.sigma[k])
     write_row(state, views, solve, output, k)
     add_other_place(state, views, output.positions[k], output.covariance[k], output.sigma[k])
     add_registration_error(model, output.positions[k], state.from_b, output.covariance[k], output.sigma[k])

@@ -13,26 +13,28 @@ from fusion.estimator.measurements.outliers import innovation
 from fusion.skeleton import TRACKED
 
 _JUMP = 0.10  # m: smaller jumps are left to the offsets of the joints
+_SPEED = 6.0  # m/s: so far a person who starts or stops moves between the times of both views
 _STAYS = 0.5  # share of the jump: nearer than that counts as equal
 _MOST = 2.0 / 3.0  # share of the points that have jumped alike
 _FEWEST = 6  # points
 _RECENT_SECONDS = 0.5  # of the mean difference of the views, which a jump changes
-_SECONDS = 3.0  # in which a displacement fades, because it may be the view that is right
+_SECONDS = 10.0  # in which a displacement fades, because it may be the view that is right
+_ROUNDS = 12  # of Weiszfeld's algorithm
+_NEAREST = 1e-4  # m: no point weighs more than one as near to the median as that
 
 
 @inner_kernel
 def remove_displacements(model, state, views, dt):  # type: ignore[no-untyped-def]
     """Removes each view's displacement D from its joints, and finds the jumps that change it.
 
-    Over the points that both views track, let m_v be the median innovation of view v, and d what the mean
-    difference of the views has changed from its mean over the last 0.5 s. View v has jumped if |m_v| > 0.1 m,
-    |m_w| < |m_v|/2 for the other view w, |d| > |m_v|/2, and two thirds of its points lie within |m_v|/2 of
-    m_v. Then
+    Over the points that both views track, let m_v be the geometric median of view v's innovations, and d what
+    the mean difference of the views has changed from its mean over the last 0.5 s. View v has jumped if
+    |m_v| > 0.1 m, |m_w| < |m_v|/2 for the other view w, |d| > |m_v|/2, and two thirds of its points lie
+    within |m_v|/2 of m_v. If the jump takes the views apart, D_v ← D_v + m_v; a jump towards the other view
+    corrects an error, or part of D_v.
 
-        D_v ← 0          if v is back, |m_v + D_v| < |m_v|/2
-        D_v ← D_v + m_v  if the jump takes the views apart
-
-    and otherwise D_v stays: a jump towards the other view corrects an error. D fades within 3 s.
+    Both D are 0 as soon as the views are less than half as far apart without them: a view is back, or the
+    other one has followed it. D fades within 10 s. Views of different times, δ apart, jump by 6 m/s δ more.
     """
     faded = math.exp(-dt / _SECONDS)
     state.compared[0] += dt
@@ -40,11 +42,15 @@ def remove_displacements(model, state, views, dt):  # type: ignore[no-untyped-de
         for c in range(3):
             state.displacements[v, c] *= faded
         _move(views, v, state.displacements[v], -1.0)
-        for c in range(3):
-            views.medians[v, c] = _median_innovation(model, state, views, v, c)
-    if math.isnan(views.medians[0, 0]):
+    if _count(model, state, views) < _FEWEST:
         return
+    if _agree_without(model, state, views):
+        for v in range(2):
+            _move(views, v, state.displacements[v], 1.0)
+            for c in range(3):
+                state.displacements[v, c] = 0.0
     if state.compared[0] < _RECENT_SECONDS:
+        _set_medians(model, state, views)
         for v in range(2):
             if _has_jumped(model, state, views, v):
                 _absorb(model, state, views, v)
@@ -55,10 +61,42 @@ def remove_displacements(model, state, views, dt):  # type: ignore[no-untyped-de
 
 
 @inner_kernel
+def add_displacements(model, state, covariance, sigma):  # type: ignore[no-untyped-def]
+    """Adds what S* is off if a displaced view is right: Σ ← Σ + p Σ_v D_v D_vᵀ, p the prior of an outlier.
+
+    Args:
+        covariance, sigma: (J, 3, 3) m², (J,) metres; changed.
+    """
+    p = model.constants.outlier
+    for v in range(2):
+        D = state.displacements[v]
+        square = D[0] * D[0] + D[1] * D[1] + D[2] * D[2]
+        if square == 0.0:
+            continue
+        for i in range(len(sigma)):
+            for r in range(3):
+                for c in range(3):
+                    covariance[i, r, c] += p * D[r] * D[c]
+            sigma[i] = math.sqrt(sigma[i] * sigma[i] + p * square)
+
+
+@inner_kernel
+def _agree_without(model, state, views):  # type: ignore[no-untyped-def]
+    """Whether the views are less than half as far apart as they were without their displacements."""
+    apart = removed = 0.0
+    for c in range(3):
+        d = _difference(model, state, views, c)
+        removed += d * d
+        apart += (d + state.displacements[0, c] - state.displacements[1, c]) ** 2
+    return apart < _STAYS * _STAYS * removed
+
+
+@inner_kernel
 def _has_jumped(model, state, views, v):  # type: ignore[no-untyped-def]
     """Whether view v has."""
     size = _norm(views.medians[v])
-    if size < _JUMP or _norm(views.medians[1 - v]) > _STAYS * size:
+    least = _JUMP + _SPEED * abs(views.delays[0] - views.delays[1])
+    if size < least or _norm(views.medians[1 - v]) > _STAYS * size:
         return False
     changed = 0.0
     for c in range(3):
@@ -70,20 +108,17 @@ def _has_jumped(model, state, views, v):  # type: ignore[no-untyped-def]
 def _absorb(model, state, views, v):  # type: ignore[no-untyped-def]
     """Changes the displacement of a view that has jumped, and its joints."""
     D, jump, sign = state.displacements[v], views.medians[v], 1.0 - 2.0 * v
-    before = apart = returned = 0.0
+    before = apart = displaced = left = 0.0
     for c in range(3):
         reported = _difference(model, state, views, c) + state.displacements[0, c] - state.displacements[1, c]
         apart += reported * reported
         before += (reported - sign * jump[c]) ** 2
-        returned += (jump[c] + D[c]) ** 2
-    _move(views, v, D, 1.0)
-    if returned < (_STAYS * _norm(jump)) ** 2:
-        for c in range(3):
-            D[c] = 0.0
-    elif apart > before:
+        displaced += D[c] * D[c]
+        left += (D[c] + jump[c]) ** 2
+    if apart > before or left < displaced:
+        _move(views, v, jump, -1.0)
         for c in range(3):
             D[c] += jump[c]
-    _move(views, v, D, -1.0)
 
 
 @inner_kernel
@@ -105,6 +140,14 @@ def _is_point(model, state, views, i):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
+def _count(model, state, views):  # type: ignore[no-untyped-def]
+    count = 0
+    for i in range(views.positions.shape[1]):
+        count += _is_point(model, state, views, i)
+    return count
+
+
+@inner_kernel
 def _of_point(model, state, views, v, i, c):  # type: ignore[no-untyped-def]
     """Innovation of the middle of joint i and its counterpart along axis c."""
     return 0.5 * (innovation(state, views, v, i, c) + innovation(state, views, v, model.mirror[i], c))
@@ -116,41 +159,38 @@ def _norm(x):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _median_innovation(model, state, views, v, c):  # type: ignore[no-untyped-def]
-    """The lower median of the points' innovations along axis c; NaN with fewer than 6 points."""
-    joints = views.positions.shape[1]
-    count = 0
-    for i in range(joints):
-        count += _is_point(model, state, views, i)
-    if count < _FEWEST:
-        return math.nan
-    for i in range(joints):
-        if not _is_point(model, state, views, i):
-            continue
-        e, smaller, equal = _of_point(model, state, views, v, i, c), 0, 0
-        for j in range(joints):
-            if _is_point(model, state, views, j):
-                other = _of_point(model, state, views, v, j, c)
-                smaller += other < e
-                equal += other == e
-        if smaller <= (count - 1) // 2 < smaller + equal:
-            return e
-    return math.nan
+def _distance(model, state, views, v, i):  # type: ignore[no-untyped-def]
+    """Distance of a point's innovation from the median, metres."""
+    square = 0.0
+    for c in range(3):
+        square += (_of_point(model, state, views, v, i, c) - views.medians[v, c]) ** 2
+    return math.sqrt(square)
+
+
+@inner_kernel
+def _set_medians(model, state, views):  # type: ignore[no-untyped-def]
+    """Writes the geometric median of each view's innovations; see Weiszfeld (1937)."""
+    for v in range(2):
+        for step in range(_ROUNDS):
+            x = y = z = total = 0.0
+            for i in range(views.positions.shape[1]):
+                if _is_point(model, state, views, i):
+                    w = 1.0 if step == 0 else 1.0 / max(_distance(model, state, views, v, i), _NEAREST)
+                    x += w * _of_point(model, state, views, v, i, 0)
+                    y += w * _of_point(model, state, views, v, i, 1)
+                    z += w * _of_point(model, state, views, v, i, 2)
+                    total += w
+            views.medians[v, 0], views.medians[v, 1], views.medians[v, 2] = x / total, y / total, z / total
 
 
 @inner_kernel
 def _alike(model, state, views, v, radius):  # type: ignore[no-untyped-def]
     """Share of the points whose innovation lies within the radius, metres, of the median."""
-    count = near = 0
+    near = 0
     for i in range(views.positions.shape[1]):
-        if not _is_point(model, state, views, i):
-            continue
-        square = 0.0
-        for c in range(3):
-            square += (_of_point(model, state, views, v, i, c) - views.medians[v, c]) ** 2
-        count += 1
-        near += square < radius * radius
-    return near / count
+        if _is_point(model, state, views, i):
+            near += _distance(model, state, views, v, i) < radius
+    return near / _count(model, state, views)
 
 
 @inner_kernel

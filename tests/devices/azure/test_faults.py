@@ -3,6 +3,7 @@
 import gc
 import sys
 from itertools import islice
+from pathlib import Path
 
 import pytest
 
@@ -11,7 +12,7 @@ from devices.azure.kinect import KinectSensor
 from devices.azure.settings import KinectSettings
 from devices.azure.tracking.body_tracker import BodyTracker
 from devices.azure.tracking.settings import TrackerSettings
-from devices.capture.usb import usb_kinects
+from devices.capture.usb import UsbKinect, usb_kinects
 from devices.live.sensors import connected_sensors
 from devices.sensor import AbsentError, DeviceError
 from devices.tracker_choice import choose_tracker
@@ -64,6 +65,19 @@ def test_unplugged_mid_stream_beside_another(bus, device, monkeypatch, tmp_path)
         (tmp_path / "sys/bus/usb/devices/2-7/serial").write_text("")
         with pytest.raises(DeviceError, match="unplugged"):
             next(frames)
+
+
+def test_an_absent_sensor_offers_none_of_other_software(device, monkeypatch):
+    listed = [UsbKinect("000123", Path(), True, 5000), UsbKinect("000456", Path(), True, 5000, "freenect2")]
+    monkeypatch.setattr(pyk4a_access, "usb_kinects", lambda: listed)
+    with _kinect():
+        pass
+    device.plugged = False
+    del listed[0]
+    with pytest.raises(DeviceError) as told:
+        _kinect().__enter__()
+    assert "000123" in str(told.value)
+    assert "000456" not in str(told.value)
 
 
 @pytest.mark.parametrize(
