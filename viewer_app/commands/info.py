@@ -237,7 +237,9 @@ def _of_session(session: Session, path: Path) -> Rows:
         "depth": {side: session.depth(side) for side in layout.VIEWS},
         "colour": {side: session.color(side) for side in layout.VIEWS},
     }
-    damage = [] if session.damage is None else [f"{session.damage}; {session.frames_lost} frames lost"]
+    damage = (
+        [] if session.damage is None else [f"{session.damage}; at least {session.frames_lost} frames lost"]
+    )
     for kind, of_sides in images.items():
         counts = {side: reader.count() for side, reader in of_sides.items()}
         if kind == "depth" or any(counts.values()):

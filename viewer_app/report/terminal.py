@@ -99,7 +99,9 @@ def say_more(console: Console, others: str = "as data with --report FILE.json") 
 def print_damage(console: Console, session: Session) -> None:
     """Prints the damage of a file, if any."""
     if session.damage is not None:
-        lost = f"; {session.frames_lost} more were written and are lost" if session.frames_lost else ""
+        lost = (
+            f"; at least {session.frames_lost} more were written and are lost" if session.frames_lost else ""
+        )
         console.print(
             f"[bold yellow]{escape(str(session))} is not whole[/]: {escape(session.damage)}. "
             f"{len(session)} frames could be read{lost}."
