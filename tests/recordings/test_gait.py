@@ -1,5 +1,7 @@
 """Steps of people whose feet are known, and of people who do not walk."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -12,6 +14,7 @@ from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from fusion.body import AZURE_KINECT, BODIES
 from fusion.movement.angles import UP
+from recordings import fuse
 from recordings.errors import RecordingError
 from recordings.gait import SIDES, Gait, Step
 from recordings.gait.events import find_gait
@@ -350,6 +353,18 @@ def test_a_foot_is_on_the_floor_from_its_strike_to_its_toe_off(how):
         known = np.isfinite(everywhere)
         assert ((everywhere[known] >= 0.0) & (everywhere[known] <= 1.0)).all()
         assert np.mean(known) == pytest.approx((later[-1].strike - first.strike) / 10.0, abs=0.002)
+
+
+@pytest.mark.parametrize("real", ["kinect_v2_90deg_walk_18", "kinect_v2_90deg_walk_9"])
+def test_a_foot_leaves_the_floor_after_the_other_one_has_struck(shared, real):
+    """S* loses a foot of these walks, whose toes then seem to leave the floor early in the stance."""
+    gait = fuse(*(shared / "real_more" / real / f"{side}.csv" for side in "ab")).gait
+    assert len(gait.steps) > 15
+    for walk in gait.walks:
+        for before, step in pairwise(walk):
+            assert not step.toe_off < before.strike - 0.1
+    for side in SIDES:
+        assert np.nanmin(gait.stance(side)) > 0.3
 
 
 @pytest.mark.parametrize("stretched", [1.0, 1.5])

@@ -96,15 +96,18 @@ def _summary(gait: Gait) -> str:
     walks = len(gait.walks)
     turns = ""
     if gait.turns:
-        turning = gait_figures(gait)["turns"]
-        angle, took = (
-            _told(turning[name], "mean", "sd", k) for k, name in enumerate(("angle_deg", "seconds"))
+        angles = sorted(abs(math.degrees(turn.angle)) for turn in gait.turns)
+        by = f"{angles[0]:.0f}°" if len(angles) == 1 else f"{angles[0]:.0f}° to {angles[-1]:.0f}°"
+        within = sum(
+            any(0.0 <= step.strike - turn.begins <= turn.seconds for turn in gait.turns)
+            for step in gait.steps
         )
-        number = f"{len(gait.turns)} {'turn' if len(gait.turns) == 1 else 'turns'}"
-        turns = f"; {number} of {angle}° in {took} s"
+        turns = (
+            f"; {len(angles)} {'turn' if len(angles) == 1 else 'turns'} by {by} with {within} of the steps"
+        )
     return (
-        f"{len(gait.steps)} steps in {walks} {'walk' if walks == 1 else 'walks'} of "
-        f"{gait.walking_seconds:.0f} s; cadence {_in_words(gait.cadence, 1)} steps/min, speed "
+        f"{len(gait.steps)} steps in {gait.walking_seconds:.0f} s of walking, {walks} "
+        f"{'walk' if walks == 1 else 'walks'}; cadence {_in_words(gait.cadence, 1)} steps/min, speed "
         f"{_in_words(gait.speed, 2)} m/s (± standard error){turns}{left_out and '; '}{left_out}."
     )
 

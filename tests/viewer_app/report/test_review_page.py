@@ -18,7 +18,7 @@ from fusion.body import KINECT_V2
 from recordings.appearance.colors import PREDICTED_COLOR
 from recordings.appearance.floor import floor_under
 from recordings.fusing.files import without_folders
-from recordings.gait import Gait, Measured
+from recordings.gait import Gait, Measured, Step, Turn
 from recordings.quality.figures import report, truth_free_figures
 from recordings.quality.limits import POSSIBLE
 from tests.helpers.command_line import duplex
@@ -87,7 +87,7 @@ def test_the_page_has_the_gait_of_people_who_walk_and_of_no_others(page, tmp_pat
     walking = walking_session(tmp_path / "walk.rrd")
     text = review_page(walking, report(walking) | {"without_truth": truth_free_figures(walking)})
     assert re.search(
-        rf"{len(walking.gait.steps)} steps in 1 walk of {walking.gait.walking_seconds:.0f} s; "
+        rf"{len(walking.gait.steps)} steps in {walking.gait.walking_seconds:.0f} s of walking, 1 walk; "
         r"cadence 104\.\d ± \d+\.\d steps/min, .* \(± standard error\); .*"  # a stride takes 1.15 s
         r"left out of 9 s of motion: \d s no three strikes in turn\.",
         text,
@@ -106,6 +106,19 @@ def test_motion_without_steps_is_told_in_seconds_with_the_reason():
         "No steps; left out of 4 s of motion: 4 s not forwards."
     )
     assert _summary(Gait((), {"not forwards": 0.0, "no three strikes in turn": 1.5})) == ""
+
+
+def test_turns_are_told_with_their_range_and_the_steps_in_them():
+    gait = Gait(
+        tuple(a_step(at) for at in (1.0, 2.0, 3.0)),
+        turns=(Turn(1.5, 1.0, 0.1, 7.5, 0.1), Turn(4.0, 1.0, 0.1, -0.8, 0.1)),
+    )
+    assert "; 2 turns by 46° to 430° with 1 of the steps" in _summary(gait)
+    assert "; 1 turn by 46° with 0 of the steps" in _summary(replace(gait, turns=gait.turns[1:]))
+
+
+def a_step(strike):
+    return Step("left", 0, strike, 0.02, strike - 0.4, 0.02, 0.5, 0.6, 0.02, 0.1, 0.6, 0.0)
 
 
 def test_no_value_is_more_certain_than_it_is_rounded():
