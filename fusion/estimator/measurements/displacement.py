@@ -44,12 +44,14 @@ def remove_displacements(model, state, views, dt):  # type: ignore[no-untyped-de
         _move(views, v, state.displacements[v], -1.0)
     if _count(model, state, views) < _FEWEST:
         return
-    if _agree_without(model, state, views):
+    displaced = _norm(state.displacements[0]) + _norm(state.displacements[1]) > 0.0
+    if displaced and _agree_without(model, state, views):
         for v in range(2):
             _move(views, v, state.displacements[v], 1.0)
             for c in range(3):
                 state.displacements[v, c] = 0.0
-    if state.compared[0] < _RECENT_SECONDS:
+    # a smaller change is no jump of either view, whatever the medians, which take longer than all other steps
+    if state.compared[0] < _RECENT_SECONDS and _changed(model, state, views) > _STAYS * _JUMP:
         _set_medians(model, state, views)
         for v in range(2):
             if _has_jumped(model, state, views, v):
@@ -92,16 +94,23 @@ def _agree_without(model, state, views):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
+def _changed(model, state, views):  # type: ignore[no-untyped-def]
+    """How far the views' mean difference is from its recent mean, metres."""
+    square = 0.0
+    for c in range(3):
+        square += (_difference(model, state, views, c) - state.difference[c]) ** 2
+    return math.sqrt(square)
+
+
+@inner_kernel
 def _has_jumped(model, state, views, v):  # type: ignore[no-untyped-def]
     """Whether view v has."""
     size = _norm(views.medians[v])
     least = _JUMP + _SPEED * abs(views.delays[0] - views.delays[1])
     if size < least or _norm(views.medians[1 - v]) > _STAYS * size:
         return False
-    changed = 0.0
-    for c in range(3):
-        changed += (_difference(model, state, views, c) - state.difference[c]) ** 2
-    return changed > (_STAYS * size) ** 2 and _alike(model, state, views, v, _STAYS * size) > _MOST
+    near = _STAYS * size
+    return _changed(model, state, views) > near and _alike(model, state, views, v, near) > _MOST
 
 
 @inner_kernel
