@@ -42,24 +42,26 @@ def remove_displacements(model, state, views, dt):  # type: ignore[no-untyped-de
         for c in range(3):
             state.displacements[v, c] *= faded
         _move(views, v, state.displacements[v], -1.0)
-    if _count(model, state, views) < _FEWEST:
+    if _set_difference(model, state, views) < _FEWEST:
         return
     displaced = _norm(state.displacements[0]) + _norm(state.displacements[1]) > 0.0
-    if displaced and _agree_without(model, state, views):
+    if displaced and _agree_without(state, views):
         for v in range(2):
             _move(views, v, state.displacements[v], 1.0)
             for c in range(3):
                 state.displacements[v, c] = 0.0
+        _set_difference(model, state, views)
     # a smaller change is no jump of either view, whatever the medians, which take longer than all other steps
-    if state.compared[0] < _RECENT_SECONDS and _changed(model, state, views) > _STAYS * _JUMP:
+    if state.compared[0] < _RECENT_SECONDS and _changed(state, views) > _STAYS * _JUMP:
         _set_medians(model, state, views)
         for v in range(2):
             if _has_jumped(model, state, views, v):
-                _absorb(model, state, views, v)
+                _absorb(state, views, v)
+                _set_difference(model, state, views)
     share = 1.0 - math.exp(-state.compared[0] / _RECENT_SECONDS)
     state.compared[0] = 0.0
     for c in range(3):
-        state.difference[c] += share * (_difference(model, state, views, c) - state.difference[c])
+        state.difference[c] += share * (views.between[c] - state.difference[c])
 
 
 @inner_kernel
@@ -83,22 +85,22 @@ def add_displacements(model, state, covariance, sigma):  # type: ignore[no-untyp
 
 
 @inner_kernel
-def _agree_without(model, state, views):  # type: ignore[no-untyped-def]
+def _agree_without(state, views):  # type: ignore[no-untyped-def]
     """Whether the views are less than half as far apart as they were without their displacements."""
     apart = removed = 0.0
     for c in range(3):
-        d = _difference(model, state, views, c)
+        d = views.between[c]
         removed += d * d
         apart += (d + state.displacements[0, c] - state.displacements[1, c]) ** 2
     return apart < _STAYS * _STAYS * removed
 
 
 @inner_kernel
-def _changed(model, state, views):  # type: ignore[no-untyped-def]
+def _changed(state, views):  # type: ignore[no-untyped-def]
     """How far the views' mean difference is from its recent mean, metres."""
     square = 0.0
     for c in range(3):
-        square += (_difference(model, state, views, c) - state.difference[c]) ** 2
+        square += (views.between[c] - state.difference[c]) ** 2
     return math.sqrt(square)
 
 
@@ -110,16 +112,16 @@ def _has_jumped(model, state, views, v):  # type: ignore[no-untyped-def]
     if size < least or _norm(views.medians[1 - v]) > _STAYS * size:
         return False
     near = _STAYS * size
-    return _changed(model, state, views) > near and _alike(model, state, views, v, near) > _MOST
+    return _changed(state, views) > near and _alike(model, state, views, v, near) > _MOST
 
 
 @inner_kernel
-def _absorb(model, state, views, v):  # type: ignore[no-untyped-def]
+def _absorb(state, views, v):  # type: ignore[no-untyped-def]
     """Changes the displacement of a view that has jumped, and its joints."""
     D, jump, sign = state.displacements[v], views.medians[v], 1.0 - 2.0 * v
     before = apart = displaced = left = 0.0
     for c in range(3):
-        reported = _difference(model, state, views, c) + state.displacements[0, c] - state.displacements[1, c]
+        reported = views.between[c] + state.displacements[0, c] - state.displacements[1, c]
         apart += reported * reported
         before += (reported - sign * jump[c]) ** 2
         displaced += D[c] * D[c]
@@ -203,13 +205,18 @@ def _alike(model, state, views, v, radius):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _difference(model, state, views, c):  # type: ignore[no-untyped-def]
-    """Mean of A's points less those of B along axis c, metres."""
-    total, count = 0.0, 0
+def _set_difference(model, state, views):  # type: ignore[no-untyped-def]
+    """Writes the mean of A's points less those of B, metres; returns the number of points."""
+    x = y = z = 0.0
+    count = 0
+    a, b = views.positions[0], views.positions[1]
     for i in range(views.positions.shape[1]):
         if _is_point(model, state, views, i):
             m = model.mirror[i]
-            a = views.positions[0, i, c] + views.positions[0, m, c]
-            total += 0.5 * (a - views.positions[1, i, c] - views.positions[1, m, c])
+            x += 0.5 * (a[i, 0] + a[m, 0] - b[i, 0] - b[m, 0])
+            y += 0.5 * (a[i, 1] + a[m, 1] - b[i, 1] - b[m, 1])
+            z += 0.5 * (a[i, 2] + a[m, 2] - b[i, 2] - b[m, 2])
             count += 1
-    return total / count
+    n = max(count, 1)
+    views.between[0], views.between[1], views.between[2] = x / n, y / n, z / n
+    return count
