@@ -103,8 +103,10 @@ class Views(NamedTuple):
     codes: Annotated[Ints, (2,)]  # exchange codes; see :mod:`fusion.facing.model`
     side_doubt: Annotated[Array, (2,)]  # probability that a view's sides are still wrong
     heading: Annotated[Array, (3,), np.nan]  # see :class:`fusion.facing.labels.Labels`
+    points: Annotated[NDArray[np.bool_], ("J",)]  # middles that no exchange moves and both views track
     between: Annotated[Array, (3,)]  # mean of A's points less those of B, metres
-    medians: Annotated[Array, (2, 3), np.nan]  # of the innovations of points that both views track, metres
+    innovations: Annotated[Array, (2, "J", 3)]  # of these points, metres
+    medians: Annotated[Array, (2, 3), np.nan]  # geometric medians of these, metres
     rays: Annotated[Array, (2, "J", 3)]  # unit vectors from the sensor to the joint
     covers: Annotated[Ints, (2, "J"), -1]  # covering joint nearest in the viewing plane, or -1
     cover_distances: Annotated[Array, (2, "J")]  # its distance across the ray, metres

@@ -36,32 +36,41 @@ def remove_displacements(model, state, views, dt):  # type: ignore[no-untyped-de
     Both D are 0 as soon as the views are less than half as far apart without them: a view is back, or the
     other one has followed it. D fades within 10 s. Views of different times, δ apart, jump by 6 m/s δ more.
     """
-    faded = math.exp(-dt / _SECONDS)
     state.compared[0] += dt
-    for v in range(2):
-        for c in range(3):
-            state.displacements[v, c] *= faded
-        _move(views, v, state.displacements[v], -1.0)
-    if _set_difference(model, state, views) < _FEWEST:
-        return
     displaced = _norm(state.displacements[0]) + _norm(state.displacements[1]) > 0.0
-    if displaced and _agree_without(state, views):
+    if displaced:
+        faded = math.exp(-dt / _SECONDS)
         for v in range(2):
-            _move(views, v, state.displacements[v], 1.0)
+            for c in range(3):
+                state.displacements[v, c] *= faded
+            _move(views.positions[v], state.displacements[v], -1.0)
+    if _find_points(model.mirror, state.known, views.states, views.points) < _FEWEST:
+        return
+    between, medians = views.between, views.medians
+    _set_difference(model.mirror, views.points, views.positions, between)
+    if displaced and _agree_without(state.displacements, between):
+        for v in range(2):
+            _move(views.positions[v], state.displacements[v], 1.0)
             for c in range(3):
                 state.displacements[v, c] = 0.0
-        _set_difference(model, state, views)
+        _set_difference(model.mirror, views.points, views.positions, between)
     # a smaller change is no jump of either view, whatever the medians, which take longer than all other steps
-    if state.compared[0] < _RECENT_SECONDS and _changed(state, views) > _STAYS * _JUMP:
-        _set_medians(model, state, views)
+    changed = _distance(between, state.difference)
+    if state.compared[0] < _RECENT_SECONDS and changed > _STAYS * _JUMP:
+        least = _JUMP + _SPEED * abs(views.delays[0] - views.delays[1])
         for v in range(2):
-            if _has_jumped(model, state, views, v):
-                _absorb(state, views, v)
-                _set_difference(model, state, views)
+            _set_innovations(model, state, views, v)
+            _set_median(views.innovations[v], views.points, medians[v])
+        v = 0 if _norm(medians[0]) > _norm(medians[1]) else 1
+        near = _STAYS * _norm(medians[v])
+        jumped = _norm(medians[v]) >= least and _norm(medians[1 - v]) <= near and changed > near
+        if jumped and _alike(views.innovations[v], views.points, medians[v], near) > _MOST:
+            _absorb(state.displacements, between, v, medians[v], views.positions[v])
+            _set_difference(model.mirror, views.points, views.positions, between)
     share = 1.0 - math.exp(-state.compared[0] / _RECENT_SECONDS)
     state.compared[0] = 0.0
     for c in range(3):
-        state.difference[c] += share * (views.between[c] - state.difference[c])
+        state.difference[c] += share * (between[c] - state.difference[c])
 
 
 @inner_kernel
@@ -85,138 +94,111 @@ def add_displacements(model, state, covariance, sigma):  # type: ignore[no-untyp
 
 
 @inner_kernel
-def _agree_without(state, views):  # type: ignore[no-untyped-def]
+def _find_points(mirror, known, states, points):  # type: ignore[no-untyped-def]
+    """Writes (J,) whether the middle of a joint and its counterpart is a known point that both views track.
+
+    Each middle is once, at its first joint. Returns their number.
+    """
+    count = 0
+    for i in range(len(mirror)):
+        m = mirror[i]
+        points[i] = m >= i and known[i] and known[m]
+        for v in range(2):
+            points[i] = points[i] and states[v, i] == TRACKED and states[v, m] == TRACKED
+        count += points[i]
+    return count
+
+
+@inner_kernel
+def _set_difference(mirror, points, positions, between):  # type: ignore[no-untyped-def]
+    """Writes (3,) the mean of A's points less those of B, metres."""
+    x = y = z = 0.0
+    count = 0
+    a, b = positions[0], positions[1]
+    for i in range(len(mirror)):
+        if points[i]:
+            m = mirror[i]
+            x += 0.5 * (a[i, 0] + a[m, 0] - b[i, 0] - b[m, 0])
+            y += 0.5 * (a[i, 1] + a[m, 1] - b[i, 1] - b[m, 1])
+            z += 0.5 * (a[i, 2] + a[m, 2] - b[i, 2] - b[m, 2])
+            count += 1
+    between[0], between[1], between[2] = x / count, y / count, z / count
+
+
+@inner_kernel
+def _agree_without(displacements, between):  # type: ignore[no-untyped-def]
     """Whether the views are less than half as far apart as they were without their displacements."""
     apart = removed = 0.0
     for c in range(3):
-        d = views.between[c]
-        removed += d * d
-        apart += (d + state.displacements[0, c] - state.displacements[1, c]) ** 2
+        removed += between[c] * between[c]
+        apart += (between[c] + displacements[0, c] - displacements[1, c]) ** 2
     return apart < _STAYS * _STAYS * removed
 
 
 @inner_kernel
-def _changed(state, views):  # type: ignore[no-untyped-def]
-    """How far the views' mean difference is from its recent mean, metres."""
-    square = 0.0
-    for c in range(3):
-        square += (views.between[c] - state.difference[c]) ** 2
-    return math.sqrt(square)
-
-
-@inner_kernel
-def _has_jumped(model, state, views, v):  # type: ignore[no-untyped-def]
-    """Whether view v has."""
-    size = _norm(views.medians[v])
-    least = _JUMP + _SPEED * abs(views.delays[0] - views.delays[1])
-    if size < least or _norm(views.medians[1 - v]) > _STAYS * size:
-        return False
-    near = _STAYS * size
-    return _changed(state, views) > near and _alike(model, state, views, v, near) > _MOST
-
-
-@inner_kernel
-def _absorb(state, views, v):  # type: ignore[no-untyped-def]
-    """Changes the displacement of a view that has jumped, and its joints."""
-    D, jump, sign = state.displacements[v], views.medians[v], 1.0 - 2.0 * v
+def _absorb(displacements, between, v, jump, positions):  # type: ignore[no-untyped-def]
+    """Changes the displacement of view v, which has jumped, and its joints."""
+    D, sign = displacements[v], 1.0 - 2.0 * v
     before = apart = displaced = left = 0.0
     for c in range(3):
-        reported = views.between[c] + state.displacements[0, c] - state.displacements[1, c]
+        reported = between[c] + displacements[0, c] - displacements[1, c]
         apart += reported * reported
         before += (reported - sign * jump[c]) ** 2
         displaced += D[c] * D[c]
         left += (D[c] + jump[c]) ** 2
     if apart > before or left < displaced:
-        _move(views, v, jump, -1.0)
+        _move(positions, jump, -1.0)
         for c in range(3):
             D[c] += jump[c]
 
 
 @inner_kernel
-def _move(views, v, by, sign):  # type: ignore[no-untyped-def]
-    """Moves all joints of a view."""
-    for i in range(views.positions.shape[1]):
+def _move(positions, by, sign):  # type: ignore[no-untyped-def]
+    """Moves all joints, (J, 3)."""
+    for i in range(len(positions)):
         for c in range(3):
-            views.positions[v, i, c] += sign * by[c]
+            positions[i, c] += sign * by[c]
 
 
 @inner_kernel
-def _is_point(model, state, views, i):  # type: ignore[no-untyped-def]
-    """Whether the middle of joint i and its counterpart is a known point that both views track."""
-    m = model.mirror[i]
-    tracked = m >= i and state.known[i] and state.known[m]
-    for v in range(2):
-        tracked = tracked and views.states[v, i] == TRACKED and views.states[v, m] == TRACKED
-    return tracked
+def _set_innovations(model, state, views, v):  # type: ignore[no-untyped-def]
+    """Writes (J, 3) the innovation of each point, metres."""
+    for i in range(len(model.mirror)):
+        if views.points[i]:
+            for c in range(3):
+                other = innovation(state, views, v, model.mirror[i], c)
+                views.innovations[v, i, c] = 0.5 * (innovation(state, views, v, i, c) + other)
 
 
 @inner_kernel
-def _count(model, state, views):  # type: ignore[no-untyped-def]
-    count = 0
-    for i in range(views.positions.shape[1]):
-        count += _is_point(model, state, views, i)
-    return count
+def _set_median(innovations, points, median):  # type: ignore[no-untyped-def]
+    """Writes (3,) the geometric median of the points' innovations; see Weiszfeld (1937)."""
+    for step in range(_ROUNDS):
+        x = y = z = total = 0.0
+        for i in range(len(points)):
+            if points[i]:
+                e = innovations[i]
+                w = 1.0 if step == 0 else 1.0 / max(_distance(e, median), _NEAREST)
+                x, y, z, total = x + w * e[0], y + w * e[1], z + w * e[2], total + w
+        median[0], median[1], median[2] = x / total, y / total, z / total
 
 
 @inner_kernel
-def _of_point(model, state, views, v, i, c):  # type: ignore[no-untyped-def]
-    """Innovation of the middle of joint i and its counterpart along axis c."""
-    return 0.5 * (innovation(state, views, v, i, c) + innovation(state, views, v, model.mirror[i], c))
+def _alike(innovations, points, median, radius):  # type: ignore[no-untyped-def]
+    """Share of the points whose innovation lies within the radius, metres, of the median."""
+    near = count = 0
+    for i in range(len(points)):
+        if points[i]:
+            near += _distance(innovations[i], median) < radius
+            count += 1
+    return near / count
+
+
+@inner_kernel
+def _distance(x, y):  # type: ignore[no-untyped-def]
+    return math.sqrt((x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2)
 
 
 @inner_kernel
 def _norm(x):  # type: ignore[no-untyped-def]
     return math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
-
-
-@inner_kernel
-def _distance(model, state, views, v, i):  # type: ignore[no-untyped-def]
-    """Distance of a point's innovation from the median, metres."""
-    square = 0.0
-    for c in range(3):
-        square += (_of_point(model, state, views, v, i, c) - views.medians[v, c]) ** 2
-    return math.sqrt(square)
-
-
-@inner_kernel
-def _set_medians(model, state, views):  # type: ignore[no-untyped-def]
-    """Writes the geometric median of each view's innovations; see Weiszfeld (1937)."""
-    for v in range(2):
-        for step in range(_ROUNDS):
-            x = y = z = total = 0.0
-            for i in range(views.positions.shape[1]):
-                if _is_point(model, state, views, i):
-                    w = 1.0 if step == 0 else 1.0 / max(_distance(model, state, views, v, i), _NEAREST)
-                    x += w * _of_point(model, state, views, v, i, 0)
-                    y += w * _of_point(model, state, views, v, i, 1)
-                    z += w * _of_point(model, state, views, v, i, 2)
-                    total += w
-            views.medians[v, 0], views.medians[v, 1], views.medians[v, 2] = x / total, y / total, z / total
-
-
-@inner_kernel
-def _alike(model, state, views, v, radius):  # type: ignore[no-untyped-def]
-    """Share of the points whose innovation lies within the radius, metres, of the median."""
-    near = 0
-    for i in range(views.positions.shape[1]):
-        if _is_point(model, state, views, i):
-            near += _distance(model, state, views, v, i) < radius
-    return near / _count(model, state, views)
-
-
-@inner_kernel
-def _set_difference(model, state, views):  # type: ignore[no-untyped-def]
-    """Writes the mean of A's points less those of B, metres; returns the number of points."""
-    x = y = z = 0.0
-    count = 0
-    a, b = views.positions[0], views.positions[1]
-    for i in range(views.positions.shape[1]):
-        if _is_point(model, state, views, i):
-            m = model.mirror[i]
-            x += 0.5 * (a[i, 0] + a[m, 0] - b[i, 0] - b[m, 0])
-            y += 0.5 * (a[i, 1] + a[m, 1] - b[i, 1] - b[m, 1])
-            z += 0.5 * (a[i, 2] + a[m, 2] - b[i, 2] - b[m, 2])
-            count += 1
-    n = max(count, 1)
-    views.between[0], views.between[1], views.between[2] = x / n, y / n, z / n
-    return count
