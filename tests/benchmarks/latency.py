@@ -82,7 +82,7 @@ def vmc_delay(body, seconds):
     rows = [line.split() for line in printed.splitlines()]
     sent = [(now, float(stamp)) for now, stamp in rows if float(stamp) in left]  # not the last word
     delays = np.array([int(now) - left[stamp] for now, stamp in sent][_SETTLING:]) * 1e-6
-    return {"frames": len(departures.times), "arrived": len(rows), **_percentiles(delays)}
+    return {"frames": len(departures.times), "arrived": len(sent), **_percentiles(delays)}
 
 
 def live_latency(seconds, viewer, busy=0):
