@@ -30,7 +30,7 @@ _SHORTEST_STEP = -0.04  # lengths of the leg; in a tight curve the inner foot la
 _BETWEEN = 0.4, 2.0  # of the median time between strikes of both feet
 _LONGEST_STEP = 2.0  # seconds
 _LONGEST_SWING = 2.0  # of the walk's median; that of a first step which is longer is not known
-_FLIGHT = 0.1  # seconds from a toe-off to the other foot's strike: beyond, it is none of a walk
+_FLIGHT = 0.1  # seconds: no toe-off of a walk lies farther before the other foot's strike
 _FEWEST = 3  # strikes in turn
 _AROUND = 0.1  # seconds: errors of S* that count for an event
 _DEFINITION_SD = 0.02  # seconds, between contact and what shows it
@@ -205,7 +205,10 @@ def _of_steps(walk: Sequence[Step]) -> Iterator[list[Step]]:
 
 
 def _after(before: Step, step: Step) -> Step:
-    """The step, without a toe-off that the other foot's strike follows: walking has double support."""
+    """The step; its toe-off is unknown if it lies before the other foot's strike.
+
+    People who walk have both feet on the floor at a strike.
+    """
     if step.toe_off < before.strike - _FLIGHT:
         return step._replace(toe_off=math.nan, toe_off_sigma=math.nan)
     return step

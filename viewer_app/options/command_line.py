@@ -12,6 +12,7 @@ from cyclopts import (
     Group,
     MissingArgumentError,
     Parameter,
+    RepeatArgumentError,
     Token,
     UnusedCliTokensError,
 )
@@ -96,6 +97,8 @@ def _reason(error: CycloptsError) -> str:
                 if is_option
                 else f"missing argument {missing.name[2:].upper()}"
             )
+        case RepeatArgumentError(token=Token(keyword=str() as name)):
+            return f"{name} is given twice"
         case UnusedCliTokensError(unused_tokens=[token, *_]):
             return f"one argument too many: {token!r}"
         case CoercionError(token=Token(keyword=str() as name, value=value), target_type=kind):
@@ -112,9 +115,7 @@ def _program() -> App:
         help_format="markdown",
         version_flags=(),
         usage="",
-        default_parameter=Parameter(
-            negative=(), allow_repeating=True, consume_multiple=True, show_default=_worth_showing
-        ),
+        default_parameter=Parameter(negative=(), consume_multiple=True, show_default=_worth_showing),
         group_parameters=Group("Options", sort_key=0),
     )
     apps = {"": program}

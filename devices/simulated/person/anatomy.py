@@ -184,8 +184,12 @@ def along(down: Array, back: Array) -> Array:
     return np.stack((np.cross(y, z), y, z), axis=-1)
 
 
+BENT = 0.03
+"""Share of a straight limb's length that is missing when its reach begins to saturate."""
+
+
 def two_bones(
-    target: Array, pole: Array, first: float, second: float, bent: float = 0.03
+    target: Array, pole: Array, first: float, second: float, bent: float = BENT
 ) -> tuple[Array, Array, Array]:
     """Solves the inverse kinematics of two bones from the origin to a target (law of cosines).
 
@@ -195,7 +199,7 @@ def two_bones(
     Args:
         target: (T, 3) desired end of the second bone.
         pole: (T, 3) direction towards which the middle joint bends.
-        bent: Share of the straight limb, from which on it saturates.
+        bent: See :data:`BENT`.
 
     Returns:
         (T, 3) the middle joint, (T, 3) the end, and (T, 3) the unit rotation axis of the middle joint.

@@ -101,7 +101,7 @@ class Motion:
     """Steps from the start-up stance to that of the loop, in seconds since the end of the start-up pose."""
     startup: bool = True  # whether the movement begins with the start-up pose
     speeds_up: bool = False  # whether the loop starts from rest: its time advances slowly at first
-    bent: float = 0.03  # of the legs' length, by which their reach begins to end
+    bent: float = anatomy.BENT  # of the legs
 
     @property
     def begins(self) -> float:
@@ -163,7 +163,7 @@ def _sway(t: Array) -> Array:
     return c
 
 
-def follow(c: Array, toes: Array, yaw: Array, pitch: Array, bent: float = 0.03) -> Pose:
+def follow(c: Array, toes: Array, yaw: Array, pitch: Array, bent: float = anatomy.BENT) -> Pose:
     """Computes poses from (T, C) channels and the feet of :func:`walk_feet`."""
 
     def of(name: str) -> Array:
@@ -222,8 +222,8 @@ def _within_reach(pelvis: Array, rotation: Array, ankles: list[Array], bent: flo
         hip = rotation @ offset(f"HIP_{side}")
         across = np.sum((ankle - pelvis - hip)[:, (0, 2)] ** 2, axis=1)
         lowest.append(ankle[:, 1] - hip[:, 1] - np.sqrt(np.maximum(reach**2 - across, 0.01)))
-    # Metres over which the limits are smoothed; a knee bends with the root of what lacks of the leg's length.
-    sharpness = 0.012 * np.sqrt(bent / 0.03)
+    # Metres over which the limits are smoothed. The knee's angle is as the square root of the missing length.
+    sharpness = 0.012 * np.sqrt(bent / anatomy.BENT)
     y = np.stack(lowest)
     top = y.max(axis=0)
     return np.asarray(top + sharpness * np.log(np.exp((y - top) / sharpness).sum(axis=0)))

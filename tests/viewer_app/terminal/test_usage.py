@@ -32,6 +32,8 @@ __all__ = ["parsed"]  # a fixture
             'Did you mean "duplex"? (duplex fuse --help)',
         ),
         ("live --fps 31", 'Invalid value "31" for --fps. Choose from: 5, 15, 30. (duplex live --help)'),
+        ("export w.rrd --to a.bvh --to b.bvh", "--to is given twice (duplex export --help)"),
+        ("demo --no-viewer --no-viewer", "--no-viewer is given twice (duplex demo --help)"),
         ("trim w.rrd", "missing option --save (duplex trim --help)"),
         ("fus a.csv b.csv", 'Unknown command "fus". Did you mean "fuse"? Available commands: demo, live, …'),
         ("tracker", "name a command: fetch (duplex tracker --help)"),
@@ -89,9 +91,9 @@ def test_the_help_has_the_options_of_experts_last(capsys):
     assert titles == ["Arguments", "Options", *groups]
 
 
-def test_an_option_given_twice_has_its_last_value(parsed):
-    assert duplex("demo", "--seconds", 3, "--seconds", 4, "--no-viewer", "--no-viewer") == 0
-    assert (parsed[0].seconds, parsed[0].no_viewer) == (4.0, True)
+def test_options_of_several_values_may_be_given_twice(parsed):
+    assert duplex("live", "--zenoh", "k", "--zenoh-listen", "tcp/a:1", "--zenoh-listen", "tcp/b:2") == 0
+    assert parsed[0].zenoh_listen == ("tcp/a:1", "tcp/b:2")
 
 
 WORDS = (
