@@ -18,7 +18,6 @@ from devices.capture.sensor_choice import ConnectedSensor, NeedsChoiceError, cho
 from devices.live import sensors as live_sensors
 from devices.live.sensors import connected_sensors
 from devices.recorded.files import images_of
-from devices.recorded.raw_recording import camera_of
 from devices.sensor import DeviceError, Sensor
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from devices.upright import UprightSensor
@@ -27,6 +26,7 @@ from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.sensors import local
+from viewer_app.sinks.raw_recording import camera_of
 
 BOLT, SECOND = "CL8H741005K", "CL8H7410123"
 OURS, MICROSOFTS = TrackerChoice("blazepose", "a test"), TrackerChoice("k4abt", "a test")

@@ -18,7 +18,6 @@ from devices.freenect.sensor import INTRINSICS, FreenectSensor
 from devices.freenect2.sensor import Freenect2Sensor
 from devices.orbbec.sensor import OrbbecSensor
 from devices.realsense.sensors import RealSenseSensor
-from devices.recorded.raw_recording import RawRecorder, record_images
 from devices.sensor import SensorWrapper
 from devices.simulated.kinect import simulated_pair
 from fusion.body import BLAZEPOSE
@@ -33,6 +32,7 @@ from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.realsense import LENS, plugged, record
 from tests.helpers.rendered_people import images_of
 from tests.helpers.standin_pyk4a import Device
+from viewer_app.sinks.raw_recording import RawRecorder, record_images
 
 COUNT = 12
 

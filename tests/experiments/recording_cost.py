@@ -11,9 +11,9 @@ import time
 from itertools import islice
 from pathlib import Path
 
-from devices.recorded.raw_recording import RawRecorder
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
+from viewer_app.sinks.raw_recording import RawRecorder
 
 _SECONDS, _FPS, _RENDERED = 10, 30, 30
 

@@ -1,5 +1,6 @@
 """The base of all outputs: a bounded queue and a thread, so that no receiver holds up the loop."""
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -15,7 +16,7 @@ from recordings.appearance.coach_page import CoachPage
 from viewer_app.errors import UsageError
 from viewer_app.outputs.capture_time import CaptureTime
 from viewer_app.outputs.even_samples import EvenSamples
-from viewer_app.sinks.item_queue import DropOldest, Item, QueuedFrame
+from viewer_app.sinks.item_queue import DropOldest, Item, ItemQueue, QueuedFrame
 from viewer_app.sinks.queued_sink import QueuedSink
 
 LATE_NS = 33_333_333
@@ -78,7 +79,9 @@ class LiveOutput(QueuedSink):
 
     def __init__(self, name: str, keep: int = 1, clock: Callable[[], int] = time.perf_counter_ns) -> None:
         self._drop_oldest = DropOldest(keep)
-        super().__init__(f"output {name.partition(' ')[0].lower()}", self._drop_oldest, clock)
+        super().__init__(ItemQueue(self._drop_oldest), clock)
+        thread_name = f"output {name.partition(' ')[0].lower()}"
+        self._thread = threading.Thread(target=self._run, name=thread_name, daemon=True)
         self.name = name
         self.failure: str | None = None
         self.page = self.note = ""

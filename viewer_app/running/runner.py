@@ -125,7 +125,7 @@ class Runner:
         console, verbose, file = self._console, self._options.verbose, self.session.file
         saved = None
         with call_after(1.0, lambda: console.print("Computing the summary …")):
-            if file is not None and file.failure is None and 0 < file.saved <= _REVIEWED:
+            if file is not None and file.failure is None and 0 < file.written <= _REVIEWED:
                 saved = Session.open(file.path)
             figures = session_report(setup, frames, sensors, self._outputs, saved)
         if "fused_frames" not in figures:
@@ -142,17 +142,10 @@ class Runner:
         """Prints where the session was saved, which frames are missing, and where all figures are."""
         console, file = self._console, self.session.file
         if file is not None:
-            if file.saved == 0 and file.failure is None:
-                text = f"{file.path} was not written: no frame was received."
-                console.print(text, markup=False)
-            elif file.failure is None:
+            if file.written and file.failure is None:
                 say_saved(console, file.path)
-            for count, what in (
-                (file.lost, "not saved: the disk was too slow"),
-                (file.without_images, "saved without their images: this machine was too slow"),
-            ):
-                if count and file.failure is None:  # else that says what is saved
-                    console.print(f"[yellow]{count} frames are {what}.[/]")
+            for text in file.missing:
+                console.print(text, style="yellow", markup=False, soft_wrap=True)
         if not self._options.verbose:
             say_more(console)
 

@@ -112,7 +112,7 @@ class LiveDisplay:
         file, viewer = self._session.file, self._session.viewer
         if file is not None:
             stopped = file.failure is not None
-            parts.append("SAVING STOPPED" if stopped else f"saving {file.saved_bytes / 1e6:.1f} MB")
+            parts.append("SAVING STOPPED" if stopped else f"saving {file.written_bytes / 1e6:.1f} MB")
         if viewer is not None and viewer.dropped:
             parts.append(f"{viewer.dropped} not shown")
         if file is not None and file.lost:

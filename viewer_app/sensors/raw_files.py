@@ -17,7 +17,6 @@ from devices.capture.stream_pairing import LivePairing
 from devices.live.sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
 from devices.recorded.files import distinct_names, images_of, not_of_libk4a, open_images, open_source
-from devices.recorded.raw_recording import RawRecorder, camera_of, record_images
 from devices.recorded.two_recordings import cable_delay_ns, refuse_same
 from devices.sensor import CableSync, Sensor
 from devices.simulated.real_time import Beat, PacedSensor
@@ -27,6 +26,7 @@ from viewer_app.options.sensing import DemoOptions, LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room
 from viewer_app.sensors.remote import teller
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
+from viewer_app.sinks.raw_recording import RawRecorder, camera_of, record_images
 
 _NAMES = ("a.mkv", "b.mkv")
 _BYTES_PER_MINUTE = 5_300_000_000  # of two sensors, uncompressed
@@ -36,7 +36,7 @@ class RawFiles(ExitStack):
     """The recordings a.mkv and b.mkv of a folder. Enter it before the sensors, so that it closes after them.
 
     Args:
-        hide: As for :class:`~devices.recorded.raw_recording.RawRecorder`.
+        hide: As for :class:`~viewer_app.sinks.raw_recording.RawRecorder`.
 
     Raises:
         UsageError: The folder cannot be made, or has such files and `force` is not set, or one of them is
@@ -92,18 +92,11 @@ class RawFiles(ExitStack):
     def print_end(self) -> None:
         """Prints what was recorded, and what is missing."""
         for recorder in self.recorders:
-            if not recorder.written:
-                if recorder.failure is None:
-                    self._console.print(f"{recorder.path} was not written: no frame arrived.", markup=False)
-                continue
-            said = f"{recorder.path}: {recorder.written} frames, {recorder.written_bytes / 1e6:.0f} MB"
-            self._console.print(said, markup=False, soft_wrap=True)
-            for count, what in (
-                (recorder.lost, "not recorded: the disk was too slow or full"),
-                (recorder.without_images, "recorded without infrared and colour: the disk was too slow"),
-            ):
-                if count:
-                    self._console.print(f"[yellow]{count} frames are {what}.[/]")
+            if recorder.written:
+                said = f"{recorder.path}: {recorder.written} frames, {recorder.written_bytes / 1e6:.0f} MB"
+                self._console.print(said, markup=False, soft_wrap=True)
+            for text in recorder.missing:
+                self._console.print(text, style="yellow", markup=False, soft_wrap=True)
 
     def check_whole(self) -> None:
         """Reports a recording that ended early as a usage error: one line and exit code 2."""

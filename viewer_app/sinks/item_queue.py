@@ -2,8 +2,9 @@
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from devices.events import Event
 from fusion.fused_frame import FusedFrame
@@ -31,7 +32,8 @@ class QueuedFrame:
 
 
 Item = QueuedFrame | Event | FusionSetup | CoachPage
-Policy = Callable[[deque[Item], Item], Item | None]
+T = TypeVar("T")
+Policy = Callable[[deque[T], T], T | None]
 """Makes room among the queued items for another one; returns what is queued for it, None for nothing."""
 
 
@@ -55,7 +57,7 @@ class DropOldest:
         return item
 
 
-class ItemQueue:
+class ItemQueue(Generic[T]):
     """Takes items from any thread, without waiting, until it is ended; one thread takes them out.
 
     Attributes:
@@ -63,21 +65,25 @@ class ItemQueue:
         ended: Whether no more items are taken; what is queued can still be taken out.
     """
 
-    def __init__(self, policy: Policy) -> None:
-        self._policy, self._items = policy, deque[Item]()
+    def __init__(self, policy: Policy[T]) -> None:
+        self._policy, self._items = policy, deque[T]()
         self.changed, self.ended = threading.Condition(), False
 
     def __len__(self) -> int:
         return len(self._items)
 
-    def put(self, item: Item) -> None:
-        """Queues an item as the policy wants; once ended, discards it."""
+    def __iter__(self) -> Iterator[T]:
+        return iter(self._items)
+
+    def put(self, item: T) -> None:
+        """Queues an item as the policy wants; once ended, the policy only learns of it."""
         with self.changed:
-            if not self.ended and (admitted := self._policy(self._items, item)) is not None:
+            admitted = self._policy(self._items, item)
+            if admitted is not None and not self.ended:
                 self._items.append(admitted)
                 self.changed.notify()
 
-    def take(self, seconds: float | None, most: int | None = None) -> list[Item]:
+    def take(self, seconds: float | None, most: int | None = None) -> list[T]:
         """Takes out the queued items, at most `most`; waits so long for the first one or the end."""
         with self.changed:
             self.changed.wait_for(lambda: self._items or self.ended, seconds)

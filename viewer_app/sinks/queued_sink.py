@@ -1,6 +1,5 @@
 """A sink with a queue and a thread: the base of all that may wait for a disk, a process or a network."""
 
-import threading
 import time
 from collections.abc import Callable, Sequence
 from itertools import groupby
@@ -12,7 +11,7 @@ from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from recordings.data.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
-from viewer_app.sinks.item_queue import Item, ItemQueue, Policy, QueuedFrame
+from viewer_app.sinks.item_queue import Item, ItemQueue, QueuedFrame
 from viewer_app.sinks.sink import Sink
 
 Opening = Callable[[rr.RecordingStream], Recorder]
@@ -20,27 +19,12 @@ Opening = Callable[[rr.RecordingStream], Recorder]
 
 
 class QueuedSink(Sink):
-    """Queues what it receives; a thread of its own works it off. No method but :meth:`close` waits.
+    """Queues what it receives, for a thread that works it off. No method but :meth:`close` waits."""
 
-    A subclass implements :meth:`_run`, which takes items until the queue is ended and empty, and starts the
-    thread when it is ready.
-
-    Args:
-        policy: What is queued where the thread is too slow.
-        daemon: Whether the interpreter may exit while the thread runs.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        policy: Policy,
-        clock: Callable[[], int] = time.perf_counter_ns,
-        daemon: bool = True,
-    ) -> None:
-        self._queue, self._clock = ItemQueue(policy), clock
+    def __init__(self, queue: ItemQueue[Item], clock: Callable[[], int] = time.perf_counter_ns) -> None:
+        self._queue, self._clock = queue, clock
         self._number = self._time_ns = 0
         self._start_ns: int | None = None
-        self._thread = threading.Thread(target=self._run, name=name, daemon=daemon)
 
     def write(self, frame: SessionFrame) -> None:
         if self._start_ns is None:
@@ -58,9 +42,6 @@ class QueuedSink(Sink):
 
     def coach(self, page: CoachPage) -> None:
         self._queue.put(page)
-
-    def _run(self) -> None:
-        raise NotImplementedError
 
 
 def write_items(recorder: Recorder, items: Sequence[Item]) -> None:

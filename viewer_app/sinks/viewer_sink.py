@@ -22,7 +22,7 @@ from recordings.data import layout
 from recordings.data.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.errors import UsageError
-from viewer_app.sinks.item_queue import DropOldest, Item
+from viewer_app.sinks.item_queue import DropOldest, Item, ItemQueue
 from viewer_app.sinks.queued_sink import Opening, QueuedSink, write_items
 from viewer_app.viewer.hub import SERVER, STARTS_TRIED
 from viewer_app.viewer.rerun_process import not_started, stop
@@ -65,7 +65,8 @@ class ViewerFeed(QueuedSink):
         patience: float = 10.0,
         retry: float = 0.5,
     ) -> None:
-        super().__init__("viewer feed", self._admitted)
+        super().__init__(ItemQueue(self._admitted))
+        self._thread = threading.Thread(target=self._run, name="viewer feed", daemon=True)
         self._drop_oldest = DropOldest(keep)
         self._start, self._stream, self._begin = start, stream, begin
         self._patience, self._retry = patience, retry
@@ -82,7 +83,8 @@ class ViewerFeed(QueuedSink):
         return self._drop_oldest.dropped
 
     def _admitted(self, queued: deque[Item], item: Item) -> Item:
-        self._free.clear()
+        if not self._queue.ended:
+            self._free.clear()
         return self._drop_oldest(queued, item)
 
     def wait_for_turn(self, seconds: float) -> None:

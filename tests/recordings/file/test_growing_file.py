@@ -98,7 +98,7 @@ def test_it_is_the_same_session_as_one_written_at_once(tmp_path, monkeypatch):
             file.event(Event(f"after {number}", "WARN"))
     file.finish()
     file.close()
-    assert file.saved == 50
+    assert file.written == 50
     at_once = record_fused(tmp_path / "o.rrd", [frame.pair for frame in frames], calibration_of(KINECT_V1))
     session = Session.open(tmp_path / "s.rrd")
     assert_sessions_match(session, at_once, position_mm=0.0)
@@ -119,7 +119,7 @@ def test_the_file_waits_for_who_goes_first(tmp_path):
     assert asked.wait(5.0)
     assert len(file._queue) == 1
     over.set()
-    assert eventually(lambda: file.saved == 1)
+    assert eventually(lambda: file.written == 1)
     file.close()
 
 
@@ -165,7 +165,7 @@ def grown(path, whole):
     for number, frame in enumerate(frames):
         file.write(frame)
         if number % 10 == 9:
-            assert eventually(lambda: file.saved == number + 1)  # noqa: B023
+            assert eventually(lambda: file.written == number + 1)  # noqa: B023
     if whole:
         file.finish()
     file.close()
@@ -258,7 +258,7 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk):
     for number, frame in enumerate(frames):
         file.write(frame)
         if number == 9:
-            assert eventually(lambda: file.saved == 10)
+            assert eventually(lambda: file.written == 10)
             disk.fail()
         if number > 9 and number % 40 == 0:
             assert eventually(lambda: not file._queue)
@@ -266,11 +266,11 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk):
     file.close()
     assert file.failure is not None
     assert disk.words in file.failure
-    assert f"not saved from frame {file.saved} on" in file.failure
+    assert f"not saved from frame {file.written} on" in file.failure
     assert said == [file.failure]
     found = path if path.exists() else disk.folder.parent / "elsewhere" / "s.rrd"
     session = Session.open(found)
-    assert len(session) == file.saved >= 10
+    assert len(session) == file.written >= 10
     assert session.damage == "it was not ended", "cut after a whole block"
     assert [path.name for path in found.parent.iterdir()] == ["s.rrd"]
 

@@ -22,8 +22,6 @@ from devices.blazepose.tracked_images import registered_color
 from devices.capture.clock.host_clock import offset_by_arrival
 from devices.capture.settings import CaptureSettings
 from devices.pairing import clock_by_cable
-from devices.recorded import raw_recording
-from devices.recorded.raw_recording import RawRecorder, _FileTimes
 from devices.sensor import ColorCamera, ColorImage, Sensor, SensorFrame
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.rigid import RigidTransform
@@ -31,8 +29,9 @@ from tests.helpers.machine import small_disk
 from tests.helpers.mkv_writer import depth_image, grey_color, lens_of, write_mkv
 from tests.helpers.real_libraries import PYK4A
 from tests.helpers.waiting import eventually
+from viewer_app.sinks.raw_recording import RawRecorder, _FileTimes
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 LENS = NOMINAL_INTRINSICS["azure_kinect"]
 PERIOD_NS = 33_333_000
 
@@ -146,8 +145,8 @@ class Stuck(MkvWriter):
 
 
 def test_a_disk_that_stands_still_costs_images_first_and_bounded_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(raw_recording, "_KEEP", 12)
-    monkeypatch.setattr(raw_recording, "_KEEP_WITH_IMAGES", 6)
+    monkeypatch.setattr(RawRecorder, "keep", 12)
+    monkeypatch.setattr(RawRecorder, "keep_with_images", 6)
     monkeypatch.setattr(Stuck, "go", threading.Event())
     first = frame(0)
     with RawRecorder(tmp_path / "a.mkv", Camera(), open_writer=Stuck) as recorder:
@@ -212,7 +211,7 @@ def test_a_full_disk_ends_it_in_a_sentence_and_leaves_what_was_written(tmp_path)
                 recorder.add(frame(number))
         assert said == [recorder.failure]
         assert recorder.failure == (
-            f"{disk}/a.mkv is not recorded from frame {recorder.written} on: No space left on device. "
+            f"{disk}/a.mkv is not saved from frame {recorder.written} on: No space left on device. "
             f"Everything before that can be read."
         )
         found, recording = read(disk / "a.mkv")
@@ -239,14 +238,14 @@ def test_a_full_disk_leaves_the_older_recording(tmp_path):
         (disk / "a.mkv").write_bytes(b"precious")
         with RawRecorder(disk / "a.mkv", Camera(), overwrite=True) as recorder:
             recorder.add(frame(0))
-        assert recorder.failure == f"{disk}/a.mkv: No space left on device."
+        assert recorder.failure == f"{disk}/a.mkv could not be written: No space left on device."
         assert [path.read_bytes() for path in disk.iterdir()] == [b"precious"]
 
 
 def test_a_folder_that_is_gone_is_told(tmp_path):
     with RawRecorder(tmp_path / "none" / "a.mkv", Camera()) as recorder:
         recorder.add(frame(0))
-    assert recorder.failure == f"{tmp_path}/none/a.mkv: No such file or directory."
+    assert recorder.failure == f"{tmp_path}/none/a.mkv could not be written: No such file or directory."
 
 
 @settings(max_examples=60)
@@ -301,7 +300,7 @@ _RECORDS = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from devices.recorded.raw_recording import RawRecorder
+from viewer_app.sinks.raw_recording import RawRecorder
 from devices.sensor import Sensor, SensorFrame
 from fusion.intrinsics import NOMINAL_INTRINSICS
 class Camera(Sensor):

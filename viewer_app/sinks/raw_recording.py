@@ -1,10 +1,8 @@
-"""Records the images of sensors while they run: a bounded queue and a thread per sensor."""
+"""Records the images of sensors while they run."""
 
 from __future__ import annotations
 
-import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +15,7 @@ from devices.capture.settings import CaptureSettings
 from devices.sensor import ColorImage, DeviceError, Sensor, SensorFrame
 from devices.simulated.real_time import PacedSensor
 from devices.upright import UprightSensor
-
-_KEEP, _KEEP_WITH_IMAGES = 120, 60
-"""Most queued frames; from the second number on, frames wait without infrared and colour: 130 MB at most, of
-640 × 576 pixels."""
+from viewer_app.sinks.queued_file import QueuedFile
 
 
 class _FileTimes:
@@ -46,19 +41,14 @@ class _FileTimes:
         return self._time.of_sensor(sensor_ns, sensor_ns + (self._clock.offset_ns or 0))
 
 
-class RawRecorder:
-    """Writes a sensor's depth, infrared and colour to an ``.mkv``; :meth:`add` never waits.
+class RawRecorder(QueuedFile[SensorFrame]):
+    """Writes a sensor's depth, infrared and colour to an ``.mkv``.
 
-    While the queue is long, because the disk is slow, new frames lose colour and infrared; when it is full,
-    they are lost. A full disk ends the recording; the file keeps the frames before. All frames but the last
-    one survive a kill of the program.
-
-    Attributes:
-        failure: Why the recording ended early, in a sentence; None if it did not.
-        written: Frames in the file.
-        lost: Frames with depth that are not; one that the sensor gave twice does not count.
-        without_images: Frames of the file whose infrared and colour were left out.
+    All frames but the last one survive a kill of the program. One that the sensor gave twice does not count.
     """
+
+    keep, keep_with_images = 120, 60  # 130 MB at most, of 640 × 576 pixels
+    thinned = "infrared and colour"
 
     def __init__(
         self,
@@ -79,74 +69,27 @@ class RawRecorder:
             hide: What becomes of the serial number and of the calibration's text, before they are written.
             on_failure: Called on the thread with the reason when the recording ends early.
         """
-        self.path, self.sensor = path, sensor
-        self.failure: str | None = None
-        self.written = self.lost = self.without_images = 0
+        super().__init__(path, f"recording {path.name}", on_failure)
+        self.sensor = sensor
         self._settings, self._hide = settings or CaptureSettings(), hide
         self._how = {"compress": compress, "overwrite": overwrite}
-        self._on_failure, self._open_writer = on_failure, open_writer
-        self._queue: deque[SensorFrame] = deque()
-        self._more = threading.Condition()
-        self._ending = False
-        self._fault: BaseException | None = None
+        self._open_writer = open_writer
         self._times = _FileTimes()
-        self._thread = threading.Thread(target=self._run, name=f"recording {path.name}", daemon=False)
         self._thread.start()
 
     def add(self, frame: SensorFrame) -> None:
         """Queues a frame; one without depth is left out."""
-        with self._more:
-            if frame.depth is None:
-                return
-            if self._ending or len(self._queue) >= _KEEP:
-                self.lost += 1
-                return
-            if len(self._queue) >= _KEEP_WITH_IMAGES:
-                frame = replace(frame, ir=None, color=None)
-                self.without_images += 1
-            if frame.host_ns is None:
-                frame = replace(frame, host_ns=time.perf_counter_ns())
-            self._queue.append(frame)
-            self._more.notify()
-
-    @property
-    def written_bytes(self) -> int:
-        """The file's size so far."""
-        try:
-            return self.path.stat().st_size if self.written else 0
-        except OSError:
-            return 0
-
-    def close(self) -> None:
-        """Writes what is queued and closes the file. Closing twice has no effect."""
-        with self._more:
-            self._ending = True
-            self._more.notify()
-        self._thread.join()
-        fault, self._fault = self._fault, None
-        if fault is not None:
-            raise fault
+        if frame.depth is None:
+            return
+        if frame.host_ns is None:
+            frame = replace(frame, host_ns=time.perf_counter_ns())
+        self._queue.put(frame)
 
     def __enter__(self) -> RawRecorder:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _run(self) -> None:
-        try:
-            self._write()
-        except OSError as fault:
-            self._fail(f"{fault.strerror or fault}")
-        except DeviceError as fault:
-            self._fail(str(fault))
-        except BaseException as fault:
-            self._fault = fault
-        finally:
-            with self._more:
-                self._ending = True
-                self.lost += len(self._queue)
-                self._queue.clear()
 
     def _write(self) -> None:
         images = self._first_whole()
@@ -165,14 +108,8 @@ class RawRecorder:
         with self._open_writer(self.path, *given, calibration=calibration, **self._how) as writer:
             following: SensorFrame | None = frame
             while following is not None:
-                try:
+                with self._counting(1, writer):
                     writer.write(following)
-                except OSError:
-                    self.lost += 1
-                    if not writer.placed:  # an older file stays
-                        self.lost, self.written = self.lost + self.written, 0
-                    raise
-                self.written += 1
                 following = self._next()
 
     def _first_whole(self) -> SensorFrame | None:
@@ -188,26 +125,23 @@ class RawRecorder:
         def found() -> SensorFrame | None:
             return next(filter(whole, self._queue), None)
 
-        with self._more:
-            self._more.wait_for(lambda: self._ending or found() or len(self._queue) >= self._settings.fps)
+        queue = self._queue
+        with queue.changed:
+            queue.changed.wait_for(lambda: queue.ended or found() or len(queue) >= self._settings.fps)
             return found()
 
     def _next(self) -> SensorFrame | None:
         """The next frame, at its time in the file; None at the end."""
-        while True:
-            with self._more:
-                self._more.wait_for(lambda: self._queue or self._ending)
-                frame = self._queue.popleft() if self._queue else None
-            if frame is None:
-                return None
-            time_ns = self._times.of(frame)
+        while frames := self._queue.take(None, most=1):
+            time_ns = self._times.of(frames[0])
             if time_ns is not None:
-                return replace(frame, time_ns=time_ns)
+                return replace(frames[0], time_ns=time_ns)
+            with self._queue.changed:
+                self._came -= 1
+        return None
 
-    def _fail(self, why: str) -> None:
-        rest = f" from frame {self.written} on: {why}. Everything before that can be read."
-        self.failure = f"{self.path} is not recorded{rest}" if self.written else f"{self.path}: {why}."
-        self._on_failure(self.failure)
+    def _without_images(self, item: SensorFrame) -> SensorFrame:
+        return replace(item, ir=None, color=None)
 
 
 def camera_of(sensor: Sensor) -> Sensor:
