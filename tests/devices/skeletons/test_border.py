@@ -251,12 +251,6 @@ def test_foreign_json_is_named(tmp_path):
         opened(path)
 
 
-def test_blank_lines_between_ntus_frames_are_passed_over(tmp_path):
-    path = as_skeleton(tmp_path / "a.skeleton", TRUE)
-    path.write_text(path.read_text().replace("\n1\n", "\n\n1\n"))
-    np.testing.assert_allclose(positions_of(opened(path)), TRUE, atol=1e-6)
-
-
 def test_lines_of_dump_kinect_skeleton_are_read(tmp_path):
     """Milliseconds, numbers of joints, the axes of the SDK, and no id."""
     path = tmp_path / "a.csv"

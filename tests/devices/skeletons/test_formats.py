@@ -9,7 +9,6 @@ import pytest
 from devices.sensor import DeviceError
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
-from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import FRAME_NS, standing
 
 HEADER = "time_us,body,joint,x,y,z,state"
@@ -33,50 +32,6 @@ def write_csv(path, rows, header=HEADER):
 def read(path):
     with SkeletonRecording(path) as recording:
         return recording.body, list(recording.frames())
-
-
-@pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
-def test_a_y_axis_that_points_up_is_noticed(tmp_path, body):
-    people = np.stack([standing(body)] * 10)
-    with SkeletonRecording(write_view(tmp_path / "a.csv", body, people)) as recording:
-        assert not recording.warnings
-    people[3:, :, 1] *= -1  # a person who stands on the hands for a while
-    with SkeletonRecording(write_view(tmp_path / "b.csv", body, people)) as recording:
-        assert not recording.warnings
-    people[:3, :, 1] *= -1
-    with SkeletonRecording(write_view(tmp_path / "c.csv", body, people)) as recording:
-        assert "The y axis must point down" in recording.warnings[0]
-
-
-def test_csv_states_are_names_or_numbers_and_may_be_missing(tmp_path):
-    rows = csv_rows(KINECT_V1, 1)
-    for joint, state in enumerate(["inferred", "1", "not_tracked", "0", "2", "Tracked"]):
-        rows[joint] = rows[joint].replace("tracked", state)
-    _, frames = read(write_csv(tmp_path / "a.csv", rows))
-    assert frames[0].people["0"].states[:7].tolist() == [1, 1, 0, 0, 2, 2, 2]
-    bare = [row.rsplit(",", 1)[0] for row in rows]
-    _, frames = read(write_csv(tmp_path / "b.csv", bare, HEADER.removesuffix(",state")))
-    assert frames[0].people["0"].tracked.all()
-
-
-def test_csv_rows_may_come_in_any_order_and_joints_may_be_missing(tmp_path):
-    rows = csv_rows(KINECT_V2, 4)
-    kept = [row for row in rows if "ThumbLeft" not in row]
-    np.random.default_rng(0).shuffle(kept)
-    body, frames = read(write_csv(tmp_path / "a.csv", kept))
-    assert body is KINECT_V2
-    assert len(frames) == 4
-    assert all(frame.people["0"].has_position.sum() == 24 for frame in frames)
-
-
-def test_csv_coordinates_that_are_no_numbers_count_as_not_tracked(tmp_path):
-    rows = csv_rows(KINECT_V1, 1)
-    for joint, value in enumerate(["nan", "inf", ""]):
-        parts = rows[joint].split(",")
-        parts[4] = value
-        rows[joint] = ",".join(parts)
-    _, frames = read(write_csv(tmp_path / "a.csv", rows))
-    assert frames[0].people["0"].states[:4].tolist() == [0, 0, 0, 2]
 
 
 @pytest.mark.parametrize(
