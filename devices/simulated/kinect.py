@@ -72,8 +72,6 @@ class Truth:
     def positions_at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
         """(J, 3) the joints at a time of A's clock, in K_A's frame, metres; (T, J, 3) for (T,) times.
 
-        A stamp with jitter is later than the capture.
-
         Many times at once cost little more than one.
         """
         times = np.asarray(time_ns)
@@ -93,9 +91,9 @@ class TruthAhead:
     def __call__(self, time_ns: int) -> NDArray[np.float64]:
         """(J, 3) as :meth:`Truth.positions_at`."""
         if time_ns not in self._known:
-            rig, seed = self._truth.rig, self._truth.scene.seed
+            rig = self._truth.rig
             first = int(time_ns * 1e-9 / rig.frame_seconds + 1e-6)
-            times = [time_ns, *(rig.stamp(0, first + k, seed) for k in range(1, _CHUNK))]
+            times = [time_ns, *(rig.stamp(0, first + k) for k in range(1, _CHUNK))]
             self._known = dict(zip(times, self._truth.positions_at(times), strict=True))
         return self._known[time_ns]
 
@@ -148,16 +146,10 @@ class SimulatedKinect(Sensor):
         self.skips_depth, self.imaging = False, True
         self.images_wanted = self.images_left_out = 0
 
-    @property
-    def clock_at_start_ns(self) -> int:
-        """Time of its clock at the start of the scene, ns."""
-        return self._rig.clock(self._which, 0.0)
-
     def frames(self) -> Iterator[SensorFrame]:
         """The frames in capture order; each call starts again with the same frames."""
         scene, rig, which = self._scene, self._rig, self._which
         self.images_wanted = self.images_left_out = 0
-        dropping = self._streams.named("dropping")
         sensor_from_world = rig.world_from_sensor(which).inverse()
         heights = self._heights
         each_flesh = [flesh_over(self.body) * (height / anatomy.REFERENCE_HEIGHT) for height in heights]
@@ -174,7 +166,7 @@ class SimulatedKinect(Sensor):
         for frame, marks in self._poses():
             positions = sensor_from_world.apply(marks)
             shapes = np.concatenate([capsules(*of) for of in zip(positions, heights, strict=True)])
-            time_ns = rig.stamp(which, frame, scene.seed)
+            time_ns = rig.stamp(which, frame)
             skeletons = []
             for tracker, flesh, at in zip(trackers, each_flesh, positions, strict=True):
                 joints = at[anatomy.landmarks_of(self.body)]
@@ -182,7 +174,6 @@ class SimulatedKinect(Sensor):
                 skeleton = tracker.report(joints, seen, time_ns)
                 hidden = len(positions) > 1 and seen.mean() < _LEAST_SEEN
                 skeletons.append(None if hidden else skeleton)
-            dropped = dropping.random() < rig.dropped
             depth = ir = None
             if self._depth != "none" and self.imaging:
                 self.images_wanted += 1
@@ -191,8 +182,7 @@ class SimulatedKinect(Sensor):
                 else:
                     depth, ir = self._images(positions, shapes, frame)
             people = ids.of(skeletons)
-            if not dropped:
-                yield with_witness(SensorFrame(time_ns, people, depth, ir=ir), self._lens)
+            yield with_witness(SensorFrame(time_ns, people, depth, ir=ir), self._lens)
 
     def _images(
         self, landmarks: Array, shapes: Array, frame: int

@@ -182,8 +182,7 @@ class PacedSensor(SensorWrapper):
 
     def _paced(self) -> Iterator[tuple[SensorFrame, float]]:
         """Every frame when it is due, and by how much it is late, seconds."""
-        begun, longest, simulated = None, 0.0, self._simulated
-        start_ns = 0 if simulated is None else simulated.clock_at_start_ns
+        begun, longest, start_ns, simulated = None, 0.0, 0, self._simulated
         frames = self.source.frames()
         while True:
             started = self._clock()

@@ -5,12 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from devices.sensor import DeviceError
-from devices.simulated.streams import Streams
 from fusion.rigid import RigidTransform
 
 OfSensors = float | tuple[float, float]
 """One value of both sensors, or those of A and B."""
-_DELAYS = 6.0**0.5  # range of a uniform delay, over the standard deviation of the difference of two
 
 
 @dataclass(frozen=True)
@@ -25,33 +23,18 @@ class Rig:
     distance: OfSensors = 2.6  # distance of the sensors from the origin, along the floor, metres
     height: OfSensors = 1.1  # height of the sensors above the floor, metres
     tilt_deg: OfSensors = 4.0  # downward tilt of the sensors, degrees
-    roll_deg: OfSensors = (
-        0.0  # turn about the line of sight, degrees; positive: clockwise, seen from behind it
-    )
+    roll_deg: OfSensors = 0.0  # about the line of sight, degrees; positive: clockwise from behind
     frame_seconds: float = 1.0 / 30.0  # frame interval of each sensor
     skew_seconds: float = 0.00096  # delay of B's captures after A's
-    clock_offset_seconds: float = 0.0  # B's clock minus A's clock
-    drift_ppm: float = 0.0  # drift of B's clock against A's, parts per million; positive: B's clock is faster
-    jitter_seconds: float = 0.0
-    """Standard deviation of the time between two stamps of a sensor. A stamp is late by a uniform share of
-    time, as where a program takes it when a frame arrives. Eight real recordings of a Kinect v2 have 11 to
-    15 ms, with 11 to 22 % of the intervals above 45 ms and 16 to 30 % below 25 ms; 12.7 ms here have 20 % and
-    27 %. A sensor that stamps frames itself has none."""
-    dropped: float = 0.0  # share of dropped frames, independent for each sensor
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.angle_deg <= 180.0:
             raise DeviceError(f"The sensors' angle must be from 0 to 180 degrees; got {self.angle_deg:g}.")
         near = min(_of_sensor(self.distance, which) for which in (0, 1))
-        if not (near > 0.5 and self.frame_seconds > 0.0 and 0.0 <= self.dropped < 1.0):
+        if not (near > 0.5 and self.frame_seconds > 0.0):
             raise DeviceError(
-                f"A rig needs distance > 0.5 m, frame_seconds > 0 and 0 <= dropped < 1; got "
-                f"{self.distance}, {self.frame_seconds}, {self.dropped}."
-            )
-        if not 0.0 <= _DELAYS * self.jitter_seconds < self.frame_seconds:
-            most = self.frame_seconds / _DELAYS
-            raise DeviceError(
-                f"jitter_seconds must be below {most:.4f} s, so that stamps rise; got {self.jitter_seconds}."
+                f"A rig needs distance > 0.5 m and frame_seconds > 0; got "
+                f"{self.distance}, {self.frame_seconds}."
             )
 
     def world_from_sensor(self, which: int) -> RigidTransform:
@@ -83,19 +66,9 @@ class Rig:
         """Returns the true capture time of frame number ``frame``, in seconds."""
         return frame * self.frame_seconds + (self.skew_seconds if which == 1 else 0.0)
 
-    def clock(self, which: int, seconds: float) -> int:
-        """Returns the reading of the sensor's clock at a true time, integer nanoseconds."""
-        if which == 1:
-            seconds = seconds * (1.0 + 1e-6 * self.drift_ppm) + self.clock_offset_seconds
-        return round(seconds * 1e9)
-
-    def stamp(self, which: int, frame: int, seed: int) -> int:
-        """Returns the time that a sensor states for a frame, integer nanoseconds; late by its jitter."""
-        seconds = self.captured_at(which, frame)
-        if self.jitter_seconds > 0.0:
-            late = Streams(seed, which).named("stamps", frame).random()
-            seconds += _DELAYS * self.jitter_seconds * late
-        return self.clock(which, seconds)
+    def stamp(self, which: int, frame: int) -> int:
+        """The capture time of a frame as the sensor states it, integer nanoseconds."""
+        return round(self.captured_at(which, frame) * 1e9)
 
 
 def _of_sensor(value: OfSensors, which: int) -> float:

@@ -40,7 +40,7 @@ def same(one, other):
     ("body", "angle_deg"), list(zip(BODIES.values(), (0.0, 40.0, 90.0, 180.0), strict=True)), ids=str
 )
 def test_without_errors_both_views_are_the_truth(body, angle_deg):
-    rig = Rig(angle_deg=angle_deg, skew_seconds=0.004, clock_offset_seconds=2.0, drift_ppm=40.0)
+    rig = Rig(angle_deg=angle_deg, skew_seconds=0.004)
     a, b, truth = simulated_pair(
         motion="walk", body=body, seconds=4.0, rig=rig, height=1.6, errors=TrackerErrors()
     )
@@ -76,37 +76,12 @@ def test_the_rigs_angle_is_the_angle_between_the_lines_of_sight(angle_deg):
     assert angle == pytest.approx(angle_deg, abs=1e-5)  # arccos near 1 loses half the digits
 
 
-def test_sensor_b_captures_later_by_the_skew_and_shows_its_own_clock():
-    rig = Rig(skew_seconds=0.01, clock_offset_seconds=5.0, drift_ppm=100.0)
-    a, b, _ = simulated_pair(rig=rig, seconds=2.0)
+def test_sensor_b_captures_later_by_the_skew():
+    a, b, _ = simulated_pair(rig=Rig(skew_seconds=0.01), seconds=2.0)
     times_a = np.array([f.time_ns for f in a.frames()]) * 1e-9
     times_b = np.array([f.time_ns for f in b.frames()]) * 1e-9
     np.testing.assert_allclose(np.diff(times_a), 1 / 30, atol=2e-9)
-    true_b = times_a + 0.01
-    np.testing.assert_allclose(times_b, true_b * (1 + 1e-4) + 5.0, atol=2e-9)
-
-
-def test_stamps_with_jitter_are_as_unsteady_as_real_ones_and_captures_stay_even():
-    """Real recordings: standard deviation 11 to 15 ms, 11 to 22 % above 45 ms, 16 to 30 % below 25 ms."""
-    shaken = simulated_pair(
-        rig=Rig(jitter_seconds=0.0127), motion="arms", seconds=40.0, errors=TrackerErrors()
-    )
-    steady = simulated_pair(motion="arms", seconds=5.0, errors=TrackerErrors())
-    for which in (0, 1):
-        frames = list(shaken[which].frames())
-        intervals = np.diff([frame.time_ns for frame in frames]) * 1e-9
-        # 1,200 stamps: the deviation is known to 2 %, the shares to 1.3 %
-        assert intervals.std() == pytest.approx(0.0127, rel=0.1)
-        assert 0.11 <= np.mean(intervals > 0.045) <= 0.24
-        assert 0.16 <= np.mean(intervals < 0.025) <= 0.32
-        assert intervals.min() > 0.0
-        plain = list(steady[which].frames())
-        assert all(
-            one.people[PERSON].repeats(two.people[PERSON])
-            for one, two in zip(frames[:150], plain, strict=True)
-        )
-    with pytest.raises(DeviceError, match="so that stamps rise"):
-        Rig(jitter_seconds=0.02)
+    np.testing.assert_allclose(times_b, times_a + 0.01, atol=2e-9)
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -132,16 +107,6 @@ def test_no_seed_of_one_sensor_is_that_of_the_other():
     keys = [(seed, which) for seed in (0, 1, 2**32, 2**64, 2**96) for which in (0, 1)]
     drawn = [Streams(*key).named(name).random() for key in keys for name in ("bias", "jitter")]
     assert len(set(drawn)) == len(drawn)
-
-
-def test_dropped_frames_are_missing_and_change_no_other_frame():
-    whole, _, _ = simulated_pair(seed=4, seconds=20.0)
-    holed, _, _ = simulated_pair(seed=4, seconds=20.0, rig=Rig(dropped=0.1))
-    kept = {f.time_ns: f for f in whole.frames()}
-    frames = list(holed.frames())
-    # 600 draws of 10 %: mean 60, standard deviation 7.3.
-    assert 30 < len(kept) - len(frames) < 90
-    assert all(same(f, kept[f.time_ns]) for f in frames)
 
 
 def test_the_same_seed_makes_the_same_frames_bit_for_bit():
