@@ -11,6 +11,7 @@ from viewer_app.options.sensing import (
     DemoOptions,
     DoctorOptions,
     FuseOptions,
+    ImageFilesOptions,
     LiveOptions,
     PublishOptions,
 )
@@ -129,8 +130,7 @@ NEEDS = (
         lambda o: o.simulate is None and _reads_images(o),
         "needs a sensor, or a recording of images",
     ),
-    Need(LiveOptions, ("compress",), lambda o: o.record is not None, "needs --record FOLDER"),
-    Need(DemoOptions, ("compress",), lambda o: o.record is not None, "needs --record FOLDER"),
+    Need(ImageFilesOptions, ("compress",), lambda o: o.record is not None, "needs --record FOLDER"),
     Need(DemoOptions, ("other",), lambda o: o.people > 1, "needs --people 2"),
     Need(
         DemoOptions,

@@ -72,7 +72,30 @@ class FuseOptions(
 
 
 @dataclass(frozen=True, kw_only=True)
-class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptions):
+class CaptureOptions:
+    """How sensors on this PC run."""
+
+    seconds: float | None = None
+    """Stop after this many seconds. If not given, stop with Ctrl-C."""
+    depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
+    """Field of view and range: narrow and far, or wide and near."""
+    fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
+    """Frames per second."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageFilesOptions:
+    """Whether the images of both sensors are recorded beside S*."""
+
+    record: Annotated[Path | None, OUTPUTS] = None
+    """Record the images from both sensors to this folder, like duplex record."""
+    compress: Annotated[bool, OUTPUTS] = False
+    """With --record: compress the images without loss. Microsoft's tools cannot read compressed
+    recordings."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions(ImageFilesOptions, LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptions):
     """Run the whole program without a sensor: two simulated Kinects watch one person.
 
     At times, one sensor misplaces an arm or exchanges left and right. The terminal says when. The person's
@@ -109,15 +132,12 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptio
     full, images are dropped, but never skeletons."""
     save: Annotated[Path | None, OUTPUTS] = None
     """Save the session as an .rrd file. If not given and there is no display, demo.rrd."""
-    record: Annotated[Path | None, OUTPUTS] = None
-    """Record the simulated depth and infrared images to this folder, like duplex record."""
-    compress: Annotated[bool, OUTPUTS] = False
-    """With --record: compress the images without loss. Microsoft's tools cannot read compressed
-    recordings."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions(
+    CaptureOptions,
+    ImageFilesOptions,
     FollowOptions,
     OrientationOptions,
     LiveOutputOptions,
@@ -138,27 +158,16 @@ class LiveOptions(
     """Play this recording (.mkv, .db3 or .bag) instead of sensor K_A."""
     b: Annotated[Path | None, ARGUMENT] = field(default=None, kw_only=False)
     """Play this recording instead of sensor K_B."""
-    record: Annotated[Path | None, OUTPUTS] = None
-    """Record the images from both sensors to this folder, like duplex record."""
-    compress: Annotated[bool, OUTPUTS] = False
-    """With --record: compress the images without loss. Microsoft's tools cannot read compressed
-    recordings."""
     layout: Annotated[Literal["setup", "inspect", "report", "angles"], VIEWER] = "setup"
     """The viewer tab that is open at first."""
-    seconds: float | None = None
-    """Stop after this many seconds. If not given, stop with Ctrl-C."""
     depth: Annotated[Literal["none", "half", "full"], SENSORS] = "half"
     """Depth images shown and saved: none, every second pixel in both directions, or all."""
-    depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
-    """Field of view and range: narrow and far, or wide and near."""
-    fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
-    """Frames per second."""
     color: Annotated[Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"], SENSORS] = "off"
     """Resolution of the colour images. off: no colour images."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordOptions(SensorOptions):
+class RecordOptions(CaptureOptions, SensorOptions):
     """Record depth and infrared from two sensors without loss, as FOLDER/a.mkv and FOLDER/b.mkv.
 
     To fuse them later, use duplex fuse FOLDER/a.mkv FOLDER/b.mkv, or duplex live with both files. After a
@@ -167,15 +176,9 @@ class RecordOptions(SensorOptions):
 
     folder: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """Folder to record to. It is created if it does not exist."""
-    seconds: float | None = None
-    """Stop after this many seconds. If not given, stop with Ctrl-C."""
     compress: Annotated[bool, OUTPUTS] = False
     """Compress depth and infrared without loss, to about 40 % of the size. Microsoft's tools cannot read
     compressed recordings."""
-    depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
-    """Field of view and range: narrow and far, or wide and near."""
-    fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
-    """Frames per second."""
     color: Annotated[Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"], SENSORS] = "off"
     """Also record colour images, at this resolution."""
     force: Annotated[bool, OUTPUTS] = False
@@ -202,7 +205,7 @@ class DoctorOptions(TrackerOptions, SensorOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PublishOptions(ZenohOptions, TrackerOptions, OwnFileOptions):
+class PublishOptions(CaptureOptions, ZenohOptions, TrackerOptions, OwnFileOptions):
     """Run one sensor and its body tracker on this PC, and publish its skeletons for duplex live on another.
 
     On the other PC, run duplex live --zenoh-listen tcp/0.0.0.0:7447 --kinect-a zenoh:KEY_A --kinect-b
@@ -227,12 +230,6 @@ class PublishOptions(ZenohOptions, TrackerOptions, OwnFileOptions):
     """With --simulate: body tracker to simulate."""
     depth: Annotated[bool, OUTPUTS] = False
     """Also publish the depth images, without loss: about 5 MB per second."""
-    depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
-    """Field of view and range: narrow and far, or wide and near."""
-    fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
-    """Frames per second."""
-    seconds: float | None = None
-    """Stop after this many seconds. If not given, stop with Ctrl-C."""
     quiet: bool = False
     """Print only warnings."""
 
