@@ -17,11 +17,14 @@ from devices.capture.causes import Cause, in_brackets
 from devices.capture.clock.moments import ImageJoiner, Moment
 from devices.capture.settings import CaptureSettings
 from devices.freenect.libfreenect import PROGRAMS, Context
-from devices.freenect.ticks import FPS, TICKS_PER_S, TickCounter
 from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 
+FPS = 30
+TICKS_PER_S = 60_000_000
+"""The clock's rate according to libfreenect's driver for OpenNI 2."""
+_WRAP = 2**32  # ticks: the clock wraps after 72 s
 INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 """The colour camera's nominal lens, on whose pixels registered depth is: the sensor stores no calibration of
 it. 525 is the focal length that ROS's driver assumes."""
@@ -224,3 +227,23 @@ def check_modes(serial: str, settings: CaptureSettings) -> None:
         raise DeviceError(f"Kinect v1 {serial} runs at {FPS} fps, not {settings.fps}. Leave `fps` out.")
     if settings.sync != "standalone":
         raise DeviceError(f"Kinect v1 {serial} has no port for a sync cable. Leave `sync_master` out.")
+
+
+class TickCounter:
+    """Ticks of the sensor's 32-bit clock without its wraps, by this machine's clock."""
+
+    def __init__(self) -> None:
+        self._last: tuple[int, int] | None = None
+
+    def total(self, ticks: int, host_ns: int) -> int:
+        """The count nearest to what this machine's clock predicts from the call before.
+
+        Frames may be any time apart, and images of two cameras out of order by up to half a wrap.
+        """
+        total = ticks
+        if self._last is not None:
+            last, last_ns = self._last
+            expected = last + (host_ns - last_ns) * TICKS_PER_S // 1_000_000_000
+            total += _WRAP * round((expected - ticks) / _WRAP)
+        self._last = total, host_ns
+        return total

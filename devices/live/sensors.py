@@ -30,10 +30,10 @@ from devices.freenect2.library import connected_freenect2s
 from devices.freenect2.library import library_check as freenect2_library_check
 from devices.freenect2.library import sensor_check as freenect2_sensor_check
 from devices.freenect2.sensor import Freenect2Sensor
-from devices.orbbec.checks import sdk_check as orbbec_sdk_check
-from devices.orbbec.checks import sensor_check as orbbec_sensor_check
 from devices.orbbec.sdk_access import COMMAND as ORBBEC_COMMAND
 from devices.orbbec.sdk_access import connected_orbbecs
+from devices.orbbec.sdk_access import sdk_check as orbbec_sdk_check
+from devices.orbbec.sdk_access import sensor_check as orbbec_sensor_check
 from devices.orbbec.sensor import OrbbecSensor
 from devices.realsense.sdk_access import COMMAND as REALSENSE_COMMAND
 from devices.realsense.sdk_access import connected_realsenses

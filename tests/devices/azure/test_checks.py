@@ -14,8 +14,7 @@ from devices.blazepose.settings import BlazePoseSettings
 from devices.capture.usb import permission_check, usb_kinects
 from devices.live.checks import device_checks
 from devices.live.sensors import NoLibraryError, connected_sensors, software
-from devices.orbbec.checks import sdk_check, sensor_check
-from devices.orbbec.sdk_access import connected_orbbecs
+from devices.orbbec.sdk_access import connected_orbbecs, sdk_check, sensor_check
 from devices.sensor import DeviceError
 from devices.tracker_choice import choose_tracker
 from tests.helpers.orbbec.standin import Orbbec

@@ -18,8 +18,7 @@ from devices.capture.sensor_choice import cable_notes, choose_two, sync_master
 from devices.capture.settings import CaptureSettings
 from devices.freenect import libfreenect
 from devices.freenect.libfreenect import connected_freenects, how_to_install
-from devices.freenect.sensor import INTRINSICS, FreenectSensor
-from devices.freenect.ticks import TickCounter
+from devices.freenect.sensor import INTRINSICS, FreenectSensor, TickCounter
 from devices.live.checks import device_checks
 from devices.live.sensors import connected_sensors, live_sensor
 from devices.sensor import DeviceError
