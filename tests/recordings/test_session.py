@@ -104,16 +104,6 @@ def test_the_checksum_of_s_notices_the_last_bit():
     assert (fused_checksums(fused) == fused_checksums(nudged)).tolist() == [True, False, True]
 
 
-def test_calibration_intrinsics_and_events_are_kept(fused_run):
-    calibration = calibration_of(KINECT_V1)
-    session = fused_run(full_of_faults(KINECT_V1), calibration)
-    np.testing.assert_array_equal(session.calibration.a_from_b.rotation, calibration.a_from_b.rotation)
-    np.testing.assert_array_equal(session.calibration.a_from_b.translation, calibration.a_from_b.translation)
-    np.testing.assert_array_equal(session.calibration.bone_lengths, calibration.bone_lengths)
-    assert session.intrinsics_b == FusionSetup(calibration).intrinsics_b
-    assert [event.text for event in session.events] == ["calibrated: known truth"]
-
-
 def test_depth_comes_back_exactly_and_only_when_asked_for(fused_run):
     pairs = frame_pairs(KINECT_V1, 12, no_b=(4,), depth=True)
     session = fused_run(pairs, calibration_of(KINECT_V1), depth_every=2)

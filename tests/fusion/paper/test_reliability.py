@@ -64,15 +64,6 @@ def test_weights_are_those_of_the_paper_word_by_word(body):
         np.testing.assert_array_equal(misleading, expected_misleading)
 
 
-def test_weights_of_a_seen_joint_sum_to_one_and_of_an_unseen_one_to_zero():
-    rng = np.random.default_rng(1)
-    for _ in range(50):
-        views = random_views(rng, KINECT_V2)
-        weights_a, weights_b, _ = reliability_weights(*views)
-        seen = np.isfinite(views[0]).all(axis=1) | np.isfinite(views[1]).all(axis=1)
-        np.testing.assert_allclose(weights_a + weights_b, seen.astype(float), atol=1e-15)
-
-
 def test_a_joint_hidden_behind_another_in_one_view_is_taken_from_the_other():
     rng = np.random.default_rng(2)
     pixels_a, pixels_b = rng.uniform(0, 500, (2, len(KINECT_V2), 2))
@@ -85,24 +76,6 @@ def test_a_joint_hidden_behind_another_in_one_view_is_taken_from_the_other():
     assert misleading[elbow] == hip
     assert weights_a[elbow] < 1e-4
     assert weights_b[elbow] > 1 - 1e-4
-
-
-def test_a_tracked_joint_outweighs_an_inferred_one_by_h():
-    rng = np.random.default_rng(3)
-    pixels = rng.uniform(0, 500, (len(KINECT_V2), 2))
-    tracked, inferred = np.full(len(KINECT_V2), 2, np.uint8), np.full(len(KINECT_V2), 1, np.uint8)
-    weights_a, weights_b, _ = reliability_weights(pixels, pixels, tracked, inferred, KINECT_V2.linked)
-    np.testing.assert_allclose(weights_a / weights_b, (PAPER_H / (1 - PAPER_H)) ** 4)
-
-
-def test_equal_states_leave_the_weights_to_the_distances():
-    rng = np.random.default_rng(4)
-    pixels_a, pixels_b = rng.uniform(0, 500, (2, len(KINECT_V2), 2))
-    tracked, inferred = np.full(len(KINECT_V2), 2, np.uint8), np.full(len(KINECT_V2), 1, np.uint8)
-    both_tracked = reliability_weights(pixels_a, pixels_b, tracked, tracked, KINECT_V2.linked)
-    both_inferred = reliability_weights(pixels_a, pixels_b, inferred, inferred, KINECT_V2.linked)
-    for one, other in zip(both_tracked, both_inferred, strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_joints_on_one_spot_in_both_views_share_equally():
