@@ -92,12 +92,6 @@ def test_the_colours_follow_the_trust_of_the_last_second(rows):
     assert (np.diff(near_a) < 0.0).all()
 
 
-def test_colours_do_not_depend_on_how_frames_are_grouped(rows):
-    whole, parts = TrustColors().add(rows), TrustColors()
-    each = [parts.add(rows[slice(k, k + 7)]) for k in range(0, len(rows), 7)]
-    np.testing.assert_array_equal(np.concatenate(each), whole)
-
-
 def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows):
     states, misleading = rows.states_b.copy(), rows.misleading.copy()
     states[3, ELBOW] = TrackingState.INFERRED

@@ -1,4 +1,4 @@
-"""Labels found by the facing filter: invariances, goals on simulated truth, faults."""
+"""Labels found by the facing filter: goals on simulated truth, faults."""
 
 from dataclasses import replace
 from itertools import cycle, product
@@ -11,40 +11,6 @@ from fusion.facing.filter import update_facing
 from fusion.facing.model import WHOLE, FacingConstants, FacingState, new_facing_model
 from fusion.support.array_fields import new_arrays
 from tests.helpers.labelled_views import FRAME, UNKNOWN, UP, flips, heading, simulated_views, step, swapped
-
-
-def mirrored(views):
-    """The scene reflected about the plane x = 0: a person's left hand becomes a right hand."""
-    flip = np.array((-1.0, 1.0, 1.0))
-    m = views.body.mirror
-    return replace(
-        views, a=views.a[:, m] * flip, states_a=views.states_a[:, m], b_in_a=views.b_in_a[:, m] * flip,
-        states_b=views.states_b[:, m], sensor_b=views.sensor_b * flip, truth=views.truth[:, m] * flip,
-    )  # fmt: skip
-
-
-def test_a_reflected_scene_gives_the_reflected_answer():
-    views = simulated_views("walk")
-    plain, reflected = views.relabel(up=UP), mirrored(views).relabel(up=UP)
-    assert (plain.codes > 0).any()
-    np.testing.assert_array_equal(plain.codes, reflected.codes)
-    # Equal but for the order of sums: 36 headings are their own mirror image.
-    np.testing.assert_allclose(plain.heading * (-1.0, 1.0, 1.0), reflected.heading, atol=1e-4)
-    np.testing.assert_allclose(plain.mirrored, reflected.mirrored, atol=1e-4)
-
-
-def test_exchanging_the_sensors_exchanges_the_answers():
-    views = simulated_views("walk")
-    # A stands where B stood: all in a frame shifted by t, without a rotation.
-    other = replace(
-        views, a=views.b_in_a - views.sensor_b, states_a=views.states_b, b_in_a=views.a - views.sensor_b,
-        states_b=views.states_a, sensor_b=-views.sensor_b,
-    )  # fmt: skip
-    one, two = views.relabel(up=UP), other.relabel(up=UP)
-    assert (one.codes > 0).any()
-    np.testing.assert_array_equal(one.codes, two.codes[:, ::-1])
-    np.testing.assert_allclose(one.heading, two.heading, atol=1e-4)
-    np.testing.assert_allclose(one.mirrored, two.mirrored[:, ::-1], atol=1e-4)
 
 
 def exchanged(views, which, first, last):
