@@ -115,24 +115,6 @@ HAPPENINGS = st.one_of(
 """What may happen to a person and two sensors; see :class:`Stage`."""
 
 
-def drawn_happenings(random):
-    """The same as :data:`HAPPENINGS`, from a generator of numpy, for measurements of many draws."""
-    made = [
-        lambda: ("frames", int(random.integers(1, 41))),
-        lambda: ("frames", int(random.integers(1, 41))),
-        lambda: ("step", int(random.choice(STEPS_NS))),
-        lambda: ("empty", int(random.integers(1, 61))),
-        lambda: ("moved", random.uniform(-2.0, 2.0), random.uniform(-1.0, 2.0)),
-        lambda: ("other person", float(random.choice((0.0, 90.0, 180.0)))),
-        lambda: ("views", str(random.choice(("both", "a", "b")))),
-        lambda: ("exchanged", str(random.choice(("none", "a", "b")))),
-        lambda: ("hidden", str(random.choice(("none", "arm", "legs", "half")))),
-        lambda: ("carried away", random.uniform(-1.0, 1.0)),
-        lambda: ("recalibrated", random.uniform(-0.5, 0.5), random.uniform(-20.0, 20.0)),
-    ]
-    return [made[random.integers(len(made))]() for _ in range(random.integers(1, 13))]
-
-
 def joints_of(*parts, body=BODY):
     """Those whose names contain one of the parts."""
     return np.flatnonzero([any(part in name for part in parts) for name in body.joints])

@@ -45,18 +45,6 @@ def test_brightness_follows_from_material_distance_angle_and_place_in_the_image(
     assert exposed(1.0, 1.0, WALL)[0, 0] == pytest.approx(corner, abs=0.6)
 
 
-@pytest.mark.parametrize("z", [1.0, 2.0])
-def test_noise_is_shot_and_read_noise_and_binning_halves_it(z):
-    for model, factor in ((InfraredModel(), 1.0), (InfraredModel().binned(), 0.5)):
-        noise = exposed(z, 1.0, WALL, model).astype(float) - exposed(z, 1.0, WALL).astype(float)
-        middle = noise[238:338, 270:370]
-        counts = exposed(z, 1.0, WALL)[288, 320]
-        expected = factor * np.sqrt(model.read_noise**2 / factor**2 + InfraredModel().shot_noise * counts)
-        # 10,000 samples: 0.7 %, five times that; the light varies by 3 % over them, the noise by half of it;
-        # rounding adds 1/12 twice.
-        assert np.std(middle) == pytest.approx(np.hypot(expected, np.sqrt(1 / 6)), rel=0.05)
-
-
 @pytest.mark.parametrize("which", [0, 1])
 @pytest.mark.parametrize(("name", "time"), [("startup", 1.0), ("arms", 6.9), ("walk", 8.6), ("sit", 8.0)])
 def test_the_dressed_surface_lies_about_the_plain_one(name, time, which):

@@ -2,15 +2,17 @@
 
 import csv
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.skeleton import Skeleton
+from tests.helpers.labelled_views import heading
 from tests.helpers.pair_statistics import statistics
 
 SHARED = Path(os.environ.get("DUPLEX_SHARED", Path(__file__).parents[4] / "shared"))
@@ -125,3 +127,18 @@ def test_the_simulated_pair_errs_like_the_real_one(recording):
 
 def test_the_simulated_azure_pair_errs_like_the_published_ones():
     assert not far_off(simulated_statistics(AZURE_SQUAT), PUBLISHED_SQUATS)
+
+
+def test_turning_round_before_a_kinect_v2_is_reported_as_facing_it():
+    errors = replace(TrackerErrors(), mirroring=TrackerErrors.of(KINECT_V2).mirroring)
+    a, _, truth = simulated_pair(motion="walk", seconds=25.0, body=KINECT_V2, angle_deg=0.0, errors=errors)
+    frames = list(a.frames())
+    reported = np.array([frame.people[PERSON].positions for frame in frames], dtype=np.float64)
+    true = truth.positions_at([frame.time_ns for frame in frames])
+    toward = -true[:, KINECT_V2.root] * (1.0, 0.0, 1.0)
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    cosine, claimed = (np.sum(heading(KINECT_V2, at) * toward, axis=1) for at in (true, reported))
+    assert np.mean(cosine < -0.8) > 0.2
+    # Real walks: 93 to 99 % of the frames with the back turned so far, 0 to 2 % from the front.
+    assert 0.75 <= np.mean(claimed[cosine < -0.8] > 0.0) <= 1.0
+    assert np.mean(claimed[cosine > 0.5] < 0.0) <= 0.02
