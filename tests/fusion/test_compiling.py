@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from importlib import import_module
@@ -127,21 +128,24 @@ def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path, user
     assert not (tmp_path / "~").exists()
 
 
-def kept_kernel(folder, limit="pass"):
-    """Runs a kernel, which is kept in a folder, in a new process; prints how often it was found there."""
-    (folder / "kept.py").write_text(COLD)
-    packages = os.pathsep.join([str(folder), str(Path.cwd())])
-    return subprocess.run(
-        [sys.executable, "-c", f"{limit}; import kept; print(kept.loop(1), len(kept.loop.stats.cache_hits))"],
-        env={**os.environ, "PYTHONPATH": packages, "NUMBA_CACHE_DIR": str(folder / "kernels")},
-        capture_output=True,
-        text=True,
-    )
+@pytest.fixture
+def kept_kernel(tmp_path, monkeypatch):
+    """A function that runs a kernel anew; returns its result and how often it was found on disk."""
+    (tmp_path / "kept.py").write_text(COLD)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path / "kernels"))
+
+    def run():
+        monkeypatch.delitem(sys.modules, "kept", raising=False)
+        loop = import_module("kept").loop
+        return loop(1), len(loop.stats.cache_hits)
+
+    return run
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "not a file"])
-def test_kernels_that_are_damaged_on_disk_are_compiled_again(tmp_path, damage):
-    kept_kernel(tmp_path)
+def test_kernels_that_are_damaged_on_disk_are_compiled_again(tmp_path, kept_kernel, damage):
+    kept_kernel()
     files = [path for path in (tmp_path / "kernels").rglob("*") if path.is_file()]
     assert len(files) == 4
     for file in files:
@@ -151,17 +155,23 @@ def test_kernels_that_are_damaged_on_disk_are_compiled_again(tmp_path, damage):
             file.mkdir()
         else:
             file.write_bytes(content[: len(content) // 2 if damage == "cut" else 0])
-    first, second = (kept_kernel(tmp_path) for _ in range(2))
-    assert first.stdout == "3 0\n", first.stderr
-    assert second.stdout == ("3 0\n" if damage == "not a file" else "3 1\n"), second.stderr
+    assert kept_kernel() == (3, 0)
+    assert kept_kernel() == (3, 0 if damage == "not a file" else 1)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of file sizes")
-def test_a_full_disk_costs_a_compilation(tmp_path):
+def test_a_full_disk_costs_a_compilation(kept_kernel):
     """Beyond a limit of file sizes writing fails as on a full disk."""
-    limit = "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-    run = kept_kernel(tmp_path, limit + "resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))")
-    assert run.stdout == "3 0\n", run.stderr
+    import resource
+
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1][1]))
+    try:
+        assert [kept_kernel(), kept_kernel()] == [(3, 0), (3, 0)]
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before[1])
+        signal.signal(signal.SIGXFSZ, before[0])
+    assert [kept_kernel(), kept_kernel()] == [(3, 0), (3, 1)]
 
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
