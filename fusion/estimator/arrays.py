@@ -201,7 +201,7 @@ def new_model(
         fast=by_joint(body, errors.fast),
         acceleration=by_joint(body, acceleration_shares()),
         bone_lengths=np.array(bone_lengths, dtype=np.float64),
-        rotation=np.array(a_from_b.rotation, dtype=np.float64),
+        rotation=np.array(a_from_b.rotation, dtype=np.float64, order="C"),
         translation=np.array(a_from_b.translation, dtype=np.float64),
         registration_variances=np.array(registration_variances, dtype=np.float64),
         rotations=np.array((np.eye(3), a_from_b.rotation), dtype=np.float64),

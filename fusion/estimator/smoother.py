@@ -60,7 +60,7 @@ def smooth_pairs(model, solve, trace, output):  # type: ignore[no-untyped-def]
             for i in range(len(model.parents)):
                 if trace.predicted_variances[later, i, 0] > 0.0 and trace.filtered_variances[k, i, 0] > 0.0:
                     step_back(model, trace, k, later, i)
-        _solve_bones(model, solve, trace, output, k, later)
+        _solve_bones(model, solve, trace, output, k, k if later < 0 else later)
         later = k
 
 
@@ -94,8 +94,11 @@ def step_back(model, trace, k, later, i):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _solve_bones(model, solve, trace, output, k, later):  # type: ignore[no-untyped-def]
-    """Writes the best skeleton with exact bone lengths for the smoothed joints of pair k."""
+def _solve_bones(model, solve, trace, output, k, like):  # type: ignore[no-untyped-def]
+    """Writes the best skeleton with exact bone lengths for the smoothed joints of pair k.
+
+    The search begins at the skeleton of pair ``like``.
+    """
     for i in range(len(model.parents)):
         known = trace.filtered_variances[k, i, 0] > 0.0
         W = solve.information[i]
@@ -107,10 +110,9 @@ def _solve_bones(model, solve, trace, output, k, later):  # type: ignore[no-unty
             W[c, c] += trace.filtered_variances[k, i, 0] if known else 0.0
         if known:
             inverse(W, W)
-    start = output.positions[k] if later < 0 else output.positions[later]
     solve_tree(
         model.parents, model.order, model.rest, solve.targets, solve.information, model.bone_lengths,
-        start, solve.tree_work, solve.positions,
+        output.positions[like], solve.tree_work, solve.positions,
     )  # fmt: skip
     joint_covariances(model, solve, output.covariance[k], output.sigma[k])
     add_registration_error(model, solve.positions, output.weights_b[k], output.covariance[k], output.sigma[k])

@@ -101,7 +101,7 @@ def reported_pairs(
         positions=positions,
         states=state,
         stale=stale,
-        sensor_b=np.array(np.broadcast_to(sensor_b, (len(state), 3)), dtype=np.float64),
+        sensor_b=np.array(np.broadcast_to(sensor_b, (len(state), 3)), dtype=np.float64, order="C"),
         up=np.array(up, dtype=np.float64),
     )
 

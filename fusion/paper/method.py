@@ -83,7 +83,7 @@ def new_model(setup: FusionSetup) -> Model:
         torso=np.array(body.torso, dtype=np.int64),
         linked=body.linked,
         bone_lengths=np.array(calibration.bone_lengths, dtype=np.float64),
-        rotation=np.array(calibration.a_from_b.rotation, dtype=np.float64),
+        rotation=np.array(calibration.a_from_b.rotation, dtype=np.float64, order="C"),
         focal_a=np.array([a.fx, a.fy]),
         focal_b=np.array([b.fx, b.fy]),
         h=setup.settings.h,

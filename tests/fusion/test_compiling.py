@@ -5,15 +5,27 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 
+from fusion.body import KINECT_V2
+from fusion.calibration.calibration import nominal_calibration
 from fusion.compiling import kernels as first_run
 from fusion.compiling.disk_cache import drop_stale_kernels
 from fusion.compiling.kernels import compiled_meanwhile
+from fusion.estimator import estimator
+from fusion.facing import sequence
+from fusion.facing.sequence import relabel_sequence, reported_pairs
+from fusion.fuser import Fuser
+from fusion.paper import method as paper
+from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings, FusionSetup
+from fusion.skeleton import SkeletonPair
 from fusion.solvers.tree_solver import compile_tree_solver, solve_tree
 
 CALLED = """
@@ -226,3 +238,32 @@ def test_a_later_run_starts_no_process(monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process"))
     with compiled_meanwhile(solve_tree, "pass"):
         pass
+
+
+@pytest.mark.parametrize(
+    ("method", "module", "kernel"),
+    [
+        ("duplex", estimator, "estimate_pairs"),
+        ("paper", paper, "fuse_frames"),
+        ("published", paper, "fuse_frames_as_published"),
+    ],
+)
+def test_a_transposed_rotation_compiles_nothing_anew(method, module, kernel):
+    calibration = nominal_calibration(KINECT_V2)
+    there = calibration.a_from_b
+    counts = []
+    for transform in (there, RigidTransform(np.asfortranarray(there.rotation), there.translation)):
+        setup = FusionSetup(replace(calibration, a_from_b=transform), FuserSettings(method=method))
+        Fuser(setup).update(SkeletonPair(None, None, 0))
+        counts.append(len(getattr(module, kernel).signatures))
+    assert counts[0] == counts[1] > 0
+
+
+def test_one_place_of_a_sensor_compiles_what_a_place_for_each_pair_does():
+    at, states = np.zeros((3, len(KINECT_V2), 3)), np.full((3, len(KINECT_V2)), 2, np.uint8)
+    counts = []
+    for sensor in (np.ones((3, 3)), np.ones(3)):
+        pairs = reported_pairs(KINECT_V2, (at, at), (states, states), sensor, up=(0.0, -1.0, 0.0))
+        relabel_sequence(KINECT_V2, pairs, np.arange(3) * 33_000_000)
+        counts.append(len(sequence._forward.signatures))
+    assert counts[0] == counts[1] > 0
