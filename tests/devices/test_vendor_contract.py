@@ -274,7 +274,7 @@ def test_a_subordinate_says_that_it_waits_for_pulses_until_it_had_one(driver):
     if driver.kind.__name__ == "KinectSensor":
         driver.bus.master_begun_ns = driver.time.now_ns()
     elif driver.kind.__name__ == "OrbbecSensor":
-        driver.bus.devices[0].sync["mode"] = type(driver.device.sync["mode"]).PRIMARY
+        driver.bus.devices[0].sync["mode"] = type(driver.source.sync["mode"]).PRIMARY
         driver.bus.running.append(B)
     driver.set()
     with driver.sensor(sync="subordinate") as sensor:

@@ -49,14 +49,15 @@ class Schedule:
     """Exposures of one sensor in virtual time: what comes when.
 
     Attributes:
-        lost: Of an exposure, whether depth is lost on USB.
-        image_lost: The same of the image beside depth.
+        depth_lost: Of an exposure, whether depth is lost on USB.
+        color_lost: The same of the image beside depth, whatever it is.
+        color_latency_ns: From exposure until that image comes.
     """
 
     def __init__(self, time):
         self.time, self.silent, self.blind = time, False, False
-        self.lost, self.image_lost = never, never
-        self.depth_ns, self.image_ns = 15_000_000, 40_000_000
+        self.depth_lost, self.color_lost = never, never
+        self.depth_ns, self.color_latency_ns = 15_000_000, 40_000_000
         self._begun_ns, self._count, self._due, self._order = time.now_ns(), 0, [], count()
 
     def next(self, until_ns):
@@ -82,8 +83,8 @@ class Schedule:
     def _expose(self, exposed_ns):
         number, clock_ns = self._count, self._count * PERIOD_NS
         for is_depth, here, after_ns in (
-            (True, not self.blind and not self.lost(number), self.depth_ns),
-            (False, not self.image_lost(number), self.image_ns),
+            (True, not self.blind and not self.depth_lost(number), self.depth_ns),
+            (False, not self.color_lost(number), self.color_latency_ns),
         ):
             if here:
                 due_ns = exposed_ns + after_ns
@@ -93,17 +94,17 @@ class Schedule:
 class Queue:
     """The queue of an SDK, which drops the oldest where it is full."""
 
-    def __init__(self, schedule, size):
-        self.schedule, self._items = schedule, deque(maxlen=size)
+    def __init__(self, source, size):
+        self.source, self._items = source, deque(maxlen=size)
 
     def take(self, timeout_s):
         """The oldest that waits."""
-        time = self.schedule.time
+        time = self.source.time
         until_ns = time.now_ns() + round(1e9 * timeout_s)
-        while self.schedule.waits():
-            self._put(self.schedule.next(time.now_ns()))
+        while self.source.waits():
+            self._put(self.source.next(time.now_ns()))
         if not self._items:
-            self._put(self.schedule.next(until_ns))
+            self._put(self.source.next(until_ns))
         return self._items.popleft() if self._items else None
 
     def _put(self, item):
@@ -116,19 +117,16 @@ class Driver:
 
     Attributes:
         color: Keywords of the settings that ask for the image which may be missing; None where there is none.
-        image: Its name in :attr:`Moment.lacks`.
-        has_infrared: Whether infrared may be missing beside depth.
-        subordinate: Whether it may wait for pulses on a cable.
+        source: What gives the images: a stand-in of a device, or a :class:`Schedule`.
         programs: What a busy sensor's message names.
     """
 
     color: dict | None = None
-    image = "color"
-    has_infrared = subordinate = False
-    serial, programs = A, ""
+    programs = ""
 
-    def __init__(self):
+    def __init__(self, source=None):
         self.time = VirtualTime()
+        self.source = source or Schedule(self.time)
 
     def settings(self, **settings):
         return CaptureSettings(**settings)
@@ -139,45 +137,62 @@ class Driver:
 
     def image_lost(self, lost):
         """Which exposures have no image beside depth, from now on."""
-        self.schedule.image_lost = lost
+        self.source.color_lost = lost
 
     def late_image(self, ns):
         """How long after exposure the image beside depth comes."""
-        self.schedule.image_ns = ns
+        self.source.color_latency_ns = ns
 
     def depth_lost(self, lost):
         """Which exposures' depth is lost on USB."""
-        self.schedule.lost = lost
+        self.source.depth_lost = lost
+
+    def infrared_lost(self, lost):
+        """Which exposures have no infrared image."""
+        self.source.infrared_lost = lost
 
     def set(self, *, silent=False, blind=False):
         """Nothing comes; images come but no depth."""
-        self.schedule.silent, self.schedule.blind = silent, blind
+        self.source.silent, self.source.blind = silent, blind
 
     def number(self, frame):
         """Which exposure a frame is of, from 1."""
         return int(frame.depth.flat[0]) - 2000
 
 
-class Azure(Driver):
+class OnBus(Driver):
+    """A stand-in of a vendor's Python module: two devices on a bus, of which A is played."""
+
+    color = {"color": "720P"}  # noqa: RUF012
+
+    def __init__(self, bus, *devices):
+        self.bus, bus.devices = bus, [*devices]
+        super().__init__(devices[1])
+
+    def busy(self, serial=A):
+        next(device for device in self.bus.devices if device.serial == serial).busy = True
+
+    def unplug(self):
+        self.source.plugged = False
+
+    def plug(self):
+        self.source.plugged = True
+
+    @property
+    def open_serials(self):
+        return self.bus.open_serials
+
+
+class Azure(OnBus):
     """The stand-in for pyk4a."""
 
-    kind, color, has_infrared, subordinate, programs = (
-        KinectSensor,
-        {"color": "720P"},
-        True,
-        True,
-        "k4aviewer",
-    )
-    usb = ("045e", "097c")
+    kind, programs, usb = KinectSensor, "k4aviewer", ("045e", "097c")
 
     def __init__(self, bus, monkeypatch):
-        super().__init__()
-        self.bus = bus
         monkeypatch.setattr(pyk4a_access, "usb_kinects", self._on_usb)
-        self.device, other = (
-            Device(serial, paced=True, time=self.time, jacks=(True, True)) for serial in (A, B)
-        )
-        bus.devices = [other, self.device]
+        super().__init__(bus, *(Device(serial, paced=True, jacks=(True, True)) for serial in (B, A)))
+        for device in bus.devices:
+            device.time = self.time
 
     def _on_usb(self):
         return [UsbKinect(device.serial, Path(), True, 5000) for device in self.bus.plugged()]
@@ -188,74 +203,32 @@ class Azure(Driver):
     def sensor(self, serial=A, **settings):
         return KinectSensor(serial, self.settings(**settings), track=False, clock=self.time.now_ns)
 
-    def image_lost(self, lost):
-        self.device.color_lost = lost
 
-    def late_image(self, ns):
-        self.device.color_latency_ns = ns
-
-    def depth_lost(self, lost):
-        self.device.depth_lost = lost
-
-    def infrared_lost(self, lost):
-        self.device.infrared_lost = lost
-
-    def set(self, *, silent=False, blind=False):
-        self.device.silent, self.device.blind = silent, blind
-
-    def busy(self, serial=A):
-        next(device for device in self.bus.devices if device.serial == serial).busy = True
-
-    def unplug(self):
-        self.device.plugged = False
-
-    def plug(self):
-        self.device.plugged = True
-
-    @property
-    def open_serials(self):
-        return self.bus.open_serials
-
-
-class OrbbecDriver(Driver):
+class OrbbecDriver(OnBus):
     """The stand-in for pyorbbecsdk, with the SDK's way of making sets of frames."""
 
-    kind, color, has_infrared, subordinate = OrbbecSensor, {"color": "720P"}, True, True
-    programs, usb = "OrbbecViewer", ("2bc5", "066b")
+    kind, programs, usb = OrbbecSensor, "OrbbecViewer", ("2bc5", "066b")
 
     def __init__(self, bus):
+        super().__init__(bus, Orbbec(B), Orbbec(A, paced=True, interval_us=33_333))
+        bus.time = self.time
+
+
+class ByLibrary(Driver):
+    """A library's list of two sensors, of which A is played by a schedule."""
+
+    def __init__(self):
         super().__init__()
-        self.bus, bus.time = bus, self.time
-        self.device = Orbbec(A, paced=True, interval_us=33_333)
-        bus.devices = [Orbbec(B), self.device]
-
-    def image_lost(self, lost):
-        self.device.color_lost = lost
-
-    def late_image(self, ns):
-        self.device.color_latency_us = ns // 1000
-
-    def depth_lost(self, lost):
-        self.device.lost = lost
-
-    def infrared_lost(self, lost):
-        self.device.infrared_lost = lost
-
-    def set(self, *, silent=False, blind=False):
-        self.device.silent, self.device.blind = silent, blind
+        self.there, self.in_use = [B, A], set()
 
     def busy(self, serial=A):
-        next(device for device in self.bus.devices if device.serial == serial).busy = True
+        self.in_use.add(serial)
 
     def unplug(self):
-        self.device.plugged = False
+        self.there.remove(A)
 
     def plug(self):
-        self.device.plugged = True
-
-    @property
-    def open_serials(self):
-        return self.bus.open_serials
+        self.there.append(A)
 
 
 class _Listed:
@@ -277,16 +250,15 @@ class _Listed:
         return (self[index] for index in range(len(self)))
 
 
-class RealSense(Driver):
+class RealSense(ByLibrary):
     """The real pyrealsense2: software devices, and its queue, which is fed in virtual time."""
 
-    kind, color, has_infrared, subordinate = RealSenseSensor, {"color": "720P"}, True, True
-    programs, usb = "realsense-viewer", ("8086", "0b07")
+    kind, color, programs = RealSenseSensor, {"color": "720P"}, "realsense-viewer"
+    usb = ("8086", "0b07")
 
     def __init__(self, rs, monkeypatch):
         super().__init__()
-        self.rs, self.schedule = rs, Schedule(self.time)
-        self.there, self.in_use, self.software = [B, A], set(), {}
+        self.rs = rs
         self._make(colored=False)
         self._image = np.full((LENS.height, LENS.width), 7, np.uint8)
         queue = rs.frame_queue
@@ -312,11 +284,11 @@ class RealSense(Driver):
 
         def try_wait_for_frame(timeout_ms):
             until_ns = self.time.now_ns() + 1_000_000 * timeout_ms
-            while self.schedule.waits():
-                self._expose(self.schedule.next(self.time.now_ns()))
+            while self.source.waits():
+                self._expose(self.source.next(self.time.now_ns()))
             came, frame = queue.try_wait_for_frame(0)
             if not came and timeout_ms:
-                self._expose(self.schedule.next(until_ns))
+                self._expose(self.source.next(until_ns))
                 came, frame = queue.try_wait_for_frame(0)
             return came, frame
 
@@ -341,18 +313,15 @@ class RealSense(Driver):
         return [serial for serial, one in self.software.items() if one.stereo.get_active_streams()]
 
     def infrared_lost(self, lost):
-        self.schedule.image_lost = lost
-
-    def busy(self, serial=A):
-        self.in_use.add(serial)
+        self.image_lost(lost)
 
     def unplug(self):
-        self.there.remove(A)
-        self.schedule.silent = True
+        super().unplug()
+        self.source.silent = True
 
     def plug(self):
-        self.there.append(A)
-        self.schedule.silent = False
+        super().plug()
+        self.source.silent = False
 
 
 class ScriptedV1(freenect._Camera):
@@ -414,40 +383,29 @@ class FakeFreenect:
         return 0
 
 
-class KinectV1(Driver):
+class KinectV1(ByLibrary):
     """A scripted camera."""
 
     kind, color, programs, usb = FreenectSensor, {}, "freenect-glview", ("045e", "02ae")
 
     def __init__(self, monkeypatch):
         super().__init__()
-        self.there, self.in_use, self.open_serials = [B, A], set(), []
-        self.schedule = Schedule(self.time)
-        self.queue = Queue(self.schedule, freenect._QUEUE)
+        self.open_serials = []
+        self.queue = Queue(self.source, freenect._QUEUE)
         monkeypatch.setattr(libfreenect, "load_library", lambda: FakeFreenect(self))
         monkeypatch.setattr(freenect, "_Camera", type("Camera", (ScriptedV1,), {"driver": self}))
 
-    def busy(self, serial=A):
-        self.in_use.add(serial)
 
-    def unplug(self):
-        self.there.remove(A)
-
-    def plug(self):
-        self.there.append(A)
-
-
-class KinectV2(Driver):
+class KinectV2(ByLibrary):
     """A scripted camera, whose library gives depth and infrared at once."""
 
     kind, programs, usb = Freenect2Sensor, "Protonect", ("045e", "02c4")
 
     def __init__(self, monkeypatch):
         super().__init__()
-        self.there, self.in_use, self.open_serials = [B, A], set(), []
-        self.schedule = Schedule(self.time)
-        self.schedule.image_lost = lambda _: True
-        self.queue = Queue(self.schedule, 16)
+        self.open_serials = []
+        self.source.color_lost = lambda _: True
+        self.queue = Queue(self.source, 16)
         monkeypatch.setattr(freenect2, "Camera", self._camera)
 
     def _camera(self, serial):
@@ -473,12 +431,6 @@ class KinectV2(Driver):
             warnings=[],
             lens=(365.0, 365.0, 256.0, 212.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         )
-
-    def unplug(self):
-        self.there.remove(A)
-
-    def plug(self):
-        self.there.append(A)
 
 
 _DRIVERS = {

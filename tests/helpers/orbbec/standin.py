@@ -57,14 +57,14 @@ class Orbbec:
     color: bool = True  # the colour camera works
     color_lost: Callable[[int], bool] = lambda _number: False
     latency_us: int = 15_000  # from exposure until depth and infrared reach the SDK
-    color_latency_us: int = 40_000
+    color_latency_ns: int = 40_000_000
     timed: bool = True  # frames have a time of the sensor's clock
     calibrated: bool = True
     distortion: str = "BROWN_CONRADY_K6"
     keeps_delay: bool = True
     paced: bool = False  # frames come when they are due; otherwise one per wait
     waiting: int = 0  # sets of frames that wait in the SDK's queue beside the one that is waited for
-    lost: Callable[[int], bool] = lambda _number: False  # on USB
+    depth_lost: Callable[[int], bool] = lambda _number: False  # on USB
     skips: int = 0  # frames that the full queue dropped before each one
     interval_us: int = 33_333
     clock_us: int = 1_000_000
@@ -360,7 +360,7 @@ def make_module(bus):
             sensor.given += 1
             sensor.clock_us += sensor.interval_us * (1 + sensor.skips)
             depth, number = self._profiles[sensors.DEPTH_SENSOR], sensor.given
-            if sensor.lost(number):
+            if sensor.depth_lost(number):
                 return
             size, arrived_ns = (depth.get_height(), depth.get_width()), now_ns + 1000 * sensor.latency_us
             if not sensor.blind:
@@ -372,7 +372,7 @@ def make_module(bus):
                 self._put(kind, values.OBFormat[sensor.infrared], image, arrived_ns)
             if sensors.COLOR_SENSOR in self._profiles and sensor.color and not sensor.color_lost(number):
                 jpeg = np.frombuffer(JPEG, np.uint8)
-                arrived_ns = now_ns + 1000 * sensor.color_latency_us
+                arrived_ns = now_ns + sensor.color_latency_ns
                 self._put(kinds.COLOR_FRAME, values.OBFormat.MJPG, jpeg, arrived_ns)
 
         def _put(self, kind, image_format, image, arrived_ns):
