@@ -79,6 +79,13 @@ VALUES = {
 }
 
 
+def assert_same(ours, theirs):
+    """Two columns or batches are the same, also in their types."""
+    assert ours.component_descriptor() == theirs.component_descriptor()
+    assert ours.as_arrow_array().equals(theirs.as_arrow_array())
+    assert ours.as_arrow_array().type == theirs.as_arrow_array().type
+
+
 @pytest.mark.parametrize(("archetype", "argument"), VALUES)
 def test_an_argument_of_an_archetype_becomes_what_rerun_makes_of_it(archetype, argument):
     values, each = VALUES[archetype, argument], POINTS if archetype == "Points3D" else 1
@@ -96,26 +103,20 @@ def test_points_become_what_rerun_makes_of_them(count):
     values = RANDOM.normal(size=(count, 3)).astype(np.float32)
     (ours,) = points(values)
     (theirs,) = rr.Points3D.from_fields(positions=values).as_component_batches()
-    assert ours.component_descriptor() == theirs.component_descriptor()
-    assert ours.as_arrow_array().equals(theirs.as_arrow_array())
-    assert ours.as_arrow_array().type == theirs.as_arrow_array().type
+    assert_same(ours, theirs)
 
 
 def test_an_image_becomes_what_rerun_makes_of_it():
     theirs = rr.EncodedDepthImage(b"a blob", media_type="application/rvl", meter=1000.0)
     ours = depth_image(b"a blob", "application/rvl", 1000.0)
     for mine, their in zip(ours, theirs.as_component_batches(), strict=True):
-        assert mine.component_descriptor() == their.component_descriptor()
-        assert mine.as_arrow_array().equals(their.as_arrow_array())
-        assert mine.as_arrow_array().type == their.as_arrow_array().type
+        assert_same(mine, their)
 
 
 def test_states_become_what_rerun_makes_of_them():
     states = ["from A", "from both", "from A"]
     (ours,), (theirs,) = state_changes(states), rr.StateChange.columns(state=states)
-    assert ours.component_descriptor() == theirs.component_descriptor()
-    assert ours.as_arrow_array().equals(theirs.as_arrow_array())
-    assert ours.as_arrow_array().type == theirs.as_arrow_array().type
+    assert_same(ours, theirs)
 
 
 def test_times_become_what_rerun_makes_of_them():
