@@ -86,11 +86,15 @@ def test_objective_is_the_weighted_misfit():
     assert solution.objective == pytest.approx(misfit, rel=1e-12)
 
 
+@pytest.mark.parametrize("matrices", [False, True])
 @given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-5, 5)] * 3))
-def test_solution_moves_with_the_world(seed, shift):
-    problem = ordinary_problem(seed)
-    R = rotation(seed)
+def test_solution_moves_with_the_world(matrices, seed, shift):
+    """Targets and information matrices turned together: W' = R W Rᵀ."""
+    problem, R = ordinary_problem(seed), rotation(seed)
     moved = replace(problem, targets=problem.targets @ R.T + shift)
+    if matrices:
+        problem = replace(problem, weights=moderate_information(seed, len(problem.body)))
+        moved = replace(moved, weights=R @ problem.weights @ R.T)
     expected = solve(problem).positions @ R.T + shift
     solution = solve(moved)
     np.testing.assert_allclose(solution.positions, expected, rtol=0, atol=SAME)
@@ -198,18 +202,6 @@ def test_joints_without_depth_are_solved(body, seed):
     before = ordinary_problem(seed, body, noise=0.0).targets
     problem = replace(ordinary_problem(seed, body, noise=0.01), weights=W, start=before)
     assert failures(problem, solve(problem)) == []
-
-
-@given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-5, 5)] * 3))
-def test_solution_with_information_matrices_moves_with_the_world(seed, shift):
-    """Targets and matrices turned together: W' = R W Rᵀ."""
-    problem = ordinary_problem(seed)
-    problem = replace(problem, weights=moderate_information(seed, len(problem.body)))
-    R = rotation(seed)
-    moved = replace(problem, targets=problem.targets @ R.T + shift, weights=R @ problem.weights @ R.T)
-    solution = solve(moved)
-    np.testing.assert_allclose(solution.positions, solve(problem).positions @ R.T + shift, rtol=0, atol=SAME)
-    assert failures(moved, solution) == []
 
 
 def test_warm_start_at_the_solution_takes_no_step():

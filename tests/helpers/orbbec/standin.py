@@ -121,12 +121,6 @@ def make_module(bus):
         def __init__(self, sensor):
             self._sensor = sensor
 
-        def get_serial_number(self):
-            return self._sensor.serial
-
-        def get_name(self):
-            return self._sensor.model
-
         def get_firmware_version(self):
             return self._sensor.firmware
 
@@ -283,9 +277,6 @@ def make_module(bus):
                 profile.set_distortion(distortion)
                 profile.get_extrinsic_to = lambda _other: _beside()
             return profile
-
-        def enable_frame_sync(self):
-            self._aggregator.sync = True
 
         def disable_frame_sync(self):
             self._aggregator.sync = False
