@@ -7,6 +7,7 @@ groups. A joint whose name says no kind, and a kind without a value, are errors.
 """
 
 from collections.abc import Mapping
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -69,6 +70,7 @@ def of_kind(body: Body, *kinds: str) -> NDArray[np.bool_]:
     return by_joint(body, dict.fromkeys(_UNLIKE, 0.0) | dict.fromkeys(kinds, 1.0)) > 0.0
 
 
+@cache
 def limbs(body: Body) -> NDArray[np.int64]:
     """(J,) ``ARM`` or ``LEG`` for joints that have a left and a right side, 0 on the middle line.
 
@@ -76,4 +78,6 @@ def limbs(body: Body) -> NDArray[np.int64]:
     """
     hips = ["hip" in joint.lower() for joint in body.joints]
     legs = of_kind(body, "knee", "ankle", "foot") | hips
-    return np.where(body.sided, np.where(legs, LEG, ARM), 0).astype(np.int64)
+    limb = np.where(body.sided, np.where(legs, LEG, ARM), 0).astype(np.int64)
+    limb.flags.writeable = False  # all callers share it
+    return limb

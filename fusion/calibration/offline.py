@@ -15,7 +15,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.pair_arrays import Pairs
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
-from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
+from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides, relabelled
 from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import label_free_fit
@@ -163,11 +163,13 @@ class _Fresh(NamedTuple):
         frames = KeyframeSet(self.pairs.body, _KEYFRAMES)
         within = self.within(begin_ns, end_ns)
         for part in parts(within.stop - within.start):
-            first = within.start + part.start
-            times = self.pairs.time_ns[first : within.start + part.stop].tolist()
-            for k, time_ns in enumerate(times, first):
+            own = slice(within.start + part.start, within.start + part.stop)
+            of, codes = self.pairs[own].arrays(), self.codes[own].T
+            a, weight_a = relabelled(self.pairs.body, of.a, of.states_a, codes[0])
+            b, weight_b = relabelled(self.pairs.body, of.b, of.states_b, codes[1])
+            for k, time_ns in enumerate(of.time_ns.tolist()):
                 if frames.due(time_ns):
-                    frames.add(self.pairs[k], (int(self.codes[k, 0]), int(self.codes[k, 1])))
+                    frames.add_views((a[k], b[k]), (weight_a[k], weight_b[k]), time_ns)
         return frames.evidence
 
 

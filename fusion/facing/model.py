@@ -252,7 +252,7 @@ def new_facing_model(body: Body, constants: FacingConstants | None = None) -> Fa
         pairs=np.array(pairs, dtype=np.int64),
         head=np.array([body.joint("Head"), body.joint("ShoulderCenter") if base is None else base]),
         mirror=body.mirror,
-        limb=limbs(body),
+        limb=limbs(body).copy(),
         girdle=of_kind(body, "girdle") & body.sided,
         face=of_kind(body, "face") & body.sided,
         heading_placed=of_kind(body, "foot", "thumb", "face"),

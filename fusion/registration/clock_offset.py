@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.pair_arrays import Pairs
 from fusion.registration.error_model import relative_noise
-from fusion.registration.sampled_motion import Sampling, interpolated
+from fusion.registration.sampled_motion import Interpolation, Sampling
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED, SkeletonPair
 from fusion.support.types import Array
@@ -190,11 +190,13 @@ def _windows(
         return []
     sampling = Sampling.of(times)
     residual, velocity = _residuals(views, times, skews_ns, offset_ns, sampling)
+    known = np.asarray(np.isfinite(residual).all(axis=2) & np.isfinite(velocity).all(axis=2))
+    residual[~known] = velocity[~known] = 0.0
     windows = []
     for inside in _slices(times, _window_of(sampling)):
         if inside.stop - inside.start < _FEWEST_FRAMES:
             continue
-        r, v, weight = _centred(points, residual[inside], velocity[inside])
+        r, v, weight = _centred(points, residual[inside], velocity[inside], known[inside])
         moment, power = float(np.sum(weight * r * v)), float(np.sum(weight * v * v))
         if power < _SLOWEST**2 * float(weight.sum()):
             continue
@@ -219,7 +221,7 @@ def _residuals(
     """p − q' (T, M, 3) with B taken at A's times, and the velocity (T, M, 3) in m/s."""
     a, b = views
     # when B's points were truly captured
-    b = interpolated(times + skews_ns + offset_ns, b, times, sampling.gap_ns)
+    b = Interpolation(times + skews_ns + offset_ns, b, sampling.gap_ns).positions(times)
     middle = 0.5 * (a + b)
     velocity, reach = np.full_like(middle, np.nan), sampling.reach
     elapsed = times[2 * reach :] - times[: -2 * reach]
@@ -229,18 +231,14 @@ def _residuals(
     return a - b, velocity
 
 
-def _centred(points: _Points, residual: Array, velocity: Array) -> tuple[Array, Array, Array]:
+def _centred(
+    points: _Points, residual: Array, velocity: Array, known: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
     """Residual and velocity about their means of the window, and robust weights; 0 where unknown."""
-    known = np.isfinite(residual).all(axis=2) & np.isfinite(velocity).all(axis=2)
-    enough = known.sum(axis=0) >= 6
-    known &= enough
-    count = np.maximum(known.sum(axis=0), 1)[:, None]
-
-    def about_mean(values: Array) -> Array:
-        values = np.where(known[..., None], values, 0.0)
-        return np.asarray(np.where(known[..., None], values - values.sum(axis=0) / count, 0.0))
-
-    r, v = about_mean(residual), about_mean(velocity)
+    count = known.sum(axis=0)
+    known = known & (count >= 6)
+    count = np.maximum(count, 1)[:, None]
+    r, v = (np.where(known[..., None], of - of.sum(axis=0) / count, 0.0) for of in (residual, velocity))
     size = np.linalg.norm(r, axis=2) / points.noise
     typical = float(np.median(size[known])) if known.any() else 1.0
     weight = known / (points.noise**2 * (1.0 + (size / (_FAR * max(typical, 1e-6))) ** 2))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.pair_arrays import View
 from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.rigid_fit import robust_fits
-from fusion.registration.sampled_motion import Sampling, interpolated
+from fusion.registration.rigid_fit import robust_fits, sum_of_coordinates
+from fusion.registration.sampled_motion import Interpolation, Sampling
 from fusion.skeleton import TRACKED
 from fusion.support.types import Array
 
@@ -41,6 +41,7 @@ _LASTING_SD_NS = 8_000_000.0
 _APART = 9  # grid steps between two peaks
 _COMPARED = 192  # frames
 _FEWEST, _FEWEST_JOINTS = 24, 5
+_FFT = 1024  # a multiple of it has no large prime factors, with which a transform takes longer
 _FAR = 0.05  # metres: a joint's distance beyond this counts less and less
 _CERTAIN = 3.0  # standard errors by which a candidate must be better than any other
 _CORRELATED = 2.0  # standard errors are larger by this factor, because neighbouring frames are alike
@@ -184,7 +185,7 @@ def _peaks(body: Body, a: View, b: View, besides: tuple[int, ...]) -> list[tuple
     known_x, known_y = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
     x, y = np.nan_to_num(x), np.nan_to_num(y)
     product, power_x, power_y = (
-        _correlate(first, second).sum(axis=1)
+        _correlate(first, second, every=False)[:, 0]
         for first, second in ((x, y), (x * x, known_y), (known_x, y * y))
     )
     r = _coefficients(product, power_x, power_y, _OVERLAP)
@@ -227,10 +228,12 @@ def _vertex(r: Array) -> float:
     return float(0.5 * (r[0] - r[2]) / curvature) if curvature < 0.0 else 0.0
 
 
-def _correlate(x: Array, y: Array) -> Array:
-    """Σ x_n y_{n+k} of each signal, for each k at which x lies within y."""
-    size = len(x) + len(y)
+def _correlate(x: Array, y: Array, *, every: bool = True) -> Array:
+    """Σ x_n y_{n+k} of each signal, or their sum, for each k at which x lies within y."""
+    size = -(-(len(x) + len(y)) // _FFT) * _FFT
     spectrum = np.conj(np.fft.rfft(x, size, axis=0)) * np.fft.rfft(y, size, axis=0)
+    if not every:
+        spectrum = spectrum.sum(axis=1, keepdims=True)
     return np.asarray(np.fft.irfft(spectrum, size, axis=0)[: len(y) - len(x) + 1])
 
 
@@ -279,11 +282,11 @@ def frame_costs(a: View, b: View, offsets_ns: Sequence[int]) -> Array:
         return np.zeros((0, _COMPARED))
     chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
     p = _tracked(a, chosen)
-    q = np.array([_at_times(b, a.time_ns[chosen] - offset) for offset in offsets_ns])
-    seen = np.isfinite(p + q).all(axis=3).sum(axis=2) >= _FEWEST_JOINTS
+    q = _at_times(b, a.time_ns[chosen] - np.array(offsets_ns, dtype=np.int64)[:, None])
+    seen = np.isfinite(sum_of_coordinates(p + q)).sum(axis=2) >= _FEWEST_JOINTS
     q[~seen] = np.nan
     R, t = robust_fits(p.reshape(1, -1, 3), q.reshape(len(q), -1, 3))
-    penalty = np.log1p(np.sum((p - (q @ R[:, None].mT + t[:, None, None])) ** 2, axis=3) / _FAR**2)
+    penalty = np.log1p(sum_of_coordinates((p - (q @ R[:, None].mT + t[:, None, None])) ** 2) / _FAR**2)
     known = np.isfinite(penalty)
     count = known.sum(axis=2)
     sums = np.where(known, penalty, 0.0).sum(axis=2)
@@ -297,11 +300,13 @@ def _tracked(view: View, index: NDArray[np.int64]) -> Array:
 
 
 def _at_times(view: View, wanted_ns: NDArray[np.int64]) -> Array:
-    """(N, J, 3) positions at other times; NaN before the first frame, after the last and across gaps."""
+    """(K, N, J, 3) positions at (K, N) times; NaN before the first frame, after the last and across gaps."""
     last = len(view.time_ns) - 1
-    near = np.clip(np.searchsorted(view.time_ns, wanted_ns)[:, None] + np.arange(-2, 2), 0, last)
+    near = np.clip(np.searchsorted(view.time_ns, wanted_ns)[..., None] + np.arange(-2, 2), 0, last)
     few = np.unique(near)  # the frames that interpolation needs: a long recording lies in a file
-    at = interpolated(view.time_ns[few], _tracked(view, few), wanted_ns, Sampling.of(view.time_ns).gap_ns)
+    gap_ns = Sampling.of(view.time_ns).gap_ns
+    motion = Interpolation(view.time_ns[few], _tracked(view, few), gap_ns)
+    at = np.array([motion.positions(times) for times in wanted_ns])
     at[(wanted_ns < view.time_ns[0]) | (wanted_ns > view.time_ns[last])] = np.nan
     return at
 

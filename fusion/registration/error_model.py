@@ -26,6 +26,7 @@ from fusion.support.types import Array
 
 DEGREES_OF_FREEDOM = 4.0  # of Student's t distribution
 _BASIS_VARIANCE = np.array([0.5, 0.25, 0.25])
+_BASIS_INFORMATION = np.diag(1.0 / _BASIS_VARIANCE)
 _RELATIVE_NOISE = {
     "spine": 1.0, "head": 1.2, "girdle": 1.2, "elbow": 1.5, "wrist": 2.0, "hand": 2.5, "tip": 3.5,
     "thumb": 4.0, "knee": 1.3, "ankle": 1.6, "foot": 2.5, "face": 1.3,
@@ -117,8 +118,7 @@ def disagreement(
             np.sum(beta**2 * (bias_information[None, :, None] / _BASIS_VARIANCE[:, None, None]))
         )
         if k < iterations:
-            _, _, own, _ = eliminate_biases(sums, bias_information)
-            beta = np.moveaxis(own, 0, 1)
+            beta = np.moveaxis(_covariances(sums, bias_information) @ sums.r, 0, 1)
     return cost
 
 
@@ -172,7 +172,10 @@ def accumulated(evidence: Evidence, model: ErrorModel) -> Sums:
 
 def _plain(values: Array) -> Array:
     """The values in a contiguous, writable array: numba compiles anew for any other layout."""
-    return np.require(values, np.float64, ("C", "W"))
+    flags = values.flags  # np.require takes longer than the rest of what is called here
+    if flags.c_contiguous and flags.writeable and values.dtype == np.float64:
+        return values
+    return np.array(values, dtype=np.float64, order="C")
 
 
 def eliminate_biases(sums: Sums, bias_information: Array) -> tuple[Array, Array, Array, Array]:
@@ -183,8 +186,7 @@ def eliminate_biases(sums: Sums, bias_information: Array) -> tuple[Array, Array,
         decrease of β per step.
     """
     joints = len(sums.w)
-    own: Array = sums.phi + bias_information[:, None, None] * np.diag(1.0 / _BASIS_VARIANCE)
-    inverse = np.asarray(np.linalg.inv(own), dtype=np.float64)
+    inverse = _covariances(sums, bias_information)
     # How φ_f β couples with (dt, θ): [I, −[x]×] summed with weight φ_f.
     coupling = np.zeros((joints, 3, 3, 6))
     for axis in range(3):
@@ -199,6 +201,11 @@ def eliminate_biases(sums: Sums, bias_information: Array) -> tuple[Array, Array,
     )
     gradient = sums.gradient - np.tensordot(coupling, alone, axes=([0, 1, 2], [0, 1, 2]))
     return information, gradient, alone, coupled.reshape(coupling.shape)
+
+
+def _covariances(sums: Sums, bias_information: Array) -> Array:
+    """(J, 3, 3) of each joint's β."""
+    return np.asarray(np.linalg.inv(sums.phi + bias_information[:, None, None] * _BASIS_INFORMATION))
 
 
 _CROSS = ((0, 1, 2, 1.0), (0, 2, 1, -1.0), (1, 0, 2, -1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0), (2, 1, 0, -1.0))

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
 from fusion.joint_kinds import limbs
 from fusion.rigid import RigidTransform
-from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.skeleton import SkeletonPair
 from fusion.support.array_fields import new_arrays
 from fusion.support.large_arrays import give_back
 from fusion.support.types import Array
@@ -56,22 +56,25 @@ class Evidence(NamedTuple):
         return np.asarray((self.time_ns // _BLOCK_NS) % 2, dtype=np.int64)
 
 
-def relabelled(skeleton: Skeleton, code: int) -> tuple[Array, Array]:
-    """Positions and weights of a view with left and right of its limbs exchanged back.
+def relabelled(
+    body: Body, positions: NDArray[np.float32], states: NDArray[np.uint8], codes: ArrayLike
+) -> tuple[Array, Array]:
+    """Positions and weights of a view in T frames, with left and right of its limbs exchanged back.
 
     Args:
-        code: Bit 0 exchanges the arms, bit 1 the legs.
+        positions: (T, J, 3) metres; NaN where unknown.
+        states: (T, J) tracking states.
+        codes: (T,) bit 0 exchanges the arms, bit 1 the legs.
 
     Returns:
-        (J, 3) positions, 0 where unknown; (J,) weights 0, 0.1 (inferred) or 1 (tracked).
+        (T, J, 3) positions, 0 where unknown; (T, J) weights 0, 0.1 (inferred) or 1 (tracked).
     """
-    at = skeleton.positions.astype(np.float64)
-    states = skeleton.states
-    if code:
-        body = skeleton.body
+    code = np.asarray(codes)[:, None]
+    if code.any():
         source = np.where(limbs(body) & code, body.mirror, np.arange(len(body)))
-        at, states = at[source], states[source]
-    return np.where(states[:, None] != 0, at, 0.0), _WEIGHTS[states]
+        states = np.take_along_axis(states, source, axis=1)
+        positions = np.take_along_axis(positions, source[:, :, None], axis=1)
+    return np.where(states[:, :, None] != 0, positions, 0.0).astype(np.float64), _WEIGHTS[states]
 
 
 class KeyframeSet:
@@ -114,14 +117,22 @@ class KeyframeSet:
         """Whether a pair shows something new, and became a keyframe; the caller leaves out stale ones."""
         if pair.a is None or pair.b is None or (self._selective and not self.due(pair.time_ns)):
             return False
-        a, weight_a = relabelled(pair.a, codes[0])
-        if self._selective and not self._new(a, weight_a, pair.time_ns):
+        (a, weight_a), (b, weight_b) = (
+            relabelled(self._body, view.positions[None], view.states[None], (code,))
+            for view, code in zip((pair.a, pair.b), codes, strict=True)
+        )
+        return self.add_views((a[0], b[0]), (weight_a[0], weight_b[0]), pair.time_ns)
+
+    def add_views(self, views: tuple[Array, Array], weights: tuple[Array, Array], time_ns: int) -> bool:
+        """The same of a pair that is due, as :func:`relabelled` gives its views."""
+        (a, b), (weight_a, weight_b) = views, weights
+        if self._selective and not self._new(a, weight_a, time_ns):
             return False
-        b, weight_b = relabelled(pair.b, codes[1])
         weight = weight_a * weight_b
         if np.count_nonzero(weight == 1.0) < len(self._body) // 3:
             return False
-        across = 0.5 * (a[self._left].sum(axis=0) - a[self._right].sum(axis=0))
+        (l1, l2), (r1, r2) = self._left, self._right
+        across = 0.5 * (a[l1] + a[l2] - (a[r1] + a[r2]))
         heading = float(np.arctan2(across[2], across[0]))
         centre = a[weight_a > 0.0].mean(axis=0)
         cell = (
@@ -133,7 +144,7 @@ class KeyframeSet:
         store = self._store
         store.a[slot], store.b[slot], store.weights[slot] = a, b, weight
         store.basis[slot] = 1.0, np.cos(heading), np.sin(heading)
-        store.time_ns[slot] = pair.time_ns
+        store.time_ns[slot] = time_ns
         self._newest = slot
         return True
 

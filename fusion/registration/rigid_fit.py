@@ -102,8 +102,8 @@ def robust_fits(p: Array, q: Array) -> tuple[Array, Array]:
     """
     p = np.ascontiguousarray(p, dtype=np.float64)
     q = np.ascontiguousarray(q, dtype=np.float64)
-    apart = np.where(np.isfinite(p).all(axis=-1) & np.isfinite(q).all(axis=-1), 0.0, np.nan)
-    count = np.isfinite(apart).sum(axis=1)
+    known = np.isfinite(sum_of_coordinates(p) + sum_of_coordinates(q))
+    apart, count = np.where(known, 0.0, np.nan), known.sum(axis=1)
     scale, sums = np.full(len(q), np.inf), np.empty((len(q), 25))  # all weights are 1 at first
     undetermined = count < 3
     for step in range(_STEPS):
@@ -126,6 +126,11 @@ def robust_fits(p: Array, q: Array) -> tuple[Array, Array]:
     return R, t
 
 
+def sum_of_coordinates(points: Array) -> Array:
+    """(…) of (…, 3) points. ``np.sum`` takes longer along so short an axis."""
+    return np.asarray(points[..., 0] + points[..., 1] + points[..., 2])
+
+
 @kernel
 def _distances(p, q, R, t, apart):  # type: ignore[no-untyped-def]
     """(K, N) metres between p and R q + t; NaN stays where a point is unknown."""
@@ -144,9 +149,9 @@ def _distances(p, q, R, t, apart):  # type: ignore[no-untyped-def]
 
 @kernel
 def _weighted_sums(p, q, apart, scale, sums):  # type: ignore[no-untyped-def]
-    """(K, 25) sums of w, w p, w q, w p qᵀ and w q qᵀ over the known points."""
+    """(K, 25) sums of w, w p, w q, w p qᵀ and, in the first step, w q qᵀ over the known points."""
     for k in range(len(q)):
-        of = min(k, len(p) - 1)
+        of, first = min(k, len(p) - 1), scale[k] == np.inf
         for i in range(sums.shape[1]):
             sums[k, i] = 0.0
         for n in range(q.shape[1]):
@@ -160,7 +165,8 @@ def _weighted_sums(p, q, apart, scale, sums):  # type: ignore[no-untyped-def]
                     sums[k, 4 + i] += wq
                     for j in range(3):
                         sums[k, 7 + 3 * i + j] += wp * q[k, n, j]
-                        sums[k, 16 + 3 * i + j] += wq * q[k, n, j]
+                        if first:
+                            sums[k, 16 + 3 * i + j] += wq * q[k, n, j]
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,9 +76,10 @@ def fit_robust(
     bias_information = np.full(len(body), settings.bias_sd**-2)
     beta = np.zeros((3, len(body), 3)) if biases is None else biases.copy()
     R, t = start.rotation.copy(), start.translation.copy()
-    information, centre = np.zeros((6, 6)), np.zeros(3)
+    information, middle = np.zeros((6, 6)), _middle(evidence)
+    centre = middle
     for _ in range(iterations):
-        centre = _centre(evidence, R, t)
+        centre = R @ middle + t
         sums = accumulated(
             evidence, error_model(body, settings, RigidTransform(R, t), beta, noise_sd, centre)
         )
@@ -129,13 +130,13 @@ def registration_of(body: Body, evidence: Evidence, fit: RobustFit) -> Registrat
     return Registration.between(body, evidence.a, evidence.b, sure, fit.a_from_b, *sd)
 
 
-def _centre(evidence: Evidence, R: Array, t: Array) -> Array:
+def _middle(evidence: Evidence) -> Array:
+    """(3,) metres, the weighted mean of B's joints in its frame."""
     weights = evidence.weights
     total = weights.sum()
     if total == 0.0:
         raise CalibrationError("No joint is seen by both sensors.")
-    mean = np.tensordot(weights, evidence.b, axes=([0, 1], [0, 1])) / total
-    return np.asarray(R @ mean + t)
+    return np.asarray(np.tensordot(weights, evidence.b, axes=([0, 1], [0, 1])) / total)
 
 
 def _add_prior(

@@ -43,39 +43,46 @@ class Sampling(NamedTuple):
         return max(float(_LONGEST_NS), (2.0 * self.reach + _GAP - 1.0) * self.interval_ns)
 
 
-def interpolated(
-    time_ns: NDArray[np.int64] | Array, at: Array, wanted_ns: NDArray[np.int64] | Array, gap_ns: float
-) -> Array:
-    """Positions at other times, by cubic Hermite polynomials with the slopes of parabolas.
+class Interpolation:
+    """Positions between frames, by cubic Hermite polynomials with the slopes of parabolas.
 
     Linear interpolation would lie off by h²/8 of the acceleration h seconds between two frames: 50 mm for a
-    hand at five frames per second.
+    hand at five frames per second. What follows from the frames alone is computed once.
 
     Args:
         time_ns: (T,) increasing; T ≥ 2.
         at: (T, ...) positions; NaN where unknown.
-        wanted_ns: (W,) times.
-
-    Returns:
-        (W, ...); NaN across a gap, and more than an interval before the first or after the last frame.
-        Outside the frames, and beside an unknown one, it is linear.
+        gap_ns: A longer interval is a gap.
     """
-    after = np.clip(np.searchsorted(time_ns, wanted_ns), 1, len(time_ns) - 1)
-    before = after - 1
-    first, last = np.maximum(before - 1, 0), np.minimum(after + 1, len(time_ns) - 1)
-    shape = (-1, *(1,) * (at.ndim - 1))
-    h = np.maximum(time_ns[after] - time_ns[before], 1).astype(np.float64)
-    share = (wanted_ns - time_ns[before]) / h
-    share = np.where((share >= -1.0) & (share <= 2.0) & (h < gap_ns), share, np.nan).reshape(shape)
-    step = at[after] - at[before]
-    bend = np.zeros_like(step)
-    inside = np.clip(share, 0.0, 1.0)
-    for end, other, factor in ((before, first, 1.0 - inside), (after, last, -inside)):
-        # the slope of the parabola through three frames, minus that of the line between the middle two
-        far = np.abs(time_ns[end] - time_ns[other]).astype(np.float64)
-        known = (far > 0.0) & (far < _FAR * h)
+
+    def __init__(self, time_ns: NDArray[np.int64] | Array, at: Array, gap_ns: float) -> None:
+        self._time_ns, self._at, self._gap_ns = time_ns, at, gap_ns
+        self._shape = (-1, *(1,) * (at.ndim - 1))
+        self._elapsed = np.diff(time_ns).astype(np.float64)
+        self._h = np.maximum(self._elapsed, 1.0)
+        self._step = np.diff(at, axis=0)
+        self._before, self._after = self._bends(-1), self._bends(1)
+
+    def _bends(self, side: int) -> Array:
+        """(T-1, ...) of each interval: the slope of the parabola through its frames and the next one on a
+        side, minus that of the line between its frames; 0 where that is unknown."""
+        number = np.arange(len(self._h))
+        other = np.clip(number + side, 0, len(number) - 1)
+        far = np.where(other == number, 0.0, np.abs(self._elapsed[other]))
+        known = (far > 0.0) & (far < _FAR * self._h)
         far = np.where(known, far, 1.0)
-        outer = (at[end] - at[other]) * np.sign(time_ns[end] - time_ns[other]).reshape(shape)
-        slope = (outer * (h / far).reshape(shape) - step) * (h / (h + far)).reshape(shape)
-        bend += factor * np.where(known.reshape(shape) & np.isfinite(slope), slope, 0.0)
-    return np.asarray(at[before] + share * step + inside * (1.0 - inside) * bend)
+        outer, share = np.sign(self._elapsed[other]) * (self._h / far), self._h / (self._h + far)
+        slope = (self._step[other] * outer.reshape(self._shape) - self._step) * share.reshape(self._shape)
+        return np.where(known.reshape(self._shape) & np.isfinite(slope), slope, 0.0)
+
+    def positions(self, wanted_ns: NDArray[np.int64] | Array) -> Array:
+        """(W, ...) at (W,) times; NaN across a gap, and more than an interval before the first or after the
+        last frame. Outside the frames, and beside an unknown one, it is linear."""
+        k = np.clip(np.searchsorted(self._time_ns, wanted_ns), 1, len(self._h)) - 1
+        h = self._h[k]
+        share = (wanted_ns - self._time_ns[k]) / h
+        share = np.where((share >= -1.0) & (share <= 2.0) & (h < self._gap_ns), share, np.nan)
+        share = share.reshape(self._shape)
+        inside = np.clip(share, 0.0, 1.0)
+        bend = (1.0 - inside) * self._before[k] - inside * self._after[k]
+        return np.asarray(self._at[k] + share * self._step[k] + inside * (1.0 - inside) * bend)
