@@ -76,13 +76,12 @@ def test_ids_and_their_order_do_not_change_who_is_followed(ids, seed, known):
         assert np.mean([k is not None for k in of[settled]]) > np.mean(there) - 0.05
 
 
-def crossed(seed, other, motion="squat", seconds=20.0, **options):
+def crossed(seed, other):
     """A simulated pair, its frames, and the place of the person in each view."""
-    a, b, truth = simulated_pair(
-        motion=motion, seed=seed, body=KINECT_V2, seconds=seconds, other=other, exchanged=10.0, **options
-    )
+    of = {"motion": "squat", "seed": seed, "body": KINECT_V2, "seconds": 20.0}
+    a, b, truth = simulated_pair(**of, other=other, exchanged=10.0)
     frames = list(a.frames()), list(b.frames())
-    alone = simulated_pair(motion=motion, seed=seed, body=KINECT_V2, seconds=seconds, **options)[:2]
+    alone = simulated_pair(**of)[:2]
     # the person's torso is where their tracker puts it if nobody else is there, to a decimetre or two
     places = [{f.time_ns: middle(f.people[PERSON]) for f in sensor.frames() if f.people} for sensor in alone]
     return frames, truth.a_from_b, places

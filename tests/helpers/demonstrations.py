@@ -31,9 +31,9 @@ class Run:
     parts: list[tuple[FusionSetup, list[SessionFrame]]]
 
 
-def fused_demonstration(body, seconds, seed=0, motion="badminton"):
+def fused_demonstration(body, seconds, motion="badminton"):
     """Fuses a demonstration as the live loop does."""
-    shown = demonstration(Scene(demonstrated(motion), body, seconds=seconds, seed=seed))
+    shown = demonstration(Scene(demonstrated(motion), body, seconds=seconds))
     setup = FusionSetup(nominal_calibration(body), None, shown.a.intrinsics, shown.b.intrinsics)
     fusion, run = LiveFusion(setup), Run(shown, [], [], [])
     for pair in pairs_of(shown.a, shown.b):

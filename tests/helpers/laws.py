@@ -115,9 +115,9 @@ HAPPENINGS = st.one_of(
 """What may happen to a person and two sensors; see :class:`Stage`."""
 
 
-def joints_of(*parts, body=BODY):
+def joints_of(*parts):
     """Those whose names contain one of the parts."""
-    return np.flatnonzero([any(part in name for part in parts) for name in body.joints])
+    return np.flatnonzero([any(part in name for part in parts) for name in BODY.joints])
 
 
 HIDDEN = {

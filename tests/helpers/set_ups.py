@@ -6,7 +6,7 @@ from devices.sensor import SensorFrame
 from devices.simulated.demonstration import demonstrated, good_rig, therapist
 from devices.simulated.kinect import Scene, SimulatedKinect
 from devices.simulated.rig import Rig
-from fusion.body import AZURE_KINECT, Body
+from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
@@ -50,14 +50,14 @@ class Moment:
     page: CoachPage
 
 
-def moments(of: SetUp, seconds: float, depth="none", body: Body = AZURE_KINECT, seed=0):
+def moments(of: SetUp, seconds: float):
     """Yields the moments of a set-up, fused as the live loop does."""
     other = therapist() if of.someone_else else None
-    scene = Scene(demonstrated(of.motion), body, seconds=seconds, seed=seed, other=other)
-    a, b = (SimulatedKinect(scene, of.rig, which, depth=depth) for which in (0, 1))
-    setup = FusionSetup(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
-    fusion, coach, readiness = LiveFusion(setup), Coach(body, setup.intrinsics), Readiness()
-    drawings = CoachScene(body, setup.intrinsics)
+    scene = Scene(demonstrated(of.motion), AZURE_KINECT, seconds=seconds, other=other)
+    a, b = (SimulatedKinect(scene, of.rig, which) for which in (0, 1))
+    setup = FusionSetup(nominal_calibration(AZURE_KINECT), None, a.intrinsics, b.intrinsics)
+    fusion, coach, readiness = LiveFusion(setup), Coach(AZURE_KINECT, setup.intrinsics), Readiness()
+    drawings = CoachScene(AZURE_KINECT, setup.intrinsics)
     for one, other_view in zip(a.frames(), b.frames(), strict=True):
         seen_by_b = _mirrored(other_view) if of.mirrored_b else other_view
         skew_ns = other_view.time_ns - one.time_ns

@@ -5,7 +5,6 @@ import numpy as np
 from devices.people.recorded_people import RecordedPeople
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import PERSON, Beside, movement, simulated_pair
-from devices.simulated.rig import Rig
 from fusion.body import KINECT_V2
 
 FOLLOWED, OTHER = 0, 1
@@ -18,15 +17,14 @@ BEHIND = Beside(movement("idle"), (0.0, 0.0, 1.4), (1.6, 0.0, 0.1))
 """The same behind a person who walks: the two are never nearer than half a metre."""
 
 
-def two_people(motions, seed=0, seconds=10.0, heights=(1.75, 1.62), body=KINECT_V2, rig=None):
+def two_people(motions, seed=0, seconds=10.0):
     """Of each sensor and frame: time and the skeletons of both people, None where one is not seen.
 
     The one behind another is not seen.
     """
-    rig = rig or Rig()
     each = [
-        simulated_pair(motion=motion, seed=2 * seed + k, body=body, seconds=seconds, height=height, rig=rig)
-        for k, (motion, height) in enumerate(zip(motions, heights, strict=True))
+        simulated_pair(motion=motion, seed=2 * seed + k, body=KINECT_V2, seconds=seconds, height=height)
+        for k, (motion, height) in enumerate(zip(motions, (1.75, 1.62), strict=True))
     ]
     views = []
     for side in (0, 1):

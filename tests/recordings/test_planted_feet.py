@@ -44,10 +44,10 @@ def recorded(session):
     return floor.apply(planted_feet(session.body, session.time, at, session.gait))
 
 
-def toes_of(session, positions, part="Foot"):
+def toes_of(session, positions):
     """(T, 2, 3) metres above the floor, y down."""
     at = floor_under(session.rows).inverse().apply(positions)
-    return at[:, [session.body.joint(part + side) for side in SIDES]]
+    return at[:, [session.body.joint(f"Foot{side}") for side in SIDES]]
 
 
 def stances(session, settled):

@@ -28,11 +28,11 @@ def skeleton_with(at):
     return Skeleton.of(BODY, positions)
 
 
-def bar(left, right, z=2.0, wall=3.5, lens=LENS):
-    """An upright bar between two places (metres, right of the sensor) at depth z, before a wall."""
-    columns = (np.arange(lens.width) - lens.cx) / lens.fx * z
-    image = np.full((lens.height, lens.width), round(1000 * wall), dtype=np.uint16)
-    image[:, (columns >= left) & (columns <= right)] = round(1000 * z)
+def bar(left, right):
+    """An upright bar 2 m away, between two places (metres, right of the sensor), before a wall."""
+    columns = (np.arange(LENS.width) - LENS.cx) / LENS.fx * 2.0
+    image = np.full((LENS.height, LENS.width), 3500, dtype=np.uint16)
+    image[:, (columns >= left) & (columns <= right)] = 2000
     return image
 
 

@@ -14,13 +14,11 @@ from tests.helpers.two_views import FRAME_NS, standing
 HEADER = "time_us,body,joint,x,y,z,state"
 
 
-def csv_rows(body, frames=3, people=("0",)):
-    joints = standing(body)
+def csv_rows():
     return [
-        f"{t * FRAME_NS // 1000},{person},{joint},{x:.5f},{y:.5f},{z + 0.01 * t:.5f},tracked"
-        for t in range(frames)
-        for person in people
-        for joint, (x, y, z) in zip(body.joints, joints, strict=True)
+        f"{t * FRAME_NS // 1000},0,{joint},{x:.5f},{y:.5f},{z + 0.01 * t:.5f},tracked"
+        for t in range(3)
+        for joint, (x, y, z) in zip(KINECT_V1.joints, standing(KINECT_V1), strict=True)
     ]
 
 
@@ -49,13 +47,13 @@ def read(path):
     ],
 )
 def test_a_broken_csv_says_what_is_wrong(tmp_path, broken, message):
-    header, rows = broken(csv_rows(KINECT_V1))
+    header, rows = broken(csv_rows())
     with pytest.raises(DeviceError, match=message):
         read(write_csv(tmp_path / "a.csv", rows, header[0]))
 
 
 def test_a_csv_cut_off_anywhere_in_its_last_row_is_refused(tmp_path):
-    path = write_csv(tmp_path / "a.csv", csv_rows(KINECT_V1)[:-5])
+    path = write_csv(tmp_path / "a.csv", csv_rows()[:-5])
     whole = path.read_bytes()
     for end in range(whole[:-1].rindex(b"\n") + 3, len(whole)):
         path.write_bytes(whole[:end])
@@ -65,7 +63,7 @@ def test_a_csv_cut_off_anywhere_in_its_last_row_is_refused(tmp_path):
 
 @pytest.mark.parametrize("cut", range(1, 25))
 def test_a_csv_without_states_cut_off_in_its_last_row_is_refused(tmp_path, cut):
-    rows = [row.rsplit(",", 1)[0] for row in csv_rows(KINECT_V1)]
+    rows = [row.rsplit(",", 1)[0] for row in csv_rows()]
     rows[-1] = rows[-1].rsplit(",", 1)[0] + ",2.42715"
     rows[3] = rows[3].rsplit(",", 1)[0] + ",2.42715"
     path = write_csv(tmp_path / "a.csv", rows, HEADER.rsplit(",", 1)[0])
@@ -76,7 +74,7 @@ def test_a_csv_without_states_cut_off_in_its_last_row_is_refused(tmp_path, cut):
         read(path)
 
 
-def offline_processor(body, frames=3):
+def offline_processor(body):
     person = {
         "body_id": 7,
         "joint_positions": (1000.0 * standing(body)).tolist(),
@@ -84,7 +82,7 @@ def offline_processor(body, frames=3):
     }
     each = [
         {"timestamp_usec": 33_333 * t, "frame_id": t, "num_bodies": int(t > 0), "bodies": [person] * (t > 0)}
-        for t in range(frames)
+        for t in range(3)
     ]
     about = {"k4abt_sdk_version": "1.1.2", "source_file": "own.mkv", "bone_list": []}
     return {**about, "joint_names": list(body.joints), "frames": each}
@@ -121,9 +119,9 @@ def test_broken_json_says_what_is_wrong(tmp_path, break_it, message):
         read(path)
 
 
-def ntu(frames=2):
-    lines = [str(frames)]
-    for _ in range(frames):
+def ntu():
+    lines = ["2"]
+    for _ in range(2):
         lines += ["1", "72057594037931101 0 1 1 1 1 0 0.02 0.01 2", "25"]
         for x, y, z in standing(KINECT_V2) * [-1.0, -1.0, 1.0]:
             lines.append(f"{x:.7f} {y:.7f} {z:.7f} 277.4 191.8 1036.1 519.1 -0.2 0.03 0.9 0.05 2")

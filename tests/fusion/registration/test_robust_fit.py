@@ -25,8 +25,8 @@ def turned(degrees, shift=0.0):
     return off @ A_FROM_B
 
 
-def evidence(body, frames=120, noise=0.0, seed=1):
-    rng = np.random.default_rng(seed)
+def evidence(body, frames=120, noise=0.0):
+    rng = np.random.default_rng(1)
     pairs = []
     for k, truth in enumerate(moving(body, frames)):
         a, b = (

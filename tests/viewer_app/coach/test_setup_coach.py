@@ -34,7 +34,6 @@ def watched(
     seconds=3.0,
     now=None,
     really=A_FROM_B,
-    a=True,
     b=True,
     skew_ns=0,
     every=1,
@@ -43,7 +42,6 @@ def watched(
     losing=0,
     b_gone=(np.inf, np.inf),
     b_other=False,
-    frame_ns=FRAME_NS,
     simulated=False,
     remote="",
 ):
@@ -53,11 +51,11 @@ def watched(
     fuser = Fuser(FusionSetup(now.calibration))
     joints = standing(BODY) if truth is None else truth
     advice = []
-    for k in range(0, round(seconds * 1e9 / frame_ns) + 1, every):
-        time_ns = k * frame_ns
+    for k in range(0, round(seconds * 1e9 / FRAME_NS) + 1, every):
+        time_ns = k * FRAME_NS
         seen = pair_of(BODY, joints, time_ns, really)
         people = []
-        for shown, skeleton in ((a, seen.a), (b, seen.b)):
+        for shown, skeleton in ((True, seen.a), (b, seen.b)):
             if lost_feet:
                 states = np.array(skeleton.states)
                 states[[BODY.joint(f"ANKLE_{foot}") for foot in lost_feet]] = TrackingState.INFERRED
