@@ -15,7 +15,7 @@ settings.register_profile(
     "duplex",
     deadline=None,
     derandomize=True,
-    max_examples=40,
+    max_examples=25,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 settings.load_profile("duplex")

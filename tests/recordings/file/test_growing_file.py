@@ -6,6 +6,7 @@ import shutil
 import signal
 import threading
 from contextlib import suppress
+from functools import cache
 from uuid import uuid4
 
 import numpy as np
@@ -53,6 +54,7 @@ def impatient(monkeypatch):
     monkeypatch.setattr(session_file, "_LOOK_SECONDS", 0.01)
 
 
+@cache
 def fused_frames(count, depth=False):
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     pairs = frame_pairs(KINECT_V1, count, no_b=(5,), depth=depth)
