@@ -28,11 +28,6 @@ A value that is already above LARGEST_SHARE stays unchanged.
 
 Of ``mirroring`` it is ``back``.
 """
-SHAPES = frozenset({
-    "seen_share", "inferred_jitter", "jitter_memory", "rescale_seconds", "lost_seconds",
-    "added", "shared",
-})  # fmt: skip
-"""Knobs for the form of an error; they are unchanged."""
 LARGEST_SHARE = 0.95
 
 
