@@ -16,6 +16,9 @@ from fusion.registration.clock_offset import ClockOffset
 from fusion.registration.clock_search import find_clock_offset
 from fusion.support.large_arrays import stored
 
+ONE_RUN_NS = 60_000_000_000
+"""Two sensors whose first frames arrived at most so far apart were recorded by one run of the program."""
+_SECOND_NS, _STEADY_SECONDS = 1_000_000_000, 10  # from so many on, arrivals show a drift
 _CERTAIN = 4.0  # standard deviations of the growth of an offset that is corrected
 _GAP = 1.5
 """Frame intervals: if the nearest frame of the other recording is farther away, the other recording has a
@@ -170,3 +173,31 @@ def clock_by_cable(
     around = on_a[:, None] - a_ns[np.minimum(np.stack([after - 1, after], axis=1), len(a_ns) - 1)]
     off_ns = np.median(around[np.arange(len(around)), np.abs(around).argmin(axis=1)])
     return replace(arrival, offset_ns=arrival.offset_ns - float(off_ns))
+
+
+def offset_by_arrival(a: NDArray[np.int64], b: NDArray[np.int64]) -> ClockOffset | None:
+    """What to add to B's times so that they are on A's clock, from (T, 2) recorded capture and arrival times.
+
+    As :class:`devices.capture.clock.host_clock.HostClock`, over the whole recording: least delays, with a
+    drift from ten seconds on. None where the two did not arrive on one machine's clock.
+    """
+    if not (len(a) and len(b)) or abs(int(a[0, 1]) - int(b[0, 1])) > ONE_RUN_NS:
+        return None
+    fits = []
+    for arrivals in (a, b):
+        times, delays = arrivals[:, 0], (arrivals[:, 1] - arrivals[:, 0]).astype(np.float64)
+        firsts = np.flatnonzero(np.diff((times - times[0]) // _SECOND_NS, prepend=-1))
+        least = np.minimum.reduceat(delays, firsts)
+        seconds = (times[firsts] - times[0]) * 1e-9
+        slope = 0.0
+        if len(firsts) >= _STEADY_SECONDS:
+            i, j = np.triu_indices(len(firsts), 1)
+            slope = float(np.median((least[j] - least[i]) / (seconds[j] - seconds[i])))  # ns per second
+        residual = delays - slope * (times - times[0]) * 1e-9
+        fits.append((int(times[0]), float(residual.min()), slope, float(np.std(least - slope * seconds))))
+    (start_a, delay_a, slope_a, sd_a), (start_b, delay_b, slope_b, sd_b) = fits
+    middle_ns = int(b[len(b) // 2, 0])
+    host_ns = middle_ns + delay_b + slope_b * (middle_ns - start_b) * 1e-9
+    on_a_ns = start_a + (host_ns - delay_a - start_a) / (1.0 + slope_a * 1e-9)
+    skew_ppm = 1e-3 * (slope_b - slope_a)
+    return ClockOffset(on_a_ns - middle_ns, float(np.hypot(sd_a, sd_b)), skew_ppm, middle_ns=middle_ns)

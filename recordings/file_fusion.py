@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from devices.depth.image_thinning import Depth
-from devices.people.association import Follow
+from devices.people.recorded_people import Follow
 from devices.recorded.two_recordings import RecordingChoice
 from devices.sensor import DeviceError
 from devices.skeletons.stated_format import StatedFormat, Unit
@@ -91,6 +91,7 @@ def fuse(
     )
     settings = replace(settings or FuserSettings(), hindsight=hindsight)
     read = read_for(settings, choices, choose_tracker(tracker), offset_ms, follow=follow)
+    refine = refine and calibration is None
     return Session.of(*fuse_read(read, (str(a), str(b)), settings, calibration, refine, depth, force))
 
 

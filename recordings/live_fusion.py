@@ -15,8 +15,8 @@ from devices.depth.image_thinning import Depth, pair_without_images, with_depth
 from devices.events import Event
 from devices.frame_pairs import FramePair
 from devices.people import tracks as people_tracks
-from devices.people.association import Follow
 from devices.people.following import PersonOfPair
+from devices.people.recorded_people import Follow
 from devices.sensor import Sensor
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration

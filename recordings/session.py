@@ -28,7 +28,6 @@ from numpy.typing import ArrayLike
 
 from devices.events import Event
 from devices.frame_pairs import FramePair, RecordedPairs
-from devices.output_file import whole_file
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.pair_arrays import Pairs, View
@@ -38,14 +37,15 @@ from recordings.data import layout
 from recordings.data.images import NO_IMAGES, SessionImages
 from recordings.data.session_arrays import SessionArrays, SessionFrame, SessionFrames
 from recordings.errors import RecordingError
-from recordings.export import Feet, Names, Table, writer_for
-from recordings.file.session_reader import read_session
 from recordings.session_series import SessionSeries
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
 
 if TYPE_CHECKING:
     from recordings.comparing.truth_comparison import TruthComparison
+    from recordings.export import Feet, Names, Table
+
+_BLOCK = 300  # frames that are turned into arrays at once
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,8 +97,7 @@ class Session(SessionSeries):
                     calibrations.append((first, one.calibration))
 
         blocks = stacked()
-        first = next(blocks, None)
-        if first is None:
+        if (first := next(blocks, None)) is None:
             raise RecordingError("A session needs at least one frame.")
         rows, setup = SessionArrays.joined(chain([first], blocks)), fused[0][0]
         fused_crc, digests = GrowingArray.wholes(checks)
@@ -182,9 +181,11 @@ class Session(SessionSeries):
                 writes it is not installed.
             OSError: The file could not be written completely. An existing file is then unchanged.
         """
-        path = Path(path)
-        write = writer_for(path, table, rate, names, feet)
-        with whole_file(path, overwrite=True) as hidden:
+        from devices.output_file import whole_file
+        from recordings.export import writer_for
+
+        write = writer_for(Path(path), table, rate, names, feet)
+        with whole_file(Path(path), overwrite=True) as hidden:
             return write(self, hidden)
 
     def compare_with(
@@ -256,6 +257,8 @@ class Session(SessionSeries):
             RecordingError: The file is missing, is not a session, has another layout version, or is damaged
                 before its first frame.
         """
+        from recordings.file.session_reader import read_session  # a fused session needs no reader
+
         return Session(**vars(read_session(Path(path))))
 
     @property
@@ -280,9 +283,6 @@ class Session(SessionSeries):
                     pair = replace(pair, **{side: replace(getattr(pair, side), depth=image[1])})
                     ahead[side] = next(images[side], None)
             yield pair
-
-
-_BLOCK = 300  # frames that are turned into arrays at once
 
 
 def _blocks(frames: Iterable[SessionFrame | SessionFrames]) -> Iterator[Sequence[SessionFrame]]:

@@ -8,16 +8,16 @@ ended continues it where no one else can be meant: by place, time and lengths of
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.pairing import clock_by_motion, median_interval, nearest_of
-from devices.people.recorded_people import RecordedPeople
+from devices.people.recorded_people import Follow, RecordedPeople, SeenPerson
 from devices.people.tracks import Tracks, mean_of_joints
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
@@ -28,8 +28,6 @@ from fusion.support.large_arrays import parts
 from fusion.support.types import Array
 
 Index = NDArray[np.int64]
-Follow = Literal["middle", "longest"]
-"""Whom to follow of several people: the one nearest the middle of the views, or the one seen longest."""
 
 _MOMENTS = 300  # at which the registration is looked for
 _TRIED = 3  # longest tracks of each view
@@ -66,6 +64,21 @@ class Followed:
     @property
     def rows(self) -> tuple[Index, Index]:
         return self.everyone[0]
+
+    def people(self, of: tuple[RecordedPeople, RecordedPeople]) -> Iterator[SeenPerson]:
+        """Who counts: by which id in either recording, and for how long."""
+        of_ids = []
+        for view, people in enumerate(of):
+            ids = (people.person[rows[view]] for rows in self.everyone)
+            of_ids.append(np.array([np.bincount(each, minlength=len(people.ids)) for each in ids]))
+        for k, rows in enumerate(self.everyone[: self.count]):
+            names: list[str | None] = []
+            seconds: list[float] = []
+            for people, counts, each in zip(of, of_ids, rows, strict=True):
+                own = counts[k] > np.delete(counts, k, axis=0).max(axis=0, initial=0)
+                names.append(people.ids[int(np.argmax(counts[k] * own))] if own.any() else None)
+                seconds.append(1e-9 * len(each) * median_interval(people.time_ns))
+            yield SeenPerson((names[0], names[1]), (seconds[0], seconds[1]))
 
 
 def follow_one(

@@ -16,8 +16,8 @@ import numpy as np
 
 from devices.events import Event
 from devices.frame_pairs import FramePair
-from devices.people.association import Follow, Registered
-from devices.people.recorded_people import RecordedPeople
+from devices.people.association import Registered
+from devices.people.recorded_people import Follow, RecordedPeople
 from devices.people.room import HOLD_S, REACH_M, Place, Room, Seen
 from devices.people.tracks import SPEED_M_S, Tracks, TracksAhead
 from devices.sensor import SensorFrame

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from fusion.body import Body
 from fusion.pair_arrays import View, view_of
 from fusion.skeleton import Skeleton
 from fusion.support.large_arrays import Rows
+
+Follow = Literal["middle", "longest"]
+"""Whom to follow of several people: the one nearest the middle of the views, or the one seen longest."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.clock.host_clock import offset_by_arrival
-from devices.pairing import median_interval
-from devices.people.association import Follow, Followed, follow_one
-from devices.people.recorded_people import RecordedPeople, SeenPerson
+from devices.pairing import offset_by_arrival
+from devices.people.recorded_people import Follow, RecordedPeople, SeenPerson
 from devices.sensor import CableSync, Orientation
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import View
@@ -56,6 +54,8 @@ def follow_one_person(
     a, b = read_a.people, read_b.people
     if not (a.crowded or b.crowded) or a.body is not b.body:
         return _alone(read_a), _alone(read_b), ()
+    from devices.people.association import follow_one  # few recordings show several people
+
     ids = read_a.wanted, read_b.wanted
     if offset_ns is None and (clock := offset_by_arrival(read_a.arrivals, read_b.arrivals)) is not None:
         found = follow_one(a, b, clock.at(b.time_ns), follow, ids)
@@ -83,23 +83,7 @@ def follow_one_person(
     elif found.count > 1 and follow == "longest":
         line += " That one is seen longest; `follow=middle` follows the one nearest the middle of the views."
     chosen_a, chosen_b = (_of_rows(read, rows) for read, rows in zip(reads, found.rows, strict=True))
-    return _told(chosen_a, line), chosen_b, tuple(_seen_people((a, b), found)) if found.count > 1 else ()
-
-
-def _seen_people(of: tuple[RecordedPeople, RecordedPeople], found: Followed) -> Iterator[SeenPerson]:
-    of_ids = []
-    for view, people in enumerate(of):
-        each = (np.bincount(people.person[rows[view]], minlength=len(people.ids)) for rows in found.everyone)
-        of_ids.append(np.array(list(each)))
-    for k, rows in enumerate(found.everyone[: found.count]):
-        ids: list[str | None] = []
-        for people, counts in zip(of, of_ids, strict=True):
-            own = counts[k] > np.delete(counts, k, axis=0).max(axis=0, initial=0)
-            ids.append(people.ids[int(np.argmax(counts[k] * own))] if own.any() else None)
-        seconds = [
-            1e-9 * len(each) * median_interval(people.time_ns) for people, each in zip(of, rows, strict=True)
-        ]
-        yield SeenPerson((ids[0], ids[1]), (seconds[0], seconds[1]))
+    return _told(chosen_a, line), chosen_b, tuple(found.people((a, b))) if found.count > 1 else ()
 
 
 def _alone(read: OneRecording) -> OneRecording:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devices.people.association import Follow, bones_of, cost_of_return, differing
+from devices.people.association import bones_of, cost_of_return, differing
+from devices.people.recorded_people import Follow
 from devices.people.tracks import SPEED_M_S
 from fusion.body import Body
 from fusion.rigid import RigidTransform

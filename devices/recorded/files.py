@@ -22,7 +22,6 @@ from devices.sensor import (
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import StatedFormat, Unit
 from devices.tracker_choice import TrackerChoice, choose_tracker
-from devices.upright import upright
 from fusion.support.progress import Progress, quietly
 
 
@@ -63,6 +62,8 @@ def open_source(
         if skeletons is not None:
             raise DeviceError(f"{path.name} has its own skeletons; {option} {skeletons} is for an .mkv.")
         return SkeletonRecording(path, stated, progress)
+    from devices.upright import upright
+
     if skeletons is not None:
         if not_of_libk4a(path):
             raise DeviceError(f"{option} {skeletons} is for an .mkv; {path.name} is tracked.")

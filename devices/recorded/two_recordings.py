@@ -10,13 +10,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.clock.host_clock import offset_by_arrival
 from devices.depth.image_thinning import Depth, thinned, thinned_camera
 from devices.frame_pairs import FramePair
-from devices.pairing import Pairing, clock_by_cable, clock_by_motion, median_interval, pair_views
-from devices.people.association import Follow
-from devices.people.following import one_person
-from devices.people.recorded_people import RecordedPeople, SeenPerson
+from devices.pairing import (
+    Pairing,
+    clock_by_cable,
+    clock_by_motion,
+    median_interval,
+    offset_by_arrival,
+    pair_views,
+)
+from devices.people.recorded_people import Follow, RecordedPeople, SeenPerson
 from devices.people.recorded_person import OneRecording, follow_one_person
 from devices.recorded.files import (
     frame_count,
@@ -31,7 +35,6 @@ from devices.sensor import CableSync, DeviceError, ImageRecording, Orientation, 
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
-from devices.upright import orientation_of, turned_camera, turned_image, turned_view
 from fusion.body import BODIES, Body
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import View, joined_views
@@ -101,6 +104,8 @@ class TwoRecordings:
         path, orientation = self.images["ab".index(side)], self.orientations["ab".index(side)]
         if path is None or depth == "none":
             return
+        from devices.upright import turned_image
+
         frames = enumerate(getattr(pair, side) for pair in pairs)
         number = {frame.time_ns: k for k, frame in frames if frame is not None}
         with open_images(path) as recording:
@@ -354,9 +359,9 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRec
             read = progress(without_images(source), f"{work} {source.name}", frame_count(source))
             people = RecordedPeople.of(source.body, read)
             if choice.person is None and not people.crowded:
-                people = RecordedPeople.of(
-                    source.body, one_person(source.body, people)
-                )  # one person gets several ids
+                from devices.people.following import one_person  # who gets several ids
+
+                people = RecordedPeople.of(source.body, one_person(source.body, people))
             images = images_of(source)
             if isinstance(images, ImageRecording):
                 sync, arrivals = images.sync, list(images.arrivals)
@@ -364,16 +369,18 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRec
     people.choose_person(choice.person, source.name, choice.person_option)
     camera, orientation = source.intrinsics, choice.orientation or 0
     if choice.orientation is None and has_images(choice.path):
+        from devices.upright import orientation_of, turned_camera, turned_view
+
         seen = people.skeletons.positions
         orientation = orientation_of(people.body, seen[:: max(1, len(seen) // _SAMPLES)])
-    if orientation and choice.orientation is None:
-        people = replace(people, skeletons=turned_view(people.skeletons, orientation))
-        camera = None if camera is None else turned_camera(camera, orientation)
-        tracked = f"`orientation={orientation}` also tracks it so; " if choice.is_tracked else ""
-        warnings.append(
-            f"{source.name}: the sensor is turned clockwise by {orientation}°. Its images and skeletons are "
-            f"turned upright; {tracked}`orientation=0` leaves them."
-        )
+        if orientation:
+            people = replace(people, skeletons=turned_view(people.skeletons, orientation))
+            camera = None if camera is None else turned_camera(camera, orientation)
+            tracked = f"`orientation={orientation}` also tracks it so; " if choice.is_tracked else ""
+            warnings.append(
+                f"{source.name}: the sensor is turned clockwise by {orientation}°. Its images and skeletons "
+                f"are turned upright; {tracked}`orientation=0` leaves them."
+            )
     give_back()
     times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
     return OneRecording(

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from devices.people.recorded_people import RecordedPeople
 from devices.sensor import IMAGE_SUFFIXES, DeviceError, MissingRecordingError, Sensor, SensorFrame
-from devices.skeletons.border import ReadFile, checked
-from devices.skeletons.csv_files.reader import read_csv
-from devices.skeletons.ntu import read_ntu
-from devices.skeletons.offline_processor import read_json
-from devices.skeletons.read_file import FoundPoints
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 from fusion.support.progress import Progress, quietly
 
-Reader = Callable[[Path, StatedFormat, Progress], FoundPoints]
+if TYPE_CHECKING:
+    from devices.skeletons.border import ReadFile
 
-READERS: MappingProxyType[str, Reader] = MappingProxyType(
-    {".csv": read_csv, ".json": read_json, ".skeleton": read_ntu}
-)
-"""The reader for each file extension. It raises DeviceError if the file is invalid."""
+READERS = MappingProxyType({".csv": "csv_files.reader", ".json": "offline_processor", ".skeleton": "ntu"})
+"""The module for each file extension, with ``read_…``; imported when such a file is opened."""
 
 
 class SkeletonRecording(Sensor):
@@ -58,14 +54,17 @@ class SkeletonRecording(Sensor):
         return self._body
 
     def __enter__(self) -> SkeletonRecording:
-        reader = READERS.get(self._path.suffix.lower())
-        if reader is None:
+        suffix = self._path.suffix.lower()
+        if suffix not in READERS:
             if self._path.is_dir():
                 raise DeviceError(f"{self.name} is a folder, not a recording.")
             raise DeviceError(
                 f"{self.name}: {self._path.suffix or 'no ending'} is not a format of recorded skeletons. "
                 f"Known: {', '.join(READERS)}; with images: {', '.join(IMAGE_SUFFIXES)}."
             )
+        from devices.skeletons.border import checked
+
+        reader = getattr(import_module(f"devices.skeletons.{READERS[suffix]}"), f"read_{suffix[1:]}")
         try:
             found = reader(self._path, self._stated, self._progress)
             read = checked(self._path, found, self._stated)

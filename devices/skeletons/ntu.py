@@ -17,7 +17,7 @@ FRAME_NS = 33_333_333
 _SENSOR_FROM_CAMERA_SPACE = np.array([-1.0, -1.0, 1.0])
 
 
-def read_ntu(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> FoundPoints:
+def read_skeleton(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = quietly) -> FoundPoints:
     """Reads a ``.skeleton`` file.
 
     Raises:

@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from devices.depth.image_thinning import Depth
 from devices.events import Event
 from devices.pairing import pair_views
-from devices.people.association import Follow
+from devices.people.recorded_people import Follow
 from devices.recorded.files import recorded_at
 from devices.recorded.two_recordings import RecordingChoice, TwoRecordings, read_two
-from devices.skeletons.border import impossible
 from devices.skeletons.stated_format import MIRRORED
 from devices.tracker_choice import TrackerChoice
 from fusion.body import BODIES, Body
@@ -62,6 +61,8 @@ def fuse_arrays(
 ) -> FusedRecordings:
     """Fuses positions (T, J, 3) and states (T, J) of A and of B; see
     :meth:`recordings.session.Session.of_arrays`."""
+    from devices.skeletons.border import impossible  # of files; others are read by the time they are fused
+
     if isinstance(body, str):
         if body not in BODIES:
             raise UnknownNameError("body", body, tuple(BODIES))
@@ -89,7 +90,8 @@ def fuse_arrays(
         read.append(View(time_ns, *checked_joints(body, at, states, (len(time_ns),))))
     settings = settings or FuserSettings(hindsight="labels")
     pairing = pair_views(body, read[0], read[1], every_frame=settings.method == "duplex")
-    return fuse_read(TwoRecordings(body, pairing, (None, None), ()), sources, settings, calibration)
+    read_both = TwoRecordings(body, pairing, (None, None), ())
+    return fuse_read(read_both, sources, settings, calibration, refine=calibration is None)
 
 
 def fuse_read(
@@ -100,19 +102,31 @@ def fuse_read(
     refine: bool = True,
     depth: Depth = "none",
     force: bool = False,
+    progress: Progress = quietly,
 ) -> FusedRecordings:
-    """Fuses what two recordings hold, as :func:`recordings.fuse` does.
+    """Plans the fusion of what two recordings hold; it is fused while the frames are taken.
 
     Args:
         sources: Names of the sensors, or their files, K_A first.
+        refine: Whether the calibration is refined over the whole recording.
+        depth: How many depth images the session contains; they are read from the recordings on demand.
+
+    Raises:
+        CalibrationError: There is no calibration, or the views differ too much; see :func:`check_related`.
     """
     skeletons = read.pairing.pairs.skeletons
-    plan = plan_recording(read.body, skeletons, settings, calibration, refine and calibration is None)
+    plan = plan_recording(read.body, skeletons, settings, calibration, refine, progress)
+    names = without_folders(sources)
     if not force:
-        check_related(read, plan, *sources)
+        check_related(read, plan, *names)
     segments = setups_of(plan, settings, read.cameras(depth))
-    blocks = fuse_segments(segments, read.pairing.pairs, plan.labels)
-    return fused_recordings(read, plan, segments, blocks, without_folders(sources), depth)
+    fused = fuse_segments(segments, read.pairing.pairs, plan.labels)
+    times = skeletons.time_ns
+    events = _events_of(read, plan, segments, times)
+    blocks = watch(read.body, progress(fused, "fusing", block_count(segments)), int(times[0]), events)
+    frames = [(setup, islice(blocks, block_count([(setup, own)]))) for setup, own in segments]
+    images = RecordingImages(read, depth, progress)
+    return FusedRecordings(frames, names, events, images, _about(read, plan))
 
 
 def read_for(
@@ -171,29 +185,6 @@ def without_folders(sources: tuple[str, str]) -> tuple[str, str]:
         if a[-parts:] != b[-parts:]:
             return "/".join(a[-parts:]), "/".join(b[-parts:])
     return a[-1], b[-1]
-
-
-def fused_recordings(
-    read: TwoRecordings,
-    plan: RecordingPlan,
-    segments: Segments,
-    blocks: Iterable[SessionFrames],
-    sources: tuple[str, str],
-    depth: Depth,
-    progress: Progress = quietly,
-) -> FusedRecordings:
-    """What the session of two fused recordings is made of.
-
-    Args:
-        depth: How many depth images the session contains; they are read from the recordings on demand.
-    """
-    times = read.pairing.pairs.skeletons.time_ns
-    events = _events_of(read, plan, segments, times)
-    watched = watch(read.body, blocks, int(times[0]), events)
-    frames = [(setup, islice(watched, block_count([(setup, own)]))) for setup, own in segments]
-    return FusedRecordings(
-        frames, sources, events, RecordingImages(read, depth, progress), _about(read, plan)
-    )
 
 
 def _about(read: TwoRecordings, plan: RecordingPlan) -> dict[str, str | float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,12 @@ from devices.frame_pairs import FramePair, RecordedPairs
 from fusion.facing.labels import Labels
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
-from fusion.plan import RecordingPlan
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.support.large_arrays import parts
 from recordings.data.session_arrays import PairBlock, SessionFrame, SessionFrames
+
+if TYPE_CHECKING:
+    from fusion.plan import RecordingPlan
 
 _BLOCK = 256  # pairs that are fused in one compiled loop
 Segments = Sequence[tuple[FusionSetup, slice]]

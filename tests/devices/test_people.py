@@ -5,7 +5,6 @@ import pytest
 
 from devices.people.association import Followed
 from devices.people.recorded_people import RecordedPeople
-from devices.people.recorded_person import _seen_people
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton
@@ -38,7 +37,7 @@ def test_an_id_that_somebody_else_has_longer_chooses_nobody():
     )
     for end, expected in ((16, "2"), (13, None)):
         rows = np.arange(9), np.arange(9, end)
-        one, other = _seen_people((people, people), Followed([(rows[0],) * 2, (rows[1],) * 2], 2))
+        one, other = Followed([(rows[0],) * 2, (rows[1],) * 2], 2).people((people, people))
         assert one.ids == ("1", "1")
         assert other.ids == (expected, expected)
 

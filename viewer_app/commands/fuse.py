@@ -18,12 +18,10 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.fuser import Fuser
 from fusion.pair_arrays import Pairs
-from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.export import writer_for
-from recordings.fusing.files import check_related, fused_recordings, read_for, without_folders
-from recordings.fusing.pairs import block_count, fuse_segments, setups_of
+from recordings.fusing.files import fuse_read, read_for
 from recordings.quality.figures import Figures, report
 from recordings.session import Session
 from viewer_app.errors import UsageError
@@ -31,11 +29,8 @@ from viewer_app.options.sensing import FuseOptions, recording_settings
 from viewer_app.options.shared import calibration_source
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, output_file, save_report, write_text
-from viewer_app.report.pages.good_part import good_frames_of
 from viewer_app.report.terminal import print_summary, say_more, say_saved
-from viewer_app.report.walking import gait_figures
 from viewer_app.running.interruption import compiling
-from viewer_app.sensors.tracker import announce_tracker, tracker_of
 from viewer_app.viewer.viewer_choice import FileWindow, choose_viewing
 
 
@@ -58,21 +53,25 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     check_outputs(outputs, filter(None, inputs), options.force, options.save)
     settings = recording_settings(options)
     read = _read(options, settings, console)
-    plan = _plan(options, settings, read, console)
-    if not options.force:
-        check_related(read, plan, options.a.name, options.b.name)
-    segments = setups_of(plan, settings, read.cameras(options.depth))
-    with compiling(console):
-        Fuser(segments[-1][0]).warm_up()
-    sources = without_folders((str(options.a), str(options.b)))
-    progress = _progress(console)
-    blocks = progress(
-        fuse_segments(segments, read.pairing.pairs, plan.labels), "fusing", block_count(segments)
+    source, progress = calibration_source(options.calibrate), _progress(console)
+    fused = fuse_read(
+        read,
+        (str(options.a), str(options.b)),
+        settings,
+        _calibrate(source, read.body, read.pairing.pairs.skeletons),
+        refine=not (options.no_refine or isinstance(source, Path)),
+        depth=options.depth,
+        force=options.force,
+        progress=progress,
     )
-    session = Session.of(*fused_recordings(read, plan, segments, blocks, sources, options.depth, progress))
-    del plan, blocks  # ends the bar, and frees the labels, 30 bytes of each pair
+    with compiling(console):
+        Fuser(fused.fused[-1][0]).warm_up()
+    session = Session.of(*fused)
+    del fused  # ends the bar, and frees the labels, 30 bytes of each pair
     figures, kept, about = report(session), session, ""
     if options.good:
+        from viewer_app.report.pages.good_part import good_frames_of
+
         kept = session.part(np.flatnonzero(good_frames_of(session, console)))
         about = "These figures are of the whole recordings, of which this session has the good seconds."
 
@@ -110,6 +109,8 @@ def _read(options: FuseOptions, settings: FuserSettings, console: Console) -> Tw
     choices = _choices(options)
     tracker = None
     if any(choice.is_tracked for choice in choices):
+        from viewer_app.sensors.tracker import announce_tracker, tracker_of
+
         tracker = tracker_of(options).for_images_of(not_of_libk4a(options.a, options.b))
         announce_tracker(tracker, console)
     read = read_for(
@@ -118,17 +119,6 @@ def _read(options: FuseOptions, settings: FuserSettings, console: Console) -> Tw
     for warning in read.warnings:
         console.print(warning, style="yellow", markup=False)
     return read
-
-
-def _plan(
-    options: FuseOptions, settings: FuserSettings, read: TwoRecordings, console: Console
-) -> RecordingPlan:
-    """Learns the registration, or keeps the one that is given."""
-    skeletons = read.pairing.pairs.skeletons
-    source = calibration_source(options.calibrate)
-    calibration = _calibrate(source, read.body, skeletons)
-    refine = not (options.no_refine or isinstance(source, Path))
-    return plan_recording(read.body, skeletons, settings, calibration, refine, _progress(console))
 
 
 def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:
@@ -149,6 +139,8 @@ def _progress(console: Console) -> Callable[..., Any]:
 
 def _summarise(console: Console, options: FuseOptions, session: Session, figures: Figures) -> None:
     if options.report is not None:
+        from viewer_app.report.walking import gait_figures
+
         save_report(options.report, figures | {"gait": gait_figures(session.gait)}, options.force)
     if options.save_calibration is not None:
         write_text(options.save_calibration, calibration_to_json(session.calibration), options.force)

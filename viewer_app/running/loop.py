@@ -21,7 +21,7 @@ from devices.depth.image_thinning import Depth, pair_without_images
 from devices.depth.rvl import encode_depth
 from devices.events import Event
 from devices.people import tracks as people_tracks
-from devices.people.association import Follow
+from devices.people.recorded_people import Follow
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.calibrator import Calibrator
 from fusion.fuser import Fuser

@@ -10,12 +10,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from devices.blazepose.tracked_images import TrackedImages
-from devices.capture.clock.host_clock import ONE_RUN_NS
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.settings import CaptureSettings
 from devices.capture.stream_pairing import LivePairing
 from devices.live.sensors import decimation_of
 from devices.network.remote_sensor import RemoteSensor
+from devices.pairing import ONE_RUN_NS
 from devices.recorded.files import distinct_names, images_of, not_of_libk4a, open_images, open_source
 from devices.recorded.two_recordings import cable_delay_ns, refuse_same
 from devices.sensor import CableSync, Sensor

@@ -19,9 +19,8 @@ from hypothesis import strategies as st
 from devices.azure.mkv import MkvRecording
 from devices.azure.mkv_writer import MkvWriter
 from devices.blazepose.tracked_images import registered_color
-from devices.capture.clock.host_clock import offset_by_arrival
 from devices.capture.settings import CaptureSettings
-from devices.pairing import clock_by_cable
+from devices.pairing import clock_by_cable, offset_by_arrival
 from devices.sensor import ColorCamera, ColorImage, Sensor, SensorFrame
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.rigid import RigidTransform
