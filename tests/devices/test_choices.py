@@ -243,7 +243,7 @@ def test_a_femto_is_opened_by_the_library_that_the_tracker_in_use_needs(monkeypa
     monkeypatch.setattr(local, "tracker_of", lambda _: MICROSOFTS)
     opened = []
     monkeypatch.setattr(
-        local,
+        live_sensors,
         "live_sensor",
         lambda sensor, *rest: opened.append((sensor.serial, sensor.sdk, rest[-1])) or _Nothing(),
     )

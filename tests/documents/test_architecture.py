@@ -108,6 +108,7 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
         ("from recordings import Session", 6_000, 6),
         ("from recordings import fuse", 15_800, 25),
         (RUN_FUSE.format(pair=PAIR), 21_800, 36),
+        ("import viewer_app.commands.live", 32_000, 56),
     ],
 )
 def test_who_reads_one_thing_need_not_read_all(what, most_lines, most_of_devices):

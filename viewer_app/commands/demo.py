@@ -6,7 +6,6 @@ import math
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,11 +39,10 @@ from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs
 from viewer_app.report.terminal import figure_table, print_lines
 from viewer_app.report.words import Line
-from viewer_app.running.interruption import CtrlC
 from viewer_app.running.loop import run_live, warm_up
 from viewer_app.running.runner import Runner
-from viewer_app.sensors.raw_files import RawFiles, raw_files
-from viewer_app.viewer.blueprint import session_blueprint
+from viewer_app.running.status import LiveDisplay
+from viewer_app.sensors.raw_files import RawFiles
 from viewer_app.viewer.display import has_display
 
 if TYPE_CHECKING:
@@ -67,7 +65,7 @@ def run(options: DemoOptions) -> None:
     save = options.save
     if save is None and not (options.no_viewer or options.web or has_display()):
         save = free_name(_SAVED_WITHOUT_DISPLAY)
-    runner = Runner(options, console, save)
+    demo = _Demo(options, console, save)
     check_outputs([options.report, options.save_mcap], [], options.force, save)
     _check(options)
     own_tracker = options.tracker == "blazepose"
@@ -87,7 +85,7 @@ def run(options: DemoOptions) -> None:
         bad_setup=options.bad_setup,
     )
     pace = _own_tracker(options, console) if own_tracker else None
-    _show(options, shown, pace, runner, raw_files(options, console), console)
+    demo.show(shown, pace, RawFiles(options.record, console, force=options.force, compress=options.compress))
 
 
 def _check(options: DemoOptions) -> None:
@@ -103,66 +101,58 @@ def _check(options: DemoOptions) -> None:
         raise UsageError(f"--bad-setup has its own angle, {BAD_ANGLE_DEG:.0f}°: leave --angle out.")
 
 
-def _show(
-    options: DemoOptions,
-    shown: Demonstration,
-    pace: TrackingPace | None,
-    runner: Runner,
-    raw: RawFiles | None,
-    console: Console,
-) -> None:
+class _Demo(Runner):
     """Fuses the simulated sensors until they end or Ctrl-C is pressed; saves and prints the summary."""
-    a, b, truth = shown.a, shown.b, shown.truth
-    nominal = FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
-    person_at = np.asarray(truth.positions_at(0).mean(axis=0))
-    warm_up(Fuser(nominal), console, lambda: next(a.frames(), None))
-    if pace is not None:
-        console.print(
-            "The program's own body tracker (BlazePose) runs on simulated infrared and depth images."
+
+    options: DemoOptions
+
+    def show(self, shown: Demonstration, pace: TrackingPace | None, raw: RawFiles) -> None:
+        a, b = shown.a, shown.b
+        self.active = "setup" if self.options.bad_setup else self.options.layout
+        self.shown, self.person_at = shown, np.asarray(shown.truth.positions_at(0).mean(axis=0))
+        self.setup = FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
+        self.coach = Coach(a.body, self.setup.intrinsics, simulated=True)
+        warm_up(Fuser(self.setup), self.console, lambda: next(a.frames(), None))
+        if pace is not None:
+            self.console.print(
+                "The program's own body tracker (BlazePose) runs on simulated infrared and depth images."
+            )
+        _introduce(self.console, self.options, shown.moments if pace is None else ())
+        self.run(_together(a, b, pace), raw)
+
+    def open_session(self, stack: ExitStack) -> LiveDisplay:
+        """Opens the sensors last: their time starts at once."""
+        display = super().open_session(stack)
+        self.open_sensors(stack, announced=False)
+        return display
+
+    def loop(self, display: LiveDisplay) -> None:
+        truth_at = TruthAhead(self.shown.truth)
+        self.setup, self.frames = run_live(
+            self.sensors, self.setup, self.session, truth_at=truth_at, go_on=display
         )
-    _introduce(console, options, shown.moments if pace is None else ())
-    sensors = _together(a, b, pace)
-    with CtrlC() as ctrl_c:
-        with ExitStack() as stack:
-            if raw is not None:
-                stack.enter_context(raw).attach(sensors)
-            runner.open_outputs(stack, nominal, _FPS)
-            coach = Coach(a.body, nominal.intrinsics, simulated=True)
-            active = "setup" if options.bad_setup else options.layout
-            depth = options.depth != "none"
-            layout = partial(session_blueprint, person_at=person_at, active=active, live=True, depth=depth)
-            display = runner.open_session(
-                stack, sensors, nominal, coach, layout, pace is not None, reframes=active == "setup"
-            )
-            stack.enter_context(sensors)
-            ctrl_c.calls(sensors.stop)
-            setup, frames = run_live(
-                sensors, nominal, runner.session, truth_at=TruthAhead(truth), go_on=display
-            )
-            runner.session.save()
-            with suppress(KeyboardInterrupt):  # after Ctrl-C, do not wait for another one
-                again = threading.Event()
-                ctrl_c.calls(again.set)
-                runner.viewing.stay(console, again)
-        runner.summarise(setup, frames, sensors)
-        left_out = a.images_left_out + b.images_left_out
+        self.session.save()
+        with suppress(KeyboardInterrupt):  # after Ctrl-C, do not wait for another one
+            again = threading.Event()
+            self.ctrl_c.calls(again.set)
+            self.viewing.stay(self.console, again)
+
+    def tell_more(self) -> None:
+        a, b = self.shown.a, self.shown.b
+        left_out, wanted = a.images_left_out + b.images_left_out, a.images_wanted + b.images_wanted
         if left_out:
-            wanted = a.images_wanted + b.images_wanted
-            console.print(
+            self.console.print(
                 f"To keep pace, {left_out} of {wanted} depth images were dropped; use a smaller --depth."
             )
-        if frames:
-            _print_truth(console, setup, frames, truth, options.verbose)
-        runner.print_end()
-        if raw is not None:
-            raw.print_end()
-        if not options.quiet:
-            other = "the demo without --bad-setup" if options.bad_setup else "--bad-setup"
-            walk = "" if options.motion == "walk" else "--motion walk, "
-            console.print(_NEXT.format(walk=walk, other=other))
-        runner.check_saved()
-        if raw is not None:
-            raw.check_whole()
+        if self.frames:
+            _print_truth(self.console, self.setup, self.frames, self.shown.truth, self.options.verbose)
+
+    def end(self) -> None:
+        if not self.options.quiet:
+            other = "the demo without --bad-setup" if self.options.bad_setup else "--bad-setup"
+            walk = "" if self.options.motion == "walk" else "--motion walk, "
+            self.console.print(_NEXT.format(walk=walk, other=other))
+        super().end()
 
 
 def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMoment]) -> None:
@@ -209,7 +199,7 @@ def _together(a: SimulatedKinect, b: SimulatedKinect, pace: TrackingPace | None)
 
 
 def _print_truth(
-    console: Console, setup: FusionSetup, frames: list[SessionFrame], truth: Truth, verbose: bool
+    console: Console, setup: FusionSetup, frames: Sequence[SessionFrame], truth: Truth, verbose: bool
 ) -> None:
     rows = SessionArrays.stack(setup.body, setup.calibration.bone_lengths, frames)
     assert rows.truth is not None

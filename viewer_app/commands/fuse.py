@@ -28,7 +28,8 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sensing import FuseOptions, recording_settings
 from viewer_app.options.shared import calibration_source
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, output_file, save_report, write_text
+from viewer_app.output_files import check_outputs, output_file, write_text
+from viewer_app.report import save_session_report
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.interruption import compiling
 from viewer_app.viewer.viewer_choice import FileWindow, choose_viewing
@@ -138,10 +139,7 @@ def _progress(console: Console) -> Callable[..., Any]:
 
 
 def _summarise(console: Console, options: FuseOptions, session: Session, figures: Figures) -> None:
-    if options.report is not None:
-        from viewer_app.report.walking import gait_figures
-
-        save_report(options.report, figures | {"gait": gait_figures(session.gait)}, options.force)
+    save_session_report(options.report, figures, session, options.force)
     if options.save_calibration is not None:
         write_text(options.save_calibration, calibration_to_json(session.calibration), options.force)
     told = [event for event in session.events if event.frame > 0]  # the recordings' own are printed already

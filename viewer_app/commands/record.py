@@ -1,6 +1,6 @@
 """``duplex record``: records the images of two connected sensors, to be tracked and fused later."""
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 
 from rich.console import Console
 
@@ -10,7 +10,8 @@ from viewer_app.options.sensing import RecordOptions
 from viewer_app.options.shared import check_seconds
 from viewer_app.output_console import output_console
 from viewer_app.output_files import outputs_of_one_run
-from viewer_app.running.interruption import CtrlC, call_after
+from viewer_app.running.interruption import call_after
+from viewer_app.running.sensor_run import SensorRun
 from viewer_app.sensors.local import capture_settings, two_connected_sensors
 from viewer_app.sensors.raw_files import RawFiles
 from viewer_app.sensors.remote import names_remote
@@ -36,26 +37,27 @@ def run(options: RecordOptions) -> None:
 
 def record(options: RecordOptions, console: Console, files: RawFiles) -> None:
     """Records until a sensor's end, the time's, a failure or Ctrl-C."""
-    sensors = two_connected_sensors(options, console)
-    with CtrlC() as ctrl_c, files:
-        files.attach(sensors)
-        console.print(f"Opening {sensors.a.sensor.name} (A) and {sensors.b.sensor.name} (B) …", markup=False)
-        with ctrl_c.raising():  # a subordinate waits for its master
-            files.enter_context(sensors)
-        ctrl_c.calls(sensors.stop)
+    _Recording(options, console).run(two_connected_sensors(options, console), files)
+
+
+class _Recording(SensorRun):
+    options: RecordOptions
+
+    def work(self, stack: ExitStack) -> None:
+        """Waits until the sensors end; their images are recorded as they come."""
+        self.open_sensors(stack)
+        options, sensors = self.options, self.sensors
         if not options.quiet:
-            console.print(f"Recording to {options.folder}. Press Ctrl-C to end.", markup=False)
-        with call_after(options.seconds, sensors.stop), console.status("") as line:
+            self.console.print(f"Recording to {options.folder}. Press Ctrl-C to end.", markup=False)
+        with call_after(options.seconds, sensors.stop), self.console.status("") as line:
             for number, _ in enumerate(sensors.pairs()):
-                if files.failure is not None:
+                if self.raw.failure is not None:
                     break
                 if number % options.fps == 0 and not options.quiet:
-                    megabytes = "/".join(f"{file.written_bytes / 1e6:.0f}" for file in files.recorders)
+                    megabytes = "/".join(f"{file.written_bytes / 1e6:.0f}" for file in self.raw.recorders)
                     line.update(f"frames {sensors.a.received}/{sensors.b.received} · {megabytes} MB")
-    for thread, recorder in zip((sensors.a, sensors.b), files.recorders, strict=True):
-        for warning in thread.sensor.warnings:
-            console.print(warning, style="yellow", markup=False)
-        if missing := thread.dropped + thread.lost:
-            console.print(f"{recorder.path.name}: {missing} frames never came.", style="yellow")
-    files.print_end()
-    files.check_whole()
+
+    def tell(self) -> None:
+        for thread, recorder in zip((self.sensors.a, self.sensors.b), self.raw.recorders, strict=True):
+            if missing := thread.dropped + thread.lost:
+                self.console.print(f"{recorder.path.name}: {missing} frames never came.", style="yellow")

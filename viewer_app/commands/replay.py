@@ -22,13 +22,13 @@ from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReplayOptions
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, save_report
+from viewer_app.output_files import check_outputs
 from viewer_app.outputs.capture_time import RecordedTime
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, check_kept, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
+from viewer_app.report import save_session_report
 from viewer_app.report.pages.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images, print_summary, say_more, say_saved
-from viewer_app.report.walking import gait_figures
 from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.file_window import write_for_viewer, written_and_shown
@@ -77,8 +77,7 @@ def run(options: ReplayOptions) -> None:
     with written_and_shown(options.save, write, force=options.force, window=window) as (_, damaged):
         if outputs:
             figures["outputs"] = [output.figures() for output in outputs]
-        if options.report is not None:
-            save_report(options.report, figures | {"gait": gait_figures(replayed.gait)}, options.force)
+        save_session_report(options.report, figures, replayed, options.force)
         print_summary(console, figures, replayed.events, options.verbose)
         print_outputs(console, outputs)
         if options.save is not None:

@@ -1,6 +1,6 @@
 """What ``duplex live`` and ``duplex demo`` have in common: from open sensors to the summary at the end."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import rerun.blueprint as rrb
+from numpy.typing import NDArray
 from rich.console import Console
 
 from devices.capture.sensor_pair import TwoSensors
@@ -21,177 +21,162 @@ from recordings.session import Session
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions
-from viewer_app.output_files import save_report, warn_of_little_room
+from viewer_app.output_files import warn_of_little_room
 from viewer_app.outputs.opening import announce_outputs, check_kept, plan_outputs, print_outputs
-from viewer_app.outputs.output import LiveOutput
+from viewer_app.report import save_session_report
 from viewer_app.report.terminal import print_details, print_summary, say_more, say_saved
-from viewer_app.report.walking import gait_figures
 from viewer_app.running.interruption import call_after
+from viewer_app.running.sensor_run import SensorRun
 from viewer_app.running.sounds import Sounds, player
 from viewer_app.running.status import LiveDisplay
 from viewer_app.sinks.live_session import LiveSession
+from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.viewer_choice import choose_viewing
 
 _REVIEWED = 18_000
 """Frames of the longest session that is read again for its summary: 100 MB."""
 
 
-class Runner:
-    """Opens the sinks of a session whose sensors run, and prints its summary.
+class Runner(SensorRun):
+    """A run whose frames are fused, shown and saved.
 
-    Attributes:
-        session: The sinks; set by :meth:`open_session`.
+    A subclass sets `setup`, the one at the start, and what the viewer shows: the layout `active`, and
+    `person_at`, (3,) metres in K_A's frame. It leaves the last setup and :func:`run_live`'s `frames`.
     """
 
+    options: DemoOptions | LiveOptions
     session: LiveSession
+    setup: FusionSetup
+    frames: Sequence[SessionFrame]
+    coach: Coach
+    active: Layout
+    person_at: NDArray[np.float64]
 
     def __init__(
-        self,
-        options: DemoOptions | LiveOptions,
-        console: Console,
-        save: Path | None,
-        remote_sensors: bool = False,
+        self, options: DemoOptions | LiveOptions, console: Console, save: Path | None, remote: bool = False
     ) -> None:
+        super().__init__(options, console)
         self.viewing = choose_viewing(options, save, live=True, served=options.listens)
-        self._plan = plan_outputs(options, options.listen, remote_sensors, options.force)
-        self._options, self._console, self._save = options, console, save
-        self._outputs: Sequence[LiveOutput] = ()
+        self._plan = plan_outputs(options, options.listen, remote, options.force)
+        self._save = save
 
-    def open_outputs(self, stack: ExitStack, setup: FusionSetup, rate: float) -> None:
-        """Opens the outputs to other programs, for a nominal frame rate; the stack closes them."""
-        self._outputs = stack.enter_context(self._plan.opened(setup, rate))
-        announce_outputs(self._console, self._outputs)
+    def work(self, stack: ExitStack) -> None:
+        self.open_outputs(stack)
+        self.loop(self.open_session(stack))
 
-    def open_session(
-        self,
-        stack: ExitStack,
-        sensors: TwoSensors,
-        setup: FusionSetup,
-        coach: Coach,
-        blueprint: Callable[..., rrb.Blueprint],
-        infrared: bool = False,
-        reframes: bool = False,
-    ) -> LiveDisplay:
-        """Opens viewer, file and status line, which the stack closes; returns the observer of the loop.
+    def loop(self, display: LiveDisplay) -> None:
+        """Fuses until the sensors end."""
+        raise NotImplementedError
 
-        Args:
-            blueprint: Makes the layout of a setup; takes ``infrared`` and ``card``.
-            infrared: Whether the viewer gets infrared images; a file has none.
-            reframes: Whether the layout is made anew once it is known where B stands.
-        """
-        console, options, a, b = self._console, self._options, sensors.a.sensor, sensors.b.sensor
+    def open_outputs(self, stack: ExitStack) -> None:
+        """Opens the outputs to other programs, which the stack closes."""
+        self._outputs = stack.enter_context(self._plan.opened(self.setup, self.sensors.rate))
+        announce_outputs(self.console, self._outputs)
+
+    def open_session(self, stack: ExitStack) -> LiveDisplay:
+        """Opens viewer, file and status line, which the stack closes; returns the observer of the loop."""
+        console, options, a, b = self.console, self.options, self.sensors.a.sensor, self.sensors.b.sensor
         if self._save is not None:
             warn_of_little_room(self._save, console)
-        shown = partial(blueprint, infrared=infrared, card=True)
+        depth = options.depth != "none"
+        layout = partial(
+            session_blueprint,
+            person_at=self.person_at,
+            active=self.active,
+            live=True,
+            depth=depth,
+            color=getattr(options, "color", "off") != "off",
+        )
+        # of both sensors, on which the program's own tracker works; a file has none
+        infrared = depth and all(each.tracked_by.startswith("blazepose") for each in (a, b))
+        shown = partial(layout, infrared=infrared, card=True)
+        about = {"recorded": _recorded(a), "tracker": a.tracked_by}
         self.session = stack.enter_context(
             LiveSession(
-                setup,
+                self.setup,
                 (a.name, b.name),
-                shown(setup),
+                shown(self.setup),
                 file=self._save,
                 overwrite=options.force,
                 viewing=self.viewing,
-                file_blueprint=blueprint(setup, infrared=False),
-                reframed=shown if reframes else None,
+                file_blueprint=layout(self.setup),
+                reframed=shown if self.active == "setup" else None,  # once it is known where B stands
                 others=self._outputs,
-                about={
-                    name: value
-                    for name, value in (("recorded", _recorded(a)), ("tracker", a.tracked_by))
-                    if value
-                },
+                about={name: value for name, value in about.items() if value},
             )
         )
         self.viewing.announce(console)
         sounds = self._sounds(stack) if options.sound else None
-        display = LiveDisplay(console, self.session, coach, options.quiet, options.verbose, sounds)
+        display = LiveDisplay(console, self.session, self.coach, options.quiet, options.verbose, sounds)
         return stack.enter_context(display)
 
     def _sounds(self, stack: ExitStack) -> Sounds | None:
         play = player()
         if play is None:
-            self._console.print(
+            self.console.print(
                 "No sound: there is neither paplay nor pw-play nor aplay. Install pulseaudio-utils or "
                 "alsa-utils."
             )
             return None
         return stack.enter_context(Sounds(play))
 
-    def summarise(self, setup: FusionSetup, frames: Sequence[SessionFrame], sensors: TwoSensors) -> None:
-        """Prints the figures of the session, and writes them if that is wanted.
+    def tell(self) -> None:
+        """Prints and writes the figures of the session, where it is saved, and what is missing.
 
         Frames are counted since the start. The method's figures are those of ``duplex review`` where the
         session is saved, else they cover the last minute, as those of sessions above ten minutes do.
         """
-        console, verbose, file = self._console, self._options.verbose, self.session.file
+        console, verbose, file = self.console, self.options.verbose, self.session.file
         saved = None
         with call_after(1.0, lambda: console.print("Computing the summary …")):
             if file is not None and file.failure is None and 0 < file.written <= _REVIEWED:
                 saved = Session.open(file.path)
-            figures = session_report(setup, frames, sensors, self._outputs, saved)
+            figures = self._figures(saved)
         if "fused_frames" not in figures:
             console.print("No frame was fused.")
         print_summary(console, figures)
         print_outputs(console, self._outputs)
         if verbose:
             print_details(console, figures)
-        if self._options.report is not None:
-            gait = None if saved is None else gait_figures(saved.gait)
-            save_report(self._options.report, figures | {"gait": gait}, self._options.force)
-
-    def print_end(self) -> None:
-        """Prints where the session was saved, which frames are missing, and where all figures are."""
-        console, file = self._console, self.session.file
+        save_session_report(self.options.report, figures, saved, self.options.force)
+        self.tell_more()
         if file is not None:
             if file.written and file.failure is None:
                 say_saved(console, file.path)
             for text in file.missing:
                 console.print(text, style="yellow", markup=False, soft_wrap=True)
-        if not self._options.verbose:
+        if not verbose:
             say_more(console)
 
-    def check_saved(self) -> None:
-        """Reports a file that is not whole as a usage error: one line and exit code 2."""
+    def _figures(self, session: Session | None) -> Figures:
+        """The report: the figures of ``duplex fuse --report`` and the stream counts.
+
+        Frames are counted since the start. All other figures cover the whole session where it is given, as
+        in ``duplex review``, else the frames; ``seconds`` is their length. Without a fused frame there are
+        only counts.
+        """
+        setup, frames, figures = self.setup, self.frames, stream_figures(self.sensors)
+        if self._outputs:
+            figures["outputs"] = [output.figures() for output in self._outputs]
+        figures |= {"latency_ms": latency_figures(frames), "others_seen": others_seen(frames)}
+        if session is not None:
+            setup, rows, first = session.last_setup, session.rows, session.first_compared_frame
+        elif frames:  # the newest only, which are seldom older than the calibration
+            fixed = setup.calibration.bone_lengths
+            lengths = [fixed if frame.bone_lengths is None else frame.bone_lengths for frame in frames]
+            rows, first = SessionArrays.stack(setup.body, np.array(lengths), frames), 0
+        else:
+            return figures
+        return with_verdict(figures | fusion_figures(setup, rows, first))
+
+    def tell_more(self) -> None:
+        """Prints what follows the figures."""
+
+    def end(self) -> None:
         file = self.session.file
         if file is not None and file.failure is not None:
             raise UsageError(file.failure)
         check_kept(self._outputs)
-
-
-def rows_of(setup: FusionSetup, frames: Sequence[SessionFrame]) -> SessionArrays | None:
-    """The frames, each with the bone lengths that it was fused with; None if there are none."""
-    if not frames:
-        return None
-    fixed = setup.calibration.bone_lengths
-    lengths = np.array([fixed if frame.bone_lengths is None else frame.bone_lengths for frame in frames])
-    return SessionArrays.stack(setup.body, lengths, frames)
-
-
-def session_report(
-    setup: FusionSetup,
-    frames: Sequence[SessionFrame],
-    sensors: TwoSensors,
-    outputs: Sequence[LiveOutput] = (),
-    session: Session | None = None,
-) -> Figures:
-    """The report of a live session: the figures of ``duplex fuse --report`` and the stream counts.
-
-    Frames are counted since the start. All other figures cover the whole session where it is given, as
-    in ``duplex review``, else the frames; ``seconds`` is their length. Without a fused frame there are only
-    counts.
-    """
-    figures = stream_figures(sensors)
-    if outputs:
-        figures["outputs"] = [output.figures() for output in outputs]
-    figures["latency_ms"] = latency_figures(frames)
-    figures["others_seen"] = others_seen(frames)
-    rows = rows_of(setup, frames) if session is None else session.rows
-    if rows is None:
-        return figures
-    if session is not None:
-        setup = session.last_setup
-    # else the newest frames only, which are seldom older than the calibration
-    first = 0 if session is None else session.first_compared_frame
-    return with_verdict(figures | fusion_figures(setup, rows, first))
 
 
 def stream_figures(sensors: TwoSensors) -> Figures:

@@ -1,7 +1,8 @@
 """The two sensors of a live session, as the options, the cables and the user choose them."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from rich.console import Console
 
@@ -18,9 +19,8 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import LASER_GAP_US
 from devices.capture.stream_pairing import LivePairing
-from devices.live.sensors import connected_sensors, decimation_of, live_sensor
 from devices.network.remote_sensor import PREFIX
-from devices.sensor import Orientation, Sensor
+from devices.sensor import CableSync, Orientation, Sensor
 from devices.tracker_choice import TrackerChoice
 from viewer_app.options.sensing import LiveOptions, RecordOptions
 from viewer_app.options.shared import SensorOptions
@@ -34,15 +34,15 @@ def two_connected_sensors(options: LiveOptions | RecordOptions, console: Console
     Raises:
         DeviceError: Fewer than two usable Kinects, no SDK, or a wrongly connected sync cable.
     """
+    from devices.live.sensors import decimation_of, live_sensor
+
     tracker = tracker_of(options) if isinstance(options, LiveOptions) else None
-    connected = connected_sensors(tracker)
-    serials = _choose(connected, options, console)
-    (kinect_a, kinect_b), tracker = _for_tracker(connected, serials, tracker)
+    (kinect_a, kinect_b), tracker = _chosen(lambda found: _choose(found, options, console), tracker)
     master = sync_master(kinect_a, kinect_b, options.sync_master)
     for note in cable_notes(kinect_a, kinect_b, master):
         console.print(note, style="yellow", markup=False)
     if master is not None:
-        leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
+        leads, follows = ("A", "B") if master == kinect_a.serial else ("B", "A")
         console.print(
             f"Sync cable: {leads} leads, {follows} captures on its pulses and is started first, so that it "
             f"sees the first pulse."
@@ -62,7 +62,7 @@ def two_connected_sensors(options: LiveOptions | RecordOptions, console: Console
     turned_a, turned_b = options.orientations if isinstance(options, LiveOptions) else (0, 0)
     a = live_sensor(kinect_a, settings_a, tracker, decimation, turned_a or 0)
     b = live_sensor(kinect_b, settings_b, tracker, decimation, turned_b or 0)
-    later_us = settings_b.delay_us if master == serials[0] else -settings_a.delay_us
+    later_us = settings_b.delay_us if master == kinect_a.serial else -settings_a.delay_us
     delay_ns = None if master is None else 1000 * later_us
     pairing = LivePairing(round(1e9 / options.fps), sync_delay_ns=delay_ns)
     return TwoSensors(
@@ -96,20 +96,75 @@ def one_sensor(
     Raises:
         DeviceError: It is not there, or several are and none is named; the message names the `option`.
     """
-    connected = connected_sensors(tracker)
-    chosen = choose_one(connected, serial, option)
-    (kinect,), fitting = _for_tracker(connected, [chosen], tracker)
+    from devices.live.sensors import decimation_of, live_sensor
+
+    (kinect,), fitting = _chosen(lambda found: [choose_one(found, serial, option)], tracker)
     announce_tracker(fitting or tracker, console)
     return live_sensor(kinect, settings, fitting, decimation_of(fitting, settings.fps), orientation)
 
 
-def _for_tracker(
-    connected: Sequence[ConnectedSensor], serials: Sequence[str], tracker: TrackerChoice | None
+def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Console) -> TwoSensors:
+    """Two recordings of images as live sensors, at the pace at which they were recorded; opens neither.
+
+    Raises:
+        DeviceError: One cannot be read, or both are the same.
+    """
+    from devices.blazepose.tracked_images import TrackedImages
+    from devices.live.sensors import decimation_of
+    from devices.pairing import ONE_RUN_NS
+    from devices.recorded.files import distinct_names, images_of, not_of_libk4a, open_images, open_source
+    from devices.recorded.two_recordings import cable_delay_ns, refuse_same
+    from devices.simulated.real_time import Beat, PacedSensor
+    from devices.upright import upright
+
+    refuse_same(*paths)
+    tracker = tracker_of(options).for_images_of(not_of_libk4a(*paths))
+    announce_tracker(tracker, console)
+    syncs: list[CableSync | None] = []
+    intervals: list[int] = []
+    arrivals: list[int] = []  # of the first frames, where they were recorded
+    for path in paths:
+        with open_images(path) as images:
+            syncs.append(images.sync)
+            intervals.append(images.interval_ns)
+            if images.sync is not None:
+                arrivals += filter(None, [next(images.frames()).host_ns])
+    one_run = len(arrivals) == 2 and abs(arrivals[1] - arrivals[0]) < ONE_RUN_NS
+    delay_ns = cable_delay_ns(*syncs)
+    decimation = decimation_of(tracker, 1e9 / min(intervals))
+    on_cable = delay_ns is not None and len(arrivals) < 2
+    beat = Beat(2, common="arrival" if one_run else "capture" if on_cable else None)
+    played: list[Sensor] = []
+    names = distinct_names(*paths)
+    for path, name, orientation in zip(paths, names, options.orientations, strict=True):
+        if tracker.name == "k4abt":
+            tracked = open_source(path, tracker=tracker, orientation=orientation or 0)
+            images_of(tracked).name = name
+            played.append(PacedSensor(tracked, beat))
+        else:
+            images = open_images(path)
+            images.name = name
+            paced = upright(PacedSensor(images, beat, decimation), orientation or 0)
+            played.append(TrackedImages(paced, tracker.blazepose, pace=decimation))  # type: ignore[arg-type]
+    return TwoSensors(
+        *played,
+        pairing=LivePairing(min(intervals), sync_delay_ns=delay_ns),
+        decimation=decimation,
+        tell=teller(console),
+    )
+
+
+def _chosen(
+    choose: Callable[[Sequence[ConnectedSensor]], Sequence[str]], tracker: TrackerChoice | None
 ) -> tuple[list[ConnectedSensor], TrackerChoice | None]:
-    """The sensors chosen, and the tracker that takes the images of all of them.
+    """The sensors whose serial numbers are chosen, and the tracker that takes the images of all of them.
 
     Which library opens a Femto depends on the tracker, so the sensors are listed again for another one.
     """
+    from devices.live.sensors import connected_sensors
+
+    connected = connected_sensors(tracker)
+    serials = choose(connected)
     chosen = [next(sensor for sensor in connected if sensor.serial == serial) for serial in serials]
     if tracker is None:
         return chosen, None

@@ -1,32 +1,22 @@
-"""Raw recordings of two sensors: written beside what else a command does, and played as live sensors."""
+"""Raw recordings of two sensors, written beside what else a command does."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
 
-from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.settings import CaptureSettings
-from devices.capture.stream_pairing import LivePairing
-from devices.live.sensors import decimation_of
-from devices.network.remote_sensor import RemoteSensor
-from devices.pairing import ONE_RUN_NS
-from devices.recorded.files import distinct_names, images_of, not_of_libk4a, open_images, open_source
-from devices.recorded.two_recordings import cable_delay_ns, refuse_same
-from devices.sensor import CableSync, Sensor
-from devices.simulated.real_time import Beat, PacedSensor
-from devices.upright import upright
 from viewer_app.errors import UsageError
-from viewer_app.options.sensing import DemoOptions, LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room
-from viewer_app.sensors.remote import teller
-from viewer_app.sensors.tracker import announce_tracker, tracker_of
-from viewer_app.sinks.raw_recording import RawRecorder, camera_of, record_images
+
+if TYPE_CHECKING:
+    from viewer_app.sinks.raw_recording import RawRecorder
 
 _NAMES = ("a.mkv", "b.mkv")
 _BYTES_PER_MINUTE = 5_300_000_000  # of two sensors, uncompressed
@@ -45,7 +35,7 @@ class RawFiles(ExitStack):
 
     def __init__(
         self,
-        folder: Path,
+        folder: Path | None,
         console: Console,
         *,
         force: bool,
@@ -57,6 +47,8 @@ class RawFiles(ExitStack):
         self.folder, self._console, self._hide = folder, console, hide
         self._compress, self._force = compress, force
         self.recorders: list[RawRecorder] = []
+        if folder is None:
+            return
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as fault:
@@ -66,9 +58,13 @@ class RawFiles(ExitStack):
 
     def attach(self, sensors: TwoSensors) -> None:
         """Records both sensors from their opening on; they are not open yet."""
+        if self.folder is None:
+            return
+        from viewer_app.sinks.raw_recording import RawRecorder, camera_of, record_images
+
         for name, thread in zip(_NAMES, (sensors.a, sensors.b), strict=True):
             sensor = thread.sensor
-            if isinstance(sensor, RemoteSensor):
+            if sensor.link is not None:
                 raise UsageError(
                     f"{sensor.name} is on another PC, from which no infrared comes: record it there."
                 )
@@ -105,61 +101,3 @@ class RawFiles(ExitStack):
 
     def _tell(self, failure: str) -> None:
         self._console.print(f"[bold red]{escape(failure)}[/]", soft_wrap=True)
-
-
-def raw_files(
-    options: LiveOptions | DemoOptions, console: Console, played: Iterable[Path] = ()
-) -> RawFiles | None:
-    """The recordings that ``--record`` asks for; None without it.
-
-    Raises:
-        UsageError: As for :class:`RawFiles`.
-    """
-    if options.record is not None:
-        return RawFiles(
-            options.record, console, force=options.force, compress=options.compress, played=played
-        )
-    return None
-
-
-def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Console) -> TwoSensors:
-    """Two recordings of images as live sensors, at the pace at which they were recorded; opens neither.
-
-    Raises:
-        DeviceError: One cannot be read, or both are the same.
-    """
-    refuse_same(*paths)
-    tracker = tracker_of(options).for_images_of(not_of_libk4a(*paths))
-    announce_tracker(tracker, console)
-    syncs: list[CableSync | None] = []
-    intervals: list[int] = []
-    arrivals: list[int] = []  # of the first frames, where they were recorded
-    for path in paths:
-        with open_images(path) as images:
-            syncs.append(images.sync)
-            intervals.append(images.interval_ns)
-            if images.sync is not None:
-                arrivals += filter(None, [next(images.frames()).host_ns])
-    one_run = len(arrivals) == 2 and abs(arrivals[1] - arrivals[0]) < ONE_RUN_NS
-    delay_ns = cable_delay_ns(*syncs)
-    decimation = decimation_of(tracker, 1e9 / min(intervals))
-    on_cable = delay_ns is not None and len(arrivals) < 2
-    beat = Beat(2, common="arrival" if one_run else "capture" if on_cable else None)
-    played: list[Sensor] = []
-    names = distinct_names(*paths)
-    for path, name, orientation in zip(paths, names, options.orientations, strict=True):
-        if tracker.name == "k4abt":
-            tracked = open_source(path, tracker=tracker, orientation=orientation or 0)
-            images_of(tracked).name = name
-            played.append(PacedSensor(tracked, beat))
-        else:
-            images = open_images(path)
-            images.name = name
-            paced = upright(PacedSensor(images, beat, decimation), orientation or 0)
-            played.append(TrackedImages(paced, tracker.blazepose, pace=decimation))  # type: ignore[arg-type]
-    return TwoSensors(
-        *played,
-        pairing=LivePairing(min(intervals), sync_delay_ns=delay_ns),
-        decimation=decimation,
-        tell=teller(console),
-    )

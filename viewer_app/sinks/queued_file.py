@@ -7,17 +7,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from devices.sensor import DeviceError
 from viewer_app.sinks.item_queue import ItemQueue
 
 Item = TypeVar("Item")
-
-
-class _Placed(Protocol):
-    @property
-    def placed(self) -> bool: ...
 
 
 class QueuedFile(Generic[Item]):
@@ -104,8 +99,8 @@ class QueuedFile(Generic[Item]):
         return item
 
     @contextmanager
-    def _counting(self, frames: int, file: _Placed) -> Iterator[None]:
-        """Counts frames that the block appends to a file."""
+    def _counting(self, frames: int, file: Any) -> Iterator[None]:
+        """Counts frames that the block appends to a file, which says if it is `placed` under its name."""
         try:
             yield
         except OSError:

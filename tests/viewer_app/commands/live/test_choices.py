@@ -39,7 +39,7 @@ def test_a_realsense_captures_at_its_masters_pulse(monkeypatch):
         ConnectedSensor(k, serial, False, False, sdk="realsense", tells_jacks=False)
         for k, serial in enumerate(("1001", "1002"))
     ]
-    monkeypatch.setattr("viewer_app.sensors.local.connected_sensors", lambda _: two)
+    monkeypatch.setattr("devices.live.sensors.connected_sensors", lambda _: two)
     options = {"principal": "1001", "sync_master": "1002", "tracker": "blazepose"}
     assert _pairing_settings(monkeypatch, **options)["sync_delay_ns"] == 0
 

@@ -29,8 +29,8 @@ from tests.helpers.session_text import rows_of
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.running.runner import Runner
-from viewer_app.sensors import raw_files
-from viewer_app.sensors.raw_files import two_played_sensors
+from viewer_app.sensors import local, raw_files
+from viewer_app.sensors.local import two_played_sensors
 
 SENSORS = ("--kinect-a", "000123", "--kinect-b", "000456")
 
@@ -204,7 +204,7 @@ def test_two_recordings_of_one_name_are_told_apart_and_start_by_a_common_clock(
         settings = CaptureSettings(sync=sync if cable else "standalone")
         with MkvWriter(paths[-1], side, settings, lens_of("NFOV_2X2BINNED"), frame) as writer:
             writer.write(frame)
-    monkeypatch.setattr(raw_files, "tracker_of", lambda _: TrackerChoice("blazepose", "a test"))
+    monkeypatch.setattr(local, "tracker_of", lambda _: TrackerChoice("blazepose", "a test"))
     played = two_played_sensors(LiveOptions(), paths, Console(quiet=True))
     a, b = (thread.sensor for thread in (played.a, played.b))
     assert [a.name, b.name] == ["l/output.mkv", "r/output.mkv"]
@@ -216,15 +216,15 @@ def test_two_recordings_of_one_name_are_told_apart_and_start_by_a_common_clock(
 def test_recordings_are_played_at_their_own_rate(tmp_path, monkeypatch, capsys):
     """--fps is of sensors: outputs, the coach and --record take the rate of what is played."""
 
-    def stop(_runner, _stack, _setup, rate):
-        raise UsageError(f"{rate}")
+    def stop(runner, _stack):
+        raise UsageError(f"{runner.sensors.rate}")
 
     paths, told = [tmp_path / "a.mkv", tmp_path / "b.mkv"], []
     for path in paths:
         frame = SensorFrame(10**9, depth=np.ones((288, 320), np.uint16), ir=np.ones((288, 320), np.uint16))
         with MkvWriter(path, path.stem, CaptureSettings(fps=15), lens_of("NFOV_2X2BINNED"), frame) as writer:
             writer.write(frame)
-    monkeypatch.setattr(raw_files, "tracker_of", lambda _: TrackerChoice("blazepose", "a test"))
+    monkeypatch.setattr(local, "tracker_of", lambda _: TrackerChoice("blazepose", "a test"))
     monkeypatch.setattr(raw_files.RawFiles, "attach", lambda _, sensors: told.append(sensors.rate))
     monkeypatch.setattr(Runner, "open_outputs", stop)
     assert duplex("live", *paths, "--no-viewer", "--record", tmp_path / "raw") == 2
