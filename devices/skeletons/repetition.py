@@ -90,11 +90,17 @@ def kept_places(
         equal = (at == after).all(axis=2) & known
         moving = (known & ~equal).sum(axis=1) > _MOVES * known.sum(axis=1)
         same[1:][part] = equal & (moving & (found.person[one] == found.person[other]))[:, None]
-    person = found.person[order]
-    frames = np.maximum(FEWEST, (ALMOST_ALWAYS if _is_coarse(found) else 0.0) * np.bincount(person)[person])
-    for point in range(count):
+
+    def lengths(point: int) -> NDArray[np.int64]:
         run = np.cumsum(~same[:, point])
-        keeps[order, point] = np.bincount(run)[run] >= frames
+        return np.asarray(np.bincount(run)[run])
+
+    often = [point for point in range(count) if lengths(point).max() >= FEWEST]
+    if often:
+        person = found.person[order]
+        always = (ALMOST_ALWAYS if _is_coarse(found) else 0.0) * np.bincount(person)[person]
+        for point in often:
+            keeps[order, point] = lengths(point) >= np.maximum(FEWEST, always)
     if not keeps.any():
         return keeps, []
     for point in np.flatnonzero(keeps.any(axis=0)).tolist():  # also where nothing else moves for a moment

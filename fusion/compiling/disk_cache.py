@@ -15,10 +15,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
-from numba.core.caching import FunctionCache
+from fusion.compiling.light_numba import numba
 
-_NumbasCache: Any = FunctionCache
+_NumbasCache: Any = numba.core.caching.FunctionCache
 
 
 def dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:

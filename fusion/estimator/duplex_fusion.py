@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import typeof
 
 from fusion.calibration.calibration import Calibration
+from fusion.compiling.light_numba import typeof
 from fusion.estimator.arrays import Filter, LastSkeletons, Model, Output, Solve, State, Views, new_model
 from fusion.estimator.constants import Constants
 from fusion.estimator.estimator import boxed, estimate_pairs

@@ -2,8 +2,7 @@
 
 from typing import Any
 
-from numba import typeof
-
+from fusion.compiling.light_numba import typeof
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays
 from fusion.paper import method

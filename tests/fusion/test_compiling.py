@@ -267,3 +267,15 @@ def test_one_place_of_a_sensor_compiles_what_a_place_for_each_pair_does():
         relabel_sequence(KINECT_V2, pairs, np.arange(3) * 33_000_000)
         counts.append(len(sequence._forward.signatures))
     assert counts[0] == counts[1] > 0
+
+
+def test_numba_loads_without_what_no_kernel_needs():
+    """Of packages that are installed; whoever imports them later gets them."""
+    script = """
+import sys
+from fusion.compiling.light_numba import numba
+assert not {"cffi", "coverage", "scipy.linalg", "yaml"} & set(sys.modules)
+assert numba.njit(lambda x: x + 1)(1) == 2
+import scipy.linalg, yaml
+"""
+    subprocess.run([sys.executable, "-c", script], check=True)
