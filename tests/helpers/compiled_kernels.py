@@ -1,8 +1,9 @@
 """Compiles the kernels in one process beside those of pytest-xdist, which begin with tests that need none.
 
-The first test of a process that may need them waits.
+A process that does not find a kernel on disk waits for the one that compiles.
 """
 
+import re
 import subprocess
 import sys
 from contextlib import suppress
@@ -15,12 +16,13 @@ import pytest
 
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
+from fusion.compiling import disk_cache
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup, Method
 from tests.helpers import golden_session
 
 _ROOT = Path(__file__).resolve().parents[2]
-_KERNEL_FREE = ("tests/devices/", "tests/documents/")
+_NEEDS_NONE = re.compile(r"tests/(devices|documents)/(?!.*fus)")
 _COMPILING = pytest.StashKey()
 
 
@@ -38,7 +40,7 @@ def pytest_configure_node(node):
 
 def pytest_configure(config):
     if hasattr(config, "workerinput"):
-        config.pluginmanager.register(_Worker(config.workerinput))
+        disk_cache._ForgivingCache.load_overload = _waiting(config.workerinput["compiling"])
 
 
 def pytest_unconfigure(config):
@@ -46,30 +48,36 @@ def pytest_unconfigure(config):
         process.kill()
 
 
-class _Worker:
-    """Orders the tests of a process of pytest-xdist, and waits for the kernels."""
+def _waiting(compiling):
+    """How a kernel is found on disk, or after a process has compiled."""
+    load, waits = disk_cache._ForgivingCache.load_overload, []
+    with suppress(psutil.NoSuchProcess):
+        waits.append(psutil.Process(compiling))
 
-    def __init__(self, workerinput):
-        self._workers, self._compiling = workerinput["workercount"], workerinput["compiling"]
+    def load_overload(cache, *of):
+        found = load(cache, *of)
+        if found is None and waits and cache._py_func.__module__.startswith("fusion."):
+            waits.pop().wait()
+            found = load(cache, *of)
+        return found
 
-    @pytest.hookimpl(trylast=True)
-    def pytest_collection_modifyitems(self, items):
-        """The distribution worksteal begins with contiguous shares of equal length."""
-        free = [item for item in items if item.nodeid.startswith(_KERNEL_FREE)]
-        others = [item for item in items if not item.nodeid.startswith(_KERNEL_FREE)]
-        items[:] = [
-            item
-            for k in range(self._workers)
-            for part in (free, others)
-            for item in part[k * len(part) // self._workers : (k + 1) * len(part) // self._workers]
-        ]
+    return load_overload
 
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_setup(self, item):
-        if self._compiling is not None and not item.nodeid.startswith(_KERNEL_FREE):
-            with suppress(psutil.NoSuchProcess):
-                psutil.Process(self._compiling).wait()
-            self._compiling = None
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """The distribution worksteal begins with contiguous shares of equal length."""
+    if not hasattr(config, "workerinput"):
+        return
+    first = [item for item in items if _NEEDS_NONE.match(item.nodeid)]
+    later = [item for item in items if not _NEEDS_NONE.match(item.nodeid)]
+    workers = config.workerinput["workercount"]
+    items[:] = [
+        item
+        for k in range(workers)
+        for part in (first, later)
+        for item in part[k * len(part) // workers : (k + 1) * len(part) // workers]
+    ]
 
 
 def compile_kernels():
