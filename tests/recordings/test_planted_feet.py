@@ -76,7 +76,7 @@ def live(session):
     )
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_toes_that_stand_neither_slide_nor_sink(true_walk, seed):
     session = erring(true_walk, seed)
     for planted, settled in ((recorded(session), 3), (live(session), 5)):
@@ -93,7 +93,7 @@ def test_toes_that_stand_neither_slide_nor_sink(true_walk, seed):
             assert everywhere.min() > np.median(heights) - 0.001
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_bones_keep_their_lengths_and_what_is_no_leg_only_rises_and_sinks(true_walk, seed):
     session, body = erring(true_walk, seed), true_walk.body
     legs = [body.joint(part + side) for part in ("Knee", "Ankle", "Foot") for side in SIDES]
@@ -137,7 +137,7 @@ def test_feet_that_stand_already_stay(true_walk):
         assert np.median(off) < 0.01
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_mirrored_walk_has_the_feet_exchanged(true_walk, seed):
     session, mirror = erring(true_walk, seed), true_walk.body.mirror
     mirrored = with_fused(session, session.fused[:, mirror] * (-1.0, 1.0, 1.0))

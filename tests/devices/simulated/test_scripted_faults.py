@@ -70,10 +70,3 @@ def test_a_mirrored_person_has_left_and_right_exchanged_for_the_spell():
             np.testing.assert_array_equal(one.positions, other.positions)
         elif 1.3 < seconds < 2.0:  # after the change of labels, 0.25 s
             np.testing.assert_allclose(one.positions[knees], other.positions[knees[::-1]], atol=0.05)
-
-
-def test_without_its_spells_a_script_changes_no_bit():
-    def bits(each):
-        return [skeleton.positions.tobytes() + skeleton.states.tobytes() for skeleton in each]
-
-    assert bits(frames(None, KINECT_V2)) == bits(frames(ScriptedFaults(KINECT_V2), KINECT_V2))
