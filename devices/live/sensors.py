@@ -209,16 +209,6 @@ def _told(fault: Exception) -> DeviceError:
     return DeviceError(f"A sensor library failed ({type(fault).__name__}: {words_of(fault)}).")
 
 
-def decimation_of(tracker: TrackerChoice | None, fps: float) -> FrameDecimation:
-    """The frame decimation that two sensors with this tracker share.
-
-    With the program's own tracker it also changes to the lighter network if a tracker stays too slow.
-    """
-    if tracker is None or tracker.name != "blazepose":
-        return FrameDecimation(fps)
-    return TrackingPace(fps, tracker.blazepose)
-
-
 def live_sensor(
     connected: ConnectedSensor,
     settings: KinectSettings,

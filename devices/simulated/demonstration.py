@@ -3,18 +3,25 @@
 The benchmarks use ``Rig()`` and the movements as they are; nothing here changes those.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from devices.depth.image_thinning import Depth
 from devices.simulated.kinect import Beside, Movement, Scene, SimulatedKinect, Truth, movement
+from devices.simulated.person import anatomy
 from devices.simulated.person.gait import walking
 from devices.simulated.person.motion import STARTUP_SECONDS
+from devices.simulated.real_time import Beat, PacedSensor
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.scripted_faults import ScriptedFaults, Spells
 from fusion.body import KINECT_V1, Body
+from fusion.support.types import Array
 
 _HEIGHT, _TILT_DEG = 1.2, 5.0  # metres, degrees
 _DISTANCE, _DISTANCE_V1 = 2.9, 3.2  # metres
@@ -23,6 +30,7 @@ the sensor measures, so that every movement stays between the two. A Kinect v1 h
 BAD_ANGLE_DEG = 30.0
 _BAD_DISTANCE, _BAD_HEIGHT = 1.3, 1.5  # metres: too close, and too high to see the feet without a tilt
 
+_PERIOD_S, _LEAD_S = 10.0, 1.0
 _EVERY = 8.0  # seconds: one round of the badminton
 MISPLACED = Spells(7.0, 1.2, _EVERY)
 """The left arm in A's view. In badminton, the lunge: A stands on the right, so the trunk hides that arm."""
@@ -103,3 +111,26 @@ def demonstration(
         for which, script in enumerate(scripts)
     )
     return Demonstration(a, b, Truth(scene, rig), tuple(moment for moment in moments if moment.starts))
+
+
+class _ToAndFro:
+    """A movement that is played forward for 10 s, then backward, for ever, in step with the wall clock.
+
+    Backward, so that it has no jump, and begins and ends in the start-up pose.
+    """
+
+    def __init__(self, movement: Movement, begins_s: float) -> None:
+        self.name = movement.name
+        self._movement, self._begins_s = movement, begins_s
+
+    def landmarks(self, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
+        """(T, N, 3) all landmarks in the world, metres."""
+        seconds = np.mod(np.asarray(times, dtype=np.float64) + self._begins_s, 2.0 * _PERIOD_S)
+        return self._movement.landmarks(_PERIOD_S - np.abs(seconds - _PERIOD_S), height)
+
+
+def sensor_by_wall_clock(which: int, movement: Movement, body: Body) -> PacedSensor:
+    """A simulated sensor whose person moves by the wall clock: two programs see the same person."""
+    scene = Scene(_ToAndFro(movement, time.time() + _LEAD_S), body)
+    beat = Beat(begins_s=time.perf_counter() + _LEAD_S)
+    return PacedSensor(SimulatedKinect(scene, good_rig(body), which), beat)

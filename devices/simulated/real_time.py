@@ -7,18 +7,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import replace
-from typing import Literal
-
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import Any, Literal
 
 from devices.capture.frame_decimation import FrameDecimation
 from devices.sensor import Sensor, SensorFrame, SensorWrapper
-from devices.simulated.demonstration import good_rig
-from devices.simulated.kinect import Movement, Scene, SimulatedKinect
-from devices.simulated.person import anatomy
-from fusion.body import Body
-from fusion.support.types import Array
 
 _FRAME, _TOGETHER = 1.0 / 30.0, 1.0  # seconds
 _MARGIN, _FORGETTING = 1.5, 0.95
@@ -26,7 +18,6 @@ _MARGIN, _FORGETTING = 1.5, 0.95
 
 The expected duration is the longest recent one; it decays by 5 % per frame.
 """
-_PERIOD_S, _LEAD_S = 10.0, 1.0
 
 
 class Beat:
@@ -104,7 +95,7 @@ class PacedSensor(SensorWrapper):
         wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
     ) -> None:
         super().__init__(sensor)
-        self._simulated = sensor if isinstance(sensor, SimulatedKinect) else None
+        self._simulated: Any = sensor if hasattr(sensor, "skips_depth") else None
         self._beat = beat or Beat()
         self._decimation = decimation
         self._clock, self._wait = clock, wait
@@ -229,30 +220,7 @@ class PacedSensor(SensorWrapper):
         return self._stopping.is_set() or (left > 0.0 and self._wait(self._stopping, left))
 
 
-def paced_together(*sensors: SimulatedKinect, decimation: FrameDecimation | None = None) -> list[PacedSensor]:
+def paced_together(*sensors: Sensor, decimation: FrameDecimation | None = None) -> list[PacedSensor]:
     """Returns sensors that start together and play in real time; see :class:`PacedSensor`."""
     beat = Beat(len(sensors))
     return [PacedSensor(sensor, beat, decimation) for sensor in sensors]
-
-
-class _ToAndFro:
-    """A movement that is played forward for 10 s, then backward, for ever, in step with the wall clock.
-
-    Backward, so that it has no jump, and begins and ends in the start-up pose.
-    """
-
-    def __init__(self, movement: Movement, begins_s: float) -> None:
-        self.name = movement.name
-        self._movement, self._begins_s = movement, begins_s
-
-    def landmarks(self, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
-        """(T, N, 3) all landmarks in the world, metres."""
-        seconds = np.mod(np.asarray(times, dtype=np.float64) + self._begins_s, 2.0 * _PERIOD_S)
-        return self._movement.landmarks(_PERIOD_S - np.abs(seconds - _PERIOD_S), height)
-
-
-def sensor_by_wall_clock(which: int, movement: Movement, body: Body) -> PacedSensor:
-    """A simulated sensor whose person moves by the wall clock: two programs see the same person."""
-    scene = Scene(_ToAndFro(movement, time.time() + _LEAD_S), body)
-    beat = Beat(begins_s=time.perf_counter() + _LEAD_S)
-    return PacedSensor(SimulatedKinect(scene, good_rig(body), which), beat)

@@ -26,6 +26,7 @@ from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import furnish
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.sensors import local
+from viewer_app.sensors.tracker import decimation_of
 from viewer_app.sinks.raw_recording import camera_of
 
 BOLT, SECOND = "CL8H741005K", "CL8H7410123"
@@ -96,9 +97,7 @@ def test_the_name_is_that_of_the_sensors_tracker():
 )
 def test_a_sensor_on_its_side_is_made_upright_before_the_own_tracker_and_after_microsofts(tracker, sdk):
     listed = ConnectedSensor(0, "000123", False, False, sdk=sdk)
-    sensor = live_sensors.live_sensor(
-        listed, KinectSettings(), tracker, live_sensors.decimation_of(tracker, 30.0), 270
-    )
+    sensor = live_sensors.live_sensor(listed, KinectSettings(), tracker, decimation_of(tracker, 30.0), 270)
     turned = sensor.source if tracker is OURS else sensor
     assert isinstance(turned, UprightSensor)
     assert isinstance(camera_of(sensor), LiveSensor)

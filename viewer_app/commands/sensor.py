@@ -14,8 +14,8 @@ from devices.network.remote_sensor import PREFIX
 from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh
 from devices.recorded.files import frame_interval_ns, has_images, not_of_libk4a, open_source
 from devices.sensor import Sensor
-from devices.simulated.demonstration import demonstrated
-from devices.simulated.real_time import PacedSensor, sensor_by_wall_clock
+from devices.simulated.demonstration import demonstrated, sensor_by_wall_clock
+from devices.simulated.real_time import PacedSensor
 from fusion.body import BODIES
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import PublishOptions

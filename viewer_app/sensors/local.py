@@ -25,7 +25,7 @@ from devices.tracker_choice import TrackerChoice
 from viewer_app.options.sensing import LiveOptions, RecordOptions
 from viewer_app.options.shared import SensorOptions
 from viewer_app.sensors.remote import teller
-from viewer_app.sensors.tracker import announce_tracker, tracker_of
+from viewer_app.sensors.tracker import announce_tracker, decimation_of, tracker_of
 
 
 def two_connected_sensors(options: LiveOptions | RecordOptions, console: Console) -> TwoSensors:
@@ -34,7 +34,7 @@ def two_connected_sensors(options: LiveOptions | RecordOptions, console: Console
     Raises:
         DeviceError: Fewer than two usable Kinects, no SDK, or a wrongly connected sync cable.
     """
-    from devices.live.sensors import decimation_of, live_sensor
+    from devices.live.sensors import live_sensor
 
     tracker = tracker_of(options) if isinstance(options, LiveOptions) else None
     (kinect_a, kinect_b), tracker = _chosen(lambda found: _choose(found, options, console), tracker)
@@ -96,7 +96,7 @@ def one_sensor(
     Raises:
         DeviceError: It is not there, or several are and none is named; the message names the `option`.
     """
-    from devices.live.sensors import decimation_of, live_sensor
+    from devices.live.sensors import live_sensor
 
     (kinect,), fitting = _chosen(lambda found: [choose_one(found, serial, option)], tracker)
     announce_tracker(fitting or tracker, console)
@@ -110,7 +110,6 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
         DeviceError: One cannot be read, or both are the same.
     """
     from devices.blazepose.tracked_images import TrackedImages
-    from devices.live.sensors import decimation_of
     from devices.pairing import ONE_RUN_NS
     from devices.recorded.files import distinct_names, images_of, not_of_libk4a, open_images, open_source
     from devices.recorded.two_recordings import cable_delay_ns, refuse_same

@@ -1,19 +1,15 @@
 """The body tracker that the options ask for, and its networks."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from devices.azure.tracking.settings import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
+from devices.capture.frame_decimation import FrameDecimation
+from devices.tracker_choice import TrackerChoice, choose_tracker
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import TrackerOptions
-
-if TYPE_CHECKING:
-    from devices.tracker_choice import TrackerChoice
 
 
 def tracker_of(options: TrackerOptions) -> TrackerChoice:
@@ -22,8 +18,6 @@ def tracker_of(options: TrackerOptions) -> TrackerChoice:
     Raises:
         UsageError: Options of the program's own tracker for another one.
     """
-    from devices.tracker_choice import choose_tracker
-
     choice = choose_tracker(
         options.tracker,
         TrackerSettings(processing=options.processing, library=options.k4abt),
@@ -41,6 +35,18 @@ def announce_tracker(tracker: TrackerChoice, console: Console) -> None:
     console.print(f"Body tracker: {tracker.full_name} ({tracker.reason}).", markup=False)
     if tracker.name == "blazepose":
         ensure_networks(tracker.blazepose, console)
+
+
+def decimation_of(tracker: TrackerChoice | None, fps: float) -> FrameDecimation:
+    """The frame decimation that two sensors with this tracker share.
+
+    With the program's own tracker it also changes to the lighter network if a tracker stays too slow.
+    """
+    if tracker is None or tracker.name != "blazepose":
+        return FrameDecimation(fps)
+    from devices.blazepose.pace import TrackingPace
+
+    return TrackingPace(fps, tracker.blazepose)
 
 
 def ensure_networks(settings: BlazePoseSettings, console: Console) -> None:
