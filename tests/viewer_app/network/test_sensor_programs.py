@@ -55,7 +55,7 @@ def test_one_of_two_sensor_programs_is_killed_and_started_anew(tmp_path):
             assert goes_on(saved)
             again = sensor("b")
             assert fusing.says("zenoh:lab/b is back.", SLOW_S), fusing.said
-            assert goes_on(saved)
+            assert goes_on(saved, 90)
             assert fusing.end() == 0, fusing.said
         assert a.end() == 0
         assert "frames published" in a.said
