@@ -7,12 +7,17 @@ OPTIONS ?=
 PARALLEL := -n logical --dist worksteal
 # All matrices are small: more BLAS threads only wait on each other.
 export OPENBLAS_NUM_THREADS := 1
+# pip would compile every module, of which few are imported; Python keeps those that it compiles itself.
+PIP := $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable
+unexport PYTHONDONTWRITEBYTECODE
 BIN := $(VENV)/bin
+# The program, and with it all that its developers use.
+RUNS := $(VENV)/.runs
 READY := $(VENV)/.ready
 
 .PHONY: demo test coverage check docs pictures package benchmarks clean
 
-demo: $(READY)
+demo: $(RUNS)
 	$(BIN)/duplex demo
 
 test: $(READY)
@@ -55,12 +60,15 @@ benchmarks: $(READY)
 clean:
 	rm -rf $(VENV)
 
-$(READY): pyproject.toml
+$(RUNS): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "duplex-kinects needs Python 3.11 or newer; $(PYTHON) is older. Try: make PYTHON=python3.12"; exit 1; }
 	$(PYTHON) -m venv $(VENV) || \
 	  { $(PYTHON) -m pip install --user virtualenv && $(PYTHON) -m virtualenv --clear $(VENV); }
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(PIP) .
+	@touch $@
+
+$(READY): $(RUNS)
+	$(PIP) '.[dev]'
 	@$(BIN)/duplex tracker fetch || echo "Without the networks the body tracker cannot run; all else works."
 	@touch $@
