@@ -54,9 +54,7 @@ class Fuser:
         if self.setup.settings.method == "published":
             meanwhile()
         else:
-            matrices = self.setup.settings.method == "duplex"
-            solver = f"from fusion.solvers import tree_solver; tree_solver.compile_tree_solver({matrices})"
-            with compiled_meanwhile(self._fusion.kernel, solver):
+            with compiled_meanwhile(self._fusion.kernel, self._fusion.beside):
                 meanwhile()
                 other._fusion.compile(self._stacker.of_pair(SkeletonPair(None, None, 0)))
         other.update(SkeletonPair(None, None, 0))

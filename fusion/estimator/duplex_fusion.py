@@ -6,14 +6,24 @@ from typing import Any
 
 import numpy as np
 
-from fusion.calibration.calibration import Calibration
+from fusion.body import KINECT_V2
+from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.compiling.light_numba import typeof
 from fusion.estimator.arrays import Filter, LastSkeletons, Model, Output, Solve, State, Views, new_model
+from fusion.estimator.bones import enforce_hinges, joint_covariances, solve_bones
 from fusion.estimator.constants import Constants
+from fusion.estimator.covariance import find_covers
 from fusion.estimator.estimator import boxed, estimate_pairs
+from fusion.estimator.kalman import start_joints, update_common_error
+from fusion.estimator.measurements.displacement import remove_displacements
+from fusion.estimator.measurements.evidence import measure_surface
+from fusion.estimator.measurements.offsets import update_offsets
+from fusion.estimator.measurements.outliers import outlier_probabilities, store_outlier_state
 from fusion.estimator.measurements.views import relabel
+from fusion.estimator.process import inflate_where_astray
 from fusion.estimator.smoother import Trace, smooth_pairs
 from fusion.facing.exchange import exchange
+from fusion.facing.labels import Labels
 from fusion.facing.model import FacingState, new_facing_model
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays
@@ -32,6 +42,8 @@ class DuplexFusion:
 
     kernel: Any = estimate_pairs
     """The kernel that takes longest to compile."""
+    beside = "from fusion.estimator.duplex_fusion import compile_steps; compile_steps()"
+    """What another process compiles meanwhile."""
 
     def __init__(self, setup: FusionSetup, constants: Constants | None = None) -> None:
         body = setup.body
@@ -48,13 +60,11 @@ class DuplexFusion:
         )
         self._setup = setup
         self._no_trace = new_arrays(Trace, T=0, J=joints)
-        self._box = boxed(self._filter, self._no_trace)
+        self._box: Any = None  # until it is needed: the first one is compiled beside the steps
 
     def compile(self, pairs: PairArrays) -> None:
-        """Compiles a large part of the code that does not call the solver, for arrays like these."""
-        filter = self._filter
-        given = filter.model, filter.facing_model, filter.facing, filter.views, pairs.labels, 0, 0.0
-        relabel.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
+        """Compiles everything, for arrays like these; finds what another process has compiled."""
+        self.run(pairs)
 
     def recalibrate(self, setup: FusionSetup) -> None:
         """Continues with another calibration without a jump of S*.
@@ -85,7 +95,7 @@ class DuplexFusion:
         of.state.lag[seen] += share[seen, None] * moved[seen] + (1.0 - share[seen, None]) * own
         of.state.recalibrated[0] = 0.0
         self._setup, self._filter = setup, self._filter._replace(model=self._model_of(setup))
-        self._box = boxed(self._filter, self._no_trace)
+        self._box = None
 
     def _model_of(self, setup: FusionSetup) -> Model:
         calibration = setup.calibration
@@ -108,6 +118,8 @@ class DuplexFusion:
         frames, joints = pairs.a.shape[:2]
         output = new_arrays(Output, T=frames, J=joints)
         if not smooth:
+            if self._box is None:
+                self._box = boxed(self._filter, self._no_trace)
             estimate_pairs(self._box, pairs, output)
         else:
             trace = new_arrays(Trace, T=frames, J=joints)
@@ -125,3 +137,31 @@ def _registration_variances(calibration: Calibration) -> tuple[float, float]:
         return 0.0, 0.0
     turn, shift = registration.rotation_sd**2, registration.translation_sd**2 - COMMON_SD**2
     return (turn if np.isfinite(turn) else 0.0), (max(shift, 0.0) if np.isfinite(shift) else 0.0)
+
+
+def compile_steps() -> None:
+    """Compiles large steps of :func:`fusion.estimator.estimator.estimate_pair`; all bodies have their types.
+
+    The first one is needed early; the others are in reverse order, because the process that compiles
+    everything begins with the first.
+    """
+    fusion = DuplexFusion(FusionSetup(nominal_calibration(KINECT_V2)))
+    (model, facing_model, state, _, facing, views, solve), k, dt = fusion._filter, 0, 0.0
+    output, labels = new_arrays(Output, T=1, J=len(KINECT_V2)), Labels.unknown(1)
+    steps: list[tuple[Any, ...]] = [
+        (relabel, model, facing_model, facing, views, labels, k, dt),
+        (joint_covariances, model, solve, output.covariance[k], output.sigma[k]),
+        (solve_bones, model, state, solve),
+        (enforce_hinges, model, state, views),
+        (store_outlier_state, model, state, views, dt),
+        (start_joints, model, state, views, solve),
+        (update_common_error, model, state, views, solve, dt),
+        (update_offsets, model, state, views, solve),
+        (inflate_where_astray, model, state, views, fusion._no_trace, k, dt),
+        (outlier_probabilities, model, state, views, dt),
+        (measure_surface, model, views, solve),
+        (find_covers, model, views),
+        (remove_displacements, model, state, views, dt),
+    ]
+    for step, *given in steps:
+        step.compile(tuple(map(typeof, given)))

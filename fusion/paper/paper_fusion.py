@@ -17,6 +17,8 @@ class PaperFusion:
 
     kernel: Any = solve_tree
     """The kernel that takes longest to compile."""
+    beside = "from fusion.solvers.tree_solver import compile_tree_solver; compile_tree_solver()"
+    """What another process compiles meanwhile."""
 
     def __init__(self, setup: FusionSetup) -> None:
         self._memory = new_arrays(method.Memory, J=len(setup.body))

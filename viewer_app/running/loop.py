@@ -54,12 +54,16 @@ def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = la
     """Compiles the kernels, and what `meanwhile` compiles, before the first frame; prints a notice if this
     takes more than a second.
     """
-    with compiling(console):
-        fuser.warm_up(meanwhile)
+
+    def others() -> None:
+        meanwhile()
         depth_witness.warm_up()
         people_tracks.warm_up()
         angles.warm_up(fuser.setup.body)
         encode_depth(np.zeros((1, 1), dtype=np.uint16))
+
+    with compiling(console):
+        fuser.warm_up(others)
 
 
 @contextmanager
