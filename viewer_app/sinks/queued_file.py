@@ -61,7 +61,7 @@ class QueuedFile(Generic[Item]):
         if not self._came and self.failure is None:
             return [f"{self.path} was not written: no frame arrived."]
         losses = (
-            (self.lost, "not saved: the disk was too slow or full"),
+            (self.lost, "not saved" if self.failure else "not saved: the disk was too slow"),
             (self.without_images, f"saved without {self.thinned}: this machine was too slow"),
         )
         return [f"{count} frames are {what}." for count, what in losses if count]
