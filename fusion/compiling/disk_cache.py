@@ -32,11 +32,13 @@ def dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 class _ForgivingCache(_NumbasCache):  # type: ignore[misc]
     """numba's cache, whose files may be damaged, and whose disk may be full."""
 
-    def load_overload(self, *of: Any) -> Any:
+    def load_overload(self, types: Any, target: Any) -> Any:
         try:
-            return super().load_overload(*of)
+            found = super().load_overload(types, target)
         except Exception:  # what unpickling raises
             return None
+        # of two processes that keep a kernel for other types at once, one gets the file that the other writes
+        return found if found is not None and found.signature.args == types else None
 
     def save_overload(self, *of: Any) -> None:
         try:

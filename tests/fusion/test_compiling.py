@@ -171,6 +171,18 @@ def test_kernels_that_are_damaged_on_disk_are_compiled_again(tmp_path, kept_kern
     assert kept_kernel() == (3, 0 if damage == "not a file" else 1)
 
 
+def test_a_kernel_in_the_file_of_other_types_is_compiled_again(tmp_path, kept_kernel):
+    """numba leaves it there if two processes keep a kernel at once, and would run it."""
+    kept_kernel()
+    assert sys.modules["kept"].loop(1.5) == 4.0
+    files = sorted((tmp_path / "kernels").rglob("kept.loop-*.nbc"))
+    for file, other in list(zip(files, [file.read_bytes() for file in files[::-1]], strict=True)):
+        file.write_bytes(other)
+    assert kept_kernel() == (3, 0)
+    assert sys.modules["kept"].loop(1.5) == 4.0
+    assert kept_kernel() == (3, 1)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of file sizes")
 def test_a_full_disk_costs_a_compilation(kept_kernel):
     """Beyond a limit of file sizes writing fails as on a full disk."""
