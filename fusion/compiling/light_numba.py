@@ -1,6 +1,7 @@
 """numba without the optional packages that it imports: they load as long as numba, and no kernel needs them.
 
-Other threads, and whoever imports these packages later, get them as usual.
+Other threads, and whoever imports these packages later, get them as usual. A program that has imported numba
+before keeps the whole of it; in another one, its own kernels cannot call functions of cffi.
 """
 
 import sys
@@ -10,7 +11,7 @@ from importlib.machinery import ModuleSpec
 from threading import get_ident
 from types import ModuleType
 
-_OPTIONAL = ("cffi", "coverage", "scipy.linalg", "yaml")
+_OPTIONAL = ("cffi", "coverage", "scipy.linalg")
 
 
 class _Absent(MetaPathFinder):
@@ -28,8 +29,8 @@ class _Absent(MetaPathFinder):
         return None
 
 
-_absent = _Absent()
-sys.meta_path.insert(0, _absent)
+_absent = [] if "numba" in sys.modules else [_Absent()]
+sys.meta_path[:0] = _absent
 try:
     import numba
     import numba.core.typing.cffi_utils
@@ -37,6 +38,6 @@ try:
     from numba import typeof
     from numba.typed import List
 finally:
-    sys.meta_path.remove(_absent)
+    sys.meta_path[:] = [finder for finder in sys.meta_path if finder not in _absent]
 
 __all__ = ["List", "numba", "typeof"]
