@@ -63,7 +63,7 @@ def made(smoothing, integers, about, no_a, no_b, method="duplex", moved=None):
     for of_part in (pairs,) if moved is None else (pairs[:moved], pairs[moved:]):
         lengths = KINECT_V1.nominal_lengths * (1.0 + 0.02 * len(parts))
         calibration = replace(calibration_of(KINECT_V1), bone_lengths=lengths, how=f"number {len(parts)}")
-        setup = FusionSetup(calibration, settings, camera, camera)
+        setup = FusionSetup(calibration, settings, camera, replace(camera, cx=camera.cx + 1))
         if fuser is None or method != "duplex":
             fuser = Fuser(setup)
         else:
@@ -94,7 +94,7 @@ class Model:
         self.calibrations = [(first, one.how) for first, one in session.calibrations]
         self.images = {side: list(session.depth(side)) for side in layout.VIEWS}
         self.about = {name: session.about["session"].get(name) for name in _ABOUT}
-        self.settings, self.camera = session.settings, session.intrinsics_a
+        self.settings, self.cameras = session.settings, (session.intrinsics_a, session.intrinsics_b)
         self.spells = spells_in(session)
         self.warned = Counter(event.text for event in session.events)["clocks are apart"]
         self.first, self.damage, self.lost = session.first_frame, session.damage, session.frames_lost
@@ -274,7 +274,8 @@ class Saving(RuleBasedStateMachine):
                 assert k == frame
                 np.testing.assert_array_equal(image, expected)
         assert {name: session.about["session"].get(name) for name in _ABOUT} == of.about
-        assert (session.settings, session.intrinsics_a) == (of.settings, of.camera)
+        assert session.settings == of.settings
+        assert (session.intrinsics_a, session.intrinsics_b) == of.cameras
         assert spells_in(session) == of.spells
         assert Counter(event.text for event in session.events)["clocks are apart"] == of.warned
         compared = Comparison.of(self.original, session)
