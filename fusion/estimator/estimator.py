@@ -36,6 +36,7 @@ from fusion.estimator.process import (
     drop_wrong_offsets,
     elapsed,
     forget,
+    inflate_on_other_limb,
     inflate_on_surprise,
     inflate_where_astray,
 )
@@ -96,7 +97,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     if model.constants.heading:
         turn_girdles(filter.facing_model, filter.facing.memory.frame_up, model.translations, views)
     # predict positions, velocities and variances
-    predict(model, state, trace, k, dt)
+    predict(model, state, views, trace, k, dt)
     # the displacement of a view's whole skeleton
     remove_displacements(model, state, views, dt)
     # covariance of each measurement
@@ -108,6 +109,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     # decay of each view's offsets
     decay_offsets(model, state, views, dt)
     drop_wrong_offsets(model, state, views, trace, k)
+    inflate_on_other_limb(model, state, views, trace, k)
     # probability that a measurement is an outlier
     outlier_probabilities(model, state, views, dt)
     # the prediction is wrong: both views agree on a movement, or S* is where no view sees the person

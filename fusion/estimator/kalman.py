@@ -20,7 +20,7 @@ _FIRST_SPEED = 1.0  # m/s, standard deviation along an axis
 
 
 @inner_kernel
-def predict(model, state, trace, k, dt):  # type: ignore[no-untyped-def]
+def predict(model, state, views, trace, k, dt):  # type: ignore[no-untyped-def]
     """Positions, velocities and variances after dt seconds, parents first.
 
     A joint moves with its velocity. The difference between its velocity and its parent's decays in
@@ -30,6 +30,9 @@ def predict(model, state, trace, k, dt):  # type: ignore[no-untyped-def]
 
         σ_a = share (acceleration + acceleration_by_speed |v|) √calmness
 
+    times ``unseen_acceleration`` for a joint that neither view reports now, or has reported in the last pair.
+    The speed of a joint of a limb is relative to the root.
+
     One 2×2 matrix P per joint holds for all three axes. Its bones keep a joint within ``_LARGEST_VARIANCE``,
     which is knowledge, and so no part of the prediction in the trace.
 
@@ -38,6 +41,7 @@ def predict(model, state, trace, k, dt):  # type: ignore[no-untyped-def]
     """
     of = model.constants
     kept = math.exp(-dt / of.velocity_seconds)
+    root = model.order[0]
     x, v, P = state.positions, state.velocities, state.variances
     if len(trace.seconds) > 0:
         trace.seconds[k] = dt if state.last_time[1] == 1 else -1.0
@@ -49,8 +53,15 @@ def predict(model, state, trace, k, dt):  # type: ignore[no-untyped-def]
         if p >= 0 and state.known[p]:
             for c in range(3):
                 v[i, c] = v[p, c] + kept * (v[i, c] - v[p, c])
-        speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1] + v[i, 2] * v[i, 2])
-        sd = model.acceleration[i] * (of.acceleration + of.acceleration_by_speed * speed)
+        square = 0.0
+        for c in range(3):
+            carried = v[root, c] if model.limb[i] and state.known[root] else 0.0
+            square += (v[i, c] - carried) ** 2
+        sd = model.acceleration[i] * (of.acceleration + of.acceleration_by_speed * math.sqrt(square))
+        unseen = views.states[0, i] == 0 and views.states[1, i] == 0
+        if unseen or state.unseen[i]:
+            sd *= of.unseen_acceleration
+        state.unseen[i] = unseen
         for c in range(3):
             x[i, c] += v[i, c] * dt
         own = kept if p >= 0 and state.known[p] else 1.0

@@ -18,6 +18,7 @@ _LARGEST_STEP = 0.15  # m, largest standard deviation that acceleration adds in 
 _LEAST_STEP_SECONDS = 1.0 / 60.0  # half a frame: a movement that surprises takes at least so long
 _LEAST_SURPRISE = 1e-3  # a smaller surprise has no visible effect
 _AGREED, _DISPROVED = 0.05, 0.2  # m: views that are as near as that have no offsets that are so far apart
+_TOLD_APART = 0.12  # m between a joint and its counterpart
 _ASTRAY = 0.08  # m from where the views see a point of the body
 _ASTRAY_SECONDS = 0.1  # in which the square of that distance is added to the variance
 _IMPOSSIBLE = 0.3, 6.0  # m and m/s: nobody moves farther between two frames
@@ -46,7 +47,7 @@ def forget(model, state, facing):  # type: ignore[no-untyped-def]
         state.view_outlier_probability[v] = state.scales[v] = 0.0
         state.scale_variances[v] = model.constants.scale_sd**2
     for i in range(len(state.known)):
-        state.known[i] = False
+        state.known[i] = state.unseen[i] = False
         state.agreed[i] = state.from_b[i] = 0.0
         for v in range(2):
             state.outlier_probability[v, i] = state.offset_variances[v, i] = state.alone[v, i] = 0.0
@@ -112,6 +113,39 @@ def drop_wrong_offsets(model, state, views, trace, k):  # type: ignore[no-untype
             state.known[i] = False
             if len(trace.seconds) > 0:
                 trace.predicted_variances[k, i, 0] = 0.0
+
+
+@inner_kernel
+def inflate_on_other_limb(model, state, views, trace, k):  # type: ignore[no-untyped-def]
+    """Enlarges the variance of a joint that is predicted on the other limb, where neither view has it.
+
+        P ← P + min_v |e_v|² / 3
+
+    In both views the joint and its counterpart are more than 12 cm apart, and the predictions of both are
+    nearer than half of that to the counterpart. The views need not agree on where the joint is. Their earlier
+    doubts came from this prediction, and are forgotten.
+    """
+    for i in range(len(model.parents)):
+        m = model.mirror[i]
+        if not (model.limb[i] and state.known[i] and state.known[m]):
+            continue
+        least = math.inf
+        for v in range(2):
+            if views.states[v, i] == 0 or views.states[v, m] == 0:
+                least = 0.0
+                break
+            apart = mine = others = square = 0.0
+            for c in range(3):
+                place = views.positions[v, m, c]
+                apart += (views.positions[v, i, c] - place) ** 2
+                mine += (state.positions[i, c] - place) ** 2
+                others += (state.positions[m, c] - place) ** 2
+                square += innovation(state, views, v, i, c) ** 2
+            far = apart > _TOLD_APART**2 and max(mine, others) < 0.25 * apart
+            least = min(least, square if far else 0.0)
+        if least > 0.0:
+            grow(state, trace, k, i, least / 3.0, 0.0)
+            state.outlier_probability[0, i] = state.outlier_probability[1, i] = 0.0
 
 
 @inner_kernel

@@ -1,28 +1,36 @@
 """Whether S* is as certain as it says: ``python -m tests.benchmarks.certainty FOLDER…``.
 
 Each folder has the recordings ``a.csv`` and ``b.csv`` of two real sensors. They have no ground truth: S* is
-compared with S* of less data. Simulated sessions, with ground truth, follow. The figures are written to
-``results/certainty.json``.
+compared with S* of less data. Simulated sessions, with ground truth, follow; then labelled steps of a
+laboratory (gaitkit), and live sessions of two Azure Kinects on a simulated USB bus (``../shared/rig``), each
+if it is installed. The figures are written to ``results/certainty.json``.
 """
 
 import argparse
+import json
 import sys
+import tempfile
 from collections import defaultdict
 from itertools import combinations
 from math import hypot
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from devices.events import spells_of
 from devices.pairing import clock_by_motion, pair_views
 from devices.recorded.two_recordings import RecordingChoice, TwoRecordings, read_two
+from fusion.body import AZURE_KINECT
 from fusion.setup import FuserSettings
 from recordings.fusing.files import fuse_read
 from recordings.gait.events import find_gait
 from recordings.session import Session
 from recordings.testing import simulated_session
 from tests.benchmarks import results
+from tests.helpers.footfalls import laboratory_walk
+from tests.helpers.rig import built_rig
+from tests.scenarios import program
 
 _LIMBS = {
     f"{side} {limb}".lower(): [f"{joint}{side}" for joint in joints]
@@ -41,6 +49,8 @@ _WITHIN = 2.5  # stated standard deviations
 _DIFFERENT = 0.02  # metres: less does not tell which view S* follows
 _PIECE_NS = 20_000_000_000  # the shortest in which a clock's offset is found
 _OFFSETS_NS = (170_000_000, -850_000_000, 2_300_000_000)
+_SAME_STEP = 0.25  # seconds between an event and its label
+_LATENCY_MS, _LATER_MS = 25, (20, 100)  # of the depth images of the rig; how much later those of B come
 _BETTER = 0.8  # of the views' distance
 
 
@@ -294,6 +304,46 @@ def _of_walk(session):
     return (speed.value / true_speed, abs(speed.value - true_speed) / speed.sigma), np.array(late)
 
 
+def of_laboratory():
+    """Labelled steps of a walk of a person with Parkinson's disease: found, invented and seconds late."""
+    seconds, joints, labelled = laboratory_walk()
+    gait = find_gait(AZURE_KINECT, np.rint(1e9 * seconds).astype(np.int64), joints, (0.0, 1.0, 0.0))
+    row = {}
+    for number, kind in enumerate(("heel_strike", "toe_off")):
+        late, invented = [], 0
+        for side, told in labelled.items():
+            found = np.array([time for time, event in gait.events if event == f"{kind}_{side}"])
+            off = found[:, None] - told[number]
+            nearest = np.abs(off).argmin(axis=1)
+            near = np.abs(off[np.arange(len(found)), nearest]) < _SAME_STEP
+            late += off[np.arange(len(found)), nearest][near].tolist()
+            invented += int((~near).sum())
+        row[kind] = {
+            "labelled": sum(len(told[number]) for told in labelled.values()),
+            "found": len(late),
+            "invented": invented,
+            "late": float(np.mean(late)),
+        }
+    return row
+
+
+def of_cable(rig):
+    """Share of the frames of two Kinects on a cable that are paired, by how many ms B comes later."""
+    row = {}
+    for later in _LATER_MS:
+        with tempfile.TemporaryDirectory() as folder:
+            report = Path(folder) / "r.json"
+            command = ["live", "--no-viewer", "--seconds", "10", "--principal", "000001111111"]
+            command += ["--k4abt", str(rig / "lib" / "libk4abt.so.1.1"), "--report", str(report)]
+            conf = {"a.jack": 2, "b.jack": 1, "b.depth_latency_ms": _LATENCY_MS + later}
+            done = program.run(command, Path(folder), conf, (), rig)
+            if done.code:
+                raise RuntimeError(done.said)
+            told = json.loads(report.read_text(encoding="utf-8"))
+        row[str(later)] = told["paired"] / max(told["frames"]["a"], told["frames"]["b"])
+    return row
+
+
 def main(arguments=None):
     """Measures the recordings and the simulated sessions."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -301,12 +351,21 @@ def main(arguments=None):
     parser.add_argument("--bodies", nargs="+", default=["azure_kinect", "kinect_v2"])
     parser.add_argument("--movements", nargs="+", default=["walk", "arms", "squat", "badminton"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[7900, 7901, 7902])
+    parser.add_argument("--shared", type=Path, default=Path("../shared"), help="the folder with the rig")
     options = parser.parse_args(arguments)
     real = of_real(options.folders) if options.folders else None
     # the folders may lie anywhere: the written command names them without their path
     sys.argv[1:] = [Path(argument).name for argument in sys.argv[1:]]
-    simulated = of_simulated(options.bodies, options.movements, options.seeds)
-    results.write("certainty", {"real": real, "simulated": simulated})
+    figures = {"real": real, "simulated": of_simulated(options.bodies, options.movements, options.seeds)}
+    for name, measure in (
+        ("laboratory", of_laboratory),
+        ("cable", lambda: of_cable(built_rig(options.shared))),
+    ):
+        try:
+            figures[name] = measure()
+        except pytest.skip.Exception as missing:
+            print(missing, file=sys.stderr)
+    results.write("certainty", figures)
 
 
 if __name__ == "__main__":

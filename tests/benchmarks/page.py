@@ -213,6 +213,17 @@ def _certainty(figures):
             f"{each('strike_late', 1e3, 0)}; {each('toe_off_late', 1e3, 0)}",
         ),
     ]
+    if "laboratory" in figures:
+        rows += [
+            (
+                f"{title} of a laboratory: found, invented; delay, ms",
+                f"{row['found']} of {row['labelled']}, {row['invented']}; {_mm(row['late'])}",
+            )
+            for title, row in zip(("strikes", "toe-offs"), figures["laboratory"].values(), strict=True)
+        ]
+    if "cable" in figures:
+        paired = ", ".join(_number(share, 100, 1) for share in figures["cable"].values())
+        rows.append(("frames paired on a cable, if B comes 20 ms; 100 ms later, %", paired))
     return _table(("", "measured"), rows)
 
 

@@ -119,7 +119,9 @@ def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the
     model, before = scene.model, scene.state
     k = model.constants
     x, v, P = before.positions.copy(), before.velocities.copy(), before.variances.copy()
-    interpreted(kalman.predict)(model, before, NO_TRACE, 0, DT)
+    interpreted(kalman.predict)(model, before, scene.views, NO_TRACE, 0, DT)
+    unseen = (scene.views.states == 0).all(axis=0)
+    assert unseen.any()
     kept = math.exp(-DT / k.velocity_seconds)
     for i in BODY.order:
         parent = BODY.parents[i]
@@ -127,7 +129,9 @@ def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the
         if parent >= 0:
             v[i] = before.velocities[parent] + kept * (v[i] - before.velocities[parent])
         F = np.array(((1.0, DT), (0.0, 1.0)))
-        sd = model.acceleration[i] * (k.acceleration + k.acceleration_by_speed * np.linalg.norm(v[i]))
+        own = v[i] - model.limb[i] * v[BODY.root]
+        sd = model.acceleration[i] * (k.acceleration + k.acceleration_by_speed * np.linalg.norm(own))
+        sd *= k.unseen_acceleration if unseen[i] else 1.0
         white = np.array(((DT**3 / 3.0, DT**2 / 2.0), (DT**2 / 2.0, DT)))
         expected = F @ relax @ covariance_of(P[i]) @ relax.T @ F.T + sd**2 / 30.0 * white
         np.testing.assert_allclose(covariance_of(before.variances[i]), expected, rtol=ROUNDING)
