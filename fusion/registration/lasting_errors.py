@@ -14,14 +14,16 @@ each other see opposite sides of the skin, so that both errors add up.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fusion.body import KINECT_V1, KINECT_V2, Body
-from fusion.registration.keyframes import Evidence
 from fusion.rigid import RigidTransform, rotation_of
 from fusion.support.types import Array
+
+if TYPE_CHECKING:
+    from fusion.registration.keyframes import Evidence
 
 COMMON_SD = 0.025
 """Metres, the depth error of one pose between sensors that look at the same side."""

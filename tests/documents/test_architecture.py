@@ -104,7 +104,7 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
 @pytest.mark.parametrize(
     ("what", "most_lines", "most_of_devices"),
     [
-        ("from fusion import Fuser", 7_100, 0),
+        ("from fusion import Fuser", 7_000, 0),
         ("from recordings import Session", 5_900, 6),
         ("from recordings import fuse", 15_900, 25),
         (RUN_FUSE.format(pair=PAIR), 21_900, 36),
