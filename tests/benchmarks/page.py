@@ -216,14 +216,14 @@ def _certainty(figures):
     if "laboratory" in figures:
         rows += [
             (
-                f"{title} of a laboratory: found, invented; delay, ms",
+                f"{title} in a laboratory: found, invented; delay, ms",
                 f"{row['found']} of {row['labelled']}, {row['invented']}; {_mm(row['late'])}",
             )
             for title, row in zip(("strikes", "toe-offs"), figures["laboratory"].values(), strict=True)
         ]
     if "cable" in figures:
         paired = ", ".join(_number(share, 100, 1) for share in figures["cable"].values())
-        rows.append(("frames paired on a cable, if B comes 20 ms; 100 ms later, %", paired))
+        rows.append(("simulated cable, B 20, 100 ms later: frames paired, %", paired))
     return _table(("", "measured"), rows)
 
 
