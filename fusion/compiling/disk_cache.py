@@ -15,9 +15,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from fusion.compiling.light_numba import numba
+import numba
+from numba.core.caching import FunctionCache
 
-_NumbasCache: Any = numba.core.caching.FunctionCache
+_NumbasCache: Any = FunctionCache
 
 
 def dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import typeof
 
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration, nominal_calibration
-from fusion.compiling.light_numba import typeof
 from fusion.estimator.arrays import Filter, LastSkeletons, Model, Output, Solve, State, Views, new_model
 from fusion.estimator.bones import enforce_hinges, joint_covariances, solve_bones
 from fusion.estimator.constants import Constants

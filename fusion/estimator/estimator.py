@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
+from numba.typed import List
+
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.compiling.light_numba import List
 from fusion.estimator.bones import (
     add_registration_error,
     correct_state,

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from fusion.compiling.light_numba import typeof
+from numba import typeof
+
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays
 from fusion.paper import method

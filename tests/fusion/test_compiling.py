@@ -279,34 +279,3 @@ def test_one_place_of_a_sensor_compiles_what_a_place_for_each_pair_does():
         relabel_sequence(KINECT_V2, pairs, np.arange(3) * 33_000_000)
         counts.append(len(sequence._forward.signatures))
     assert counts[0] == counts[1] > 0
-
-
-def test_numba_loads_without_what_no_kernel_needs():
-    """Of packages that are installed; whoever imports them later gets them."""
-    script = """
-import sys
-from fusion.compiling.light_numba import numba
-assert not {"cffi", "coverage", "scipy.linalg"} & set(sys.modules)
-assert numba.njit(lambda x: x + 1)(1) == 2
-import scipy.linalg
-"""
-    subprocess.run([sys.executable, "-c", script], check=True)
-
-
-def test_a_program_that_uses_numba_keeps_the_whole_of_it():
-    pytest.importorskip("cffi")
-    script = """
-import numba
-import fusion.compiling.light_numba
-from numba.core.typing import cffi_utils
-assert cffi_utils.SUPPORTED
-"""
-    subprocess.run([sys.executable, "-c", script], check=True)
-
-
-def test_numbas_own_settings_are_read(tmp_path):
-    pytest.importorskip("yaml")
-    (tmp_path / ".numba_config.yaml").write_text("num_threads: 1")
-    script = "from fusion.compiling.light_numba import numba; assert numba.config.NUMBA_NUM_THREADS == 1"
-    environment = {**os.environ, "PYTHONPATH": str(Path.cwd())}
-    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
