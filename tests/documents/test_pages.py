@@ -162,9 +162,9 @@ def test_the_page_of_angles_has_the_figures_of_the_file():
     assert f"it is {min(ratios):.1f} to {max(ratios):.1f} times the RMSE" in page
     strikes = figures["strikes"]
     rms, largest = (f"{1e3 * strikes[name]:.0f} ms" for name in ("rms", "largest"))
-    assert f"all {strikes['found']}\nstrikes were found, {rms} (RMS) and at most {largest} from" in page
+    found = f"{strikes['found']} of {strikes['found'] + strikes['missed']}"
+    assert f"{found}\nstrikes were found, {rms} (RMS) and at most {largest} from" in page
     assert f"and {strikes['invented']} was invented" in page
-    assert strikes["missed"] == 0
 
 
 def test_each_table_of_benchmarks_is_of_the_methods_revision():

@@ -146,6 +146,7 @@ def kept_kernel(tmp_path, monkeypatch):
     (tmp_path / "kept.py").write_text(COLD)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path / "kernels"))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # Python does not notice a full disk
 
     def run():
         monkeypatch.delitem(sys.modules, "kept", raising=False)
