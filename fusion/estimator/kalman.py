@@ -31,7 +31,8 @@ def predict(model, state, views, trace, k, dt):  # type: ignore[no-untyped-def]
         σ_a = share (acceleration + acceleration_by_speed |v|) √calmness
 
     times ``unseen_acceleration`` for a joint that neither view reports now, or has reported in the last pair.
-    The speed of a joint of a limb is relative to the root.
+    The speed of a joint of a limb is relative to the root, but less so if it was reported and not trusted in
+    the last pair: then it may be anywhere.
 
     One 2×2 matrix P per joint holds for all three axes. Its bones keep a joint within ``_LARGEST_VARIANCE``,
     which is knowledge, and so no part of the prediction in the trace.
@@ -53,13 +54,15 @@ def predict(model, state, views, trace, k, dt):  # type: ignore[no-untyped-def]
         if p >= 0 and state.known[p]:
             for c in range(3):
                 v[i, c] = v[p, c] + kept * (v[i, c] - v[p, c])
+        unseen = views.states[0, i] == 0 and views.states[1, i] == 0
+        without, share = unseen or state.unseen[i], 0.0
+        if model.limb[i] and state.known[root]:
+            share = 1.0 if without else min(views.trust[0, i] + views.trust[1, i], 1.0)
         square = 0.0
         for c in range(3):
-            carried = v[root, c] if model.limb[i] and state.known[root] else 0.0
-            square += (v[i, c] - carried) ** 2
+            square += (v[i, c] - share * v[root, c]) ** 2
         sd = model.acceleration[i] * (of.acceleration + of.acceleration_by_speed * math.sqrt(square))
-        unseen = views.states[0, i] == 0 and views.states[1, i] == 0
-        if unseen or state.unseen[i]:
+        if without:
             sd *= of.unseen_acceleration
         state.unseen[i] = unseen
         for c in range(3):

@@ -164,7 +164,7 @@ def test_the_page_of_angles_has_the_figures_of_the_file():
     rms, largest = (f"{1e3 * strikes[name]:.0f} ms" for name in ("rms", "largest"))
     found = f"{strikes['found']} of {strikes['found'] + strikes['missed']}"
     assert f"{found}\nstrikes were found, {rms} (RMS) and at most {largest} from" in page
-    assert f"and {strikes['invented']} was invented" in page
+    assert f"and {strikes['invented']} were invented" in page
 
 
 def test_each_table_of_benchmarks_is_of_the_methods_revision():

@@ -129,7 +129,8 @@ def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the
         if parent >= 0:
             v[i] = before.velocities[parent] + kept * (v[i] - before.velocities[parent])
         F = np.array(((1.0, DT), (0.0, 1.0)))
-        own = v[i] - model.limb[i] * v[BODY.root]
+        trusted = 1.0 if unseen[i] else min(scene.views.trust[:, i].sum(), 1.0)
+        own = v[i] - model.limb[i] * trusted * v[BODY.root]
         sd = model.acceleration[i] * (k.acceleration + k.acceleration_by_speed * np.linalg.norm(own))
         sd *= k.unseen_acceleration if unseen[i] else 1.0
         white = np.array(((DT**3 / 3.0, DT**2 / 2.0), (DT**2 / 2.0, DT)))
