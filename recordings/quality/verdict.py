@@ -139,7 +139,9 @@ def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
     share = _unpaired_share(figures)
     if share >= _UNPAIRED[0]:
         text = f"{100.0 * share:.0f} % of the frames have no partner"
-        remedy = "Check the frame rates of both sensors" if live else "Check clocks and frame rates"
+        remedy = (
+            "Check the frame rates of both sensors and trackers" if live else "Check clocks and frame rates"
+        )
         yield Shortcoming(graded(share, _UNPAIRED), text, remedy)
 
 

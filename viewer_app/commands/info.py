@@ -196,7 +196,7 @@ def _of_images(path: Path) -> Rows:
         if camera is not None:
             yield "depth", f"{camera.width} × {camera.height} pixels, focal length {camera.fx:.0f} pixels"
         seconds, rate = recording.duration_ns * 1e-9, 1e9 / recording.interval_ns
-        yield "frames", f"{1 + seconds * rate:.0f} in {seconds:.2f} s, {rate:.3g} per second"
+        yield "duration", f"{seconds:.2f} s, {rate:.3g} frames per second, as the file states"
         yield "people", "found by a body tracker while the file is fused"
         for k, line in enumerate(recording.warnings):
             yield "" if k else "note", line

@@ -126,7 +126,7 @@ def _precision_in_words(calibration: Figures) -> str:
     far = calibration["sd_at_3m_mm"]
     size = "" if shift is None else f", ± {shift:.0f} mm at the person"
     size += "" if far is None else f" and ± {far:.0f} mm 3 m from there"
-    return f"± {turn:.1f}°{size}, from {frames} frames"
+    return f"± {turn:.1f}°{size}, from {frames} frame{'' if frames == 1 else 's'}"
 
 
 def _doubts(figures: Figures) -> Iterator[tuple[str, str]]:

@@ -100,4 +100,4 @@ def test_what_is_in_a_recording_of_images(shared, capsys):
     assert code == 0
     assert rows["sensor"].endswith("NFOV_UNBINNED, standalone")
     assert rows["recorded"] == "2020-08-31T15:20:37.000000Z"
-    assert rows["frames"].endswith("5 per second")
+    assert "5 frames per second, as the file states" in rows["duration"]

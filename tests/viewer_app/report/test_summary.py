@@ -155,7 +155,7 @@ def test_the_verdict_judges_the_calibration(figures, changed, words):
         ({"calibration": {"angle_deg": 45.0}}, "Move them further apart round the person."),
         (seen_at(4.2), "Stand nearer."),
         ({"calibration": {"rotation_sd_deg": 2.1}}, "Walk about while both sensors see you."),
-        ({"dropped": {"a": 20, "b": 22}}, "Check the frame rates of both sensors."),
+        ({"dropped": {"a": 20, "b": 22}}, "Check the frame rates of both sensors and trackers."),
     ],
 )
 def test_people_before_sensors_get_other_advice_than_files(figures, changed, words):
