@@ -77,7 +77,7 @@ def test_the_report_has_the_gait_of_the_session(tmp_path):
     figures, gait = figures_of(report)["gait"], Session.open(saved).gait
     for side in SIDES:
         of_side, steps = figures[side], gait.of_side(side)
-        assert of_side["steps"] == len(steps) > 2
+        assert of_side["steps"] == len(steps) > 1
         assert of_side["gait_cycles"] == len(gait.cycles(side))
         assert of_side["step_length_m"]["mean"] == pytest.approx(np.mean([step.length for step in steps]))
         assert of_side["stance_percent"]["sd"] == pytest.approx(
