@@ -86,7 +86,7 @@ def test_the_report_has_the_gait_of_the_session(tmp_path):
         else:
             assert spread is None
     assert figures["cadence_per_minute"] == {
-        name: pytest.approx(x) for name, x in gait.cadence._asdict().items()
+        name: pytest.approx(x, rel=1e-4) for name, x in gait.cadence._asdict().items()
     }
     assert figures["asymmetry_percent"].keys() == gait.asymmetry.keys()
 
