@@ -145,8 +145,9 @@ class Constants(NamedTuple):
         ``acceleration``: simulated recordings of seed 4100. With Kinect v2, S* is 0.33 frames late with 2,
         and 0.35 with 1. With Azure Kinects, joints that both views hide are 1.9 mm worse with 2 than with 1.
 
-        ``unseen_acceleration``: a limb was deleted for a second from both views of simulated recordings of
-        seeds 300 and 301, four movements; so chosen that its rms error is its rms σ.
+        ``unseen_acceleration``: so chosen that the rms error of a limb is its rms σ, if it is deleted for a
+        second from both views; simulated recordings of seeds 300 and 301, four movements. BlazePose has the
+        factor of Azure Kinects, which was not measured for it.
 
         ``inferred_outlier``: BlazePose guesses hidden arms 100 to 250 mm off. On nine scenes of seed 100, S*
         has 33.0 mm with 0.2, 32.2 mm with 0.4 and 32.1 mm with 0.6.

@@ -110,6 +110,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     # decay of each view's offsets
     decay_offsets(model, state, views, dt)
     drop_wrong_offsets(model, state, views, trace, k)
+    # a joint that is predicted on the other limb
     inflate_on_other_limb(model, state, views, trace, k)
     # probability that a measurement is an outlier
     outlier_probabilities(model, state, views, dt)

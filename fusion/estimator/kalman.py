@@ -30,14 +30,15 @@ def predict(model, state, views, trace, k, dt):  # type: ignore[no-untyped-def]
 
         σ_a = share (acceleration + acceleration_by_speed |v|) √calmness
 
-    times ``unseen_acceleration`` for a joint that neither view reports now, or has reported in the last pair.
-    The speed of a joint of a limb is relative to the root, but less so if it was reported and not trusted in
-    the last pair: then it may be anywhere.
+    times ``unseen_acceleration`` for a joint that is unseen: neither view reports it in this pair, or neither
+    did in the last one. The speed of a joint of an arm or leg is relative to the root. If the joint is seen,
+    the root's velocity counts by the trust of the last pair, because a doubted joint may be elsewhere.
 
     One 2×2 matrix P per joint holds for all three axes. Its bones keep a joint within ``_LARGEST_VARIANCE``,
     which is knowledge, and so no part of the prediction in the trace.
 
     Args:
+        views: The states of this pair; the trust of the last one.
         trace, k: Pair k of the smoother's input.
     """
     of = model.constants
@@ -54,17 +55,17 @@ def predict(model, state, views, trace, k, dt):  # type: ignore[no-untyped-def]
         if p >= 0 and state.known[p]:
             for c in range(3):
                 v[i, c] = v[p, c] + kept * (v[i, c] - v[p, c])
-        unseen = views.states[0, i] == 0 and views.states[1, i] == 0
-        without, share = unseen or state.unseen[i], 0.0
+        missing = views.states[0, i] == 0 and views.states[1, i] == 0
+        unseen, share = missing or state.unseen[i], 0.0
         if model.limb[i] and state.known[root]:
-            share = 1.0 if without else min(views.trust[0, i] + views.trust[1, i], 1.0)
+            share = 1.0 if unseen else min(views.trust[0, i] + views.trust[1, i], 1.0)
         square = 0.0
         for c in range(3):
             square += (v[i, c] - share * v[root, c]) ** 2
         sd = model.acceleration[i] * (of.acceleration + of.acceleration_by_speed * math.sqrt(square))
-        if without:
+        if unseen:
             sd *= of.unseen_acceleration
-        state.unseen[i] = unseen
+        state.unseen[i] = missing
         for c in range(3):
             x[i, c] += v[i, c] * dt
         own = kept if p >= 0 and state.known[p] else 1.0

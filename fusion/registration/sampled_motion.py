@@ -44,7 +44,7 @@ class Sampling(NamedTuple):
 
 
 class Interpolation:
-    """Positions between frames, by cubic Hermite polynomials with the slopes of parabolas.
+    """Positions between frames, by cubic Hermite polynomials whose slopes are those of parabolas.
 
     Linear interpolation would lie off by h²/8 of the acceleration h seconds between two frames: 50 mm for a
     hand at five frames per second. What follows from the frames alone is computed once.

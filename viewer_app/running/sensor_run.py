@@ -54,4 +54,4 @@ class SensorRun:
         """Prints the results, when all is closed."""
 
     def end(self) -> None:
-        """Does what comes last."""
+        """Prints what comes after the results; raises a UsageError if a file is not saved."""

@@ -97,7 +97,7 @@ def add_displacements(model, state, covariance, sigma):  # type: ignore[no-untyp
 def _find_points(mirror, known, states, points):  # type: ignore[no-untyped-def]
     """Writes (J,) whether the middle of a joint and its counterpart is a known point that both views track.
 
-    Each middle is once, at its first joint. Returns their number.
+    Each middle is marked at the first of its two joints. Returns the number of points.
     """
     count = 0
     for i in range(len(mirror)):
@@ -185,7 +185,7 @@ def _set_median(innovations, points, median):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _alike(innovations, points, median, radius):  # type: ignore[no-untyped-def]
-    """Share of the points whose innovation lies within the radius, metres, of the median."""
+    """Computes the share of points whose innovation lies within ``radius``, metres, of the median."""
     near = count = 0
     for i in range(len(points)):
         if points[i]:

@@ -29,7 +29,7 @@ def skeleton_with(at):
 
 
 def bar(left, right):
-    """An upright bar 2 m away, between two places (metres, right of the sensor), before a wall."""
+    """An upright bar 2 m away in front of a wall. Its edges are in metres to the right of the sensor."""
     columns = (np.arange(LENS.width) - LENS.cx) / LENS.fx * 2.0
     image = np.full((LENS.height, LENS.width), 3500, dtype=np.uint16)
     image[:, (columns >= left) & (columns <= right)] = 2000
