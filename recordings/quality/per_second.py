@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from recordings.data.session_data import SessionData
 from recordings.quality.doubtful_time import LIMBS, UNCERTAIN, seen_people, time_of_frames, uncertain_limbs
+from recordings.quality.figures import calibration_figures
 from recordings.quality.limits import GOOD, USABLE, beside, graded
-from recordings.quality.verdict import DOUBTFUL, OFFSETS
+from recordings.quality.verdict import DOUBTFUL, OFFSETS, not_trusted
 
 Word = Literal["good", "usable", "poor"]
 _WORDS: tuple[Word, ...] = ("poor", "usable", "good")
@@ -67,7 +68,8 @@ def quality_per_second(session: SessionData) -> tuple[SecondQuality, ...]:
 
     A second is judged by the share of it without frames or without a person, in which one view alone has the
     person, and in which a wrist or ankle is uncertain; by the median distance of the views; and by the offset
-    of the clocks. Before the calibration it is poor. Of equally bad reasons, it has the first of these.
+    of the clocks. Before the calibration, and with one that is provisional or of too few frames, it is poor.
+    Of equally bad reasons, it has the first of these.
     """
     rows = session.rows
     lasts, starts = time_of_frames(rows), rows.time_ns * 1e-9
@@ -89,7 +91,7 @@ def quality_per_second(session: SessionData) -> tuple[SecondQuality, ...]:
     uncalibrated = share(np.arange(len(rows), dtype=np.int64) < session.first_compared_frame)
     apart = 1e3 * rows.disagreement
     frames = np.searchsorted(starts, edges)
-    clock = session.clock
+    clock, why = session.clock, not_trusted(calibration_figures(session.calibrations[-1][1]))
 
     def reasons(k: int) -> Iterator[tuple[Word, str]]:
         def doubt(part: float, words: str) -> tuple[Word, str]:
@@ -98,6 +100,7 @@ def quality_per_second(session: SessionData) -> tuple[SecondQuality, ...]:
         yield doubt(without_frames[k], "no frame")
         yield doubt(nobody[k], "nobody in view")
         yield ("poor" if uncalibrated[k] > DOUBTFUL[0] else "good"), "before the calibration"
+        yield ("poor" if why else "good"), why
         yield doubt(alone[k], "one view alone has the person")
         known = apart[frames[k] : frames[k + 1]]
         known = known[np.isfinite(known)]

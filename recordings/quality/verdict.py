@@ -104,11 +104,8 @@ def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
         files = "in the file of " + " and in that of ".join(mirrored)
         remedy = "Switch the mirroring off" if live else f"Change the sign of x {files}"
         yield Shortcoming("poor", f"{' and '.join(mirrored)} {image} of a person", remedy)
-    if calibration["provisional"]:
-        yield Shortcoming("unknown", "the calibration is provisional", calibrate)
-    elif calibration["residual_mm"] is not None and calibration["frames"] < FEWEST_PAIRS:
-        few = f"calibrated on {calibration['frames']} frames; at least {FEWEST_PAIRS} are needed"
-        yield Shortcoming("unknown", few, calibrate)
+    if why := not_trusted(calibration):
+        yield Shortcoming("unknown", why, calibrate)
     clock = figures.get("clock")
     if clock is not None:
         text = f"B captures {clock['offset_ms']:+.0f} ± {clock['sd_ms']:.0f} ms off its time stamps"
@@ -143,6 +140,16 @@ def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
             "Check the frame rates of both sensors and trackers" if live else "Check clocks and frame rates"
         )
         yield Shortcoming(graded(share, _UNPAIRED), text, remedy)
+
+
+def not_trusted(calibration: Figures) -> str:
+    """Why a calibration's agreement of the views proves nothing; empty if it does."""
+    if calibration["provisional"]:
+        return "the calibration is provisional"
+    frames = calibration["frames"]
+    if frames is None or frames >= FEWEST_PAIRS:
+        return ""
+    return f"calibrated on {frames} frame{'' if frames == 1 else 's'}; at least {FEWEST_PAIRS} are needed"
 
 
 def _missing(figures: Figures, live: bool) -> Iterator[Shortcoming]:

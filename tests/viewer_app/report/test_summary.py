@@ -148,6 +148,18 @@ def test_the_verdict_judges_the_calibration(figures, changed, words):
 
 
 @pytest.mark.parametrize(
+    "untrusted", [{"provisional": True}, {"registration": registered(31.0, 1).registration}]
+)
+def test_no_second_is_good_under_a_calibration_that_proves_nothing(session, untrusted):
+    found = replace(session, calibrations=((0, replace(session.calibration, **untrusted)),))
+    assert "poor" not in {each.word for each in session.quality_per_second}
+    assert not found.good_frames.any()
+    (reason,) = (each.reason for each in found.verdict.shortcomings if each.word == "unknown")
+    assert {each.reason for each in found.quality_per_second} == {reason}
+    assert "1 frames" not in reason
+
+
+@pytest.mark.parametrize(
     ("changed", "words"),
     [
         ({"views_agree_mm": {"median": 81.0, "p95": 90.0}}, "Calibrate: stand still"),
