@@ -1,5 +1,6 @@
 """The result of one check of this machine."""
 
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -60,3 +61,10 @@ def installed_version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return ""
+
+
+def extra_command(extra: str) -> str:
+    """The command that adds an extra to the installed program, from any folder and without an activated
+    environment; pip asks no index for a package that is installed."""
+    python = f'"{sys.executable}"' if " " in sys.executable else sys.executable
+    return f"{python} -m pip install 'duplex-kinects[{extra}]'"

@@ -15,10 +15,9 @@ from devices.capture import usb
 from devices.capture.causes import Cause, in_brackets
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.usb import usb_kinects
-from devices.check import installed_version, missing_names, words_of
+from devices.check import extra_command, installed_version, missing_names, words_of
 from devices.sensor import AbsentError, DeviceError
 
-_EXTRA = "pip install '.[kinect]' (after make: .venv/bin/pip install -e '.[kinect]')"
 _NAMES = (
     *("CalibrationType.COLOR", "CalibrationType.DEPTH", "ColorResolution", "Config", "DepthMode", "FPS"),
     *("ImageFormat.COLOR_MJPG", "K4AException", "K4ATimeoutException", "PyK4A.calibration"),
@@ -103,7 +102,7 @@ def how_to_install(platform: str = sys.platform) -> str:
     remove = ""
     if installed_version("pyk4a-bundle"):
         remove = "Remove pyk4a-bundle, whose wheels need numpy < 2 (pip uninstall pyk4a-bundle). "
-    return f"{remove}pyk4a is built from source, with {needs}. Then, from this program's folder: {_EXTRA}."
+    return f"{remove}pyk4a is built from source, with {needs}. Then: {extra_command('kinect')}."
 
 
 def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:

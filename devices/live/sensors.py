@@ -35,7 +35,6 @@ from devices.orbbec.sdk_access import connected_orbbecs
 from devices.orbbec.sdk_access import sdk_check as orbbec_sdk_check
 from devices.orbbec.sdk_access import sensor_check as orbbec_sensor_check
 from devices.orbbec.sensor import OrbbecSensor
-from devices.realsense.sdk_access import COMMAND as REALSENSE_COMMAND
 from devices.realsense.sdk_access import connected_realsenses
 from devices.realsense.sdk_access import sdk_check as realsense_sdk_check
 from devices.realsense.sdk_access import sensor_check as realsense_sensor_check
@@ -86,7 +85,7 @@ VENDORS = {
     ),
     "realsense": Vendor(
         "RealSense (D400, D500)",
-        REALSENSE_COMMAND,
+        "pip install '.[realsense]' (docs/installing.md)",
         connected_realsenses,
         RealSenseSensor,
         realsense_sdk_check,

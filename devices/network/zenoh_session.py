@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from devices.check import words_of
+from devices.check import extra_command, words_of
 from devices.sensor import DeviceError
 
 LOOPBACK = "tcp/127.0.0.1:7447"
@@ -112,7 +112,7 @@ def load_zenoh() -> Any:
     try:
         import zenoh
     except ModuleNotFoundError as fault:
-        raise DeviceError("Zenoh is not installed: pip install 'duplex-kinects[zenoh]'.") from fault
+        raise DeviceError(f"Zenoh is not installed: {extra_command('zenoh')}.") from fault
     except Exception as fault:  # a damaged library raises what it likes
         why = f"Zenoh cannot be imported ({words_of(fault)}): pip install --force-reinstall eclipse-zenoh."
         raise DeviceError(why) from fault

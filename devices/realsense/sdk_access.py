@@ -10,11 +10,10 @@ from typing import Any
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.capture.usb import usb_kinects, why_not_open
-from devices.check import Check, failed, installed_version, missing_names, words_of
+from devices.check import Check, extra_command, failed, installed_version, missing_names, words_of
 from devices.sensor import AbsentError, DeviceError
 
 SDK_NAME = "pyrealsense2"
-COMMAND = "pip install '.[realsense]'"
 _NAMES = (
     *("align", "context.load_device", "context.query_devices", "device.get_info", "device.is_connected"),
     *("device.query_sensors", "device.supports", "frame_queue.try_wait_for_frame", "log_to_file"),
@@ -44,8 +43,8 @@ def load_sdk() -> ModuleType:
     except Exception as fault:  # a damaged library raises what it likes
         raise DeviceError(
             f"RealSense sensors need pyrealsense2, which cannot be imported ({words_of(fault)}). "
-            f"{COMMAND}; on Linux it needs libusb (Debian: apt install libusb-1.0-0), on macOS build it from "
-            f"librealsense."
+            f"{extra_command('realsense')}; on Linux it needs libusb (Debian: apt install libusb-1.0-0), "
+            f"on macOS build it from librealsense."
         ) from fault
     if missing := missing_names(pyrealsense2, _NAMES):
         raise DeviceError(

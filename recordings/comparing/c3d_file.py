@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.check import extra_command
 from devices.recorded.apart import ApartError, items_of
 from recordings.errors import RecordingError
 
@@ -22,7 +23,7 @@ def read_c3d(path: Path) -> dict[str, NDArray[Any]]:
         RecordingError: ezc3d is not installed, or cannot read the file.
     """
     if importlib.util.find_spec("ezc3d") is None:
-        raise RecordingError("Reading .c3d needs the package ezc3d: pip install 'duplex-kinects[export]'.")
+        raise RecordingError(f"Reading .c3d needs the package ezc3d: {extra_command('export')}.")
     size = path.stat().st_size
     seconds, memory = _SECONDS + size / _BYTES_PER_S, _MEMORY + _BYTES_PER_BYTE * size
     try:

@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from devices.check import extra_command
 from recordings.errors import RecordingError, UnknownNameError
 from recordings.session_series import SessionSeries
 
@@ -99,5 +100,5 @@ def check_packages(suffix: str) -> None:
         except ImportError as fault:
             name = package.partition(".")[0]
             raise RecordingError(
-                f"Writing {suffix} needs the package {name}: pip install 'duplex-kinects[{extra}]'."
+                f"Writing {suffix} needs the package {name}: {extra_command(extra)}."
             ) from fault

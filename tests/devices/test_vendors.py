@@ -5,6 +5,7 @@ import importlib.abc
 import importlib.machinery
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -21,6 +22,7 @@ from devices.azure.pyk4a_access import load_sdk as azure_sdk
 from devices.capture.capture_stream import LiveSensor
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
+from devices.check import extra_command
 from devices.live import sensors as live_sensors
 from devices.live.checks import device_checks
 from devices.live.sensors import VENDORS, connected_sensors, installed_vendors
@@ -246,3 +248,11 @@ def test_what_one_vendors_library_raises_is_that_vendors_fault_alone(example, mo
     monkeypatch.setitem(live_sensors.VENDORS, "acme", replace(row, connected=fails))
     with pytest.raises(DeviceError, match="AttributeError: 'Context' object"):
         connected_sensors(OURS)
+
+
+def test_the_command_for_an_extra_finds_the_program_without_an_index_or_an_activated_environment(tmp_path):
+    command = [*shlex.split(extra_command("export")), "--no-index", "--no-deps", "--dry-run"]
+    bare = {name: value for name, value in os.environ.items() if name != "PATH"}
+    told = subprocess.run(command, cwd=tmp_path, env=bare, capture_output=True, text=True)
+    assert told.returncode == 0, told.stderr
+    assert "already satisfied: duplex-kinects[export]" in told.stdout

@@ -7,6 +7,7 @@ from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
+from devices.check import extra_command
 from viewer_app.batch.jobs import Job, Outcome, Record, program_version
 from viewer_app.batch.worker import fuse_job
 from viewer_app.errors import UsageError
@@ -82,7 +83,7 @@ def connect(scheduler: str) -> Any:
         distributed: Any = import_module("distributed")
     except ImportError:
         raise UsageError(
-            "--scheduler needs Dask, which is not installed: pip install 'duplex-kinects[cluster]'"
+            f"--scheduler needs Dask, which is not installed: {extra_command('cluster')}"
         ) from None
     if "://" not in scheduler:
         raise UsageError(f"--scheduler {scheduler}: name an address such as tcp://192.168.1.5:8786.")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.capture.clock.host_clock import HostClock
+from devices.check import extra_command
 from devices.events import Event
 from fusion.body import Body
 from fusion.fused_frame import FusedFrame
@@ -105,7 +106,7 @@ def load_pylsl(others: bool) -> Any:
     try:
         import pylsl
     except Exception as fault:
-        raise UsageError("--lsl needs pylsl: pip install 'duplex-kinects[lsl]'.") from fault
+        raise UsageError(f"--lsl needs pylsl: {extra_command('lsl')}.") from fault
     if not others:
         pylsl.set_config_content(_THIS_MACHINE)
     return pylsl

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from devices.check import extra_command
 from devices.input_file import input_text
 from devices.sensor import DeviceError
 from devices.simulated.person import anatomy
@@ -126,7 +127,7 @@ def _read(path: Path) -> _Captured:
     try:
         import bvhio
     except ImportError as error:
-        raise DeviceError(f"Reading {path} needs bvhio: pip install 'duplex-kinects[mocap]'.") from error
+        raise DeviceError(f"Reading {path} needs bvhio: {extra_command('mocap')}.") from error
     try:
         _check_whole(input_text(path))
         container = bvhio.readAsBvh(str(path))
