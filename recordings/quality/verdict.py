@@ -42,10 +42,8 @@ _OUT_OF_RANGE = 0.25
 _MIRRORED = 0.8
 _CALIBRATE = "Calibrate: stand still for a second, arms and legs apart, where both sensors see all of you"
 _ANOTHER_PART = "Calibrate on another part: duplex fuse --calibrate seconds:N"
-_SAME_MOMENT = (
-    "Check that both recordings show one person at the same time, and their clocks; or calibrate on another "
-    "part: duplex fuse --calibrate seconds:N"
-)
+_RECORD_AGAIN = "Record again: a second of standing still, arms and legs apart, before both sensors"
+_SAME_MOMENT = "Check that both recordings show one person at the same time, and their clocks; or "
 
 
 class Shortcoming(NamedTuple):
@@ -97,7 +95,7 @@ def verdict(figures: Figures) -> Verdict:
 def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
     live = "streams" in figures
     calibration, apart = figures["calibration"], figures["views_agree_mm"]["median"]
-    calibrate = _CALIBRATE if live else _ANOTHER_PART
+    calibrate = _CALIBRATE if live else _ANOTHER_PART if _has_another_part(figures) else _RECORD_AGAIN
     mirrored = [side.upper() for side, share in figures["mirrored"].items() if (share or 0.0) > _MIRRORED]
     if mirrored:
         image = "is the mirror image" if len(mirrored) == 1 else "are mirror images"
@@ -115,7 +113,7 @@ def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
     if apart is None:
         yield Shortcoming("unknown", "no joint was seen by both sensors", "Check that both see the person")
     else:
-        yield from _views(figures, live)
+        yield from _views(figures, calibrate if live else _SAME_MOMENT + calibrate[0].lower() + calibrate[1:])
     yield from _doubts(figures, live)
     angle, (low, high), (least, most) = calibration["angle_deg"], GOOD_ANGLES, USABLE_ANGLES
     if calibration["residual_mm"] is not None and not low <= angle <= high:
@@ -132,7 +130,7 @@ def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
         word: Word = "usable" if turn <= 2.0 * CERTAIN_TURN_DEG else "poor"
         certain = beside(turn, CERTAIN_TURN_DEG, digits=1)
         text = f"B's rotation is certain to {certain}° only; good is {CERTAIN_TURN_DEG:g}°"
-        yield Shortcoming(word, text, "Walk about while both sensors see you" if live else _ANOTHER_PART)
+        yield Shortcoming(word, text, "Walk about while both sensors see you" if live else calibrate)
     share = _unpaired_share(figures)
     if share >= _UNPAIRED[0]:
         text = f"{100.0 * share:.0f} % of the frames have no partner"
@@ -152,6 +150,12 @@ def not_trusted(calibration: Figures) -> str:
     return f"calibrated on {frames} frame{'' if frames == 1 else 's'}; at least {FEWEST_PAIRS} are needed"
 
 
+def _has_another_part(figures: Figures) -> bool:
+    """Whether a recording has enough frames that it was not calibrated on; live sessions end provisional."""
+    used, frames = figures["calibration"]["frames"] or 0, figures["fused_frames"]
+    return not figures["calibration"]["provisional"] and not used <= frames < used + FEWEST_PAIRS
+
+
 def _missing(figures: Figures, live: bool) -> Iterator[Shortcoming]:
     """Views that are upside down, and joints that neither has."""
     down = [side.upper() for side, share in figures["upside_down"].items() if (share or 0.0) > _HEAD_DOWN]
@@ -166,10 +170,9 @@ def _missing(figures: Figures, live: bool) -> Iterator[Shortcoming]:
         yield Shortcoming("usable", f"no view has {which} in any frame, and S* predicts what is not measured")
 
 
-def _views(figures: Figures, live: bool) -> Iterator[Shortcoming]:
+def _views(figures: Figures, remedy: str) -> Iterator[Shortcoming]:
     """How far the views are apart, in the median and for how long."""
     apart, high = figures["views_agree_mm"]["median"], figures["views_agree_mm"]["p95"]
-    remedy = _CALIBRATE if live else _SAME_MOMENT
     if high > _OTHERS:
         text = (
             f"a twentieth of the time the views differ by more than {high:.0f} mm, as those of two people do"

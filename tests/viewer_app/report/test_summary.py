@@ -178,6 +178,23 @@ def test_people_before_sensors_get_other_advice_than_files(figures, changed, wor
     assert words not in str(verdict(figures))
 
 
+@pytest.mark.parametrize(
+    ("frames", "provisional", "another"),
+    [(30, False, True), (46, False, False), (60, False, False), (30, True, False)],
+)
+def test_another_part_is_advised_where_there_is_one(figures, frames, provisional, another):
+    """Of 60 frames; those of a live session whose calibration stayed provisional cannot be fused again."""
+    calibration = figures["calibration"] | {
+        "frames": frames,
+        "provisional": provisional,
+        "rotation_sd_deg": 9.0,
+    }
+    far = with_views(figures, 90.0) | {"calibration": calibration}
+    told = " ".join(each.remedy for each in verdict(far).shortcomings)
+    assert ("alibrate on another part" in told) == another
+    assert ("ecord again" in told) != another
+
+
 def test_how_far_the_views_are_apart_is_one_figure_everywhere(session, tmp_path):
     """Of all frames since the calibration, whose own figure is 31 mm."""
     one = session.calibration
