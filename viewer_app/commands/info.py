@@ -29,7 +29,7 @@ from viewer_app.options.sessions import InfoOptions
 from viewer_app.output_console import output_console
 from viewer_app.report.events import list_events
 from viewer_app.report.terminal import print_events
-from viewer_app.report.words import calibration_in_words, in_percent
+from viewer_app.report.words import calibration_in_words, damage_in_words, in_percent
 
 Rows = Iterator[tuple[str, object]]
 _FORMATS = {
@@ -237,9 +237,7 @@ def _of_session(session: Session, path: Path) -> Rows:
         "depth": {side: session.depth(side) for side in layout.VIEWS},
         "colour": {side: session.color(side) for side in layout.VIEWS},
     }
-    damage = (
-        [] if session.damage is None else [f"{session.damage}; at least {session.frames_lost} frames lost"]
-    )
+    damage = [damage_in_words(session)] if session.damage is not None else []
     for kind, of_sides in images.items():
         counts = {side: reader.count() for side, reader in of_sides.items()}
         if kind == "depth" or any(counts.values()):
@@ -249,6 +247,7 @@ def _of_session(session: Session, path: Path) -> Rows:
             for side, reader in of_sides.items()
             if reader.damaged
         ]
-    yield "size", f"{size / 1e6:.1f} MB, {size / max(seconds, 1e-9) * 60 / 1e6:.1f} MB a minute"
+    a_minute = f", {size / seconds * 60 / 1e6:.1f} MB a minute" if seconds >= 1.0 else ""
+    yield "size", f"{size / 1e6:.1f} MB{a_minute}"
     yield "events", len(list_events(session.events))
     yield "whole", f"no: {', '.join(damage)}" if damage else "yes"

@@ -12,6 +12,7 @@ from recordings.quality.doubtful_time import UNCERTAIN
 from recordings.quality.figures import Figures
 from recordings.quality.limits import USABLE, spoken
 from recordings.quality.verdict import doubt, in_words
+from recordings.session import Session
 from viewer_app.flags import in_flags
 
 _PAUSED = 0.9  # of the time: with less there are pauses
@@ -286,6 +287,12 @@ def in_mm(value: float | None, unit: str = " mm") -> str:
     if abs(value) < _MICROMETRE:
         return f"0{unit}"
     return f"{value:.0f}{unit}" if value >= 10.0 else f"{value:.2g}{unit}"
+
+
+def damage_in_words(session: Session) -> str:
+    """Why a session is not whole, and what is known to be lost; empty if it is whole."""
+    lost = f"; at least {session.frames_lost} frames are lost" if session.frames_lost else ""
+    return "" if session.damage is None else f"{session.damage}{lost}"
 
 
 def in_percent(share: float | None) -> str:

@@ -362,6 +362,22 @@ def test_info_says_what_is_in_it_and_what_is_missing(session, tmp_path, capsys):
     assert "cut off" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("without_plots")
+@pytest.mark.parametrize("lost", [0, 5])
+def test_info_summary_and_page_say_what_is_lost_if_anything_is(session, lost, tmp_path, capsys, monkeypatch):
+    found = replace(Session.open(session), damage="it was not ended", frames_lost=lost)
+    monkeypatch.setattr(Session, "open", lambda _: found)
+    page = tmp_path / "s.html"
+    assert duplex("info", session) == 0
+    told = [capsys.readouterr().out]
+    assert duplex("review", session, "--no-viewer", "--html", page) == 0
+    told += [capsys.readouterr().out, unescape(page.read_text(encoding="utf-8"))]
+    for text in told:
+        assert "it was not ended" + (f"; at least {lost} frames are lost" if lost else "") in text
+        (line,) = (line for line in text.splitlines() if "not ended" in line)
+        assert ("lost" in line) == (lost > 0)
+
+
 def test_export_writes_by_the_files_ending(session, tmp_path, capsys):
     names = ["T.C3D", "s.bvh", "s.c3d", "s.csv", "s.glb", "s.npz", "s.parquet", "s.trc"]
     for name in names:
