@@ -25,13 +25,15 @@ _FUSED_STATES = np.array(["fused", "predicted", "never_seen"])
 
 def write_csv(session: SessionSeries, path: Path, layout: Table = "long") -> str:
     """Writes :func:`arrow_table`; cells are empty if a joint has no position."""
-    pyarrow.csv.write_csv(arrow_table(session, layout), path)
+    with path.open("wb") as file:  # whose errors are the system's; pyarrow's own have its words before them
+        pyarrow.csv.write_csv(arrow_table(session, layout), file)
     return _frames(session)
 
 
 def write_parquet(session: SessionSeries, path: Path, layout: Table = "long") -> str:
     """Writes :func:`arrow_table`; null if a joint has no position."""
-    pyarrow.parquet.write_table(arrow_table(session, layout), path)
+    with path.open("wb") as file:
+        pyarrow.parquet.write_table(arrow_table(session, layout), file)
     return _frames(session)
 
 

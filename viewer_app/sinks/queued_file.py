@@ -64,7 +64,11 @@ class QueuedFile(Generic[Item]):
             (self.lost, "not saved" if self.failure else "not saved: the disk was too slow"),
             (self.without_images, f"saved without {self.thinned}: this machine was too slow"),
         )
-        return [f"{count} frame{' is' if count == 1 else 's are'} {what}." for count, what in losses if count]
+        return [
+            f"{self.path}: {count} frame{' is' if count == 1 else 's are'} {what}."
+            for count, what in losses
+            if count
+        ]
 
     def close(self) -> None:
         """Writes what is queued and closes the file. Closing twice has no effect.

@@ -66,7 +66,7 @@ def test_each_frame_is_written_or_counted_and_said(frames, room, placed, late):
     assert full == (file.failure is not None and "No space left on device" in file.failure)
     why = "" if full else ": the disk was too slow"  # a failure says its own reason
     frames = "1 frame is" if file.lost == 1 else f"{file.lost} frames are"
-    assert (f"{frames} not saved{why}." in file.missing) == (file.lost > 0)
+    assert (f"{file.path}: {frames} not saved{why}." in file.missing) == (file.lost > 0)
 
 
 def test_a_fault_of_the_writer_reaches_who_closes_once():
