@@ -50,8 +50,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
         raise
     outputs = (options.report, options.save_calibration, options.to)
     export = None if options.to is None else writer_for(options.to)
-    inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
-    check_outputs(outputs, filter(None, inputs), options.force, options.save)
+    check_outputs(outputs, [*_recordings(options), Path(options.calibrate)], options.force, options.save)
     settings = recording_settings(options)
     read = _read(options, settings, console)
     source, progress = calibration_source(options.calibrate), _progress(console)
@@ -113,13 +112,18 @@ def _read(options: FuseOptions, settings: FuserSettings, console: Console) -> Tw
         from viewer_app.sensors.tracker import announce_tracker, tracker_of
 
         tracker = tracker_of(options).for_images_of(not_of_libk4a(options.a, options.b))
-        announce_tracker(tracker, console)
+        announce_tracker(tracker, console, *_recordings(options))
     read = read_for(
         settings, choices, tracker, options.offset, _progress(console), options.follow or "longest"
     )
     for warning in read.warnings:
         console.print(warning, style="yellow", markup=False)
     return read
+
+
+def _recordings(options: FuseOptions) -> list[Path]:
+    """The files of both sensors."""
+    return list(filter(None, (options.a, options.b, options.skeletons_a, options.skeletons_b)))
 
 
 def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:

@@ -97,7 +97,7 @@ def _sensor(options: PublishOptions, console: Console) -> Sensor:
     if options.recording is not None:
         if has_images(options.recording):
             tracker = tracker.for_images_of(not_of_libk4a(options.recording))
-            announce_tracker(tracker, console)
+            announce_tracker(tracker, console, options.recording)
         stated = asdict(options.stated)
         return PacedSensor(
             open_source(options.recording, tracker=tracker, **stated, orientation=options.orientation)

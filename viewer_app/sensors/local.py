@@ -118,7 +118,7 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
 
     refuse_same(*paths)
     tracker = tracker_of(options).for_images_of(not_of_libk4a(*paths))
-    announce_tracker(tracker, console)
+    announce_tracker(tracker, console, *paths)
     syncs: list[CableSync | None] = []
     intervals: list[int] = []
     arrivals: list[int] = []  # of the first frames, where they were recorded

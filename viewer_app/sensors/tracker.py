@@ -7,6 +7,7 @@ from rich.console import Console
 from devices.azure.tracking.settings import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
 from devices.capture.frame_decimation import FrameDecimation
+from devices.input_file import check_recording
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import TrackerOptions
@@ -30,8 +31,14 @@ def tracker_of(options: TrackerOptions) -> TrackerChoice:
     return choice
 
 
-def announce_tracker(tracker: TrackerChoice, console: Console) -> None:
-    """Says which tracker runs and why, and fetches its networks if they are missing."""
+def announce_tracker(tracker: TrackerChoice, console: Console, *recordings: Path) -> None:
+    """Says which tracker runs and why, and fetches its networks if they are missing.
+
+    Raises:
+        DeviceError: A recording is missing, of which its reader would say so later.
+    """
+    for path in recordings:
+        check_recording(path)
     console.print(f"Body tracker: {tracker.full_name} ({tracker.reason}).", markup=False)
     if tracker.name == "blazepose":
         ensure_networks(tracker.blazepose, console)

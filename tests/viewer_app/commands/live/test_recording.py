@@ -232,6 +232,15 @@ def test_recordings_are_played_at_their_own_rate(tmp_path, monkeypatch, capsys):
     assert told == [15.0]
 
 
+@pytest.mark.parametrize("command", [("live",), ("fuse",), ("sensor", "--publish", "a", "--recording")])
+def test_a_missing_recording_is_told_before_anything_of_the_tracker(tmp_path, capsys, command):
+    path, none = write_mkv(tmp_path / "a.mkv", 3), tmp_path / "none.mkv"
+    recordings = (none,) if command[0] == "sensor" else (path, none, "--no-viewer")
+    assert duplex(*command, *recordings) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("", f"duplex: No file {none}.\n")
+
+
 def test_what_cannot_be_played_is_told(tmp_path, capsys):
     path = write_mkv(tmp_path / "a.mkv", 3)
     table = tmp_path / "b.csv"
