@@ -4,7 +4,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from devices.output_file import Hidden, TakenError, whole_file
+from devices.sensor import IMAGE_SUFFIXES
 from viewer_app.errors import UsageError
 
 SESSION = ".rrd"
 """Ending of a session's name; other endings do not open in a viewer."""
+_made: list[Path] = []
 _claimed: dict[Path, Hidden] = {}
 _LITTLE_FREE = 500_000_000  # bytes; a session with depth images takes about 300 MB per minute
 
@@ -90,13 +92,35 @@ def check_outputs(
 
 @contextmanager
 def outputs_of_one_run() -> Iterator[None]:
-    """Within the block, :func:`check_outputs` keeps other processes from writing the same files."""
-    before = set(_claimed)
+    """Within the block, :func:`check_outputs` keeps other processes from writing the same files.
+
+    At the end it removes the folders of :func:`make_folder` that are empty.
+    """
+    before, made = set(_claimed), len(_made)
     try:
         yield
     finally:
         for path in _claimed.keys() - before:
             _claimed.pop(path).remove()
+        while len(_made) > made:
+            with suppress(OSError):
+                _made.pop().rmdir()
+
+
+def make_folder(folder: Path) -> None:
+    """Makes a folder for files, with those above it.
+
+    Raises:
+        UsageError: It cannot be made, or is a file, or would be mistaken for one.
+    """
+    if folder.is_file() or (folder.suffix.lower() in (SESSION, *IMAGE_SUFFIXES) and not folder.exists()):
+        raise UsageError(f"{folder} is the name of a file; name a folder, for several files.")
+    missing = [each for each in (*reversed(folder.parents), folder) if not each.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise UsageError(f"The folder {folder} cannot be created: {fault.strerror or fault}.") from None
+    _made.extend(missing)
 
 
 def claim(path: Path) -> None:

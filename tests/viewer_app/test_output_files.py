@@ -67,3 +67,27 @@ def test_what_an_export_needs_is_looked_for_before_fusing(tmp_path, capsys, monk
     outputs = "--save", tmp_path / "s.rrd", "--to", tmp_path / "t.glb"
     assert duplex("fuse", tmp_path / "a.csv", tmp_path / "b.csv", "--no-viewer", *outputs) == 2
     assert "Writing .glb needs the package pygltflib" in one_line(capsys)
+
+
+def test_a_folder_for_recordings_is_no_file_and_has_no_name_of_one(tmp_path, capsys):
+    file = tmp_path / "file"
+    file.touch()
+    for path in (file, tmp_path / "walk.rrd", tmp_path / "walk.MKV"):
+        assert duplex("demo", "--no-viewer", "--record", path) == 2
+        assert (
+            one_line(capsys) == f"duplex: {path} is the name of a file; name a folder, for several files.\n"
+        )
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_run_that_records_nothing_leaves_no_folder(tmp_path, capsys, monkeypatch):
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("viewer_app.commands.demo.warm_up", stopped)
+    there = tmp_path / "there"
+    there.mkdir()
+    for folder in (tmp_path / "above" / "new", there):
+        assert duplex("demo", "--no-viewer", "--record", folder) == 130
+        assert capsys.readouterr().err == "duplex: stopped\n"
+    assert list(tmp_path.iterdir()) == [there]

@@ -21,7 +21,7 @@ from viewer_app.options.needs import refuse_without_effect
 from viewer_app.options.sensing import BatchOptions, recording_settings
 from viewer_app.options.shared import calibration_source
 from viewer_app.output_console import output_console
-from viewer_app.output_files import claim
+from viewer_app.output_files import claim, make_folder
 
 
 def run(options: BatchOptions) -> None:
@@ -157,10 +157,7 @@ def _pairs(options: BatchOptions) -> tuple[list[Pair], list[str]]:
 
 
 def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"--out {out}: {error.strerror or error}.") from None
+    make_folder(out)
     if not os.access(out, os.W_OK):
         raise UsageError(f"The folder {out} is not writable.")
 

@@ -1,6 +1,6 @@
 """``duplex record``: records the images of two connected sensors, to be tracked and fused later."""
 
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 
 from rich.console import Console
 
@@ -9,7 +9,6 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sensing import RecordOptions
 from viewer_app.options.shared import check_seconds
 from viewer_app.output_console import output_console
-from viewer_app.output_files import outputs_of_one_run
 from viewer_app.running.interruption import call_after
 from viewer_app.running.sensor_run import SensorRun
 from viewer_app.sensors.local import capture_settings, two_connected_sensors
@@ -24,15 +23,11 @@ def run(options: RecordOptions) -> None:
     check_seconds(options.seconds)
     if names_remote(options):
         raise UsageError("duplex record records sensors on this PC: run it on the sensor's own PC.")
-    existed = options.folder.exists()
-    try:
-        with outputs_of_one_run():  # what is held in the folder is gone before the folder
-            files = RawFiles(options.folder, console, force=options.force, compress=options.compress)
-            record(options, console, files)
-    finally:
-        if not existed:
-            with suppress(OSError):  # it holds a recording
-                options.folder.rmdir()
+    record(
+        options,
+        console,
+        RawFiles(options.folder, console, force=options.force, compress=options.compress),
+    )
 
 
 def record(options: RecordOptions, console: Console, files: RawFiles) -> None:

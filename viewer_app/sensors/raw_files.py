@@ -13,7 +13,7 @@ from rich.markup import escape
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.settings import CaptureSettings
 from viewer_app.errors import UsageError
-from viewer_app.output_files import check_outputs, warn_of_little_room
+from viewer_app.output_files import check_outputs, make_folder, warn_of_little_room
 
 if TYPE_CHECKING:
     from viewer_app.sinks.raw_recording import RawRecorder
@@ -49,10 +49,7 @@ class RawFiles(ExitStack):
         self.recorders: list[RawRecorder] = []
         if folder is None:
             return
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as fault:
-            raise UsageError(f"The folder {folder} cannot be created: {fault.strerror or fault}.") from None
+        make_folder(folder)
         check_outputs([folder / name for name in _NAMES], played, force)
         warn_of_little_room(folder / _NAMES[0], console, _BYTES_PER_MINUTE)
 
