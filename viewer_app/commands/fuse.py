@@ -58,7 +58,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
         read,
         (str(options.a), str(options.b)),
         settings,
-        _calibrate(source, read.body, read.pairing.pairs.skeletons),
+        _calibrate(source, read.body, read.pairing.pairs.skeletons, console),
         refine=not (options.no_refine or isinstance(source, Path)),
         depth=options.depth,
         force=options.force,
@@ -154,11 +154,16 @@ def _summarise(console: Console, options: FuseOptions, session: Session, figures
         say_more(console)
 
 
-def _calibrate(source: Path | float | None, body: Body, pairs: Pairs) -> Calibration | None:
+def _calibrate(source: Path | float | None, body: Body, pairs: Pairs, console: Console) -> Calibration | None:
     """The calibration that is asked for; None where the recording's start-up pose is to give it."""
     if source is None:
         return None
     if isinstance(source, Path):
         return read_calibration(source, body)
-    chosen = pairs[np.flatnonzero(pairs.time_ns - pairs.time_ns[0] <= source * 1e9)]
-    return calibrate(body, chosen, f"first {source:g} s, {len(chosen)} frames")
+    seconds = (pairs.time_ns - pairs.time_ns[0]) * 1e-9
+    chosen, which = pairs[np.flatnonzero(seconds <= source)], f"first {source:g} s"
+    if source > seconds[-1] + 1.0:  # not merely rounded up
+        which = f"all {seconds[-1]:.1f} s"
+        said = f"--calibrate seconds:{source:g}: the recordings are shorter; calibrating on {which}."
+        console.print(said, style="yellow", markup=False)
+    return calibrate(body, chosen, f"{which}, {len(chosen)} frames")

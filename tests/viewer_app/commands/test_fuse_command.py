@@ -180,6 +180,20 @@ def test_a_place_in_the_image_chooses_no_person_of_recorded_skeletons(recordings
     assert "use --person-a and --person-b" in one_line(capsys)
 
 
+@pytest.mark.parametrize("beyond", [False, True])
+def test_seconds_beyond_the_recordings_are_told(recordings, tmp_path, capsys, beyond):
+    report = tmp_path / "r.json"
+    assert duplex("fuse", *recordings, *QUICKLY, "--report", report) == 0
+    figures = figures_of(report)
+    asked = 999 if beyond else math.ceil(figures["seconds"])
+    again = "--calibrate", f"seconds:{asked}", "--report", report, "--force"
+    assert duplex("fuse", *recordings, *QUICKLY, *again) == 0
+    which = f"all {figures['seconds']:.1f} s" if beyond else f"first {asked} s"
+    assert figures_of(report)["calibration"]["how"] == f"{which}, {figures['paired']} frames"
+    said = f"--calibrate seconds:999: the recordings are shorter; calibrating on {which}."
+    assert (said in capsys.readouterr().out) == beyond
+
+
 def test_a_calibration_can_be_kept_and_used_again(recordings, tmp_path):
     kept, first, again = tmp_path / "c.json", tmp_path / "1.json", tmp_path / "2.json"
     assert duplex("fuse", *recordings, *QUICKLY, "--save-calibration", kept, "--report", first) == 0
