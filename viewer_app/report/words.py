@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from recordings.quality.doubtful_time import UNCERTAIN
 from recordings.quality.figures import Figures
 from recordings.quality.limits import USABLE, spoken
-from recordings.quality.verdict import doubt, in_words
+from recordings.quality.verdict import doubt, in_words, verdict
 from recordings.session import Session
 from viewer_app.flags import in_flags
 
@@ -73,6 +73,9 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
 
 def detail_lines(figures: Figures) -> Iterator[Line]:
     """All other figures but those of each bone."""
+    if "fused_frames" in figures:
+        for k, text in enumerate(verdict_in_words(figures)[1:]):
+            yield Line("" if k else "Also", text)
     yield from _counts(figures)
     if "calibration" in figures:
         for k, text in enumerate(calibration_in_words(figures["calibration"])):
@@ -85,6 +88,11 @@ def detail_lines(figures: Figures) -> Iterator[Line]:
         yield Line("From images to S*", f"{_times(figures['latency_ms'], 0, 'ms')}.")
     if "without_truth" in figures:
         yield from _without_truth(figures["without_truth"])
+
+
+def verdict_in_words(figures: Figures) -> list[str]:
+    """All reasons for the verdict, worst first, each with its word and what to do."""
+    return [in_flags(in_words(*each)) for each in verdict(figures).shortcomings] or [in_words("good")]
 
 
 def calibration_in_words(figures: Figures) -> list[str]:

@@ -356,6 +356,7 @@ def test_info_says_what_is_in_it_and_what_is_missing(session, tmp_path, capsys):
     for words in ("kinect_v2, 25 joints", "90 in", "A 90, B 89", "85° apart", "whole"):
         assert words in said
     assert "Calibrated: known truth" in said
+    assert all(reason in said for reason in Session.open(session).verdict.reasons)
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(session.read_bytes()[:-50])
     assert duplex("info", cut) == 0

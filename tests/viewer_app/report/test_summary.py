@@ -195,6 +195,17 @@ def test_another_part_is_advised_where_there_is_one(figures, frames, provisional
     assert ("ecord again" in told) != another
 
 
+def test_every_reason_for_the_verdict_is_in_the_details_if_not_in_the_lead(figures):
+    calibration = figures["calibration"] | {"rotation_sd_deg": 9.0, "angle_deg": 45.0}
+    found = with_verdict(with_views(figures, 50.0) | {"calibration": calibration})
+    lead, details = (" ".join(line.text for line in lines(found)) for lines in (lead_lines, detail_lines))
+    first, *others = verdict(found).reasons
+    assert first in lead
+    assert first not in details
+    assert len(others) >= 2
+    assert all(reason in details for reason in others)
+
+
 def test_how_far_the_views_are_apart_is_one_figure_everywhere(session, tmp_path):
     """Of all frames since the calibration, whose own figure is 31 mm."""
     one = session.calibration
