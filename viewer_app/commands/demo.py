@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from devices.blazepose.pace import TrackingPace
 
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
+_MB_PER_SECOND = {"half": 4, "full": 12}  # of depth images; those of Azure Kinects are the largest
 _FPS = 30.0
 _EXCHANGED = 10.0  # ids of two people, times a minute
 _MOST_NAMED = 4  # times of one fault
@@ -85,6 +86,10 @@ def run(options: DemoOptions) -> None:
         bad_setup=options.bad_setup,
     )
     pace = _own_tracker(options, console) if own_tracker else None
+    if save is not options.save and options.depth != "none":
+        console.print(
+            f"Saving to {save}, {_MB_PER_SECOND[options.depth]} MB per second; much less with --depth none."
+        )
     demo.show(shown, pace, RawFiles(options.record, console, force=options.force, compress=options.compress))
 
 

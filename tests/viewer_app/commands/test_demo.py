@@ -79,6 +79,9 @@ def test_a_demo_replaces_no_existing_file(tmp_path, monkeypatch, capsys):
     assert duplex("demo", *QUICK, "--seconds", 0.3, "--save", "demo.rrd") == 2
     assert "demo.rrd exists already" in one_line(capsys)
     assert duplex("demo", "--seconds", 0.3, "--depth", "none") == 0
+    assert "MB per second" not in capsys.readouterr().out
+    assert duplex("demo", "--seconds", 0.3) == 0
+    assert "Saving to demo-3.rrd, 4 MB per second" in capsys.readouterr().out
     assert precious.read_text() == "precious"
     assert rows_of(tmp_path / "demo-2.rrd", "/fused/skeleton") > 0
 
