@@ -63,7 +63,7 @@ def line_plot(
     for level in levels:
         axes.axhline(level, color=_INK, linewidth=0.9, linestyle=(0, (5, 4)))
     if logarithmic and any(np.any(values > 0.0) for values, _ in lines.values()):
-        axes.set_yscale("log")
+        _use_decades(axes)
     _ticks(axes, in_degrees=unit == "°")
     axes.set_title(title, fontsize=10, loc="left", color=_INK)
     axes.set_xlabel("s")
@@ -246,6 +246,18 @@ def _ticks(axes: Any, in_degrees: bool) -> None:
     more = max(0.0, 30.0 - (high - low)) / 2.0
     axes.set_ylim(low - more, high + more)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
+
+
+def _use_decades(axes: Any) -> None:
+    """A logarithmic axis of whole decades, with plain numbers: 0.1, 0.2, 0.5, 1 …"""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axes.set_yscale("log")
+    low, high = np.log10(axes.get_ylim())
+    axes.set_ylim(10.0 ** np.floor(low), 10.0 ** np.ceil(high))
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high - low < 3.0 else (1.0,)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _band(time: NDArray[Any], values: NDArray[Any], sigma: NDArray[Any]) -> tuple[NDArray[Any], ...]:

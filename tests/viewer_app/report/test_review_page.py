@@ -243,6 +243,17 @@ def test_no_line_crosses_a_pause(lasts, pause, wide):
     assert path.count("M ") == len(lasts)
 
 
+@given(low=st.floats(0.01, 100.0), times=st.floats(1.0, 1e5))
+def test_a_logarithmic_axis_has_plain_numbers_around_the_values(low, times):
+    values = np.geomspace(low, low * times, 20)
+    drawn = line_plot("fusion", "ms", np.arange(20.0), {"one": (values, "fused")}, logarithmic=True)
+    labels = [float(text) for text in re.findall(r">([0-9.e+]+)</text>", drawn)][-2:]  # those of y come last
+    assert "10^" not in drawn
+    assert "tspan" not in drawn
+    assert labels[0] < labels[1]
+    assert values.max() <= labels[1] * 1.0001
+
+
 def test_values_that_no_joint_reaches_are_marked_and_no_others(session, monkeypatch):
     calls = {}
     monkeypatch.setattr(
