@@ -260,8 +260,8 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
         rrb.Vertical(
             rrb.StateTimelineView(
                 origin="/",
-                contents=[layout.SECONDS_LANE, f"{layout.TRUST_LANES}/**"],
-                name="how good it is; which sensor each limb follows",
+                contents=[*([] if live else [layout.SECONDS_LANE]), f"{layout.TRUST_LANES}/**"],
+                name=f"{'' if live else 'how good it is; '}which sensor each limb follows",
             ),
             rrb.Grid(
                 *(_bone_plot(body, lengths, f"{bone}_left", title) for bone, title in _LIMBS.items()),

@@ -168,6 +168,15 @@ def test_a_session_without_depth_images_promises_none():
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("live", [False, True])
+def test_the_quality_of_each_second_is_announced_where_it_is_known(live):
+    setup, person = FusionSetup(nominal_calibration(KINECT_V2)), np.array([0.1, 0.1, 2.6])
+    inspect = session_blueprint(setup, person, "inspect", live=live).root_container.contents[1]
+    (lanes,) = (view for view in panes(inspect) if f"{layout.TRUST_LANES}/**" in view.contents)
+    assert (layout.SECONDS_LANE in lanes.contents) == (not live)
+    assert ("how good" in lanes.name) == (not live)
+
+
 @pytest.mark.parametrize("depth", [False, True])
 def test_a_running_sensors_image_has_the_skeleton_of_its_moment(depth):
     person = np.array([0.1, 0.1, 2.6])
