@@ -205,6 +205,12 @@ class SessionData:
         }  # fmt: skip
 
     @property
+    def damage_in_words(self) -> str:
+        """Why it is not whole, and how many frames are known to be lost; empty if it is whole."""
+        lost = f"; at least {self.frames_lost} frames are lost" if self.frames_lost else ""
+        return "" if self.damage is None else f"{self.damage}{lost}"
+
+    @property
     def clock(self) -> dict[str, float] | None:
         """How much later B captures than it says, ``offset_ms`` and ``sd_ms``; None if unknown."""
         known = self.about["session"]

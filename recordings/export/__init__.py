@@ -6,7 +6,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from devices.check import extra_command
 from recordings.errors import RecordingError, UnknownNameError
 from recordings.session_series import SessionSeries
 
@@ -98,6 +97,8 @@ def check_packages(suffix: str) -> None:
         try:
             import_module(package)
         except ImportError as fault:
+            from devices.check import extra_command
+
             name = package.partition(".")[0]
             raise RecordingError(
                 f"Writing {suffix} needs the package {name}: {extra_command(extra)}."

@@ -1,8 +1,7 @@
 """The figures of a fusion, as ``report.json`` has them."""
 
 import math
-from contextlib import suppress
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,8 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.errors import FusionError
 from fusion.facing.evidence import upright_direction
 from fusion.facing.handedness import mirrored_share
-from fusion.registration.rigid_fit import fit_recording
-from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import NO_FRAME
 from fusion.support.large_arrays import parts
@@ -25,12 +21,6 @@ from recordings.quality.doubtful_time import doubtful_seconds, seen_people
 from recordings.quality.limits import FARTHEST_PERSON, nearest
 from recordings.quality.verdict import Figures as Figures
 from recordings.quality.verdict import Shortcoming, verdict
-from recordings.quality.without_truth import (
-    FiguresWithoutTruth,
-    FusedPair,
-    figures_without_truth,
-    judge_registration,
-)
 
 _SAMPLES = 100_000  # frames, from which a median distance is found
 _STANDING = 10_000  # frames, from which the vertical is found
@@ -141,28 +131,6 @@ def calibration_figures(calibration: Calibration) -> Figures:
             "worst_joints_mm": {name: distance * 1e3 for name, distance in fit.worst_joints()},
         }
     return figures
-
-
-def truth_free_figures(session: SessionData) -> dict[str, float | None]:
-    """The figures of :class:`FiguresWithoutTruth` by name, in SI; None if there is no such figure.
-
-    ``roughness_ratio`` and the difference between robust fits of both halves of the session are added:
-    ``halves_rotation_off`` in radians, ``halves_position_off`` in metres at the person.
-    """
-    rows = session.rows
-    fits = tuple(RigidTransform(R, t) for R, t in zip(rows.rotation, rows.translation, strict=True))
-    a, b = rows.positions_a.astype(np.float64), rows.positions_b.astype(np.float64)
-    half = len(session) // 2
-    names = [field.name for field in fields(FiguresWithoutTruth) if field.name != "frames"]
-    values: dict[str, float] = {}
-    with suppress(FusionError):  # too short, or the views share hardly any joint
-        found = figures_without_truth(FusedPair(session.body, rows.time_ns, a, b, rows.fused, fits))
-        values = {name: float(getattr(found, name)) for name in [*names, "roughness_ratio"]}
-        halves = judge_registration(fit_recording(a[:half], b[:half]), a[half:], b[half:])
-        values["halves_rotation_off"] = halves.rotation_off
-        values["halves_position_off"] = halves.position_off
-    names += ["roughness_ratio", "halves_rotation_off", "halves_position_off"]
-    return {name: of_finite(np.mean, np.array([values.get(name, np.nan)])) for name in names}
 
 
 def method_figures(rows: SessionArrays, calibration: Calibration) -> Figures:

@@ -73,8 +73,13 @@ class Verdict:
         """Why the session is not good, worst first."""
         return tuple(each.reason for each in self.shortcomings)
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The shortcomings in words, each with what to do, worst first; one sentence if there are none."""
+        return tuple(in_words(*each) for each in self.shortcomings) or (in_words(self.word),)
+
     def __str__(self) -> str:
-        return in_words(self.word, *self.shortcomings[0][1:]) if self.shortcomings else in_words(self.word)
+        return self.sentences[0]
 
     def __repr__(self) -> str:
         return f"<Verdict {self}>"

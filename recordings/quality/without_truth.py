@@ -5,7 +5,8 @@ of human motion (people do not jump between frames, and do not run backwards) an
 """
 
 import warnings
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from fusion.errors import FusionError
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.support.types import Array
+from recordings.data.session_data import SessionData
 
 JUMP = 4.5
 """m/s from one frame to the next: faster than a walking person; 150 mm at 30 frames per second."""
@@ -251,3 +253,25 @@ def _share(flags: NDArray[np.bool_]) -> float:
 def _median(values: Array) -> float:
     values = values[np.isfinite(values)]
     return float(np.median(values)) if values.size else np.nan
+
+
+def truth_free_figures(session: SessionData) -> dict[str, float | None]:
+    """The figures of :class:`FiguresWithoutTruth` by name, in SI; None if there is no such figure.
+
+    ``roughness_ratio`` and the difference between robust fits of both halves of the session are added:
+    ``halves_rotation_off`` in radians, ``halves_position_off`` in metres at the person.
+    """
+    rows = session.rows
+    fits = tuple(RigidTransform(R, t) for R, t in zip(rows.rotation, rows.translation, strict=True))
+    a, b = rows.positions_a.astype(np.float64), rows.positions_b.astype(np.float64)
+    half = len(session) // 2
+    names = [field.name for field in fields(FiguresWithoutTruth) if field.name != "frames"]
+    values: dict[str, float] = {}
+    with suppress(FusionError):  # too short, or the views share hardly any joint
+        found = figures_without_truth(FusedPair(session.body, rows.time_ns, a, b, rows.fused, fits))
+        values = {name: float(getattr(found, name)) for name in [*names, "roughness_ratio"]}
+        halves = judge_registration(fit_recording(a[:half], b[:half]), a[half:], b[half:])
+        values["halves_rotation_off"] = halves.rotation_off
+        values["halves_position_off"] = halves.position_off
+    names += ["roughness_ratio", "halves_rotation_off", "halves_position_off"]
+    return {name: values[name] if np.isfinite(values.get(name, np.nan)) else None for name in names}

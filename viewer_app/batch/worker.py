@@ -11,7 +11,8 @@ import numpy as np
 from rich.console import Console
 
 from fusion.errors import DuplexError
-from recordings.quality.figures import Figures, truth_free_figures
+from recordings.quality.figures import Figures
+from recordings.quality.without_truth import truth_free_figures
 from recordings.session import Session
 from viewer_app.batch.jobs import RECORD, Job, Outcome, Record
 from viewer_app.commands.fuse import fuse_files

@@ -29,7 +29,7 @@ from viewer_app.options.sessions import InfoOptions
 from viewer_app.output_console import output_console
 from viewer_app.report.events import list_events
 from viewer_app.report.terminal import print_events
-from viewer_app.report.words import calibration_in_words, damage_in_words, in_percent, verdict_in_words
+from viewer_app.report.words import calibration_in_words, in_percent
 
 Rows = Iterator[tuple[str, object]]
 _FORMATS = {
@@ -231,7 +231,7 @@ def _of_session(session: Session, path: Path) -> Rows:
     yield "frames", f"{len(session)} in {seconds:.2f} s; {rate}"
     yield "without S*", int(rows.predicted.all(axis=1).sum())
     yield "settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items())
-    for k, line in enumerate(verdict_in_words(session.verdict.figures)):
+    for k, line in enumerate(session.verdict.sentences):
         yield "" if k else "verdict", line
     for k, line in enumerate(calibration_in_words(calibration_figures(session.calibration))):
         yield "" if k else "calibration", line
@@ -239,7 +239,7 @@ def _of_session(session: Session, path: Path) -> Rows:
         "depth": {side: session.depth(side) for side in layout.VIEWS},
         "colour": {side: session.color(side) for side in layout.VIEWS},
     }
-    damage = [damage_in_words(session)] if session.damage is not None else []
+    damage = [session.damage_in_words] if session.damage is not None else []
     for kind, of_sides in images.items():
         counts = {side: reader.count() for side, reader in of_sides.items()}
         if kind == "depth" or any(counts.values()):

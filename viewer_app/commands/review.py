@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from recordings.quality.figures import report, truth_free_figures
+from recordings.quality.figures import report
+from recordings.quality.without_truth import truth_free_figures
 from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReviewOptions

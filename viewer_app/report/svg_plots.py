@@ -250,14 +250,13 @@ def _ticks(axes: Any, in_degrees: bool) -> None:
 
 def _use_decades(axes: Any) -> None:
     """A logarithmic axis of whole decades, with plain numbers: 0.1, 0.2, 0.5, 1 …"""
-    from matplotlib.ticker import LogLocator, NullFormatter
+    from matplotlib.ticker import LogLocator
 
     axes.set_yscale("log")
     low, high = np.log10(axes.get_ylim())
     axes.set_ylim(10.0 ** np.floor(low), 10.0 ** np.ceil(high))
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high - low < 3.0 else (1.0,)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    steps = LogLocator(subs=(1.0, 2.0, 5.0) if high - low < 3.0 else (1.0,))
+    axes.yaxis.set(major_locator=steps, major_formatter="{x:g}", minor_formatter="")
 
 
 def _band(time: NDArray[Any], values: NDArray[Any], sigma: NDArray[Any]) -> tuple[NDArray[Any], ...]:

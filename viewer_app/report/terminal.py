@@ -16,7 +16,7 @@ from devices.events import Event
 from recordings.quality.figures import Figures
 from recordings.session import Session
 from viewer_app.report.events import ListedEvent, event_in_words, list_events, seconds_of, shortest_list
-from viewer_app.report.words import BONE_HEAD, Line, bone_rows, damage_in_words, detail_lines, lead_lines
+from viewer_app.report.words import BONE_HEAD, Line, bone_rows, detail_lines, lead_lines
 from viewer_app.viewer.display import has_display
 
 _LABEL_WIDTH = 13
@@ -100,7 +100,7 @@ def print_damage(console: Console, session: Session) -> None:
     """Prints the damage of a file, if any."""
     if session.damage is not None:
         console.print(
-            f"[bold yellow]{escape(str(session))} is not whole[/]: {escape(damage_in_words(session))}. "
+            f"[bold yellow]{escape(str(session))} is not whole[/]: {escape(session.damage_in_words)}. "
             f"{len(session)} frames could be read."
         )
 

@@ -12,7 +12,6 @@ from recordings.quality.doubtful_time import UNCERTAIN
 from recordings.quality.figures import Figures
 from recordings.quality.limits import USABLE, spoken
 from recordings.quality.verdict import doubt, in_words, verdict
-from recordings.session import Session
 from viewer_app.flags import in_flags
 
 _PAUSED = 0.9  # of the time: with less there are pauses
@@ -73,11 +72,10 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
 
 def detail_lines(figures: Figures) -> Iterator[Line]:
     """All other figures but those of each bone."""
-    if "fused_frames" in figures:
-        for k, text in enumerate(verdict_in_words(figures)[1:]):
-            yield Line("" if k else "Also", text)
     yield from _counts(figures)
     if "calibration" in figures:
+        for k, text in enumerate(verdict(figures).sentences[1:]):
+            yield Line("" if k else "Also", in_flags(text))
         for k, text in enumerate(calibration_in_words(figures["calibration"])):
             yield Line("" if k else "Calibration", text)
         error, ms = figures["bone_error_mm"], figures["fuse_ms"]
@@ -88,11 +86,6 @@ def detail_lines(figures: Figures) -> Iterator[Line]:
         yield Line("From images to S*", f"{_times(figures['latency_ms'], 0, 'ms')}.")
     if "without_truth" in figures:
         yield from _without_truth(figures["without_truth"])
-
-
-def verdict_in_words(figures: Figures) -> list[str]:
-    """All reasons for the verdict, worst first, each with its word and what to do."""
-    return [in_flags(in_words(*each)) for each in verdict(figures).shortcomings] or [in_words("good")]
 
 
 def calibration_in_words(figures: Figures) -> list[str]:
@@ -295,12 +288,6 @@ def in_mm(value: float | None, unit: str = " mm") -> str:
     if abs(value) < _MICROMETRE:
         return f"0{unit}"
     return f"{value:.0f}{unit}" if value >= 10.0 else f"{value:.2g}{unit}"
-
-
-def damage_in_words(session: Session) -> str:
-    """Why a session is not whole, and what is known to be lost; empty if it is whole."""
-    lost = f"; at least {session.frames_lost} frames are lost" if session.frames_lost else ""
-    return "" if session.damage is None else f"{session.damage}{lost}"
 
 
 def in_percent(share: float | None) -> str:

@@ -136,7 +136,7 @@ def test_a_wrong_manifest_gives_one_line_and_exit_code_2(text, words, tmp_path, 
         (("pairs", "--processes", "-1"), "--processes must be 0 or more; got -1."),
         (("pairs", "--method", "paper", "--smooth", "whole"), "--smooth needs --method duplex"),
         (("pairs", "--calibrate", "no.json"), "--calibrate no.json: neither auto"),
-        (("pairs", "--out", "pairs/a.csv"), "--out"),
+        (("pairs", "--out", "pairs/a.csv"), "a.csv is the name of a file; name a folder"),
         (("pairs", "--scheduler", "127.0.0.1:1"), "name an address such as tcp://"),
     ],
 )

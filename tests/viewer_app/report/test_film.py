@@ -14,7 +14,8 @@ from fusion.body import KINECT_V2
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from recordings.data.images import Images, SessionImages
-from recordings.quality.figures import report, truth_free_figures
+from recordings.quality.figures import report
+from recordings.quality.without_truth import truth_free_figures
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.screens import browser

@@ -19,8 +19,9 @@ from recordings.appearance.colors import PREDICTED_COLOR
 from recordings.appearance.floor import floor_under
 from recordings.fusing.files import without_folders
 from recordings.gait import Gait, Measured, Step, Turn
-from recordings.quality.figures import report, truth_free_figures
+from recordings.quality.figures import report
 from recordings.quality.limits import POSSIBLE
+from recordings.quality.without_truth import truth_free_figures
 from tests.helpers.command_line import duplex
 from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs

@@ -23,9 +23,10 @@ from fusion.calibration.calibration import FEWEST_PAIRS
 from fusion.registration.rigid_fit import Registration
 from fusion.skeleton import NO_FRAME
 from recordings.quality.doubtful_time import doubtful_seconds, seen_people
-from recordings.quality.figures import _angle, method_figures, report, truth_free_figures, with_verdict
+from recordings.quality.figures import _angle, method_figures, report, with_verdict
 from recordings.quality.limits import beside
 from recordings.quality.verdict import verdict
+from recordings.quality.without_truth import truth_free_figures
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of, standing
 from viewer_app.batch.worker import _session_figures

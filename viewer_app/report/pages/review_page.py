@@ -36,7 +36,7 @@ from viewer_app.report.pages.film import film
 from viewer_app.report.pages.good_part import good_seconds
 from viewer_app.report.svg_plots import bar_plot, line_plot, skeleton_color, trust_map
 from viewer_app.report.walking import GAIT_HEAD, movement_of
-from viewer_app.report.words import BONE_HEAD, bone_rows, damage_in_words, detail_lines, lead_lines
+from viewer_app.report.words import BONE_HEAD, bone_rows, detail_lines, lead_lines
 
 _MOST_EVENTS = 12
 """Printed on paper; the screen lists all."""
@@ -51,7 +51,7 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
     opening = opening_event(events, session.first_calibrated_frame or 0)
     return page_template("review_page.html").render(
         name=session.name,
-        damage=damage_in_words(session),
+        damage=session.damage_in_words,
         recorded=recorded(session),
         seconds=stretches(session),
         good=good_seconds(session),
