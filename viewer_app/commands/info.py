@@ -33,7 +33,7 @@ from viewer_app.report.words import calibration_in_words, in_percent
 
 Rows = Iterator[tuple[str, object]]
 _FORMATS = {
-    ".csv": "skeletons, one row per joint and frame",
+    ".csv": "skeletons, as text",
     ".json": "skeletons of Microsoft's offline_processor",
     ".skeleton": "skeletons of NTU RGB+D",
     ".mkv": "images of an Azure Kinect",

@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 from devices.sensor import DeviceError
+from devices.skeletons.csv_files.wide import AXES, Wide, find_wide
 from devices.skeletons.name_tables import plain
 from devices.skeletons.times import FRAME_NUMBERS, TIME_COLUMNS
 
 COLUMNS = ("body", "joint", "x", "y", "z")
+_EITHER = f"{','.join(COLUMNS)} (or HEAD_x,HEAD_y,HEAD_z and so on)"
 _LONGEST_HEADER = 65_536  # bytes
 _SEPARATORS = (",", ";", "\t")
-_SPACE = r"(?:joint|position|pos|camera|world|p)*"
-_LENGTH = r"(?:m|cm|mm|metres?|meters?)?"
 _SPELLED = {
-    "body": r"(?:body|person|user|player|subject)(?:id|index|number|nr)?|trackingid|id",
+    "body": r"(?:body|person|user|player|subject)(?:id|idx|index|number|nr)?|trackingid|id",
     "joint": r"(?:joint|bodypart|part|landmark|keypoint|bone)(?:type|name|id|index|number)?",
-    **{axis: rf"{_SPACE}{axis}{_LENGTH}" for axis in "xyz"},
+    **AXES,
 }
 _CLOCK = (
     r"(?:device|capture|sensor|system|host|relative|frame|file|unix|elapsed|body)*"
@@ -44,10 +44,25 @@ class Columns(NamedTuple):
     time: str  # of the times, of devices.skeletons.times
     time_in_file: str
     begin: int  # lines before the first row
+    wide: Wide | None = None  # if a row has all joints
+    others: tuple[str, ...] = ()  # in the file of a wide table, and used for nothing
+
+    @property
+    def joints_per_line(self) -> int:
+        """How many rows of one joint a line of the file has."""
+        return len(self.wide.joints) if self.wide else 1
+
+    def called(self, column: str, row: int) -> str:
+        """What the file calls a column of one joint's row."""
+        numbers = self.wide.numbers.get(column) if self.wide else None
+        return self.wide.names[numbers[row % len(numbers)]] if self.wide and numbers else column
 
 
-def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
+def columns_of(path: Path, raw: bytes, required: Collection[str], table: str = "") -> Columns:
     """The columns of a file that begins with these bytes.
+
+    Args:
+        table: Of the names of its joints, for a file whose rows have all joints; see :func:`find_wide`.
 
     Raises:
         DeviceError: One is missing, or is there twice.
@@ -57,6 +72,7 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
     header = lines[at].lstrip("# ")
     separator = max(_SEPARATORS, key=header.count)
     columns = [name.strip() for name in next(csv.reader([header], delimiter=separator), [])]
+    names = list(columns)
     if not set(required) <= set(columns) or not TIME_COLUMNS.keys() & set(columns):
         columns = [name.lower() for name in columns]  # X beside x is a column of its own
     for wanted in required:
@@ -69,9 +85,11 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
     missing = [name for name in required if name not in columns and name != "body"]
     if not time:
         missing.insert(0, next(iter(TIME_COLUMNS)))
-    if missing:
+    wide = find_wide(names, table) if set(missing) & set(required) else None
+    if missing and not (wide and time):
+        missing = [name for name in missing if not wide or name not in required]
         raise DeviceError(
-            f"{path}: no column {', '.join(missing)}. Columns must be time_us,{','.join(COLUMNS)} and "
+            f"{path}: no column {', '.join(missing)}. Columns must be time_us,{_EITHER} and "
             f"optionally state; the file begins with {header[:80]!r}."
             + (" This looks like JSON: name it .json." if header.lstrip().startswith(("{", "[")) else "")
         )
@@ -80,7 +98,10 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
     row = next(csv.reader(lines[at + 1 : at + 2], delimiter=separator), [])
     if len(row) == len(columns) + 1 and not row[-1].strip():
         columns.append("")  # a separator ends every row
-    return Columns(columns, separator, time, in_file[columns.index(time)], at + 1)
+    used = {number for of in wide.numbers.values() for number in of} if wide else set(range(len(names)))
+    used |= {columns.index(name) for name in (time, "body", "") if name in columns}
+    others = tuple(name for k, name in enumerate(names) if k not in used)
+    return Columns(columns, separator, time, in_file[columns.index(time)], at + 1, wide, others)
 
 
 def header_of(lines: list[str]) -> int:

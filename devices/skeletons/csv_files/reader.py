@@ -1,6 +1,7 @@
 """Reads skeletons from CSV, one row per joint: ``time_us,body,joint,x,y,z[,state]``; metres, sensor frame.
 
-The files of other programs may have other units, axes, names and spellings of the columns.
+The files of other programs may have other units, axes, names and spellings of the columns, or a row for all
+joints; see :mod:`.wide`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
-from devices.skeletons.csv_files.columns import COLUMNS
+from devices.skeletons.csv_files.columns import COLUMNS, Columns
 from devices.skeletons.csv_files.states import StateColumn
 from devices.skeletons.csv_files.text import codes, line_of_row, refuse_cut_off, text_rows
 from devices.skeletons.name_tables import listed
@@ -48,13 +49,13 @@ def read_csv(
         DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, a
             repeated joint; the message names the line. Or times of an unknown unit.
     """
-    rows = _rows(path, block, progress)
+    rows = _rows(path, block, progress, stated.names)
     points, labels, about_points = _points(path, stated, rows.labels)
     time_ns, about_times = capture_times(
-        path, rows.clock, rows.time, called=rows.called, telling=_times_of_new_frames(rows)
+        path, rows.clock, rows.time, called=rows.columns.time_in_file, telling=_times_of_new_frames(rows)
     )
     label = np.array([points.find(name) for name in labels], dtype=np.int64)[rows.label]
-    backward = _backward(path, time_ns, rows.person * len(points) + label)
+    backward = _backward(rows, time_ns, rows.person * len(points) + label)
     times, frame = np.unique(time_ns, return_inverse=True)
     key, skeleton = np.unique(frame * len(rows.people) + rows.person, return_inverse=True)
     slot = skeleton * len(points) + label
@@ -75,7 +76,7 @@ def read_csv(
 
     def where(k: int, point: int) -> str:
         row = int(order[np.searchsorted(by, k * len(points) + point)])
-        return f"in line {line_of_row(path, row)}"
+        return f"in line {rows.line(row)}"
 
     view = joined_views(blocks())
     return FoundPoints(
@@ -88,8 +89,9 @@ def read_csv(
 class _Rows:
     """All rows of a file."""
 
+    path: Path
+    columns: Columns
     clock: str  # the column of the times' unit
-    called: str  # what the file calls it
     time: NDArray[Any]
     has_body: bool
     people: list[str]
@@ -100,8 +102,12 @@ class _Rows:
     states: list[StateColumn]
     other_columns: tuple[str, ...]
 
+    def line(self, row: int) -> int:
+        """The number of a row's line in the file, from 1."""
+        return line_of_row(self.path, row // self.columns.joints_per_line)
 
-def _rows(path: Path, block: int, progress: Progress) -> _Rows:
+
+def _rows(path: Path, block: int, progress: Progress, table_of_names: str) -> _Rows:
     people, labels = dict[str, int](), dict[str, int]()
     person, label, xyz = GrowingArray(), GrowingArray(), GrowingArray()
     times: list[NDArray[Any]] = []
@@ -111,7 +117,7 @@ def _rows(path: Path, block: int, progress: Progress) -> _Rows:
     before: pa.Table | None = None
     table: pa.Table | None = None
     text, clock = None, ""
-    for text in progress(text_rows(path, block), f"reading {path.name}", count):
+    for text in progress(text_rows(path, block, names=table_of_names), f"reading {path.name}", count):
         before, table = table, text.table
         clock, time = text.times()
         times.append(time)
@@ -131,8 +137,8 @@ def _rows(path: Path, block: int, progress: Progress) -> _Rows:
     pa.default_memory_pool().release_unused()
     persons, joints, places = GrowingArray.wholes((person, label, xyz))
     return _Rows(
-        clock, text.columns.time_in_file, np.concatenate(times), "body" in text.table.column_names,
-        list(people), persons, list(labels), joints, places, states, tuple(names),
+        path, text.columns, clock, np.concatenate(times), "body" in text.table.column_names,
+        list(people), persons, list(labels), joints, places, states, (*names, *text.columns.others),
     )  # fmt: skip
 
 
@@ -155,7 +161,7 @@ def _points(path: Path, stated: StatedFormat, labels: list[str]) -> tuple[FilePo
     return points, labels, told
 
 
-def _backward(path: Path, time_ns: NDArray[np.int64], joint: NDArray[np.int64]) -> list[str]:
+def _backward(rows: _Rows, time_ns: NDArray[np.int64], joint: NDArray[np.int64]) -> list[str]:
     """A warning if the time of a joint goes back from one row to its next."""
     if (np.diff(time_ns) >= 0).all():
         return []
@@ -163,8 +169,8 @@ def _backward(path: Path, time_ns: NDArray[np.int64], joint: NDArray[np.int64]) 
     back = order[1:][(np.diff(time_ns[order]) < 0) & (np.diff(joint[order]) == 0)]
     if not len(back):
         return []
-    line = line_of_row(path, int(back.min()))
-    return [f"{path}: the time goes back in line {line}; the frames were sorted by time."]
+    line = rows.line(int(back.min()))
+    return [f"{rows.path}: the time goes back in line {line}; the frames were sorted by time."]
 
 
 def _states(path: Path, rows: _Rows) -> tuple[NDArray[np.uint8], list[str], tuple[str, ...]]:
@@ -176,7 +182,7 @@ def _states(path: Path, rows: _Rows) -> tuple[NDArray[np.uint8], list[str], tupl
         if column.name == "state":
             row, value = column.refused()
             raise DeviceError(
-                f"{path}, line {line_of_row(path, row)}: state {value[:40]!r} is none of tracked, inferred, "
+                f"{path}, line {rows.line(row)}: state {value[:40]!r} is none of tracked, inferred, "
                 "not_tracked, 3, 2, 1, 0."
             )
     told = [
@@ -216,12 +222,12 @@ def _once(
             there = "one time" if frames == 1 else f"{frames} different times"
             raise DeviceError(
                 f"{path}: the times lost their digits: {len(slot)} rows have {there}, such as "
-                f"{rows.time[row]:.6g} in line {line_of_row(path, row)}. Write them with all digits."
+                f"{rows.time[row]:.6g} in line {rows.line(row)}. Write them with all digits."
             )
     joint = points.named(int(slot[row]) % len(points))
     raise DeviceError(
         f"{path}: joint {joint} of one person has two rows in one frame, the second in line "
-        f"{line_of_row(path, row)}."
+        f"{rows.line(row)}."
         + (
             " There is no column body: name the one that distinguishes people so."
             if not rows.has_body

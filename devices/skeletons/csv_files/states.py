@@ -11,7 +11,7 @@ from fusion.skeleton import TrackingState
 
 _LIKE_A_STATE = re.compile(
     r"(joints?|tracker|tracking|skeleton|body|k4abt)*"
-    r"(state|status|(confidence|conf)(level)?|(is)?(tracked|visible|valid|seen)|visibility|score|quality)"
+    r"(state|status|(confidence|conf)(level)?|(is)?(tracked|visible|valid|seen|inferred)|visibility|score|quality)"
 )
 _PREFIX = re.compile(r"^(k4abt)?(joint)?(trackingstate|tracking|confidencelevel|confidence|state)(?=.)")
 _WORDS = {
@@ -20,6 +20,8 @@ _WORDS = {
     **dict.fromkeys(("tracked", "tracking", "medium", "high", "true", "yes", "visible", "seen", "valid"), 2),
     **dict.fromkeys(("", "nan", "null"), 2),  # whether there is a position decides
 }
+_OF_INFERRED = {"0": 2, "0.0": 2, "false": 2, "1": 1, "1.0": 1, "true": 1, "": 2, "nan": 2}
+"""States by the values of a column that says whether a joint is inferred; others are not known."""
 _MOST = 64
 """Distinct values; states are fewer."""
 
@@ -35,6 +37,7 @@ class StateColumn:
         self.name = name
         self.values: list[str] = []
         self._codes: list[NDArray[np.uint8]] = []
+        self._is_flag = plain(name).endswith("inferred")
 
     @staticmethod
     def is_like(name: str) -> bool:
@@ -54,21 +57,26 @@ class StateColumn:
     def states(self) -> NDArray[np.uint8] | None:
         """(N,) states of all rows; None if a value is none.
 
-        1 counts as tracked in a column that knows no more, unless it is called ``state``.
+        1 counts as tracked in a column that knows no more, unless it is called ``state``, and as inferred in
+        one called ``inferred``.
         """
-        found = [state_of(value) for value in self.values]
+        found = [self._state_of(value) for value in self.values]
         if None in found or len(self.values) == _MOST:
             return None
         table = np.array(found, dtype=np.uint8)
-        if table.max(initial=0) == TrackingState.INFERRED and "state" not in self.name.lower():
+        knows_more = self._is_flag or "state" in self.name.lower()
+        if table.max(initial=0) == TrackingState.INFERRED and not knows_more:
             table[table == TrackingState.INFERRED] = TrackingState.TRACKED
         return table[np.concatenate(self._codes)]
 
     def refused(self) -> tuple[int, str]:
         """The first row whose value is no state, and that value."""
-        bad = [k for k, value in enumerate(self.values) if state_of(value) is None]
+        bad = [k for k, value in enumerate(self.values) if self._state_of(value) is None]
         row = int(np.flatnonzero(np.isin(np.concatenate(self._codes), [*bad, _MOST]))[0])
         return row, self.values[bad[0]] if bad else "another value"
+
+    def _state_of(self, value: str) -> int | None:
+        return _OF_INFERRED.get(value.lower()) if self._is_flag else state_of(value)
 
 
 def state_of(value: str) -> int | None:

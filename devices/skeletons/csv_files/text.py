@@ -77,7 +77,7 @@ class TextRows:
 
     def line(self, row: int) -> int:
         """The number of a row's line in the file, from 1."""
-        return line_of_row(self.path, self.first + row)
+        return line_of_row(self.path, (self.first + row) // self.columns.joints_per_line)
 
     def numbers(self, column: str, kind: pa.DataType) -> NDArray[Any]:
         """A column as numbers; an empty coordinate is NaN."""
@@ -120,13 +120,19 @@ class TextRows:
         return time, values
 
     def _not(self, wanted: str, column: str, row: int, value: str) -> DeviceError:
+        called = self.columns.called(column, row)
         return DeviceError(
-            f"{self.path}, line {self.line(row)}: {column} must be {wanted}; got {value[:40]!r}."
+            f"{self.path}, line {self.line(row)}: {called} must be {wanted}; got {value[:40]!r}."
         )
 
 
-def text_rows(path: Path, size: int, required: Collection[str] = COLUMNS) -> Iterator[TextRows]:
-    """The rows of a file in blocks of this many bytes, at least one.
+def text_rows(
+    path: Path, size: int, required: Collection[str] = COLUMNS, names: str = ""
+) -> Iterator[TextRows]:
+    """The rows of a file in blocks of this many bytes, at least one; a row for each joint.
+
+    Args:
+        names: Table of the names of its joints.
 
     Raises:
         DeviceError: There is no row, no time, or one of the required columns is missing; or numbers have
@@ -137,11 +143,14 @@ def text_rows(path: Path, size: int, required: Collection[str] = COLUMNS) -> Ite
     for raw in text_blocks(path, size):
         skipped = 0
         if columns is None:
-            columns = columns_of(path, raw, required)
+            columns = columns_of(path, raw, required, names)
             skipped, decimals.comma = columns.begin, columns.separator != ","
         elif not raw.strip():
             continue
         table = _table(path, raw, columns.names, columns.separator, skipped)
+        if columns.wide:
+            shared = [name for name in (columns.time, "body") if name in columns.names]
+            table = columns.wide.long(table, shared)
         if table.num_rows:
             yield TextRows(table, raw, path, first, columns, decimals)
         first += table.num_rows
@@ -174,8 +183,7 @@ def _table(path: Path, raw: bytes, columns: list[str], separator: str, skipped: 
         raise DeviceError(f"{path} cannot be read as CSV: {str(error).splitlines()[0]}.") from None
     if wrong:
         last = len(wrong) == 1 and raw.rstrip(b"\r\n").endswith(wrong[-1].encode())
-        cells = wrong[0].count(",") + 1
-        commas = separator == "," and cells in (len(columns) + 3, len(columns) + 4)
+        commas = separator == "," and wrong[0].count(",") >= len(columns) + 2
         raise DeviceError(
             f"{path}{_line_of(path, wrong[0])}: {wrong[0][:60]!r} does not have {len(columns)} columns"
             + (

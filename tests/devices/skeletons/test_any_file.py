@@ -63,6 +63,7 @@ STATES = {
     "TrackingState": ("NotTracked", "Inferred", "Tracked"),
     "confidence": ("0", "1", "2"),
     "Confidence": ("None", "Low", "Medium"),
+    "is_inferred": ("0", "1", "0"),  # whether there is a position decides on the rest
     "joint_score": ("0.1", "0.45", "0.97"),
 }
 
