@@ -39,6 +39,8 @@ _PARTS = 8  # of the recording
 _LASTING_SD_NS = 8_000_000.0
 """Part of the deviation that the jackknife does not see: errors that follow the motion as long as it is."""
 _APART = 9  # grid steps between two peaks
+_COMMON_NS = 5_000_000_000  # at an offset beyond that: squats take 3 s, and their repetitions look alike
+_MOST_SD = 0.75  # of the usual interval, at such an offset: where the parts of a recording contradict
 _COMPARED = 192  # frames
 _FEWEST, _FEWEST_JOINTS = 24, 5
 _FFT = 1024  # a multiple of it has no large prime factors, with which a transform takes longer
@@ -88,7 +90,14 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
         elif mismatch[0] < _AMBIGUOUS * mismatch[1] or means[best] > _LESS * means[other]:
             return None
     found = refined_offset(a, shifted, offsets[best], base)
-    return None if found is None or abs(found.offset_ns - base) < least_ns else found
+    if found is None or abs(found.offset_ns - base) < least_ns:
+        return None
+    interval = float(np.median(np.diff(a.time_ns)))
+    common = np.isfinite(costs[best]).mean() * len(a.time_ns) * interval
+    elsewhere = abs(offsets[best]) >= _APART * _GRID_NS  # it may be a repetition of what one view lacks
+    if elsewhere and (common < _COMMON_NS or found.sd_ns > _MOST_SD * interval):
+        return None
+    return found
 
 
 def part_offsets(body: Body, a: View, b: View) -> list[int]:

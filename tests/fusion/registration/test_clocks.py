@@ -230,6 +230,23 @@ def test_two_people_with_different_movements_have_no_certain_offset():
     assert found is None or found.sd_ns > 4 * FRAME_NS
 
 
+@settings(max_examples=12)
+@given(
+    first=st.floats(0.0, 15.0), seconds=st.floats(1.5, 4.5), offset=st.floats(1.0, 8.0), swapped=st.booleans()
+)
+@example(first=14.0, seconds=4.0, offset=3.0, swapped=False)
+def test_a_piece_as_long_as_a_repetition_has_no_certain_clock(first, seconds, offset, swapped):
+    """The other view has seen all of it, a part, or nothing: squats look alike, and take as long as it."""
+    a, b = views_of("squat")
+    seen = a.chosen(np.flatnonzero(a.time_ns < a.time_ns[0] + 12_000_000_000))
+    from_first = (b.time_ns - b.time_ns[0]) * 1e-9
+    piece = b.chosen(np.flatnonzero((from_first >= first) & (from_first < first + seconds)))
+    views = [seen, piece._replace(time_ns=piece.time_ns - round(1e9 * offset))]
+    found = find_clock_offset(AZURE_KINECT, *(views[::-1] if swapped else views))
+    right = -offset if swapped else offset
+    assert found is None or found.offset_ns * 1e-9 == pytest.approx(right, abs=0.04)
+
+
 def test_one_stray_time_does_not_make_the_search_long():
     a, b = views_of("walk")
     time_ns = a.time_ns + 1_700_000_000_000_000_000
