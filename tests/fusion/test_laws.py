@@ -227,6 +227,47 @@ def test_a_hand_leaves_the_other_one_at_once_where_neither_view_has_it(side, pla
     assert distance(found[:, None], there).min(axis=1).max() < 0.2
 
 
+def hands_together(times):
+    """(T, J, 3) a person who moves both hands, which touch, up and down by 0.2 m, once in 1.6 s."""
+    at = person()
+    truth = np.repeat(at[None], len(times), axis=0)
+    wave = 0.1 * np.cos(2.0 * np.pi * (times - times[0]) / (1.6 * SECOND))
+    for side in ("Left", "Right"):
+        shoulder, elbow, wrist = (BODY.joint(f"{name}{side}") for name in ("Shoulder", "Elbow", "Wrist"))
+        upper, lower = distance(at[elbow], at[shoulder]), distance(at[wrist], at[elbow])
+        middle = at[[shoulder, BODY.mirror[shoulder]]].mean(axis=0) + 0.3 * FRONT
+        reach = middle + np.stack([0 * wave, 0.15 + wave, 0 * wave], axis=1) - at[shoulder]
+        far = np.linalg.norm(reach, axis=1)[:, None]
+        along = (upper**2 - lower**2 + far**2) / (2.0 * far)
+        out = np.array((0.0, 1.0, 0.0)) - reach * (reach[:, 1:2] / far**2)
+        out *= np.sqrt(upper**2 - along**2) / np.linalg.norm(out, axis=1)[:, None]
+        truth[:, elbow] = at[shoulder] + reach * along / far + out
+        hand = joints_of(*(f"{name}{side}" for name in ("Wrist", "Hand", "HandTip", "Thumb")))
+        truth[:, hand] = (at[shoulder] + reach)[:, None] + at[hand] - at[wrist]
+    return truth
+
+
+@FEW
+@given(
+    side=st.sampled_from(("Left", "Right")),
+    view=st.sampled_from("ab"),
+    place=st.tuples(*[st.floats(-0.3, 0.3)] * 3),
+    seed=st.integers(0, 99),
+)
+def test_an_arm_of_impossible_lengths_does_not_make_the_other_view_wrong(side, view, place, seed):
+    """Both hands are in one place; then one view has all joints of an arm in another, 30 cm from there."""
+    times = times_of(2.2)
+    truth = hands_together(times)
+    arm = joints_of(*(f"{name}{side}" for name in ("Elbow", "Wrist", "Hand", "HandTip", "Thumb")))
+    wrist, wrong = BODY.joint(f"Wrist{side}"), truth.copy()
+    wrong[45:, arm] = person()[BODY.joint("SpineMid")] + place + 0.02 * np.arange(len(arm))[:, None]
+    assume(distance(wrong[45:, wrist], truth[45:, wrist]).min() > 0.3)
+    right, spoilt = (pairs_at(times, at, sd=0.004, seed=seed) for at in (truth, wrong))
+    pairs = [replace(one, **{view: getattr(two, view)}) for one, two in zip(right, spoilt, strict=True)]
+    found = np.array([frame.positions[wrist] for frame in fused(pairs)])
+    assert distance(found, truth[:, wrist])[45:].max() < 0.1
+
+
 # Per second, not per frame
 
 

@@ -122,10 +122,12 @@ def other_limb_evidence(model, views):  # type: ignore[no-untyped-def]
     """Adds the evidence that a view places a joint on the other limb: the mis-leading joint of sec. 3.
 
         l_vi = - min((|y_vi - y_wi|² - max(|y_vi - y_wm|², |y_vm - y_wm|²)) / (2 s²), other_limb_limit)
+               + max(error_wi - length_limit, 0)
 
-    where it is positive, with m the joint's counterpart on the other side and w the other view: view v has
+    where it is negative, with m the joint's counterpart on the other side and w the other view: view v has
     both joints where w has m, and w has i elsewhere. Hands that touch are together in both views, and are no
-    such evidence.
+    such evidence. Nor is an arm of w whose bones have impossible lengths: error_wi is the largest error of
+    those at i over the expected one (:func:`length_evidence`).
     """
     k = model.constants
     scale = 0.5 / (k.other_limb_sd * k.other_limb_sd)
@@ -139,9 +141,10 @@ def other_limb_evidence(model, views):  # type: ignore[no-untyped-def]
         for v in range(2):
             mine, others = views.positions[v], views.positions[1 - v]
             there = max(_square(mine[i], others[m]), _square(mine[m], others[m]))
-            evidence = scale * (_square(mine[i], others[i]) - there)
+            evidence = min(scale * (_square(mine[i], others[i]) - there), k.other_limb_limit)
+            evidence -= max(views.length_errors[1 - v, i] - k.length_limit, 0.0)
             if evidence > 0.0:
-                views.log_odds[v, i] -= min(evidence, k.other_limb_limit)
+                views.log_odds[v, i] -= evidence
 
 
 @inner_kernel

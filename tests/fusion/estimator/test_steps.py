@@ -390,18 +390,27 @@ def evidence_of(scene):
     return scene.views.log_odds
 
 
-@given(moved=arrays(float, (2, J, 3), elements=st.floats(-0.5, 0.5)))
-def test_evidence_of_the_other_limb_is_symmetric_and_never_for_a_joint(moved):
+@given(
+    moved=arrays(float, (2, J, 3), elements=st.floats(-0.5, 0.5)),
+    errors=arrays(float, (2, J), elements=st.floats(-1.0, 20.0)),
+)
+def test_evidence_of_the_other_limb_is_symmetric_and_never_for_a_joint(moved, errors):
+    """And the less, the worse the bones of the view that has the joint elsewhere."""
     seen = new_arrays(Views, J=J)
     seen.states[:], seen.positions[:] = 2, standing(BODY) + moved
     scene = Scene(new_model(BODY, BODY.nominal_lengths, A_FROM_B), None, seen, None, None)
+    most = evidence_of(scene).copy()
+    seen.length_errors[:] = errors
     told = evidence_of(scene).copy()
     assert (told <= 0.0).all()
-    assert (told >= -scene.model.constants.other_limb_limit).all()
+    assert (told >= most).all()
+    assert (most >= -scene.model.constants.other_limb_limit).all()
+    assert (told == most)[errors[::-1] <= scene.model.constants.length_limit].all()
     assert (told[:, ~scene.model.limb] == 0.0).all()
-    seen.positions[:] = seen.positions[::-1].copy()
+    seen.positions[:], seen.length_errors[:] = seen.positions[::-1].copy(), errors[::-1]
     np.testing.assert_allclose(evidence_of(scene), told[::-1], atol=1e-12)
     seen.positions[:] = seen.positions[:, BODY.mirror].copy()
+    seen.length_errors[:] = seen.length_errors[:, BODY.mirror].copy()
     np.testing.assert_allclose(evidence_of(scene), told[::-1, BODY.mirror], atol=1e-12)
 
 
