@@ -1,13 +1,14 @@
 """Whether S* is as certain as it says: ``python -m tests.benchmarks.certainty FOLDER…``.
 
 Each folder has the recordings ``a.csv`` and ``b.csv`` of two real sensors. They have no ground truth: S* is
-compared with S* of less data. Simulated sessions, with ground truth, follow; then labelled steps of a
-laboratory (gaitkit), and live sessions of two Azure Kinects on a simulated USB bus (``../shared/rig``), each
-if it is installed. The figures are written to ``results/certainty.json``.
+compared with S* of less data. Labelled steps of a laboratory (gaitkit) follow, and live sessions of two Azure
+Kinects on a simulated USB bus (``../shared/rig``), each if it is installed. The figures are written to
+``results/certainty.json``; those of simulated sessions are in :mod:`tests.benchmarks.coverage`.
 """
 
 import argparse
 import json
+import re
 import sys
 import tempfile
 from collections import defaultdict
@@ -22,11 +23,11 @@ from devices.events import spells_of
 from devices.pairing import clock_by_motion, pair_views
 from devices.recorded.two_recordings import RecordingChoice, TwoRecordings, read_two
 from fusion.body import AZURE_KINECT
+from fusion.joint_kinds import kind_of
 from fusion.setup import FuserSettings
 from recordings.fusing.files import fuse_read
 from recordings.gait.events import find_gait
 from recordings.session import Session
-from recordings.testing import simulated_session
 from tests.benchmarks import results
 from tests.helpers.footfalls import laboratory_walk
 from tests.helpers.rig import built_rig
@@ -40,8 +41,8 @@ _LIMBS = {
         "leg": ("Knee", "Ankle", "Foot"),
     }.items()
 }
-_JUDGED = ("Elbow", "Wrist", "Knee", "Ankle")
-_PAIRED = ("Shoulder", "Hip", *_JUDGED)
+_JUDGED = ("elbow", "wrist", "knee", "ankle")
+_PAIRED = [f"{joint}{side}" for joint in ("Shoulder", "Hip", *_JUDGED) for side in ("Left", "Right")]
 _WINDOWS, _WINDOW_NS, _BETWEEN_NS = 12, 500_000_000, 2_000_000_000  # in which a limb is deleted
 _AGREE = 0.06  # metres between the views of every joint of the limb
 _ELSEWHERE = 0.1  # metres
@@ -58,6 +59,11 @@ def fused(body, a, b):
     """S* of two views as ``duplex fuse`` makes it; their clocks are read as they are."""
     read = TwoRecordings(body, pair_views(body, a, b), (None, None), ())
     return Session.of(*fuse_read(read, ("a", "b"), FuserSettings(hindsight="labels"), force=True))
+
+
+def joints_of(body, names):
+    """Indices of those joints that the body has."""
+    return [joint for name in names if (joint := body.find(name)) is not None]
 
 
 def without(view, joints, windows):
@@ -81,8 +87,8 @@ def deleted_limbs(body, views, clean, random):
     on_a = clean.rows.clock_a
     joints, judged, windows = [], [], []
     for number, names in enumerate(_LIMBS.values()):
-        of_limb = [body.joint(name) for name in names if name in body.joints]
-        of_limb_judged = [body.joint(name) for name in names if name.startswith(_JUDGED)]
+        of_limb = joints_of(body, names)
+        of_limb_judged = [k for k in of_limb if kind_of(body.joints[k]) in _JUDGED]
         agree = near[:, of_limb_judged].all(axis=1) & (on_a > 0)
         for first in random.permutation(np.flatnonzero(agree)):
             within = (on_a >= on_a[first]) & (on_a <= on_a[first] + _WINDOW_NS)
@@ -114,9 +120,9 @@ def deleted_limbs(body, views, clean, random):
 def limb_figures(rows):
     """Rms distance over rms deviation added, share within 2.5 deviations, 95 % of the distance in metres."""
     apart, sigma, before = rows.T
-    added = np.sqrt(max(np.mean(sigma**2 - before**2), 1e-8))
+    added = float(np.mean(sigma**2 - before**2))  # negative where the whole view counts less, without a limb
     return {
-        "rms_over_added": float(np.sqrt(np.mean(apart**2)) / added),
+        "rms_over_added": float(np.sqrt(np.mean(apart**2) / added)) if added > 0.0 else np.nan,
         "within": float(np.mean(apart <= _WITHIN * sigma)),
         "apart_95": float(np.quantile(apart, 0.95)),
     }
@@ -155,10 +161,12 @@ def true_words(body, session):
         spells[spell.start.topic][spell.start.frame : end] = True
 
     def distance(view, joints):
-        return np.nanmean(np.linalg.norm(session.fused[:, joints] - view[:, joints], axis=2), axis=1)
+        apart = np.linalg.norm(session.fused[:, joints] - view[:, joints], axis=2)
+        known = np.isfinite(apart).sum(axis=1)
+        return np.nansum(apart, axis=1) / np.where(known, known, np.nan)
 
     told = {"exchanged": [], "follows": []}
-    paired = [k for k, name in enumerate(body.joints) if name.startswith(_PAIRED)]
+    paired = joints_of(body, _PAIRED)
     for name, view in views.items():
         reported, corrected = distance(view, paired), distance(view[:, body.mirror], paired)
         said = spells[f"exchanged_{name}"] & (np.abs(reported - corrected) > _DIFFERENT)
@@ -168,7 +176,7 @@ def true_words(body, session):
             spells[f"exchanged_{other}"][:, None, None], views[other][:, body.mirror], views[other]
         )
         for limb, names in _LIMBS.items():
-            joints = [body.joint(joint) for joint in names if joint in body.joints]
+            joints = joints_of(body, names)
             own, others = distance(view, joints), distance(right, joints)
             said = spells[f"lost_{name}_{limb.replace(' ', '_')}"] & (np.abs(own - others) > _DIFFERENT)
             told["follows"].append((others < own)[said])
@@ -199,7 +207,7 @@ def clock_pieces(body, views):
 
 def set_up_of(name):
     """The set-up and the person of a recording, without what the person does."""
-    return tuple(part for part in name.split("_") if part not in ("stationary", "steps", "walk"))
+    return re.sub(r"(stationary|steps|walk|squats\d*)", "", name)
 
 
 def rotations_apart(registrations):
@@ -215,93 +223,48 @@ def rotations_apart(registrations):
 
 
 def of_real(folders):
-    """All figures of real recordings."""
+    """All figures of real recordings, by body."""
+    by_body = defaultdict(list)
+    for folder in folders:
+        read = read_two(*(RecordingChoice(folder / f"{side}.csv") for side in "ab"))
+        by_body[read.body.name].append((folder.name, read))
+    return {name: of_recordings(recordings) for name, recordings in by_body.items()}
+
+
+def of_recordings(recordings):
+    """All figures of real recordings of one body: pairs of a name and what was read."""
     deleted, words, clocks = defaultdict(list), defaultdict(list), []
     registrations, rows = defaultdict(list), {}
-    for number, folder in enumerate(folders):
-        read = read_two(*(RecordingChoice(folder / f"{side}.csv") for side in "ab"))
+    for number, (name, read) in enumerate(recordings):
         body, views = read.body, read.pairing.pairs.skeletons.views
         clean = fused(body, *views)
         *_, (setup, _) = clean.setups()
-        registration = setup.calibration.registration
-        registrations[set_up_of(folder.name)].append(registration)
-        row = rows[folder.name] = thinned(body, views, clean)
+        registrations[set_up_of(name)].append(setup.calibration.registration)
+        row = rows[name] = thinned(body, views, clean)
         for kind, of_kind in deleted_limbs(body, views, clean, np.random.default_rng(number)).items():
             deleted[kind].append(of_kind)
             if len(of_kind):  # some views agree on no whole limb
-                row |= {f"{kind}_{name}": figure for name, figure in limb_figures(of_kind).items()}
+                row |= {f"{kind}_{figure}": value for figure, value in limb_figures(of_kind).items()}
         for kind, of_words in true_words(body, clean).items():
             words[kind].append(of_words)
-            row[kind] = float(of_words.mean()) if len(of_words) else np.nan
+            row[kind] = share(of_words)
         clocks += clock_pieces(body, views)
-        print(folder.name, *(f"{name} {figure:.3g}" for name, figure in row.items()), file=sys.stderr)
+        print(name, *(f"{figure} {value:.3g}" for figure, value in row.items()), file=sys.stderr)
     return {
         "pairs": rows,
         "deleted": {kind: limb_figures(np.concatenate(of)) for kind, of in deleted.items()},
         "thinned": {
             name: float(np.mean([row[name] for row in rows.values()])) for name in ("elsewhere", "unsaid")
         },
-        "words": {kind: float(np.concatenate(of).mean()) for kind, of in words.items()},
+        "words": {kind: share(np.concatenate(of)) for kind, of in words.items()},
         "clocks": {word: clocks.count(word) for word in ("right", "wrong", "none")},
         "one_set_up": rotations_apart(registrations),
     }
 
 
-def of_simulated(bodies, movements, seeds):
-    """Figures with ground truth, by body: σ, the registration, speed and strikes of walks."""
-    found = {}
-    for body in bodies:
-        errors, sigmas, speeds, strikes = [], [], [], []
-        for movement, seed in ((movement, seed) for movement in movements for seed in seeds):
-            session = simulated_session(movement, seed=seed, body=body, seconds=20.0)
-            error = np.linalg.norm(session.fused - session.truth, axis=2)
-            known = np.isfinite(error) & np.isfinite(session.sigma)
-            errors.append(error[known])
-            sigmas.append(session.sigma[known])
-            if movement == "walk":
-                of_walk = _of_walk(session)
-                speeds.append(of_walk[0])
-                strikes.append(of_walk[1])
-        error, sigma, strike = (np.concatenate(of) for of in (errors, sigmas, strikes))
-        found[body] = {
-            "within_2": float(np.mean(error <= 2.0 * sigma)),
-            "beyond_4": float(np.mean(error > 4.0 * sigma)),
-            "rms_sigma_over_error": float(np.sqrt(np.mean(sigma**2) / np.mean(error**2))),
-            "speed_over_true": float(np.mean([value for value, _ in speeds])),
-            "speed_within": float(np.mean([off <= _WITHIN for _, off in speeds])),
-            "strike_late": float(np.median(strike[:, 0])),
-            "toe_off_late": float(np.nanmedian(strike[:, 1])),
-        }
-    return found
-
-
-def _of_walk(session):
-    """Speed over the true one and its error in deviations; (n, 2) seconds that strikes, toe-offs are late."""
-    body, gait = session.body, session.gait
-    hips = session.truth[:, [body.joint("HipLeft"), body.joint("HipRight")]].mean(axis=1)
-    up = session.up
-    on_floor = hips - (hips @ up)[:, None] * up
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(on_floor, axis=0), axis=1))])
-    walked = sum(
-        float(np.diff(np.interp([walk[0].strike, walk[-1].strike], session.time, path))[0])
-        for walk in gait.walks
-    )
-    true_speed = walked / gait.walking_seconds
-    true = find_gait(body, session.time_ns, session.truth, up)
-    late = [
-        (
-            min((step.strike - other.strike for other in of_side), key=abs),
-            min(
-                (step.toe_off - other.toe_off for other in of_side if np.isfinite(other.toe_off)),
-                key=abs,
-                default=np.nan,
-            ),
-        )
-        for step in gait.steps
-        if (of_side := true.of_side(step.side))
-    ]
-    speed = gait.speed
-    return (speed.value / true_speed, abs(speed.value - true_speed) / speed.sigma), np.array(late)
+def share(of):
+    """The share that is true; NaN of none."""
+    return float(np.mean(of)) if len(of) else np.nan
 
 
 def of_laboratory():
@@ -345,18 +308,14 @@ def of_cable(rig):
 
 
 def main(arguments=None):
-    """Measures the recordings and the simulated sessions."""
+    """Measures the recordings."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", nargs="*", type=Path)
-    parser.add_argument("--bodies", nargs="+", default=["azure_kinect", "kinect_v2"])
-    parser.add_argument("--movements", nargs="+", default=["walk", "arms", "squat", "badminton"])
-    parser.add_argument("--seeds", nargs="+", type=int, default=[7900, 7901, 7902])
+    parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--shared", type=Path, default=Path("../shared"), help="the folder with the rig")
     options = parser.parse_args(arguments)
-    real = of_real(options.folders) if options.folders else None
+    figures = {"real": of_real(options.folders)}
     # the folders may lie anywhere: the written command names them without their path
     sys.argv[1:] = [Path(argument).name for argument in sys.argv[1:]]
-    figures = {"real": real, "simulated": of_simulated(options.bodies, options.movements, options.seeds)}
     for name, measure in (
         ("laboratory", of_laboratory),
         ("cable", lambda: of_cable(built_rig(options.shared))),

@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.benchmarks import results
 from tests.benchmarks.methods import OURS
-from tests.benchmarks.real import FAULTS, HELD_OUT
+from tests.benchmarks.real import FAULTS
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks.md"
 _SETS = {
@@ -19,6 +19,7 @@ _SETS = {
     "heavy_tails": "Azure, heavy-tailed errors",
     "depth": "Azure, with depth images",
 }
+_OTHERS = ("real", "certainty", "coverage", "conditions", "speed", "latency")
 _FEWEST = 8  # recordings, of which an interval is stated
 _DEGREES = float(np.degrees(1.0))
 _BASELINES = ("mean, start-up", "mean, refined", "tracked wins", "Kalman, start-up", "Kalman, refined")
@@ -28,7 +29,7 @@ def page():
     """The whole page."""
     template = Template(Path(__file__).with_name("page.md").read_text(encoding="utf-8"))
     names = {f"accuracy_{name}": f"accuracy_{name}" for name in _SETS}
-    names |= dict.fromkeys(("real", "certainty", "conditions", "speed", "latency"), "")
+    names |= dict.fromkeys(_OTHERS, "")
     real = results.read("real")["figures"]
     origins = [_origin(name) for name in names if (results.FOLDER / f"{name}.json").exists()]
     return template.substitute(
@@ -38,17 +39,14 @@ def page():
         conditions=_conditions(
             results.read("conditions")["figures"], results.read("real")["figures"]["pairs"]
         ),
-        certainty=_certainty(results.read("certainty")["figures"]),
+        certainty=_certainty(results.read("certainty")["figures"], results.read("coverage")["figures"]),
         speed=_speed(results.read("speed")),
         latency=_latency(results.read("latency")),
         origins="\n".join(origins),
         machine=_machine(results.read("accuracy_azure")["machine"]),
         measured_methods=measured("accuracy_azure"),
         measured_sets=measured(*(f"accuracy_{name}" for name in _SETS)),
-        **{
-            f"measured_{name}": measured(name)
-            for name in ("real", "certainty", "conditions", "speed", "latency")
-        },
+        **{f"measured_{name}": measured(name) for name in _OTHERS},
     )
 
 
@@ -72,7 +70,7 @@ def _origin(name):
 def _methods(figures):
     rows = []
     for name, row in figures["methods"].items():
-        if name.endswith("start-up"):  # the same with a poorer registration
+        if name.endswith("start-up") or name == "published":  # the same, worse
             continue
         rows.append(
             (
@@ -82,14 +80,13 @@ def _methods(figures):
                 f"{_mm(row['hidden_one'])}/{_mm(row['hidden_both'])}",
                 _mm(row["bone_error"]),
                 _mm(row["jitter"], 1),
-                _number(row["swapped"], 100, 2),
                 _number(row["lag"], 1, 2),
                 "–" if name == OURS else f"{_nearer(figures, name)}; {_number(row['nearer'], 100, 0)}",
             )
         )
     columns = (
         "method", "mean error", "95 %", "hidden in one/both views", "worst bone", "jitter, still",
-        "sides swapped, %", "lag, frames", "*duplex* closer by; %",
+        "lag, frames", "*duplex* closer by; %",
     )  # fmt: skip
     return _table(columns, rows)
 
@@ -136,25 +133,22 @@ def _interval(of):
 
 
 def _real(figures):
-    walks = {name: row for name, row in figures["pairs"].items() if "walk" in name}
-    others = {
-        name: {of: figure for of, figure in row.items() if "heading" not in of and "astray" not in of}
-        for name, row in figures["pairs"].items()
-        if "walk" not in name
-    }  # a few fast steps are no path
-    new = [row for name, row in walks.items() if name.endswith(HELD_OUT)]
+    walks, still, squats = ({}, {}, {})
+    for name, row in figures["pairs"].items():
+        kind = walks if "walk" in name else squats if "squats" in name else still
+        paths = ("heading", "astray", "against") if kind is squats else ("heading", "astray")
+        # a few fast steps are no path, and who squats has none
+        kind[name] = row if kind is walks else {
+            of: figure for of, figure in row.items() if not any(part in of for part in paths)
+        }  # fmt: skip
     rows = [
-        _real_row(f"{len(walks)} walks of {_people(walks)} people, mean", list(walks.values()), np.mean),
-        _real_row(f"{len(new)} of them, new", new, np.mean),
-        _real_row("worst in each column", list(walks.values()), np.max),
-        _real_row(
-            f"{len(others)} recordings of {_people(others)} people who stand or step, mean",
-            list(others.values()),
-            np.mean,
-        ),
+        _real_row(f"{len(walks)} walks of {_people(walks)} people, mean", walks, np.mean),
+        _real_row("worst in each column", walks, np.max),
+        _real_row(f"{_people(still)} people who stand or step, {len(still)}, mean", still, np.mean),
+        _real_row(f"{_people(squats)} people who squat, {len(squats)}, Azure, mean", squats, np.mean),
     ]
     columns = (
-        "recording", "roughness of S\\*, views = 1", "own jumps, %", "against the motion A/B/S\\*, %",
+        "recordings", "roughness of S\\*, views = 1", "own jumps, %", "against the motion A/B/S\\*, %",
         "heading, °/*astray*, %", "live", "flips per minute", "hands together, %",
     )  # fmt: skip
     return _table(columns, rows)
@@ -165,52 +159,75 @@ def _people(names):
     return len({number if (number := name.rpartition("_")[2]).isdigit() else "" for name in names})
 
 
-def _certainty(figures):
-    real, simulated = figures["real"], figures["simulated"]
-    one, both = real["deleted"]["one"], real["deleted"]["both"]
-    thinned, words, set_up = real["thinned"], real["words"], real["one_set_up"]
+def _certainty(figures, simulated):
+    bodies = ("kinect_v2", "azure_kinect")
 
-    def each(name, factor, digits):
-        return ", ".join(_number(row[name], factor, digits) for row in simulated.values())
+    def row(title, of_body, figures=figures["real"]):
+        return (title, *(of_body(figures[body]) if body in figures else "–" for body in bodies))
+
+    def deleted(title, kind):
+        return row(
+            title,
+            lambda of: (
+                f"{_number(of['deleted'][kind]['rms_over_added'], 1, 2)}; "
+                f"{_mm(of['deleted'][kind]['apart_95'])}"
+            ),
+        )
 
     rows = [
-        (
-            title,
-            f"{_number(row['rms_over_added'], 1, 2)}; {_mm(row['apart_95'])}",
-        )
-        for title, row in (
-            ("a limb deleted from one view: RMS distance over RMS added σ; 95 %, mm", one),
-            ("the same, from both views", both),
-        )
+        deleted("a limb deleted from one view: RMS distance over RMS added σ; 95 %, mm", "one"),
+        deleted("the same, from both views", "both"),
     ]
     rows += [
-        (
+        row(
             "a tenth of B's frames deleted: joints that move 100 mm; of these beyond 2.5 σ, %",
-            f"{_number(thinned['elsewhere'], 100, 2)}; {_number(thinned['unsaid'], 100, 2)}",
+            lambda of: "; ".join(_number(of["thinned"][each], 100, 2) for each in ("elsewhere", "unsaid")),
         ),
-        (
+        row(
             "events that are true of S\\*: left and right; limbs, %",
-            f"{_number(words['exchanged'], 100, 1)}; {_number(words['follows'], 100, 1)}",
+            lambda of: "; ".join(_number(of["words"][each], 100, 1) for each in ("exchanged", "follows")),
         ),
-        (
+        row(
             "R in recordings of one set-up: median difference, °; within 2.5 σ, %",
-            f"{_number(set_up['median'], _DEGREES, 1)}; {_number(set_up['within'], 100, 0)}",
+            lambda of: "; ".join(
+                (
+                    _number(of["one_set_up"]["median"], _DEGREES, 1),
+                    _number(of["one_set_up"]["within"], 100, 0),
+                )
+            ),
         ),
-        (
+        row(
             "clock offsets found from 20 s: right, wrong, none",
-            ", ".join(str(count) for count in real["clocks"].values()),
+            lambda of: ", ".join(str(count) for count in of["clocks"].values()),
         ),
-        (
-            "simulated, Azure, v2: errors within 2 σ, %; RMS σ over RMS error",
-            f"{each('within_2', 100, 1)}; {each('rms_sigma_over_error', 1, 2)}",
+    ]
+    fused = {body: of_body["labels"] for body, of_body in simulated.items()}
+    rows += [
+        row("simulated: errors within 2 σ, %; RMS σ over RMS error", lambda of: _covered(of, "all"), fused),
+        row("after a gap of 2.5 s", lambda of: _covered(of, "after a gap of both views"), fused),
+        row("left and right exchanged", lambda of: _covered(of, "left and right exchanged"), fused),
+        row(
+            "covariance: errors beyond 99.5 %, %; z² along its least axis",
+            lambda of: (
+                f"{_number(of['covariance']['beyond_12.8'], 100, 1)}; "
+                f"{_number(of['covariance']['least_axis'], 1, 1)}"
+            ),
+            fused,
         ),
-        (
-            "simulated walks: speed over true speed; within 2.5 σ, %",
-            f"{each('speed_over_true', 1, 3)}; {each('speed_within', 100, 0)}",
+        row(
+            "walks: speed over true speed; within 2.5 σ, %",
+            lambda of: (
+                f"{_number(of['walks']['speed_over_true'], 1, 3)}; "
+                f"{_number(of['walks']['speed_within'], 100, 0)}"
+            ),
+            fused,
         ),
-        (
-            "simulated walks: delay of strikes; of toe-offs, ms",
-            f"{each('strike_late', 1e3, 0)}; {each('toe_off_late', 1e3, 0)}",
+        row(
+            "walks: delay of strikes; of toe-offs, ms",
+            lambda of: f"{_mm(of['walks']['strike_late'])}; {_mm(of['walks']['toe_off_late'])}".replace(
+                "-", "−"
+            ),
+            fused,
         ),
     ]
     if "laboratory" in figures:
@@ -219,11 +236,18 @@ def _certainty(figures):
             for name, factor in (("labelled", 1), ("found", 1), ("invented", 1), ("late", 1e3))
         )
         title = "laboratory strikes, toe-offs: found; invented; delay, ms"
-        rows.append((title, f"{found} of {labelled}; {invented}; {late}"))
+        rows.append((title, "–", f"{found} of {labelled}; {invented}; {late}"))
     if "cable" in figures:
         paired = ", ".join(_number(share, 100, 1) for share in figures["cable"].values())
-        rows.append(("cable, B 20, 100 ms later: frames paired, %", paired))
-    return _table(("", "measured"), rows)
+        rows.append(("cable, B 20, 100 ms later: frames paired, %", "–", paired))
+    return _table(("", "Kinect v2", "Azure Kinect"), rows)
+
+
+def _covered(figures, group):
+    joints = figures["joints"][group]
+    if joints is None:
+        return "–"
+    return f"{_number(joints['within_2'], 100, 1)}; {_number(joints['rms_sigma_over_error'], 1, 2)}"
 
 
 def _over(function, rows, name):
@@ -246,20 +270,21 @@ def _conditions(figures, real):
     title = f"{len(figures['bad_setups'])} bad set-ups: S\\* if a view is 1, same joints; worst case"
     rows.append((title, _number(worst, 1, 2)))
     wrong = (
-        f"20 faulty frames in a view ({', '.join(FAULTS)}): share that reaches S\\*, real pairs; new walks"
+        f"20 faulty frames in a real view ({', '.join(FAULTS)}): share that reaches S\\*; if deleted instead"
     )
-    new = [row for name, row in real.items() if name.endswith(HELD_OUT)]
-    shares = (
-        ", ".join(_number(_over(np.mean, pairs, f"fault_{kind}"), 1, 2) for kind in FAULTS)
-        for pairs in (real.values(), new)
-    )
-    rows.append((wrong, "; ".join(shares)))
+    for body, title in (("kinect_v2", f"{wrong}; Kinect v2"), ("azure", "the same; Azure")):
+        pairs = [row for name, row in real.items() if name.startswith(body)]
+        shares = (
+            ", ".join(_number(_over(np.mean, pairs, f"{what}_{kind}"), 1, 2) for kind in FAULTS)
+            for what in ("fault", "floor")
+        )
+        rows.append((title, "; ".join(shares)))
     return _table(("condition", "error, clean = 1"), rows)
 
 
 def _real_row(name, rows, over):
     def figure(name, factor, digits):
-        return _number(_over(over, rows, name), factor, digits)
+        return _number(_over(over, rows.values(), name), factor, digits)
 
     return (
         name,
@@ -281,14 +306,6 @@ def _speed(document):
         for method, row in methods.items()
         if (body == "kinect_v2" and "alone" not in method) or (method, body) == ("duplex", "azure_kinect")
     ]
-    rows += [
-        (f"eq. (1), 20 joints, {title}", f"{row['median_us']:.0f} µs", f"{row['p99_us']:.0f} µs")
-        for title, row in (
-            ("our solver, bones exact", figures["solver"]["exact"]),
-            (f"the paper's, bones off by up to {figures['solver']['published']['bone_error_mm']:.0f} mm",
-             figures["solver"]["published"]),
-        )
-    ]  # fmt: skip
     commands = figures["commands"]
     batch = figures["update"]["kinect_v2"]["duplex"]["batch_per_s"]
     rows.append(("whole recording, Kinect v2", f"{batch:,.0f} pairs/s", ""))

@@ -19,10 +19,8 @@ from recordings.fusing.pairs import fuse_segments, setups_of
 from recordings.quality.without_truth import FusedPair, figures_without_truth, judge_registration
 from tests.benchmarks import results
 
-HELD_OUT = "walk_18"
-"""End of the names of the walks on which nothing was chosen."""
 _FAULT_FRAMES = 20
-_FAULT_SHIFT = np.array([0.25, 0.0, 0.0])  # metres
+_FAULT_SHIFT = np.array([0.25, 0.0, 0.0], dtype=np.float32)  # metres
 _TOLD = 0.08  # metres: a fault that moves a joint less is none
 _ARM = ("ElbowRight", "WristRight", "HandRight", "HandTipRight", "ThumbRight")
 
@@ -30,7 +28,8 @@ _ARM = ("ElbowRight", "WristRight", "HandRight", "HandTipRight", "ThumbRight")
 def measure(body, skeletons):
     """Computes all figures of one recording, by name, in SI.
 
-    ``live_…`` are those without later frames, ``fault_…`` the shares of faults in one view that reach S*.
+    ``live_…`` are those without later frames, ``fault_…`` the shares of faults in one view that reach S*, and
+    ``floor_…`` those where the faulty joints are deleted instead, which no detection of faults can better.
 
     Raises:
         FusionError: The recording is too short, or cannot be calibrated.
@@ -45,49 +44,65 @@ def measure(body, skeletons):
     row["roughness_ratio"] = figures.roughness_ratio
     row |= {f"held_out_{name}": float(value) for name, value in asdict(held_out).items()}
     row |= {f"live_{name}": float(getattr(live, name)) for name in ("heading_fused", "astray_fused")}
-    return row | {f"fault_{kind}": fault_share(body, skeletons, pair, kind) for kind in FAULTS}
+    for kind in FAULTS:
+        row[f"fault_{kind}"], row[f"floor_{kind}"] = fault_shares(body, skeletons, pair, kind)
+    return row
 
 
-def _snapped(body, _, joints):
+def _snapped(body, _, view):
     """The right arm in front of the trunk."""
-    trunk = joints[body.joint("SpineMid")]
-    moved = joints.copy()
+    joints = view.positions.copy()
+    trunk = joints[body.joint("SpineMid" if body.find("SpineMid") is not None else "SpineNavel")]
     for k, name in enumerate(_ARM):
-        moved[body.joint(name)] = trunk + (0.12, 0.02 * k, 0.0)
-    return moved
+        joints[body.joint(name)] = trunk + (0.12, 0.02 * k, 0.0)
+    return replace(view, positions=joints, states=view.states * np.isfinite(joints).all(axis=1))
+
+
+def _swapped(body, _, view):
+    return replace(view, positions=view.positions[body.mirror], states=view.states[body.mirror])
 
 
 FAULTS = {
     "snap": _snapped,
-    "swap": lambda body, _, joints: joints[body.mirror],
-    "freeze": lambda _, held, __: held,
-    "shift": lambda _, __, joints: joints + _FAULT_SHIFT,
+    "swap": _swapped,
+    "freeze": lambda _, before, view: replace(view, positions=before.positions, states=before.states),
+    "shift": lambda _, __, view: replace(view, positions=view.positions + _FAULT_SHIFT),
 }
-"""The joints (J, 3) of a fault, from those before it and those of the frame."""
+"""The view with a fault, from that before it and that of the frame."""
 
 
-def fault_share(body, skeletons, clean, kind):
-    """How far S* moves per metre by which 20 faulty frames of one view move a joint; NaN without them."""
-    moved = faulty = 0.0
-    for seed in range(2):
+def fault_shares(body, skeletons, clean, kind):
+    """How far S* moves per metre by which 20 faulty frames of one view move a joint; NaN without them.
+
+    Returns:
+        The share with the faulty joints, and without these joints.
+    """
+    moved, faulty = np.zeros(2), 0.0
+    early, late = len(skeletons) // 3, len(skeletons) - 2 * _FAULT_FRAMES
+    for seed in range(2 if early < late else 0):
         random = np.random.default_rng(seed)
         side = "ab"[seed % 2]
-        first = int(random.integers(len(skeletons) // 3, len(skeletons) - 2 * _FAULT_FRAMES))
+        first = int(random.integers(early, late))
         before = getattr(skeletons[first - 1], side)
         if before is None:
             continue
-        spoilt = list(skeletons)
+        fault = np.zeros(getattr(clean, side).shape[:2])
+        spoilt, deleted = list(skeletons), list(skeletons)
         for k in range(first, first + _FAULT_FRAMES):
-            view = getattr(spoilt[k], side)
+            view = getattr(skeletons[k], side)
             if view is not None:
-                joints = FAULTS[kind](body, before.positions, view.positions)
-                spoilt[k] = replace(spoilt[k], **{side: replace(view, positions=joints)})
-        with_fault = fuse_pair(body, spoilt)
-        fault = np.linalg.norm(getattr(with_fault, side) - getattr(clean, side), axis=2)
+                wrong = FAULTS[kind](body, before, view)
+                fault[k] = np.nan_to_num(np.linalg.norm(wrong.positions - view.positions, axis=1))
+                kept = replace(view, states=view.states * (fault[k] == 0.0))
+                spoilt[k], deleted[k] = (
+                    replace(skeletons[k], **{side: changed}) for changed in (wrong, kept)
+                )
         hit = fault > _TOLD
-        moved += float(np.nansum(np.linalg.norm(with_fault.fused - clean.fused, axis=2)[hit]))
-        faulty += float(np.nansum(fault[hit]))
-    return moved / faulty if faulty else np.nan
+        faulty += float(fault[hit].sum())
+        for n, pairs in enumerate((spoilt, deleted)):
+            apart = np.linalg.norm(fuse_pair(body, pairs).fused - clean.fused, axis=2)
+            moved[n] += float(np.nansum(apart[hit]))
+    return (moved / faulty if faulty else np.full(2, np.nan)).tolist()
 
 
 def fuse_pair(body, skeletons, hindsight="labels"):
