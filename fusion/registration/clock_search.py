@@ -40,7 +40,7 @@ _LASTING_SD_NS = 8_000_000.0
 """Part of the deviation that the jackknife does not see: errors that follow the motion as long as it is."""
 _APART = 9  # grid steps between two peaks
 _COMMON_NS = 5_000_000_000  # at an offset beyond that: squats take 3 s, and their repetitions look alike
-_MOST_SD = 0.75  # of the usual interval, at such an offset: where the parts of a recording contradict
+_MOST_SD = 0.75  # of the longer interval, or of a grid step: where the parts of a recording contradict
 _COMPARED = 192  # frames
 _FEWEST, _FEWEST_JOINTS = 24, 5
 _FFT = 1024  # a multiple of it has no large prime factors, with which a transform takes longer
@@ -92,10 +92,12 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     found = refined_offset(a, shifted, offsets[best], base)
     if found is None or abs(found.offset_ns - base) < least_ns:
         return None
-    interval = float(np.median(np.diff(a.time_ns)))
-    common = np.isfinite(costs[best]).mean() * len(a.time_ns) * interval
+    every_a, every_b = (float(np.median(np.diff(view.time_ns))) for view in (a, shifted))
     elsewhere = abs(offsets[best]) >= _APART * _GRID_NS  # it may be a repetition of what one view lacks
-    if elsewhere and (common < _COMMON_NS or found.sd_ns > _MOST_SD * interval):
+    if elsewhere and np.isfinite(costs[best]).mean() * len(a.time_ns) * every_a < _COMMON_NS:
+        return None
+    # equal first times, where the clocks are apart, are no evidence
+    if (elsewhere or apart) and found.sd_ns > _MOST_SD * max(every_a, every_b, _GRID_NS):
         return None
     return found
 

@@ -79,6 +79,7 @@ def test_a_delay_is_found_at_any_frame_rate(rate, delay, phase, lost, seed):
 @given(rate=st.sampled_from(RATES), offset=st.floats(0.5, 20.0), seed=st.integers(0, 99))
 @example(rate=5, offset=0.5, seed=0)
 @example(rate=13, offset=-0.7, seed=1)
+@example(rate=120, offset=5.0, seed=0)
 def test_an_offset_of_seconds_is_found_at_any_frame_rate(rate, offset, seed):
     seconds = 30.0 + np.arange(60 * rate) / rate
     seconds_b = seconds + 0.4 / rate
@@ -245,6 +246,17 @@ def test_a_piece_as_long_as_a_repetition_has_no_certain_clock(first, seconds, of
     found = find_clock_offset(AZURE_KINECT, *(views[::-1] if swapped else views))
     right = -offset if swapped else offset
     assert found is None or found.offset_ns * 1e-9 == pytest.approx(right, abs=0.04)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_equal_first_times_on_another_day_are_no_evidence(swapped):
+    """Steps of another moment look alike, too; but the parts of the recording contradict."""
+    a, b = (
+        view.chosen(np.flatnonzero(np.abs(1e-9 * (view.time_ns - view.time_ns[0]) - middle) < 1.5))
+        for view, middle in zip(views_of("walk"), (4.5, 9.0), strict=True)
+    )
+    views = [a, b._replace(time_ns=b.time_ns - 86_400_000_000_000)]
+    assert find_clock_offset(AZURE_KINECT, *(views[::-1] if swapped else views)) is None
 
 
 def test_one_stray_time_does_not_make_the_search_long():
