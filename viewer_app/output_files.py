@@ -113,14 +113,14 @@ def make_folder(folder: Path) -> None:
     Raises:
         UsageError: It cannot be made, or is a file, or would be mistaken for one.
     """
-    if folder.is_file() or (folder.suffix.lower() in (SESSION, *IMAGE_SUFFIXES) and not folder.exists()):
-        raise UsageError(f"{folder} is the name of a file; name a folder, for several files.")
-    missing = [each for each in (*reversed(folder.parents), folder) if not each.exists()]
+    like_a_file = folder.suffix.lower() in (SESSION, *IMAGE_SUFFIXES)
     try:
+        if folder.is_file() or (like_a_file and not folder.exists()):
+            raise UsageError(f"{folder} is the name of a file; name a folder, for several files.")
+        _made.extend(each for each in (*reversed(folder.parents), folder) if not each.exists())
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
         raise UsageError(f"The folder {folder} cannot be created: {fault.strerror or fault}.") from None
-    _made.extend(missing)
 
 
 def claim(path: Path) -> None:

@@ -80,6 +80,13 @@ def test_a_folder_for_recordings_is_no_file_and_has_no_name_of_one(tmp_path, cap
     assert list(tmp_path.iterdir()) == [file]
 
 
+def test_a_folder_that_the_system_refuses_is_told_in_one_line(tmp_path, capsys):
+    for path in (tmp_path / ("a" * 300), tmp_path / ("a" * 300) / "b.rrd", tmp_path / "new" / ("a" * 300)):
+        assert duplex("demo", "--no-viewer", "--record", path) == 2
+        assert one_line(capsys) == f"duplex: The folder {path} cannot be created: File name too long.\n"
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_run_that_records_nothing_leaves_no_folder(tmp_path, capsys, monkeypatch):
     def stopped(*_):
         raise KeyboardInterrupt
