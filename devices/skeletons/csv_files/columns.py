@@ -94,7 +94,8 @@ def columns_of(path: Path, raw: bytes, required: Collection[str], table: str = "
             + (" This looks like JSON: name it .json." if header.lstrip().startswith(("{", "[")) else "")
         )
     if len(set(columns)) < len(columns):
-        raise DeviceError(f"{path}: {header!r} repeats a column name.")
+        twice = next(name for name in columns if columns.count(name) > 1)
+        raise DeviceError(f"{path}: {header[:80]!r} repeats a column name: {twice!r}.")
     row = next(csv.reader(lines[at + 1 : at + 2], delimiter=separator), [])
     if len(row) == len(columns) + 1 and not row[-1].strip():
         columns.append("")  # a separator ends every row

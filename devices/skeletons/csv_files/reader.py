@@ -187,7 +187,7 @@ def _states(path: Path, rows: _Rows) -> tuple[NDArray[np.uint8], list[str], tupl
             )
     told = [
         f"{path}: column {column.name} is ignored, because its values, such as {column.refused()[1][:20]!r}, "
-        "are no states: tracked, inferred, not_tracked, or 3, 2, 1, 0. Every joint counts as tracked."
+        f"are no states: {column.known}. Every joint counts as tracked."
         for column in rows.states
     ]
     return np.full(len(rows.time), TrackingState.TRACKED, dtype=np.uint8), told, rows.other_columns

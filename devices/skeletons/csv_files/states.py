@@ -38,6 +38,7 @@ class StateColumn:
         self.values: list[str] = []
         self._codes: list[NDArray[np.uint8]] = []
         self._is_flag = plain(name).endswith("inferred")
+        self.known = "0, 1, false, true" if self._is_flag else "tracked, inferred, not_tracked, or 3, 2, 1, 0"
 
     @staticmethod
     def is_like(name: str) -> bool:

@@ -25,7 +25,7 @@ class Wide(NamedTuple):
 
     Attributes:
         names: Of all columns, as in the file.
-        joints: In the order of the file.
+        joints: In the order of their last columns.
         numbers: By the column that they become, x, y, z or a column of states: each joint's column.
     """
 
@@ -82,5 +82,6 @@ def find_wide(names: Sequence[str], table: str) -> Wide | None:
     columns |= {
         name: of for (_, name), of in found.items() if StateColumn.is_like(name) and set(joints) <= of.keys()
     }
+    joints.sort(key=lambda joint: max(of[joint] for of in columns.values()))
     numbers = {name: [of[joint] for joint in joints] for name, of in columns.items()}
     return Wide(names, [known[joint] for joint in joints], numbers)

@@ -207,6 +207,14 @@ def test_states_are_read_under_any_name(tmp_path, column, words):
     np.testing.assert_array_equal(opened(path).people.skeletons.states, expected)
 
 
+def test_a_column_of_inferred_joints_is_told_its_own_values(tmp_path):
+    path = tmp_path / "a.csv"
+    lines = [line.rpartition(",")[0] for line in write_view(path, KINECT_V2, TRUE).read_text().splitlines()]
+    path.write_text("\n".join([f"{lines[0]},inferred", *(f"{row},2" for row in lines[1:])]) + "\n")
+    (line,) = opened(path).warnings
+    assert "such as '2', are no states: 0, 1, false, true. Every joint" in line
+
+
 def test_a_column_whose_values_are_no_states_is_said_to_be_ignored(tmp_path):
     path = tmp_path / "a.csv"
     lines = [line.rpartition(",")[0] for line in write_view(path, KINECT_V2, TRUE).read_text().splitlines()]

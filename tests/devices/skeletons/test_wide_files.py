@@ -191,6 +191,21 @@ def test_a_wide_file_cut_off_anywhere_in_its_last_row_is_refused(tmp_path, confi
             read_csv(path)
 
 
+def test_a_cut_off_file_is_refused_in_any_order_of_its_columns(tmp_path):
+    lines = (
+        write_master(tmp_path / "a.csv", walk(), confidence=False).read_text(encoding="utf-8").splitlines()
+    )
+    rows = [line.split(";") for line in lines]
+    path = tmp_path / "b.csv"
+    ordered = [[*row[:2], *row[2::3], *row[3::3], *row[4::3][::-1]] for row in rows]
+    write(path, ordered, ";")
+    whole = path.read_text(encoding="utf-8")
+    for lost in (2, 3):
+        path.write_text(whole[:-lost], encoding="utf-8")
+        with pytest.raises(DeviceError, match="cut off"):
+            read_csv(path)
+
+
 def test_digits_are_missed_only_in_the_last_column(tmp_path):
     rows = write_master(tmp_path / "a.csv", walk()).read_text(encoding="utf-8").splitlines()
     path = tmp_path / "b.csv"
