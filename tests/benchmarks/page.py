@@ -180,7 +180,7 @@ def _certainty(figures, simulated):
     ]
     rows += [
         row(
-            "a tenth of B's frames deleted: joints that move 100 mm; of these beyond 2.5 σ, %",
+            "a tenth of B's frames deleted: joints that move 100 mm; also beyond 2.5 σ, %",
             lambda of: "; ".join(_number(of["thinned"][each], 100, 2) for each in ("elsewhere", "unsaid")),
         ),
         row(
