@@ -65,6 +65,6 @@ def installed_version(package: str) -> str:
 
 def extra_command(extra: str) -> str:
     """The command that adds an extra to the installed program, from any folder and without an activated
-    environment; pip asks no index for a package that is installed."""
+    environment; pip asks no index for a package that is installed. Windows' shell knows no single quotes."""
     python = f'"{sys.executable}"' if " " in sys.executable else sys.executable
-    return f"{python} -m pip install 'duplex-kinects[{extra}]'"
+    return f'{python} -m pip install "duplex-kinects[{extra}]"'

@@ -85,7 +85,7 @@ VENDORS = {
     ),
     "realsense": Vendor(
         "RealSense (D400, D500)",
-        "pip install '.[realsense]' (docs/installing.md)",
+        'pip install ".[realsense]" (docs/installing.md)',
         connected_realsenses,
         RealSenseSensor,
         realsense_sdk_check,
@@ -142,7 +142,7 @@ class NoLibraryError(DeviceError):
 
 def software() -> dict[str, tuple[str, str]]:
     """Of every vendor, by :attr:`ConnectedSensor.sdk`: its sensors, and how their software is installed."""
-    azure = "Azure Kinect", "Sensor SDK 1.4 and pip install '.[kinect]' (docs/installing.md)"
+    azure = "Azure Kinect", 'Sensor SDK 1.4 and pip install ".[kinect]" (docs/installing.md)'
     return {"k4a": azure, **{name: (vendor.sensors, vendor.install) for name, vendor in vendors().items()}}
 
 

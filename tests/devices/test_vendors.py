@@ -251,6 +251,7 @@ def test_what_one_vendors_library_raises_is_that_vendors_fault_alone(example, mo
 
 
 def test_the_command_for_an_extra_finds_the_program_without_an_index_or_an_activated_environment(tmp_path):
+    assert "'" not in extra_command("export")  # no quote in cmd.exe
     command = [*shlex.split(extra_command("export")), "--no-index", "--no-deps", "--dry-run"]
     bare = {name: value for name, value in os.environ.items() if name != "PATH"}
     told = subprocess.run(command, cwd=tmp_path, env=bare, capture_output=True, text=True)

@@ -63,7 +63,7 @@ def test_a_page_names_the_extra_that_its_lines_need(name):
     text = (ROOT / name).read_text(encoding="utf-8")
     lines = "\n".join(re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL))
     needed = {extra for extra, pattern in EXTRAS.items() if re.search(pattern, lines)}
-    assert {extra for extra in needed if not re.search(rf"\[[a-z,]*\b{extra}\b[a-z,]*\]'", text)} == set()
+    assert {extra for extra in needed if not re.search(rf'\[[a-z,]*\b{extra}\b[a-z,]*\]"', text)} == set()
 
 
 def test_options_are_accepted_by_the_commands_that_the_page_on_the_viewer_names():

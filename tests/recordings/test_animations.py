@@ -196,5 +196,5 @@ def test_the_recipe_moves_s_in_blender(session, monkeypatch):
 
 def test_without_the_library_one_line_names_the_extra(session, monkeypatch):
     monkeypatch.setitem(sys.modules, "pygltflib", None)
-    with pytest.raises(RecordingError, match=r"pip install 'duplex-kinects\[export\]'"):
+    with pytest.raises(RecordingError, match=r'pip install "duplex-kinects\[export\]"'):
         exported(session, "s.glb")

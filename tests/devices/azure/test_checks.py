@@ -44,7 +44,7 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(monkeypatc
     assert len(libraries) == 5
     assert all(check.missing and check.serves and check.install and not check.needed for check in libraries)
     assert all(check.advice for check in checks if not check.ok)
-    assert "pip install 'duplex-kinects[kinect]'" in named["pyk4a and the Sensor SDK"].advice
+    assert 'pip install "duplex-kinects[kinect]"' in named["pyk4a and the Sensor SDK"].advice
     assert named["two sensors"].detail == "none found: the library for them is not installed"
 
 

@@ -199,7 +199,7 @@ def test_cameras_that_do_not_start_or_a_missing_tracker_leave_the_sensor_closed(
 
 def test_without_pyk4a_the_message_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyk4a", None)
-    with pytest.raises(DeviceError, match=r"pyk4a.*pip install 'duplex-kinects\[kinect\]'"):
+    with pytest.raises(DeviceError, match=r'pyk4a.*pip install "duplex-kinects\[kinect\]"'):
         connected_kinects()
 
 

@@ -185,4 +185,4 @@ def test_the_doctor_knows_the_library(rs, monkeypatch):
     assert sdk_check().detail.startswith(rs.__version__)
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     assert not sdk_check().ok
-    assert "pip install 'duplex-kinects[realsense]'" in sdk_check().advice
+    assert 'pip install "duplex-kinects[realsense]"' in sdk_check().advice

@@ -145,7 +145,7 @@ def test_a_recording_without_a_complete_frame_is_refused(rs, tmp_path):
 def test_without_the_library_one_line_names_the_extra(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     (tmp_path / "a.db3").touch()
-    with pytest.raises(DeviceError, match=r"pip install 'duplex-kinects\[realsense\]'") as fault:
+    with pytest.raises(DeviceError, match=r'pip install "duplex-kinects\[realsense\]"') as fault:
         RealSenseRecording(tmp_path / "a.db3").__enter__()
     assert "\n" not in str(fault.value)
 

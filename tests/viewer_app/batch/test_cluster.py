@@ -115,4 +115,4 @@ def test_without_dask_one_line_names_the_extra(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     arguments = tmp_path / "pairs", "--out", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9"
     assert duplex("batch", *arguments) == 2
-    assert "pip install 'duplex-kinects[cluster]'" in one_line(capsys)
+    assert 'pip install "duplex-kinects[cluster]"' in one_line(capsys)

@@ -163,7 +163,7 @@ def test_a_failing_file_fails_the_command(tmp_path, monkeypatch, capsys):
 def test_a_missing_package_is_one_line(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     assert duplex("demo", "--no-viewer", "--save-mcap", "s.mcap") == 2
-    assert "pip install 'duplex-kinects[ros]'" in one_line(capsys)
+    assert 'pip install "duplex-kinects[ros]"' in one_line(capsys)
 
 
 @given(

@@ -151,7 +151,7 @@ def test_a_port_in_use_gives_one_line_and_opens_nothing(capsys):
 def test_a_missing_extra_is_named(option, package, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, package, None)
     assert duplex("demo", "--no-viewer", f"--{option}", "name") == 2
-    assert f"pip install 'duplex-kinects[{option}]'" in one_line(capsys)
+    assert f'pip install "duplex-kinects[{option}]"' in one_line(capsys)
 
 
 def test_replay_wants_pace_and_outputs_together(tmp_path, capsys):
