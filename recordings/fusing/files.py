@@ -118,7 +118,7 @@ def fuse_read(
     plan = plan_recording(read.body, skeletons, settings, calibration, refine, progress)
     names = without_folders(sources)
     if not force:
-        check_related(read, plan, *names)
+        check_related(read, plan, *names, calibrated=calibration is not None)
     segments = setups_of(plan, settings, read.cameras(depth))
     fused = fuse_segments(segments, read.pairing.pairs, plan.labels)
     times = skeletons.time_ns
@@ -156,8 +156,13 @@ def read_for(
     return read_two(*choices, tracker, progress, offset_ns=offset_ns, every_frame=duplex, follow=follow)
 
 
-def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> None:
+def check_related(
+    read: TwoRecordings, plan: RecordingPlan, a: str, b: str, *, calibrated: bool = False
+) -> None:
     """Refuses recordings that cannot be of one person at one time.
+
+    Args:
+        calibrated: Whether a calibration was given, which may be that of another place of the sensors.
 
     Raises:
         CalibrationError: The views differ by more than 200 mm in the median. On 15 real pairs they differ by
@@ -171,6 +176,11 @@ def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> N
                 f"{name} is the mirror image of a person: state its axes with `axes`, or change the sign of "
                 "x in it. `force` uses it as it is."
             )
+    if calibrated:
+        raise CalibrationError(
+            f"The calibration does not fit {a} and {b}: the views differ by {1e3 * plan.views_differ:.0f} mm."
+            " Leave it out if the sensors were moved; `force` fuses them all the same."
+        )
     raise CalibrationError(
         f"{a} and {b} cannot be of one person at the same time: the views differ by "
         f"{1e3 * plan.views_differ:.0f} mm after the best registration. Check that they belong together, and "

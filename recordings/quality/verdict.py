@@ -34,6 +34,7 @@ USABLE_ANGLES = (40.0, 140.0)
 OFFSETS = (17.0, 50.0)  # ms: half a frame, one and a half
 _UNPAIRED = (0.1, 0.3)
 _LONG_APART = 0.05  # of the time
+_OF_ONE_PERSON = 120.0  # mm, median: 40 real pairs have 91 at most, and views of different captures 171
 _OTHERS = 500.0  # mm for that time; 20 real pairs of one person are within 340 mm
 DOUBTFUL = (0.1, 0.5)  # of the time
 _HEAD_DOWN = 0.9
@@ -110,7 +111,7 @@ def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
     if why := not_trusted(calibration):
         yield Shortcoming("unknown", why, calibrate)
     clock = figures.get("clock")
-    if clock is not None:
+    if clock is not None and (apart is None or apart < _OF_ONE_PERSON):
         text = f"B captures {clock['offset_ms']:+.0f} ± {clock['sd_ms']:.0f} ms off its time stamps"
         certain = abs(clock["offset_ms"]) - 2.0 * clock["sd_ms"]
         yield Shortcoming(graded(certain, OFFSETS), text, "Check the clocks")
@@ -135,7 +136,8 @@ def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
         word: Word = "usable" if turn <= 2.0 * CERTAIN_TURN_DEG else "poor"
         certain = beside(turn, CERTAIN_TURN_DEG, digits=1)
         text = f"B's rotation is certain to {certain}° only; good is {CERTAIN_TURN_DEG:g}°"
-        yield Shortcoming(word, text, "Walk about while both sensors see you" if live else calibrate)
+        walk = "Walk about while both sensors see you" if live else "Record with the person walking about"
+        yield Shortcoming(word, text, walk)
     share = _unpaired_share(figures)
     if share >= _UNPAIRED[0]:
         text = f"{100.0 * share:.0f} % of the frames have no partner"
@@ -166,7 +168,9 @@ def _missing(figures: Figures, live: bool) -> Iterator[Shortcoming]:
     down = [side.upper() for side, share in figures["upside_down"].items() if (share or 0.0) > _HEAD_DOWN]
     if down:
         text = f"{' and '.join(down)} {'is' if len(down) == 1 else 'are'} upside down"
-        righted = "If it is a .csv file with the axes of the Kinect SDK, state `axes=kinect`"
+        # one file alone has no other axes than its partner, and S* needs no turning
+        both = "If they are .csv files with the axes of the Kinect SDK, state `axes=kinect`"
+        righted = both if len(down) == len(figures["upside_down"]) else ""
         yield Shortcoming("usable", text, "Turn the sensor round" if live else righted)
     lacking = [spoken(name) for name in figures["in_no_frame"]]
     if lacking and figures["views_agree_mm"]["median"] is not None:

@@ -161,6 +161,17 @@ def test_recordings_of_other_people_are_refused_and_can_be_forced(shared, tmp_pa
     assert figures_of(report)["verdict"]["word"] == "poor"
 
 
+def test_a_calibration_of_other_places_is_named(shared, tmp_path, capsys):
+    folder, calibration = shared / "real" / "kinect_v2_90deg_steps", tmp_path / "c.json"
+    views = folder / "a.csv", folder / "b.csv"
+    assert duplex("fuse", *views, "--no-viewer", "--save-calibration", calibration) == 0
+    capsys.readouterr()
+    assert duplex("fuse", *views[::-1], "--no-viewer", "--calibrate", calibration) == 2
+    line = one_line(capsys)
+    assert "The calibration does not fit b.csv and a.csv" in line
+    assert "--force" in line
+
+
 @pytest.mark.parametrize("name", REAL)
 def test_real_recordings_fuse_with_exact_bones_and_replay(name, shared, tmp_path):
     folder = shared / "real" / f"kinect_v2_90deg_{name}"

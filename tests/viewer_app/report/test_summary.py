@@ -133,11 +133,21 @@ def test_the_verdict_names_what_is_worst(figures, changed, words):
     assert judged(with_views(figures, 50.0 if words[0] == "p" else 30.0) | changed).text.startswith(words)
 
 
+@pytest.mark.parametrize("apart", [119.0, 121.0, 255.0])
+def test_no_clock_is_blamed_for_views_of_different_captures(figures, apart):
+    clock = {"clock": {"offset_ms": 239.0, "sd_ms": 18.0}}
+    text = str(verdict(with_views(figures, apart) | clock))
+    assert text.startswith("poor: the views differ" if apart > 120.0 else "poor: B captures +239 ± 18 ms")
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
         ({"angle_deg": 45.0}, "usable: the sensors look 45° apart; good is 60° to 120°. Record with"),
-        ({"rotation_sd_deg": 2.1}, "usable: B's rotation is certain to 2.1° only"),
+        (
+            {"rotation_sd_deg": 2.1},
+            "usable: B's rotation is certain to 2.1° only; good is 2°. Record with the person walking about",
+        ),
         ({"frames": FEWEST_PAIRS - 1}, "unknown: calibrated on 14 frames; at least 15 are needed"),
         ({"provisional": True}, "unknown: the calibration is provisional"),
     ],
@@ -318,10 +328,16 @@ def test_how_long_a_session_is_doubtful_is_counted_without_its_gaps(session):
 
 def test_views_that_are_upside_down_and_joints_that_none_has_are_named(session):
     rows = session.rows
-    turned = rows.positions_a * np.float32((-1.0, -1.0, 1.0))
-    figures = with_views(report(replace(session, rows=replace(rows, positions_a=turned))), 30.0)
-    assert str(verdict(figures)) == (
-        "usable: A is upside down. If it is a .csv file with the axes of the Kinect SDK, state `axes=kinect`."
+    turned_a, turned_b = (
+        view * np.float32((-1.0, -1.0, 1.0)) for view in (rows.positions_a, rows.positions_b)
+    )
+    turned = replace(rows, positions_a=turned_a)
+    figures = with_views(report(replace(session, rows=turned)), 30.0)
+    assert str(verdict(figures)) == "usable: A is upside down."
+    turned = replace(turned, positions_b=turned_b)
+    assert str(verdict(with_views(report(replace(session, rows=turned)), 30.0))) == (
+        "usable: A and B are upside down. If they are .csv files with the axes of the Kinect SDK, "
+        "state `axes=kinect`."
     )
     lacking = [KINECT_V2.joint(name) for name in ("SpineBase", "ShoulderLeft")]
     states_a, states_b = rows.states_a.copy(), rows.states_b.copy()
