@@ -122,7 +122,7 @@ def fuse_read(
     segments = setups_of(plan, settings, read.cameras(depth))
     fused = fuse_segments(segments, read.pairing.pairs, plan.labels)
     times = skeletons.time_ns
-    events = _events_of(read, plan, segments, times)
+    events = _events_of(read, plan, segments, times, dict(zip(sources, names, strict=True)))
     blocks = watch(read.body, progress(fused, "fusing", block_count(segments)), int(times[0]), events)
     frames = [(setup, islice(blocks, block_count([(setup, own)]))) for setup, own in segments]
     images = RecordingImages(read, depth, progress)
@@ -219,11 +219,22 @@ def _about(read: TwoRecordings, plan: RecordingPlan) -> dict[str, str | float]:
 
 
 def _events_of(
-    read: TwoRecordings, plan: RecordingPlan, segments: Segments, times: NDArray[np.int64]
+    read: TwoRecordings,
+    plan: RecordingPlan,
+    segments: Segments,
+    times: NDArray[np.int64],
+    names: Mapping[str, str],
 ) -> list[Event]:
-    """Returns calibrations, warnings and events of the learner, in time order."""
+    """Returns calibrations, warnings and events of the learner, in time order.
+
+    Args:
+        names: By source: a session is opened elsewhere, and names no folders.
+    """
     events = [calibration_event(setup, own, times - times[0]) for setup, own in segments]
-    events += [Event(text, "WARN") for text in read.warnings]
+    for text in read.warnings:
+        for source, name in names.items():
+            text = text.replace(source, name)
+        events.append(Event(text, "WARN"))
     if plan.clock is not None:
         events.append(Event(plan.clock.event))
     for change in plan.changes:

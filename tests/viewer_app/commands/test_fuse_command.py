@@ -191,6 +191,21 @@ def test_a_place_in_the_image_chooses_no_person_of_recorded_skeletons(recordings
     assert "use --person-a and --person-b" in one_line(capsys)
 
 
+def test_a_session_tells_how_files_were_read_without_their_folders(recordings, tmp_path, capsys):
+    header, *rows = recordings[0].read_text(encoding="utf-8").splitlines()
+    x = header.split(",").index("x")
+    cells = [row.split(",") for row in rows]
+    places = ([str(1e3 * float(at)) for at in row[x : x + 3]] for row in cells)
+    scaled = [",".join((*row[:x], *at, *row[x + 3 :])) for row, at in zip(cells, places, strict=True)]
+    recordings[0].write_text("\n".join([header, *scaled, ""]), encoding="utf-8")
+    saved = tmp_path / "s.rrd"
+    assert duplex("fuse", *recordings, "--no-viewer", "--save", saved) == 0
+    assert f"{recordings[0]}: the positions are read as millimetres" in capsys.readouterr().out
+    texts = [event.text for event in Session.open(saved).events]
+    assert any(text.startswith(f"{recordings[0].name}: the positions") for text in texts)
+    assert not any(str(tmp_path) in text for text in texts)
+
+
 @pytest.mark.parametrize("beyond", [False, True])
 def test_seconds_beyond_the_recordings_are_told(recordings, tmp_path, capsys, beyond):
     report = tmp_path / "r.json"
