@@ -160,7 +160,12 @@ def test_a_session_of_version_0_1_is_shown_in_the_layout_of_today(headless, tmp_
     viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
     assert eventually(lambda: any(view.name == SCENE for view in viewer.get_state().views), 30.0)
     assert eventually(lambda: not viewer.get_state().loading, 30.0)
-    assert [(view.name, report.summary) for view in viewer.get_state().views for report in view.reports] == []
+
+    def complaints():
+        return [(view.name, report.summary) for view in viewer.get_state().views for report in view.reports]
+
+    # a busy viewer may draw a plot once before it has the mappings of its blueprint
+    assert eventually(lambda: not complaints(), 30.0), complaints()
 
 
 def test_the_time_cursor_of_a_new_window_stands_where_asked(headless, tmp_path):
