@@ -38,6 +38,7 @@ Segments = Sequence[tuple[Calibration, slice]]
 _LONG = 18_000
 """Pairs, ten minutes at 30 per second. The registration of a longer recording is learned from pairs a tenth
 of a second apart, and its sides are found in parts."""
+_OF_ONE_MOMENT = 0.12  # metres between the views, median: 40 real pairs have at most 0.09, two captures 0.17
 _AROUND = 900  # pairs before and after a part that count for it
 
 
@@ -49,7 +50,8 @@ class RecordingPlan:
     """Each calibration, with the pairs that it holds for; in order, without gaps."""
     labels: Labels | None = None  # None where the method or the settings use no later frames
     changes: tuple[CalibrationChange, ...] = ()  # events of the learner: a sensor that was moved
-    clock: ClockOffset | None = None  # offset of B's clock, from the motion; None where unknown
+    clock: ClockOffset | None = None
+    """Offset of B's clock, from the motion; None where unknown, or where the views show other motions."""
     views_differ: float = float("nan")
     """Metres between p and R q + t: the median over the joints that both see, and over the pairs; NaN where
     no joint is seen by both."""
@@ -88,12 +90,13 @@ def plan_recording(
             learned = learn_from_recording(body, few, codes, start, progress=progress, timed=pairs)
     if learned is not None:
         segments = _segments(learned, pairs.time_ns)
+    differ = _difference(pairs, segments)
     return RecordingPlan(
         segments,
         None if settings.hindsight == "none" else _labels(pairs, segments, progress),
         () if learned is None else learned.events,
-        None if learned is None else learned.clock,
-        _difference(pairs, segments),
+        None if learned is None or differ > _OF_ONE_MOMENT else learned.clock,
+        differ,
     )
 
 

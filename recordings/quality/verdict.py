@@ -34,7 +34,6 @@ USABLE_ANGLES = (40.0, 140.0)
 OFFSETS = (17.0, 50.0)  # ms: half a frame, one and a half
 _UNPAIRED = (0.1, 0.3)
 _LONG_APART = 0.05  # of the time
-_OF_ONE_PERSON = 120.0  # mm, median: 40 real pairs have 91 at most, and views of different captures 171
 _OTHERS = 500.0  # mm for that time; 20 real pairs of one person are within 340 mm
 DOUBTFUL = (0.1, 0.5)  # of the time
 _HEAD_DOWN = 0.9
@@ -111,7 +110,7 @@ def _shortcomings(figures: Figures) -> Iterator[Shortcoming]:
     if why := not_trusted(calibration):
         yield Shortcoming("unknown", why, calibrate)
     clock = figures.get("clock")
-    if clock is not None and (apart is None or apart < _OF_ONE_PERSON):
+    if clock is not None:
         text = f"B captures {clock['offset_ms']:+.0f} ± {clock['sd_ms']:.0f} ms off its time stamps"
         certain = abs(clock["offset_ms"]) - 2.0 * clock["sd_ms"]
         yield Shortcoming(graded(certain, OFFSETS), text, "Check the clocks")

@@ -263,7 +263,7 @@ def of_recordings(recordings):
 
 
 def share(of):
-    """The share that is true; NaN of none."""
+    """Computes the share of True among Booleans; NaN if there are none."""
     return float(np.mean(of)) if len(of) else np.nan
 
 

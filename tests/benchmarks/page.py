@@ -207,7 +207,7 @@ def _certainty(figures, simulated):
         row("after a gap of 2.5 s", lambda of: _covered(of, "after a gap of both views"), fused),
         row("left and right exchanged", lambda of: _covered(of, "left and right exchanged"), fused),
         row(
-            "covariance: errors beyond 99.5 %, %; z² along its least axis",
+            "covariance: errors outside its 99.5 % region, %; z² along its least axis",
             lambda of: (
                 f"{_number(of['covariance']['beyond_12.8'], 100, 1)}; "
                 f"{_number(of['covariance']['least_axis'], 1, 1)}"

@@ -21,7 +21,7 @@ _FEWEST = 5  # joints; fewer may be those of another table
 
 
 class Wide(NamedTuple):
-    """Which columns of a file are those of its joints.
+    """The columns of a file that contain joints, by number.
 
     Attributes:
         names: Of all columns, as in the file.
@@ -55,11 +55,11 @@ class Wide(NamedTuple):
 
 
 def find_wide(names: Sequence[str], table: str) -> Wide | None:
-    """The joints of a file by the names of its columns; None if it has too few of a body or of a table.
+    """Finds the columns of each joint by their names; None if fewer than five joints have x, y and z.
 
     Args:
         names: Of the columns.
-        table: Of names; see :mod:`devices.skeletons.name_tables`. Empty: joints have this program's names.
+        table: Of further names; see :mod:`devices.skeletons.name_tables`. Empty: none.
     """
     known = {plain(joint): joint for body in BODIES.values() for joint in body.joints}
     for points in (each for of in name_table(table).joints.values() for each in of) if table else ():

@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 from devices.pairing import clock_by_motion
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import AZURE_KINECT, KINECT_V2
+from fusion.calibration.calibration import calibrate
+from fusion.plan import plan_recording
 from fusion.registration import clock_search
 from fusion.registration.clock_course import find_clock_course
 from fusion.registration.clock_offset import ClockOffsetEstimator, clock_offset_of
 from fusion.registration.clock_search import View, find_clock_offset
+from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.continuous_motion import RATES, as_pairs, as_view, views_at
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, standing
@@ -257,6 +260,17 @@ def test_equal_first_times_on_another_day_are_no_evidence(swapped):
     )
     views = [a, b._replace(time_ns=b.time_ns - 86_400_000_000_000)]
     assert find_clock_offset(AZURE_KINECT, *(views[::-1] if swapped else views)) is None
+
+
+@pytest.mark.parametrize(("delay", "found"), [(0.05, True), (2.5, False)])
+def test_a_recording_states_no_clock_where_its_views_show_other_motions(delay, found):
+    """The regression has an offset for those of two people, too."""
+    pairs = swaying(delay)
+    plan = plan_recording(KINECT_V2, pairs, FuserSettings(), calibrate(KINECT_V2, swaying(0.0)[:30], "known"))
+    assert clock_offset_of(KINECT_V2, pairs, A_FROM_B) is not None
+    assert (plan.clock is not None) == found == (plan.views_differ < 0.12)
+    if found:
+        assert plan.clock.offset_ns == pytest.approx(1e9 * delay, abs=2e6)
 
 
 def test_one_stray_time_does_not_make_the_search_long():

@@ -133,13 +133,6 @@ def test_the_verdict_names_what_is_worst(figures, changed, words):
     assert judged(with_views(figures, 50.0 if words[0] == "p" else 30.0) | changed).text.startswith(words)
 
 
-@pytest.mark.parametrize("apart", [119.0, 121.0, 255.0])
-def test_no_clock_is_blamed_for_views_of_different_captures(figures, apart):
-    clock = {"clock": {"offset_ms": 239.0, "sd_ms": 18.0}}
-    text = str(verdict(with_views(figures, apart) | clock))
-    assert text.startswith("poor: the views differ" if apart > 120.0 else "poor: B captures +239 ± 18 ms")
-
-
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
