@@ -15,13 +15,17 @@ BIN := $(VENV)/bin
 RUNS := $(VENV)/.runs
 READY := $(VENV)/.ready
 
-.PHONY: demo test coverage check docs pictures package benchmarks clean
+.PHONY: demo test sentences coverage check docs pictures package benchmarks clean
 
 demo: $(RUNS)
 	$(BIN)/duplex demo
 
 test: $(READY)
 	$(BIN)/python -m pytest -q $(PARALLEL) $(OPTIONS)
+
+# Writes what users read to tests/data/sentences; git diff shows what changed.
+sentences: $(READY)
+	REWRITE_SENTENCES=1 $(BIN)/python -m pytest -q -k test_sentences tests/recordings tests/viewer_app
 
 # Numba's kernels run compiled, which coverage.py cannot see; pyproject.toml leaves them out and says why.
 coverage: $(READY)

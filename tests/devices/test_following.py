@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from devices.frame_pairs import FramePair
@@ -210,12 +210,20 @@ def test_who_comes_back_is_told_from_a_child_by_the_bones(scale, taken, a_from_b
     assert chosen[-5:] == ["9" if taken else None] * 5
 
 
-def test_after_two_seconds_or_a_clock_reset_a_lone_person_may_be_anywhere():
-    times = [0, 1_900_000_000, 2_100_000_000, 0]
-    people = [{"1": still(0.0)}, {"2": still(15.0, 4.0)}, {"2": still(15.0, 4.0)}, {"3": still(3.0)}]
-    frames = [SensorFrame(t, of) for t, of in zip(times, people, strict=True)]
-    assert names(frames)[0] == ["1", None, "2", "3"]
-    assert [bool(f.people) for f in one_person(AZURE_KINECT, frames)] == [True, False, True, True]
+@given(st.integers(1, 120), st.floats(0.0, 12.0))
+@example(1, 0.7)  # a frame, 0.53 m at most
+@example(59, 8.0)
+@example(60, 8.6)
+def test_a_lone_person_who_is_nearer_than_a_running_one_gets_is_followed_on(later, metres):
+    """At 4 m/s and 0.4 m; after two seconds, or where a clock is reset, they may be anywhere."""
+    seconds = later * FRAME_NS * 1e-9
+    assume(abs(metres - 0.4 - 4.0 * seconds) > 0.01)
+    times = 0, later * FRAME_NS, -FRAME_NS
+    people = {"1": still(0.0)}, {"2": still(metres)}, {"3": still(-5.0)}
+    frames = [SensorFrame(1000 * FRAME_NS + t, of) for t, of in zip(times, people, strict=True)]
+    taken = metres < 0.4 + 4.0 * seconds or seconds > 2.0
+    assert names(frames)[0] == ["1", "2" if taken else None, "3"]
+    assert [bool(f.people) for f in one_person(AZURE_KINECT, frames)] == [True, taken, True]
 
 
 @pytest.mark.parametrize("people", [{}, {"1": still(0.0, states=0)}])
@@ -387,8 +395,56 @@ def test_two_placements_are_compared_where_the_second_sensor_has_the_people():
     turn = np.array(((np.cos(angle), 0, np.sin(angle)), (0, 1, 0), (-np.sin(angle), 0, np.cos(angle))))
     middle = np.nanmean(person.positions, axis=0)
     turned = RigidTransform.of(turn, middle - turn @ middle)
+    assert accepted((RigidTransform.identity(), 10.0, 9.0, 10), (turned, 10.0, 9.0, 10)) is turned
+
+
+def accepted(*found):
+    """The placement that is taken after some were found, each with its score, the next one's and the most."""
+    person = still(0.0, 5.0)
     search, of = _Search(AZURE_KINECT), Seen(0, ["1"], [person], [0], [False], [[0.0, 0.0, 0.0]])
     search.keep(0, (of, of))
-    for a_from_b in (RigidTransform.identity(), turned):
-        search._accept(Registered(a_from_b, np.zeros(1, np.int64), 10.0, 9.0, 10))
-    assert search.found is turned
+    for a_from_b, *scores in found:
+        search._accept(Registered(a_from_b, np.zeros(1, np.int64), *scores))
+    return search.found
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+@example(0.49, 0.0)
+@example(0.51, 0.2)
+def test_a_placement_is_taken_that_fits_half_of_the_skeletons_and_leads_clearly_or_twice(fit, lead):
+    assume(min(abs(fit - 0.5), abs(lead - 0.3), abs(lead - 0.02)) > 1e-6)
+    found = RigidTransform.identity(), 10.0 * fit, 10.0 * (fit - lead), 10
+    assert (accepted(found) is not None) == (fit > 0.5 and lead > 0.3)
+    assert (accepted(found, found) is not None) == (fit > 0.5 and lead > 0.02)
+
+
+def test_two_who_were_never_seen_at_once_are_not_one_person_before_the_placement_is_known():
+    one, two = {"1": still(0.0)}, {"1": still(0.0), "2": still(1.5)}
+    assert ids_of_both([({}, one), (one, {})] * 5 + [(two, two)] * 5)[-5:] == [("1", None)] * 5
+    assert ids_of_both([({}, one), (one, one)] * 5 + [(two, two)] * 5)[-5:] == [("1", "1")] * 5
+
+
+@KNOWN
+@pytest.mark.parametrize(("alone", "newcomer"), [(100, False), (200, True)])
+def test_who_was_there_five_seconds_ago_is_no_newcomer(alone, newcomer, a_from_b):
+    one, other = {"1": still(0.0)}, {"2": still(2.5)}
+    chosen, _ = names(at_rate(*[one | other] * 30, *[one] * alone, *[other] * 90), a_from_b)
+    assert chosen[-1] == ("2" if newcomer else None)
+
+
+@KNOWN
+@pytest.mark.parametrize(("away_s", "newcomer"), [(30, False), (70, True)])
+def test_who_was_there_a_minute_ago_is_no_newcomer_in_a_crowd(away_s, newcomer, a_from_b):
+    one, two, three = {"1": still(0.0)}, {"2": still(2.5)}, {"3": still(-2.5)}
+    passes = [one | three | {"4": still(0.0, 5.0, scale=0.5)}]  # then people are forgotten
+    frames = [one | two | three] * 30 + [one | three] * (30 * away_s) + passes + [three] * 75
+    frames += [two | three] * 5
+    assert names(at_rate(*frames), a_from_b)[0][-1] == ("2" if newcomer else None)
+
+
+@KNOWN
+def test_one_wrong_measurement_does_not_change_somebody_s_bones(a_from_b):
+    beside = {"2": still(2.5, 3.0)}
+    usual, wrong = ({"1": still(0.0, scale=scale), **beside} for scale in (1.0, 0.6))
+    frames = [usual] * 55 + [wrong] * 10 + [beside] * 120 + [usual] * 5  # the 61st frame is measured
+    assert names(at_rate(*frames), a_from_b)[0][-1] == "1"

@@ -56,12 +56,13 @@ ARM = [BODY.joint(f"{name}_LEFT") for name in ("ELBOW", "WRIST", "HAND")]
 
 def told_of(
     wrong_frames, *, sensor="B", off=0.5, share=0.0, joints=3, state=TrackingState.TRACKED,
-    exchanged=(0, 0), mirrored="", mirrored_frames=90, other_off=0.0,
+    exchanged=(0, 0), mirrored="", mirrored_frames=90, other_off=0.0, reset_at=90,
 ):  # fmt: skip
     """The events, with their frames, of a view whose left arm is wrong from frame 10 on."""
     views_of, truth = ViewEvents(BODY), standing(BODY)
     told = []
     for k in range(90):
+        time_ns = (k if k < reset_at else k - 300) * FRAME_NS
         wrong = 10 <= k < 10 + wrong_frames
         shift, weights, states = np.zeros((len(BODY), 3)), np.full(len(BODY), 0.5), np.full(len(BODY), 2)
         if wrong:
@@ -73,14 +74,14 @@ def told_of(
             views |= {side: views[side][BODY.mirror] for side in mirrored}
         whole = np.full(len(BODY), TrackingState.TRACKED)
         pair = SkeletonPair(
-            Skeleton.of(BODY, views["A"], states if sensor == "A" else whole, k * FRAME_NS),
+            Skeleton.of(BODY, views["A"], states if sensor == "A" else whole, time_ns),
             Skeleton.of(BODY, A_FROM_B.inverse().apply(views["B"]), states if sensor == "B" else whole, 0),
-            k * FRAME_NS,
+            time_ns,
         )
         fused = FusedFrame(
             truth, np.zeros(len(BODY), bool), weights if sensor == "A" else 1.0 - weights,
             weights if sensor == "B" else 1.0 - weights, np.full(len(BODY), -1), A_FROM_B, 1, False, False,
-            k * FRAME_NS, exchanged_a=exchanged[0], exchanged_b=exchanged[1],
+            time_ns, exchanged_a=exchanged[0], exchanged_b=exchanged[1],
         )  # fmt: skip
         told += [(k, each) for each in views_of.observe(pair, fused)]
     return told
@@ -128,3 +129,10 @@ def test_exchanged_sides_are_told_where_s_star_corrects_them_only():
     ]
     assert told_of(0, exchanged=(3, 3)) == []  # a label that S* does not follow
     assert told_of(0, exchanged=(0, 0), mirrored="AB") == []
+
+
+def test_where_the_time_goes_back_a_limb_is_lost_anew():
+    told = told_of(60, reset_at=40)
+    assert [(k, event.phase) for k, event in told] == [
+        (26, "start"), (40, "moment"), (40 + 16, "start"), (69 + 4, "end"),
+    ]  # fmt: skip

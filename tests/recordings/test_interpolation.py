@@ -2,9 +2,14 @@
 
 import itertools
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
@@ -92,3 +97,18 @@ def test_the_uncertainty_between_frames_covers_what_interpolation_misses(session
     np.testing.assert_allclose(sigma_at(chosen[few], times)[:, root], np.hypot(0.001, missed), rtol=0.1)
     np.testing.assert_allclose(sigma_at(chosen, chosen.time_ns), 0.001, rtol=1e-6)
     assert np.isnan(session.sigma_at([-1])).all()
+
+
+@given(*[st.floats(0.001, 0.5)] * 2, st.floats(0.0, 1.0))
+def test_between_two_frames_of_somebody_still_the_variance_goes_from_one_to_the_other(first, second, share):
+    rows = still_rows()
+    sigma = np.stack([np.full(rows.sigma.shape[1], each) for each in (first, second)])
+    found = sigma_at(replace(rows, sigma=sigma), np.array([round(share * 20_000_000)]))
+    np.testing.assert_allclose(found, np.sqrt((1.0 - share) * first**2 + share * second**2), rtol=1e-4)
+
+
+@cache
+def still_rows():
+    with TemporaryDirectory() as folder:
+        rows = record_with_a_gap(Path(folder) / "s.rrd", KINECT_V2).rows[np.array([30, 30])]
+    return replace(rows, time_ns=np.array([0, 20_000_000]))

@@ -4,6 +4,7 @@ import copy
 import pickle
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from unittest.mock import patch
@@ -303,6 +304,31 @@ def test_a_part_has_the_events_of_its_frames_and_no_counts_of_the_whole(tmp_path
     assert own == [event.placed(event.frame - first, event.time_ns - since_ns) for event in each[first:end]]
     assert part.dropped == ((3, 4) if cut == (0, _FRAMES) else (None, None))
     assert part.about["session"]["subject"] == session.about["session"]["subject"]
+
+
+@settings(max_examples=10)
+@given(
+    outer=st.sets(st.integers(0, _FRAMES - 1), min_size=3), choice=st.lists(st.booleans(), min_size=_FRAMES)
+)
+def test_a_part_of_a_part_is_that_part_of_the_whole(outer, choice):
+    kept = sorted(outer)
+    inner = [k for k in range(len(kept)) if choice[k]] or [1]
+    whole = made_once()
+    once, twice = whole.part([kept[k] for k in inner]), whole.part(kept).part(inner)
+    np.testing.assert_array_equal(twice.time_ns, once.time_ns)
+    np.testing.assert_array_equal(twice.fused, once.fused)
+    assert twice.calibrations == once.calibrations
+    if kept[inner[0]] - kept[0] == inner[0]:  # else gaps before it are not counted, which is a defect
+        assert twice.first_frame == once.first_frame == kept[inner[0]]
+    before = [each.about["session"].get("seconds_before", [0.0])[0] for each in (once, twice)]
+    assert before == pytest.approx(2 * [1e-9 * whole.time_ns[kept[inner[0]]]])
+    gaps = [frames[-1] + 1 - frames[0] - len(frames) for frames in (kept, inner)]
+    assert twice.left_out == sum(gaps)  # also where a gap of the first cut is no longer within it
+
+
+@cache
+def made_once():
+    return made(0.5, False, {}, (), (), moved=7)
 
 
 def test_an_image_of_another_frame_is_a_damaged_one(tmp_path):

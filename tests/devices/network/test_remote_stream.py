@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from devices.capture.stream_pairing import LivePairing
 from devices.frame_pairs import FramePair
@@ -83,14 +85,16 @@ def test_the_clock_is_read_while_a_reply_arrives(monkeypatch):
     assert clock.replies > 2
 
 
-def test_capture_times_come_to_this_machines_clock():
+@given(st.integers(-(10**13), 10**13), st.integers(-5000, 5000))
+@example(HOST_AHEAD_NS, 50)
+def test_capture_times_come_to_this_machines_clock_and_none_is_in_the_future(ahead_ns, late_ms):
     stream = opened()
-    asked = stream.clock_request(1000 * MS)
-    assert asked
-    reply = ClockMessage(1, 1000 * MS, 1001 * MS + HOST_AHEAD_NS, 1001 * MS + HOST_AHEAD_NS)
+    stream.clock_request(1000 * MS)
+    reply = ClockMessage(1, 1000 * MS, 1001 * MS + ahead_ns, 1001 * MS + ahead_ns)
     assert stream.clock_reply(encode_clock(reply), 1002 * MS)
-    got = stream.receive(frame(0, host_ns=1500 * MS + HOST_AHEAD_NS), 1530 * MS)
-    assert got.host_ns == 1500 * MS
+    now_ns = 10**13 + 1530 * MS
+    got = stream.receive(frame(0, host_ns=now_ns - late_ms * MS + ahead_ns), now_ns)
+    assert got.host_ns == min(now_ns - late_ms * MS, now_ns)
 
 
 def test_another_run_of_the_program_is_noticed_and_its_numbers_start_anew():

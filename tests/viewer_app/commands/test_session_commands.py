@@ -57,14 +57,6 @@ def test_no_line_is_wrapped_where_no_terminal_reads_it(session, tmp_path, capsys
     assert len(verdict) > 80 or verdict.endswith(".")
 
 
-@pytest.fixture
-def without_plots(monkeypatch):
-    """Leaves out the plots of the page, which take most of the time."""
-    for name in ("line_plot", "bar_plot", "trust_map"):
-        monkeypatch.setattr(f"viewer_app.report.pages.review_page.{name}", lambda *_, **__: "")
-    monkeypatch.setattr("viewer_app.report.walking.line_plot", lambda *_, **__: "")
-
-
 def test_a_replay_is_verified_and_can_be_replayed_again(session, tmp_path, capsys):
     again = tmp_path / "again.rrd"
     report = tmp_path / "r.json"

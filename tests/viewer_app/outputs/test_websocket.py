@@ -302,6 +302,18 @@ def test_a_foreign_address_is_refused(fuser):
         WebSocketOutput(free_port(), fuser.setup, "192.0.2.1")
 
 
+def test_a_client_too_many_is_refused_and_costs_the_others_nothing(server, monkeypatch):
+    monkeypatch.setattr(websocket, "_MOST_CLIENTS", 2)
+    with client_of(server) as one, client_of(server) as two:
+        for client in (one, two):
+            assert read(client)["type"] == "hello"
+        with pytest.raises(InvalidStatus, match="503"), client_of(server):
+            pass
+    assert eventually(lambda: not server._clients)
+    with client_of(server) as client:
+        assert read(client)["type"] == "hello"
+
+
 def test_text_that_clients_send_is_counted_and_ignored(server):
     with client_of(server) as client:
         read(client)
