@@ -15,13 +15,17 @@ BIN := $(VENV)/bin
 RUNS := $(VENV)/.runs
 READY := $(VENV)/.ready
 
-.PHONY: demo test sentences coverage check docs pictures package benchmarks clean
+.PHONY: demo test laws sentences coverage check docs pictures package benchmarks clean
 
 demo: $(RUNS)
 	$(BIN)/duplex demo
 
 test: $(READY)
 	$(BIN)/python -m pytest -q $(PARALLEL) $(OPTIONS)
+
+# The laws (hypothesis) with 200 examples each instead of ten, other ones in each run.
+laws: $(READY)
+	$(BIN)/python -m pytest -q $(PARALLEL) -m hypothesis --hypothesis-profile laws $(OPTIONS)
 
 # Writes what users read to tests/data/sentences; git diff shows what changed.
 sentences: $(READY)

@@ -6,28 +6,20 @@ import threading
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, Phase, settings
+from hypothesis import HealthCheck, settings
 
 from tests.helpers import scripted_sensor
 
 # A deadline measures the machine, and the first example of a test may compile a kernel.
-settings.register_profile(
-    "duplex",
-    deadline=None,
-    derandomize=True,
-    max_examples=25,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+_OF_ALL = {
+    "deadline": None,
+    "suppress_health_check": [HealthCheck.function_scoped_fixture],
+    "stateful_step_count": 25,
+}
+settings.register_profile("duplex", derandomize=True, max_examples=10, **_OF_ALL)
 settings.load_profile("duplex")
-# for one long run of laws without a number of their own: pytest --hypothesis-profile many FILE
-settings.register_profile(
-    "many",
-    derandomize=False,
-    max_examples=2000,
-    stateful_step_count=10,
-    phases=[Phase.generate],
-    print_blob=True,
-)
+# "make laws": other examples in each run
+settings.register_profile("laws", max_examples=200, print_blob=True, **_OF_ALL)
 
 # A shell without job control starts background jobs with SIGINT ignored, and child processes inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.people import association
@@ -19,6 +19,7 @@ from fusion.body import KINECT_V2
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 from fusion.support.large_arrays import parts
+from tests.helpers.laws import COSTLY
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_people import (
     BEHIND,
@@ -61,7 +62,7 @@ def assert_right(views, seen, who=FOLLOWED, least=0.995):
         assert share >= least
 
 
-@settings(max_examples=8)
+@COSTLY
 @given(IDS, st.integers(0, 99))
 def test_ids_and_the_order_of_rows_do_not_change_who_is_followed(ids, seed):
     rng = np.random.default_rng(seed)
@@ -155,7 +156,7 @@ def test_views_that_have_nobody_in_common_are_not_brought_together():
 
 
 @given(IDS, st.integers(0, 99))
-@settings(max_examples=5)
+@COSTLY
 def test_a_track_has_one_person(ids, seed):
     for view in treated():
         people = recorded(view, np.random.default_rng(seed), **ids)
@@ -226,7 +227,7 @@ def test_those_who_are_seen_for_a_moment_are_not_counted(tmp_path, frames, told)
 
 
 @given(st.integers(0, 99))
-@settings(max_examples=3)
+@COSTLY
 def test_an_id_chooses_whoever_has_it_most_of_the_time(seed):
     """Also where ids are exchanged and renewed, and given for one view only."""
     a, b = (recorded(view, np.random.default_rng(seed), exchanged=0.004, renewed=0.01) for view in treated())

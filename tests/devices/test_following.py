@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from devices.frame_pairs import FramePair
@@ -20,6 +20,7 @@ from devices.simulated.person.gait import walking
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
+from tests.helpers.laws import COSTLY
 from tests.helpers.two_people import THERAPIST, two_people, with_ids
 
 FRAME_NS = 33_333_333
@@ -58,7 +59,7 @@ def who_is(view, seen):
     ]
 
 
-@settings(max_examples=6)
+@COSTLY
 @given(IDS, st.integers(0, 99), st.booleans())
 def test_ids_and_their_order_do_not_change_who_is_followed(ids, seed, known):
     """One person is followed in all frames of each view in which they are seen, but for a moment."""

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -36,8 +36,6 @@ from tests.helpers.laws import (
     walking,
 )
 from tests.helpers.two_views import A_FROM_B, turned_around
-
-FEW = settings(max_examples=15)
 
 
 def times_of(seconds, rate=30, start=100.0):
@@ -78,7 +76,6 @@ def with_the_up_of(fuser):
 # No history lasts
 
 
-@FEW
 @given(
     away=st.sampled_from((1.01, 2.5, 3600.0, -5.0, -0.001)),
     empty=st.sampled_from((0, 40)),
@@ -136,7 +133,6 @@ def lifting(times, starts, speed):
     return truth
 
 
-@FEW
 @given(speed=st.floats(1.6, 7.0), seed=st.integers(0, 99))
 def test_smoothed_s_star_moves_no_earlier_than_the_person(speed, seed):
     times = times_of(2.5)
@@ -154,7 +150,6 @@ def test_smoothed_s_star_moves_no_earlier_than_the_person(speed, seed):
     assert off[1] < off[0] + 0.015  # of a standard deviation of 0.022
 
 
-@FEW
 @given(
     missing=st.sampled_from(("arm", "legs", "half")),
     frames=st.integers(1, 150),
@@ -175,7 +170,6 @@ def test_what_comes_later_makes_s_star_no_less_certain(missing, frames, seed, sm
     assert ((after**2).sum(axis=1) <= 1.01 * (before**2).sum(axis=1)).all()
 
 
-@FEW
 @given(
     missing=st.sampled_from(("arm", "legs")),
     speed=st.floats(0.3, 1.5),
@@ -199,7 +193,6 @@ def test_a_limb_that_nobody_sees_is_hardly_less_certain_if_the_person_is_carried
     assert (carried < 1.6 * still).all()
 
 
-@FEW
 @given(
     side=st.sampled_from(("Left", "Right")),
     places=st.tuples(*[st.tuples(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9))] * 2),
@@ -247,7 +240,6 @@ def hands_together(times):
     return truth
 
 
-@FEW
 @given(
     side=st.sampled_from(("Left", "Right")),
     view=st.sampled_from("ab"),
@@ -323,7 +315,6 @@ def watched(seen, seed, **more):
     return pairs, truth
 
 
-@FEW
 @given(seen=views_seen, seed=st.integers(0, 99))
 def test_which_sensor_is_a_does_not_matter(seen, seed):
     level = turned_around(90.0)  # the first sensor's upward direction is the first guess
@@ -336,7 +327,6 @@ def test_which_sensor_is_a_does_not_matter(seen, seed):
         assert (one.exchanged_a, one.exchanged_b) == (other.exchanged_b, other.exchanged_a)
 
 
-@FEW
 @given(seen=views_seen, seed=st.integers(0, 99), later_s=st.sampled_from((-90, 1, 86_400)))
 def test_s_star_does_not_depend_on_the_hour(seen, seed, later_s):
     pairs, _ = watched(seen, seed)
@@ -353,7 +343,6 @@ def test_s_star_does_not_depend_on_the_hour(seen, seed, later_s):
         np.testing.assert_array_equal(other.sigma, one.sigma)
 
 
-@FEW
 @given(seen=views_seen, seed=st.integers(0, 99))
 def test_s_star_of_the_mirror_image_is_the_mirror_image(seen, seed):
     pairs, _ = watched(seen, seed)
@@ -372,7 +361,6 @@ def test_s_star_of_the_mirror_image_is_the_mirror_image(seen, seed):
         np.testing.assert_allclose(other.sigma, one.sigma[BODY.mirror], rtol=1e-4)
 
 
-@FEW
 @given(degrees=st.floats(-8.0, 8.0), sides=st.sampled_from(("a", "b", "ab")), seed=st.integers(0, 99))
 def test_a_corrected_calibration_moves_s_star_no_further_with_exchanged_sides(degrees, sides, seed):
     turn, middle = Rotation.from_euler("y", degrees, degrees=True).as_matrix(), person()[BODY.root]
@@ -394,7 +382,6 @@ def test_a_corrected_calibration_moves_s_star_no_further_with_exchanged_sides(de
     assert steps[1] < steps[0] + 0.003
 
 
-@FEW
 @given(
     body=st.sampled_from((KINECT_V2, AZURE_KINECT)),
     side=st.sampled_from("ab"),
@@ -420,7 +407,6 @@ def test_sides_are_held_where_the_trunk_no_longer_tells_them(body, side, gone, s
 # Positions, velocities and times belong together
 
 
-@FEW
 @given(
     speed=st.floats(0.2, 1.2),
     skew_ms=st.integers(-30, 30),

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
+from hypothesis import settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +17,8 @@ from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, standing
 
+COSTLY = settings(max_examples=settings.default.max_examples // 5)
+"""For a law of which an example takes half a second or more."""
 BODY = KINECT_V2
 FRONT = np.array((1.0, 0.0, -1.0)) / np.sqrt(2.0)
 """Where the person looks: at 45° to both sensors."""

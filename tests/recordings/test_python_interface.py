@@ -9,7 +9,7 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -23,7 +23,6 @@ from recordings.quality.figures import report
 from recordings.testing import SessionsDifferError, assert_session, assert_sessions_match, simulated_session
 from tests.helpers.recorded_pairs import write_recordings
 
-_EXAMPLES = settings(max_examples=15)
 seconds = st.floats(0.0, 1.0)  # shares of a session
 REFUSED = {
     "depth": lambda s: s.depth("A"),
@@ -155,7 +154,6 @@ def test_arrays_become_a_session():
 # Laws
 
 
-@_EXAMPLES
 @given(when=st.lists(seconds, max_size=5))
 def test_s_star_at_any_time_within_is_there_and_at_a_frame_is_that_of_the_frame(when):
     session = walk()
@@ -172,7 +170,6 @@ def test_s_star_at_any_time_within_is_there_and_at_a_frame_is_that_of_the_frame(
         np.testing.assert_array_equal(session.at(one), of_list[None])
 
 
-@_EXAMPLES
 @given(rate=st.floats(1.0, 1000.0), ending=st.sampled_from([".trc", ".bvh"]))
 def test_an_exported_rate_is_that_of_the_file(rate, ending, tmp_path):
     session = walk()
@@ -191,7 +188,6 @@ def test_an_exported_rate_is_that_of_the_file(rate, ending, tmp_path):
         assert len(lines) - lines.index("MOTION") == 3 + expected
 
 
-@_EXAMPLES
 @given(
     name=st.sampled_from(sorted(BODIES)),
     frames=st.integers(1, 6),
@@ -274,7 +270,6 @@ def test_the_verdict_is_that_of_the_reports(session):
     assert str(found).startswith(found.word)
 
 
-@_EXAMPLES
 @given(begin=seconds, lasts=seconds, side=st.sampled_from("ab"))
 def test_a_second_that_one_view_lacks_is_poor_and_says_so(begin, lasts, side):
     session = walk()

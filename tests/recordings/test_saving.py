@@ -32,6 +32,7 @@ from recordings.writing.checksums import image_checksum
 from tests.helpers.damage import damaged, opened
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import FrameImages
+from tests.helpers.laws import COSTLY
 from tests.helpers.two_views import calibration_of
 
 _FRAMES = 12
@@ -285,11 +286,9 @@ class Saving(RuleBasedStateMachine):
 
 
 TestSaving = Saving.TestCase
-if settings.get_current_profile_name() == "duplex":  # another profile has its own number of sessions
-    TestSaving.settings = settings(max_examples=6, stateful_step_count=6)
+TestSaving.settings = settings(COSTLY, stateful_step_count=6)  # a step may fuse, write or read a session
 
 
-@settings(max_examples=20)
 @given(
     cut=st.tuples(st.integers(0, _FRAMES - 1), st.integers(1, _FRAMES)).filter(lambda cut: cut[0] < cut[1])
 )
@@ -306,7 +305,6 @@ def test_a_part_has_the_events_of_its_frames_and_no_counts_of_the_whole(tmp_path
     assert part.about["session"]["subject"] == session.about["session"]["subject"]
 
 
-@settings(max_examples=10)
 @given(
     outer=st.sets(st.integers(0, _FRAMES - 1), min_size=3), choice=st.lists(st.booleans(), min_size=_FRAMES)
 )

@@ -3,7 +3,7 @@
 import av
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.azure.mkv import MkvRecording
@@ -16,7 +16,6 @@ from fusion.skeleton import Skeleton
 from tests.helpers.mkv_writer import INTERVAL_US, depth_image, write_mkv
 
 FRAMES = 12
-_EXAMPLES = settings(max_examples=60)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +71,6 @@ def _frames_of(path):
         return len(list(source.frames())), source.warnings
 
 
-@_EXAMPLES
 @given(share=st.floats(0.0, 1.0))
 def test_a_recording_cut_anywhere_gives_its_frames_or_says_why(recording, tmp_path, share):
     content = recording.read_bytes()
@@ -98,7 +96,6 @@ def _depth_images_within(path, length):
         return sum(packet.pos + packet.size <= length for packet in container.demux(depth) if packet.size)
 
 
-@_EXAMPLES
 @given(flips=st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), min_size=1, max_size=12))
 def test_a_damaged_head_gives_frames_or_a_device_error(recording, tmp_path, flips):
     content = bytearray(recording.read_bytes())

@@ -5,7 +5,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
@@ -230,7 +230,6 @@ class Pairing(RuleBasedStateMachine):
 
 
 TestPairing = Pairing.TestCase
-TestPairing.settings = settings(max_examples=25, stateful_step_count=25)
 TestPairing = pytest.mark.filterwarnings("error")(TestPairing)
 
 

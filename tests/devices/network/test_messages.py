@@ -5,7 +5,7 @@ import zlib
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.network.messages import (
@@ -108,7 +108,6 @@ def mutated(data, edits, cut):
     return resealed(bytes(changed) + b"1234")
 
 
-@settings(max_examples=300)  # 10,000 were run once: 50 s
 @given(
     body=st.sampled_from(list(BODIES.values())),
     depth=st.booleans(),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.simulated.person import anatomy
@@ -109,7 +109,6 @@ def test_any_time_may_be_asked_for_in_any_order():
         np.testing.assert_allclose(walk.landmarks(t)[0], together[k], atol=1e-12)
 
 
-@settings(max_examples=100)
 @given(
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),

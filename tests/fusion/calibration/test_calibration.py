@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V1
@@ -16,6 +16,7 @@ from fusion.calibration.start_up_pose import (
 )
 from fusion.errors import CalibrationError
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from tests.helpers.laws import COSTLY
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
 
 
@@ -33,7 +34,7 @@ def test_the_start_up_pose_is_recognised_where_it_is_held(body):
     assert how.startswith("start-up pose at 0.0 s")
 
 
-@settings(max_examples=6)
+@COSTLY
 @given(
     rate=st.sampled_from([5, 10, 15, 30, 60]),
     lost=st.sampled_from([0.0, 0.05, 0.2]),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.body import KINECT_V2
@@ -119,7 +119,6 @@ def test_the_sensors_are_alike(by):
     np.testing.assert_allclose(other, fused(pairs), atol=1e-5)  # skeletons are float32
 
 
-@settings(max_examples=10)
 @given(st.floats(0.3, 1.5), st.sampled_from((-0.5, 0.5)))
 def test_a_lunge_between_the_times_of_both_views_is_no_displacement(metres, share):
     """At 5 frames per second, B half a frame before or after A."""

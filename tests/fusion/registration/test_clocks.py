@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from devices.pairing import clock_by_motion
@@ -20,6 +20,7 @@ from fusion.registration.clock_search import View, find_clock_offset
 from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.continuous_motion import RATES, as_pairs, as_view, views_at
+from tests.helpers.laws import COSTLY
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, standing
 
 
@@ -54,7 +55,7 @@ def test_the_delay_of_a_recording_is_found_to_a_fraction_of_a_frame(delay):
 
 
 @pytest.mark.parametrize("rate", RATES)
-@settings(max_examples=2)
+@COSTLY
 @given(
     delay=st.floats(-0.12, 0.12),
     phase=st.sampled_from([0.0, 0.3, 0.5]),
@@ -78,7 +79,7 @@ def test_a_delay_is_found_at_any_frame_rate(rate, delay, phase, lost, seed):
     assert live.estimate.offset_ns * 1e-9 == pytest.approx(delay, abs=0.005 + 0.25 * abs(delay))
 
 
-@settings(max_examples=2)
+@COSTLY
 @given(rate=st.sampled_from(RATES), offset=st.floats(0.5, 20.0), seed=st.integers(0, 99))
 @example(rate=5, offset=0.5, seed=0)
 @example(rate=13, offset=-0.7, seed=1)
@@ -234,7 +235,7 @@ def test_two_people_with_different_movements_have_no_certain_offset():
     assert found is None or found.sd_ns > 4 * FRAME_NS
 
 
-@settings(max_examples=12)
+@COSTLY
 @given(
     first=st.floats(0.0, 15.0), seconds=st.floats(1.5, 4.5), offset=st.floats(1.0, 8.0), swapped=st.booleans()
 )

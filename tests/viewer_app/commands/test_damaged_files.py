@@ -1,7 +1,7 @@
 """Files damaged at random: each is read, or refused with one line and exit code 2; never a traceback."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.body import KINECT_V2
@@ -12,7 +12,6 @@ from tests.helpers.recorded_pairs import write_json, write_ntu, write_view
 from tests.helpers.two_views import A_FROM_B, moving
 
 FRAMES = 12
-_EXAMPLES = settings(max_examples=12)
 _ODD = (
     *("nan", "-1", "1e999", "9" * 400, "null", "[]", "{}", '""', "é", "\0", "0x1", ",", "\n", "true"),
     "1e-320",
@@ -85,7 +84,6 @@ def test_whole_files_are_fused(whole, ending, capsys):
 
 
 @pytest.mark.parametrize("ending", WRITERS)
-@_EXAMPLES
 @given(wound=damage())
 def test_damaged_skeletons_are_fused_or_refused(whole, tmp_path, capsys, ending, wound):
     a, b = whole[ending]
@@ -94,7 +92,6 @@ def test_damaged_skeletons_are_fused_or_refused(whole, tmp_path, capsys, ending,
     _must_be_fused_or_refused(capsys, a, damaged)
 
 
-@_EXAMPLES
 @given(wound=damage())
 def test_damaged_calibrations_are_used_or_refused(whole, tmp_path, capsys, wound):
     calibration = tmp_path / "calibration.json"

@@ -11,7 +11,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.body import KINECT_V2
@@ -233,7 +233,6 @@ def test_a_band_holds_every_value_and_its_deviation(degrees, sigma):
     pause=st.floats(0.35, 20.0),
     wide=st.booleans(),
 )
-@settings(max_examples=20)
 def test_no_line_crosses_a_pause(lasts, pause, wide):
     """Also where only some of the values are drawn."""
     steps = [np.r_[pause, np.full(count - 1, 1 / 30)] for count in lasts]

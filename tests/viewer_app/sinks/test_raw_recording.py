@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from devices.azure.mkv import MkvRecording
@@ -247,7 +247,6 @@ def test_a_folder_that_is_gone_is_told(tmp_path):
     assert recorder.failure == f"{tmp_path}/none/a.mkv could not be written: No such file or directory."
 
 
-@settings(max_examples=60)
 @given(
     clocks=st.lists(
         st.tuples(st.integers(-(10**15), 10**15), st.integers(2, 40), st.floats(0.7, 100.0)),

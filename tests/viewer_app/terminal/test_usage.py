@@ -6,7 +6,7 @@ import tomllib
 from dataclasses import fields
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.helpers.command_line import duplex, one_line, parsed
@@ -103,7 +103,6 @@ WORDS = (
 )
 
 
-@settings(max_examples=60)
 @given(words=st.lists(st.sampled_from(WORDS), max_size=6))
 def test_any_command_line_is_accepted_or_refused_in_one_line(words, parsed, capsys):
     before = len(parsed)
