@@ -4,11 +4,10 @@ import os
 import signal
 import threading
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 from hypothesis import HealthCheck, settings
-
-from tests.helpers import scripted_sensor
 
 # A deadline measures the machine, and the first example of a test may compile a kernel.
 _OF_ALL = {
@@ -27,23 +26,31 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 pytest_plugins = (
     "tests.helpers.compiled_kernels",
-    "tests.helpers.fused_runs",
     "tests.helpers.machine",
     "tests.helpers.standin_library",
     "tests.helpers.standin_pyk4a",
     "tests.helpers.real_libraries",
-    "tests.helpers.real_people",
     "tests.helpers.orbbec.standin",
     "tests.helpers.freenect",
     "tests.helpers.freenect2.standin",
     "tests.helpers.realsense",
-    "tests.helpers.vendors",
 )
 
 
-@pytest.fixture(autouse=True)
-def _earlier_threads():
-    scripted_sensor.earlier_threads = set(threading.enumerate())
+@pytest.fixture
+def earlier_threads():
+    """The threads that run before the test, this one among them; libraries that other tests use keep some."""
+    return set(threading.enumerate())
+
+
+@pytest.fixture
+def fused_run(tmp_path):
+    """A function like :func:`record_fused` without the path; each call records a new session."""
+    from tests.helpers.fused_runs import record_fused
+
+    return lambda *pairs_and_calibration, **more: record_fused(
+        tmp_path / f"{uuid4()}.rrd", *pairs_and_calibration, **more
+    )
 
 
 @pytest.fixture(scope="session")

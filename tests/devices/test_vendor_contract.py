@@ -13,7 +13,7 @@ from devices.capture import usb
 from devices.capture.causes import Cause
 from devices.sensor import AbsentError, DeviceError
 from tests.helpers.usb_tree import plug_in
-from tests.helpers.vendors import A, B
+from tests.helpers.vendors import DRIVERS, A, B, OrbbecDriver
 
 ALL = ("azure", "orbbec", "realsense", "freenect", "freenect2")
 
@@ -26,6 +26,14 @@ def of(*vendors):
 EVERY, COLORED = of(*ALL), of("azure", "orbbec", "realsense", "freenect")
 INFRARED = of("azure", "orbbec", "realsense")
 OPENED = of("azure", "orbbec", "realsense", "freenect")  # v2: test_contract.py there, by its library
+
+
+@pytest.fixture
+def driver(request, monkeypatch):
+    """The driver of the vendor that the test's parameter names."""
+    kind, fixture = DRIVERS[request.param]
+    given = [] if fixture is None else [request.getfixturevalue(fixture)]
+    return kind(*given, *[monkeypatch] * (kind is not OrbbecDriver))
 
 
 @dataclass

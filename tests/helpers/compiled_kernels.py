@@ -9,17 +9,9 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 from threading import Thread
-from typing import get_args
 
 import psutil
 import pytest
-
-from fusion.body import AZURE_KINECT
-from fusion.calibration.calibration import nominal_calibration
-from fusion.compiling import disk_cache
-from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup, Method
-from tests.helpers import golden_session
 
 _ROOT = Path(__file__).resolve().parents[2]
 _NEEDS_NONE = re.compile(r"tests/(devices|documents)/(?!.*fus)")
@@ -40,7 +32,11 @@ def pytest_configure_node(node):
 
 def pytest_configure(config):
     if hasattr(config, "workerinput"):
-        disk_cache._ForgivingCache.load_overload = _waiting(config.workerinput["compiling"])
+        from fusion.compiling.disk_cache import _ForgivingCache
+
+        _ForgivingCache.load_overload = _waiting(
+            _ForgivingCache.load_overload, config.workerinput["compiling"]
+        )
 
 
 def pytest_unconfigure(config):
@@ -48,9 +44,9 @@ def pytest_unconfigure(config):
         process.kill()
 
 
-def _waiting(compiling):
+def _waiting(load, compiling):
     """How a kernel is found on disk, or after a process has compiled."""
-    load, waits = disk_cache._ForgivingCache.load_overload, []
+    waits = []
     with suppress(psutil.NoSuchProcess):
         waits.append(psutil.Process(compiling))
 
@@ -82,6 +78,14 @@ def pytest_collection_modifyitems(config, items):
 
 def compile_kernels():
     """Compiles the kernels of every method that are not on disk, and those of whole recordings."""
+    from typing import get_args
+
+    from fusion.body import AZURE_KINECT
+    from fusion.calibration.calibration import nominal_calibration
+    from fusion.fuser import Fuser
+    from fusion.setup import FuserSettings, FusionSetup, Method
+    from tests.helpers import golden_session
+
     for method in get_args(Method):
         Fuser(FusionSetup(nominal_calibration(AZURE_KINECT), FuserSettings(method=method))).warm_up()
     golden_session.runs_of(golden_session.load())

@@ -3,9 +3,6 @@
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from uuid import uuid4
-
-import pytest
 
 from devices.events import Event
 from fusion.fuser import Fuser
@@ -66,11 +63,3 @@ def record_fused(path, pairs, calibration, settings=None, depth_every=0, block=2
     )
     write_session(session, path, block=block)
     return Session.open(path)
-
-
-@pytest.fixture
-def fused_run(tmp_path):
-    """A function like :func:`record_fused` without the path; each call records a new session."""
-    return lambda *pairs_and_calibration, **more: record_fused(
-        tmp_path / f"{uuid4()}.rrd", *pairs_and_calibration, **more
-    )

@@ -14,13 +14,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from rerun.experimental import ViewerClient
-
-from devices.blazepose.networks.files import cache_folder, missing
-from viewer_app.addresses import LOOPBACK
-from viewer_app.errors import UsageError
-from viewer_app.viewer.rerun_process import stop
-from viewer_app.viewer.window import start_viewer
 
 _LACKS = "this machine lacks"
 _COMPILERS = ("cc", "gcc", "clang")
@@ -59,6 +52,8 @@ def need_program(name, *, package):
 
 def need_networks(network="full"):
     """The folder of the body tracker's networks; skips the running test where they were not fetched."""
+    from devices.blazepose.networks.files import cache_folder, missing
+
     folder = cache_folder()
     if missing(network, folder):
         what, remedy = (
@@ -76,6 +71,13 @@ def _first_of(programs):
 @functools.cache
 def _viewer_draws():
     """Whether a headless viewer gives a picture; without a usable driver it starts, listens, and dies."""
+    from rerun.experimental import ViewerClient
+
+    from viewer_app.addresses import LOOPBACK
+    from viewer_app.errors import UsageError
+    from viewer_app.viewer.rerun_process import stop
+    from viewer_app.viewer.window import start_viewer
+
     try:
         process, port = start_viewer(["--headless"])
     except UsageError:

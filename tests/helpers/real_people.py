@@ -9,7 +9,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from fusion.intrinsics import Intrinsics
@@ -32,15 +31,6 @@ class RealImage:
     def time_ns(self):
         """The source states no rate; this is its frame number at 30 fps."""
         return int(self.frame) * FRAME_NS
-
-
-@pytest.fixture(scope="session")
-def real_images(shared):
-    """The folder of the clips; without it the test is skipped."""
-    folder = shared / "real_images"
-    if not folder.is_dir():
-        pytest.skip(f"no images of real people at {folder}")
-    return folder
 
 
 def clip(folder):

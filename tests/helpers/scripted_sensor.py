@@ -61,13 +61,9 @@ class ScriptedSensor(Sensor):
                 step()
 
 
-earlier_threads = set()
-"""Those that ran before the test: libraries that other tests use keep some."""
-
-
-def all_threads_end():
-    """Returns whether all threads that the test started end within a time limit."""
-    others = set(threading.enumerate()) - {threading.current_thread()} - earlier_threads
+def all_threads_end(earlier):
+    """Returns whether all threads but the earlier ones end within a time limit."""
+    others = set(threading.enumerate()) - earlier
     for thread in others:
         thread.join(PATIENCE_S)
     return not any(thread.is_alive() for thread in others)

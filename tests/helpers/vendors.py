@@ -13,7 +13,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from devices.azure import pyk4a_access
 from devices.azure.kinect import KinectSensor
@@ -433,18 +432,10 @@ class KinectV2(ByLibrary):
         )
 
 
-_DRIVERS = {
+DRIVERS = {
     "azure": (Azure, "bus"),
     "orbbec": (OrbbecDriver, "orbbecs"),
     "realsense": (RealSense, "rs"),
     "freenect": (KinectV1, None),
     "freenect2": (KinectV2, None),
 }
-
-
-@pytest.fixture
-def driver(request, monkeypatch):
-    """The driver of the vendor that the test's parameter names."""
-    kind, fixture = _DRIVERS[request.param]
-    given = [] if fixture is None else [request.getfixturevalue(fixture)]
-    return kind(*given, *[monkeypatch] * (kind is not OrbbecDriver))

@@ -15,6 +15,15 @@ LENGTHS_VARY = 0.12  # standard deviation of a bone's length over a clip, as a s
 GOAL = 0.04  # of the stature: the project's
 
 
+@pytest.fixture(scope="session")
+def real_images(shared):
+    """The folder of the clips; without it the test is skipped."""
+    folder = shared / "real_images"
+    if not folder.is_dir():
+        pytest.skip(f"no images of real people at {folder}")
+    return folder
+
+
 def tracked(folder, wanted):
     """(image, skeleton) of each image of a clip."""
     with BlazePose(BlazePoseSettings(models=need_networks(), person=wanted)) as tracker:

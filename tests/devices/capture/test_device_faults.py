@@ -134,13 +134,13 @@ def test_a_sensor_whose_frames_come_late_is_named_once(late, lag_ms, words):
     assert words is None or words in told[0]
 
 
-def test_a_sensor_that_does_not_open_closes_the_other():
+def test_a_sensor_that_does_not_open_closes_the_other(earlier_threads):
     bench = _Bench()
     bench.a.open_faults = [DeviceError("No Kinect with serial 000123.")]
     with pytest.raises(DeviceError, match="No Kinect with serial 000123"):
         bench.two.__enter__()
     assert (bench.b.opened, bench.b.closed) == (1, 1)
-    assert all_threads_end()
+    assert all_threads_end(earlier_threads)
 
 
 def test_the_subordinate_starts_first():
@@ -168,7 +168,7 @@ def test_both_sources_ended_end_the_pairs():
     assert [(pair.a is not None, pair.b is not None) for pair in pairs] == [(True, True), (True, False)]
 
 
-def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames():
+def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames(earlier_threads):
     told = []
     release, closed = threading.Event(), threading.Event()
     a, b = ScriptedSensor("a"), ScriptedSensor("b")
@@ -187,12 +187,12 @@ def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames():
     assert told == ["a does not close; it is left behind. Unplug it before using it again."]
     assert [event.text for event in two.events()] == told
     release.set()
-    assert all_threads_end()
+    assert all_threads_end(earlier_threads)
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
 @pytest.mark.parametrize("moment", ["opening a", "opening b", "between frames", "in a pair", "closing"])
-def test_ctrl_c_at_any_moment(moment):
+def test_ctrl_c_at_any_moment(earlier_threads, moment):
     class Interrupted(ScriptedSensor):
         def __enter__(self):
             if moment == f"opening {self.name}":
@@ -210,7 +210,7 @@ def test_ctrl_c_at_any_moment(moment):
         _session(two, a, b, moment)
     assert (two.a.state, two.b.state) == (SensorState.CLOSED, SensorState.CLOSED)
     # After Ctrl-C interrupts the wait, the thread finishes by itself.
-    assert all_threads_end()
+    assert all_threads_end(earlier_threads)
     for sensor in (a, b):
         assert sensor.opened == sensor.closed
 
@@ -257,7 +257,7 @@ def test_frames_are_counted_from_when_both_are_open():
 
 
 @pytest.mark.parametrize("waits_for", ["its body tracker, which loads its network", ""])
-def test_a_sensor_that_still_loads_is_not_called_hung(waits_for):
+def test_a_sensor_that_still_loads_is_not_called_hung(earlier_threads, waits_for):
     release = threading.Event()
 
     class Loading(ScriptedSensor):
@@ -274,4 +274,4 @@ def test_a_sensor_that_still_loads_is_not_called_hung(waits_for):
     assert (f"it waits for {waits_for}" if waits_for else "it is left behind. Unplug it") in told
     assert ("Unplug" in told) == (waits_for == "")
     release.set()
-    assert all_threads_end()
+    assert all_threads_end(earlier_threads)

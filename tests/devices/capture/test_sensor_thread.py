@@ -83,7 +83,7 @@ def test_frames_get_their_time_of_arrival(sensor):
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
-def test_ctrl_c_while_a_sensor_opens_closes_it():
+def test_ctrl_c_while_a_sensor_opens_closes_it(earlier_threads):
     pressed = threading.Event()
 
     class Interrupted(ScriptedSensor):
@@ -100,7 +100,7 @@ def test_ctrl_c_while_a_sensor_opens_closes_it():
     with pytest.raises(KeyboardInterrupt):
         thread.open()
     assert thread.state is SensorState.CLOSED
-    assert all_threads_end()
+    assert all_threads_end(earlier_threads)
     assert sensor.opened == sensor.closed
 
 
