@@ -1,8 +1,12 @@
 """The sentences that users meet, each below what leads to it: ``tests/data/sentences``."""
 
 import os
+import re
+import shlex
 from pathlib import Path
 from textwrap import indent
+
+from tests.helpers.command_line import duplex, one_line
 
 _FOLDER = Path(__file__).resolve().parent.parent / "data" / "sentences"
 
@@ -23,3 +27,20 @@ def check_sentences(name, told):
         path.write_text(after, encoding="utf-8")
     else:
         assert after.splitlines() == before.splitlines()
+
+
+def refusals(capsys, folder):
+    """From a command line to its refusal, for :func:`check_sentences`; nothing in the folder changes."""
+
+    def files():
+        return {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in folder.rglob("*")}
+
+    def told(line):
+        before = files()
+        capsys.readouterr()
+        assert duplex(*filter(None, shlex.split(line))) == 2, line
+        assert files() == before, line
+        said = one_line(capsys).removeprefix("duplex: ").rstrip("\n").replace(str(folder), "FOLDER")
+        return re.sub(r"(unknown host .*?) \(.*?\)", r"\1", said)  # a resolver's own words
+
+    return told

@@ -12,7 +12,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 import rerun as rr
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
@@ -308,6 +308,7 @@ def test_a_part_has_the_events_of_its_frames_and_no_counts_of_the_whole(tmp_path
 @given(
     outer=st.sets(st.integers(0, _FRAMES - 1), min_size=3), choice=st.lists(st.booleans(), min_size=_FRAMES)
 )
+@example(set(range(3, 10)), [False, False, True, True, False, True, *[False] * 6])
 def test_a_part_of_a_part_is_that_part_of_the_whole(outer, choice):
     kept = sorted(outer)
     inner = [k for k in range(len(kept)) if choice[k]] or [1]

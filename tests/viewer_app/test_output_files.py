@@ -51,15 +51,6 @@ def test_of_two_batches_on_one_folder_the_second_is_refused(tmp_path, capsys):
     first.remove()
 
 
-@pytest.mark.parametrize("command", [("review", "s.rrd"), ("compare", "s.rrd", "t.rrd")])
-def test_a_page_is_named_as_one(command, tmp_path, capsys, monkeypatch):
-    """A browser shows a page of another ending as text."""
-    monkeypatch.chdir(tmp_path)
-    assert duplex(*command, "--no-viewer", "--html", "walk.pdf") == 2
-    assert "the name must end in .html, as in walk.html" in one_line(capsys)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_what_an_export_needs_is_looked_for_before_fusing(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pygltflib", None)
     monkeypatch.setattr("viewer_app.commands.fuse._read", lambda *_: pytest.fail("it is read"))
@@ -67,17 +58,6 @@ def test_what_an_export_needs_is_looked_for_before_fusing(tmp_path, capsys, monk
     outputs = "--save", tmp_path / "s.rrd", "--to", tmp_path / "t.glb"
     assert duplex("fuse", tmp_path / "a.csv", tmp_path / "b.csv", "--no-viewer", *outputs) == 2
     assert "Writing .glb needs the package pygltflib" in one_line(capsys)
-
-
-def test_a_folder_for_recordings_is_no_file_and_has_no_name_of_one(tmp_path, capsys):
-    file = tmp_path / "file"
-    file.touch()
-    for path in (file, tmp_path / "walk.rrd", tmp_path / "walk.MKV"):
-        assert duplex("demo", "--no-viewer", "--record", path) == 2
-        assert (
-            one_line(capsys) == f"duplex: {path} is the name of a file; name a folder, for several files.\n"
-        )
-    assert list(tmp_path.iterdir()) == [file]
 
 
 def test_a_folder_that_the_system_refuses_is_told_in_one_line(tmp_path, capsys):

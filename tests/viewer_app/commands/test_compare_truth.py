@@ -11,6 +11,7 @@ from recordings.data import layout
 from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.motion_capture import captured, true_positions, write_c3d, write_trc
+from tests.helpers.sentences import check_sentences, refusals
 from tests.helpers.session_text import rows_of
 
 # of laboratories, on the joints of KINECT_V2
@@ -111,20 +112,6 @@ def test_an_offset_that_the_motion_contradicts_is_kept_with_a_warning(walk, caps
     assert warning not in " ".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ("walk.rrd none.c3d", "No file none.c3d"),
-        ("walk.c3d walk.c3d", "walk.c3d"),
-        ("walk.rrd walk.c3d --names vicon", "No table of names 'vicon'"),
-        ("walk.rrd walk.c3d --offset 100", "have 0 frames with an S*"),
-        ("walk.rrd walk.c3d --offset nan", "--offset nan: must be a number of seconds"),
-        ("walk.rrd walk.c3d --worst 3", "--worst is for two sessions"),
-        ("walk.rrd walk.rrd --report c.json", "--report is for motion capture"),
-        ("walk.rrd walk.c3d --html walk.c3d", "is also read"),
-    ],
-)
-def test_a_mistake_gives_one_line(walk, arguments, words, capsys, monkeypatch):
+def test_sentences_of_comparisons(walk, capsys, monkeypatch):
     monkeypatch.chdir(walk)
-    assert duplex("compare", *arguments.split(), "--no-viewer") == 2
-    assert words in one_line(capsys)
+    check_sentences("compare", refusals(capsys, walk))

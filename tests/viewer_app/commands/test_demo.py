@@ -52,25 +52,6 @@ def test_a_badly_placed_demo_is_told_what_to_mend(tmp_path, capsys):
         assert word in said
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--motion", "flying"), "No movement 'flying'"),
-        (("--motion", "nowhere.bvh"), "nowhere.bvh"),
-        (("--seconds", -1), "--seconds must be a positive number"),
-        (("--bad-setup", "--angle", 60), "--bad-setup has its own angle, 30°"),
-        (("--tracker", "blazepose", "--depth", "none"), "needs images"),
-        (("--tracker", "blazepose", "--body", "kinect_v2"), "not kinect_v2"),
-        (("--tracker", "blazepose", "--tracker-model", "nowhere"), "nowhere"),
-        (("--tracker-network", "lite"), "--tracker-network needs --tracker blazepose"),
-        (("--tracker-model", "networks"), "--tracker-model needs --tracker blazepose"),
-    ],
-)
-def test_a_mistake_gives_one_line(arguments, words, capsys):
-    assert duplex("demo", "--no-viewer", *arguments) == 2
-    assert words in one_line(capsys)
-
-
 def test_a_demo_replaces_no_existing_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("viewer_app.commands.demo.has_display", lambda: False)

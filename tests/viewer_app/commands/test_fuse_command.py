@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
+from fusion.body import AZURE_KINECT, KINECT_V2
 from recordings import Session
 from recordings.gait import SIDES
 from recordings.quality.per_second import SecondQuality
@@ -124,16 +124,6 @@ def test_only_the_good_seconds_are_saved_and_exported(good, recordings, tmp_path
         np.testing.assert_allclose(fused, session.fused[kept], atol=5e-7)
 
 
-def test_an_unreadable_file_is_told_before_a_missing_display(recordings, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
-    junk = tmp_path / "junk.csv"
-    junk.write_text("no recording\n")
-    assert duplex("fuse", junk, recordings[1]) == 2
-    assert "junk.csv" in one_line(capsys)
-    assert duplex("fuse", *recordings) == 2
-    assert re.search("There is no display.*--save FILE.rrd", one_line(capsys))
-
-
 def with_x_reversed(recording, folder):
     header, *rows = recording.read_text(encoding="utf-8").splitlines()
     x = header.split(",").index("x")
@@ -186,11 +176,6 @@ def test_real_recordings_fuse_with_exact_bones_and_replay(name, shared, tmp_path
     assert 0.03 <= figures["stale"]["b"] / figures["paired"] <= 0.10
 
 
-def test_a_place_in_the_image_chooses_no_person_of_recorded_skeletons(recordings, capsys):
-    assert duplex("fuse", *recordings, "--no-viewer", "--person", "left") == 2
-    assert "use --person-a and --person-b" in one_line(capsys)
-
-
 def test_a_session_tells_how_files_were_read_without_their_folders(recordings, tmp_path, capsys):
     header, *rows = recordings[0].read_text(encoding="utf-8").splitlines()
     x = header.split(",").index("x")
@@ -228,42 +213,6 @@ def test_a_calibration_can_be_kept_and_used_again(recordings, tmp_path):
     one, two = figures_of(first), figures_of(again)
     assert one["bones"] == two["bones"]
     assert two["calibration"]["how"].startswith("loaded from")
-
-
-def test_unusable_recordings_give_one_line_and_leave_no_file(recordings, tmp_path, capsys):
-    a, b = recordings
-    cut = tmp_path / "cut.csv"
-    cut.write_text(b.read_text(encoding="utf-8")[:-30], encoding="utf-8")
-    later = write_view(tmp_path / "later.csv", KINECT_V2, moving(KINECT_V2, 30), start_us=60_000_000)
-    other_body = write_view(tmp_path / "v1.csv", KINECT_V1, moving(KINECT_V1, 30))
-    for second, words in (
-        (tmp_path / "missing.csv", "No file"),
-        (cut, "cut off"),
-        (later, "never overlap in time"),
-        (other_body, "Both sensors must be of one family"),
-    ):
-        session, report = tmp_path / "s.rrd", tmp_path / "r.json"
-        assert duplex("fuse", a, second, "--no-viewer", "--save", session, "--report", report) == 2
-        assert words in one_line(capsys)
-        assert not session.exists()
-        assert not report.exists()
-    assert not list(tmp_path.glob(".*partial*"))
-
-
-@pytest.mark.parametrize(
-    ("flags", "words"),
-    [
-        (("--h", "0.3", "--method", "paper"), "between 0.5 and 1"),
-        (("--calibrate", "seconds:none"), "must be a positive number"),
-        (("--calibrate", "nowhere.json"), "neither auto, nor seconds:N, nor an existing file"),
-        (("--save", "/nowhere/at/all/s.rrd"), "No folder"),
-        (("--person-b", "4"), "no person '4'"),
-        (("--report", "x", "--save", "x"), "written twice"),
-    ],
-)
-def test_impossible_settings_give_one_line(recordings, capsys, flags, words):
-    assert duplex("fuse", *recordings, *QUICKLY, *flags) == 2
-    assert words in one_line(capsys)
 
 
 def test_a_calibration_of_another_body_or_of_no_kind_is_refused(recordings, tmp_path, capsys):

@@ -11,7 +11,7 @@ from devices.events import Event
 from fusion.body import KINECT_V2
 from recordings.file.session_writer import write_session
 from recordings.session import Session
-from tests.helpers.command_line import duplex, one_line
+from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.two_views import calibration_of
@@ -105,20 +105,3 @@ def test_without_an_event_it_opens_at_the_beginning_and_says_so(session, shown, 
     assert duplex("review", session.path) == 0
     shown.assert_called_once_with(session.path, 0)
     assert "opens at the beginning: no later event calls for a look" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--event", 4), "--event 4: no such event; they are numbered from 1 to 3."),
-        (("--event", 0), "--event 0: no such event"),
-        (("--at", 99), "--at 99: the session runs from 0 to 1.97 s."),
-        (("--at=-1",), "--at -1: the session runs"),
-        (("--at", "nan"), "--at nan: the session runs"),
-        (("--at", 1, "--event", 1), "give only one"),
-    ],
-)
-def test_a_wrong_time_or_number_gives_one_line_and_opens_nothing(options, words, path, shown, capsys):
-    assert duplex("review", path, *options) == 2
-    assert words in one_line(capsys)
-    shown.assert_not_called()

@@ -181,44 +181,6 @@ def test_the_window_of_a_comparison_opens_where_s_star_differs_most(session, tmp
     assert opened[2:] == [0]
 
 
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ("replay {} --verify --smoothing 0.9", "duplex compare"),
-        ("compare {0} {0} --no-viewer --worst=-3", "--worst -3"),
-        ("trim {} --from 9 --save none.rrd", "runs from 0 to"),
-        ("trim {} --from 2 --to 1 --save none.rrd", "--from 2 must be before --to 1"),
-        ("export {} --to s.fbx", "Known: .bvh"),
-        ("export {} --to taken.bvh", "--force"),
-        ("export {} --to s.c3d --names mixamo", "--names is for .bvh and .glb; .c3d has the names"),
-    ],
-)
-def test_a_mistake_gives_one_line(session, command, words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    Path("taken.bvh").touch()
-    assert duplex(*command.format(session).split()) == 2
-    assert words in one_line(capsys)
-
-
-def test_no_command_writes_two_things_into_one_file_or_over_what_it_reads(session, tmp_path, capsys):
-    same, before = tmp_path / "same.rrd", session.read_bytes()
-    assert duplex("replay", session, "--no-viewer", "--save", same, "--report", same) == 2
-    assert "written twice" in one_line(capsys)
-    assert not same.exists()
-    for command in (
-        ("replay", session, "--no-viewer", "--save", session),
-        ("compare", session, session, "--no-viewer", "--save", session),
-        ("trim", session, "--save", session),
-        ("review", session, "--no-viewer", "--html", session),
-    ):
-        assert duplex(*command, "--force") == 2
-        assert "also read" in one_line(capsys)
-        assert session.read_bytes() == before
-    table = session.rename(session.with_suffix(".csv"))
-    assert duplex("export", table, "--to", table, "--force") == 2
-    assert table.read_bytes() == before
-
-
 @pytest.mark.usefixtures("without_plots")
 def test_names_with_brackets_are_printed_as_they_are(session, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -378,15 +340,6 @@ def test_export_writes_by_the_files_ending(session, tmp_path, capsys):
         assert (tmp_path / name).stat().st_size > 1000
         assert f"{name}: 90 frames" in capsys.readouterr().out
     assert sorted(p.name for p in tmp_path.iterdir() if p.suffix != ".rrd") == names
-
-
-def test_a_damaged_session_gives_one_line(session, tmp_path, capsys):
-    bad = tmp_path / "bad.rrd"
-    bad.write_bytes(session.read_bytes()[:3000])
-    more = {"compare": (session,), "export": ("--to", tmp_path / "x.csv")}
-    for command in ("replay", "info", "review", *more):
-        assert duplex(command, bad, *more.get(command, ())) == 2
-        assert "bad.rrd" in one_line(capsys)
 
 
 def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(tmp_path, capsys):

@@ -115,29 +115,6 @@ def test_a_name_with_addresses_of_both_kinds_is_that_of_ipv4(monkeypatch):
     assert looked_up(Address("::1", 39539), "--vmc")[0] == socket.AF_INET6
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--vmc", "nowhere"), "write HOST:PORT"),
-        (("--vmc", "127.0.0.1:99999"), "write HOST:PORT"),
-        (("--vmc", "no-such-host.invalid:39539"), "unknown host"),
-        (("--vrchat", "no-such-host.invalid:1"), "unknown host"),
-        (("--vrchat", "a:b:c"), "--vrchat a:b:c"),
-        (("--avatar", "x.vrm"), "--avatar needs --vmc"),
-        (("--vmc", "39539", "--avatar", "none.vrm"), "--avatar none.vrm"),
-        (("--websocket", "0"), "between 1 and 65535"),
-        (("--lsl", " "), "needs a name"),
-        (("--zenoh", "a key"), "not a Zenoh key"),
-        (("--zenoh", "k", "--zenoh-connect", "there"), "not a Zenoh address"),
-        (("--zenoh-connect", "tcp/127.0.0.1:7447"), "give its key"),
-        (("--listen", "127.0.0.1"), "--listen 127.0.0.1 is the address of --web"),
-    ],
-)
-def test_a_wrong_address_gives_one_line(options, words, capsys):
-    assert duplex("demo", "--no-viewer", "--seconds", 1, "--depth", "none", *options) == 2
-    assert words in one_line(capsys)
-
-
 def test_a_port_in_use_gives_one_line_and_opens_nothing(capsys):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
@@ -152,14 +129,3 @@ def test_a_missing_extra_is_named(option, package, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, package, None)
     assert duplex("demo", "--no-viewer", f"--{option}", "name") == 2
     assert f'pip install "duplex-kinects[{option}]"' in one_line(capsys)
-
-
-def test_replay_wants_pace_and_outputs_together(tmp_path, capsys):
-    session = record_fused(tmp_path / "s.rrd", frame_pairs(KINECT_V2, 5), calibration_of(KINECT_V2))
-    for options, words in (
-        (("--vmc", "39539"), "add --pace live"),
-        (("--pace", "live"), "add one"),
-        (("--pace", "live", "--vmc", "39539", "--listen", "127.0.0.1"), "--websocket and --lsl"),
-    ):
-        assert duplex("replay", session.path, "--no-viewer", *options) == 2
-        assert words in one_line(capsys)

@@ -1,7 +1,6 @@
 """A mistake on the command line gives one line that names it, and exit code 2."""
 
 import re
-import shlex
 import tomllib
 from dataclasses import fields
 
@@ -14,42 +13,6 @@ from tests.helpers.documents import ROOT
 from viewer_app.options.command_line import COMMANDS
 
 __all__ = ["parsed"]  # a fixture
-
-
-@pytest.mark.parametrize(
-    ("command", "line"),
-    [
-        ("review w.rrd --evnt 2", "Unknown option: --evnt. Did you mean --event? (duplex review --help)"),
-        ("review w.rrd --event x", "--event must be a whole number; got 'x' (duplex review --help)"),
-        ("demo --seconds long", "--seconds must be a number; got 'long' (duplex demo --help)"),
-        ("review w.rrd --event", "--event needs a value (duplex review --help)"),
-        ("fuse a.csv b.csv --save --force", "--save needs a value (duplex fuse --help)"),
-        ("fuse a.csv", "missing argument B (duplex fuse --help)"),
-        ("fuse a.csv b.csv c.csv", "one argument too many: 'c.csv' (duplex fuse --help)"),
-        (
-            "fuse a.csv b.csv --method duplx",
-            'Invalid value "duplx" for --method. Choose from: "duplex", "paper", "published". '
-            'Did you mean "duplex"? (duplex fuse --help)',
-        ),
-        ("live --fps 31", 'Invalid value "31" for --fps. Choose from: 5, 15, 30. (duplex live --help)'),
-        ("export w.rrd --to a.bvh --to b.bvh", "--to is given twice (duplex export --help)"),
-        ("demo --no-viewer --no-viewer", "--no-viewer is given twice (duplex demo --help)"),
-        ("trim w.rrd", "missing option --save (duplex trim --help)"),
-        ("fus a.csv b.csv", 'Unknown command "fus". Did you mean "fuse"? Available commands: demo, live, …'),
-        ("tracker", "name a command: fetch (duplex tracker --help)"),
-        ("--zzz", 'Unknown command "--zzz". Available commands: demo, live, …'),
-        ("", "name a command: demo, live, …"),
-    ],
-)
-def test_the_line_names_the_mistake(command, line, parsed, capsys):
-    assert duplex(*shlex.split(command)) == 2
-    said = one_line(capsys).removeprefix("duplex: ").rstrip("\n")
-    assert not parsed
-    if line.endswith("…"):
-        assert said.startswith(line.removesuffix("…"))
-        assert said.endswith(" --help)")
-    else:
-        assert said == line
 
 
 def test_a_long_value_is_shortened(capsys):

@@ -10,6 +10,7 @@ from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from tests.helpers.command_line import duplex
+from tests.helpers.sentences import check_sentences, refusals
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.sensors.local import two_connected_sensors
 
@@ -81,30 +82,12 @@ def test_it_asks_which_is_which(standin, answer, principal, monkeypatch, capsys)
 
 
 @pytest.mark.usefixtures("kinects")
-def test_without_a_terminal_it_says_what_to_choose_from(monkeypatch, capsys):
+def test_sentences_of_live(tmp_path, monkeypatch, capsys):
+    """Before any sensor opens."""
+    monkeypatch.setattr(SensorThread, "open", lambda _: pytest.fail("it opens"))
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    assert duplex("live", "--no-viewer") == 2
-    assert "--principal 000123 or --principal 000456" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("kinects")
-def test_mistakes_give_one_line_before_any_sensor_opens(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    taken = tmp_path / "taken.rrd"
-    taken.touch()
-    for arguments, words in (
-        ([], "no display"),
-        (["--no-viewer", "--save", taken], "exists already"),
-        (["--no-viewer", "--seconds", -1], "--seconds must be"),
-        (["--no-viewer", "--calibrate", tmp_path / "none.json"], "neither auto nor an existing file"),
-        (["--no-viewer", "--color", "3072P"], "Colour 3072P runs at 15 fps at most"),
-        (["--no-viewer", "--smoothing", 3], "smoothing must lie between 0 and 1; got 3.0"),
-        (["--no-viewer", "--kinect-a", "000999"], "No sensor with serial 000999"),
-        (["--no-viewer", "--principal", "000123", "--method", "paper", "--h", 2], "h must lie"),
-    ):
-        assert duplex("live", *arguments) == 2
-        printed = capsys.readouterr()
-        assert words in printed.err
-        assert printed.err.count("\n") == 1
-        assert "Opening" not in printed.out
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken.rrd").touch()
+    check_sentences("live", refusals(capsys, tmp_path))
