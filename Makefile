@@ -44,6 +44,7 @@ check: $(READY)
 	  $(BIN)/mypy --platform $$platform --no-warn-unreachable --cache-dir .mypy_cache/$$platform || exit; \
 	done
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.ledger
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 # The documentation as a site in site/; make docs OPTIONS="serve" shows it while it is edited.
