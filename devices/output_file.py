@@ -39,7 +39,10 @@ class TakenError(FileExistsError):
 class Hidden:
     """A locked file or folder beside `target`, with the target's suffix in lower case.
 
-    ezc3d appends the suffix to any other name.
+    ezc3d appends the suffix to any other name. A link of that name is not followed.
+
+    Attributes:
+        descriptor: Of the open file or folder, which holds its lock; -1 once it is closed.
 
     Raises:
         BlockingIOError: It is `shared`, and another process has it.
@@ -54,12 +57,13 @@ class Hidden:
             suffix = "" if shared or folder else target.suffix.lower()
             self.path = target.with_name(f"{start}{unique}.partial{suffix}")
             if folder:
-                self.path.mkdir(mode=0o700)
-            else:
-                os.close(os.open(self.path, os.O_CREAT | os.O_RDWR | (0 if shared else os.O_EXCL), 0o666))
-            lock = _lock(self.path)
-            if lock is not None:
-                self._lock: int | None = lock
+                self.path.mkdir()
+                self.path.chmod(0o700)
+            descriptor = _locked(self.path, 0 if folder else os.O_CREAT | (0 if shared else os.O_EXCL))
+            if descriptor is not None:
+                self.descriptor = descriptor
+                with suppress(OSError):  # libraries open it again, whatever the umask
+                    self.path.chmod(self.path.stat().st_mode | 0o600)
                 _held.add(self.path)
                 return
             time.sleep(0.02 * tries)
@@ -74,7 +78,7 @@ class Hidden:
         """
         if target.exists() and not target.is_file():
             raise OSError(errno.EINVAL, "it is not a regular file", str(target))
-        _sync(self.path, os.O_RDWR)
+        os.fsync(self.descriptor)
         if sys.platform == "win32":  # which renames no open file
             self._release()
         if overwrite:
@@ -84,7 +88,8 @@ class Hidden:
         else:
             try:
                 os.link(self.path, target)
-                self.path.unlink()
+                with suppress(OSError):
+                    self.path.unlink()
             except FileExistsError:
                 raise
             except OSError:  # a file system without hard links
@@ -92,7 +97,11 @@ class Hidden:
                     raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target)) from None
                 self.path.rename(target)
         with suppress(OSError):
-            _sync(target.parent, os.O_RDONLY)
+            folder = os.open(target.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
 
     def remove(self) -> None:
         """Removes what has not got its name. Removing twice has no effect."""
@@ -107,9 +116,9 @@ class Hidden:
             self._release()
 
     def _release(self) -> None:
-        lock, self._lock = self._lock, None
-        if lock is not None and lock >= 0:
-            os.close(lock)
+        descriptor, self.descriptor = self.descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)
 
 
 @contextmanager
@@ -120,7 +129,7 @@ def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
         TakenError: The file exists, and `overwrite` is not set. What was written has another name.
         OSError: It could not be written.
     """
-    path = Path(os.path.realpath(path))  # not a link to it
+    path = real_path(path)
     if path in _held:  # the block of another whole_file
         yield path
         return
@@ -140,19 +149,19 @@ def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
 class GrowingOutput:
     """A file that is written block by block, and can be read meanwhile under its name.
 
-    It gets its name with the first block, or where it replaces an older file, after a second.
+    It is made with the first block, and gets its name then; where it replaces an older file, after a second.
 
-    Raises:
-        OSError: It cannot be made.
+    Args:
+        again: Called where a block could not be written, with the reason; whether to try again.
     """
 
-    def __init__(self, path: Path, *, overwrite: bool) -> None:
-        self.path, self._overwrite = Path(os.path.realpath(path)), overwrite
-        self._hidden = Hidden(self.path)
-        self._file = FileIO(self._hidden.path, "r+")
-        self.size, self.placed = 0, False
-        self._ending = b""
-        self._since = time.monotonic()
+    def __init__(
+        self, path: Path, *, overwrite: bool = False, again: Callable[[OSError], bool] = lambda _: False
+    ) -> None:
+        self.path, self._overwrite, self._again = real_path(path), overwrite, again
+        self._hidden: Hidden | None = None
+        self._file: FileIO | None = None
+        self.size, self.placed, self._since, self._ending = 0, False, 0.0, b""
 
     def append(self, block: bytes | memoryview, ending: bytes = b"") -> None:
         """Writes a block completely; or raises an OSError, and the file is as after the block before.
@@ -160,56 +169,85 @@ class GrowingOutput:
         Args:
             ending: What makes the file whole; the next block replaces it.
         """
-        if self.placed and not self._is_there():
+        while True:
+            try:
+                return self._append(block, ending)
+            except OSError as fault:
+                if isinstance(fault, FileExistsError | FileNotFoundError) or not self._again(fault):
+                    raise
+
+    def _append(self, block: bytes | memoryview, ending: bytes) -> None:
+        file = self._opened()
+        if self.placed and not (self.path.exists() and os.path.samefile(file.fileno(), self.path)):
             raise FileNotFoundError("it was moved or deleted")
         try:
-            self._write_all(block, ending)
+            self._write_all(file, block, ending)
         except OSError:
             with suppress(OSError):
-                self._file.seek(self.size)
-                self._write_all(self._ending)
+                self._write_all(file, self._ending)
             raise
-        self.size, self._ending = self.size + len(block), ending
-        self._file.seek(self.size)
         waits = self._overwrite and self.path.exists() and time.monotonic() - self._since < _SAFE_S
         if not self.placed and not waits:
             self._place()
+        self.size, self._ending = self.size + len(block), ending
 
-    def _write_all(self, *parts: bytes | memoryview) -> None:
-        """Writes from here on; nothing follows."""
+    def _opened(self) -> FileIO:
+        if self._hidden is None:
+            self._hidden, self._since = Hidden(self.path), time.monotonic()
+        if self._file is None and sys.platform == "win32":  # which renames no open file
+            self._file = FileIO(self.path if self.placed else self._hidden.path, "r+")
+        elif self._file is None:
+            self._file = FileIO(self._hidden.descriptor, "r+", closefd=False)
+        return self._file
+
+    def _write_all(self, file: FileIO, *parts: bytes | memoryview) -> None:
+        """Writes after the blocks; nothing follows."""
+        file.seek(self.size)
         for part in parts:
             rest = memoryview(part)
             while rest:
-                rest = rest[self._file.write(rest) or 0 :]
-        self._file.truncate()
+                rest = rest[file.write(rest) or 0 :]
+        file.truncate()
 
     def patch(self, at: int, block: bytes) -> None:
         """Replaces bytes that are written."""
-        self._file.seek(at)
-        self._file.write(block)
-        self._file.seek(self.size)
+        file = self._opened()
+        file.seek(at)
+        file.write(block)
 
     def close(self, *, whole: bool = True) -> None:
         """Ends the file. One that has no name yet gets it if it is `whole`, else it is removed."""
         try:
-            if whole and self.size and not self.placed and not self._file.closed:
+            if whole and self.size and not self.placed:
                 self._place()
         finally:
-            self._file.close()
-            self._hidden.remove()
+            if self._file is not None:
+                self._file.close()
+            if self._hidden is not None:
+                self._hidden.remove()
 
     def _place(self) -> None:
-        self._file.close()
+        assert self._hidden is not None
+        if sys.platform == "win32" and self._file is not None:
+            self._file.close()
+            self._file = None
         self._hidden.place(self.path, self._overwrite)
-        self._hidden.remove()
-        self._file = FileIO(self.path, "r+")
-        self._file.seek(self.size)
         self.placed = True
 
-    def _is_there(self) -> bool:
-        with suppress(FileNotFoundError):
-            return os.path.samestat(os.fstat(self._file.fileno()), self.path.stat())
-        return False
+
+def real_path(path: Path) -> Path:
+    """What links to an output lead to.
+
+    Raises:
+        OSError: One is another user's in a folder where everybody may make one, such as ``/tmp``.
+    """
+    if sys.platform != "win32":
+        for part in (path, *path.parents):
+            if part.is_symlink():
+                folder, user = part.parent.stat(), part.stat(follow_symlinks=False).st_uid
+                if folder.st_mode & stat.S_IWOTH and user not in (os.getuid(), folder.st_uid):
+                    raise OSError(errno.ELOOP, f"{part.name} is a link of another user", str(path))
+    return Path(os.path.realpath(path))
 
 
 def free_name(path: Path) -> Path:
@@ -218,35 +256,34 @@ def free_name(path: Path) -> Path:
     return next(name for name in chain([path], names) if not os.path.lexists(name))
 
 
-def _lock(path: Path) -> int | None:
+def _locked(path: Path, how: int = 0, *, surely: bool = False) -> int | None:
     """A descriptor that holds the lock of a file or folder; None if another process has it or removed it.
 
-    Windows does not remove open files, which is lock enough. Where there are no locks, it is open only.
+    Windows does not remove open files, which is lock enough. Where there are no locks, it is open only, or
+    None where it must hold the lock `surely`.
     """
     if sys.platform == "win32":
-        return -1 if path.is_dir() else os.open(path, os.O_RDWR)
+        return -1 if path.is_dir() else os.open(path, how | os.O_RDWR | os.O_BINARY, 0o666)
+    how |= (os.O_RDONLY if path.is_dir() else os.O_RDWR) | os.O_NOFOLLOW | os.O_NONBLOCK
     try:
-        lock = os.open(path, (os.O_RDONLY if path.is_dir() else os.O_RDWR) | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except FileNotFoundError:
-        return None
+        lock = os.open(path, how, 0o666)
+    except OSError as fault:
+        if isinstance(fault, FileNotFoundError) and not how & os.O_CREAT:
+            return None
+        if path.is_symlink():
+            raise OSError(fault.errno, f"{path.name} in its folder is a link; remove it", str(path)) from None
+        raise
     try:
-        _flock(lock)
-    except BlockingIOError:
-        os.close(lock)
-        return None
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        there = os.path.samestat(os.fstat(lock), path.stat(follow_symlinks=False))
+    except (BlockingIOError, FileNotFoundError):
+        there = False
     except OSError:
+        there = not surely
+    if there:
         return lock
-    with suppress(FileNotFoundError):
-        if os.path.samestat(os.fstat(lock), path.stat(follow_symlinks=False)):
-            return lock
     os.close(lock)
     return None
-
-
-def _flock(lock: int) -> None:
-    """Locks what a descriptor is of, or raises an OSError: another process has it, or there are no locks."""
-    if sys.platform != "win32":
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _remove_remains(folder: Path) -> None:
@@ -263,22 +300,11 @@ def _remove_if_left(path: Path) -> None:
         path.unlink()
         return
     about = path.stat(follow_symlinks=False)
-    remove: Callable[[Path], object] = shutil.rmtree if stat.S_ISDIR(about.st_mode) else os.unlink
-    if about.st_uid != os.getuid() or not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
-        return
-    lock = os.open(path, (os.O_RDONLY if stat.S_ISDIR(about.st_mode) else os.O_RDWR) | os.O_NOFOLLOW)
-    try:
-        _flock(lock)  # raises where there is a writer, or no lock
-        if os.path.samestat(os.fstat(lock), path.stat(follow_symlinks=False)):
-            remove(path)
-    finally:
-        os.close(lock)
-
-
-def _sync(path: Path, how: int) -> None:
-    """Waits until a file or folder is on the disk."""
-    opened = os.open(path, how)
-    try:
-        os.fsync(opened)
-    finally:
-        os.close(opened)
+    if about.st_uid == os.getuid() and (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
+        lock = _locked(path, surely=True)
+        if lock is not None:
+            if stat.S_ISDIR(about.st_mode):
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+            os.close(lock)

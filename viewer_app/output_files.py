@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from devices.output_file import Hidden, TakenError, whole_file
+from devices.output_file import Hidden, TakenError, real_path, whole_file
 from devices.sensor import IMAGE_SUFFIXES
 from viewer_app.errors import UsageError
 
@@ -63,7 +63,7 @@ def warn_of_little_room(path: Path, console: Console, little: int = _LITTLE_FREE
     if free < little:
         console.print(
             f"[yellow]Only {free / 1e6:.0f} MB are free where {escape(str(path))} is saved.[/] When that is "
-            "full, saving stops and everything else continues."
+            "full, saving waits for room and everything else continues."
         )
 
 
@@ -77,11 +77,12 @@ def check_outputs(
             does not end in ``.rrd``; or another process is writing one of them.
     """
     outputs = [session, *outputs]
-    taken = {_real(path): f"is also read, as {path}" for path in inputs}
+    taken = {os.path.realpath(path): f"is also read, as {path}" for path in inputs}
     for path in filter(None, outputs):
-        if _real(path) in taken:
-            raise UsageError(f"{path} cannot be written: it {taken[_real(path)]}. Choose another name.")
-        taken[_real(path)] = "is to be written twice"
+        real = os.path.realpath(path)
+        if real in taken:
+            raise UsageError(f"{path} cannot be written: it {taken[real]}. Choose another name.")
+        taken[real] = "is to be written twice"
         check_writable(path, force)
     if session is not None and session.suffix.lower() != SESSION:
         example = session.with_suffix(SESSION).name
@@ -129,19 +130,14 @@ def claim(path: Path) -> None:
     Raises:
         UsageError: Another one is writing it.
     """
-    path = _real(path)
-    if path not in _claimed:
-        try:
+    try:
+        path = real_path(path)
+        if path not in _claimed:
             _claimed[path] = Hidden(path, shared=True)
-        except BlockingIOError:
-            raise UsageError(f"{path} is being written by another process. Choose another name.") from None
-        except OSError as error:
-            raise UsageError(f"{path} could not be written: {error.strerror or error}.") from None
-
-
-def _real(path: Path) -> Path:
-    """The resolved path; for a loop of links, where ``Path.resolve`` raises, the path itself."""
-    return Path(os.path.realpath(path))
+    except BlockingIOError:
+        raise UsageError(f"{path} is being written by another process. Choose another name.") from None
+    except OSError as error:
+        raise UsageError(f"{path} could not be written: {error.strerror or error}.") from None
 
 
 @contextmanager

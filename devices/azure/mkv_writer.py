@@ -48,7 +48,7 @@ class MkvWriter:
         calibration: The JSON that an Azure Kinect stores; empty: made from the cameras' intrinsics.
         compress: Whether depth and infrared are compressed without loss (FFVHUFF). Microsoft's tools read
             raw images only.
-        overwrite: Whether to replace an older file.
+        how: Of :class:`~devices.output_file.GrowingOutput`.
 
     Raises:
         OSError: The file cannot be written.
@@ -64,7 +64,7 @@ class MkvWriter:
         *,
         calibration: bytes = b"",
         compress: bool = False,
-        overwrite: bool = False,
+        **how: Any,
     ) -> None:
         if first.depth is None:
             raise DeviceError(f"{serial} gives no depth image, so there is nothing to record.")
@@ -81,7 +81,7 @@ class MkvWriter:
         mode = mode_name(lens, settings.depth_mode)
         calibration = calibration or calibration_json(lens, mode, color)
         head, self._duration_at = self._head(serial, settings, first, mode, calibration)
-        self._file, self._open = GrowingOutput(path, overwrite=overwrite), True
+        self._file, self._open = GrowingOutput(path, **how), True
         try:
             self._file.append(head)
         except BaseException:

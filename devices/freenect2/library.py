@@ -111,6 +111,8 @@ def _loaded(prefix: Path) -> Any:
 def _is_whole(file: Path) -> bool:
     """Whether a file in the cache is as it was written: one cut off, by a loss of power, ends the process."""
     try:
+        if sys.platform != "win32" and file.stat().st_uid not in (0, os.getuid()):  # where others may write
+            return False
         return _checksum_of(file).read_text(encoding="ascii") == hashlib.sha256(file.read_bytes()).hexdigest()
     except (OSError, ValueError):
         return False

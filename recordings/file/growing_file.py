@@ -1,6 +1,7 @@
 """A session file that is readable while it grows; an interruption loses at most the last block."""
 
 from pathlib import Path
+from typing import Any
 
 import rerun as rr
 
@@ -37,23 +38,22 @@ class GrowingFile:
 
     Args:
         stream: The stream whose data is written; it must not have a sink yet.
+        how: Of :class:`~devices.output_file.GrowingOutput`.
     """
 
-    def __init__(self, path: Path, stream: rr.RecordingStream, overwrite: bool = False) -> None:
-        self._blocks = Blocks(stream)
-        self._path, self._overwrite = path, overwrite
-        self._file: GrowingOutput | None = None
-        self._failed = False
+    def __init__(self, path: Path, stream: rr.RecordingStream, **how: Any) -> None:
+        self._blocks, self._file = Blocks(stream), GrowingOutput(path, **how)
+        self._failed = self._closed = False
 
     @property
     def begun(self) -> bool:
         """Whether data is written."""
-        return self._file is not None
+        return self._file.size > 0
 
     @property
     def placed(self) -> bool:
         """Whether the file is there under its name."""
-        return self._file is not None and self._file.placed
+        return self._file.placed
 
     def write(self) -> None:
         """Writes the data logged since the last call.
@@ -61,10 +61,8 @@ class GrowingFile:
         Raises:
             OSError: The data is not written. Earlier data is intact. Do not write more.
         """
-        block = self._blocks.take()
         try:
-            self._file = self._file or GrowingOutput(self._path, overwrite=self._overwrite)
-            self._file.append(block)
+            self._file.append(self._blocks.take())
         except OSError:
             self._failed = True
             raise
@@ -72,11 +70,9 @@ class GrowingFile:
     def close(self) -> None:
         """Ends the file, or raises an OSError. Data not yet written is lost. Closing twice has no effect."""
         self._blocks.close()
-        file, self._file = self._file, None
-        if file is None:
-            return
+        closed, self._closed = self._closed, True
         try:
-            if not self._failed:
-                file.append(END_OF_FILE)
+            if self.begun and not self._failed and not closed:
+                self._file.append(END_OF_FILE)
         finally:
-            file.close(whole=not self._failed)
+            self._file.close(whole=not self._failed)

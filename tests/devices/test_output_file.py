@@ -1,12 +1,24 @@
 """Output files are whole or absent, have one writer, and leave nothing behind."""
 
+import errno
+import os
 import subprocess
 import sys
+from contextlib import ExitStack, contextmanager, suppress
+from io import FileIO
+from itertools import product, repeat
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from unittest.mock import patch
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from devices import output_file
 from devices.output_file import GrowingOutput, Hidden, TakenError, free_name, whole_file
 
+posix = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX files")
 KILLED = """
 import os, sys
 from pathlib import Path
@@ -110,6 +122,137 @@ def test_a_growing_file_does_not_replace_an_older_one_unasked(tmp_path):
         file.append(b"12")
     file.close()
     assert (path.read_bytes(), names(tmp_path)) == (b"before", ["s.mkv"])
+
+
+class Faulty:
+    """The calls by which a file is written, of which some fail, in order; a failing write gives a part."""
+
+    def __init__(self, faults):
+        self.faults = iter(faults)
+
+    def of(self, call):
+        def faulty(*arguments, **how):
+            self.fail()
+            return call(*arguments, **how)
+
+        return faulty
+
+    def fail(self):
+        number = next(self.faults, None)
+        if number is not None:
+            raise OSError(number, os.strerror(number))
+
+    @contextmanager
+    def calls(self):
+        class File(FileIO):
+            def write(of_file, block):  # noqa: N805
+                part = max(len(block) // 2, 1)
+                super().write(block[:part])
+                self.fail()
+                return part
+
+        where = [
+            (os, "open"),
+            (os, "fsync"),
+            (os, "link"),
+            (Path, "replace"),
+            (Path, "rename"),
+            (Path, "chmod"),
+        ]
+        with ExitStack() as stack:
+            stack.enter_context(patch.object(output_file, "FileIO", File))
+            for owner, name in where:
+                stack.enter_context(patch.object(owner, name, self.of(getattr(owner, name))))
+            yield
+
+
+faults = st.none() | st.sampled_from(
+    [errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EIO, errno.EROFS, errno.EINTR]
+)
+blocks = st.tuples(st.binary(min_size=1, max_size=9), st.binary(max_size=3))
+
+
+@posix  # Windows opens the file again
+@given(
+    st.lists(blocks, min_size=1, max_size=6), st.lists(faults, max_size=40), st.booleans(), st.integers(0, 30)
+)
+def test_what_fails_is_tried_again_and_costs_nothing_that_is_written(blocks, faults, older, patience):
+    """The file has all blocks, or those before the one for which it was not tried again."""
+    told = []
+
+    def again(fault):
+        told.append(fault.errno)
+        return len(told) <= patience
+
+    written, ending, stopped = b"", b"", False
+    with TemporaryDirectory() as folder, patch.object(output_file, "_SAFE_S", 0.0):
+        path = Path(folder) / "s.rrd"
+        if older:
+            path.write_bytes(b"before")
+        file = GrowingOutput(path, overwrite=older, again=again)
+        with Faulty(faults).calls(), suppress(OSError):
+            for block, end in blocks:
+                stopped = True
+                file.append(block, end)
+                written, ending, stopped = written + block, end, False
+        assert stopped == (len(told) > patience)
+        file.close()
+        assert names(Path(folder)) == (["s.rrd"] if written or older else [])
+        assert not (written or older) or path.read_bytes() == (written + ending if written else b"before")
+
+
+@posix
+@pytest.mark.parametrize(("shared", "there"), list(product([True, False], repeat=2)))
+def test_a_planted_link_is_not_followed(tmp_path, shared, there):
+    target, path = tmp_path / "target", tmp_path / "out" / "s.rrd"
+    path.parent.mkdir()
+    if there:
+        target.write_text("theirs")
+    with patch.object(output_file, "_numbers", repeat(7)):
+        first = Hidden(path, shared=shared)
+        first.remove()
+        first.path.symlink_to(target)
+        with pytest.raises(OSError, match="is a link; remove it"):
+            Hidden(path, shared=shared)
+    assert target.exists() == there
+    assert not there or target.read_text() == "theirs"
+
+
+@posix
+@pytest.mark.parametrize("stranger", [True, False])
+@pytest.mark.parametrize("way", ["the output", "its folder"])
+def test_a_link_to_an_output_is_followed_unless_a_stranger_made_it_where_all_may(tmp_path, stranger, way):
+    if stranger and os.getuid():
+        pytest.skip("only root can give a link to another user")
+    shared, own = tmp_path / "shared", tmp_path / "own"
+    shared.mkdir()
+    own.mkdir()
+    shared.chmod(0o1777)
+    link = shared / ("s.csv" if way == "the output" else "folder")
+    link.symlink_to(own / "s.csv" if way == "the output" else own)
+    path = link if way == "the output" else link / "s.csv"
+    if stranger:
+        os.lchown(link, 65534, 65534)
+        with (
+            pytest.raises(OSError, match=f"{link.name} is a link of another user"),
+            whole_file(path, overwrite=True),
+        ):
+            pass
+    else:
+        with whole_file(path, overwrite=False) as hidden:
+            hidden.write_text("mine")
+    assert names(own) == ([] if stranger else ["s.csv"])
+
+
+@posix
+def test_a_umask_that_hides_files_from_their_owner_hides_no_output(tmp_path):
+    before = os.umask(0o777)
+    try:
+        with whole_file(tmp_path / "s.csv", overwrite=False) as hidden:
+            assert hidden.stat().st_mode & 0o777 == 0o600
+        Hidden(tmp_path / "s.zip", folder=True).remove()
+    finally:
+        os.umask(before)
 
 
 def test_a_free_name_is_the_first_that_is_free(tmp_path):

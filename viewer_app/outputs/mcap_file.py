@@ -17,6 +17,7 @@ from viewer_app.sinks.item_queue import QueuedFrame
 
 _KEEP = 1800  # frames: one minute without progress of the disk
 _EVERY_NS = 2_000_000_000  # between two blocks
+_AGAIN_S = 1.0  # until a block is tried again that could not be written
 
 
 class McapOutput(LiveOutput):
@@ -28,14 +29,14 @@ class McapOutput(LiveOutput):
 
     def __init__(self, path: Path, setup: FusionSetup, overwrite: bool) -> None:
         super().__init__(f"ROS 2 recording {path}", keep=_KEEP)
-        self._path, self._overwrite = path, overwrite
+        self._path = path
         self._setup, self._written, self._due_ns = setup, 0, 0
         self._unix_ns: int | None = None  # of the first frame
         self._early: list[Event] = []
         self._movement, self._rotations = LiveMovement(setup.body), JointRotations(setup.body)
         self._waiting = _Waiting()
         self._mcap = McapFile(self._waiting, setup.body)
-        self._file: GrowingOutput | None = None
+        self._file = GrowingOutput(path, overwrite=overwrite, again=lambda _: self._queue.has_time(_AGAIN_S))
         self.start()
 
     def send_frame(self, frame: QueuedFrame) -> int:
@@ -88,8 +89,7 @@ class McapOutput(LiveOutput):
                 self._write()
         except UsageError as fault:
             self.failure = str(fault)
-        if self._file is not None:
-            self._file.close()
+        self._file.close()
 
     def _at(self, time_ns: int) -> int:
         return max(time_ns + (self._unix_ns or 0), 0)
@@ -100,7 +100,6 @@ class McapOutput(LiveOutput):
         ending = _Waiting(self._waiting.tell())
         self._mcap.ending(self._waiting, ending)
         try:
-            self._file = self._file or GrowingOutput(self._path, overwrite=self._overwrite)
             self._file.append(block, ending.taken())
         except OSError as error:
             raise UsageError(

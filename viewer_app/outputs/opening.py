@@ -177,13 +177,13 @@ def announce_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
 
 
 def print_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
-    """Prints the counts of each output, and why one stopped."""
+    """Prints the counts of each output, whom it refused, and why one stopped."""
     for output in outputs:
         counts = output.counts
         said = f"{output.name}: frames sent {counts.sent}, dropped {counts.dropped}, late {counts.late}."
         console.print(said, markup=False, soft_wrap=True)
-        if output.failure is not None and not output.keeps:
-            console.print(output.failure, style="yellow", markup=False, soft_wrap=True)
+        for why in filter(None, (output.warning, None if output.keeps else output.failure)):
+            console.print(why, style="yellow", markup=False, soft_wrap=True)
 
 
 def check_kept(outputs: Sequence[LiveOutput]) -> None:

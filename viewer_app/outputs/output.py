@@ -67,6 +67,7 @@ class LiveOutput(QueuedSink):
         failure: Why it stopped before the end; None if it did not.
         page: Address of a web page that shows it; empty for none.
         note: What the user should know about it before it starts.
+        warning: What the user should know about it at the end.
         even: Sends S* at a constant rate; None: once per frame. Set it before the first frame.
         unix: Tells when a frame was captured. Set it before the first frame.
         keeps: Whether it is a file, so that the command fails where it does.
@@ -84,7 +85,7 @@ class LiveOutput(QueuedSink):
         self._thread = threading.Thread(target=self._run, name=thread_name, daemon=True)
         self.name = name
         self.failure: str | None = None
-        self.page = self.note = ""
+        self.page = self.note = self.warning = ""
         self.unix = CaptureTime()
         self._closed = False
         self._sent = self._late = self._not_sent = 0

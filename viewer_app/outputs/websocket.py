@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import logging
+import sys
 import threading
 from collections import deque
 from collections.abc import Awaitable
@@ -33,7 +34,9 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
 
 _LARGEST = 4096  # bytes of a client's message
-_MOST_CLIENTS = 32
+_MOST_OPEN = 40
+"""Maximum number of connections; at most a quarter of the files that the process may open."""
+_AT_ONCE, _WAITING = 4, 100  # connections that are accepted before any of them is counted; and before that
 _PATIENCE = 10.0  # seconds without an answer to a ping
 _OPENS_WITHIN = 10.0
 UNANSWERED = 4
@@ -92,6 +95,11 @@ class WebSocketOutput(LiveOutput):
         self._hello = self._json.hello(setup)
         self._page = resources.files("viewer_app.outputs").joinpath("templates/skeleton.html").read_bytes()
         self._clients: set[_Client] = set()
+        self._open: dict[ServerConnection, None] = {}  # in order
+        self._most_open = _most_open()
+        self._most_clients = self._most_open * 4 // 5
+        self.refused = 0
+        """Connections that were closed because there were too many."""
         self.ignored = 0
         """Messages of clients."""
         self._loop = asyncio.new_event_loop()
@@ -108,7 +116,7 @@ class WebSocketOutput(LiveOutput):
         self.start()
 
     def figures(self) -> dict[str, object]:
-        return {**super().figures(), "ignored_messages": self.ignored}
+        return {**super().figures(), "ignored_messages": self.ignored, "refused": self.refused}
 
     def write(self, frame: SessionFrame) -> None:
         """Takes a frame, if there is a client."""
@@ -153,14 +161,42 @@ class WebSocketOutput(LiveOutput):
                 client.frame = said, written_ns
             client.more.set()
 
-    async def _serve(self, port: int) -> Server:
-        from websockets.asyncio.server import serve
+    def _add(self, connection: ServerConnection) -> None:
+        """Makes room for a connection: the one that has been silent for longest goes.
 
-        # a client that speaks no WebSocket is not worth a traceback, and one that is gone not a line for each
-        # answer to its pings
+        So a client that says at once what it wants is served, however many others say nothing.
+        """
+        from websockets.protocol import State
+
+        self._open[connection] = None
+        if len(self._open) > self._most_open:
+            silent = next((each for each in self._open if each.state is State.CONNECTING), connection)
+            del self._open[silent]
+            silent.transport.abort()
+            self.refused += 1
+            self.warning = (
+                f"{self.name}: {self.refused} connections were refused; {self._most_open} may be open."
+            )
+
+    async def _serve(self, port: int) -> Server:
+        from websockets.asyncio.server import ServerConnection, serve
+
+        output = self
+
+        class Connection(ServerConnection):
+            def connection_made(self, transport: asyncio.BaseTransport) -> None:
+                super().connection_made(transport)
+                output._add(self)
+
+            def connection_lost(self, fault: Exception | None) -> None:
+                output._open.pop(self, None)
+                super().connection_lost(fault)
+
+        # a client that speaks no WebSocket is not worth a traceback, one that is gone not a line for each
+        # answer to its pings, and each connection no line where the process has no file left, which ends
         logging.getLogger("asyncio").addFilter(_is_worth_a_line)
         logger = logging.Logger("duplex.websocket", logging.CRITICAL + 1)
-        return await serve(
+        server = await serve(
             self._attend,
             self.host,
             port,
@@ -174,7 +210,13 @@ class WebSocketOutput(LiveOutput):
             close_timeout=1.0,
             server_header=None,
             logger=logger,
+            create_connection=Connection,
+            backlog=_AT_ONCE,
         )
+        for listening in server.sockets:  # the system keeps more waiting than are accepted at once
+            with listening.dup() as same:
+                same.listen(_WAITING)
+        return server
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Serves the page; refuses pages of other sites, which any browser would let in."""
@@ -189,7 +231,7 @@ class WebSocketOutput(LiveOutput):
         if not trusted:
             return connection.respond(HTTPStatus.FORBIDDEN, "This site may not read the skeleton.\n")
         if "websocket" in ",".join(request.headers.get_all("Upgrade")).lower():
-            if len(self._clients) >= _MOST_CLIENTS:
+            if len(self._clients) >= self._most_clients:
                 return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "Too many clients.\n")
             return None
         if urlsplit(request.path).path != "/":
@@ -274,7 +316,16 @@ class WebSocketOutput(LiveOutput):
 
 
 def _is_worth_a_line(record: logging.LogRecord) -> bool:
-    return "socket.send() raised exception" not in record.msg
+    return not any(said in record.msg for said in ("socket.send() raised", "socket.accept() out of"))
+
+
+def _most_open() -> int:
+    if sys.platform == "win32":
+        return _MOST_OPEN
+    import resource
+
+    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return _MOST_OPEN if files == resource.RLIM_INFINITY else min(_MOST_OPEN, files // 4)
 
 
 def _is_of_local_network(host: str | None) -> bool:

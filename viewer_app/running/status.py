@@ -80,7 +80,7 @@ class LiveDisplay:
         for event in status.events:
             self._console.print(event.text, style="yellow", markup=False, soft_wrap=True)
         file, viewer = self._session.file, self._session.viewer
-        for failure in (file and file.failure, viewer and viewer.window_failure):
+        for failure in (file and (file.failure or file.waited), viewer and viewer.window_failure):
             if failure and failure not in self._failures_told:
                 self._failures_told.add(failure)
                 self._console.print(f"[bold red]{escape(failure)}[/] The fusion continues.", soft_wrap=True)

@@ -20,7 +20,7 @@ from devices.capture.usb import usb_kinects
 from devices.check import Check, installed_version
 from devices.live.checks import log_libraries_to
 from devices.live.sensors import connected_sensors
-from devices.output_file import Hidden
+from devices.output_file import Hidden, real_path
 from devices.sensor import DeviceError
 from viewer_app.errors import UsageError
 from viewer_app.flags import in_flags
@@ -120,7 +120,7 @@ def collecting(
     if path.suffix.lower() != ".zip":
         raise UsageError(f"--bundle {path}: its name must end in .zip.")
     try:
-        hidden = Hidden(path.resolve(), folder=True)
+        hidden = Hidden(real_path(path), folder=True)
     except OSError as fault:
         raise UsageError(f"{path} could not be written: {fault.strerror or fault}.") from None
     folder = hidden.path

@@ -1,6 +1,5 @@
 """A copy of the session in large blocks, which replaces the growing file when the session ends."""
 
-import os
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ from pathlib import Path
 import rerun as rr
 
 from devices.depth.image_thinning import pair_has_images
-from devices.output_file import Hidden, whole_file
+from devices.output_file import Hidden, real_path, whole_file
 from recordings.file.session_writer import LEFT_AFTER, check_whole, disconnect
 from recordings.writing.recorder import Recorder
 from viewer_app.sinks.item_queue import Item, QueuedFrame
@@ -30,7 +29,7 @@ class CompactCopy:
     """
 
     def __init__(self, path: Path, stream: rr.RecordingStream, begin: Opening) -> None:
-        self._path = Path(os.path.realpath(path))
+        self._path = real_path(path)
         self._stream = stream
         self._recorder: Recorder | None = None
         self._waiting: list[Item] = []

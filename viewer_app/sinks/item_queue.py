@@ -96,6 +96,12 @@ class ItemQueue(Generic[T]):
             self.ended = True
             self.changed.notify_all()
 
+    def has_time(self, seconds: float) -> bool:
+        """Waits so long, or until it is ended; whether it was not ended before."""
+        ended = self.ended
+        self.wait_for_end(seconds)
+        return not ended
+
     def wait_for_end(self, seconds: float) -> bool:
         """Waits until it is ended, at most so long; whether it is."""
         with self.changed:

@@ -13,21 +13,24 @@ from devices.sensor import DeviceError
 from viewer_app.sinks.item_queue import ItemQueue
 
 Item = TypeVar("Item")
+_AGAIN_S = 1.0
 
 
 class QueuedFile(Generic[Item]):
     """Queues frames for a file; only :meth:`close` waits for the disk.
 
     While `keep_with_images` items wait, because the disk is slow, new frames lose images; while `keep` wait,
-    they are lost. A full disk ends the writing; the file keeps the frames before.
+    they are lost. A file that cannot be written, as on a full disk, is tried again until the end. It keeps
+    the frames before.
 
     A subclass starts the thread when it is ready, and implements :meth:`_write` and :meth:`_without_images`.
 
     Args:
-        on_failure: Called on the thread with the reason when the writing ends early.
+        on_failure: Called on the thread with the reason when the writing first waits, or ends early.
 
     Attributes:
         failure: Why not everything is saved, in a sentence; None if it is.
+        waited: Why it waited for the disk, in a sentence; None if it did not.
         written: Frames in the file.
         lost: Frames that came and are not in the file.
         without_images: Frames that lost images.
@@ -41,6 +44,7 @@ class QueuedFile(Generic[Item]):
     def __init__(self, path: Path, name: str, on_failure: Callable[[str], object] = lambda _: None) -> None:
         self.path = path
         self.failure: str | None = None
+        self.waited: str | None = None
         self.written = self.lost = self.without_images = self._came = 0
         self._queue: ItemQueue[Item] = ItemQueue(self._admitted)
         self._on_failure = on_failure
@@ -113,11 +117,18 @@ class QueuedFile(Generic[Item]):
             raise
         self.written += frames
 
+    def _again(self, fault: OSError) -> bool:
+        """Waits before a block is tried again that could not be written; False at the end."""
+        if self.waited is None:
+            self.waited = f"{self.path} cannot be written at the moment: {_why(fault)}. Frames wait for it."
+            self._on_failure(self.waited)
+        return self._queue.has_time(_AGAIN_S)
+
     def _run(self) -> None:
         try:
             self._write()
         except (OSError, DeviceError) as fault:
-            why = str(getattr(fault, "strerror", None) or fault).removesuffix(".")
+            why = _why(fault)
             self.failure = (
                 f"{self.path} is not saved from frame {self.written} on: {why}. Everything before that can "
                 f"be read."
@@ -132,3 +143,7 @@ class QueuedFile(Generic[Item]):
             with self._queue.changed:
                 self._queue.take(0.0)
                 self.lost = self._came - self.written
+
+
+def _why(fault: BaseException) -> str:
+    return str(getattr(fault, "strerror", None) or fault).removesuffix(".")

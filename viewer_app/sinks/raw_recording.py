@@ -72,7 +72,7 @@ class RawRecorder(QueuedFile[SensorFrame]):
         super().__init__(path, f"recording {path.name}", on_failure)
         self.sensor = sensor
         self._settings, self._hide = settings or CaptureSettings(), hide
-        self._how = {"compress": compress, "overwrite": overwrite}
+        self._how = {"compress": compress, "overwrite": overwrite, "again": self._again}
         self._open_writer = open_writer
         self._times = _FileTimes()
         self._thread.start()

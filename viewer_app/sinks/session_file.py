@@ -62,7 +62,7 @@ class SessionFile(QueuedFile[Item], QueuedSink):
     def _write(self) -> None:
         stream = self._open_stream()
         with (
-            closing(GrowingFile(self.path, stream, self._overwrite)) as file,
+            closing(GrowingFile(self.path, stream, overwrite=self._overwrite, again=self._again)) as file,
             closing(CompactCopy(self.path, self._open_stream(), self._begin)) as compact,
         ):
             recorder = self._begin(stream)

@@ -33,7 +33,7 @@ from tests.helpers.telling_demo import telling_demo, wait_for_frames
 from tests.helpers.two_views import calibration_of
 from tests.helpers.waiting import eventually
 from viewer_app.cli import main
-from viewer_app.sinks import compact_copy, session_file
+from viewer_app.sinks import compact_copy, queued_file, session_file
 from viewer_app.sinks.session_file import SessionFile
 
 _MADE = []
@@ -225,8 +225,8 @@ def test_a_file_that_came_in_between_is_not_overwritten(tmp_path):
 class Disk:
     """The file of a test and the way in which saving fails."""
 
-    def __init__(self, folder, fail, words):
-        self.folder, self.fail, self.words = folder, fail, words
+    def __init__(self, folder, fail, words, mend=None):
+        self.folder, self.fail, self.words, self.mend = folder, fail, words, mend
 
 
 @pytest.fixture(params=["full", "read-only", "limit", "gone"])
@@ -249,10 +249,14 @@ def disk(request, tmp_path, monkeypatch):
             return int(real(file, block[:room]))
 
         monkeypatch.setattr(output_file, "FileIO", type("Failing", (output_file.FileIO,), {"write": write}))
-        yield Disk(folder, failing.set, os.strerror(number))
+        yield Disk(folder, failing.set, os.strerror(number), failing.clear)
 
 
-def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk):
+@pytest.mark.parametrize("mended", [False, True])
+def test_a_disk_that_fails_stops_the_saving_and_nothing_else_until_it_is_mended(disk, mended, monkeypatch):
+    if mended and disk.mend is None:
+        pytest.skip("it cannot be mended")
+    monkeypatch.setattr(queued_file, "_AGAIN_S", 0.01)
     path = disk.folder / "s.rrd"
     fuser, frames = fused_frames(600)
     said = []
@@ -263,13 +267,23 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk):
             assert eventually(lambda: file.written == 10)
             disk.fail()
         if number > 9 and number % 40 == 0:
-            assert eventually(lambda: not file._queue)
+            assert eventually(lambda: file.waited or not file._queue)
+    if mended:
+        assert eventually(lambda: file.waited)
+        disk.mend()
     file.finish()
     file.close()
+    if mended:
+        assert said == [file.waited]
+        assert disk.words in file.waited
+        session = Session.open(path)
+        assert (file.failure, len(session), session.damage) == (None, 600, None)
+        assert [path.name for path in disk.folder.iterdir()] == ["s.rrd"]
+        return
     assert file.failure is not None
     assert disk.words in file.failure
     assert f"not saved from frame {file.written} on" in file.failure
-    assert said == [file.failure]
+    assert said == [file.waited, file.failure] if file.waited else [file.failure]
     found = path if path.exists() else disk.folder.parent / "elsewhere" / "s.rrd"
     session = Session.open(found)
     assert len(session) == file.written >= 10

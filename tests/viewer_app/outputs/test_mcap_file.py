@@ -3,6 +3,7 @@
 import errno
 import shutil
 import sys
+import threading
 import time
 from dataclasses import replace
 from io import FileIO
@@ -96,11 +97,14 @@ def test_what_a_killed_process_leaves_is_whole(fuser, tmp_path, monkeypatch, chu
 def test_a_full_disk_leaves_what_was_written_and_says_so(fuser, tmp_path, monkeypatch):
     monkeypatch.setattr(mcap_file, "_EVERY_NS", 0)
 
+    full = threading.Event()
+
     class Full(FileIO):
         free = 40_000
 
         def write(self, block):
             if self.tell() + len(block) > self.free:
+                full.set()
                 super().write(block[: max(self.free - self.tell(), 0)])
                 raise OSError(errno.ENOSPC, "No space left on device")
             return super().write(block)
@@ -110,7 +114,7 @@ def test_a_full_disk_leaves_what_was_written_and_says_so(fuser, tmp_path, monkey
     output = McapOutput(path, fuser.setup, overwrite=False)
     for number, frame in enumerate(frames(fuser, 60), start=1):
         output.write(frame)
-        eventually(lambda number=number: output.failure is not None or output.counts.sent == number)
+        eventually(lambda number=number: full.is_set() or output.counts.sent == number)
     output.close()
     assert output.failure == (
         f"{path} is not saved to its end: No space left on device. Everything before that can be read."

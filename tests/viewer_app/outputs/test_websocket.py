@@ -4,7 +4,7 @@ import json
 import socket
 import struct
 import time
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -302,8 +302,8 @@ def test_a_foreign_address_is_refused(fuser):
         WebSocketOutput(free_port(), fuser.setup, "192.0.2.1")
 
 
-def test_a_client_too_many_is_refused_and_costs_the_others_nothing(server, monkeypatch):
-    monkeypatch.setattr(websocket, "_MOST_CLIENTS", 2)
+def test_a_client_too_many_is_refused_and_costs_the_others_nothing(server):
+    server._most_clients = 2
     with client_of(server) as one, client_of(server) as two:
         for client in (one, two):
             assert read(client)["type"] == "hello"
@@ -312,6 +312,27 @@ def test_a_client_too_many_is_refused_and_costs_the_others_nothing(server, monke
     assert eventually(lambda: not server._clients)
     with client_of(server) as client:
         assert read(client)["type"] == "hello"
+
+
+def test_who_says_nothing_makes_room_for_who_does(server, fuser):
+    """However many connect and say nothing, few are open, a client is served, and one line says it."""
+    frame, most = frames(fuser, 1)[0], server._most_open
+    with ExitStack() as stack:
+        first = stack.enter_context(client_of(server))
+        read(first)
+        silent = [socket.create_connection(("127.0.0.1", port_of(server)), 30) for _ in range(150)]
+        for one in silent[::2]:
+            one.sendall(b"GET / HTTP/1.1\r\nHost:")
+        for one in silent:
+            stack.callback(one.close)
+        assert eventually(lambda: server.refused == 151 - most)
+        assert len(server._open) == most
+        second = stack.enter_context(client_of(server))
+        read(second)
+        server.write(frame)
+        assert [read(client)["number"] for client in (first, second)] == [0, 0]
+        assert f"{server.refused} connections were refused; {most} may be open." in server.warning
+    assert eventually(lambda: not server._open)
 
 
 def test_text_that_clients_send_is_counted_and_ignored(server):

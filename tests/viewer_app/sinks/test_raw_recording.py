@@ -208,7 +208,7 @@ def test_a_full_disk_ends_it_in_a_sentence_and_leaves_what_was_written(tmp_path)
         with RawRecorder(disk / "a.mkv", Camera(), on_failure=said.append) as recorder:
             for number in range(40):
                 recorder.add(frame(number))
-        assert said == [recorder.failure]
+        assert said == [recorder.waited, recorder.failure]
         assert recorder.failure == (
             f"{disk}/a.mkv is not saved from frame {recorder.written} on: No space left on device. "
             f"Everything before that can be read."
