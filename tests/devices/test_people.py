@@ -1,13 +1,37 @@
 """Choosing one person of a recording by id."""
 
+from dataclasses import replace
+from functools import cache
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from devices.people.association import Followed
+from devices.people import association
+from devices.people.association import Followed, follow_one
 from devices.people.recorded_people import RecordedPeople
+from devices.people.tracks import TracksAhead, tracks_of
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError, SensorFrame
-from fusion.body import AZURE_KINECT
+from devices.simulated.kinect import Beside, movement
+from fusion.body import AZURE_KINECT, KINECT_V2
+from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
+from fusion.support.large_arrays import parts
+from tests.helpers.laws import COSTLY
+from tests.helpers.recorded_pairs import write_view
+from tests.helpers.two_people import (
+    BEHIND,
+    FOLLOWED,
+    OTHER,
+    THERAPIST,
+    recorded,
+    share_right,
+    two_people,
+    with_ids,
+)
+from tests.helpers.two_views import moving
 
 
 def _person(x):
@@ -54,3 +78,259 @@ def test_the_next_person_is_followed_under_the_same_id():
     assert followed.states.any(axis=1).tolist() == [True] * 7 + [False] + [True] * 4
     np.testing.assert_array_equal(followed.positions[9], frames[9].people["4"].positions)
     assert RecordedPeople.of(AZURE_KINECT, _alone(range(2), "2")).successors("2") == ()
+
+
+# --- Who is one person in two views that show several people, whatever ids the trackers give them.
+
+
+IDS = st.fixed_dictionaries(
+    {
+        "exchanged": st.floats(0.0, 0.2),
+        "renewed": st.floats(0.0, 0.1),
+        "shuffled": st.booleans(),
+    }
+)
+SECOND_NS = 1_000_000_000
+
+
+@cache
+def treated(seed=0):
+    """A patient and a therapist who goes to and fro behind them."""
+    return two_people(("squat", THERAPIST), seed, 8.0)[0]
+
+
+def followed(a, b, offset_ns=0):
+    found = follow_one(a, b, offset_ns)
+    assert found is not None
+    return [people.view_of(rows) for people, rows in zip((a, b), found.rows, strict=True)]
+
+
+def assert_right(views, seen, who=FOLLOWED, least=0.995):
+    for view, of_view in zip(views, seen, strict=True):
+        share, wrong = share_right(view, of_view, who)
+        assert wrong == 0
+        assert share >= least
+
+
+@COSTLY
+@given(IDS, st.integers(0, 99))
+def test_ids_and_the_order_of_rows_do_not_change_who_is_followed(ids, seed):
+    rng = np.random.default_rng(seed)
+    usual = followed(*(recorded(view) for view in treated()))
+    others = followed(*(recorded(view, rng, **ids) for view in treated()))
+    for one, other in zip(usual, others, strict=True):
+        np.testing.assert_array_equal(one.positions, other.positions)
+        np.testing.assert_array_equal(one.states, other.states)
+    assert_right(treated(), others)
+
+
+@pytest.mark.parametrize(
+    ("motion", "other"),
+    [
+        ("walk", BEHIND),
+        ("squat", Beside(movement("steps"), (1.3, 0.0, 0.3))),
+        ("walk", Beside(movement("walk"), (1.2, 0.0, 1.0))),
+    ],
+)
+def test_one_person_is_followed_through_crossings_and_exchanged_ids(motion, other):
+    rng = np.random.default_rng(1)
+    views, _ = two_people((motion, other), 1, 12.0)
+    seen = followed(*(recorded(view, rng, exchanged=1 / 180, renewed=1 / 300) for view in views))
+    assert_right(views, seen)
+
+
+def test_the_sensors_may_be_exchanged():
+    a, b = (recorded(view, np.random.default_rng(2), exchanged=0.01) for view in treated())
+    for one, other in zip(followed(a, b), followed(b, a)[::-1], strict=True):
+        np.testing.assert_array_equal(one.positions, other.positions)
+
+
+def test_the_clocks_may_differ():
+    a, b = (
+        recorded(view, np.random.default_rng(3), exchanged=0.01) for view in two_people(("walk", BEHIND))[0]
+    )
+    late = RecordedPeople(b.body, b.time_ns + 2 * SECOND_NS, b.ids, b.frame, b.person, b.skeletons)
+    for one, other in zip(followed(a, b), followed(a, late, None), strict=True):
+        np.testing.assert_array_equal(one.positions, other.positions)
+
+
+@pytest.mark.parametrize("other_stays", [True, False])
+def test_a_person_who_comes_back_under_another_id_is_followed_again(other_stays):
+    def away(t, of):
+        return 90 <= t < 150 and (of == FOLLOWED or not other_stays)
+
+    views = [
+        [
+            (time_ns, [None if away(t, k) else person for k, person in enumerate(people)])
+            for t, (time_ns, people) in enumerate(view)
+        ]
+        for view in treated()
+    ]
+    # from then on all have new ids
+    recordings = [
+        RecordedPeople.of(
+            KINECT_V2,
+            [
+                *with_ids(view[:120], np.random.default_rng(0)),
+                *_renamed(with_ids(view[120:], np.random.default_rng(0))),
+            ],
+        )
+        for view in views
+    ]
+    found = follow_one(*recordings, 0)
+    seen = [people.view_of(rows) for people, rows in zip(recordings, found.rows, strict=True)]
+    # a squat is seen as long as the therapist at most
+    who = FOLLOWED if share_right(views[0], seen[0])[0] > 0.5 else OTHER
+    assert who == (OTHER if other_stays else FOLLOWED) or found.count == 2
+    assert_right(views, seen, who)
+
+
+def _renamed(frames):
+    return [type(f)(f.time_ns, {f"new {name}": person for name, person in f.people.items()}) for f in frames]
+
+
+def test_a_sensor_that_sees_one_of_two_people_follows_that_one():
+    views = two_people(("squat", Beside(movement("steps"), (1.2, 0.0, 0.4))))[0]
+    alone = [(time_ns, [None, people[OTHER]]) for time_ns, people in views[1]]
+    a, b = recorded(views[0]), recorded(alone)
+    assert_right((views[0], alone), followed(a, b), OTHER)
+
+
+def test_views_that_have_nobody_in_common_are_not_brought_together():
+    a, other = (two_people((motion, THERAPIST), seed)[0][0] for motion, seed in (("walk", 0), ("boxing", 9)))
+    people = recorded(other)
+    shifted = RecordedPeople(
+        people.body, people.time_ns + 10**12, people.ids, people.frame, people.person, people.skeletons
+    )
+    assert follow_one(recorded(a), shifted, 0) is None
+
+
+@given(IDS, st.integers(0, 99))
+@COSTLY
+def test_a_track_has_one_person(ids, seed):
+    for view in treated():
+        people = recorded(view, np.random.default_rng(seed), **ids)
+        track = tracks_of(people)
+        assert len(track) == len(people.frame)
+        for k in np.unique(track):
+            rows = np.flatnonzero(track == k)
+            assert len(np.unique(people.frame[rows])) == len(rows)
+            one = people.view_of(rows)
+            who = {
+                next(
+                    w
+                    for w, person in enumerate(view[t][1])
+                    if person is not None
+                    and np.array_equal(person.positions, one.positions[t], equal_nan=True)
+                )
+                for t in people.frame[rows].tolist()
+            }
+            assert len(who) == 1
+
+
+@pytest.mark.parametrize(("least", "known"), [(0.02, False), (0.3, True)])
+def test_after_two_were_in_one_place_nobody_knows_who_is_who(least, known):
+    """They come towards each other, to a distance, and part again: their tracks go on, or are new."""
+    halves = np.hypot(np.linspace(-1.0, 1.0, 90), least) / 2.0
+    standing = moving(KINECT_V2, 1)[0]
+    frames = [
+        SensorFrame(
+            t * 33_333_333,
+            {
+                k: Skeleton.of(KINECT_V2, standing + [side * half, 0.0, 0.0])
+                for k, side in (("1", -1), ("2", 1))
+            },
+        )
+        for t, half in enumerate(halves)
+    ]
+    track = tracks_of(RecordedPeople.of(KINECT_V2, frames)).reshape(-1, 2)
+    assert (set(track[0]) == set(track[-1])) == known
+    assert set(track[0]).isdisjoint(track[-1]) != known
+    ahead = TracksAhead(KINECT_V2)
+    found = [ahead.of(f.time_ns, f.people.values(), RigidTransform.identity()) for f in frames]
+    np.testing.assert_array_equal([tracks for tracks, _, _ in found], track)
+    assert any(any(doubtful) for _, doubtful, _ in found) != known
+
+
+@pytest.mark.parametrize(("frames", "told"), [(2, "1 person is seen, "), (60, "2 people are seen, ")])
+def test_those_who_are_seen_for_a_moment_are_not_counted(tmp_path, frames, told):
+    choices = []
+    for side in "ab":
+        seen = moving(KINECT_V2, 60) + np.random.default_rng(ord(side)).normal(0.0, 0.005, (60, 25, 3))
+        path = tmp_path / f"{side}.csv"
+        other = write_view(path, KINECT_V2, seen[:frames] + [1.5, 0.0, 0.5]).read_text().splitlines()[1:]
+        one = write_view(path, KINECT_V2, seen).read_text().splitlines()
+        path.write_text("\n".join([*one, *(row.replace(",0,", ",1,", 1) for row in other)]) + "\n")
+        choices.append(RecordingChoice(path, person_option=f"--person-{side}"))
+    (line,) = (line for line in read_two(*choices).warnings if "The one followed" in line)
+    assert line.startswith(told)
+    assert "The one followed is '0' of A and '0' of B" in line
+    people = read_two(*choices).people
+    assert [person.ids for person in people] == [("0", "0"), ("1", "1")][: (frames > 2) * 2]
+    for person in people:
+        assert person.seconds == pytest.approx((2.0, 2.0), abs=0.1)
+        again = read_two(
+            *(replace(choice, person=name) for choice, name in zip(choices, person.ids, strict=True))
+        )
+        assert again.people[0] == person
+        assert not any("choose" in line for line in again.warnings)
+
+
+@given(st.integers(0, 99))
+@COSTLY
+def test_an_id_chooses_whoever_has_it_most_of_the_time(seed):
+    """Also where ids are exchanged and renewed, and given for one view only."""
+    a, b = (recorded(view, np.random.default_rng(seed), exchanged=0.004, renewed=0.01) for view in treated())
+    everyone = follow_one(a, b, 0).everyone
+    for name in a.ids:
+        counts = [np.isin(rows[0], a.rows_of([name])).sum() for rows in everyone]
+        found = follow_one(a, b, 0, ids=(name, None)).rows
+        for one, other in zip(found, everyone[int(np.argmax(counts))], strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def whose(people, rows, view):
+    return OTHER if share_right(view, people.view_of(rows))[0] < 0.5 else FOLLOWED
+
+
+def test_a_long_recording_is_gone_through_in_parts(monkeypatch):
+    a, b = (recorded(view, np.random.default_rng(1), exchanged=0.01) for view in treated())
+    whole = follow_one(a, b, 0)
+    monkeypatch.setattr(association, "parts", lambda count: parts(count, 7))
+    for one, other in zip(follow_one(a, b, 0).rows, whole.rows, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_ids_of_two_people_are_not_one():
+    a, b = (recorded(view) for view in treated())
+    assert follow_one(a, b, 0, ids=("1", "1")) is not None
+    assert follow_one(a, b, 0, ids=("1", "2")) is None
+
+
+def test_the_one_in_the_middle_or_the_one_seen_longest():
+    """Of a person in the middle every other second is seen; somebody stands beside all the time."""
+    views = [
+        [
+            (time_ns, [person if t % 60 < 30 else None, other])
+            for t, (time_ns, (person, other)) in enumerate(view)
+        ]
+        for view in two_people(("squat", Beside(movement("steps"), (1.2, 0.0, 0.4))))[0]
+    ]
+    a, b = (recorded(view) for view in views)
+    for follow, who in (("middle", FOLLOWED), ("longest", OTHER)):
+        for people, rows, view in zip((a, b), follow_one(a, b, 0, follow).rows, views, strict=True):
+            assert whose(people, rows, view) == who
+
+
+def test_people_whom_two_trackers_number_otherwise(shared):
+    """Published case: the person nearest the middle is 1 of A and 2 of B; a line says so."""
+    folder = shared / "cases" / "04-two-people-numbered-otherwise"
+    if not folder.exists():
+        pytest.skip("no cases beside the project")
+    a, b = (RecordingChoice(folder / f"{side}.csv", person_option=f"--person-{side}") for side in "ab")
+    read = read_two(a, b)
+    first = [view.positions[0, read.body.root] for view in read.pairing.pairs.skeletons.views]
+    np.testing.assert_allclose(first, [(-0.01, 0.01, 2.60), (-0.01, 0.02, 2.56)], atol=1e-6)
+    (line,) = (line for line in read.warnings if "people" in line)
+    assert "'1' of A and '2' of B" in line
+    assert "--person-a and --person-b choose another" in line

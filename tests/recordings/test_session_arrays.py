@@ -1,24 +1,39 @@
 """Per-frame figures: declared once, in memory, file and checksum; and what is derived from them."""
 
+import itertools
 import weakref
 from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from fusion.body import KINECT_V1
+from fusion.body import BODIES, KINECT_V1, KINECT_V2
+from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.support.medians import median_of_known
 from recordings.data import layout
 from recordings.data.frame_fields import FRAME_FIELDS, JOINTS, FrameField, no_joint_or_joint
+from recordings.data.interpolation import positions_at, sigma_at
 from recordings.data.session_arrays import SessionArrays
+from recordings.errors import RecordingError
 from recordings.fusing.pairs import fuse_one
+from recordings.quality.doubtful_time import doubtful_seconds, seen_people
+from recordings.quality.limits import graded
+from recordings.quality.per_second import SecondQuality, good_spans, merged_by_word
+from recordings.quality.verdict import DOUBTFUL
 from recordings.session import Session
+from tests.helpers.captures import Capture, captures
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import record_with_a_gap
+from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.two_views import calibration_of
 
 J = len(KINECT_V1)
@@ -148,3 +163,189 @@ def test_the_median_of_what_is_known_is_that_of_numpy():
     assert np.isnan(found[~some]).all()
     filled = np.where(some[:, None], values, 0.0)
     np.testing.assert_array_equal(found[some], np.nanmedian(filled, axis=1)[some])
+
+
+# --- S* between the frames of a session.
+
+
+@pytest.fixture(params=BODIES.values(), ids=str)
+def session(request, tmp_path):
+    return record_with_a_gap(tmp_path / "s.rrd", request.param)
+
+
+def test_bones_beside_a_new_calibration_are_those_of_the_frame_before(tmp_path):
+    first = calibration_of(KINECT_V2)
+    longer = replace(first, bone_lengths=1.1 * first.bone_lengths)
+    pairs = frame_pairs(KINECT_V2, 30)
+    session = record_recalibrated(tmp_path / "s.rrd", pairs, [(0, first), (12, longer), (20, first)])
+    rows, bones = session.rows, KINECT_V2.bone_joints
+    times = np.linspace(0, rows.time_ns[-1], 200, endpoint=False).astype(np.int64)
+    before = np.searchsorted(rows.time_ns, times, side="right") - 1
+    lengths = bone_lengths_of(KINECT_V2, session.at(1e-9 * times))
+    np.testing.assert_allclose(lengths[:, bones], rows.bone_lengths[before][:, bones], atol=1e-6)
+
+
+def test_s_star_between_two_frames_keeps_its_bones_and_turns_evenly(session):
+    rows, body = session.rows, session.body
+    before = int(np.flatnonzero(np.isfinite(rows.fused).all(axis=(1, 2)))[3])
+    first_ns, last_ns = rows.time_ns[before : before + 2]
+    times = np.linspace(first_ns, last_ns, 5).astype(np.int64)
+    found = session.at(1e-9 * times)
+    np.testing.assert_array_equal(found[[0, -1]], rows.fused[[before, before + 1]])
+    lengths = bone_lengths_of(body, found)[:, body.bone_joints]
+    np.testing.assert_allclose(
+        lengths, rows.bone_lengths[[before]][:, body.bone_joints].repeat(5, 0), atol=1e-6
+    )
+    joint = body.bone_joints[0]
+    bones = found[:, joint] - found[:, body.parents[joint]]
+    turned = [np.linalg.norm(np.cross(u, v)) for u, v in itertools.pairwise(bones)]
+    np.testing.assert_allclose(turned, turned[0], rtol=0.02)
+    outside = np.array([rows.time_ns[0] - 1, rows.time_ns[-1] + 1]).astype("timedelta64[ns]")
+    assert np.isnan(session.at(outside)).all()
+    assert np.isnan(session.at([np.nan, -0.1, session.time[-1] + 60.0])).all()
+    moments = [*times.astype("timedelta64[ns]"), np.timedelta64("NaT")]
+    np.testing.assert_array_equal(session.at(moments), [*found, np.full_like(found[0], np.nan)])
+
+
+def test_times_that_cannot_be_meant_are_refused(session):
+    with pytest.raises(RecordingError, match=r"got an array of \(2, 2\)"):
+        session.at([[0, 1], [2, 3]])
+    for wrong in ("1", None, ["1", "2"], True):
+        with pytest.raises(RecordingError, match="Times are seconds since the first frame; got an array of"):
+            session.sigma_at(wrong)
+    for far in (session.time_ns, np.inf, -1e300, 10**9, np.timedelta64(3, "D")):
+        with pytest.raises(RecordingError, match=r"s is days away from a session of .* np\.timedelta64"):
+            session.at(far)
+
+
+def test_bones_that_turn_round_between_frames_are_somewhere(session):
+    """Half-way between opposite directions there is no direction."""
+    fused = session.rows.fused[[30, 30]]
+    root = session.body.root
+    fused[1] = 2.0 * fused[1, root] - fused[1]
+    rows = replace(session.rows[np.array([0, 1])], time_ns=np.array([0, 20_000_000]), fused=fused)
+    assert np.isfinite(positions_at(rows, np.array([0, 5_000_000, 10_000_000, 15_000_000, 20_000_000]))).all()
+
+
+def test_the_uncertainty_between_frames_covers_what_interpolation_misses(session):
+    rows = session.rows
+    every, few = np.arange(0, 24), np.arange(0, 24, 6)
+    angle = 0.1 * every  # radians: one metre about a centre
+    circle = np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=-1)[:, None]
+    chosen = rows[every]
+    chosen = replace(
+        chosen,
+        time_ns=every * 33_333_333,
+        fused=rows.fused[[30]] - rows.fused[30, rows.body.root] + circle,
+        sigma=np.full_like(chosen.filled("sigma"), 0.001),
+    )
+    root, times = rows.body.root, chosen.time_ns[9:15]
+    missed = np.linalg.norm(positions_at(chosen[few], times) - chosen.fused[9:15], axis=2)[:, root]
+    np.testing.assert_allclose(sigma_at(chosen[few], times)[:, root], np.hypot(0.001, missed), rtol=0.1)
+    np.testing.assert_allclose(sigma_at(chosen, chosen.time_ns), 0.001, rtol=1e-6)
+    assert np.isnan(session.sigma_at([-1])).all()
+
+
+@given(*[st.floats(0.001, 0.5)] * 2, st.floats(0.0, 1.0))
+def test_between_two_frames_of_somebody_still_the_variance_goes_from_one_to_the_other(first, second, share):
+    rows = still_rows()
+    sigma = np.stack([np.full(rows.sigma.shape[1], each) for each in (first, second)])
+    found = sigma_at(replace(rows, sigma=sigma), np.array([round(share * 20_000_000)]))
+    np.testing.assert_allclose(found, np.sqrt((1.0 - share) * first**2 + share * second**2), rtol=1e-4)
+
+
+@cache
+def still_rows():
+    with TemporaryDirectory() as folder:
+        rows = record_with_a_gap(Path(folder) / "s.rrd", KINECT_V2).rows[np.array([30, 30])]
+    return replace(rows, time_ns=np.array([0, 20_000_000]))
+
+
+# --- Laws of the quality of each second, and of the time that is doubtful.
+
+
+WORDS = "good", "usable", "poor"
+HALF = (0.0, 0.5), (1.0, 1.8)
+words = st.sampled_from(WORDS)
+
+
+@given(st.lists(st.tuples(words, st.sampled_from(("", "one view alone", "no frame"))), min_size=1))
+def test_merged_seconds_have_the_words_of_each_and_no_reason_that_one_lacks(of):
+    seconds = [SecondQuality(float(k), *each) for k, each in enumerate(of)]
+    merged = merged_by_word(seconds)
+    assert all(one.word != other.word for one, other in pairwise(merged))
+    for second in seconds:
+        (*_, held) = (each for each in merged if each.start <= second.start)
+        assert held.word == second.word
+        assert held.reason in ("", second.reason)
+    runs_of_one = [each for each in merged if [s.word for s in seconds].count(each.word) == 1]
+    assert all(each in seconds for each in runs_of_one)
+
+
+# of whole nanoseconds: else a session's last second may be of nanoseconds, and without a frame (issue 57)
+RATES = st.sampled_from((5.0, 8.0, 10.0, 20.0, 25.0, 32.0, 50.0)).map(lambda rate: (rate, rate))
+
+
+@given(captures(rates=RATES, seconds=st.integers(1, 5).map(float)), st.booleans())
+@example(Capture(rates=(25.0, 25.0), calibrated_s=0.5), False)
+@example(Capture(rates=(25.0, 25.0), present=(((0.0, 9.0),), HALF)), False)
+def test_a_second_is_as_good_as_the_worst_share_of_its_frames(capture, without_feet):
+    """Of nobody, of frames before the calibration and of one view alone; the first of the worst is told.
+
+    A limb that nobody ever saw is not uncertain.
+    """
+    session, rate = capture.session(), int(capture.rates[0])
+    if without_feet:
+        session = session_without_feet(session)
+    times = capture.times(0)
+    a, b = (capture.sees(side, times) for side in (0, 1))
+    first = min(int(np.searchsorted(times, 1e9 * capture.calibrated_s)), len(times) - 1)
+    shares = np.stack([~(a | b), np.arange(len(times)) < first, a ^ b]).reshape(3, -1, rate).mean(axis=2)
+    assume(np.abs(np.subtract.outer(shares, DOUBTFUL)).min() > 1e-6)
+    assert len(session.quality_per_second) == capture.seconds
+    for second, (nobody, uncalibrated, alone) in zip(session.quality_per_second, shares.T, strict=True):
+        reasons = (
+            (graded(nobody, DOUBTFUL), f"nobody in view for {100 * nobody:.0f} % of it"),
+            ("poor" if uncalibrated > DOUBTFUL[0] else "good", "before the calibration"),
+            (graded(alone, DOUBTFUL), f"one view alone has the person for {100 * alone:.0f} % of it"),
+        )
+        word, reason = max(reasons, key=lambda each: WORDS.index(each[0]))
+        assert second[1:] == (word, "" if word == "good" else reason)
+
+
+def session_without_feet(session):
+    """That nobody ever saw; S* guesses them."""
+    rows = session.rows
+    feet = [k for k, name in enumerate(rows.body.joints) if "ankle" in name.lower() or "foot" in name.lower()]
+    states, sigma = [each.copy() for each in (rows.states_a, rows.states_b)], rows.sigma.copy()
+    for each in states:
+        each[:, feet] = 0
+    sigma[:, feet] = 0.3
+    return replace(session, rows=replace(rows, states_a=states[0], states_b=states[1], sigma=sigma))
+
+
+@given(
+    captures(rates=RATES), st.lists(words, min_size=7, max_size=7), st.sampled_from((0, 3_600_000_000_000))
+)
+def test_good_spans_are_the_good_seconds_and_seconds_of_doubt_those_of_the_frames(capture, judged, gap_ns):
+    """Whatever gap follows the third frame: it counts as three frames."""
+    session = capture.session()
+    rows, rate = session.rows, capture.rates[0]
+    end = session.time[-1]
+    seconds = [SecondQuality(float(k), word, "") for k, word in enumerate(judged) if k <= end]
+    spans = good_spans(session, seconds)
+    assert all(0.0 <= one.start <= one.end <= max(end, seconds[-1].start) for one in spans)
+    assert all(one.end < other.start for one, other in pairwise(spans))
+    for k, second in enumerate(seconds):
+        inside = [span for span in spans if span.start <= k < span.end or span.start == k]
+        assert bool(inside) == (second.word == "good")
+    later = np.where(np.arange(len(rows)) > 2, gap_ns, 0)
+    moved = replace(rows, time_ns=rows.time_ns + later)
+    seen = seen_people(moved)
+    found = doubtful_seconds(moved, np.full(len(rows), 0.09), seen)
+    gap = 2.0 / rate if gap_ns and len(rows) > 3 else 0.0
+    assert (
+        found["all"] == found["views_apart"] == pytest.approx(len(rows) / rate + gap if len(rows) > 1 else 0)
+    )
+    assert found["one_view"] <= found["all"]
+    assert found["limb_uncertain"] == 0.0

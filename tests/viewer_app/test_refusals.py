@@ -1,18 +1,29 @@
 """What cannot be done is refused in one line with exit code 2, and changes no file."""
 
+import re
 import shutil
+import sys
+import tomllib
+from dataclasses import fields
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from devices.output_file import Hidden
 from fusion.body import KINECT_V1, KINECT_V2
-from tests.helpers.command_line import parsed
+from tests.helpers.command_line import duplex, one_line, parsed
+from tests.helpers.documents import ROOT
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
-from tests.helpers.recorded_pairs import write_recordings, write_view
+from tests.helpers.recorded_pairs import write_pair, write_recordings, write_view
 from tests.helpers.sentences import check_sentences, refusals
 from tests.helpers.two_views import calibration_of, moving
+from viewer_app.errors import UsageError
+from viewer_app.options.command_line import COMMANDS
+from viewer_app.output_files import check_outputs, outputs_of_one_run, write_text
 
-__all__ = ["parsed"]  # a fixture
+__all__ = ["parsed"]  # fixtures
 
 
 @pytest.fixture
@@ -43,3 +54,142 @@ def test_sentences_of_refusals(folder, capsys):
 def test_sentences_of_usage(parsed, capsys, tmp_path):
     check_sentences("usage", refusals(capsys, tmp_path))
     assert not parsed
+
+
+# --- A mistake on the command line gives one line that names it, and exit code 2.
+
+
+def test_a_long_value_is_shortened(capsys):
+    assert duplex("demo", "--seconds", "7x" * 400) == 2
+    assert len(one_line(capsys)) < 300
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    assert duplex("--version") == 0
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert capsys.readouterr().out == f"duplex {project['version']}\n"
+
+
+def test_the_overview_describes_each_command_in_its_first_paragraph(capsys):
+    assert duplex("--help") == 0
+    overview = capsys.readouterr().out
+    assert duplex("batch", "--help") == 0
+    page = capsys.readouterr().out
+    for text in ("In a folder and its subfolders", "The exit code is"):
+        assert text in page
+        assert text not in overview
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_describes_every_option(command, capsys):
+    assert duplex(*command.split(), "--help") == 0
+    page = capsys.readouterr().out
+    kind, _ = COMMANDS[command]
+    for field in fields(kind):
+        renamed = {"start": "from", "end": "to"} if command == "trim" else {}
+        assert f"--{renamed.get(field.name, field.name).replace('_', '-')} " in page
+    assert "None" not in page
+
+
+def test_the_help_has_the_options_of_experts_last(capsys):
+    assert duplex("live", "--help") == 0
+    titles = re.findall(r"╭─ (.+?) ─", capsys.readouterr().out)
+    groups = ["Sensors", "Body tracker", "Method", "Viewer", "Outputs", "For experts"]
+    assert titles == ["Arguments", "Options", *groups]
+
+
+def test_options_of_several_values_may_be_given_twice(parsed):
+    assert duplex("live", "--zenoh", "k", "--zenoh-listen", "tcp/a:1", "--zenoh-listen", "tcp/b:2") == 0
+    assert parsed[0].zenoh_listen == ("tcp/a:1", "tcp/b:2")
+
+
+WORDS = (
+    *("fuse", "demo", "trim", "tracker", "fetch", "a.csv", "x", "-1", "", "--", "é", "-h2", "-5e3", "nan"),
+    *("--save", "--save=", "--force", "--seconds", "--method", "duplex", "--worst", "--evnt"),
+    "--zenoh-listen",
+)
+
+
+@given(words=st.lists(st.sampled_from(WORDS), max_size=6))
+def test_any_command_line_is_accepted_or_refused_in_one_line(words, parsed, capsys):
+    before = len(parsed)
+    code = duplex(*words)
+    said = capsys.readouterr().err
+    if code == 0:
+        assert (len(parsed), said) == (before + 1, "")
+    else:
+        assert code == 2
+        assert said.startswith("duplex: ")
+        assert said.count("\n") == 1
+
+
+# --- What a command writes is not written by another process at the same time.
+
+
+def test_of_two_processes_on_one_output_the_second_is_refused(tmp_path):
+    path = tmp_path / "s.json"
+    others = Hidden(path, shared=True)  # a lock is of one opening, so this is like another process's
+    with (
+        pytest.raises(UsageError, match=r"s\.json is being written by another process"),
+        outputs_of_one_run(),
+    ):
+        check_outputs([path], [], force=True)
+    others.remove()
+    with outputs_of_one_run():
+        check_outputs([path], [], force=True)
+        check_outputs([path], [], force=True)  # the same run may ask again
+        with pytest.raises(BlockingIOError):
+            Hidden(path, shared=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_made_meanwhile_is_told_in_one_line(tmp_path):
+    path = tmp_path / "s.json"
+    path.write_text("theirs")
+    with pytest.raises(UsageError, match=r"another program meanwhile.*s-2\.json"):
+        write_text(path, "ours", force=False)
+    assert path.read_text() == "theirs"
+    write_text(path, "ours", force=True)
+    assert path.read_text() == "ours"
+
+
+def test_of_two_batches_on_one_folder_the_second_is_refused(tmp_path, capsys):
+    write_pair(tmp_path / "in")
+    out = tmp_path / "out"
+    out.mkdir()
+    first = Hidden(out / "summary.parquet", shared=True)
+    unfinished = out / ".partial" / "in.host-1"
+    unfinished.mkdir(parents=True)
+    assert duplex("batch", tmp_path / "in", "--out", out) == 2
+    assert "is being written by another process" in one_line(capsys)
+    assert unfinished.is_dir(), "the first one's work is left alone"
+    first.remove()
+
+
+def test_what_an_export_needs_is_looked_for_before_fusing(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygltflib", None)
+    monkeypatch.setattr("viewer_app.commands.fuse._read", lambda *_: pytest.fail("it is read"))
+    write_pair(tmp_path)
+    outputs = "--save", tmp_path / "s.rrd", "--to", tmp_path / "t.glb"
+    assert duplex("fuse", tmp_path / "a.csv", tmp_path / "b.csv", "--no-viewer", *outputs) == 2
+    assert "Writing .glb needs the package pygltflib" in one_line(capsys)
+
+
+def test_a_folder_that_the_system_refuses_is_told_in_one_line(tmp_path, capsys):
+    for path in (tmp_path / ("a" * 300), tmp_path / ("a" * 300) / "b.rrd", tmp_path / "new" / ("a" * 300)):
+        assert duplex("demo", "--no-viewer", "--record", path) == 2
+        assert one_line(capsys) == f"duplex: The folder {path} cannot be created: File name too long.\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_records_nothing_leaves_no_folder(tmp_path, capsys, monkeypatch):
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("viewer_app.commands.demo.warm_up", stopped)
+    there = tmp_path / "there"
+    there.mkdir()
+    for folder in (tmp_path / "above" / "new", there):
+        assert duplex("demo", "--no-viewer", "--record", folder) == 130
+        assert capsys.readouterr().err == "duplex: stopped\n"
+    assert list(tmp_path.iterdir()) == [there]

@@ -5,6 +5,13 @@ import pytest
 
 from devices.depth.camera import project
 from devices.simulated.imaging.body_surface import capsules, flesh_over, visibility
+from devices.simulated.imaging.infrared import (
+    REFLECTANCE,
+    InfraredModel,
+    Material,
+    clothed_capsules,
+    infrared_image,
+)
 from devices.simulated.imaging.rendering import (
     FLOOR,
     NOTHING,
@@ -146,3 +153,48 @@ def test_all_joints_are_seen_from_in_front_and_none_outside_the_image():
     marks = MOTIONS["startup"].landmarks(1.0)[0]
     assert min(seen_from_in_front(marks).values()) > 0.5
     assert not any(seen_from_in_front(marks + (5.0, 0.0, 0.0)).values())
+
+
+# --- Claims about the simulated infrared images and the dressed person in them.
+
+
+SILENT = InfraredModel(read_noise=0.0, shot_noise=0.0)
+NO_CAPSULES = np.zeros(0, np.int8)
+
+
+def exposed(z, cosine, label, model=SILENT):
+    """An image of one surface that fills the view."""
+    size = (LENS.height, LENS.width)
+    surface = np.full(size, z, np.float32), np.full(size, label, np.int8), np.full(size, cosine, np.float32)
+    return infrared_image(*surface, NO_CAPSULES, model.illumination(LENS), model, np.random.default_rng(0))
+
+
+def test_brightness_follows_from_material_distance_angle_and_place_in_the_image():
+    middle = round(LENS.cy), round(LENS.cx)
+    gain, wall = SILENT.gain, float(REFLECTANCE[Material.WALL])
+    # Rounding to whole counts; the middle pixel is half a pixel off the axis.
+    assert exposed(1.0, 1.0, WALL)[middle] == pytest.approx(gain * wall, abs=0.6)
+    assert exposed(2.0, 1.0, WALL)[middle] == pytest.approx(gain * wall / 4.0, abs=0.6)
+    assert exposed(2.0, 0.5, WALL)[middle] == pytest.approx(gain * wall / 8.0, abs=0.6)
+    floor = float(REFLECTANCE[Material.FLOOR])
+    assert exposed(2.0, 1.0, FLOOR)[middle] == pytest.approx(gain * floor / 4.0, abs=0.6)
+    assert not exposed(2.0, 1.0, NOTHING).any()
+    # A corner is farther away than z, and the illuminator is weaker there.
+    x, y = -LENS.cx / LENS.fx, -LENS.cy / LENS.fy
+    cosine = 1.0 / np.sqrt(1.0 + x * x + y * y)
+    corner = gain * wall * cosine**2 * cosine**SILENT.vignetting
+    assert exposed(1.0, 1.0, WALL)[0, 0] == pytest.approx(corner, abs=0.6)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize(("name", "time"), [("startup", 1.0), ("arms", 6.9), ("walk", 8.6), ("sit", 8.0)])
+def test_the_dressed_surface_lies_about_the_plain_one(name, time, which):
+    """Depth differs by clothes and fingers only: the tracker's errors were fitted to the plain surface."""
+    sensor_from_world = Rig().world_from_sensor(which).inverse()
+    marks = sensor_from_world.apply(MOTIONS[name].landmarks(time)[0])
+    plain, plain_label, _ = surface(capsules(marks), sensor_from_world, LENS)
+    dressed, dressed_label, _ = surface(clothed_capsules(marks), sensor_from_world, LENS)
+    both = (plain_label >= 0) & (dressed_label >= 0)
+    assert both.sum() > 0.9 * (plain_label >= 0).sum()
+    # Sleeves and trousers are at most 15 mm thicker than the limb in them.
+    assert np.percentile(np.abs(plain - dressed)[both], 90) < 0.020

@@ -1,27 +1,37 @@
 """The coach's advice over time. Time is that of the pairs."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from devices.depth.camera import project
 from devices.sensor import SensorFrame
+from devices.simulated.rig import Rig
 from fusion.body import BODIES, KINECT_V2
-from fusion.calibration.calibration import Calibration, calibrate
+from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
 from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
+from recordings.appearance.state_card import State, fits
 from recordings.fusing.pairs import fuse_one
 from recordings.quality.limits import FARTHEST_PERSON, nearest
 from tests.helpers.frame_pairs import frame_pair
+from tests.helpers.set_ups import SET_UPS, moments
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibrated_on, pair_of, standing, turned_around
-from viewer_app.coach.advice import calibration_advice, placement
-from viewer_app.coach.setup_coach import MOVED, Coach, Situation
+from viewer_app.coach.advice import Advice, calibration_advice, placement
+from viewer_app.coach.readiness import LASTS, Headline, Readiness, headline, to_markdown
+from viewer_app.coach.scene import CoachScene, places
+from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
+from viewer_app.coach.standing_spot import ARM, standing_spot
+from viewer_app.viewer.blueprint import overview
 
 BODY = KINECT_V2
 CAMERA = NOMINAL_INTRINSICS[BODY.name]
@@ -238,3 +248,262 @@ def test_a_single_pose_is_never_good():
         assert calibration_advice(calibrate(body, pose, "start-up pose", frontal=True)).text.startswith(
             "Calibration usable"
         )
+
+
+# --- The headline: its state, its step, and how rarely it changes.
+
+
+def advice(topic, level="WARN", side="", urgency=0.0):
+    return Advice(
+        topic, "…", level, side, f"{topic} wrong", f"mend {topic.split()[0]} of {{who}}", "", urgency
+    )
+
+
+TOPICS = [
+    advice("person A", side="A"),
+    advice("silent B", "INFO", "B"),
+    advice("distance A", side="A", urgency=1.0),
+    advice("distance B", side="B"),
+    advice("feet B", side="B"),
+    advice("mirrored B", side="B"),
+    advice("angle"),
+    advice("pose", "INFO"),
+    advice("skew"),
+    Advice("warm-up", "figures", figures=True),
+]
+SEQUENCES = st.lists(
+    st.tuples(st.floats(0.01, 3.0), st.sets(st.sampled_from(range(len(TOPICS))), max_size=4)), max_size=60
+)
+
+
+@given(SEQUENCES)
+def test_a_headline_stays_for_two_seconds_unless_a_view_is_lost(steps):
+    readiness, time = Readiness(), 0.0
+    changes = []
+    for passed, now in steps:
+        time += passed
+        shown = readiness.watch(time, [TOPICS[k] for k in sorted(now)], KNOWN)
+        assert shown.kind in {"", *(each.kind for each in readiness.advice)}  # the list says it, too
+        if not changes or shown != changes[-1][1]:
+            changes.append((time, shown))
+    for (before, old), (at, new) in itertools.pairwise(changes):
+        assert at - before >= LASTS or (new.lost and not old.lost)
+
+
+@given(SEQUENCES, st.sets(st.sampled_from(range(len(TOPICS))), max_size=4))
+def test_whatever_was_advised_the_headline_comes_to_say_what_is_wrong_now(steps, last):
+    readiness, time = Readiness(), 0.0
+    for passed, now in steps:
+        time += passed
+        readiness.watch(time, [TOPICS[k] for k in now], KNOWN)
+    now = [TOPICS[k] for k in sorted(last)]
+    for k in range(6):
+        shown = readiness.watch(time + k, now, KNOWN)
+    asked = {each.kind for each in now if each.step}
+    assert (shown.state is State.READY) == (not asked)
+    assert shown.kind in (asked or {""})
+
+
+@given(st.sets(st.sampled_from(range(len(TOPICS))), max_size=6), st.randoms())
+def test_state_and_list_depend_on_no_order_and_say_each_thing_once(which, rng):
+    given_ = [TOPICS[k] for k in sorted(which)]
+    shown = headline(given_, KNOWN)
+    page = to_markdown(given_, shown)
+    mixed = list(given_)
+    rng.shuffle(mixed)
+    assert headline(mixed, KNOWN) == shown
+    kinds = {each.kind for each in given_ if each.step}
+    assert page.count("###") == len(kinds)
+    assert all(page.count(f"mend {kind} of") == (kind != shown.kind) for kind in kinds)
+    assert (shown.state is State.ALMOST) == (bool(kinds) and kinds <= {"pose", "skew"})
+
+
+def test_the_step_names_the_sensors_and_follows_the_one_that_asks_for_most():
+    near = advice("distance A", side="A", urgency=0.2), advice("distance B", side="B", urgency=0.9)
+    steps = [replace(each, step=f"step back {each.urgency} m from {{who}}") for each in near]
+    assert headline(steps, KNOWN).step == "Step back 0.9 m from A and B"
+
+
+@pytest.mark.parametrize(("told", "by"), [("whole", "distance"), ("pose", "calibration")])
+def test_what_another_advice_tells_is_no_problem_of_its_own(told, by):
+    one, other, third = (advice(topic) for topic in (told, by, "skew"))
+    assert f"{told} wrong" in to_markdown([one, third]).lower()
+    assert to_markdown([one, other, third]) == to_markdown([other, third])
+    assert headline([one, other], KNOWN) == headline([other], KNOWN)
+
+
+def test_ready_states_the_deviation_of_the_calibration():
+    pose = calibrated_on(BODY)
+    of = replace(pose, registration=replace(pose.registration, rotation_sd=0.00733))  # 0.42 degrees
+    assert headline([], of).step == "Record now: ± 0.4°, whole body in both views"
+    assert headline([], KNOWN).step == "Record now: whole body in both views"
+
+
+EXPECTED = {
+    "too near": ("distance", "Too near: step back"),
+    "30 degrees apart": ("angle", "Only 30° apart: move B away from A, round you, to 90°"),
+    "feet out of view": ("feet", "Feet out of view: tilt A and B down, or step back"),
+    "mirrored B": ("mirrored", "Mirror image: turn off mirroring in the driver of B"),
+    "someone else": ("others", "Someone else in view: ask them to step aside"),
+}
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_a_bad_set_up_is_told_in_one_step_that_stays(name):
+    seen = [moment.headline for moment in moments(SET_UPS[name], 6.0)]
+    kind, step = EXPECTED[name]
+    assert {each.kind for each in seen} <= {kind, "pose"}  # 30 degrees are not known before the pose
+    assert seen[-1].kind == kind
+    assert seen[-1].state is State.NOT_YET
+    assert seen[-1].step.startswith(step)
+    assert all(fits(each.step) for each in seen)
+
+
+def test_a_good_set_up_is_ready_after_some_steps_and_its_deviation_is_true():
+    first_ready = None
+    for moment in moments(SET_UPS["good"], 16.0):
+        if moment.headline.state is State.READY:
+            first_ready = moment
+            break
+        assert moment.headline.kind in ("pose", "calibration")
+        assert "spot" in dict(moment.page.marks)
+    assert first_ready is not None
+    assert "spot" not in dict(first_ready.page.marks)
+    calibration = first_ready.setup.calibration
+    sd = calibration.registration.rotation_sd
+    assert f"± {57.29578 * sd:.1f}°" in first_ready.headline.step
+    truth = SET_UPS["good"].rig.a_from_b
+    assert calibration.a_from_b.angle_to(truth) < 3.0 * sd
+
+
+# --- Drawings of the coach: where to stand, which problem to solve, a better place for B.
+
+
+CAMERAS = (CAMERA, CAMERA)
+PERSON = standing(BODY)
+FEET_GONE = Advice("feet B", "…", "WARN", "B", "feet out of view")
+
+
+def fused(at=PERSON):
+    return Fuser(FusionSetup(KNOWN)).update(pair_of(BODY, at))
+
+
+def page(now=None, seen=None, *advice, state=State.NOT_YET, kind=""):
+    now = now or Situation(KNOWN, final=False, held=0.0)
+    return CoachScene(BODY, CAMERAS).page(advice, now, seen, Headline(state, "as advised", kind))
+
+
+def marks(*given, **more):
+    return dict(page(*given, **more).marks)
+
+
+def middle_of_ring(mark):
+    ring = np.array(mark.lines[0])
+    assert mark.words_at[1] > ring[0, 1]
+    assert ring[0] == pytest.approx(ring[-1])
+    return np.asarray(ring[:-1].mean(axis=0))
+
+
+@pytest.mark.parametrize("b", [None, A_FROM_B])
+def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b):
+    far = FARTHEST_PERSON[BODY.name]
+    spot = standing_spot(b, CAMERAS, far, 1.0)
+    assert spot.room > 0.0
+    for sensor in (RigidTransform.identity(), b):
+        if sensor is None:
+            continue
+        torso = sensor.inverse().apply([spot.x, 0.0, spot.z])
+        assert nearest(CAMERA) <= torso[2] <= far
+        for side in (-ARM, ARM):
+            pixel = project(CAMERA, torso + [side, 0.0, 0.0])
+            assert 0.0 <= pixel[0] <= CAMERA.width
+
+
+def test_sensors_that_look_away_from_each_other_leave_no_place():
+    back = RigidTransform.of(Rotation.from_euler("y", 180, degrees=True).as_matrix(), [0.0, 0.0, 0.0])
+    assert standing_spot(back, CAMERAS, FARTHEST_PERSON[BODY.name], 1.0).room < 0.0
+
+
+def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it():
+    away = fused(PERSON + [1.5, 0.0, 0.3])
+    mark = marks(seen=away)["spot"]
+    floor = max(away.positions[BODY.joint(f"ANKLE_{side}"), 1] for side in ("LEFT", "RIGHT")) + 0.08
+    assert middle_of_ring(mark)[1] == pytest.approx(floor, abs=0.051)  # drawn in steps of 0.1 m
+    arrow = np.array(mark.lines[2])
+    torso = away.positions[list(BODY.torso)].mean(axis=0)
+    assert np.linalg.norm(arrow[0] - torso, axis=0) > 0.3  # on the floor, not in the body
+    assert np.abs(arrow[0] - torso)[[0, 2]].max() < 0.051
+    along, to_go = (each[[0, 2]] for each in (arrow[1] - arrow[0], middle_of_ring(mark) - arrow[0]))
+    assert along / np.linalg.norm(along) == pytest.approx(to_go / np.linalg.norm(to_go), abs=1e-6)
+
+
+def test_the_pose_is_counted_down_on_the_card_and_the_circle_stays_until_ready():
+    spot = standing_spot(A_FROM_B, CAMERAS, FARTHEST_PERSON[BODY.name], 1.0)
+    torso = PERSON[list(BODY.torso)].mean(axis=0)
+    there = fused(PERSON + [spot.x - torso[0], 0.0, spot.z - torso[2]])
+    assert page(seen=there, kind="pose").card == (State.NOT_YET, "as advised")
+    now = Situation(KNOWN, final=False, held=HOLD - 1.4)
+    assert page(now, there, kind="pose").card == (State.NOT_YET, "Hold still: 2 s")
+    assert page(now, there, kind="feet").card == (State.NOT_YET, "as advised")
+    for shown in (None, now, replace(now, final=True, held=0.0)):
+        assert len(marks(shown, there)["spot"].lines) == 2  # no arrow
+    assert "spot" not in marks(now, there, state=State.READY)
+
+
+def test_before_the_first_person_a_circle_is_shown_in_front_of_a():
+    mark = marks(Situation(nominal_calibration(BODY), final=False, held=0.0))["spot"]
+    x, y, z = middle_of_ring(mark)
+    assert (abs(x), y) == pytest.approx((0.0, 1.0), abs=0.1)
+    assert nearest(CAMERA) < z < FARTHEST_PERSON[BODY.name]
+
+
+def test_a_sensor_with_a_problem_is_marked_where_it_stands():
+    problem = Advice("person B", "…", "WARN", "B", "sees no one")
+    drawn = marks(None, None, problem, replace(problem, topic="x", level="INFO", sensors="A"))
+    assert "sensor_a" not in drawn
+    assert drawn["sensor_b"].meaning == "mend"
+    edge, first, *_ = drawn["sensor_b"].lines
+    assert first[0] == pytest.approx(A_FROM_B.translation)
+    assert edge[0] == edge[-1]
+
+
+@pytest.mark.parametrize("angle", [30.0, 150.0])
+def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle):
+    a_from_b = turned_around(angle)
+    now = Situation(calibrated_on(BODY, a_from_b), final=True, held=0.0)
+    mark = marks(now, fused())["better_b"]
+    way = np.array(mark.lines[-1])
+    assert way[0] == pytest.approx(a_from_b.translation, abs=1e-3)
+    spot = standing_spot(a_from_b, CAMERAS, FARTHEST_PERSON[BODY.name], 1.0)
+    away = np.array([spot.x, 0.0, spot.z])
+    # the floor is known to 0.1 m only, which moves the spot by a step at most
+    assert np.linalg.norm(way[-1] - away) == pytest.approx(np.linalg.norm(way[0] - away), abs=0.15)
+    looks = np.mean([line[1] for line in mark.lines[1:5]], axis=0) - mark.lines[1][0]
+    assert mark.words_at[1] > way[-1, 1]  # y is down
+    assert looks[2] / np.linalg.norm(looks) == pytest.approx(0.0, abs=0.02)  # at a right angle to A's axis
+
+
+def test_a_good_angle_needs_no_better_place():
+    now = Situation(calibrated_on(BODY), final=True, held=0.0)
+    assert "better_b" not in marks(now, fused())
+
+
+@given(st.floats(15.0, 165.0), st.floats(1.2, 4.0), st.floats(0.5, 2.0), st.booleans())
+def test_sensors_person_spot_and_better_place_are_in_the_picture(angle, distance, height, known):
+    rig = Rig(angle_deg=angle, distance=distance, height=height)
+    calibration = replace(KNOWN, a_from_b=rig.a_from_b) if known else nominal_calibration(BODY)
+    setup = FusionSetup(calibration)
+    towards = np.array([0.6, 0.0, -0.8])
+    eye, target = overview(places(setup), towards)
+    back = (eye - target) / np.linalg.norm(eye - target)
+    right = np.cross(back, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    shown = marks(Situation(calibration, final=known, held=0.0), fused(), FEET_GONE)
+    drawn = np.concatenate([line for mark in shown.values() for line in mark.lines])
+    for points in (places(setup), drawn if known else drawn[:0]):
+        seen = points - eye
+        depth = -seen @ back
+        assert (depth > 0.0).all()
+        # the viewer's eye sees 55° of the height; the scene is wider than high
+        assert (np.abs(seen @ np.cross(right, back)) / depth < np.tan(np.radians(27.5))).all()
+        assert (np.abs(seen @ right) / depth < 1.4 * np.tan(np.radians(27.5))).all()

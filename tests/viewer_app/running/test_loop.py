@@ -1,14 +1,22 @@
 """The live loop on known pairs: person, truth, latency, settings, and what comes first."""
 
 import gc
+import io
 import os
 import sys
+import wave
 from dataclasses import replace
 from itertools import islice
+from types import SimpleNamespace
+from unittest import mock
+from unittest.mock import MagicMock
 
 import numpy as np
 import psutil
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
 
 from devices.depth import witness as depth_witness
 from devices.events import Event
@@ -16,17 +24,23 @@ from devices.frame_pairs import FramePair
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
 from fusion.body import KINECT_V1
-from fusion.calibration.calibration import calibrate, nominal_calibration
+from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
 from fusion.fuser import Fuser
 from fusion.registration import refinement
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
+from recordings.appearance.state_card import State
 from recordings.live_fusion import LiveFusion
 from tests.experiments.soak import Soak, at_pace, soak
 from tests.helpers.frame_pairs import KnownSensors, frame_pairs
+from tests.helpers.live_frames import BODY, frames
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
+from viewer_app.coach.advice import Advice
+from viewer_app.coach.readiness import Headline
 from viewer_app.running.loop import low_latency, run_live
 from viewer_app.running.runner import latency_figures
+from viewer_app.running.sounds import RATE, TONES, Sounds, player, sound_of
+from viewer_app.running.status import LiveDisplay
 from viewer_app.sinks.sink import FanOut, Sink
 
 NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))
@@ -218,3 +232,187 @@ def test_growth_is_measured_from_the_end_of_the_first_minute():
     leaking = Soak(memory=[(float(s), 100.0 + 0.1 * s) for s in range(300)])
     # from the middle of the 15 s that are the base to the end
     assert leaking.growth_mb == pytest.approx(0.1 * (299 - 67))
+
+
+# --- The status line's fields, and a warning as one event and one when it is over.
+
+
+WARNING = Advice("A's view", "Sensor A sees no one: 0 of 25 joints", "WARN", sensors="A", label="no one")
+
+
+@pytest.fixture
+def statuses():
+    """Two seconds at 30 fps; A has dropped 3 frames, B 4."""
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
+    sensors = SimpleNamespace(
+        a=SimpleNamespace(dropped=3, lost=5), b=SimpleNamespace(dropped=4, lost=6), step=2
+    )
+    calibrator = SimpleNamespace(final=True, held=0.0)
+    known = fuser.setup.calibration
+    return [
+        SimpleNamespace(frame=frame, calibration=known, sensors=sensors, calibrator=calibrator, events=())
+        for frame in frames(fuser, 60)
+    ]
+
+
+def later(status, frames):
+    """The same status so many frames later."""
+    pair = status.frame.pair
+    skeletons = replace(pair.skeletons, time_ns=pair.time_ns + frames * 10**9 // 30)
+    frame = replace(status.frame, pair=replace(pair, skeletons=skeletons))
+    return SimpleNamespace(**{**vars(status), "frame": frame})
+
+
+class Shown:
+    """A display, a session that only listens, a coach whose advice the test gives, and what is printed."""
+
+    def __init__(self, width=80, **options):
+        self.printed = io.StringIO()
+        self.session = MagicMock(
+            file=MagicMock(failure=None, saves=True, written_bytes=12_340_000, lost=0),
+            viewer=MagicMock(dropped=0, window_closed=False, window_failure=""),
+        )
+        self.coach = MagicMock(body=BODY, intrinsics=(MagicMock(), MagicMock()))
+        self.coach.watch.return_value = []
+        self.now = 0.0
+        console = Console(file=self.printed, width=width, color_system=None)
+        self.display = LiveDisplay(console, self.session, self.coach, clock=lambda: self.now, **options)
+        self.display._scene = MagicMock()
+
+    def events(self):
+        return [call.args[0] for call in self.session.event.call_args_list]
+
+
+def test_the_status_line_has_every_figure(statuses):
+    shown = Shown()
+    for status in statuses:
+        assert shown.display(status)
+    rates, skew, trust, fuse, saving = shown.display.line().split(" · ")
+    assert rates == "fps 30/30"
+    assert skew == "skew 0.0 ms"
+    in_a, in_b = (float(of) for of in trust.removeprefix("trust ").split("/"))
+    mean = [status.frame.fused.weights_a.mean() for status in statuses]
+    assert in_a == pytest.approx(sum(mean) / len(mean), abs=0.006)
+    assert 0.0 < in_b <= 1.0
+    assert fuse.startswith("fuse ")
+    assert fuse.endswith(" µs")
+    assert saving == "saving 12.3 MB"
+
+
+def test_the_status_line_says_what_goes_wrong(statuses):
+    shown = Shown()
+    shown.display(statuses[0])
+    shown.session.file.configure_mock(failure="The disk is full.", lost=2)
+    shown.session.viewer.configure_mock(dropped=5, window_closed=True)
+    assert shown.display.line().split(" · ")[-4:] == [
+        "SAVING STOPPED", "5 not shown", "2 NOT SAVED", "viewer closed",
+    ]  # fmt: skip
+
+
+def test_a_window_that_is_given_up_is_said_once(statuses):
+    shown = Shown()
+    shown.session.viewer.configure_mock(window_failure="No window.")
+    for status in statuses:
+        shown.display(status)
+    assert shown.printed.getvalue().count("No window. The fusion continues.") == 1
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_warning_is_one_event_and_one_when_it_is_over(statuses, quiet):
+    shown = Shown(quiet=quiet)
+    advised = [[], *[[WARNING]] * 5, *[[]] * 54]
+    for status, advice in zip(statuses, advised, strict=True):
+        shown.coach.watch.return_value = advice
+        shown.display(status)
+    begins = Event(WARNING.text, "WARN")
+    assert shown.events() == [begins]  # 1.8 s without it
+    for k in (6, 7):
+        shown.display(later(statuses[-1], k))
+    assert shown.events() == [begins, Event("no longer: sensor A sees no one")]
+    assert shown.printed.getvalue() == ("" if quiet else f"{WARNING.text}\n")
+
+
+def test_a_warning_about_its_threshold_is_not_repeated(statuses):
+    shown = Shown()
+    for k, status in enumerate(statuses):
+        text = f"Sensor A sees {k} of 25 joints"  # its figure changes, too
+        shown.coach.watch.return_value = [replace(WARNING, text=text)] if k % 3 else []
+        shown.display(status)
+    assert len(shown.events()) == 1
+    shown.coach.watch.return_value = []
+    shown.display(later(statuses[-1], 90))
+    shown.coach.watch.return_value = [WARNING]
+    shown.display(later(statuses[-1], 91))
+    assert shown.events()[-1] == Event(WARNING.text, "WARN")  # it came back, which the session tells
+    assert shown.printed.getvalue() == "Sensor A sees 1 of 25 joints\n"
+    shown.coach.watch.return_value = []
+    shown.display(later(statuses[-1], 2000))
+    shown.coach.watch.return_value = [WARNING]
+    shown.display(later(statuses[-1], 2001))
+    assert shown.printed.getvalue().endswith(f"\n{WARNING.text}\n")  # a minute later
+
+
+def test_the_coach_knows_what_the_sensors_do(statuses):
+    shown = Shown()
+    shown.display(statuses[0])
+    situation = shown.coach.watch.call_args.args[1]
+    assert (situation.dropped, situation.lost, situation.step) == ((3, 4), (5, 6), 2)
+
+
+# --- Tones of a set-up: one for each new state or thing to do.
+
+
+HEADLINES = [
+    Headline(State.NOT_YET, "step back 0.5 m", "distance"),
+    Headline(State.NOT_YET, "step back 1.0 m", "distance"),
+    Headline(State.NOT_YET, "move B", "angle"),
+    Headline(State.NOT_YET, "step into view of A", "person"),
+    Headline(State.ALMOST, "walk a few steps", "calibration"),
+    Headline(State.READY, "record now"),
+]
+
+
+@given(st.lists(st.sampled_from(HEADLINES)))
+def test_a_sound_is_played_for_each_new_state_or_thing_to_do(shown):
+    played = []
+    with Sounds(lambda path: played.append(path.stem)) as sounds:
+        for each in shown:
+            sounds.tell(each)
+    about = [(each.state, each.kind) for each in shown]
+    new = [each for k, each in enumerate(shown) if k == 0 or about[k] != about[k - 1]]
+    assert played == [sound_of(each).replace(" ", "_") for each in new if sound_of(each)]
+
+
+def test_lost_ready_and_not_yet_sound_different():
+    assert [sound_of(each) for each in HEADLINES] == ["not yet", "not yet", "not yet", "lost", "", "ready"]
+
+
+@pytest.mark.parametrize("name", TONES)
+def test_a_file_has_its_tones(name):
+    with Sounds(mock.Mock()) as sounds, wave.open(str(sounds._path(name))) as file:
+        samples = np.frombuffer(file.readframes(file.getnframes()), "<i2").astype(float)
+    ends = np.cumsum([round(seconds * RATE) for _, seconds in TONES[name]])
+    assert len(samples) == ends[-1]
+    for (hertz, seconds), part in zip(TONES[name], np.split(samples / 32768.0, ends[:-1]), strict=True):
+        loud = np.sqrt(np.mean(part**2))
+        if hertz == 0.0:
+            assert loud == 0.0
+            continue
+        assert 300.0 < hertz < 4000.0  # a laptop's loudspeaker plays it, and all people hear it
+        power = np.abs(np.fft.rfft(part * np.hanning(len(part)))) ** 2
+        near = slice(int((hertz - 30.0) * seconds), int((hertz + 30.0) * seconds) + 1)
+        assert power[near].sum() > 0.99 * power.sum()
+        assert 0.2 < loud < 0.5
+        assert np.abs(part).max() < 1.0  # it is not cut off
+        assert max(abs(part[0]), abs(part[-1])) < 0.003  # no click
+
+
+def test_a_system_without_a_program_that_plays_has_no_player(monkeypatch):
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    assert player() is None
+    monkeypatch.setattr("shutil.which", lambda name: name == "aplay" or None)
+    started = mock.Mock()
+    monkeypatch.setattr("subprocess.Popen", started)
+    player()("s.wav")
+    assert started.call_args.args[0] == ["aplay", "-q", "s.wav"]

@@ -1,29 +1,46 @@
 """The layouts on a session, and S* as a body in the scene."""
 
+import io
+import shutil
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+import rerun as rr
 import rerun.blueprint as rrb
+from PIL import Image
 
+from devices.depth.point_cloud import depth_to_points, ray_table
 from devices.events import Event
 from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import TrackingState
+from recordings import Session
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.colors import SKELETON_COLORS, VIEW_COLORS
+from recordings.appearance.entity_styles import words_at
+from recordings.appearance.state_card import LOOKS, State
 from recordings.data import layout
 from recordings.data.session_arrays import SessionArrays
+from recordings.file.rrd_file import RrdFile
+from recordings.writing.recorder import Recorder
 from recordings.writing.shown_figures import SHOWN_FIGURES
-from tests.helpers.live_frames import BODY, frames, known_fuser
-from tests.helpers.pictures import headless_viewer
+from tests.helpers.displays import x_server
+from tests.helpers.live_frames import BODY, frames, known_fuser, session
+from tests.helpers.machine import need_viewer
+from tests.helpers.pictures import contrast, headless_viewer, pixels_near, viewer_window
 from tests.helpers.two_views import A_FROM_B
 from tests.helpers.waiting import eventually
+from viewer_app.addresses import LOOPBACK
 from viewer_app.sinks.live_session import LiveSession
+from viewer_app.viewer import stored_clouds
 from viewer_app.viewer.blueprint import LAYOUTS, SCENE, bone_title, session_blueprint
+from viewer_app.viewer.rerun_process import stop
+from viewer_app.viewer.stored_clouds import add_computed, clouds, has_depth
+from viewer_app.viewer.window import start_viewer
 
 _NO_DEFECT = (
     "oftware rasterizer",  # there is no graphics card
@@ -281,3 +298,170 @@ def test_the_papers_methods_have_no_spheres():
     setup = replace(fuser.setup, settings=FuserSettings(method="paper"))
     rows = SessionArrays.stack(BODY, BODY.nominal_lengths, frames(type(fuser)(setup), 2))
     assert shown_values(rows, layout.FUSED_SKELETON, layout.SIGMA_SPHERES) is None
+
+
+# --- The set-up as a viewer draws it on a small screen.
+
+
+SCREEN = (1366, 768)
+PIXEL_MM, AWAY_MM = 0.2525, 3000.0  # such a screen of 15.6 inches
+
+
+def arc_minutes(pixels):
+    return 60.0 * np.degrees(np.arctan(pixels * PIXEL_MM / AWAY_MM))
+
+
+def runs(there):
+    """Begin and end of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], there.astype(int), [0]))))
+    return edges.reshape(-1, 2)
+
+
+@pytest.fixture(scope="module")
+def picture():
+    """The window with a red card whose step has capital letters only."""
+    setup = FusionSetup(nominal_calibration(KINECT_V2))
+    stream = rr.RecordingStream(layout.APPLICATION_ID)
+    found = []
+    with headless_viewer(size=SCREEN) as viewer:
+        stream.connect_grpc(viewer.url)
+        stream.send_blueprint(
+            session_blueprint(setup, np.array([0.0, 0.0, 2.6]), "setup", live=True, card=True)
+        )
+        recorder = Recorder(stream, setup, ("a", "b"), points=True)
+        recorder.coach(CoachPage("", card=(State.NOT_YET, "HTH")))
+        stream.flush(timeout_sec=20.0)
+
+        def drawn():
+            found.append(np.asarray(Image.open(io.BytesIO(viewer.take_screenshot())).convert("RGB")))
+            return pixels_near(found[-1], LOOKS[State.NOT_YET].ground) > 50_000
+
+        assert eventually(drawn, 60.0)
+        stream.disconnect()
+    return found[-1]
+
+
+def test_state_and_step_are_read_from_three_metres(picture):
+    ground = np.abs(picture.astype(int) - LOOKS[State.NOT_YET].ground).max(axis=2) < 24
+    rows, columns = (np.flatnonzero(ground.mean(axis=axis) > 0.1) for axis in (1, 0))
+    card = picture[rows[0] : rows[-1], columns[0] : columns[-1]]
+    white = (card > 200).all(axis=2)
+    (word_top, word_end), (step_top, step_end) = runs(white.any(axis=1))
+    # normal sight tells letters of 5'; ISO 9241-303 asks for 16' of what is read for long
+    assert arc_minutes(word_end - word_top) > 16.0
+    assert arc_minutes(step_end - step_top) > 10.0
+    word = np.flatnonzero(white[:word_end].any(axis=0))
+    assert word[-1] - word[0] > SCREEN[0] / 3
+
+
+@pytest.mark.parametrize("theme", ["Dark", "Light"])
+def test_words_in_the_scene_have_a_contrast_on_either_theme(theme, tmp_path, monkeypatch):
+    (tmp_path / "rerun").mkdir()
+    options = f'{{"rerun.version": "{rr.__version__}", "egui": "(options:(theme_preference:{theme}))"}}'
+    (tmp_path / "rerun" / "app.ron").write_text(options)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    scene = rrb.Spatial3DView(line_grid=False, eye_controls=rrb.EyeControls3D(position=(0, 0, -3)))
+    found = []
+    with x_server() as display:
+        monkeypatch.setenv("DISPLAY", display)
+        with viewer_window(size=(1200, 400)) as viewer:
+            stream = rr.RecordingStream(layout.APPLICATION_ID)
+            stream.connect_grpc(viewer.url)
+            stream.send_blueprint(rrb.Blueprint(scene, collapse_panels=True, auto_views=False))
+            stream.log("words", *words_at("HHHHHHHHHH", (0.0, 0.0, 0.0), layout.ROOT), static=True)
+            stream.flush(timeout_sec=20.0)
+
+            def drawn():
+                picture = np.asarray(Image.open(io.BytesIO(viewer.take_screenshot())).convert("RGB"))
+                middle = picture[150:300, 450:750].reshape(-1, 3)
+                colors, counts = np.unique(middle, axis=0, return_counts=True)
+                last, found[:] = found[:], [tuple(color) for color in colors[np.argsort(-counts)]]
+                # of the view, of the words' ground, and of their edges
+                themed = (np.mean(found[0]) > 128) == (theme == "Light")
+                return themed and len(found) > 2 and found == last
+
+            assert eventually(drawn, 60.0)
+            stream.disconnect()
+    _, ground, *edges = found
+    assert max(contrast(each, ground) for each in edges) >= 4.5
+
+
+# --- The point clouds of a saved session are computed when it is viewed.
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Two seconds with depth images of both sensors."""
+    file = tmp_path_factory.mktemp("clouds") / "s.rrd"
+    fuser = known_fuser()
+    with session(fuser, file) as live:
+        for frame in frames(fuser, 60, depth=True):
+            live.write(frame)
+    return file
+
+
+@pytest.fixture
+def saved_of_stored_clouds(recorded, tmp_path):
+    """A copy, which a test may delete."""
+    return shutil.copy(recorded, tmp_path / "saved.rrd")
+
+
+def test_clouds_come_by_turns_and_evenly_in_time(saved_of_stored_clouds, monkeypatch):
+    monkeypatch.setattr(stored_clouds, "_MOST", 20)
+    made = [(side, frame) for side, frame, _ in clouds(Session.open(saved_of_stored_clouds))]
+    assert made == [(side, frame) for frame in range(0, 60, 6) for side in layout.VIEWS]
+
+
+def test_a_cloud_is_a_part_of_the_points_of_its_image(saved_of_stored_clouds):
+    opened = Session.open(saved_of_stored_clouds)
+    side, frame, points = next(clouds(opened))
+    _, image = next(iter(opened.depth(side, frame)))
+    every = {tuple(p) for p in depth_to_points(image, ray_table(opened.intrinsics_a)).tolist()}
+    assert 1000 < len(points) < len(every)
+    assert {tuple(p) for p in points.tolist()} <= every
+
+
+def test_only_a_session_with_images_has_clouds(saved_of_stored_clouds, tmp_path):
+    assert has_depth(Session.open(saved_of_stored_clouds))
+    file = tmp_path / "none.rrd"
+    fuser = known_fuser()
+    with session(fuser, file) as live:
+        for frame in frames(fuser, 5):
+            live.write(frame)
+    assert not has_depth(Session.open(file))
+
+
+def url_of(port):
+    return f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+
+def test_the_viewer_gets_clouds_and_the_quality_of_seconds_into_the_session_although_the_file_is_deleted(
+    saved_of_stored_clouds,
+):
+    from rerun.experimental import ViewerClient
+
+    need_viewer()
+    with RrdFile(saved_of_stored_clouds) as file:
+        identity = file.identity()
+    with saved_of_stored_clouds.open("rb") as opened:
+        viewer, port = start_viewer(["--headless", "-"], opened)
+        program = add_computed(opened, url_of(port))
+    saved_of_stored_clouds.unlink()
+    try:
+        assert program.wait(timeout=60.0) == 0
+        client = ViewerClient.connect(url_of(port))
+
+        def arrived():
+            ids = [recording.store_id for recording in client.get_state().recordings]
+            if ids != [f"Recording:{identity[0]}:{identity[1]}"]:
+                return False
+            schema = client.get_recording_schema(store_id=ids[0])
+            if layout.SECONDS_LANE not in str(schema):
+                return False
+            with_data = str(schema).split(layout.points("b"), 1)
+            return len(with_data) == 2 and "Points3D:positions" in with_data[1][:1500]
+
+        assert eventually(arrived, 30.0)
+    finally:
+        stop(viewer)

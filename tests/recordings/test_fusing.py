@@ -1,0 +1,550 @@
+"""Long recordings: bounded memory, the same result in parts, and temporary files without a name."""
+
+import errno
+import gc
+import os
+import tempfile
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from devices.events import Event, spells_of
+from devices.recorded.two_recordings import RecordingChoice, read_two
+from devices.sensor import DeviceError
+from devices.simulated.kinect import simulated_pair
+from devices.skeletons.border import checked
+from devices.skeletons.csv_files import reader
+from devices.skeletons.csv_files.reader import read_csv
+from fusion import plan
+from fusion.body import KINECT_V1, KINECT_V2
+from fusion.calibration.calibration import Calibration, calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
+from fusion.errors import FusionError
+from fusion.fused_frame import FusedFrame
+from fusion.fuser import Fuser
+from fusion.plan import plan_recording
+from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings, FusionSetup
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from fusion.support import large_arrays
+from fusion.support.large_arrays import GrowingArray
+from recordings import Session, fuse
+from recordings.data import layout
+from recordings.data.images import Images, SessionImages
+from recordings.data.session_arrays import SessionArrays
+from recordings.data.session_parts import PartOfImages
+from recordings.file import session_reader
+from recordings.file.session_writer import write_session
+from recordings.fusing.pairs import fuse_one
+from recordings.fusing.view_events import ViewEvents
+from recordings.quality.figures import report
+from tests.helpers.command_line import duplex
+from tests.helpers.demonstrations import pairs_of
+from tests.helpers.frame_pairs import frame_pairs, paired
+from tests.helpers.recorded_pairs import write_view
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, standing
+from viewer_app.report.events import event_in_words, list_events
+from viewer_app.report.words import lead_lines
+
+
+def write_walk(folder, frames):
+    """Two noisy views of a person who moves."""
+    folder.mkdir()
+    truth, rng = moving(KINECT_V2, frames), np.random.default_rng(frames)
+    a, b = (view + rng.normal(0.0, 0.005, truth.shape) for view in (truth, A_FROM_B.inverse().apply(truth)))
+    return write_view(folder / "a.csv", KINECT_V2, a), write_view(folder / "b.csv", KINECT_V2, b)
+
+
+def test_a_fused_recording_keeps_a_few_hundred_bytes_of_each_pair_in_memory(tmp_path, monkeypatch):
+    """Positions of both views and of S* alone are 1,200 bytes; as one object each, pairs were 10 kB."""
+    monkeypatch.setattr(large_arrays, "_LARGE", 2_000)  # bytes: one number per frame of 300 is larger
+    held = {}
+    fuse(*write_walk(tmp_path / "first", 100))  # what is held for the process
+    for frames in (300, 900):
+        files = write_walk(tmp_path / str(frames), frames)
+        gc.collect()
+        tracemalloc.start()
+        session = fuse(*files)
+        gc.collect()
+        held[frames], _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert len(session) == frames
+    assert (held[900] - held[300]) / 600 < 300.0
+
+
+def test_a_saved_session_is_opened_in_parts(tmp_path, monkeypatch):
+    """Its arrays are 2,000 bytes of each frame. The summary of a session that has ended opens it."""
+    monkeypatch.setattr(large_arrays, "_LARGE", 4_000)  # bytes
+    monkeypatch.setattr(session_reader, "parts", lambda count: large_arrays.parts(count, 100))
+    short, most = fuse(*write_walk(tmp_path / "walk", 100)), {}
+    for times in (6, 18):
+        rows = SessionArrays.joined([short.rows] * times)
+        number = np.arange(len(rows))
+        checks = {
+            name: np.concatenate([getattr(short, name)] * times)
+            for name in ("fused_checksums", "joint_digests")
+        }
+        replace(short, rows=replace(rows, frame=number, time_ns=number * 33_333_333), **checks).save(
+            tmp_path / "s.rrd"
+        )
+        del rows
+        gc.collect()
+        tracemalloc.start()
+        session = Session.open(tmp_path / "s.rrd")
+        _, most[times] = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert session.damage is None
+        np.testing.assert_array_equal(session.rows.fused[-100:], session.rows.fused[:100])
+    assert (most[18] - most[6]) / 1200 < 600.0
+
+
+def nobody_at_first(rows):
+    half = len(rows) // 2
+    feet = [row.split(",") for row in rows]
+    scaled = [[*row[:3], *(f"{float(x) / 0.3048:.5f}" for x in row[3:6]), *row[6:]] for row in feet]
+    return [",".join([*row[:3], "", "", "", *row[6:]]) for row in scaled[:half]] + [
+        ",".join(row) for row in scaled[half:]
+    ]
+
+
+def nobody_as_minus_one_at_last(rows):
+    end = 30 * len(KINECT_V2)
+    return rows[:end] + [
+        ",".join([*row.split(",")[:3], "-1", "-1", "-1", "not_tracked"]) for row in rows[end:]
+    ]
+
+
+def slow_at_last(rows):
+    end = 37 * len(KINECT_V2)
+    late = [row.split(",", 1) for row in rows[end:]]
+    return rows[:end] + [
+        f"{int(time) + 10_000_000 * (k // len(KINECT_V2) + 1)},{rest}" for k, (time, rest) in enumerate(late)
+    ]
+
+
+@pytest.mark.parametrize("change", [nobody_at_first, nobody_as_minus_one_at_last, slow_at_last, list])
+@pytest.mark.parametrize("line_end", ["\n", "\r"])
+def test_a_part_that_looks_wrong_by_itself_is_judged_by_the_whole(change, line_end, tmp_path):
+    path, _ = write_walk(tmp_path / "walk", 40)
+    header, *rows = path.read_text().splitlines()
+    path.write_text(line_end.join([header, *change(rows)]) + line_end, newline="")
+    whole, in_blocks = (checked(path, read_csv(path, block=size)) for size in (-1, 5000))  # three frames
+    assert in_blocks.warnings == whole.warnings
+    for values, expected in zip(in_blocks.people.skeletons[:3], whole.people.skeletons[:3], strict=True):
+        np.testing.assert_array_equal(values, expected)
+
+
+def test_a_person_without_any_joint_is_said_in_one_line(tmp_path):
+    a, b = write_walk(tmp_path / "walk", 120)
+    header, *rows = a.read_text().splitlines()
+    times = dict.fromkeys(row.split(",")[0] for row in rows)
+    empty = [f"{time},9,{joint},,,,not_tracked" for time in times for joint in KINECT_V2.joints]
+    stated = [f"{row},tracked" if row.count(",") == 5 else row for row in rows]
+    a.write_text("\n".join([header if "state" in header else f"{header},state", *stated, *empty]) + "\n")
+    with pytest.raises(DeviceError, match=r"a\.csv has no person '9'\. It has '0'"):
+        fuse(a, b, person_a="9")
+
+
+def test_a_plan_in_parts_is_that_of_the_whole(tmp_path, monkeypatch):
+    files = write_walk(tmp_path / "walk", 600)
+    pairs = read_two(*map(RecordingChoice, files)).pairing.pairs.skeletons
+    settings = FuserSettings(hindsight="labels")
+    whole = plan_recording(KINECT_V2, pairs, settings)
+    monkeypatch.setattr(plan, "_LONG", 250)
+    monkeypatch.setattr(plan, "_AROUND", 60)
+    in_parts = plan_recording(KINECT_V2, pairs, settings)
+    (first, _), (other, span) = whole.segments[0], in_parts.segments[0]
+    assert span == slice(0, 600)
+    # 200 pairs instead of 600: both are the truth within their deviation
+    assert np.degrees(first.a_from_b.angle_to(other.a_from_b)) < 0.5
+    assert in_parts.labels is not None
+    assert whole.labels is not None
+    np.testing.assert_array_equal(in_parts.labels.codes, whole.labels.codes)
+
+
+def test_a_large_array_has_no_name_and_is_what_was_appended(tmp_path, monkeypatch):
+    monkeypatch.setattr(large_arrays, "_LARGE", 100)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    rows = np.arange(120, dtype=np.float32).reshape(20, 2, 3)
+    arrays = [GrowingArray() for _ in range(3)]
+    for row in rows:
+        arrays[0].append(np.broadcast_to(row, (1, 2, 3)))
+        arrays[1].append(np.broadcast_to(row.astype(np.float64) + 0.5, (1, 2, 3)))
+    arrays[2].append(rows[:2, 0])
+    wholes = GrowingArray.wholes(arrays)
+    for values, expected in zip(wholes, (rows, rows + 0.5, rows[:2, 0]), strict=True):
+        np.testing.assert_array_equal(values, expected)
+        assert not values.flags.writeable
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="counts descriptors as Linux and macOS number them")
+def test_a_long_session_keeps_few_files_open(tmp_path, monkeypatch):
+    monkeypatch.setattr(large_arrays, "_LARGE", 10_000)
+    files = write_walk(tmp_path / "walk", 75)
+    fuse(*files)
+    sessions = [fuse(*files)]
+    before = os.dup(0)  # the lowest number that is free
+    os.close(before)
+    sessions.append(fuse(*files))
+    after = os.dup(0)
+    os.close(after)
+    assert after - before <= 3  # the session's and both views'
+    assert len(sessions) == 2
+
+
+def test_no_room_for_a_large_array_is_said_in_one_line(monkeypatch):
+    class FullDisk:
+        def write(self, _):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(large_arrays, "_LARGE", 100)
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: FullDisk())
+    with pytest.raises(FusionError, match=r"No space left on device. .*TMPDIR"):
+        GrowingArray().append(np.zeros(100))
+
+
+def test_every_pass_shows_how_far_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(reader, "_BLOCK", 50_000)  # bytes: about 30 frames
+    monkeypatch.setattr(plan, "_LONG", 60)
+    files, shown = write_walk(tmp_path / "walk", 100), []
+
+    def progress(blocks, what, total):
+        seen = list(blocks)
+        shown.append((what, len(seen) / total))
+        return seen
+
+    read = read_two(*map(RecordingChoice, files), progress=progress)
+    settings = FuserSettings(hindsight="labels")
+    plan_recording(KINECT_V2, read.pairing.pairs.skeletons, settings, progress=progress)
+    write_session(fuse(*files), tmp_path / "s.rrd", block=30, progress=progress)
+    passes = "finding left and right", "learning the registration", "finding left and right"
+    assert [what for what, _ in shown] == ["reading a.csv", "reading b.csv", *passes, "writing"]
+    assert [done for _, done in shown] == [1.0] * 6
+    assert len(Session.open(tmp_path / "s.rrd")) == 100
+
+
+def test_a_saved_session_knows_what_was_dropped(tmp_path):
+    """The paper's methods fuse pairs only; B gives half as many frames as A."""
+    a, b = write_walk(tmp_path / "walk", 150)
+    header, *rows = b.read_text().splitlines()
+    half = [row for k, row in enumerate(rows) if k // len(KINECT_V2) % 2 == 0]
+    b.write_text("\n".join([header, *half]) + "\n")
+    session = fuse(a, b, settings=FuserSettings("paper"))
+    session.save(tmp_path / "s.rrd")
+    opened = Session.open(tmp_path / "s.rrd")
+    assert opened.dropped == session.dropped == (75, 0)
+    assert opened.frame_counts["frames_a"] == 150
+
+
+# --- The people of a session of recordings who are not followed.
+
+
+FRAMES, FIRST, END = 60, 20, 45
+"""The other person is seen from one frame to another."""
+
+
+def two_files(folder, aside=(0.0, 0.0, 0.0)):
+    """The recordings of two sensors, and the other person of each, (n, J, 3) metres; all of them aside."""
+    paths, others = [], []
+    for side in "ab":
+        noise = np.random.default_rng(ord(side)).normal(0.0, 0.005, (FRAMES, 25, 3))
+        seen = moving(KINECT_V2, FRAMES) + noise + aside
+        other = seen + [1.5, 0.0, 0.5]
+        path = folder / f"{side}.csv"
+        rows = write_view(path, KINECT_V2, other).read_text().splitlines()[1 + 25 * FIRST : 1 + 25 * END]
+        one = write_view(path, KINECT_V2, seen).read_text().splitlines()
+        path.write_text("\n".join([*one, *(row.replace(",0,", ",1,", 1) for row in rows)]) + "\n")
+        paths.append(path)
+        others.append(other[FIRST:END])
+    return paths, others
+
+
+@pytest.fixture(scope="module")
+def fused(tmp_path_factory):
+    paths, others = two_files(tmp_path_factory.mktemp("two"))
+    return fuse(*paths), others
+
+
+def others_of(session, side):
+    return dict(session.images.others(side, range(len(session))))
+
+
+def test_the_others_are_those_of_the_files(fused):
+    session, others = fused
+    bones = KINECT_V2.bone_joints
+    for side, seen in zip(layout.VIEWS, others, strict=True):
+        drawn = others_of(session, side)
+        assert list(drawn) == list(range(FIRST, END + 1))
+        assert len(drawn.pop(END)) == 0  # the last one clears them
+        ends, along = np.stack(list(drawn.values())).transpose(2, 0, 1, 3)
+        np.testing.assert_allclose(ends, seen[:, bones], atol=1e-3)
+        parents = seen[:, KINECT_V2.parent_indices[bones]]
+        np.testing.assert_allclose(ends + along, parents, atol=1e-3)
+
+
+def test_people_and_the_time_of_the_others_are_told(fused, tmp_path):
+    session, _ = fused
+    share = (END - FIRST) / FRAMES
+    assert [person.ids for person in session.people] == [("0", "0"), ("1", "1")]
+    assert report(session)["others_seen"] == pytest.approx(share)
+    lines = {line.label: line.text for line in lead_lines(report(session))}
+    assert lines["Others"].startswith("seen in 42 % of the frames")
+    part = tmp_path / "part.rrd"
+    write_session(session.part(range(10, FRAMES)), part)
+    assert Session.open(part).people == session.people  # those of the recordings
+    assert report(Session.open(part))["others_seen"] == 0.0  # nobody counted
+
+
+def test_whoever_is_chosen_by_id_is_not_among_the_others(tmp_path):
+    paths, others = two_files(tmp_path)
+    session = fuse(*paths, person_a="1", person_b="1")
+    root = KINECT_V2.root
+    followed = session.skeleton_a.positions[FIRST:END, root]
+    np.testing.assert_allclose(followed, others[0][:, root], atol=1e-3)
+    assert set(others_of(session, "a")) == set(range(FRAMES))
+
+
+@pytest.mark.parametrize(("options", "ids"), [([], "0"), (["--follow", "middle"], "1")])
+def test_the_command_follows_the_one_seen_longest_or_in_the_middle(options, ids, tmp_path):
+    paths, _ = two_files(tmp_path, aside=(-1.5, 0.0, 0.0))
+    saved = tmp_path / "s.rrd"
+    assert duplex("fuse", *paths, *options, "--no-viewer", "--force", "--save", saved) == 0
+    assert Session.open(saved).people[0].ids == (ids, ids)
+
+
+@pytest.mark.parametrize(("first", "end"), [(0, FRAMES), (10, 40), (30, FRAMES), (END, FRAMES), (50, FRAMES)])
+def test_a_written_session_keeps_the_others(fused, tmp_path, first, end):
+    session, _ = fused
+    part, again = tmp_path / "part.rrd", tmp_path / "again.rrd"
+    write_session(session.part(range(first, end)), part)
+    write_session(Session.open(part), again)
+    for side in layout.VIEWS:
+        expected = {
+            t - first: bones for t, bones in session.images.others(side, range(first, end)) if len(bones)
+        }
+        for path in (part, again):
+            kept = {t: bones for t, bones in others_of(Session.open(path), side).items() if len(bones)}
+            assert kept.keys() == expected.keys()
+            for t, bones in kept.items():
+                np.testing.assert_array_equal(bones, expected[t])
+
+
+class OthersOf(SessionImages):
+    """So many bones in each frame."""
+
+    def __init__(self, counts):
+        self.counts = counts
+
+    def others(self, side, frames):
+        del side
+        shown = (k for k in frames if self.counts[k] or (k > frames.start and self.counts[k - 1]))
+        every = [(k, np.zeros((self.counts[k], 2, 3), np.float32)) for k in shown]
+        return Images(lambda: iter(every))
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.booleans()), min_size=1, max_size=25))
+def test_a_part_with_gaps_shows_in_each_frame_whom_the_session_shows(frames):
+    counts = [count for count, _ in frames]
+    kept = np.array([k for k, (_, keeps) in enumerate(frames) if keeps], dtype=np.int64)
+    items = list(PartOfImages(OthersOf(counts), kept).others("a", range(len(kept))))
+    numbers = [number for number, _ in items]
+    assert numbers == sorted(set(numbers))
+    shown, newest = 0, {number: len(bones) for number, bones in items}
+    for number, of in enumerate(kept.tolist()):
+        shown = newest.get(number, shown)
+        assert shown == counts[of]
+
+
+def test_damaged_others_are_counted_where_a_session_is_written(fused, tmp_path):
+    whole, damaged = tmp_path / "whole.rrd", tmp_path / "damaged.rrd"
+    write_session(fused[0], whole)
+    data = bytearray(whole.read_bytes())
+    bones = others_of(Session.open(whole), "a")[FIRST + 3]
+    at = data.find(bones[:4, 0].tobytes())
+    assert at > 0, "the bones are not in the file as they are"
+    data[at + 1] ^= 1
+    damaged.write_bytes(data)
+    assert write_session(Session.open(whole), tmp_path / "again.rrd") == 0
+    assert write_session(Session.open(damaged), tmp_path / "part.rrd") == 1
+
+
+def test_recordings_of_one_person_have_no_others(tmp_path):
+    paths = [
+        write_view(
+            tmp_path / f"{side}.csv",
+            KINECT_V2,
+            moving(KINECT_V2, FRAMES) + np.random.default_rng(k).normal(0.0, 0.005, (FRAMES, 25, 3)),
+        )
+        for k, side in enumerate("ab")
+    ]
+    assert others_of(fuse(*paths), "a") == {}
+
+
+# --- A session holds the depth witness of each joint, so that a replay needs no images.
+
+
+def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_path):
+    a, b, _ = simulated_pair(motion="arms", seconds=3.0, seed=1, depth="half")
+    pairs = paired(a.frames(), b.frames()).pairs
+    calibration = calibrate(a.body, *find_start_up_pose(a.body, [pair.skeletons for pair in pairs]))
+    fuser = Fuser(FusionSetup(calibration))
+    frames = [fuse_one(fuser, pair) for pair in pairs]
+    session = Session.of([(fuser.setup, frames)], ("a", "b"))
+    session.save(tmp_path / "s.rrd")
+    again = list(Session.open(tmp_path / "s.rrd").pairs())
+    seen = 0
+    for before, after in zip(pairs, again, strict=True):
+        for side in ("a", "b"):
+            one, other = (getattr(pair.skeletons, side) for pair in (before, after))
+            if one is None:
+                continue
+            np.testing.assert_array_equal(other.witness, one.witness)
+            seen += int(np.isfinite(one.witness).any(axis=1).sum())
+    assert seen > 60 * 20  # most joints of most frames
+
+
+def test_a_session_that_begins_with_one_sensor_keeps_the_witness_of_the_other():
+    a, b, _ = simulated_pair(motion="still", seconds=0.5, depth="half")
+    pairs = list(pairs_of(a, b))
+    lengths = a.body.nominal_lengths
+    fuser = Fuser(
+        FusionSetup(Calibration(a.body, RigidTransform.of(np.eye(3), np.ones(3)), lengths, "known"))
+    )
+    alone = replace(pairs[0], b=None, skeletons=replace(pairs[0].skeletons, b=None))
+    first, later = ([fuse_one(fuser, pair)] for pair in (alone, pairs[1]))
+    begun = SessionArrays.stack(a.body, lengths, first)
+    assert begun.witness_b is not None
+    assert np.isnan(begun.witness_b).all()
+    gone_on = SessionArrays.stack(a.body, lengths, later, like=begun)
+    assert gone_on.witness_b is not None
+    assert np.isfinite(gone_on.witness_b).any()
+
+
+# --- Events at a moment, spells with a start and an end, and limbs that a view reports at a wrong place.
+
+
+LOST = Event("A is lost", "WARN", "A", "start", frame=2, time_ns=66_000_000)
+TURNED = Event("B is mirrored", "INFO", "B", "start", frame=3, time_ns=99_000_000)
+BACK = Event("A is back", "INFO", "A", "end", frame=5, time_ns=165_000_000)
+
+
+def test_a_spell_is_read_back_as_it_was_written(fused_run, tmp_path):
+    session = fused_run(frame_pairs(KINECT_V1, 8), calibration_of(KINECT_V1))
+    events = (*session.events, LOST, TURNED, BACK)
+    write_session(replace(session, events=events), tmp_path / "spells.rrd")
+    read = Session.open(tmp_path / "spells.rrd")
+    assert read.damage is None
+    assert read.events == events
+    lost, turned = read.spells
+    assert (lost.start, lost.end) == (LOST, BACK)
+    assert (turned.start, turned.end) == (TURNED, None)
+
+
+def test_a_spell_that_starts_again_before_its_end_stays_one_spell():
+    again = replace(LOST, frame=4)
+    assert [(spell.start, spell.end) for spell in spells_of([LOST, again, BACK, BACK])] == [(LOST, BACK)]
+    assert spells_of([BACK, Event("moment", "INFO")]) == []
+
+
+def test_a_short_interruption_does_not_end_a_spell():
+    soon, late = (replace(LOST, time_ns=BACK.time_ns + gap) for gap in (400_000_000, 600_000_000))
+    ended = replace(BACK, time_ns=late.time_ns + 900_000_000)
+    assert [(s.start, s.end) for s in spells_of([LOST, BACK, soon, ended])] == [(LOST, ended)]
+    assert [(s.start, s.end) for s in spells_of([LOST, BACK, late, ended])] == [(LOST, BACK), (late, ended)]
+    (listed,) = list_events([LOST, BACK, soon, ended])
+    assert event_in_words(listed) == "Warning: A is lost. It lasted 1.6 s."
+    (moment,) = list_events([LOST, replace(BACK, time_ns=LOST.time_ns + 33_000_000)])
+    assert event_in_words(moment) == "Warning: A is lost. It lasted 33 ms."
+
+
+BODY = KINECT_V2
+ARM = [BODY.joint(f"{name}_LEFT") for name in ("ELBOW", "WRIST", "HAND")]
+
+
+def told_of(
+    wrong_frames, *, sensor="B", off=0.5, share=0.0, joints=3, state=TrackingState.TRACKED,
+    exchanged=(0, 0), mirrored="", mirrored_frames=90, other_off=0.0, reset_at=90,
+):  # fmt: skip
+    """The events, with their frames, of a view whose left arm is wrong from frame 10 on."""
+    views_of, truth = ViewEvents(BODY), standing(BODY)
+    told = []
+    for k in range(90):
+        time_ns = (k if k < reset_at else k - 300) * FRAME_NS
+        wrong = 10 <= k < 10 + wrong_frames
+        shift, weights, states = np.zeros((len(BODY), 3)), np.full(len(BODY), 0.5), np.full(len(BODY), 2)
+        if wrong:
+            shift[ARM[:joints], 1], weights[ARM], states[ARM] = off, share, state
+        views = {"A": truth.copy(), "B": truth.copy()}
+        views[sensor] += shift
+        views["B" if sensor == "A" else "A"][ARM, 1] += other_off
+        if k < mirrored_frames:  # S* has the sides that these views exchange
+            views |= {side: views[side][BODY.mirror] for side in mirrored}
+        whole = np.full(len(BODY), TrackingState.TRACKED)
+        pair = SkeletonPair(
+            Skeleton.of(BODY, views["A"], states if sensor == "A" else whole, time_ns),
+            Skeleton.of(BODY, A_FROM_B.inverse().apply(views["B"]), states if sensor == "B" else whole, 0),
+            time_ns,
+        )
+        fused = FusedFrame(
+            truth, np.zeros(len(BODY), bool), weights if sensor == "A" else 1.0 - weights,
+            weights if sensor == "B" else 1.0 - weights, np.full(len(BODY), -1), A_FROM_B, 1, False, False,
+            time_ns, exchanged_a=exchanged[0], exchanged_b=exchanged[1],
+        )  # fmt: skip
+        told += [(k, each) for each in views_of.observe(pair, fused)]
+    return told
+
+
+@pytest.mark.parametrize(("sensor", "other"), [("A", "B"), ("B", "A")])
+def test_a_lost_arm_is_told_with_its_distance_and_its_end(sensor, other):
+    (begun, start), (ended, end) = told_of(30, sensor=sensor)
+    text = f"{sensor} loses the left arm, 0.5 m off; S* follows {other}."
+    assert start == Event(text, "INFO", f"lost_{sensor.lower()}_left_arm", "start")
+    assert begun == 10 + 16  # 15 intervals of 33.3 ms are just short of half a second
+    # 30 frames are 29 intervals; 0.1 s later it is certain
+    assert end == Event(f"{sensor} finds the left arm again, after 1.0 s.", "INFO", start.topic, "end")
+    assert ended == 39 + 4
+
+
+def test_what_is_short_near_counted_guessed_single_or_exchanged_is_no_lost_limb():
+    assert told_of(30) != []
+    assert told_of(14) == []
+    assert told_of(30, off=0.15) == []
+    assert told_of(30, share=0.2) == []
+    assert told_of(30, state=TrackingState.INFERRED) == []
+    assert told_of(30, joints=1) == []
+    assert told_of(30, exchanged=(3, 3)) == []
+    assert told_of(30, other_off=0.4) != []
+    assert told_of(30, other_off=0.6) == []  # S* follows neither
+
+
+def test_a_limb_is_lost_beside_a_view_whose_sides_s_star_corrects():
+    told = told_of(30, sensor="A", exchanged=(0, 3), mirrored="B")
+    assert "A loses the left arm, 0.5 m off; S* follows B." in [event.text for _, event in told]
+
+
+def test_sides_that_s_star_no_longer_corrects_are_uncertain():
+    (_, start), (ended, end) = told_of(0, exchanged=(3, 0), mirrored="A", mirrored_frames=31)
+    assert (start.topic, start.phase, ended) == ("exchanged_a", "start", 31)
+    assert end == Event("Left and right of A are uncertain, after 1.0 s.", "INFO", "exchanged_a", "end")
+
+
+def test_exchanged_sides_are_told_where_s_star_corrects_them_only():
+    told = told_of(0, exchanged=(3, 3), mirrored="AB")
+    assert [(k, event.topic, event.phase) for k, event in told] == [
+        (5, "exchanged_a", "start"),  # 0.15 s later it is certain
+        (5, "exchanged_b", "start"),
+    ]
+    assert told_of(0, exchanged=(3, 3)) == []  # a label that S* does not follow
+    assert told_of(0, exchanged=(0, 0), mirrored="AB") == []
+
+
+def test_where_the_time_goes_back_a_limb_is_lost_anew():
+    told = told_of(60, reset_at=40)
+    assert [(k, event.phase) for k, event in told] == [
+        (26, "start"), (40, "moment"), (40 + 16, "start"), (69 + 4, "end"),
+    ]  # fmt: skip

@@ -1,0 +1,433 @@
+"""Joint angles for the viewer's plots: those of a session, with their variance, and what no joint reaches."""
+
+from collections import Counter
+from dataclasses import replace
+from uuid import uuid4
+
+import numpy as np
+import pytest
+import rerun as rr
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from devices.sensor import ColorCamera, ColorImage
+from fusion.calibration.calibration import Calibration
+from fusion.intrinsics import NOMINAL_INTRINSICS
+from fusion.movement.angles import ANGLES
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton
+from recordings.data import layout
+from recordings.data.session_arrays import SessionFrame
+from recordings.file.rrd_file import RrdFile, read_columns
+from recordings.quality.limits import PLOTTED_DEGREES, POSSIBLE
+from recordings.session import Session
+from recordings.writing import changes
+from recordings.writing.arrow_columns import Column, Times, converted, depth_image, points, state_changes
+from recordings.writing.frame_columns import PLOTTED
+from recordings.writing.other_people import OthersLog
+from recordings.writing.recorder import Recorder
+from recordings.writing.shown_images import LATE_NS
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.live_frames import BODY, frames, known_fuser, session
+from tests.helpers.recalibrated import record_recalibrated
+from tests.helpers.two_views import A_FROM_B, FRAME_NS
+
+
+@pytest.fixture(scope="module")
+def fuser_and_frames():
+    fuser = known_fuser()
+    return fuser, frames(fuser, 20)
+
+
+@pytest.mark.parametrize("reached", [True, False])
+def test_the_plots_have_the_sessions_angles(fuser_and_frames, tmp_path, monkeypatch, reached):
+    if not reached:
+        monkeypatch.setitem(POSSIBLE, "elbow_flexion", (1000.0, 1001.0))
+        monkeypatch.setitem(PLOTTED_DEGREES, "elbow_flexion", (100.0, 200.0))
+    fuser, made = fuser_and_frames
+    with session(fuser, tmp_path / "s.rrd") as live:
+        for frame in made:
+            live.write(frame)
+    angles = Session.open(tmp_path / "s.rrd").angles
+    found = read_columns(tmp_path / "s.rrd", lambda entity: entity.startswith(layout.ANGLES)).values
+    for component, expected in ((layout.DEGREES, angles.degrees), (layout.VARIANCES, angles.sigma**2)):
+        for k, name in enumerate(ANGLES):
+            numbers, values = found[layout.ANGLES, f"{component}.{name}"]
+            np.testing.assert_allclose(values[:, 0], expected[numbers, k], rtol=1e-3, atol=1e-2)
+    marked = found.get((layout.ANGLES_BEYOND, f"{layout.DEGREES}.elbow_flexion_left"))
+    assert (marked is None) == reached
+    if marked is not None:
+        numbers, values = marked
+        assert numbers.tolist() == list(range(0, 20, 2))
+        assert ((values > 100.0) & (values < 110.0)).all()  # on the screen, at the edge nearest to the angle
+        _, others = found[layout.ANGLES_BEYOND, f"{layout.DEGREES}.knee_flexion_left"]
+        assert np.isnan(others).all()
+
+
+# --- A viewer gets each image with the skeleton of its own moment, and none that is late.
+
+
+COLOR = ColorImage(b"\xff\xd8\xff\xd9", ColorCamera(NOMINAL_INTRINSICS[BODY.name], RigidTransform.identity()))
+FRAMES = 40
+IMAGES = {"depth": ("DepthImage:buffer", layout.depth), "color": ("EncodedImage:blob", layout.color)}
+STREAKS = st.lists(st.tuples(st.booleans(), st.integers(1, 14)), min_size=1, max_size=8)
+"""Whether something is there, and for how many frames; repeated."""
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Frames with depth images, and the fuser that made them."""
+    fuser = known_fuser()
+    return fuser, frames(fuser, FRAMES, depth=True)
+
+
+def there(streaks):
+    return np.resize(np.repeat(*zip(*streaks, strict=True)), FRAMES)
+
+
+def seen(sensor_frame, depth, color):
+    return replace(sensor_frame, depth=sensor_frame.depth if depth else None, color=COLOR if color else None)
+
+
+def messages(path, fuser, given_frames, block):
+    """Frame numbers by entity and component, of all that a viewer gets."""
+    stream = rr.RecordingStream(layout.APPLICATION_ID)
+    stream.save(path)
+    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1, points=True)
+    for k in range(0, len(given_frames), block):
+        recorder.record_all(given_frames[k : k + block])
+    stream.flush()
+    stream.disconnect()
+    found = {}
+    with RrdFile(path) as file:
+        for entity, batch in file.chunks(images=True):
+            if "time" in batch.schema.names:
+                times = batch.column("time").cast("int64").to_pylist()
+                for name in batch.schema.names:
+                    found.setdefault((entity, name), []).extend(times)
+    return found
+
+
+@given(st.lists(STREAKS, min_size=4, max_size=4), STREAKS, st.sampled_from([1, 4]))
+def test_what_is_on_the_screen_is_of_one_moment(made, tmp_path_factory, images, kept, block):
+    fuser, all_frames = made
+    depth_a, color_a, depth_b, color_b = map(there, images)
+    some = [
+        replace(
+            each,
+            pair=replace(
+                each.pair,
+                a=seen(each.pair.a, depth_a[k], color_a[k]),
+                b=seen(each.pair.b, depth_b[k], color_b[k]),
+            ),
+        )
+        for k, each in enumerate(all_frames)
+        if k == 0 or there(kept)[k]  # of the others, a slow viewer gets nothing
+    ]
+    found = messages(tmp_path_factory.mktemp("s") / "s.rrd", fuser, some, block)
+
+    def latest(now_ns, *of):
+        return max((at for at in found.get(of, []) if at <= now_ns), default=-1)
+
+    for frame in some:
+        now_ns = frame.pair.time_ns
+        for side in layout.VIEWS:
+            for kind, (component, entity) in IMAGES.items():
+                cleared = latest(now_ns, entity(side), "Clear:is_recursive")
+                image = latest(now_ns, entity(side), component)
+                skeleton = latest(now_ns, layout.image_skeleton(side, kind), "Points3D:positions")
+                if image > cleared:
+                    assert skeleton == image
+                    assert now_ns - image <= LATE_NS
+                else:
+                    assert skeleton == now_ns
+            cleared = latest(now_ns, layout.points(side), "Clear:is_recursive")
+            cloud = latest(now_ns, layout.points(side), "Points3D:positions")
+            assert cloud <= cleared or now_ns - cloud <= LATE_NS
+
+
+def test_an_image_stays_until_it_is_late(made, tmp_path):
+    fuser, all_frames = made
+    some = [replace(each, pair=replace(each.pair, a=seen(each.pair.a, k == 0, False)))
+            for k, each in enumerate(all_frames)]  # fmt: skip
+    found = messages(tmp_path / "s.rrd", fuser, some, 1)
+    late = (LATE_NS // FRAME_NS + 1) * FRAME_NS
+    assert found[layout.depth("a"), "Clear:is_recursive"] == [late]
+    assert found[layout.image_skeleton("a", "depth"), "Points3D:positions"][:2] == [0, late]
+
+
+# --- Quality and places in a session: jitter is noise and not motion; a recalibration is one message.
+
+
+def logged(path, entity):
+    """The scalars of an entity, by frame."""
+    found = {}
+    with RrdFile(path) as file:
+        for of_entity, batch in file.chunks(images=False):
+            names = batch.schema.names
+            if of_entity == entity and layout.FRAME in names and "Scalars:scalars" in names:
+                columns = (batch.column(layout.FRAME), batch.column("Scalars:scalars"))
+                found |= dict(zip(*(column.to_pylist() for column in columns), strict=True))
+    return found
+
+
+def test_a_moved_sensor_is_seen_in_millimetres_and_degrees(tmp_path):
+    turned = Rotation.from_euler("y", 3.0, degrees=True).as_matrix()
+    # 120 mm in all, along each axis
+    shift = np.array([0.04, -0.08, 0.08])
+    moved = RigidTransform.of(A_FROM_B.rotation @ turned, A_FROM_B.translation + shift)
+    calibrations = [
+        (0, Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "first")),
+        (40, Calibration(BODY, moved, BODY.nominal_lengths, "second")),
+    ]
+    file = tmp_path / "s.rrd"
+    record_recalibrated(file, frame_pairs(BODY, 90), calibrations)
+    placement = logged(file, layout.stream_figure("placement"))
+    assert sorted(placement) == [2, *range(17, 90, 15)]  # jitter needs three frames
+    before = [figures for frame, figures in placement.items() if frame < 40]
+    assert len(before) >= 2
+    # arccos near 1 magnifies float64 rounding of the trace to sqrt(2 * 1e-15) rad
+    np.testing.assert_allclose(before, 0.0, atol=1e-5)
+    np.testing.assert_allclose(placement[max(placement)], [120.0, 3.0], rtol=1e-6)
+
+
+def poses(path, entity):
+    """The frames at which a pose was logged."""
+    component = "Transform3D:translation"
+    found = []
+    with RrdFile(path) as file:
+        for of_entity, batch in file.chunks(images=False):
+            if of_entity == entity and component in batch.schema.names and layout.FRAME in batch.schema.names:
+                numbers = batch.column(layout.FRAME).to_pylist()
+                values = batch.column(component).to_pylist()
+                found += [number for number, value in zip(numbers, values, strict=True) if value]
+    return sorted(found)
+
+
+def written_live(path, count):
+    fuser = known_fuser()
+    with session(fuser, path) as live:
+        for frame in frames(fuser, count):
+            live.write(frame)
+    return path
+
+
+def test_a_recalibration_is_one_message(tmp_path):
+    moved = RigidTransform.of(A_FROM_B.rotation, A_FROM_B.translation + [0.1, 0.0, 0.0])
+    calibrations = [
+        (0, Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "first")),
+        (40, Calibration(BODY, moved, BODY.nominal_lengths, "second")),
+    ]
+    file = tmp_path / "s.rrd"
+    recorded = record_recalibrated(file, frame_pairs(BODY, 90), calibrations)
+    changes = np.flatnonzero((np.diff(recorded.translation, axis=0) != 0.0).any(axis=1)) + 1
+    assert poses(file, layout.kinect("b")) == [0, *changes.tolist()]
+    assert len(changes) == 1
+
+
+def test_live_and_saved_sessions_log_the_same_poses(tmp_path):
+    live = written_live(tmp_path / "live.rrd", 40)
+    again = tmp_path / "again.rrd"
+    Session.open(live).save(again)
+    assert poses(live, layout.kinect("b")) == poses(again, layout.kinect("b")) == [0]
+    assert poses(live, layout.PELVIS) == poses(again, layout.PELVIS) == list(range(40))
+    assert poses(again, layout.FLOOR)[-1] == 0  # found in the whole recording, shown from its beginning
+    assert len(poses(live, layout.FLOOR)) == 2  # assumed, then found
+
+
+def test_the_pelvis_keeps_its_place_while_nobody_is_seen(tmp_path):
+    made = frames(fuser := known_fuser(), 20)
+    for nobody in ([3, 4], range(20)):
+        for number in nobody:
+            gone = np.full_like(made[number].fused.positions, np.nan)
+            made[number] = replace(made[number], fused=replace(made[number].fused, positions=gone))
+        file = tmp_path / f"{len(nobody)}.rrd"
+        with session(fuser, file) as live:
+            for frame in made:
+                live.write(frame)
+        assert poses(file, layout.PELVIS) == sorted({*range(20)} - {*nobody})
+
+
+def test_the_others_are_drawn_while_they_are_there(tmp_path):
+    pairs = frame_pairs(BODY, 12, noise=0.0)
+    fuser = known_fuser()
+    for t in range(4, 8):
+        a = pairs[t].a
+        other = Skeleton.of(BODY, a.people["7"].positions + np.float32(1.0), a.people["7"].states)
+        pairs[t] = replace(pairs[t], a=replace(a, people={**a.people, "8": other}))
+    path = tmp_path / "s.rrd"
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+    stream.save(path)
+    recorder = Recorder(stream, fuser.setup, ("a", "b"))
+    recorder.record_all([SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
+    recorder.finish()
+    stream.disconnect()
+    drawn = {}
+    with RrdFile(path) as file:
+        for entity, batch in file.chunks(images=False):
+            if entity in map(layout.others, "ab") and layout.FRAME in batch.schema.names:
+                origins = batch.column("Arrows3D:origins").to_pylist()
+                for frame, of in zip(batch.column(layout.FRAME).to_pylist(), origins, strict=True):
+                    drawn[entity, frame] = len(of)
+    assert drawn.keys() == {(layout.others("a"), t) for t in range(4, 9)}  # the last one clears them
+    assert drawn.pop((layout.others("a"), 8)) == 0
+    assert all(0.5 * len(BODY) < count < len(BODY) for count in drawn.values())
+    assert len(Session.open(path)) == 12
+
+
+def test_a_viewer_s_stream_gets_the_poses_again_and_again(tmp_path, monkeypatch):
+    """A hub drops its oldest messages: whoever connects later must find K_B and the floor all the same."""
+    monkeypatch.setattr(changes, "_POSE_AGAIN_NS", 990_000_000)  # 30 frames
+    fuser = known_fuser()
+    made = frames(fuser, 70)
+    for with_points, expected in ((True, [0, 30, 60]), (False, [0])):
+        path = tmp_path / f"{with_points}.rrd"
+        stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+        stream.save(path)
+        recorder = Recorder(stream, fuser.setup, ("a", "b"), points=with_points)
+        for frame in made:
+            recorder.record_all([frame])
+        recorder.finish()
+        stream.disconnect()
+        assert poses(path, layout.kinect("b")) == expected
+        assert set(expected[1:]) <= set(poses(path, layout.FLOOR))
+
+
+@pytest.mark.parametrize("gap", [10, 60])
+def test_the_others_of_a_sensor_that_gives_no_frames_go_after_half_a_second(gap, monkeypatch):
+    logged = []
+    monkeypatch.setattr(
+        OthersLog, "_log", lambda _, side, number, *rest: logged.append((side, number, len(rest[-1])))
+    )
+    log = OthersLog(rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4()))
+    pairs = frame_pairs(BODY, 5, noise=0.0)
+    for t in range(5 + gap):
+        pair = pairs[min(t, 4)]
+        log.record(
+            t,
+            t * 33_333_333,
+            replace(pair, a=pair.a if t < 5 else None, skeletons=replace(pair.skeletons, a=None)),
+        )
+    of_a = [(number, count > 0) for side, number, count in logged if side == "a"]
+    assert of_a == [*((t, True) for t in range(5)), *([(20, False)] if gap > 15 else [])]
+
+
+# --- What a frame costs a viewer's stream in messages, and columns as Rerun makes them.
+
+
+COUNT, PLOTTED_TOGETHER = 40, 5
+
+
+def written(path, plotted_together):
+    """A session of which each frame is recorded as it comes, as a viewer's; with 1, as a file's."""
+    fuser = known_fuser()
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+    stream.save(path)
+    later = plotted_together > 1
+    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1, plots_later=later)
+    for frame in frames(fuser, COUNT):
+        recorder.record_all([frame])
+        if recorder.unplotted >= plotted_together:
+            recorder.plot()
+    recorder.finish()
+    stream.disconnect()
+    return path
+
+
+def test_plots_in_blocks_lose_nothing(tmp_path):
+    one, blocks = (Session.open(written(tmp_path / f"{n}.rrd", n)) for n in (1, PLOTTED_TOGETHER + 2))
+    assert blocks.damage is None
+    assert len(one) == len(blocks) == COUNT
+    for name, _, values in one.rows.figures():
+        if name != "fuse_ms":
+            np.testing.assert_array_equal(blocks.rows.filled(name), values, name)
+    np.testing.assert_array_equal(blocks.fused_checksums, one.fused_checksums)
+
+
+def test_a_frame_costs_a_viewer_few_messages(tmp_path, monkeypatch):
+    """Each message takes 0.3 ms of the interpreter that sensors, fusion and file share, whatever it holds.
+
+    A frame needs S_A, S_B, S* and the pelvis. Everything else comes once per block, or on change.
+    """
+    sent = Counter()
+
+    def counted(name):
+        original = getattr(rr.RecordingStream, name)
+
+        def call(stream, entity, *what, **more):
+            sent[entity] += not more.get("static", False)
+            original(stream, entity, *what, **more)
+
+        monkeypatch.setattr(rr.RecordingStream, name, call)
+
+    counted("log")
+    counted("send_columns")
+    written(tmp_path / "s.rrd", PLOTTED_TOGETHER)
+    each = {layout.skeleton("a"), layout.skeleton("b"), layout.FUSED_SKELETON, layout.PELVIS}
+    assert {entity for entity, count in sent.items() if count >= COUNT} == each
+    assert all(sent[entity] <= COUNT // PLOTTED_TOGETHER + 1 for entity in PLOTTED)
+    assert sum(sent.values()) / COUNT < 6.0
+
+
+FRAMES_OF_MESSAGES, POINTS = 3, 4
+RANDOM = np.random.default_rng(0)
+VALUES = {
+    ("Points3D", "positions"): RANDOM.normal(size=(FRAMES_OF_MESSAGES, POINTS, 3)).astype(np.float32),
+    ("Points3D", "colors"): RANDOM.integers(0, 256, (FRAMES_OF_MESSAGES, POINTS, 3)).astype(np.uint8),
+    ("Points3D", "class_ids"): RANDOM.integers(0, 9, (FRAMES_OF_MESSAGES, POINTS)).astype(np.uint16),
+    ("Transform3D", "mat3x3"): RANDOM.normal(size=(FRAMES_OF_MESSAGES, 3, 3)).astype(np.float32),
+    ("Transform3D", "translation"): RANDOM.normal(size=(FRAMES_OF_MESSAGES, 3)).astype(np.float32),
+}
+
+
+def assert_same(ours, theirs):
+    """Two columns or batches are the same, also in their types."""
+    assert ours.component_descriptor() == theirs.component_descriptor()
+    assert ours.as_arrow_array().equals(theirs.as_arrow_array())
+    assert ours.as_arrow_array().type == theirs.as_arrow_array().type
+
+
+@pytest.mark.parametrize(("archetype", "argument"), VALUES)
+def test_an_argument_of_an_archetype_becomes_what_rerun_makes_of_it(archetype, argument):
+    values, each = VALUES[archetype, argument], POINTS if archetype == "Points3D" else 1
+    flat = values.reshape(FRAMES_OF_MESSAGES * each, *values.shape[2 if each > 1 else 1 :])
+    kind = getattr(rr, archetype)
+    (theirs,) = kind.columns(**{argument: flat}).partition([each] * FRAMES_OF_MESSAGES)
+    ours = Column(*converted(kind, argument, values, FRAMES_OF_MESSAGES * each), FRAMES_OF_MESSAGES)
+    assert ours.component_descriptor() == theirs.component_descriptor()
+    assert ours.as_arrow_array().equals(theirs.as_arrow_array())
+    assert ours.as_arrow_array().type.value_type == theirs.as_arrow_array().type.value_type
+
+
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_points_become_what_rerun_makes_of_them(count):
+    values = RANDOM.normal(size=(count, 3)).astype(np.float32)
+    (ours,) = points(values)
+    (theirs,) = rr.Points3D.from_fields(positions=values).as_component_batches()
+    assert_same(ours, theirs)
+
+
+def test_an_image_becomes_what_rerun_makes_of_it():
+    theirs = rr.EncodedDepthImage(b"a blob", media_type="application/rvl", meter=1000.0)
+    ours = depth_image(b"a blob", "application/rvl", 1000.0)
+    for mine, their in zip(ours, theirs.as_component_batches(), strict=True):
+        assert_same(mine, their)
+
+
+def test_states_become_what_rerun_makes_of_them():
+    states = ["from A", "from both", "from A"]
+    (ours,), (theirs,) = state_changes(states), rr.StateChange.columns(state=states)
+    assert_same(ours, theirs)
+
+
+def test_times_become_what_rerun_makes_of_them():
+    numbers = np.arange(5)
+    spans = numbers.astype("timedelta64[ns]")
+    for ours, theirs in (
+        (Times("frame", numbers), rr.TimeColumn("frame", sequence=numbers)),
+        (Times("time", spans), rr.TimeColumn("time", duration=spans)),
+    ):
+        assert ours.timeline_name() == theirs.timeline_name()
+        assert ours.as_arrow_array().equals(theirs.as_arrow_array())
+        assert ours.as_arrow_array().type == theirs.as_arrow_array().type
