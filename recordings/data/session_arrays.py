@@ -16,7 +16,6 @@ from fusion.facing.labels import DOUBT_STEPS
 from fusion.fused_frame import FusedFrame, FusedFrames
 from fusion.pair_arrays import View
 from fusion.rigid import RigidTransform
-from fusion.skeleton import Skeleton
 from fusion.support.large_arrays import GrowingArray, Rows, parts
 from fusion.support.medians import median_of_known
 from recordings.data import layout
@@ -337,18 +336,9 @@ def _figures_of(frame: SessionFrame | SessionFrames) -> dict[str, Any]:
         "truth": frame.truth,
         "sigma": fused.sigma,
         "exchanged": exchanged,
-        "witness_a": _witness(frame, skeletons.a),
-        "witness_b": _witness(frame, skeletons.b),
+        "witness_a": None if skeletons.a is None else skeletons.a.witness,
+        "witness_b": None if skeletons.b is None else skeletons.b.witness,
         "side_doubt": doubt,
         "heading": fused.heading,
         "up": None if frame.floor is None else -frame.floor.rotation[:, 1],
     }
-
-
-def _witness(frame: SessionFrame | SessionFrames, of: Skeleton | View | None) -> NDArray[np.float32] | None:
-    """The depth evidence of a skeleton; all NaN without a person or frame, if a sensor has images."""
-    if isinstance(frame, SessionFrames) or (of is not None and of.witness is not None):
-        return None if of is None else of.witness
-    if all(seen is None or seen.depth is None for seen in (frame.pair.a, frame.pair.b)):
-        return None
-    return np.full((len(frame.fused.positions), 4), np.nan, dtype=np.float32)

@@ -6,13 +6,14 @@ in the order of their numbers. An event or a calibration comes after the frame t
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from devices.depth.image_thinning import has_image
+from devices.depth.image_thinning import has_image, pair_has_images
 from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings.appearance import entity_styles
@@ -73,6 +74,7 @@ class Recorder:
         self._start_ns = start_ns
         self._last: tuple[int, int] | None = None  # number and time of the last frame
         self._like: SessionArrays | None = None  # the first frame, whose optional figures all have
+        self._imaged = False  # whether a sensor has had an image
         self._plots_later, self._unplotted = plots_later, list[SessionArrays]()
         self._shown = points
         self._of_images: dict[tuple[str, str], NDArray[np.int64]] = {}
@@ -114,7 +116,10 @@ class Recorder:
             numbers = range(self._next, self._next + len(frames))
         of, begun_ns = self._calibration, self._begun_by(frames[0])
         rows = SessionArrays.stack(of.body, of.bone_lengths, frames, numbers, begun_ns, like=self._like)
-        self._like = self._like or rows[:1]
+        if self._like is None:  # a person whom a depth camera sees later has evidence, too
+            if self._imaged or any(pair_has_images(frame.pair) for frame in frames):
+                rows = replace(rows, witness_a=rows.filled("witness_a"), witness_b=rows.filled("witness_b"))
+            self._like = rows[:1]
         if self._shown:
             self._of_images = {
                 (side, kind): self.images.moments(
@@ -135,6 +140,7 @@ class Recorder:
 
     def record_images(self, number: int, frame: SessionFrame) -> None:
         """Logs the images of a frame, in time order. The frame must be recorded later without images."""
+        self._imaged |= pair_has_images(frame.pair)
         self.images.record(number, frame.pair.time_ns - self._begun_by(frame), frame.pair)
 
     def record_rows(self, rows: SessionArrays, checks: FusedChecks | None = None) -> None:

@@ -10,21 +10,24 @@ from tests.helpers.documents import ROOT
 FOLDER = ROOT / "examples" / "data"
 
 
+def csv_of(body, frames):
+    """The text of a recording of these frames."""
+    lines = ["time_us,body,joint,x,y,z,state"]
+    for frame in frames:
+        for person, skeleton in frame.people.items():
+            for joint, place, state in zip(body.joints, skeleton.positions, skeleton.states, strict=True):
+                if state != TrackingState.NOT_TRACKED:
+                    x, y, z = (f"{value:.3f}" for value in place)
+                    word = TrackingState(state).name.lower()
+                    lines.append(f"{frame.time_ns // 1000},{person},{joint},{x},{y},{z},{word}")
+    return "\n".join(lines) + "\n"
+
+
 def recordings(seconds=8.0):
     """Yields the name and the text of each file."""
     a, b, _ = simulated_pair(motion="walk", seconds=seconds, body=KINECT_V2, seed=1)
     for name, sensor in (("a", a), ("b", b)):
-        lines = ["time_us,body,joint,x,y,z,state"]
-        for frame in sensor.frames():
-            for person, skeleton in frame.people.items():
-                for joint, place, state in zip(
-                    KINECT_V2.joints, skeleton.positions, skeleton.states, strict=True
-                ):
-                    if state != TrackingState.NOT_TRACKED:
-                        x, y, z = (f"{value:.3f}" for value in place)
-                        word = TrackingState(state).name.lower()
-                        lines.append(f"{frame.time_ns // 1000},{person},{joint},{x},{y},{z},{word}")
-        yield f"{name}.csv", "\n".join(lines) + "\n"
+        yield f"{name}.csv", csv_of(KINECT_V2, sensor.frames())
 
 
 if __name__ == "__main__":

@@ -1,20 +1,10 @@
 """S* of the method ``duplex`` within one revision: the golden session, live and smoothed."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from fusion.setup import REVISIONS
 from tests.helpers import golden_session
-
-
-def c_library_rounds_likewise():
-    """Whether exp, log and sine are those of Linux' C library for processors with fused multiply-add."""
-    cpuinfo = Path("/proc/cpuinfo")
-    return sys.platform == "linux" and cpuinfo.exists() and " fma " in cpuinfo.read_text()
-
 
 MADE_ANEW = "raise the revision and run python -m tests.helpers.golden_session"
 
@@ -45,7 +35,8 @@ def test_the_golden_session_has_its_figures_on_any_machine(runs, name):
 
 
 @pytest.mark.skipif(
-    not c_library_rounds_likewise(), reason="the digests are of Linux on x86-64 processors with FMA"
+    not golden_session.c_library_rounds_likewise(),
+    reason="the digests are of Linux on x86-64 processors with FMA",
 )
 @pytest.mark.parametrize("name", ["live", "whole"])
 def test_the_golden_session_is_the_same_to_the_bit(runs, name):

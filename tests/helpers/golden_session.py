@@ -46,6 +46,12 @@ class Run:
     figures: dict[str, Any]  # by name, of every fifth pair
 
 
+def c_library_rounds_likewise():
+    """Whether exp, log and sine are those of Linux' C library for processors with fused multiply-add."""
+    cpuinfo = Path("/proc/cpuinfo")
+    return sys.platform == "linux" and cpuinfo.exists() and " fma " in cpuinfo.read_text()
+
+
 def pairs_of(stored):
     """The session's pairs and its calibrations: the first one, and one that B's place is corrected to."""
     views = []

@@ -6,12 +6,15 @@ import os
 import tempfile
 import tracemalloc
 from dataclasses import replace
+from uuid import uuid4
 
 import numpy as np
 import pytest
+import rerun as rr
 from hypothesis import given
 from hypothesis import strategies as st
 
+from devices.depth.image_thinning import pair_without_images
 from devices.events import Event, spells_of
 from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError
@@ -42,6 +45,7 @@ from recordings.file.session_writer import write_session
 from recordings.fusing.pairs import fuse_one
 from recordings.fusing.view_events import ViewEvents
 from recordings.quality.figures import report
+from recordings.writing.recorder import Recorder
 from tests.helpers.command_line import duplex
 from tests.helpers.demonstrations import pairs_of
 from tests.helpers.frame_pairs import frame_pairs, paired
@@ -408,21 +412,27 @@ def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_pat
     assert seen > 60 * 20  # most joints of most frames
 
 
-def test_a_session_that_begins_with_one_sensor_keeps_the_witness_of_the_other():
+def test_a_live_file_keeps_the_witness_of_who_comes_later(tmp_path):
+    """Its images are written before its frames, which then have none; at first, no one is seen."""
     a, b, _ = simulated_pair(motion="still", seconds=0.5, depth="half")
-    pairs = list(pairs_of(a, b))
-    lengths = a.body.nominal_lengths
-    fuser = Fuser(
-        FusionSetup(Calibration(a.body, RigidTransform.of(np.eye(3), np.ones(3)), lengths, "known"))
+    setup = FusionSetup(
+        Calibration(a.body, RigidTransform.of(np.eye(3), np.ones(3)), a.body.nominal_lengths, "known")
     )
-    alone = replace(pairs[0], b=None, skeletons=replace(pairs[0].skeletons, b=None))
-    first, later = ([fuse_one(fuser, pair)] for pair in (alone, pairs[1]))
-    begun = SessionArrays.stack(a.body, lengths, first)
-    assert begun.witness_b is not None
-    assert np.isnan(begun.witness_b).all()
-    gone_on = SessionArrays.stack(a.body, lengths, later, like=begun)
-    assert gone_on.witness_b is not None
-    assert np.isfinite(gone_on.witness_b).any()
+    fuser = Fuser(setup)
+    pairs = list(pairs_of(a, b))
+    pairs[0] = replace(pairs[0], skeletons=replace(pairs[0].skeletons, a=None, b=None))
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+    stream.save(tmp_path / "s.rrd")
+    recorder = Recorder(stream, setup, ("a", "b"))
+    for k, pair in enumerate(pairs):
+        frame = fuse_one(fuser, pair)
+        recorder.record_images(k, frame)
+        recorder.record_all([replace(frame, pair=pair_without_images(pair))])
+    recorder.finish()
+    stream.disconnect()
+    rows = Session.open(tmp_path / "s.rrd").rows
+    for witness in (rows.witness_a, rows.witness_b):
+        assert np.isfinite(witness).any(axis=(1, 2)).tolist() == [k > 0 for k in range(len(pairs))]
 
 
 # --- Events at a moment, spells with a start and an end, and limbs that a view reports at a wrong place.
