@@ -17,6 +17,7 @@ from typing import Any
 
 import numba
 from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
 
 _NumbasCache: Any = FunctionCache
 
@@ -35,7 +36,9 @@ class _ForgivingCache(_NumbasCache):  # type: ignore[misc]
 
     def load_overload(self, types: Any, target: Any) -> Any:
         try:
-            found = super().load_overload(types, target)
+            # not super().load_overload: it imports what only compiling needs, as long again as numba itself
+            rtsys.initialize(target)
+            found = self._load_overload(types, target)
         except Exception:  # what unpickling raises
             return None
         # of two processes that keep a kernel for other types at once, one gets the file that the other writes

@@ -27,6 +27,7 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
 from fusion.solvers.tree_solver import compile_tree_solver, solve_tree
+from tests.helpers.programs import python
 
 CALLED = """
 from numba import njit
@@ -211,6 +212,13 @@ def solve(x):
 def loop(x):
     return solve(x) + 1
 """
+
+
+def test_a_kernel_on_disk_is_called_without_what_compiling_needs(tmp_path):
+    (tmp_path / "cold.py").write_text(COLD)
+    program = "import cold, sys; print(cold.loop(1), 'numba.np.linalg' in sys.modules, cold.loop(1.5))"
+    said = [python("-c", program, PYTHONPATH=f"{tmp_path}{os.pathsep}{Path.cwd()}").stdout for _ in range(2)]
+    assert said == ["3 True 4.0\n", "3 False 4.0\n"]
 
 
 def test_another_process_compiles_the_solver_on_a_first_run(tmp_path, monkeypatch):
