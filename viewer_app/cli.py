@@ -119,8 +119,23 @@ def _run(arguments: Sequence[str] | None) -> None:
     from viewer_app.output_files import outputs_of_one_run
 
     module = next(module for kind, module in COMMANDS.values() if kind is type(options))
+    import pyarrow
+
+    sys.meta_path.insert(0, _NoPandas)
+    pyarrow.array([])
+    sys.meta_path.remove(_NoPandas)
     with outputs_of_one_run():
         importlib.import_module(module).run(options)
+
+
+class _NoPandas:
+    """Finds no pandas, which pyarrow looks for at its first array: importing it takes half a second, and no
+    command has data of it. ``to_pandas`` looks again."""
+
+    @staticmethod
+    def find_spec(name: str, *_: object) -> None:
+        if name == "pandas":
+            raise ImportError
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.machine import small_disk
 from tests.helpers.motion_capture import write_c3d, write_trc
+from tests.helpers.programs import python
 from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.recorded_pairs import write_json, write_ntu, write_recordings, write_view
 from tests.helpers.session_text import rows_of
@@ -48,6 +49,33 @@ def recorded(tmp_path_factory):
 def session(recorded, tmp_path):
     """A copy, which a test may change."""
     return shutil.copy(recorded, tmp_path / "recorded.rrd")
+
+
+LARGE = {"pandas", "numba", "scipy.optimize", "scipy.signal", "matplotlib", "rerun", "cv2"}
+PROGRAM = """
+import atexit, sys
+from viewer_app.cli import script
+atexit.register(lambda: print(*sys.modules))
+script()
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "imported"),
+    [
+        ("--version", set()),
+        ("info {session}", set()),
+        ("export {session} --to {out}.csv", {"numba"}),
+        ("trim {session} --to 1 --save {out}.rrd", {"numba", "rerun", "cv2"}),
+        ("review {session} --no-viewer", {"numba", "rerun", "cv2"}),
+    ],
+)
+def test_a_command_imports_the_large_packages_that_it_uses(command, imported, session, tmp_path):
+    arguments = command.format(session=session, out=tmp_path / "out").split()
+    said = python("-c", PROGRAM, *arguments)
+    modules = set(said.stdout.splitlines()[-1].split())
+    assert said.returncode == 0, said.stderr
+    assert modules & LARGE == imported
 
 
 def test_no_line_is_wrapped_where_no_terminal_reads_it(session, tmp_path, capsys, monkeypatch):
