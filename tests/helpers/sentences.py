@@ -1,5 +1,6 @@
 """The sentences that users meet, each below what leads to it: ``tests/data/sentences``."""
 
+import json
 import os
 import re
 import shlex
@@ -44,3 +45,9 @@ def refusals(capsys, folder):
         return re.sub(r"(unknown host .*?) \(.*?\)", r"\1", said)  # a resolver's own words
 
     return told
+
+
+def arguments(case):
+    """What a case such as ``seconds=3.0 remote="B"`` states, by its names; nothing for ``-``."""
+    stated = (each.partition("=") for each in case.split() if "=" in each)
+    return {name: json.loads(value) for name, _, value in stated}

@@ -50,6 +50,7 @@ from tests.helpers.command_line import duplex
 from tests.helpers.demonstrations import pairs_of
 from tests.helpers.frame_pairs import frame_pairs, paired
 from tests.helpers.recorded_pairs import write_view
+from tests.helpers.sentences import arguments, check_sentences
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, standing
 from viewer_app.report.events import event_in_words, list_events
 from viewer_app.report.words import lead_lines
@@ -509,52 +510,11 @@ def told_of(
     return told
 
 
-@pytest.mark.parametrize(("sensor", "other"), [("A", "B"), ("B", "A")])
-def test_a_lost_arm_is_told_with_its_distance_and_its_end(sensor, other):
-    (begun, start), (ended, end) = told_of(30, sensor=sensor)
-    text = f"{sensor} loses the left arm, 0.5 m off; S* follows {other}."
-    assert start == Event(text, "INFO", f"lost_{sensor.lower()}_left_arm", "start")
-    assert begun == 10 + 16  # 15 intervals of 33.3 ms are just short of half a second
-    # 30 frames are 29 intervals; 0.1 s later it is certain
-    assert end == Event(f"{sensor} finds the left arm again, after 1.0 s.", "INFO", start.topic, "end")
-    assert ended == 39 + 4
+def test_sentences_of_view_events():
+    """Each after the number of its frame, with topic and phase; 15 frames are just short of half a second."""
 
+    def told(case):
+        found = told_of(**arguments(case))
+        return "\n".join(f"{k} {each.topic} {each.phase}: {each.text}" for k, each in found) or "-"
 
-def test_what_is_short_near_counted_guessed_single_or_exchanged_is_no_lost_limb():
-    assert told_of(30) != []
-    assert told_of(14) == []
-    assert told_of(30, off=0.15) == []
-    assert told_of(30, share=0.2) == []
-    assert told_of(30, state=TrackingState.INFERRED) == []
-    assert told_of(30, joints=1) == []
-    assert told_of(30, exchanged=(3, 3)) == []
-    assert told_of(30, other_off=0.4) != []
-    assert told_of(30, other_off=0.6) == []  # S* follows neither
-
-
-def test_a_limb_is_lost_beside_a_view_whose_sides_s_star_corrects():
-    told = told_of(30, sensor="A", exchanged=(0, 3), mirrored="B")
-    assert "A loses the left arm, 0.5 m off; S* follows B." in [event.text for _, event in told]
-
-
-def test_sides_that_s_star_no_longer_corrects_are_uncertain():
-    (_, start), (ended, end) = told_of(0, exchanged=(3, 0), mirrored="A", mirrored_frames=31)
-    assert (start.topic, start.phase, ended) == ("exchanged_a", "start", 31)
-    assert end == Event("Left and right of A are uncertain, after 1.0 s.", "INFO", "exchanged_a", "end")
-
-
-def test_exchanged_sides_are_told_where_s_star_corrects_them_only():
-    told = told_of(0, exchanged=(3, 3), mirrored="AB")
-    assert [(k, event.topic, event.phase) for k, event in told] == [
-        (5, "exchanged_a", "start"),  # 0.15 s later it is certain
-        (5, "exchanged_b", "start"),
-    ]
-    assert told_of(0, exchanged=(3, 3)) == []  # a label that S* does not follow
-    assert told_of(0, exchanged=(0, 0), mirrored="AB") == []
-
-
-def test_where_the_time_goes_back_a_limb_is_lost_anew():
-    told = told_of(60, reset_at=40)
-    assert [(k, event.phase) for k, event in told] == [
-        (26, "start"), (40, "moment"), (40 + 16, "start"), (69 + 4, "end"),
-    ]  # fmt: skip
+    check_sentences("view_events", told)

@@ -4,8 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from devices.simulated.kinect import Scene, Truth, movement
@@ -334,6 +335,44 @@ def test_who_stands_first_does_not_leave_the_floor_meanwhile(how, seed):
     stands = stands + np.random.default_rng(seed).normal(0.0, 0.01, stands.shape)
     steps = find_gait(AZURE_KINECT, np.arange(len(stands)) * round(1e9 / RATE), stands, UP).steps
     assert not any(step.strike - step.toe_off > how["stride"] for step in steps)
+
+
+@given(st.floats(0.05, 0.3), st.floats(0.3, 1.0))
+@example(0.1, 0.5)
+def test_who_sways_back_before_the_first_step_has_not_lifted_the_foot_then(metres, rise_s):
+    """No swing is far longer than the others; its toe-off is unknown."""
+    _, joints = walker(6.0, RATE)
+    hips = joints[:, AZURE_KINECT.joint("HipLeft")]
+    ahead = (hips[60] - hips[0]) / np.linalg.norm(hips[60] - hips[0])
+    stands = np.repeat(joints[:1], 90, axis=0)
+    sways = [
+        AZURE_KINECT.joint(f"{part}{side}") for part in ("Hip", "Shoulder") for side in ("Left", "Right")
+    ]
+    stands[:, sways] += (
+        np.interp(np.arange(90) / RATE, [0.0, rise_s, 3.0], [0.0, metres, 0.0])[:, None, None] * ahead
+    )
+    stands = np.concatenate([stands, joints])
+    first, *later = find_gait(AZURE_KINECT, np.arange(len(stands)) * round(1e9 / RATE), stands, UP).steps
+    usual = np.median([step.strike - step.toe_off for step in later])
+    assert not first.strike - first.toe_off > 2.0 * usual
+
+
+@given(
+    st.fixed_dictionaries({name: WALKS[name] for name in ("speed", "stride", "stance")}),
+    st.floats(30.0, 100.0),
+)
+def test_a_heel_strikes_where_its_ankle_becomes_slower_than_three_quarters_of_the_pelvis(how, rate):
+    """A foot swings with minimum jerk; 20 ms of definition and a quarter of a frame are the uncertainty."""
+    times, joints = walker(10.0, rate, **how)
+    gait = find_gait(AZURE_KINECT, times, joints, UP, np.zeros(joints.shape[:2]))
+    swing = (1.0 - how["stance"]) * how["stride"]
+    assume(swing > 0.38)  # what is shorter, S* is smoothed over
+    share = brentq(lambda x: 30.0 * (x * (1.0 - x)) ** 2 - 0.75 * (1.0 - how["stance"]), 0.0, 0.5)
+    for side, first in zip(SIDES, (0.0, 0.5 * how["stride"]), strict=True):
+        for step in gait.of_side(side)[1:-1]:
+            late = (step.strike - first - (1.0 - share) * swing) % how["stride"]
+            assert min(late, how["stride"] - late) < 0.007 * swing  # at 0.6 of it: 0.012
+            assert step.strike_sigma == pytest.approx(np.hypot(0.02, 0.25 / rate), rel=0.02)
 
 
 @given(st.fixed_dictionaries(WALKS))

@@ -24,6 +24,7 @@ from recordings.appearance.state_card import State, fits
 from recordings.fusing.pairs import fuse_one
 from recordings.quality.limits import FARTHEST_PERSON, nearest
 from tests.helpers.frame_pairs import frame_pair
+from tests.helpers.sentences import arguments, check_sentences
 from tests.helpers.set_ups import SET_UPS, moments
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice, calibration_advice, placement
@@ -80,101 +81,46 @@ def watched(
     return {each.topic: each for each in advice}
 
 
-def wrong(said):
-    return {topic for topic, advice in said.items() if advice.level == "WARN"}
-
-
 def millimetres(advice):
     """The first figure in millimetres."""
     return int(advice.text[: advice.text.index(" mm")].split()[-1])
 
 
-def test_nothing_is_wrong_with_a_person_in_both_views():
-    assert wrong(watched()) == set()
+def situation(shift=(0.0, 0.0, 0.0), away=None, angle=None, held=None, **more):
+    """What :func:`watched` sees of a person who is moved, and of sensors so many degrees apart."""
+    joints = standing(BODY) + shift
+    if away is not None:
+        joints[:, 2] += away - joints[list(BODY.torso), 2].mean()
+    if held is not None:
+        more["now"] = Situation(KNOWN, final=False, held=held)
+    if angle is not None:
+        really = turned_around(angle)
+        pose = calibrated_on(BODY, really)
+        walked = replace(pose, registration=replace(pose.registration, rotation_sd=np.radians(0.5)))
+        more |= {"now": Situation(walked, final=True, held=0.0), "really": really}
+    return watched(joints, **more)
 
 
-def test_a_sensor_that_sees_no_one_is_named_after_a_second():
-    assert wrong(watched(b=False, seconds=0.9)) == set()
-    said = watched(b=False, seconds=3.0)
-    assert wrong(said) == {"person B"}
-    assert "has seen no one for 3 s" in said["person B"].text
-    assert wrong(watched(b_other=True)) == set()
+def test_sentences_of_the_coach():
+    """Of warnings, and of the pose that is asked for."""
 
+    def told(case):
+        advice = [
+            each
+            for each in situation(**arguments(case)).values()
+            if each.level == "WARN" or each.topic == "pose"
+        ]
+        return (
+            "\n".join(f"{each.topic}: {each.text} [{each.step}; {each.urgency:.1f}]" for each in advice)
+            or "-"
+        )
 
-@pytest.mark.parametrize("lost", ["states", "image"])
-def test_feet_that_are_hidden_or_outside_the_image_are_noticed(lost):
-    lowered = standing(BODY) + [0.0, 1.2, 0.0]
-    said = watched(lost_feet=("LEFT", "RIGHT")) if lost == "states" else watched(lowered)
-    assert {"feet A", "feet B"} <= wrong(said)
-    assert said["feet A"].text == "Sensor A does not see both feet. Tilt it down, or step back."
-
-
-def test_a_foot_behind_the_other_leg_is_no_fault_of_the_placement():
-    assert wrong(watched(lost_feet=("LEFT",))) == set()
-
-
-def test_too_close_and_too_far_name_the_distance_and_the_limit():
-    torso = standing(BODY)[list(BODY.torso), 2].mean()
-    for distance, words in ((1.0, "Too close to"), (5.5, "Too far from")):
-        said = watched(standing(BODY) + [0.0, 0.0, distance - torso])["distance A"]
-        assert said.text.startswith(f"{words} sensor A: {distance:.1f} m")
-    assert nearest(CAMERA) < 2.6 < FARTHEST_PERSON[BODY.name]
+    check_sentences("coach", told)
 
 
 def test_a_tall_person_fits_into_the_image_at_the_nearest_distance():
     top, bottom = project(CAMERA, [[0.0, -1.0, nearest(CAMERA)], [0.0, 1.0, nearest(CAMERA)]])[:, 1]
     assert bottom - top == pytest.approx(CAMERA.height)
-
-
-@pytest.mark.parametrize(
-    ("angle", "advice"), [(30.0, "further apart"), (150.0, "closer together"), (90.0, None)]
-)
-def test_the_angle_between_the_sensors_is_judged(angle, advice):
-    a_from_b = turned_around(angle)
-    pose = calibrated_on(BODY, a_from_b)
-    walked = replace(pose, registration=replace(pose.registration, rotation_sd=np.radians(0.5)))
-    said = watched(now=Situation(walked, final=True, held=0.0), really=a_from_b)
-    if advice is None:
-        assert "angle" not in said
-    else:
-        assert advice in said["angle"].text
-        assert f"look {angle:.0f}° apart" in said["angle"].text
-
-
-def test_the_start_up_pose_is_asked_for_until_the_calibration_is_final():
-    for held in (0.0, 0.5):
-        said = watched(now=Situation(KNOWN, final=False, held=held))["pose"]
-        assert "hold still 3 s" in said.step
-    assert "pose" not in watched()
-
-
-def test_slow_late_and_dropping_sensors_are_named():
-    assert wrong(watched(every=2)) == {"rate A", "rate B"}
-    assert "USB" in watched(every=2)["rate A"].text
-    of_two_pcs = watched(every=2, remote="B")
-    assert "USB" in of_two_pcs["rate A"].text
-    assert "network" in of_two_pcs["rate B"].text
-    assert "USB" not in of_two_pcs["rate B"].text
-    assert wrong(watched(skew_ns=-20_000_000)) == {"skew"}
-    assert wrong(watched(skew_ns=15_000_000)) == set()
-    said = watched(dropping=1)
-    assert wrong(said) == {"drops A"}
-    assert said["drops A"].text.startswith("60 frames of A came too fast for this machine in 2 s")
-    said = watched(losing=1)
-    assert wrong(said) == {"drops B"}
-    assert said["drops B"].text.startswith("60 frames of B were lost on USB in 2 s")
-
-
-@pytest.mark.parametrize("seconds", [3.3, 4.0, 5.5, 7.1, 8.5, 9.5])
-def test_a_sensor_that_is_gone_from_3_to_7_s_gets_no_advice_on_its_place_or_usb(seconds):
-    assert wrong(watched(seconds=seconds, b_gone=(3.0, 7.0))) == set()
-
-
-def test_this_machine_is_blamed_for_a_low_rate_where_it_is_too_slow():
-    assert "USB" not in watched(every=2, dropping=1)["rate A"].text
-    assert "This machine is too slow" in watched(every=2, dropping=1)["rate A"].text
-    assert "USB" in watched(every=2, dropping=1)["rate B"].text  # it drops none
-    assert "This machine is too slow" in watched(every=2, simulated=True)["rate B"].text
 
 
 def test_a_turned_sensor_asks_for_a_new_calibration():
