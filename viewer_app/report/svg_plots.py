@@ -20,6 +20,7 @@ _POINTS_PER_INCH = 120  # of the width of a plot: about one point per pixel
 _TRUST_COLUMNS, _BAND_POINTS = 600, 240
 _DASHES = (0, (3, 1.5))
 _WIDE = 11.0  # inches, of a plot across the page
+_MARGINS = 0.8, 0.5, 0.1, 0.3  # inches: left, bottom, right, top
 _LONGEST_JOINED = 0.3  # seconds between two values that a line joins
 Line = tuple[NDArray[Any], str]
 
@@ -115,7 +116,7 @@ def cycle_plot(
 
 def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
     """Plots one group of bars per name."""
-    figure, axes = _figure(_WIDE, 3.2)
+    figure, axes = _figure(_WIDE, 3.2, named=True)
     at, width = np.arange(len(names)), 0.8 / len(bars)
     for k, (name, (values, key)) in enumerate(bars.items()):
         axes.bar(
@@ -136,7 +137,7 @@ def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> 
     without data."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    figure, axes = _figure(_WIDE, 0.16 * len(names) + 1.0)
+    figure, axes = _figure(_WIDE, 0.16 * len(names) + 1.0, named=True)
     mean = _columns_of_time(time, share)
     ramp = [skeleton_color(key) for key in ("b", "fused", "a")]
     colors = LinearSegmentedColormap.from_list("trust", ramp).with_extremes(bad=_css(PREDICTED_COLOR))
@@ -186,11 +187,17 @@ def _legend(axes: Any, columns: int) -> None:
     )
 
 
-def _figure(width: float, height: float) -> tuple[Any, Any]:
+def _figure(width: float, height: float, named: bool = False) -> tuple[Any, Any]:
+    """A figure with one plot; the names of joints need as much space as they have letters."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height))
     axes = figure.add_subplot()
+    if named:  # it draws twice, and places each text four times
+        figure.set_layout_engine("constrained")
+    else:
+        left, bottom, right, top = np.divide(_MARGINS, (width, height) * 2)
+        figure.subplots_adjust(left, bottom, 1.0 - right, 1.0 - top)
     axes.patch.set_visible(False)
     axes.tick_params(colors=_INK, labelsize=9)
     axes.grid(axis="y", color=_INK, alpha=0.15, linewidth=0.6)
@@ -285,16 +292,11 @@ def _joined(time: NDArray[Any], values: NDArray[Any]) -> NDArray[np.intp]:
 
 
 def _thinned(values: NDArray[Any], most: int) -> NDArray[np.intp]:
-    """The indices of minimum and maximum of each span, so that no peak is lost."""
+    """The indices of minimum and maximum of each span, so that no peak is lost, and of its first unknown
+    value, else a line would join what is apart."""
     if len(values) <= most:
         return np.arange(len(values))
-    blocks = np.array_split(np.arange(len(values)), most // 2)
-    kept = []
-    for block in blocks:
-        part = values[block]
-        if np.isnan(part).all():
-            kept += [block[0], block[-1]]
-        else:
-            unknown = block[np.isnan(part)][:1].tolist()  # else a line would join what is apart
-            kept += sorted({block[np.nanargmin(part)], block[np.nanargmax(part)], *unknown})
-    return np.array(kept, dtype=np.intp)
+    span, unknown = np.arange(len(values)) * (most // 2) // len(values), np.isnan(values)
+    starts = np.flatnonzero(np.diff(span, prepend=-1))
+    least, greatest, first = (np.lexsort((key, span))[starts] for key in (values, -values, ~unknown))
+    return np.unique(np.concatenate([least, greatest, first[unknown[first]]]))
