@@ -1,10 +1,11 @@
-"""S* of the method ``duplex`` within one revision: the golden session, live and smoothed."""
+"""S* of the method ``duplex``: the golden session to the bit within one revision, and summaries of scenes."""
 
 import numpy as np
 import pytest
 
 from fusion.setup import REVISIONS
-from tests.helpers import golden_session
+from tests.helpers import golden_session, golden_summaries
+from tests.helpers.recorded_pairs import REAL
 
 MADE_ANEW = "raise the revision and run python -m tests.helpers.golden_session"
 
@@ -51,3 +52,18 @@ def test_the_golden_session_contains_what_it_is_there_for(runs):
     for side in ("a", "b"):
         assert set(runs[1]["live"].figures[f"exchanged_{side}"]) == {0.0, 3.0}
     assert golden_session.FILE.stat().st_size < 200_000
+
+
+def changed(name, figures):
+    """What a failure says: each figure that has changed, the old one and the new one."""
+    return "\n".join(golden_summaries.differences(figures, golden_summaries.expected()[name]))
+
+
+@pytest.mark.parametrize("name", golden_summaries.SCENES)
+def test_a_simulated_scene_has_its_summary(name):
+    assert changed(name, golden_summaries.of_scene(golden_summaries.SCENES[name])) == ""
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_a_real_pair_has_its_summary(name, shared):
+    assert changed(f"real {name}", golden_summaries.of_real(name, shared / "real")) == ""
