@@ -93,14 +93,15 @@ def rooms(root=ROOT):
 
 
 def kernels_digest(root=ROOT):
-    """A digest of all kernels, and of how they are compiled, without comments and layout."""
+    """A digest of all kernels and of the options of their compilation, without comments and layout."""
     digest = hashlib.sha256()
     for package in PACKAGES[:-1]:
         for module in sorted((root / package).rglob("*.py")):
             tree = ast.parse(module.read_text(encoding="utf-8"))
-            whole = module.parent.name == "compiling"
-            for node in [tree] if whole else filter(_is_kernel, tree.body):
-                digest.update(ast.dump(node).encode())
+            options = module.parent.name == "compiling"
+            for node in tree.body:
+                if _is_kernel(node) or (options and isinstance(node, ast.Assign | ast.AnnAssign)):
+                    digest.update(ast.dump(node).encode())
     return digest.hexdigest()[:12]
 
 
