@@ -178,7 +178,9 @@ class GrowingOutput:
 
     def _append(self, block: bytes | memoryview, ending: bytes) -> None:
         file = self._opened()
-        if self.placed and not (self.path.exists() and os.path.samefile(file.fileno(), self.path)):
+        if self.placed and not (
+            self.path.exists() and os.path.samestat(os.fstat(file.fileno()), self.path.stat())
+        ):
             raise FileNotFoundError("it was moved or deleted")
         try:
             self._write_all(file, block, ending)

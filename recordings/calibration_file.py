@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.input_file import input_text
+from devices.input_file import input_text, reading
 from fusion.body import Body
 from fusion.calibration.bone_lengths import SHORTEST
 from fusion.calibration.calibration import Calibration
@@ -45,7 +45,8 @@ def read_calibration(path: Path, body: Body) -> Calibration:
         RecordingError: The file is missing, is not a calibration, or belongs to another body.
     """
     try:
-        document = json.loads(input_text(path))
+        with reading(path, RecordingError, MissingFileError, "calibration"):
+            document = json.loads(input_text(path))
         if document["body"] != body.name:
             raise RecordingError(
                 f"{path} is a calibration of {document['body']}; these recordings are of {body.name}."
@@ -63,10 +64,6 @@ def read_calibration(path: Path, body: Body) -> Calibration:
             lengths,
             f"{_LOADED} {path} ({document['how']})",
         )
-    except FileNotFoundError:
-        raise MissingFileError(f"No calibration {path}.") from None
-    except OSError as error:
-        raise RecordingError(f"The calibration {path} cannot be read: {error.strerror}.") from None
     except (FusionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise RecordingError(

@@ -16,6 +16,8 @@ from viewer_app.flags import complain, printing
 from viewer_app.running.interruption import ENDING, ends_as_ctrl_c
 
 _CLOSING_S = 30.0
+_NO_MEMORY = ("failed to map segment", "annot allocate memory", "MemoryError")
+"""What an import says that had too little memory."""
 
 
 def script() -> None:
@@ -97,12 +99,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
         except DuplexError as error:
             complain(f"duplex: {error}")
             sys.exit(2)
+        except (OSError, MemoryError, ImportError) as error:
+            if (said := _of_machine(error)) is None:
+                raise
+            complain(f"duplex: {said}")
+            sys.exit(2)
         output.flush()
         if isinstance(output.failure, BrokenPipeError):
             sys.exit(1)
         if output.failure is not None:
             complain(f"duplex: the output could not be printed completely: {output.failure.strerror}.")
             sys.exit(2)
+
+
+def _of_machine(error: OSError | MemoryError | ImportError) -> str | None:
+    """What the machine lacks, in a sentence; None if it may be this program's fault."""
+    if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
+        return "The memory that this process may use is too small."
+    if isinstance(error, OSError):
+        named = f"{error.filename}: " if error.filename else ""
+        return f"{named}{error.strerror or error}."
+    return None
 
 
 def _run(arguments: Sequence[str] | None) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from devices.input_file import reading
 from devices.people.recorded_people import RecordedPeople
 from devices.sensor import IMAGE_SUFFIXES, DeviceError, MissingRecordingError, Sensor, SensorFrame
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
@@ -65,15 +66,9 @@ class SkeletonRecording(Sensor):
         from devices.skeletons.border import checked
 
         reader = getattr(import_module(f"devices.skeletons.{READERS[suffix]}"), f"read_{suffix[1:]}")
-        try:
+        with reading(self.name, DeviceError, MissingRecordingError):
             found = reader(self._path, self._stated, self._progress)
             read = checked(self._path, found, self._stated)
-        except FileNotFoundError:
-            raise MissingRecordingError(f"No file {self.name}.") from None
-        except OSError as error:
-            raise DeviceError(f"{self.name} cannot be read: {error.strerror or error}.") from None
-        except MemoryError:
-            raise DeviceError(f"{self.name} is too large for the memory of this machine.") from None
         self._read, self._body, self.warnings = read, read.body, list(read.warnings)
         return self
 

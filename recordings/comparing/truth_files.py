@@ -9,16 +9,18 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from devices.input_file import open_input
+from devices.input_file import input_text, open_input, reading
 from devices.sensor import DeviceError
 from devices.skeletons.csv_files.text import codes, refuse_cut_off, text_rows
 from devices.skeletons.times import capture_times
+from fusion.support.medians import median_of_known
 from recordings.comparing.c3d_file import read_c3d
 from recordings.errors import MissingFileError, RecordingError
 
 SUFFIXES = (".c3d", ".trc", ".csv")
 """Suffixes of files of motion capture."""
 _TRC_HEAD = 5  # lines before the first frame; an empty one may follow
+_LARGEST = 2 << 30  # bytes of a .trc or .c3d; a .trc of 50 points at 120 Hz takes 600 MB an hour
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +52,17 @@ def read_truth(path: Path) -> TruthFile:
     if reader is None:
         raise RecordingError(f"{path} is no motion capture: its name ends in none of {', '.join(SUFFIXES)}.")
     try:
-        labels, seconds, points, warning = reader(path)
-    except FileNotFoundError:
-        raise MissingFileError(f"No file {path}.") from None
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from None
+        with reading(path, RecordingError, MissingFileError):
+            labels, seconds, points, warning = reader(path)
     except DeviceError as error:
         raise RecordingError(str(error)) from None
     points[~np.isfinite(points).all(axis=2)] = np.nan
+    frame, point = np.nonzero(_strays(points))
+    points[frame, point] = np.nan
+    if len(frame):
+        first = f"{labels[point[0]]} at {seconds[frame[0]]:.3f} s"
+        left_out = "1 position is" if len(frame) == 1 else f"{len(frame)} positions are"
+        warning += f"{' ' * bool(warning)}{left_out} left out, far from all others, such as {first}."
     if len(labels) == 0 or not np.isfinite(points).any():
         raise RecordingError(f"{path} has no points.")
     if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all():  # false where NaN
@@ -69,7 +74,7 @@ _Read = tuple[list[str], NDArray[np.float64], NDArray[np.float64], str]
 
 
 def _read_c3d(path: Path) -> _Read:
-    with open_input(path) as file:
+    with open_input(path, _LARGEST) as file:
         header = np.frombuffer(file.read(10).ljust(10, b"\0"), dtype="<u2").astype(np.int64)
     read = read_c3d(path)
     rate, points, labels = float(read["rate"]), read["points"], read["labels"].tolist()
@@ -83,8 +88,7 @@ def _read_c3d(path: Path) -> _Read:
 
 
 def _read_trc(path: Path) -> _Read:
-    with open_input(path) as file:
-        lines = file.read().decode(errors="replace").splitlines()
+    lines = input_text(path, errors="replace", most=_LARGEST).splitlines()
     if len(lines) <= _TRC_HEAD or not lines[3].lower().startswith("frame#"):
         raise RecordingError(f"{path} is not a .trc: its fourth line does not begin with Frame#.")
     tabs = "\t" if "\t" in lines[3] else None  # else spaces, between which no cell can be empty
@@ -104,13 +108,26 @@ def _read_trc(path: Path) -> _Read:
                 f"{len(cells)}."
             )
         try:
-            rows.append([float(cell) if cell.strip() else math.nan for cell in cells[:width]])
+            rows.append(np.array([float(cell) if cell.strip() else math.nan for cell in cells[:width]]))
         except ValueError:
             raise RecordingError(f"{path}, line {number}: not a row of numbers separated by tabs.") from None
     if stated.isdecimal() and len(rows) < int(stated):
         raise RecordingError(f"{path} is cut off: it states {stated} frames and has {len(rows)}.")
     table = np.array(rows).reshape(-1, width)
     return labels, table[:, 1], _without_origin(table[:, 2:].reshape(len(table), -1, 3)), ""
+
+
+def _strays(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(N, M) points that are farther from the others of their frame than a body reaches.
+
+    A point is as far from the median point of its frame as in the median of the frames, and at most two sizes
+    of the body farther; the size is that distance of a point at the body's ends.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        away = np.linalg.norm(points - median_of_known(points)[:, None], axis=2)
+        usual = median_of_known(away.T)
+        size = np.quantile(usual[np.isfinite(usual)], 0.9) if np.isfinite(usual).any() else 0.0
+        return np.asarray(away > usual + 2.0 * size)
 
 
 def _without_origin(points: NDArray[np.float64]) -> NDArray[np.float64]:

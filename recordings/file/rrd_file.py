@@ -21,7 +21,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from devices.arrow_numbers import numbers_of
-from devices.input_file import open_input
+from devices.input_file import open_input, reading
 from fusion.support.large_arrays import GrowingArray, give_back
 from recordings.data import layout
 from recordings.errors import MissingFileError, RecordingError
@@ -97,16 +97,11 @@ class RrdFile:
         self.damage: str | None = None
         self._unread: list[tuple[int, int]] = []
         self._path = path
-        try:
-            with open_input(path) as file:
-                start = file.read(_FILE_HEADER)
-                if start[:4] != _MAGIC:
-                    raise RecordingError(f"{path} is not a session: it does not begin like an .rrd file.")
-                self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        except FileNotFoundError:
-            raise MissingFileError(f"No session {path}.") from None
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from None
+        with reading(path, RecordingError, MissingFileError, "session"), open_input(path) as file:
+            start = file.read(_FILE_HEADER)
+            if start[:4] != _MAGIC:
+                raise RecordingError(f"{path} is not a session: it does not begin like an .rrd file.")
+            self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
     def __enter__(self) -> RrdFile:
         return self

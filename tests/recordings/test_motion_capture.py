@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from devices.skeletons.name_tables import name_table
@@ -143,6 +145,32 @@ def test_a_csv_may_have_semicolons_decimal_commas_and_other_units_of_time(tmp_pa
     assert first.points[4].tolist() == [[4.5, -1.25, k] for k in range(3)]
     assert first.warning == ""
     assert "time_us is read as milliseconds" in second.warning
+
+
+@given(
+    frame=st.integers(0, 59), joint=st.integers(0, 24), axis=st.integers(0, 2),
+    value=st.floats(10.0, 1.7e308) | st.floats(-1.7e308, -10.0),
+)  # fmt: skip
+def test_a_wrong_sample_costs_that_sample_and_is_told(tmp_path, frame, joint, axis, value):
+    pairs = frame_pairs(KINECT_V1, 60)
+    times = np.array([pair.time_ns for pair in pairs]) * 1e-9
+    points = np.stack([pair.skeletons.a.positions for pair in pairs])
+    joint %= points.shape[1]
+    write_trc(tmp_path / "t.trc", KINECT_V1.joints, times, points)
+    whole = read_truth(tmp_path / "t.trc")
+    assert whole.warning == ""
+    lines = (tmp_path / "t.trc").read_text().splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("1\t")) + frame
+    cells = lines[at].split("\t")
+    cells[2 + 3 * joint + axis] = repr(value)
+    lines[at] = "\t".join(cells)
+    (tmp_path / "t.trc").write_text("\n".join(lines))
+    read = read_truth(tmp_path / "t.trc")
+    expected = whole.points.copy()
+    expected[frame, joint] = np.nan
+    np.testing.assert_array_equal(read.points, expected)
+    assert read.warning.startswith("1 position is left out")
+    assert KINECT_V1.joints[joint] in read.warning
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -96,7 +96,11 @@ def line_of(command: str, name: str, bad: Path, good: Path, out: Path) -> list[s
     return line
 
 
-@pytest.mark.parametrize("kind", ["fifo", "device", "folder", "missing", "binary"])
+FAULTS = ["fifo", "device", "folder", "missing", "binary", "unreadable", "huge"]
+"""A huge file has holes: it takes no room on the disk, and no memory holds it."""
+
+
+@pytest.mark.parametrize("kind", FAULTS)
 @pytest.mark.parametrize(("command", "name", "ending"), INPUTS)
 def test_every_input(command, name, ending, kind, good, tmp_path, capsys, monkeypatch):
     if kind == "folder" and name in ("source", "tracker_model"):
@@ -111,6 +115,13 @@ def test_every_input(command, name, ending, kind, good, tmp_path, capsys, monkey
         bad.mkdir()
     elif kind == "binary":
         bad.write_bytes(bytes(range(255, 0, -1)) * 16)
+    elif kind == "unreadable":
+        if not Path("/proc/self/mem").exists():
+            pytest.skip("no file is known here that gives an error when it is read")
+        bad.symlink_to("/proc/self/mem")
+    elif kind == "huge":
+        with bad.open("wb") as file:
+            file.truncate(20 << 30)
 
     def waits(*_):
         raise AssertionError(f"{command} waits for {name}")
@@ -122,7 +133,7 @@ def test_every_input(command, name, ending, kind, good, tmp_path, capsys, monkey
     finally:
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
-    if (command, name, kind) == ("batch", "calibrate", "binary"):  # a line for each pair
+    if (command, name) == ("batch", "calibrate") and kind in FAULTS[-3:]:  # a line for each pair
         assert code == 1
     else:
         assert code == 2

@@ -4,7 +4,7 @@ import csv
 import re
 from pathlib import Path
 
-from devices.input_file import input_text
+from devices.input_file import input_text, reading
 from viewer_app.batch.finding import Pair, is_summary
 from viewer_app.errors import UsageError
 
@@ -22,7 +22,8 @@ def read_manifest(path: Path) -> list[Pair]:
             repeated name, the summary's name, or a file that does not exist. The message names the line.
     """
     try:
-        text = input_text(path, "utf-8-sig")
+        with reading(path, UsageError, UsageError, "manifest"):
+            text = input_text(path, "utf-8-sig")
         rows = csv.reader(text.splitlines(), strict=True)
         head = [cell.strip() for cell in next(rows, [])]
         _check_head(path, head)
@@ -38,8 +39,6 @@ def read_manifest(path: Path) -> list[Pair]:
             if pair.name.casefold() in pairs:
                 raise UsageError(f"{where}: the name {pair.name} occurs twice.")
             pairs[pair.name.casefold()] = pair
-    except OSError as error:
-        raise UsageError(f"The manifest {path} cannot be read: {error.strerror or error}.") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise UsageError(f"{path} is not a manifest: {error}.") from None
     if not pairs:

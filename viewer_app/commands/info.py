@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rich.markup import escape
 from rich.table import Table
 
-from devices.input_file import check_recording, open_input
+from devices.input_file import check_recording, open_input, reading
 from devices.recorded.files import has_images, open_images, recorded_at
 from devices.sensor import DeviceError
 from devices.skeletons.border import METRES, ReadFile
@@ -126,7 +126,7 @@ def _read(path: Path, stated: StatedFormat) -> tuple[ReadFile, StatedFormat]:
 
 
 def _begins(path: Path) -> str:
-    with open_input(path) as file:
+    with reading(path, DeviceError, DeviceError), open_input(path) as file:
         return ascii(file.read(60).decode("utf-8", "replace"))
 
 

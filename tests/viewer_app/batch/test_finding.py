@@ -131,7 +131,7 @@ def test_a_wrong_manifest_gives_one_line_and_exit_code_2(text, words, tmp_path, 
     ("arguments", "words"),
     [
         (("nowhere",), "No folder"),
-        (("nowhere.csv",), "nowhere.csv cannot be read"),
+        (("nowhere.csv",), "No manifest"),
         (("empty",), "has no pair of recordings"),
         (("pairs", "--processes", "-1"), "--processes must be 0 or more; got -1."),
         (("pairs", "--method", "paper", "--smooth", "whole"), "--smooth needs --method duplex"),
