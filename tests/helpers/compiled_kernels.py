@@ -1,6 +1,6 @@
 """Compiles the kernels in one process beside those of pytest-xdist, which begin with tests that need none.
 
-A process that does not find a kernel on disk waits for the one that compiles.
+A process that does not find a kernel on disk waits until it is there, or the one that compiles has ended.
 """
 
 import re
@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 _ROOT = Path(__file__).resolve().parents[2]
-_NEEDS_NONE = re.compile(r"tests/(devices|documents)/(?!.*fus)")
+_NEEDS_NONE = re.compile(r"tests/(devices|documents)/(?!.*(fus|commands|architecture))")
 _COMPILING = pytest.StashKey()
 
 
@@ -45,16 +45,19 @@ def pytest_unconfigure(config):
 
 
 def _waiting(load, compiling):
-    """How a kernel is found on disk, or after a process has compiled."""
-    waits = []
+    """How a kernel is found on disk: as soon as the process that compiles has written it, or ends."""
+    running = []
     with suppress(psutil.NoSuchProcess):
-        waits.append(psutil.Process(compiling))
+        running.append(psutil.Process(compiling))
 
     def load_overload(cache, *of):
-        found = load(cache, *of)
-        if found is None and waits and cache._py_func.__module__.startswith("fusion."):
-            waits.pop().wait()
-            found = load(cache, *of)
+        waited = running if cache._py_func.__module__.startswith("fusion.") else []
+        while (found := load(cache, *of)) is None and waited:
+            try:
+                waited[0].wait(0.2)
+            except psutil.TimeoutExpired:
+                continue
+            waited.clear()
         return found
 
     return load_overload
