@@ -5,7 +5,7 @@ import pytest
 from tests.helpers.rig import built_rig
 
 
-@pytest.fixture(params=["standin", pytest.param("rig", marks=pytest.mark.rig)])
+@pytest.fixture(params=[pytest.param(name, marks=getattr(pytest.mark, name)) for name in ("standin", "rig")])
 def rig(request):
     """Where the rig is built; None for the stand-in."""
     return built_rig(request.getfixturevalue("shared")) if request.param == "rig" else None

@@ -6,6 +6,8 @@ machine that does nothing else: ``pytest -n 0 tests/scenarios --figures``.
 
 import json
 import re
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 
 import pytest
 
@@ -15,6 +17,8 @@ from tests.scenarios import program
 from tests.scenarios.table import SCENARIOS
 from viewer_app.flags import in_flags
 
+_AT_ONCE = 3  # on two cores, with two processes of pytest-xdist
+_POOL, _RUNS = ThreadPoolExecutor(_AT_ONCE), {}
 _ENDS = 2  # frames: the first and the last may lack their partner
 _LABEL = r"(?:Kinect )?\w+"
 
@@ -44,12 +48,24 @@ _ELSEWHERE = {
 """Causes that no scenario shows: where they are tested, and why."""
 
 
+@pytest.fixture
+def run(request, rig, tmp_path_factory):
+    """The program in the scenario, which waits for sensors most of the time: the next ones run beside it."""
+    at, on = request.session.items.index(request.node), request.node.callspec.params["rig"]
+    same = (item for item in request.session.items[at:] if item.originalname == request.node.originalname)
+    alike = (item for item in same if item.callspec.params["rig"] == on)
+    for item in islice(alike, 1 if _has_figures(request) else _AT_ONCE):
+        if item not in _RUNS:
+            of = item.callspec.params["scenario"], rig, tmp_path_factory.mktemp("scenario")
+            _RUNS[item] = _POOL.submit(_run, *of)
+    return _RUNS.pop(request.node)
+
+
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=[each.name.replace(" ", "_") for each in SCENARIOS])
-def test_scenario(scenario, rig, tmp_path, request):
+def test_scenario(scenario, run, request):
     if scenario.xfail:
         request.applymarker(pytest.mark.xfail(reason=scenario.xfail, strict=True))
-    done = _run(scenario, rig, tmp_path)
-    figures = bool(request.config.getoption("--figures", default=False))
+    done, figures = run.result(), _has_figures(request)
     wrong = _wrong_words(scenario, done, perhaps=set() if figures else _SLOW_MACHINE)
     if figures:
         wrong += _wrong_figures(scenario, done)
@@ -60,6 +76,10 @@ def test_every_cause_is_shown_by_a_scenario_or_tested_elsewhere():
     shown = {cause for scenario in SCENARIOS for cause in scenario.causes}
     assert shown | set(_ELSEWHERE) == set(Cause)
     assert not shown & set(_ELSEWHERE)
+
+
+def _has_figures(request):
+    return bool(request.config.getoption("--figures", default=False))
 
 
 def _run(scenario, rig, folder):
