@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import threading
 from pathlib import Path
 from uuid import uuid4
@@ -19,6 +20,13 @@ settings.register_profile("duplex", derandomize=True, max_examples=10, **_OF_ALL
 settings.load_profile("duplex")
 # "make laws": other examples in each run
 settings.register_profile("laws", max_examples=200, print_blob=True, **_OF_ALL)
+
+# What a desk or a terminal sets: a test that wants it sets it, and nothing opens on a developer's screen.
+_OF_A_DESK = (
+    "DISPLAY WAYLAND_DISPLAY XAUTHORITY COLUMNS LINES NO_COLOR FORCE_COLOR TTY_COMPATIBLE TTY_INTERACTIVE"
+)
+for _name in _OF_A_DESK.split():
+    os.environ.pop(_name, None)
 
 # A shell without job control starts background jobs with SIGINT ignored, and child processes inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -41,6 +49,20 @@ pytest_plugins = (
 def earlier_threads():
     """The threads that run before the test, this one among them; libraries that other tests use keep some."""
     return set(threading.enumerate())
+
+
+@pytest.fixture
+def closed_port():
+    """A TCP port of this machine that refuses connections: it is bound, and nobody listens."""
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        yield bound.getsockname()[1]
+
+
+@pytest.fixture
+def closed_display(closed_port):
+    """The name of an X display of which no server answers."""
+    return f"127.0.0.1:{closed_port - 6000}"
 
 
 @pytest.fixture

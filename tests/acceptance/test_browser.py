@@ -6,7 +6,7 @@ import pytest
 
 from tests.acceptance.conftest import copied
 from tests.helpers.pictures import shows_skeletons
-from tests.helpers.programs import NO_DISPLAY, typed
+from tests.helpers.programs import typed
 from tests.helpers.screens import browser, shown_in
 from tests.helpers.waiting import eventually
 
@@ -52,7 +52,7 @@ def page_shows(tab, seen):
 
 
 def test_the_running_demonstration_is_shown_to_a_browser_that_comes_later(page_shows, tmp_path, home):
-    with typed("duplex demo --web --depth none", tmp_path, **home, **NO_DISPLAY) as demonstration:
+    with typed("duplex demo --web --depth none", tmp_path, **home) as demonstration:
         page_shows(demonstration)
         assert demonstration.end() == 0, demonstration.said
     assert "Verdict" in demonstration.said
@@ -69,7 +69,7 @@ def fused(tmp_path_factory, walk, home):
 
 
 def test_a_saved_session_is_shown(page_shows, fused, home):
-    with typed("duplex review s.rrd --web", fused, **home, **NO_DISPLAY) as review:
+    with typed("duplex review s.rrd --web", fused, **home) as review:
         page_shows(review)
         assert review.end() == 0, review.said
 

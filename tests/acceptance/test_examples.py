@@ -16,7 +16,7 @@ from tests.acceptance.conftest import copied
 from tests.helpers.machine import need_networks
 from tests.helpers.network import free_address
 from tests.helpers.notebooks import code_cells, read_notebook, run_cells
-from tests.helpers.programs import NO_DISPLAY, ROOT, typed
+from tests.helpers.programs import ROOT, typed
 
 EXAMPLES = ROOT / "examples"
 NOTEBOOK = EXAMPLES / "session_in_a_notebook.ipynb"
@@ -72,7 +72,7 @@ def test_a_session_is_read_in_a_notebook(tmp_path, monkeypatch, home):
     assert len(commands) == 2
     for command in commands:
         one_second = re.sub(r"--seconds 10\b", "--seconds 1", command)  # is enough
-        with typed(one_second, tmp_path, **home, **NO_DISPLAY) as program:
+        with typed(one_second, tmp_path, **home) as program:
             assert program.code() == 0, program.said
     outputs = run_cells(notebook)
     assert "the views differ by 0.0" in outputs[0].printed

@@ -7,7 +7,7 @@ from recordings.errors import RecordingError
 from tests.helpers.freenect import fakenect_file
 from tests.helpers.machine import need_networks
 from tests.helpers.plugged_in import SERIALS, dump_freenects, record_realsenses
-from tests.helpers.programs import NO_DISPLAY, ROOT, typed
+from tests.helpers.programs import ROOT, typed
 from tests.helpers.waiting import eventually
 
 _SECONDS = 12
@@ -32,7 +32,7 @@ def captured_and_reviewed(library, tmp_path, home):
     saved = tmp_path / "s.rrd"
     line = f"python -m tests.helpers.plugged_in {library} {tmp_path} live --save {saved}"
     line += f" --principal {SERIALS[1]}"
-    with typed(line, ROOT, **home, **NO_DISPLAY, PYTHONPATH=str(ROOT)) as live:
+    with typed(line, ROOT, **home, PYTHONPATH=str(ROOT)) as live:
         assert live.says("Running"), live.said
         assert eventually(lambda: frames_with_a_person(saved) >= _FRAMES, 300.0, every=0.5), live.said
         assert live.end() == 0, live.said
@@ -40,7 +40,7 @@ def captured_and_reviewed(library, tmp_path, home):
     session = Session.open(saved)
     assert session.sources == (SERIALS[1], SERIALS[0])
     assert len(session) >= _FRAMES
-    with typed(f"duplex review {saved}", tmp_path, **home, **NO_DISPLAY) as review:
+    with typed(f"duplex review {saved}", tmp_path, **home) as review:
         assert review.code() == 0, review.said
     assert "Verdict" in review.said
 

@@ -10,7 +10,7 @@ from recordings.data import layout
 from tests.acceptance.conftest import copied
 from tests.helpers.displays import SIZE
 from tests.helpers.pictures import pixels_near, shows_body, shows_skeletons
-from tests.helpers.programs import NO_DISPLAY, ROOT, typed
+from tests.helpers.programs import ROOT, typed
 from tests.helpers.screens import wayland_screen
 from tests.helpers.waiting import eventually
 from viewer_app.viewer.blueprint import SCENE
@@ -92,7 +92,7 @@ def test_a_bad_set_up_is_told_while_the_sensors_are_placed(screen, seen, tmp_pat
 def session(tmp_path_factory, walk, home):
     """The real walk, fused without a screen."""
     folder = copied(walk, tmp_path_factory.mktemp("fused"))
-    with typed("duplex fuse a.csv b.csv --save s.rrd", folder, **home, **NO_DISPLAY) as fused:
+    with typed("duplex fuse a.csv b.csv --save s.rrd", folder, **home) as fused:
         assert fused.code() == 0, fused.said
     return folder / "s.rrd"
 

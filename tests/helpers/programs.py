@@ -13,8 +13,6 @@ from tests.helpers.waiting import eventually
 ROOT = Path(__file__).resolve().parents[2]
 _DUPLEX = (sys.executable, "-u", "-m", "viewer_app.cli")
 _SHELL = ("bash", "-ec")
-NO_DISPLAY = {"DISPLAY": None, "WAYLAND_DISPLAY": None}
-"""The environment of a machine without a screen; None: the variable is not set."""
 
 
 def python(*arguments, cwd=ROOT, timeout=600.0, **environment):

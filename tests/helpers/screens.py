@@ -16,7 +16,6 @@ from rerun.experimental import ViewerClient
 
 from tests.helpers.displays import SIZE, titles, wayland_compositor, x_server
 from tests.helpers.machine import need_browser, need_viewer
-from tests.helpers.programs import NO_DISPLAY
 from viewer_app.addresses import LOOPBACK
 
 
@@ -33,8 +32,7 @@ class Screen:
         self.titles, self.photograph = titles, photograph
         # Rerun keeps what a user changed in the viewer in a folder of its own.
         self._state = tempfile.TemporaryDirectory()
-        self.environment = {**NO_DISPLAY, **environment}
-        self.environment["XDG_DATA_HOME"] = self._state.name
+        self.environment = {**environment, "XDG_DATA_HOME": self._state.name}
 
     def windows(self):
         """The viewers on this screen."""

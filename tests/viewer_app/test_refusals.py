@@ -42,8 +42,6 @@ def folder(tmp_path, monkeypatch):
     for name in ("taken.rrd", "taken.bvh"):
         (tmp_path / name).touch()
     monkeypatch.chdir(tmp_path)
-    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(variable, raising=False)
     return tmp_path
 
 

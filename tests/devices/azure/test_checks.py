@@ -32,7 +32,6 @@ def _by_name(checks):
 def test_a_bare_machine_needs_everything_and_every_failure_has_advice(monkeypatch, tmp_path):
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr(shutil, "which", lambda _: None)
-    monkeypatch.delenv("DISPLAY", raising=False)
     checks = device_checks(
         choose_tracker("k4abt", TrackerSettings(library=tmp_path / "libk4abt.so")), tmp_path
     )
@@ -213,7 +212,6 @@ def test_firmware_that_is_too_old_for_a_subordinate_is_reported(bus, monkeypatch
 
 def test_orbbecs_software_and_our_tracker_are_enough(orbbecs, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pyk4a", None)
-    monkeypatch.delenv("DISPLAY", raising=False)
     orbbecs.devices = [Orbbec("CL8H741005K"), Orbbec.gemini("AY8T43E0031", firmware="1.4.60")]
     for number, device in enumerate(orbbecs.devices):
         plug_in(tmp_path, device.serial, "066b", number=number, vendor="2bc5")

@@ -323,7 +323,7 @@ def test_a_local_cluster_fuses_what_duplex_fuse_fuses(tmp_path, local_cluster):
     assert_same_session(out / "p1" / "p1.rrd", alone)
 
 
-def test_a_bad_pair_and_a_wrong_address(tmp_path, local_cluster, capsys, monkeypatch):
+def test_a_bad_pair_and_a_wrong_address(tmp_path, local_cluster, closed_port, capsys, monkeypatch):
     pairs, out = tmp_path / "pairs", tmp_path / "out"
     write_pair(pairs / "good")
     write_pair(pairs / "bad")
@@ -332,7 +332,8 @@ def test_a_bad_pair_and_a_wrong_address(tmp_path, local_cluster, capsys, monkeyp
     assert states(out) == ["failed", "fused"]
     assert "bad: " in capsys.readouterr().out
     monkeypatch.setattr(cluster, "_CONNECT_WITHIN", 0.5)
-    assert duplex("batch", pairs, "--out", tmp_path / "o", "--scheduler", "tcp://127.0.0.1:9") == 2
+    nowhere = f"tcp://127.0.0.1:{closed_port}"
+    assert duplex("batch", pairs, "--out", tmp_path / "o", "--scheduler", nowhere) == 2
     assert "no Dask scheduler answers there" in one_line(capsys)
 
 

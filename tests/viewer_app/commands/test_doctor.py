@@ -104,8 +104,10 @@ def test_the_doctor_of_a_bare_machine_fails(tmp_path, capsys):
     assert sum(line.startswith("✗") for line in said) == 4, "one library is enough: none of them is a fault"
 
 
-def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch, tmp_path, capsys):
-    monkeypatch.setenv("DISPLAY", ":77")
+def test_the_doctor_says_0_where_live_starts(
+    kinects, live, standin, closed_display, monkeypatch, tmp_path, capsys
+):
+    monkeypatch.setenv("DISPLAY", closed_display)
     furnish(tmp_path)
     for number, device in enumerate(kinects.devices):
         plug_in(tmp_path, device.serial, number=number)
@@ -117,7 +119,7 @@ def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch
         monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")  # windows use Wayland; the depth engine uses X
         assert duplex("doctor", "--k4abt", standin.path) == 1
         assert "cannot start. Missing: depth engine.\n" in capsys.readouterr().out
-    monkeypatch.setattr(display, "_asks_x", lambda name: name == ":77")
+    monkeypatch.setattr(display, "_asks_x", lambda name: name == closed_display)
     assert duplex("doctor", "--k4abt", standin.path) == 0
     said = capsys.readouterr().out
     assert "✓ two sensors: 2 connected, 2 usable" in said
@@ -139,7 +141,6 @@ def test_the_doctor_says_0_where_live_starts(kinects, live, standin, monkeypatch
 def test_a_display_that_answers_is_a_tick_for_the_window_and_for_the_depth_engine(
     monkeypatch, tmp_path, capsys
 ):
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with x_server() as name:
         monkeypatch.setenv("DISPLAY", name)
         duplex("doctor", "--k4abt", tmp_path / "none.so")

@@ -78,8 +78,7 @@ def test_a_command_imports_the_large_packages_that_it_uses(command, imported, se
     assert modules & LARGE == imported
 
 
-def test_no_line_is_wrapped_where_no_terminal_reads_it(session, tmp_path, capsys, monkeypatch):
-    monkeypatch.delenv("COLUMNS", raising=False)
+def test_no_line_is_wrapped_where_no_terminal_reads_it(session, tmp_path, capsys):
     path = tmp_path / f"{'long' * 40}.rrd"
     assert duplex("trim", session, "--to", 1, "--save", path) == 0
     assert duplex("info", path) == 0

@@ -19,8 +19,6 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="X and Wayland a
 @pytest.fixture(autouse=True)
 def environment(monkeypatch, tmp_path):
     """An environment without a display."""
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "XAUTHORITY"):
-        monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
     (tmp_path / "run").mkdir()

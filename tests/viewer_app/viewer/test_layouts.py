@@ -360,7 +360,6 @@ def test_words_in_the_scene_have_a_contrast_on_either_theme(theme, tmp_path, mon
     options = f'{{"rerun.version": "{rr.__version__}", "egui": "(options:(theme_preference:{theme}))"}}'
     (tmp_path / "rerun" / "app.ron").write_text(options)
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     scene = rrb.Spatial3DView(line_grid=False, eye_controls=rrb.EyeControls3D(position=(0, 0, -3)))
     found = []
     with x_server() as display:

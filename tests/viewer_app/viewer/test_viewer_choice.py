@@ -217,16 +217,16 @@ def test_contradicting_options_give_one_line(options, words, monkeypatch):
         choose_viewing(ViewerOptions(**options), None, live=True)
 
 
-def test_a_session_that_is_saved_goes_on_without_a_window(monkeypatch, tmp_path):
-    monkeypatch.setenv("DISPLAY", ":48731")
+def test_a_session_that_is_saved_goes_on_without_a_window(closed_display, monkeypatch, tmp_path):
+    monkeypatch.setenv("DISPLAY", closed_display)
 
     def chosen(save):
         return choose_viewing(ViewerOptions(), save, live=True)
 
     viewing = chosen(tmp_path)
     assert isinstance(viewing, NoViewer)
-    assert ":48731" in viewing.why_not
-    with pytest.raises(UsageError, match=r":48731 .* does not answer.* --save FILE.rrd"):
+    assert closed_display in viewing.why_not
+    with pytest.raises(UsageError, match=rf"{closed_display} .* does not answer.* --save FILE.rrd"):
         chosen(None)
 
 
@@ -460,10 +460,9 @@ def test_nothing_survives_sigterm_while_a_page_is_served(tmp_path):
     temporary.mkdir()
     write_pair(tmp_path)
     files = (tmp_path / "a.csv", tmp_path / "b.csv")
-    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     command = [sys.executable, "-m", "viewer_app.cli", "fuse", *map(str, files), "--offset", "0", "--web"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-    environment["TMPDIR"] = str(temporary)
+    environment = {**os.environ, "TMPDIR": str(temporary)}
     with subprocess.Popen(command, **pipes, cwd=ROOT, env=environment) as program:
         try:
             assert any(b"stays until Ctrl-C" in line for line in program.stdout)

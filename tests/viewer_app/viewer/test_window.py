@@ -23,7 +23,6 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="X is a display 
 def screen(monkeypatch):
     """A real X server, as the display of this process."""
     need_viewer()
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with x_server() as name:
         monkeypatch.setenv("DISPLAY", name)
         yield name

@@ -223,8 +223,6 @@ def test_sentences_of_live(tmp_path, monkeypatch, capsys):
     """Before any sensor opens."""
     monkeypatch.setattr(SensorThread, "open", lambda _: pytest.fail("it opens"))
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken.rrd").touch()
     check_sentences("live", refusals(capsys, tmp_path))
