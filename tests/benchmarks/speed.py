@@ -1,10 +1,12 @@
 """Time per frame of the method, and of the commands around it: ``python -m tests.benchmarks.speed``.
 
 The figures are written to ``results/speed.json``. Times of the method are processor time of one thread, in
-which other processes do not count.
+which other processes do not count. With ``--start``, only what commands cost whose kernels are on disk is
+measured, on any machine, and is written to ``results/start.json``.
 """
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
@@ -35,7 +37,8 @@ from tests.helpers.solvers import PaperSolver
 FRAME_NS = 33_333_333
 FRAMES_PER_MINUTE = 1800
 SHORT, LONG = 600, 6600
-"""Pairs of two recordings whose difference separates the cost of a pair from the start-up."""
+"""Pairs of two recordings whose difference is the cost of their pairs without the start-up."""
+IMPORTS = "import numpy, scipy.linalg, numba, rerun"
 
 
 def simulated_walk(body, seconds=20.0):
@@ -119,11 +122,7 @@ def time_commands(body, pairs):
         folder = Path(name)
         session = folder / "session.rrd"
         for count in (10, SHORT, LONG):  # the first fills the caches
-            files = []
-            for side in "ab":
-                positions = np.array([getattr(pair, side).positions for pair in many[:count]], np.float64)
-                positions += rng.normal(0.0, 1e-3, positions.shape)
-                files.append(str(write_view(folder / f"{side}.csv", body, positions)))
+            files = _written(folder, body, many[:count], rng)
             fusing.append(
                 _seconds_of(["fuse", *files, "--save", str(session), "--no-viewer", "--force",
                              "--calibrate", "seconds:3"])
@@ -140,8 +139,46 @@ def time_commands(body, pairs):
         "replay_pairs_per_s": (LONG - SHORT) / (replaying[2] - replaying[1]),
         "open_hour_s": opening / LONG * FRAMES_PER_MINUTE * 60,
         "file_mb_per_minute": (sizes[2] - sizes[1]) / (LONG - SHORT) * FRAMES_PER_MINUTE * 1e-6,
-        "help_s": min(_seconds_of(["--help"]) for _ in range(5)),
     }
+
+
+def _written(folder, body, pairs, rng):
+    """Writes both views of a recording, with 1 mm of noise; returns their names."""
+    files = []
+    for side in "ab":
+        positions = np.array([getattr(pair, side).positions for pair in pairs], np.float64)
+        positions += rng.normal(0.0, 1e-3, positions.shape)
+        files.append(str(write_view(folder / f"{side}.csv", body, positions)))
+    return files
+
+
+def cost_of_commands(body, rounds=5):
+    """Processor seconds of whole commands on 28 s, and over those of importing what fusion needs, in turn."""
+    known = [pair for pair in simulated_walk(body, 28.0) if pair.a is not None and pair.b is not None]
+    with tempfile.TemporaryDirectory(prefix="duplex-benchmark-") as name:
+        folder = Path(name)
+        session = str(folder / "session.rrd")
+        fuse = ["fuse", *_written(folder, body, known, np.random.default_rng(0)), "--no-viewer", "--force"]
+        commands = {
+            IMPORTS: ["-c", IMPORTS],
+            "fuse --save": [*fuse, "--save", session],
+            "export .csv": ["export", session, "--to", str(folder / "s.csv"), "--force"],
+            "export .bvh": ["export", session, "--to", str(folder / "s.bvh"), "--force"],
+            "trim": ["trim", session, "--to", "20", "--save", str(folder / "part.rrd"), "--force"],
+            "review --html": ["review", session, "--html", str(folder / "s.html"), "--force", "--no-viewer"],
+            "info": ["info", session],
+            "--help": ["--help"],
+        }
+        took = {name: [] for name in commands}
+        for _ in range(1 + rounds):  # the first fills the caches
+            for name, arguments in commands.items():
+                before = os.times()
+                program = [] if name == IMPORTS else ["-m", "viewer_app.cli"]
+                subprocess.run([sys.executable, *program, *arguments], check=True, capture_output=True)
+                after = os.times()
+                took[name].append(sum(after[2:4]) - sum(before[2:4]))
+    median = {name: float(np.median(each[1:])) for name, each in took.items()}
+    return {name: {"cpu_s": cpu_s, "of_imports": cpu_s / median[IMPORTS]} for name, cpu_s in median.items()}
 
 
 def _seconds_of(arguments):
@@ -153,7 +190,10 @@ def _seconds_of(arguments):
 def main(arguments=None):
     """Times the method and the commands."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.parse_args(arguments)
+    parser.add_argument("--start", action="store_true", help="only the processor time of commands")
+    if parser.parse_args(arguments).start:
+        results.write("start", cost_of_commands(KINECT_V2))
+        return
     figures = {"update": {}, "solver": {}}
     methods = ("duplex", "paper")
     for body in BODIES.values():
