@@ -98,9 +98,11 @@ def with_lengths(
 
 
 @inner_kernel
-def _offset(near, x, y, before, length, deviation):  # type: ignore[no-untyped-def]
-    """The most probable change of the depth of a bone's far end on the ray (x, y), metres."""
-    cost = np.empty(2 * _REACH + 1)
+def _offset(near, x, y, before, length, deviation, cost):  # type: ignore[no-untyped-def]
+    """The most probable change of the depth of a bone's far end on the ray (x, y), metres.
+
+    ``cost`` is scratch.
+    """
     least, lowest = _REACH, np.inf
     for k in range(2 * _REACH + 1):
         offset = _STEP * (k - _REACH)
@@ -120,13 +122,14 @@ def _offset(near, x, y, before, length, deviation):  # type: ignore[no-untyped-d
 @kernel
 def _move_ends(points, seen, rays, lengths):  # type: ignore[no-untyped-def]
     """Changes points and seen in place; see :func:`with_lengths`."""
+    cost = np.empty(2 * _REACH + 1)
     for b in range(len(lengths)):
         if not np.isfinite(lengths[b]):
             continue
         near, far = LONG_BONES[b]
         x, y, before = rays[far, 0], rays[far, 1], points[far, 2]
         deviation = _SEEN_M if seen[far] else _HIDDEN_M
-        offset = _offset(points[near], x, y, before, lengths[b], deviation)
+        offset = _offset(points[near], x, y, before, lengths[b], deviation, cost)
         contradicted = b < _ARMS and seen[far] and abs(offset) > _CONTRADICTED
         if contradicted:
             seen[far] = False

@@ -86,7 +86,7 @@ def tracks_of(people: RecordedPeople) -> Index:
 
 
 class _Held:
-    """The bodies that go on: place, time, number, whether it is in doubt, and the count of all numbers."""
+    """The bodies that go on: place, time, number, whether it is in doubt, the count of numbers; scratch."""
 
     def __init__(self, joints: int) -> None:
         self.arrays = (
@@ -95,6 +95,8 @@ class _Held:
             np.full(_SLOTS, -1, dtype=np.int64),
             np.zeros(_SLOTS, dtype=np.bool_),
             np.zeros(1, dtype=np.int64),
+            np.empty((2, _SLOTS), dtype=np.int64),
+            np.empty((_SLOTS, _SLOTS)),
         )
 
 
@@ -141,7 +143,7 @@ def warm_up() -> None:
 
 @kernel
 def _number_all(  # type: ignore[no-untyped-def]
-    frame, time_ns, positions, mirror, hold_ns, held, held_ns, number, unsure, total, track
+    frame, time_ns, positions, mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track
 ):
     doubtful = np.zeros(_SLOTS, dtype=np.bool_)
     first = 0
@@ -152,20 +154,24 @@ def _number_all(  # type: ignore[no-untyped-def]
         now = time_ns[frame[first]]
         here = slice(first, min(end, first + _SLOTS))
         _number(
-            now, positions[here], mirror, hold_ns, held, held_ns, number, unsure, total, track[here], doubtful
-        )
+            now, positions[here], mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost,
+            track[here], doubtful,
+        )  # fmt: skip
         first = end
 
 
 @kernel
 def _number_next(  # type: ignore[no-untyped-def]
     now, positions, mirror, torso, hold_ns, rotation, translation, held, held_ns, number, unsure, total,
-    track, doubtful, middle,
+    pairing, cost, track, doubtful, middle,
 ):  # fmt: skip
     for r in range(len(track)):
         track[r], doubtful[r] = -1, True
     here = slice(0, min(len(track), _SLOTS))
-    _number(now, positions[here], mirror, hold_ns, held, held_ns, number, unsure, total, track, doubtful)
+    _number(
+        now, positions[here], mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track,
+        doubtful,
+    )  # fmt: skip
     at = np.empty(3)
     for r in range(len(track)):
         _middle(positions[r], torso, at)
@@ -201,14 +207,15 @@ def _middle(joints, torso, middle):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _number(  # type: ignore[no-untyped-def]
-    now, positions, mirror, hold_ns, held, held_ns, number, unsure, total, track, doubtful
+    now, positions, mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track, doubtful
 ):
     """Numbers the bodies of the next frame, at most as many as there are slots."""
     here = len(positions)
-    slot_of = np.full(_SLOTS, -1, dtype=np.int64)
-    owner = np.full(_SLOTS, -1, dtype=np.int64)
-    cost = np.full((_SLOTS, _SLOTS), np.inf)
+    slot_of, owner = pairing[0], pairing[1]
     for s in range(_SLOTS):
+        slot_of[s] = owner[s] = -1
+        for r in range(_SLOTS):
+            cost[r, s] = np.inf
         waited = now - held_ns[s]
         if waited > hold_ns or waited < 0:
             number[s] = -1

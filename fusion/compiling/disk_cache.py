@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import types
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
 
@@ -23,8 +24,13 @@ _NumbasCache: Any = FunctionCache
 
 
 def dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    """numba's dispatcher of a function, with the cache of this module."""
+    """numba's dispatcher of a function, with the cache of this module.
+
+    It has no types of its own for constant integers, for each of which numba would compile it again.
+    """
     compiled: Any = numba.njit(**options)(function)
+    template = compiled.get_call_template
+    compiled.get_call_template = lambda args, kws: template(tuple(map(types.unliteral, args)), kws)
     if _prepare_disk(function.__module__.partition(".")[0]):
         with suppress(RuntimeError):  # no folder for this one
             compiled._cache = _ForgivingCache(function)

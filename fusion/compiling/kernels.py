@@ -23,7 +23,7 @@ from typing import Any
 
 _Kernel = Callable[..., Any]
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
-_INNER_OPTIONS = {**_OPTIONS, "no_cpython_wrapper": True}
+_INNER_OPTIONS = {**_OPTIONS, "no_cpython_wrapper": True, "_nrt": False}
 
 
 class LazyKernel:
@@ -63,7 +63,10 @@ def kernel(function: _Kernel) -> _Kernel:
 
 
 def inner_kernel(function: _Kernel) -> _Kernel:
-    """Compiles a function that only kernels call."""
+    """Compiles a function that only kernels call, that makes no array, and that returns none.
+
+    numba counts no references in it, and would not notice an array in a tuple that it returns.
+    """
     return LazyKernel(function, _INNER_OPTIONS)
 
 

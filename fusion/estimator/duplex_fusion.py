@@ -9,11 +9,12 @@ from numba import typeof
 
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration, nominal_calibration
+from fusion.compiling.references import by_reference
 from fusion.estimator.arrays import Filter, LastSkeletons, Model, Output, Solve, State, Views, new_model
 from fusion.estimator.bones import enforce_hinges, joint_covariances, solve_bones
 from fusion.estimator.constants import Constants
 from fusion.estimator.covariance import find_covers
-from fusion.estimator.estimator import boxed, estimate_pairs
+from fusion.estimator.estimator import estimate_pairs
 from fusion.estimator.kalman import start_joints, update_common_error
 from fusion.estimator.measurements.displacement import remove_displacements
 from fusion.estimator.measurements.evidence import measure_surface
@@ -59,8 +60,8 @@ class DuplexFusion:
             solve=new_arrays(Solve, J=joints),
         )
         self._setup = setup
-        self._no_trace = new_arrays(Trace, T=0, J=joints)
-        self._box: Any = None  # until it is needed: the first one is compiled beside the steps
+        self._no_trace = by_reference(new_arrays(Trace, T=0, J=joints))
+        self._reference = by_reference(self._filter)
 
     def compile(self, pairs: PairArrays) -> None:
         """Compiles everything, for arrays like these; finds what another process has compiled."""
@@ -78,7 +79,7 @@ class DuplexFusion:
         before, of = self._setup.calibration.a_from_b, self._filter
         reported, states = of.last.positions[1].astype(np.float64), of.last.states[1]
         last, unused = np.empty_like(reported), np.empty_like(states)
-        exchange(of.facing_model, reported, states, of.views.codes[1], last, unused)
+        exchange(by_reference(of.facing_model), reported, states, of.views.codes[1], last, unused)
         moved = setup.calibration.a_from_b.apply(last) - before.apply(last)
         seen = np.isfinite(moved).all(axis=1)
         own, of_b = of.state.displacements.copy()
@@ -95,7 +96,7 @@ class DuplexFusion:
         of.state.lag[seen] += share[seen, None] * moved[seen] + (1.0 - share[seen, None]) * own
         of.state.recalibrated[0] = 0.0
         self._setup, self._filter = setup, self._filter._replace(model=self._model_of(setup))
-        self._box = None
+        self._reference = by_reference(self._filter)
 
     def _model_of(self, setup: FusionSetup) -> Model:
         calibration = setup.calibration
@@ -117,14 +118,10 @@ class DuplexFusion:
         """
         frames, joints = pairs.a.shape[:2]
         output = new_arrays(Output, T=frames, J=joints)
-        if not smooth:
-            if self._box is None:
-                self._box = boxed(self._filter, self._no_trace)
-            estimate_pairs(self._box, pairs, output)
-        else:
-            trace = new_arrays(Trace, T=frames, J=joints)
-            estimate_pairs(boxed(self._filter, trace), pairs, output)
-            smooth_pairs(self._filter.model, self._filter.solve, trace, output)
+        trace = by_reference(new_arrays(Trace, T=frames, J=joints)) if smooth else self._no_trace
+        estimate_pairs(self._reference, trace, pairs, output)
+        if smooth:
+            smooth_pairs(self._reference, trace, output)
         return FusedFrames(output, self._setup.calibration.a_from_b, pairs.time_ns)
 
 
@@ -140,13 +137,14 @@ def _registration_variances(calibration: Calibration) -> tuple[float, float]:
 
 
 def compile_steps() -> None:
-    """Compiles large steps of :func:`fusion.estimator.estimator.estimate_pair`; all bodies have their types.
+    """Compiles large steps of :func:`fusion.estimator.estimator.estimate_pairs`; all bodies have their types.
 
     The first one is needed early; the others are in reverse order, because the process that compiles
     everything begins with the first.
     """
     fusion = DuplexFusion(FusionSetup(nominal_calibration(KINECT_V2)))
-    (model, facing_model, state, _, facing, views, solve), k, dt = fusion._filter, 0, 0.0
+    model, facing_model, state, _, facing, views, solve = map(by_reference, fusion._filter)
+    k, dt = 0, 0.0
     output, labels = new_arrays(Output, T=1, J=len(KINECT_V2)), Labels.unknown(1)
     steps: list[tuple[Any, ...]] = [
         (relabel, model, facing_model, facing, views, labels, k, dt),

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-from numba.typed import List
-
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.estimator.bones import (
     add_registration_error,
@@ -48,101 +46,88 @@ _LEAST_TRUST = 0.01  # a joint with less trust counts as predicted
 
 
 @kernel
-def boxed(filter, trace):  # type: ignore[no-untyped-def]
-    """Both as the only item of a list of numba's, which a kernel takes ten times as fast as their arrays."""
-    box = List()
-    box.append((filter, trace))
-    return box
-
-
-@kernel
-def estimate_pairs(box, pairs, output):  # type: ignore[no-untyped-def]
-    """:func:`estimate_pair` over consecutive pairs.
+def estimate_pairs(filter, trace, pairs, output):  # type: ignore[no-untyped-def]
+    """Computes S* of consecutive pairs; each step is one line.
 
     Args:
-        box: A :class:`fusion.estimator.arrays.Filter`, whose states are updated, and the input of the
-            smoother (:mod:`fusion.estimator.smoother`), which is written, of length 0 without one; see
-            :func:`boxed`.
+        filter: A :class:`fusion.estimator.arrays.Filter`, whose states are updated.
+        trace: The input of the smoother (:mod:`fusion.estimator.smoother`), which is written; of length 0
+            without one.
         pairs: T pairs, :class:`fusion.pair_arrays.PairArrays`.
         output: Written, T pairs.
     """
-    filter, trace = box[0]
-    for k in range(len(pairs.time_ns)):
-        estimate_pair(filter, pairs, output, trace, k)
-
-
-@inner_kernel
-def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-def]
-    """Computes S* of pair k into row k of the output."""
     model, state, views, solve = filter.model, filter.state, filter.views, filter.solve
-    dt, anew = elapsed(state, pairs.time_ns[k])
-    if anew:
-        forget(model, state, filter.facing)
-    # transform both views to K_A's frame
-    transform_views(model, filter.last, views, pairs, k)
-    output.stale_a[k], output.stale_b[k] = views.stale[0], views.stale[1]
-    if not anyone_seen(pairs, k):
-        write_empty_row(output, k)
-        return
-    # find the heading, and correct exchanged left and right
-    relabel(model, filter.facing_model, filter.facing, views, pairs.labels, k, dt)
-    # evidence of the depth images about each joint
-    depth_evidence(model, filter.facing_model, views, pairs, k)
-    # remove each view's own scale
-    remove_scales(model, state, views, dt)
-    # evidence of the bones' lengths within each view
-    length_evidence(model, state, views)
-    # evidence of joints that lie on the other limb
-    other_limb_evidence(model, views)
-    # shoulders and hips towards the heading
-    if model.constants.heading:
-        turn_girdles(filter.facing_model, filter.facing.memory.frame_up, model.translations, views)
-    # predict positions, velocities and variances
-    predict(model, state, views, trace, k, dt)
-    # the displacement of a view's whole skeleton
-    remove_displacements(model, state, views, dt)
-    # covariance of each measurement
-    set_rays(model, views)
-    find_covers(model, views)
-    set_covariances(model, state, views)
-    # the surface in the depth image as a measurement
-    measure_surface(model, views, solve)
-    # decay of each view's offsets
-    decay_offsets(model, state, views, dt)
-    drop_wrong_offsets(model, state, views, trace, k)
-    # a joint that is predicted on the other limb
-    inflate_on_other_limb(model, state, views, trace, k)
-    # probability that a measurement is an outlier
-    outlier_probabilities(model, state, views, dt)
-    # the prediction is wrong: both views agree on a movement, or S* is where no view sees the person
-    inflate_on_surprise(model, state, views, trace, k, dt)
-    inflate_where_astray(model, state, views, trace, k, dt)
-    # Kalman update with both views
-    kalman_update(model, state, views)
-    # divide the remaining difference of the views between their offsets
-    update_offsets(model, state, views, solve)
-    update_usual_offsets(model, state, views, dt)
-    update_common_error(model, state, views, solve, dt)
-    # start joints that are seen for the first time
-    start_joints(model, state, views, solve)
-    store_outlier_state(model, state, views, dt)
-    update_followed_views(state, views, dt)
-    # knees and elbows bend in one direction only
-    enforce_hinges(model, state, views)
-    # the best skeleton with exact bone lengths
-    set_solver_targets(model, state, solve)
-    output.iterations[k] = solve_bones(model, state, solve)
-    # set the filter's state to it
-    correct_state(model, state, solve)
-    trace_result(model, state, trace, k)
-    state.last_time[0], state.last_time[1] = pairs.time_ns[k], 1
-    # covariance of S*
-    joint_covariances(model, solve, output.covariance[k], output.sigma[k])
-    add_lag(state, output.covariance[k], output.sigma[k])
-    add_displacements(model, state, output.covariance[k], output.sigma[k])
-    write_row(state, views, solve, output, k)
-    add_other_place(state, views, output.positions[k], output.covariance[k], output.sigma[k])
-    add_registration_error(model, output.positions[k], state.from_b, output.covariance[k], output.sigma[k])
+    for k in range(len(pairs.time_ns)):
+        dt, anew = elapsed(state, pairs.time_ns[k])
+        if anew:
+            forget(model, state, filter.facing)
+        # transform both views to K_A's frame
+        transform_views(model, filter.last, views, pairs, k)
+        output.stale_a[k], output.stale_b[k] = views.stale[0], views.stale[1]
+        if not anyone_seen(pairs, k):
+            write_empty_row(output, k)
+            continue
+        # find the heading, and correct exchanged left and right
+        relabel(model, filter.facing_model, filter.facing, views, pairs.labels, k, dt)
+        # evidence of the depth images about each joint
+        depth_evidence(model, filter.facing_model, views, pairs, k)
+        # remove each view's own scale
+        remove_scales(model, state, views, dt)
+        # evidence of the bones' lengths within each view
+        length_evidence(model, state, views)
+        # evidence of joints that lie on the other limb
+        other_limb_evidence(model, views)
+        # shoulders and hips towards the heading
+        if model.constants.heading:
+            turn_girdles(filter.facing_model, filter.facing.memory.frame_up, model.translations, views)
+        # predict positions, velocities and variances
+        predict(model, state, views, trace, k, dt)
+        # the displacement of a view's whole skeleton
+        remove_displacements(model, state, views, dt)
+        # covariance of each measurement
+        set_rays(model, views)
+        find_covers(model, views)
+        set_covariances(model, state, views)
+        # the surface in the depth image as a measurement
+        measure_surface(model, views, solve)
+        # decay of each view's offsets
+        decay_offsets(model, state, views, dt)
+        drop_wrong_offsets(model, state, views, trace, k)
+        # a joint that is predicted on the other limb
+        inflate_on_other_limb(model, state, views, trace, k)
+        # probability that a measurement is an outlier
+        outlier_probabilities(model, state, views, dt)
+        # the prediction is wrong: both views agree on a movement, or S* is where no view sees the person
+        inflate_on_surprise(model, state, views, trace, k, dt)
+        inflate_where_astray(model, state, views, trace, k, dt)
+        # Kalman update with both views
+        kalman_update(model, state, views)
+        # divide the remaining difference of the views between their offsets
+        update_offsets(model, state, views, solve)
+        update_usual_offsets(model, state, views, dt)
+        update_common_error(model, state, views, solve, dt)
+        # start joints that are seen for the first time
+        start_joints(model, state, views, solve)
+        store_outlier_state(model, state, views, dt)
+        update_followed_views(state, views, dt)
+        # knees and elbows bend in one direction only
+        enforce_hinges(model, state, views)
+        # the best skeleton with exact bone lengths
+        set_solver_targets(model, state, solve)
+        output.iterations[k] = solve_bones(model, state, solve)
+        # set the filter's state to it
+        correct_state(model, state, solve)
+        trace_result(model, state, trace, k)
+        state.last_time[0], state.last_time[1] = pairs.time_ns[k], 1
+        # covariance of S*
+        joint_covariances(model, solve, output.covariance[k], output.sigma[k])
+        add_lag(state, output.covariance[k], output.sigma[k])
+        add_displacements(model, state, output.covariance[k], output.sigma[k])
+        write_row(state, views, solve, output, k)
+        add_other_place(state, views, output.positions[k], output.covariance[k], output.sigma[k])
+        add_registration_error(
+            model, output.positions[k], state.from_b, output.covariance[k], output.sigma[k]
+        )
 
 
 @inner_kernel

@@ -45,13 +45,15 @@ def trace_result(model, state, trace, k):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def smooth_pairs(model, solve, trace, output):  # type: ignore[no-untyped-def]
+def smooth_pairs(filter, trace, output):  # type: ignore[no-untyped-def]
     """Smooths positions, covariances and velocities of the output over T consecutive pairs.
 
     Args:
+        filter: As in :func:`fusion.estimator.estimator.estimate_pairs`.
         trace: The filter's results; filtered states are replaced by smoothed ones.
         output: Of the filter; pairs without a person stay as they are.
     """
+    model, solve = filter.model, filter.solve
     later = -1  # the next pair with a person
     for k in range(len(trace.seconds) - 1, -1, -1):
         if not math.isfinite(output.positions[k, 0, 0]):

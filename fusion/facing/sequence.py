@@ -50,7 +50,10 @@ def relabel_sequence(
     With ``smooth`` the probability of the labels uses all pairs (forward-backward algorithm). Without it, it
     uses earlier pairs only, as live.
     """
-    model, state = model or new_facing_model(body), new_arrays(FacingState, J=len(body))
+    from fusion.compiling.references import by_reference  # it imports numba
+
+    model = by_reference(model or new_facing_model(body))
+    state = by_reference(new_arrays(FacingState, J=len(body)))
     times = np.asarray(time_ns, dtype=np.int64)
     labels = Labels.unknown(len(times))
     history = new_arrays(_History, T=len(times) if smooth else 0)
@@ -59,7 +62,7 @@ def relabel_sequence(
     _forward(model, state, pairs, intervals, anew, labels, history)
     if smooth:
         _backward(model, state, intervals, anew, history)
-        again = new_arrays(FacingState, J=len(body))
+        again = by_reference(new_arrays(FacingState, J=len(body)))
         again.memory.up[:] = state.memory.frame_up
         _label(model, again, pairs, intervals, anew, labels, history)
     return labels
@@ -107,11 +110,6 @@ def reported_pairs(
 
 
 @inner_kernel
-def _pair_of(pairs, k):  # type: ignore[no-untyped-def]
-    return ReportedPair(pairs.positions[k], pairs.states[k], pairs.stale[k], pairs.sensor_b[k], pairs.up)
-
-
-@inner_kernel
 def _store_labels(state, labels, k):  # type: ignore[no-untyped-def]
     for view in range(2):
         labels.codes[k, view], labels.doubt[k, view] = state.result.codes[view], state.result.doubt[view]
@@ -125,7 +123,8 @@ def _forward(model, state, pairs, intervals, anew, labels, history):  # type: ig
     for k in range(len(intervals)):
         if anew[k]:
             forget_facing(state)
-        update_facing(model, state, _pair_of(pairs, k), intervals[k])
+        pair = ReportedPair(pairs.positions[k], pairs.states[k], pairs.stale[k], pairs.sensor_b[k], pairs.up)
+        update_facing(model, state, pair, intervals[k])
         _store_labels(state, labels, k)
         if len(history.beliefs) > 0:
             for n in range(len(state.memory.headings)):

@@ -83,7 +83,11 @@ def angle_sigma(
     shape, joints, direction = _prepared(body, positions, up)
     deviations = np.ascontiguousarray(sigma, dtype=np.float64).reshape(joints.shape[:2])
     sigmas = np.empty((len(joints), len(ANGLES)))
-    _sigmas_of_frames(joints, deviations, _joints_of(body), direction, math.radians(up_sd), sigmas)
+    across = np.cross(direction, np.eye(3)[0 if abs(direction[0]) < 0.7 else 1])
+    across /= np.linalg.norm(across)
+    tilted = direction + _STEP * np.array((across, np.cross(direction, across)))
+    ups = np.vstack((direction, tilted / np.linalg.norm(tilted, axis=1, keepdims=True)))
+    _sigmas_of_frames(joints, deviations, _joints_of(body), ups, math.radians(up_sd), sigmas)
     return sigmas.reshape(*shape, len(ANGLES))
 
 
@@ -118,42 +122,32 @@ def _angles_of_frames(positions, joints, up, angles):  # type: ignore[no-untyped
 
 
 @kernel
-def _sigmas_of_frames(positions, sigmas, joints, up, up_sd, found):  # type: ignore[no-untyped-def]
-    ways = _across(up)
+def _sigmas_of_frames(positions, sigmas, joints, ups, up_sd, found):  # type: ignore[no-untyped-def]
+    """``ups``: (3, 3) the upward direction, and the same tilted by _STEP in two directions."""
     points = np.empty((len(joints), 3))
     here, moved = np.empty(found.shape[1]), np.empty(found.shape[1])
     for t in range(len(positions)):
         _copy(positions[t], joints, points)
-        _angles(points, up, here)
+        _angles(points, ups[0], here)
         for k in range(len(here)):
             found[t, k] = 0.0 * here[k]
         for i in range(len(joints)):
             for c in range(3):
                 before = points[i, c]
                 points[i, c] += _STEP
-                _angles(points, up, moved)
+                _angles(points, ups[0], moved)
                 points[i, c] = before
                 for k in range(len(here)):
                     if moved[k] != here[k]:  # an angle that does not need the joint does not need its sigma
                         slope = (moved[k] - here[k]) / _STEP * sigmas[t, joints[i]]
                         found[t, k] += slope * slope / 3.0
-        for way in ways:
-            tilted = up + _STEP * way
-            _angles(points, tilted / math.sqrt(_dot(tilted, tilted)), moved)
+        for way in range(1, 3):
+            _angles(points, ups[way], moved)
             for k in range(len(here)):
                 if moved[k] != here[k]:
                     found[t, k] += (up_sd * (moved[k] - here[k]) / _STEP) ** 2
         for k in range(len(here)):
             found[t, k] = math.sqrt(found[t, k])
-
-
-@inner_kernel
-def _across(up):  # type: ignore[no-untyped-def]
-    """Two unit vectors at right angles to a unit vector and to each other."""
-    other = np.zeros(3)
-    other[0 if abs(up[0]) < 0.7 else 1] = 1.0
-    first = np.array(_unit(_cross(up, other)))
-    return first, np.array(_cross(up, first))
 
 
 @inner_kernel

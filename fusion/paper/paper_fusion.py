@@ -4,6 +4,7 @@ from typing import Any
 
 from numba import typeof
 
+from fusion.compiling.references import by_reference
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays
 from fusion.paper import method
@@ -22,13 +23,13 @@ class PaperFusion:
     """What another process compiles meanwhile."""
 
     def __init__(self, setup: FusionSetup) -> None:
-        self._memory = new_arrays(method.Memory, J=len(setup.body))
+        self._memory = by_reference(new_arrays(method.Memory, J=len(setup.body)))
         self.recalibrate(setup)
 
     def recalibrate(self, setup: FusionSetup) -> None:
         """Continues with another calibration."""
         self._setup = setup
-        self._model = method.new_model(setup)
+        self._model = by_reference(method.new_model(setup))
         self._memory.translation[:] = setup.calibration.a_from_b.translation
 
     def compile(self, pairs: PairArrays) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from devices.depth.witness import with_witness
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import AZURE_KINECT, Body
+from fusion.compiling.references import by_reference
 from fusion.joint_kinds import kind_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TrackingState
@@ -103,8 +104,8 @@ def collect(view, flesh, sums):
     for kind, group in _GROUPS.items():
         for row, of_it in enumerate((error < GOOD, error > BAD)):
             sums.counts[group][row] += hats(clearance[tracked & of_it & (kinds == kind)])
-    result = new_arrays(JointEvidence, J=joints)
-    everywhere = model._replace(information=np.ones((joints, 3)))
+    result = by_reference(new_arrays(JointEvidence, J=joints))
+    everywhere = by_reference(model._replace(information=np.ones((joints, 3))))
     for at, states, witness, truth in zip(view.positions, view.states, view.witness, view.truth, strict=True):
         weigh_witness(everywhere, np.eye(3), np.zeros(3), at, states, witness, result)
         ray = at / np.linalg.norm(at, axis=1, keepdims=True)

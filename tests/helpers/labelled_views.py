@@ -14,6 +14,7 @@ from devices.simulated.tracking.mirroring import Mirroring
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import BODIES, Body
+from fusion.compiling.references import by_reference
 from fusion.facing.exchange import exchange
 from fusion.facing.filter import update_facing
 from fusion.facing.model import ReportedPair, new_facing_model
@@ -60,7 +61,7 @@ class Views:
 
     def relabelled(self, labels):
         """Both views with their labels exchanged."""
-        model = new_facing_model(self.body)
+        model = by_reference(new_facing_model(self.body))
         found = []
         for view, (at, states) in enumerate(((self.a, self.states_a), (self.b_in_a, self.states_b))):
             out, out_states = np.empty_like(at), np.empty_like(states)

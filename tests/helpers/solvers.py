@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.compiling.references import by_reference
 from fusion.solvers.published import solve_published
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_start import TreeWorkspace
@@ -31,7 +32,7 @@ class TreeSolver:
 
     def __init__(self, parents, order, rest):
         self.parents, self.order = (np.array(each, dtype=np.int64) for each in (parents, order))
-        self.rest, self._work = _floats(rest), new_arrays(TreeWorkspace, J=len(self.parents))
+        self.rest, self._work = _floats(rest), by_reference(new_arrays(TreeWorkspace, J=len(self.parents)))
 
     def solve(self, targets, weights, bone_lengths, start=None):
         """Solves one frame."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2
+from fusion.compiling.references import by_reference
 from fusion.facing.filter import update_facing
 from fusion.facing.model import WHOLE, FacingConstants, FacingState, new_facing_model
 from fusion.support.array_fields import new_arrays
@@ -94,7 +95,8 @@ def test_sides_swapped_at_random_never_reach_the_fused_skeleton(motion):
 
 def test_stale_skeletons_are_no_evidence():
     views = simulated_views("walk", tracker="right")
-    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
+    model = by_reference(new_facing_model(KINECT_V2))
+    state = by_reference(new_arrays(FacingState, J=len(KINECT_V2)))
     for k in range(200):
         step(model, state, views, k)
     codes, facing, mirrored_before = (
@@ -137,7 +139,8 @@ def test_a_skeleton_is_repeated_also_after_moments_without_the_view():
 
 def test_a_held_posture_does_not_change_the_labels():
     views = simulated_views("walk", tracker="right")
-    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
+    model = by_reference(new_facing_model(KINECT_V2))
+    state = by_reference(new_arrays(FacingState, J=len(KINECT_V2)))
     for k in range(60):
         step(model, state, views, k)
     assert (state.result.codes == 0).all()
@@ -174,7 +177,8 @@ def test_heads_that_both_trackers_place_too_far_back_do_not_turn_the_person(moti
 
 def test_a_missing_view_and_a_missing_person():
     views = simulated_views("walk", tracker="right")
-    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
+    model = by_reference(new_facing_model(KINECT_V2))
+    state = by_reference(new_arrays(FacingState, J=len(KINECT_V2)))
     gone = replace(views, b_in_a=np.full_like(views.b_in_a, np.nan), states_b=np.zeros_like(views.states_b))
     nobody = replace(gone, a=np.full_like(views.a, np.nan), states_a=np.zeros_like(views.states_a))
     for k in range(150):
@@ -196,7 +200,8 @@ def test_the_way_up_is_learnt_where_the_sensor_is_tilted(tilt_deg):
     views = simulated_views("walk")
     tilted = replace(views, a=views.a @ R.T, b_in_a=views.b_in_a @ R.T, sensor_b=R @ views.sensor_b,
                      truth=views.truth @ R.T)  # fmt: skip
-    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
+    model = by_reference(new_facing_model(KINECT_V2))
+    state = by_reference(new_arrays(FacingState, J=len(KINECT_V2)))
     for k in range(len(views.a)):
         step(model, state, tilted, k, up=UNKNOWN)
     assert np.degrees(np.arccos(state.memory.up @ (R @ UP))) < 6.0
