@@ -37,10 +37,59 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import GAP, record_fused, record_with_a_gap
 from tests.helpers.machine import lacks
 from tests.helpers.motion_capture import captured
-from tests.helpers.opensim_model import LEGS, write_legs
 from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.two_views import calibration_of
-from tests.helpers.uneven import uneven
+
+
+def uneven(session, draw):
+    """The first frames of a session at other times, with gaps; the first one has an S*."""
+    steps = draw(st.lists(st.sampled_from([8_000_000, 33_333_333, 111_000_000]), min_size=8, max_size=40))
+    steps[draw(st.integers(0, len(steps) - 1))] = 1
+    times = np.cumsum([0, *steps])
+    rows = session.rows[: len(times)]
+    gone = np.zeros(len(times), dtype=bool)
+    for begin, count in draw(st.lists(st.tuples(st.integers(0, 39), st.integers(1, 15)), max_size=3)):
+        gone[begin : begin + count] = True
+    gone[0] = False
+    fused = np.where(gone[:, None, None], np.nan, rows.fused)
+    return replace(session, rows=replace(rows, time_ns=times, fused=fused))
+
+
+LEGS = {
+    "pelvis": ("HipLeft", "HipRight"),
+    "thigh_l": ("HipLeft", "KneeLeft"),
+    "thigh_r": ("HipRight", "KneeRight"),
+    "shin_l": ("KneeLeft", "AnkleLeft"),
+    "shin_r": ("KneeRight", "AnkleRight"),
+}
+"""Which markers measure a body."""
+_HALF, _LENGTH = 0.1, 0.5  # metres, of the pelvis and of each bone: nobody's
+
+
+def write_legs(opensim, path):
+    """Writes the model: x forward, y up, z right."""
+    model, zero = opensim.Model(), opensim.Vec3(0)
+    model.setName("legs")
+    inertia = opensim.Inertia(0.1)
+    bodies = {name: opensim.Body(name, 1.0, zero, inertia) for name in LEGS}
+    for body in bodies.values():
+        model.addBody(body)
+    model.addJoint(opensim.FreeJoint("ground_pelvis", model.getGround(), bodies["pelvis"]))
+    for side, letter, z in (("Left", "l", -_HALF), ("Right", "r", _HALF)):
+        thigh, shin = bodies[f"thigh_{letter}"], bodies[f"shin_{letter}"]
+        below, hip = opensim.Vec3(0, -_LENGTH, 0), opensim.Vec3(0, 0, z)
+        model.addJoint(opensim.BallJoint(f"hip_{letter}", bodies["pelvis"], hip, zero, thigh, zero, zero))
+        knee = opensim.PinJoint(f"knee_{letter}", thigh, below, zero, shin, zero, zero)
+        knee.updCoordinate().setName(f"knee_{letter}")
+        model.addJoint(knee)
+        for joint, body, place in (
+            ("Hip", bodies["pelvis"], hip),
+            ("Knee", thigh, below),
+            ("Ankle", shin, below),
+        ):
+            model.addMarker(opensim.Marker(f"{joint}{side}", body, place))
+    model.finalizeConnections()
+    model.printToXML(str(path))
 
 
 @pytest.fixture(params=BODIES.values(), ids=str)

@@ -7,13 +7,24 @@ import time
 import numpy as np
 import pytest
 
+from devices.blazepose.blazepose import BlazePose
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
+from devices.orbbec.playback import OrbbecRecording
 from devices.orbbec.sdk_access import connected_orbbecs, how_to_install
 from devices.orbbec.sensor import OrbbecSensor
+from devices.recorded import recording_apart
+from devices.recorded.files import frame_count, open_source
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError
+from devices.tracker_choice import TrackerChoice
+from fusion.body import BLAZEPOSE
+from fusion.skeleton import Skeleton
 from tests.helpers.orbbec import standin_values as values
-from tests.helpers.orbbec.standin import JPEG, Orbbec
+from tests.helpers.orbbec.standin import JPEG, Bag, Orbbec
+from tests.helpers.orbbec.standin_values import OBError
+from tests.helpers.standin_camera import VirtualTime
+from tests.helpers.two_views import A_FROM_B, moving
 
 A, B = "CL8H741005K", "CL8H7410123"
 MODES = values.OBMultiDeviceSyncMode
@@ -169,3 +180,155 @@ def test_without_the_package_the_message_says_how_to_install_it(monkeypatch):
     with pytest.raises(DeviceError, match=r"pyorbbecsdk2.*pip install --upgrade --no-deps pyorbbecsdk2"):
         connected_orbbecs()
     assert "3.11 to 3.13 only" in how_to_install((3, 14))
+
+
+# --- Faults of a live Orbbec sensor: the same as those of an Azure Kinect.
+
+
+A, B = "CL8H741005K", "CL8H7410123"
+
+
+@pytest.fixture
+def one(orbbecs):
+    orbbecs.devices = [Orbbec(A)]
+    return orbbecs.devices[0]
+
+
+def test_the_search_for_sensors_fails(orbbecs):
+    orbbecs.fault = OBError("libusb: no permission")
+    with pytest.raises(DeviceError, match=r"cannot search for sensors \(libusb: no per.*99-obsensor"):
+        connected_orbbecs()
+
+
+def test_unplugged_at_open(one, orbbecs, monkeypatch):
+    read = OrbbecSensor._read_calibration
+
+    def pull_the_plug(self, *arguments):
+        read(self, *arguments)
+        one.plugged = False
+
+    monkeypatch.setattr(OrbbecSensor, "_read_calibration", pull_the_plug)
+    with pytest.raises(DeviceError, match=f"Orbbec {A} was unplugged or lost its power"):
+        _sensor().__enter__()
+    assert orbbecs.open_serials == []
+
+
+def test_cameras_that_do_not_start_leave_the_sensor_closed(one, orbbecs):
+    one.starts = False
+    with pytest.raises(DeviceError, match=r"did not start its cameras \(Failed.*two USB controllers"):
+        _sensor().__enter__()
+    assert orbbecs.open_serials == []
+
+
+def test_a_fault_of_the_sdk_mid_stream(one):
+    def fails():
+        raise OBError("frame queue overflow")
+
+    one.at[1] = fails
+    with _sensor() as sensor:
+        frames = sensor.frames()
+        with pytest.raises(DeviceError, match=r"stopped giving frames \(frame queue overflow\)\. Unplug it"):
+            next(frames)
+
+
+# --- Recordings of Orbbec's SDK v2, through the stand-in's ``PlaybackDevice``.
+
+
+OURS = TrackerChoice("blazepose", "a test")
+
+
+def _bag(bus, path, frames=5, **faults):
+    path.touch()
+    ends = bool(faults.pop("ends", True))
+    bus.bags[str(path)] = Bag(Orbbec(path.stem, **faults), frames, ends)
+    return path
+
+
+def test_a_recording_gives_its_frames_and_ends(orbbecs, tmp_path):
+    path = _bag(orbbecs, tmp_path / "a.bag")
+    with OrbbecRecording(path) as recording:
+        frames = list(recording.frames())
+        assert (recording.intrinsics.width, recording.intrinsics.fx) == (640, 504)
+        assert (recording.duration_ns, recording.interval_ns) == (166_000_000, 33_333_333)
+    assert [frame.time_ns for frame in frames] == [1_000_000_000 + 33_333_000 * k for k in range(1, 6)]
+    assert all(frame.depth is not None and frame.ir is not None for frame in frames)
+    assert recording.warnings == []
+    assert orbbecs.running == []
+    with OrbbecRecording(_bag(orbbecs, tmp_path / "b.bag", skips=2)) as recording:
+        assert len(list(recording.frames())) == 5
+    assert "frames are missing: 8;" in recording.warnings[0]
+
+
+def _recording(bus, path):
+    """A recording that is played in virtual time."""
+    bus.time = VirtualTime()
+    return OrbbecRecording(path, lambda: 1e-9 * bus.time.now_ns())
+
+
+def test_a_recording_that_never_reports_its_end_is_abandoned(orbbecs, tmp_path):
+    with _recording(orbbecs, _bag(orbbecs, tmp_path / "a.bag", ends=False)) as recording:
+        assert len(list(recording.frames())) == 5
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_recording_that_ends_early_is_told(orbbecs, tmp_path, ends):
+    with _recording(orbbecs, _bag(orbbecs, tmp_path / "a.bag", 90, ends=ends)) as recording:
+        orbbecs.bags[str(recording.path)].frames = 30
+        assert len(list(recording.frames())) == 30
+    (said,) = recording.warnings
+    assert "depth ended early: 30 frames of the first 1.0 of 3.0 s could be read" in said
+    with (
+        _recording(orbbecs, _bag(orbbecs, tmp_path / "b.bag", 0)) as recording,
+        pytest.raises(DeviceError, match="holds no complete frame"),
+    ):
+        list(recording.frames())
+
+
+def test_a_fault_of_closing_does_not_hide_what_was_read(orbbecs, tmp_path):
+    path = _bag(orbbecs, tmp_path / "a.bag")
+    with OrbbecRecording(path) as recording:
+        frames = recording.frames()
+        next(frames)
+        orbbecs.bags[str(path)].sensor.plugged = False  # the stand-in's stop now fails
+        frames.close()
+
+
+def test_a_file_that_is_not_a_recording_is_refused(orbbecs, tmp_path):
+    other = tmp_path / "other.bag"
+    with pytest.raises(DeviceError, match="No file"):
+        OrbbecRecording(other).__enter__()
+    other.write_bytes(b"something else")
+    with pytest.raises(DeviceError, match=r"other\.bag cannot be read \(Error reading.*OrbbecViewer"):
+        OrbbecRecording(other).__enter__()
+    blind = _bag(orbbecs, tmp_path / "blind.bag", sizes=())
+    with pytest.raises(DeviceError, match=r"blind\.bag has no depth stream"):
+        OrbbecRecording(blind).__enter__()
+
+
+def test_two_recordings_are_tracked_by_our_tracker(orbbecs, tmp_path, monkeypatch):
+    truth = moving(BLAZEPOSE, 20)
+    for name in "ab":
+        _bag(orbbecs, tmp_path / f"{name}.bag", 20)
+    monkeypatch.setattr(BlazePose, "__enter__", lambda self: self)
+
+    def track(_self, image, depth, _camera, time_ns):
+        assert image.shape == depth.shape
+        seen = truth[int(depth[0, 0]) - 2001]  # the stand-in's depth numbers its frames
+        return {"1": Skeleton.of(BLAZEPOSE, A_FROM_B.inverse().apply(seen), time_ns=time_ns)}
+
+    monkeypatch.setattr(BlazePose, "track", track)
+    # the stand-in is in this process
+    monkeypatch.setattr(recording_apart, "items_of", lambda function, *arguments, **_: function(*arguments))
+    read = read_two(RecordingChoice(tmp_path / "a.bag"), RecordingChoice(tmp_path / "b.bag"), OURS)
+    assert read.body is BLAZEPOSE
+    assert len(read.pairing.pairs) == 20
+    assert read.tracker == "blazepose full"
+    with open_source(tmp_path / "a.bag", tracker=OURS) as source:
+        assert frame_count(source) == 20
+
+
+def test_k4abt_cannot_be_asked_for(orbbecs, tmp_path):
+    path = _bag(orbbecs, tmp_path / "a.bag")
+    with pytest.raises(DeviceError, match=r"a\.bag: k4abt accepts images of libk4a only"):
+        open_source(path, tracker=TrackerChoice("k4abt", "asked for with --tracker", asked=True))
+    assert open_source(path, tracker=TrackerChoice("k4abt", "it works")).body is BLAZEPOSE

@@ -1,10 +1,13 @@
 """Live RealSense sensors: the real pyrealsense2, with its software devices and recordings as sensors."""
 
+import re
+import sqlite3
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import CaptureSettings
 from devices.live.sensors import VENDORS, connected_sensors
+from devices.orbbec.playback import OrbbecRecording
 from devices.realsense import sensors
 from devices.realsense.images import FrameReader, choose_streams
 from devices.realsense.sdk_access import (
@@ -25,10 +29,17 @@ from devices.realsense.sdk_access import (
     sensor_check,
     set_sync_role,
 )
-from devices.realsense.sensors import RealSenseSensor
+from devices.realsense.sensors import RealSenseRecording, RealSenseSensor
+from devices.recorded.files import frame_count, open_images, open_source
+from devices.recorded.recording_apart import RecordingApart
 from devices.sensor import DeviceError
+from devices.simulated.kinect import simulated_pair
 from devices.tracker_choice import TrackerChoice
-from tests.helpers.realsense import LENS, Software, numbered, plugged, record
+from fusion.body import BLAZEPOSE
+from fusion.intrinsics import Intrinsics
+from recordings import fuse
+from tests.helpers.machine import need_networks
+from tests.helpers.realsense import BASELINE, LENS, Software, as_exposed, numbered, plugged, record
 from tests.helpers.waiting import eventually
 
 OURS = TrackerChoice("blazepose", "a test")
@@ -186,3 +197,200 @@ def test_the_doctor_knows_the_library(rs, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     assert not sdk_check().ok
     assert 'pip install "duplex-kinects[realsense]"' in sdk_check().advice
+
+
+# --- Recordings that the real pyrealsense2 wrote, through the same path as all others.
+
+
+DATA = Path(__file__).resolve().parents[2] / "data"
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 0.02])
+def test_every_frame_of_a_recording_is_read_as_it_was_exposed(rs, tmp_path, pause_s):
+    frames = list(numbered(60))
+    with RealSenseRecording(record(rs, tmp_path / "a.db3", frames)) as recording:
+        assert recording.intrinsics == LENS
+        assert recording.interval_ns == 33_333_333
+        assert recording.duration_ns > 0
+        read = []
+        for frame in recording.frames():
+            read.append(frame)
+            time.sleep(pause_s)
+    assert [frame.time_ns for frame in read] == [time_ns for time_ns, _, _ in frames]
+    for frame, (_, depth, infrared) in zip(read, frames, strict=True):
+        np.testing.assert_array_equal(frame.depth, depth)
+        np.testing.assert_array_equal(frame.ir, infrared)
+    assert recording.warnings == []
+
+
+def test_colour_is_registered_to_depth(rs, tmp_path):
+    """The colour camera sits to the right, so that it sees each point further left by its disparity."""
+    distance = 2.0
+    columns = np.broadcast_to(
+        np.arange(LENS.width, dtype=np.float64) / LENS.width * 255, (LENS.height, LENS.width)
+    )
+    color = np.stack([columns, np.zeros_like(columns), 255 - columns], axis=2).astype(np.uint8)
+    depth = np.full((LENS.height, LENS.width), round(1000 * distance), np.uint16)
+    path = record(rs, tmp_path / "a.db3", [(k * 33_333_333, depth, color) for k in range(1, 4)], color=True)
+    with RealSenseRecording(path) as recording:
+        frames = list(recording.frames())
+    assert len(frames) == 3
+    seen = registered_color(frames[0])
+    disparity = LENS.fx * BASELINE / distance
+    expected = (np.arange(20, 300) - disparity) / LENS.width * 255
+    assert np.abs(seen[120, 20:300, 0] - expected).max() < 4.0, "JPEG, and the nearest pixel"
+    assert np.abs(seen[120, 20:300, 2] - (255 - expected)).max() < 4.0
+    assert frames[0].ir is None
+
+
+def test_depth_of_any_unit_becomes_millimetres(rs, tmp_path):
+    depth = np.array([[0, 1, 14, 16], [10_000, 12_344, 30_000, 65_531]], np.uint16)
+    lens = Intrinsics(4, 2, 4.0, 4.0, 2.0, 1.0)
+    image = np.zeros((2, 4), np.uint8)
+    for units, name in ((0.0001, "fine.db3"), (0.002, "coarse.db3")):
+        path = record(rs, tmp_path / name, [(10**9, depth, image)], lens=lens, units=units)
+        with RealSenseRecording(path) as recording:
+            (frame,) = recording.frames()
+        millimetres = np.rint(depth * (1000.0 * units))
+        np.testing.assert_array_equal(frame.depth, np.where(millimetres <= 65_535, millimetres, 0))
+
+
+def test_times_go_on_where_the_sensors_counter_starts_anew(rs, tmp_path):
+    """The counter has 32 bits of microseconds."""
+    frames = list(numbered(6, first_ns=1000 * 2**32 - 100_000_000))
+    wrapped = [(time_ns % (1000 * 2**32), depth, image) for time_ns, depth, image in frames]
+    with RealSenseRecording(record(rs, tmp_path / "a.db3", wrapped)) as recording:
+        read = [frame.time_ns for frame in recording.frames()]
+    np.testing.assert_allclose(np.diff(read), 33_333_333, atol=1000)
+    assert len(read) == 6
+
+
+def test_a_recording_can_be_left_early_and_read_again(rs, tmp_path):
+    recording = RealSenseRecording(record(rs, tmp_path / "a.db3", numbered(60)))
+    with recording:
+        frames = recording.frames()
+        assert next(frames).time_ns == 1_000_000_000
+        begun = time.monotonic()
+        frames.close()
+        assert time.monotonic() - begun < 2.0
+    with recording:
+        assert len(list(recording.frames())) == 60
+
+
+def test_what_is_no_recording_is_refused_in_one_line(rs, tmp_path):
+    whole = record(rs, tmp_path / "whole.db3", numbered(30)).read_bytes()
+    for name, content in (("other", b"something else"), ("empty", b""), ("cut", whole[: len(whole) // 2])):
+        path = tmp_path / f"{name}.db3"
+        path.write_bytes(content)
+        with (
+            pytest.raises(DeviceError, match=rf"{name}\.db3 ") as fault,
+            RealSenseRecording(path) as recording,
+        ):
+            list(recording.frames())
+        assert "realsense-viewer" in str(fault.value)
+        assert "\n" not in str(fault.value)
+    with pytest.raises(DeviceError, match="No file"):
+        RealSenseRecording(tmp_path / "none.db3").__enter__()
+
+
+def test_a_recording_that_is_damaged_in_its_middle_gives_what_is_before_and_says_so(rs, tmp_path):
+    path = record(rs, tmp_path / "a.db3", numbered(40), pause_s=0.033)
+    with closing(sqlite3.connect(path)) as database:
+        (last,) = database.execute("select max(id) from messages").fetchone()
+        database.execute("update messages set data = zeroblob(8) where id > ?", (last // 2,))
+        database.commit()
+    with RealSenseRecording(path) as recording:
+        for _ in range(2):
+            read = list(recording.frames())
+    assert [int(frame.depth[0, 0]) for frame in read] == [2001 + k for k in range(len(read))]
+    assert 10 <= len(read) <= 25
+    (said,) = recording.warnings
+    words = rf"damaged, or depth ended early: {len(read)} frames of the first 0\.\d of 1\.\d s could"
+    assert re.search(words, said)
+
+
+def test_a_recording_without_a_complete_frame_is_refused(rs, tmp_path):
+    path = record(rs, tmp_path / "a.db3", numbered(5))
+    with closing(sqlite3.connect(path)) as database:
+        of_depth = "select id from topics where name like '%/compressedDepth'"
+        database.execute(f"delete from messages where topic_id = ({of_depth})")
+        database.commit()
+    with RealSenseRecording(path) as recording, pytest.raises(DeviceError, match="holds no complete frame"):
+        list(recording.frames())
+
+
+def test_without_the_library_one_line_names_the_extra(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    (tmp_path / "a.db3").touch()
+    with pytest.raises(DeviceError, match=r'pip install "duplex-kinects\[realsense\]"') as fault:
+        RealSenseRecording(tmp_path / "a.db3").__enter__()
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.usefixtures("rs")
+def test_a_bag_of_an_earlier_version_is_read():
+    """pyrealsense2 2.55.1 wrote it; see ``tests/data/README.md``."""
+    with open_images(DATA / "realsense_2.55.bag") as recording:
+        assert recording.library is RealSenseRecording
+        frames = list(recording.frames())
+    assert [(int(frame.depth[0, 0]), int(frame.ir[0, 0])) for frame in frames] == [
+        (2001 + k, k) for k in range(6)
+    ]
+    np.testing.assert_allclose(np.diff([frame.time_ns for frame in frames]), 33_333_000, atol=1)
+
+
+def test_a_bag_is_of_realsense_or_of_orbbec(tmp_path):
+    """By the message types in the list of connections, to which the head of a ROS bag points."""
+    for kind, library in (
+        ("realsense_msgs/StreamInfo", RealSenseRecording),
+        ("custom_msg/OBInfo", OrbbecRecording),
+    ):
+        head = b"#ROSBAG V2.0\nE\0\0\0\x12\0\0\0index_pos=" + (5000).to_bytes(8, "little")
+        path = tmp_path / "a.bag"
+        path.write_bytes(head.ljust(5000, b"\0") + b"type=" + kind.encode())
+        assert open_images(path).library is library
+    path.write_bytes(b"#ROSBAG V2.0\nindex_pos=\xff\xff\xff\xff\xff\xff\xff\xff")
+    assert open_images(path).library is OrbbecRecording
+
+
+@pytest.mark.usefixtures("rs")
+def test_a_damaged_bag_does_not_take_the_program_along(tmp_path):
+    """pyrealsense2 2.59.1 crashes where the list of connections is said to be far behind the end."""
+    damaged = bytearray((DATA / "realsense_2.55.bag").read_bytes())
+    damaged[58] = 10  # of index_pos
+    (tmp_path / "a.bag").write_bytes(damaged)
+    recording = RecordingApart(tmp_path / "a.bag", RealSenseRecording)
+    with pytest.raises(DeviceError, match=r"^a\.bag cannot be read by its maker's library: it crashed"):
+        recording.__enter__()
+
+
+def test_two_recorded_people_become_one_skeleton(rs, tmp_path):
+    """Simulated people → the library's recorder → its playback → our tracker → S*."""
+    need_networks()
+    *views, truth = simulated_pair(motion="startup", body=BLAZEPOSE, seconds=2.0, depth="half", infrared=True)
+    a, b = (tmp_path / f"{name}.db3" for name in "ab")
+    for path, sensor in zip((a, b), views, strict=True):
+        with sensor:
+            record(rs, path, as_exposed(sensor.frames()), lens=sensor.intrinsics, serial=path.stem)
+    with open_source(a, tracker=OURS) as source:
+        assert frame_count(source) is not None
+    session = fuse(a, b, tracker="blazepose")
+    assert session.tracker == "blazepose full"
+    errors = np.linalg.norm(session.fused - truth.positions_at(session.time_ns), axis=2)
+    assert len(errors) == 60
+    assert np.median(errors) < 0.025, "metres; 0.016 on images of 320 × 288"
+
+
+def test_people_in_registered_colour_are_found(rs, tmp_path):
+    """A recording without infrared: the library registers colour to depth, and our tracker finds the
+    person."""
+    need_networks()
+    a, _, _ = simulated_pair(motion="startup", body=BLAZEPOSE, seconds=0.2, depth="half", infrared=True)
+    with a:
+        exposed = [
+            (time_ns, depth, np.dstack([image] * 3)) for time_ns, depth, image in as_exposed(a.frames())
+        ]
+        record(rs, tmp_path / "a.db3", exposed, lens=a.intrinsics, color=True, baseline=0.0)
+    with open_source(tmp_path / "a.db3", tracker=OURS) as source:
+        frames = list(source.frames())
+    assert [len(frame.people) for frame in frames] == [1] * 6

@@ -1,7 +1,7 @@
 """The coach's advice over time. Time is that of the pairs."""
 
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from devices.depth.camera import project
 from devices.sensor import SensorFrame
+from devices.simulated.demonstration import demonstrated, good_rig, therapist
+from devices.simulated.kinect import Scene, SimulatedKinect
 from devices.simulated.rig import Rig
-from fusion.body import BODIES, KINECT_V2
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V2
 from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
 from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
@@ -20,12 +22,14 @@ from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
+from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.state_card import State, fits
+from recordings.data.session_arrays import SessionFrame
 from recordings.fusing.pairs import fuse_one
+from recordings.live_fusion import LiveFusion
 from recordings.quality.limits import FARTHEST_PERSON, nearest
 from tests.helpers.frame_pairs import frame_pair
 from tests.helpers.sentences import arguments, check_sentences
-from tests.helpers.set_ups import SET_UPS, moments
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice, calibration_advice, placement
 from viewer_app.coach.readiness import LASTS, Headline, Readiness, headline, to_markdown
@@ -33,6 +37,69 @@ from viewer_app.coach.scene import CoachScene, places
 from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
 from viewer_app.coach.standing_spot import ARM, standing_spot
 from viewer_app.viewer.blueprint import overview
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """Where the sensors stand, and what is wrong."""
+
+    rig: Rig
+    mirrored_b: bool = False
+    someone_else: bool = False
+    motion: str = "walk"
+
+
+SET_UPS = {
+    "good": SetUp(good_rig(AZURE_KINECT)),
+    "too near": SetUp(Rig(distance=1.3, height=1.2)),
+    "30 degrees apart": SetUp(replace(good_rig(AZURE_KINECT), angle_deg=30.0)),
+    "feet out of view": SetUp(Rig(distance=2.6, height=1.6, tilt_deg=-14.0)),
+    "mirrored B": SetUp(good_rig(AZURE_KINECT), mirrored_b=True),
+    "someone else": SetUp(good_rig(AZURE_KINECT), someone_else=True),
+}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One frame and what the coach says with it."""
+
+    seconds: float
+    setup: FusionSetup
+    frame: SessionFrame
+    headline: Headline
+    page: CoachPage
+
+
+def moments(of: SetUp, seconds: float):
+    """Yields the moments of a set-up, fused as the live loop does."""
+    other = therapist() if of.someone_else else None
+    scene = Scene(demonstrated(of.motion), AZURE_KINECT, seconds=seconds, other=other)
+    a, b = (SimulatedKinect(scene, of.rig, which) for which in (0, 1))
+    setup = FusionSetup(nominal_calibration(AZURE_KINECT), None, a.intrinsics, b.intrinsics)
+    fusion, coach, readiness = LiveFusion(setup), Coach(AZURE_KINECT, setup.intrinsics), Readiness()
+    drawings = CoachScene(AZURE_KINECT, setup.intrinsics)
+    for one, other_view in zip(a.frames(), b.frames(), strict=True):
+        seen_by_b = _mirrored(other_view) if of.mirrored_b else other_view
+        skew_ns = other_view.time_ns - one.time_ns
+        person = next(iter(one.people), "")
+        pair = fusion.chosen(frame_pair(one, seen_by_b, person, one.time_ns, skew_ns))
+        frame = fusion.fuse(pair)
+        fusion.learn(frame)
+        now = Situation(fusion.setup.calibration, fusion.calibrator.final, fusion.calibrator.held)
+        advice = coach.watch(frame, now)
+        time = pair.time_ns * 1e-9
+        shown = readiness.watch(time, advice, now.calibration)
+        page = drawings.page(readiness.advice, now, frame.fused, shown)
+        yield Moment(time, fusion.setup, frame, shown, page)
+
+
+def _mirrored(frame: SensorFrame) -> SensorFrame:
+    people = {
+        name: Skeleton.of(each.body, each.positions * (-1.0, 1.0, 1.0), each.states, each.time_ns)
+        for name, each in frame.people.items()
+    }
+    return replace(frame, people=people)
+
 
 BODY = KINECT_V2
 CAMERA = NOMINAL_INTRINSICS[BODY.name]
