@@ -1,14 +1,20 @@
 """Compiles the kernels in one process beside those of pytest-xdist, which begin with tests that need none.
 
 A process that does not find a kernel on disk waits until it is there, or the one that compiles has ended.
+
+    python -m tests.helpers.compiled_kernels          # compiles the kernels that are not on disk
+    python -m tests.helpers.compiled_kernels --list   # compiles all of them, and says how long each took
 """
 
 import re
 import subprocess
 import sys
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 from threading import Thread
+from time import process_time
+from unittest.mock import patch
 
 import psutil
 import pytest
@@ -94,5 +100,33 @@ def compile_kernels():
     golden_session.runs_of(golden_session.load())
 
 
+def print_seconds(compiles=compile_kernels):
+    """CPU seconds of compiling each kernel without those that it calls, longest first."""
+    from numba.core import event
+
+    seconds, running = Counter(), []
+
+    class Compiling(event.Listener):
+        def on_start(self, event):
+            function = event.data["dispatcher"].py_func
+            running.append((f"{function.__module__}.{function.__name__}", process_time()))
+
+        def on_end(self, _event):
+            name, since = running.pop()
+            spent = process_time() - since
+            seconds[name] += spent
+            for caller, _ in running[-1:]:
+                seconds[caller] -= spent
+
+    # with no folder for kernels this process finds none, and starts no other that compiles
+    with (
+        event.install_listener("numba:compile", Compiling()),
+        patch("fusion.compiling.disk_cache.ensure_cache_folder", return_value=False),
+    ):
+        compiles()
+    for name, of_one in [*seconds.most_common(), (f"{len(seconds)} kernels", seconds.total())]:
+        print(f"{of_one:7.2f} s  {name}")
+
+
 if __name__ == "__main__":
-    compile_kernels()
+    print_seconds() if "--list" in sys.argv else compile_kernels()
