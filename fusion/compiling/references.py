@@ -12,11 +12,10 @@ This module imports numba.
 from __future__ import annotations
 
 import hashlib
-import struct
 from collections.abc import Iterator
 from functools import cached_property
 from itertools import accumulate
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import typeof
@@ -35,8 +34,7 @@ def by_reference(values: T) -> T:
 
     It has the fields of the NamedTuple. The arrays' values may change; the arrays themselves may not.
     """
-    found: Any = _Reference(values)
-    return found  # type: ignore[no-any-return]
+    return cast(T, _Reference(values))
 
 
 class _Reference:
@@ -60,7 +58,7 @@ def _words(value: Any) -> Iterator[int]:
         for item in value:
             yield from _words(item)
     elif isinstance(value, float):
-        yield from struct.unpack("q", struct.pack("d", value))
+        yield int(np.float64(value).view(np.int64))
     else:
         yield int(value)
 
@@ -130,8 +128,7 @@ def _loaded(context: Any, builder: Any, kind: Any, pointer: Any, first: int) -> 
         return context.make_tuple(builder, kind, parts)
     if isinstance(kind, types.Array):
         array, item = make_array(kind)(context, builder), context.get_data_type(kind.dtype)
-        sizes = [read(k) for k in range(1, _size(kind))]
-        shape, strides = sizes[: kind.ndim], sizes[kind.ndim :]
+        shape, strides = ([read(n + k) for n in range(kind.ndim)] for k in (1, 1 + kind.ndim))
         populate_array(array, read(0, item.as_pointer()), shape, strides, context.get_abi_sizeof(item), None)
         return array._getvalue()
     if isinstance(kind, types.Float):
