@@ -8,7 +8,7 @@ PARALLEL := -n logical --dist worksteal
 # All matrices are small: more BLAS threads only wait on each other.
 export OPENBLAS_NUM_THREADS := 1
 # pip would compile every module, of which few are imported; Python keeps those that it compiles itself.
-PIP := $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable
+PIP := $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-compile
 unexport PYTHONDONTWRITEBYTECODE
 BIN := $(VENV)/bin
 # The program, and with it all that its developers use.
@@ -72,12 +72,16 @@ clean:
 $(RUNS): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "duplex-kinects needs Python 3.11 or newer; $(PYTHON) is older. Try: make PYTHON=python3.12"; exit 1; }
-	$(PYTHON) -m venv $(VENV) || \
-	  { $(PYTHON) -m pip install --user virtualenv && $(PYTHON) -m virtualenv --clear $(VENV); }
-	$(PIP) .
+	@echo "Installing the program and its libraries, and compiling its kernels meanwhile."
+	@n=0; while sleep 3 && kill -0 $$$$ 2>/dev/null; do n=$$((n + 3)); echo "Installing, $$n s …"; done & \
+	{ $(PYTHON) -m venv $(VENV) || \
+	  { $(PYTHON) -m pip install --user virtualenv && $(PYTHON) -m virtualenv --clear $(VENV); }; } && \
+	$(PIP) numba && \
+	{ $(BIN)/python -m fusion.compiling.first_run fusion.estimator.duplex_fusion:compile_estimator > /dev/null 2>&1 & } && \
+	$(PIP) --editable . && { wait $$! || true; }
 	@touch $@
 
 $(READY): $(RUNS)
-	$(PIP) '.[dev]'
+	$(PIP) --editable '.[dev]'
 	@$(BIN)/duplex tracker fetch || echo "Without the networks the body tracker cannot run; all else works."
 	@touch $@

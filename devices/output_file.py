@@ -276,7 +276,8 @@ def _locked(path: Path, how: int = 0, *, surely: bool = False) -> int | None:
             raise OSError(fault.errno, f"{path.name} in its folder is a link; remove it", str(path)) from None
         raise
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if sys.platform != "win32":  # for mypy
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         there = os.path.samestat(os.fstat(lock), path.stat(follow_symlinks=False))
     except (BlockingIOError, FileNotFoundError):
         there = False

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from fusion.compiling.kernels import compiled_meanwhile
+from fusion.compiling.kernels import WarmUp
 from fusion.errors import FusionError
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
@@ -13,7 +13,7 @@ from fusion.facing.labels import Labels
 from fusion.fused_frame import FusedFrame as FusedFrame
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import Pairs, PairStacker
-from fusion.setup import FusionSetup
+from fusion.setup import FusionSetup, Method
 from fusion.skeleton import SkeletonPair
 
 if TYPE_CHECKING:
@@ -42,26 +42,24 @@ class Fuser:
 
             self._fusion = PaperFusion(setup)
 
-    def warm_up(self, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """Compiles everything that :meth:`update` and the live calibration run.
-
-        The state of this fuser does not change.
-
-        Args:
-            meanwhile: Called on a first run while another process compiles, for further compilation.
-        """
-        other = Fuser(self.setup)
-        if self.setup.settings.method == "published":
-            meanwhile()
-        else:
-            with compiled_meanwhile(self._fusion.kernel, self._fusion.beside):
-                meanwhile()
-                other._fusion.compile(self._stacker.of_pair(SkeletonPair(None, None, 0)))
-        other.update(SkeletonPair(None, None, 0))
-        if self.setup.settings.method == "duplex":
+    @staticmethod
+    def warm_ups(method: Method) -> tuple[list[WarmUp], list[WarmUp]]:
+        """What two processes compile on a first run, for :meth:`update` and the live calibration."""
+        if method == "duplex":
+            from fusion.estimator.duplex_fusion import compile_estimator, compile_steps
             from fusion.registration import error_model
 
-            error_model.warm_up()
+            return [compile_estimator], [compile_steps, error_model.warm_up]
+        from fusion.paper.paper_fusion import compile_paper, compile_published
+
+        return [compile_paper if method == "paper" else compile_published], []
+
+    def warm_up(self) -> None:
+        """Compiles or loads everything that :meth:`update` and the live calibration run."""
+        from fusion.compiling.first_run import FirstRun
+
+        with FirstRun(*self.warm_ups(self.setup.settings.method)) as first_run:
+            first_run.finish()
 
     def recalibrate(self, setup: FusionSetup) -> None:
         """Continues with another calibration and keeps the state of the person.

@@ -10,6 +10,7 @@ from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
 from devices.capture.sensor_pair import TwoSensors
+from devices.depth import rvl
 from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, pair_without_images, with_depth
 from devices.events import Event
@@ -18,20 +19,29 @@ from devices.people import tracks as people_tracks
 from devices.people.following import PersonOfPair
 from devices.people.recorded_people import Follow
 from devices.sensor import Sensor
-from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration
 from fusion.calibration.calibrator import Calibrator
 from fusion.calibration.online import CalibrationLearner, LearnerSettings
+from fusion.compiling.first_run import FirstRun
+from fusion.compiling.kernels import WarmUp
 from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
+from fusion.movement import angles
 from fusion.registration.refinement import RefinementSettings
-from fusion.setup import FusionSetup
+from fusion.setup import FusionSetup, Method
 from recordings.appearance.floor import FloorFinder
 from recordings.data.session_arrays import SessionFrame
 from recordings.errors import RecordingError
 from recordings.fusing.pairs import fuse_one
 from recordings.fusing.view_events import ViewEvents
 from recordings.session import Session
+
+
+def live_warm_ups(method: Method, *others: WarmUp) -> tuple[list[WarmUp], list[WarmUp]]:
+    """What two processes compile on a first run for running sensors and their recording, and others."""
+    first, second = Fuser.warm_ups(method)
+    live = people_tracks.warm_up, depth_witness.warm_up, rvl.warm_up, angles.warm_up
+    return first, [*second, *live, *others]
 
 
 class LiveFusion:
@@ -171,9 +181,9 @@ class LiveFrames(Iterator[SessionFrame]):
         a, b = self._sensors.a.sensor, self._sensors.b.sensor
         # The first call of a kernel may compile it, which must not happen while frames arrive. Kernels are
         # the same for all bodies; a sensor may know its body only once it is open.
-        Fuser(self._given or FusionSetup(nominal_calibration(KINECT_V1))).warm_up()
-        depth_witness.warm_up()
-        people_tracks.warm_up()
+        method = "duplex" if self._given is None else self._given.settings.method
+        with FirstRun(*live_warm_ups(method)) as first_run:
+            first_run.finish()
         with self._sensors as sensors:
             setup = self._given or FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
             fusion = LiveFusion(setup, self._given is not None)

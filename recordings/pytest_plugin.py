@@ -10,6 +10,7 @@ import re
 import shlex
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -37,13 +38,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Tells :func:`recordings.testing.assert_sessions_match` whether to write."""
+    """Tells :func:`recordings.testing.assert_sessions_match` whether to write, and where progress goes."""
     testing.update_expected = config.getoption("duplex_update")
+
+    def tell(progress: object) -> None:
+        terminal, capture = map(config.pluginmanager.getplugin, ("terminalreporter", "capturemanager"))
+        if terminal is not None:
+            with nullcontext() if capture is None else capture.global_and_fixture_disabled():
+                terminal.write_line(str(progress))
+
+    testing.tell_first_run = tell
 
 
 def pytest_unconfigure() -> None:
     """Ends what :func:`pytest_configure` began."""
-    testing.update_expected = False
+    testing.update_expected, testing.tell_first_run = False, None
 
 
 @pytest.fixture(scope="session")

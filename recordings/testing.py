@@ -6,17 +6,20 @@ needs until a function is called.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from devices.simulated.kinect import Movement
+    from fusion.compiling.first_run import Progress
     from fusion.setup import FuserSettings
     from recordings.session import Session
 
 _MOST_SECONDS = 10  # that are listed
 
+tell_first_run: Callable[[Progress], object] | None = None
+"""Is told how far :func:`simulated_session` has compiled kernels; the plugin prints it between the tests."""
 update_expected = False
 """Whether :func:`assert_sessions_match` writes the expected file; ``pytest --duplex-update`` sets it."""
 written: list[Path] = []
@@ -144,15 +147,18 @@ def simulated_session(
     from devices.people.recorded_people import RecordedPeople
     from devices.recorded.two_recordings import TwoRecordings
     from devices.sensor import DeviceError
-    from devices.simulated.kinect import simulated_pair
+    from devices.simulated.kinect import compile_tracking, simulated_pair
     from fusion.body import BODIES
+    from fusion.compiling.first_run import FirstRun
     from fusion.setup import FuserSettings
-    from recordings.fusing.files import fuse_read
+    from recordings.fusing.files import fuse_read, recording_warm_ups
     from recordings.session import Session
 
     if body not in BODIES:
         raise DeviceError(f"There is no body {body!r}. Choose one of {', '.join(BODIES)}.")
     settings = settings or FuserSettings(hindsight="labels")
+    with FirstRun(*recording_warm_ups(settings, compile_tracking), tell=tell_first_run) as first_run:
+        first_run.finish(load=False)
     sensors = simulated_pair(
         motion=movement, seed=seed, body=BODIES[body], angle_deg=angle_deg, seconds=seconds
     )

@@ -94,8 +94,7 @@ class TwoSensors:
             for thread in (self.b, self.a) if a_leads else (self.a, self.b):
                 thread.open()
             # Frames of one sensor that arrived while the other's tracker was loading do not count as dropped.
-            for _, thread in self._sides:
-                thread.count_from_now()
+            self.count_from_now()
         except BaseException:
             self.__exit__()
             raise
@@ -111,6 +110,11 @@ class TwoSensors:
             self.b.close(max(0.0, until_s - time.monotonic()))
         for _, thread in self._sides:
             self._take_events(thread)
+
+    def count_from_now(self) -> None:
+        """Resets the counts of both sensors' frames and drops."""
+        for _, thread in self._sides:
+            thread.count_from_now()
 
     def pairs(self, every_frame: bool = True) -> Iterator[FramePair]:
         """Pairs as they arrive, until both sources end or :meth:`stop` is called; waits while both are gone.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
-from fusion.compiling.kernels import njit
+from fusion.compiling.kernels import compiles, njit
 
 MEDIA_TYPE = "application/rvl"
 _HEADER = struct.Struct("<iffii")  # ROS's format and two depth parameters, unused here; width, height
@@ -119,3 +119,9 @@ def _decode(words, pixels):  # type: ignore[no-untyped-def]
             pixels[i] = previous
             i += 1
     return True
+
+
+@compiles(_encode)
+def warm_up() -> None:
+    """Compiles or loads the encoder."""
+    encode_depth(np.zeros((1, 1), dtype=np.uint16))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from devices.depth.camera import lens_of, pixel
 from devices.sensor import SensorFrame
 from fusion.body import KINECT_V1
-from fusion.compiling.kernels import inner_kernel, kernel
+from fusion.compiling.kernels import compiles, inner_kernel, kernel
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 from fusion.witness import COLUMNS, REACH, SEEN_PAST
@@ -44,12 +44,6 @@ def depth_witness(
     positions = np.ascontiguousarray(skeleton.positions, dtype=np.float32)
     _measure(np.ascontiguousarray(depth), *lens_of(intrinsics), positions, found)
     return found.astype(np.float16).astype(np.float32)  # precision of a session, for replays
-
-
-def warm_up() -> None:
-    """Compiles or loads the kernel, so that a sensor's first frame does not wait for it."""
-    nowhere = Skeleton.of(KINECT_V1, np.zeros((len(KINECT_V1), 3)))
-    depth_witness(np.zeros((1, 1), dtype=np.uint16), Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0), nowhere)
 
 
 def with_witness(frame: SensorFrame, intrinsics: Intrinsics) -> SensorFrame:
@@ -156,3 +150,10 @@ def _patch(depth, centre_u, centre_v, z, along, across, gap):  # type: ignore[no
     if count < _FEWEST:
         return math.nan, math.nan
     return sum_u / count / across, sum_v / count / across
+
+
+@compiles(_measure)
+def warm_up() -> None:
+    """Compiles or loads the kernel, so that a sensor's first frame does not wait for it."""
+    nowhere = Skeleton.of(KINECT_V1, np.zeros((len(KINECT_V1), 3)))
+    depth_witness(np.zeros((1, 1), dtype=np.uint16), Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0), nowhere)

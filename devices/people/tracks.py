@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from devices.pairing import median_interval
 from devices.people.recorded_people import RecordedPeople
 from fusion.body import KINECT_V1, Body
-from fusion.compiling.kernels import inner_kernel, kernel
+from fusion.compiling.kernels import compiles, inner_kernel, kernel
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 from fusion.support.large_arrays import parts
@@ -132,13 +132,6 @@ class TracksAhead:
             frame.translation, *self._held, track, doubtful, middle,
         )  # fmt: skip
         return track.tolist(), doubtful.tolist(), middle.tolist()
-
-
-def warm_up() -> None:
-    """Compiles or loads the kernel of :class:`TracksAhead`, so that a first frame does not wait for it."""
-    TracksAhead(KINECT_V1).of(
-        0, [Skeleton.of(KINECT_V1, np.zeros((len(KINECT_V1), 3)))], RigidTransform.identity()
-    )
 
 
 @kernel
@@ -290,3 +283,11 @@ def mean_of_joints(values: Array) -> Array:
     known = np.isfinite(values)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
+
+
+@compiles(_number_next)
+def warm_up() -> None:
+    """Compiles or loads the kernel of :class:`TracksAhead`, so that a first frame does not wait for it."""
+    TracksAhead(KINECT_V1).of(
+        0, [Skeleton.of(KINECT_V1, np.zeros((len(KINECT_V1), 3)))], RigidTransform.identity()
+    )

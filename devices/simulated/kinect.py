@@ -12,13 +12,22 @@ from devices.depth.witness import with_witness
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.simulated.imaging.body_surface import capsules, flesh_over, visibility
 from devices.simulated.imaging.infrared import InfraredModel, clothed_capsules, infrared_image, materials
-from devices.simulated.imaging.rendering import DepthErrors, depth_image, halved, surface
+from devices.simulated.imaging.rendering import (
+    DepthErrors,
+    cast,
+    depth_image,
+    halved,
+    read_out,
+    share_seen,
+    surface,
+)
 from devices.simulated.person import anatomy
 from devices.simulated.person.movement import Beside as Beside
 from devices.simulated.person.movement import Movement as Movement
 from devices.simulated.person.movement import movement as movement
 from devices.simulated.rig import Rig
 from devices.simulated.streams import Streams
+from devices.simulated.tracking.errors import hold
 from devices.simulated.tracking.person_ids import OTHER as OTHER
 from devices.simulated.tracking.person_ids import PERSON as PERSON
 from devices.simulated.tracking.person_ids import PersonIds
@@ -27,6 +36,7 @@ from devices.simulated.tracking.scripted_faults import ScriptedFaults
 from devices.simulated.tracking.tracker import Tracker
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, Body
+from fusion.compiling.kernels import compiles
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.support.types import Array
@@ -258,3 +268,19 @@ def simulated_pair(
     )
     a.depth_errors = b.depth_errors = depth_errors or DepthErrors.of(body)
     return a, b, Truth(scene, rig)
+
+
+@compiles(share_seen, hold)
+def compile_tracking() -> None:
+    """Compiles what a simulated body tracker calls."""
+    _take_a_frame("none")
+
+
+@compiles(cast, read_out)
+def compile_images() -> None:
+    """Compiles what a simulated depth camera calls."""
+    _take_a_frame("half")
+
+
+def _take_a_frame(depth: Depth) -> None:
+    next(simulated_pair(motion="still", depth=depth)[0].frames())

@@ -8,17 +8,11 @@ Importing a module with kernels does not import numba, which takes as long as al
 and no environment variable. numba keeps a compiled kernel until the kernel's own file changes. A kernel also
 contains the code of the kernels that it calls and the values of imported constants; numba does not notice a
 change of *their* files (:mod:`fusion.compiling.disk_cache`).
-
-On a first run two processes compile, because numba uses one core; each finds the other's kernels on disk.
 """
 
-import os
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property, update_wrapper
-from pathlib import Path
 from typing import Any
 
 _Kernel = Callable[..., Any]
@@ -75,44 +69,27 @@ def njit(*, nogil: bool = False) -> Callable[[_Kernel], _Kernel]:
     return lambda function: LazyKernel(function, {"nogil": nogil})
 
 
-@contextmanager
-def compiled_meanwhile(kernel: Any, statements: str) -> Iterator[None]:
-    """Lets another process compile kernels; waits for it at the end.
+@dataclass(frozen=True)
+class WarmUp:
+    """A function of a module that compiles or loads kernels by calling them."""
 
-    Args:
-        kernel: The kernel that will be called. If it is on disk, nothing is compiled.
-    """
-    process = None if _is_on_disk(kernel) else _start(statements)
-    try:
-        yield
-        if process is not None:
-            process.wait()
-    finally:
-        if process is not None:
-            process.kill()
-            process.wait()
+    function: Callable[[], object]
+    kernels: tuple[Any, ...]  # that it calls; they call others
 
+    def __call__(self) -> None:
+        self.function()
 
-def _is_on_disk(kernel: Any) -> bool:
-    """True also where nothing is kept on disk: another process would compile for itself."""
-    if kernel.stats.cache_path is None:
-        return True
-    folder = Path(kernel.stats.cache_path)
-    python = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
-    return any(folder.glob(f"*{kernel.__name__}-*.{python}.nbi"))
+    @property
+    def dispatchers(self) -> set[Any]:
+        """Those of the kernels; some modules already have them in place of kernels."""
+        return {getattr(kernel, "dispatcher", kernel) for kernel in self.kernels}
+
+    @property
+    def name(self) -> str:
+        """``module:function``."""
+        return f"{self.function.__module__}:{self.function.__name__}"
 
 
-def _start(statements: str) -> subprocess.Popen[bytes] | None:
-    """None where no process can be started; this process then compiles everything itself."""
-    packages = str(Path(__file__).parents[2])
-    path = os.pathsep.join(filter(None, (packages, os.environ.get("PYTHONPATH"))))
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-P", "-c", statements],
-            env={**os.environ, "PYTHONPATH": path},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-    except OSError:
-        return None
+def compiles(*kernels: Any) -> Callable[[Callable[[], object]], WarmUp]:
+    """Decorates a function without arguments that calls these kernels."""
+    return lambda function: WarmUp(function, kernels)

@@ -9,6 +9,7 @@ from numba import typeof
 
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration, nominal_calibration
+from fusion.compiling.kernels import compiles
 from fusion.compiling.references import by_reference
 from fusion.estimator.arrays import Filter, LastSkeletons, Model, Output, Solve, State, Views, new_model
 from fusion.estimator.bones import enforce_hinges, joint_covariances, solve_bones
@@ -27,9 +28,10 @@ from fusion.facing.exchange import exchange
 from fusion.facing.labels import Labels
 from fusion.facing.model import FacingState, new_facing_model
 from fusion.fused_frame import FusedFrames
-from fusion.pair_arrays import PairArrays
+from fusion.pair_arrays import PairArrays, PairStacker
 from fusion.registration.lasting_errors import COMMON_SD
 from fusion.setup import FusionSetup
+from fusion.skeleton import SkeletonPair
 from fusion.support.array_fields import new_arrays
 
 
@@ -40,11 +42,6 @@ class DuplexFusion:
         setup: Calibration and settings.
         constants: Of the filter; the body's fitted ones where None.
     """
-
-    kernel: Any = estimate_pairs
-    """The kernel that takes longest to compile."""
-    beside = "from fusion.estimator.duplex_fusion import compile_steps; compile_steps()"
-    """What another process compiles meanwhile."""
 
     def __init__(self, setup: FusionSetup, constants: Constants | None = None) -> None:
         body = setup.body
@@ -62,10 +59,6 @@ class DuplexFusion:
         self._setup = setup
         self._no_trace = by_reference(new_arrays(Trace, T=0, J=joints))
         self._reference = by_reference(self._filter)
-
-    def compile(self, pairs: PairArrays) -> None:
-        """Compiles everything, for arrays like these; finds what another process has compiled."""
-        self.run(pairs)
 
     def recalibrate(self, setup: FusionSetup) -> None:
         """Continues with another calibration without a jump of S*.
@@ -136,6 +129,24 @@ def _registration_variances(calibration: Calibration) -> tuple[float, float]:
     return (turn if np.isfinite(turn) else 0.0), (max(shift, 0.0) if np.isfinite(shift) else 0.0)
 
 
+@compiles(estimate_pairs)
+def compile_estimator() -> None:
+    """Compiles everything but the smoother; all bodies have its types."""
+    _fuse_nobody(smooth=False)
+
+
+@compiles(smooth_pairs)
+def compile_smoother() -> None:
+    """Compiles the smoother, too."""
+    _fuse_nobody(smooth=True)
+
+
+def _fuse_nobody(smooth: bool) -> None:
+    nobody = PairStacker(KINECT_V2).of_pair(SkeletonPair(None, None, 0))
+    DuplexFusion(FusionSetup(nominal_calibration(KINECT_V2))).run(nobody, smooth)
+
+
+@compiles(relabel)
 def compile_steps() -> None:
     """Compiles large steps of :func:`fusion.estimator.estimator.estimate_pairs`; all bodies have their types.
 

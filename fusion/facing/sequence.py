@@ -190,3 +190,7 @@ def _label(model, state, pairs, intervals, anew, labels, history):  # type: igno
                     state.belief.probabilities[n, x, y] = history.beliefs[k, n, x, y]
         decide(model, state, state.belief.probabilities)
         _store_labels(state, labels, k)
+
+
+KERNELS = _forward, _backward, _label
+"""What Python calls."""

@@ -22,8 +22,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.body import Body
-from fusion.compiling.kernels import inner_kernel, kernel
+from fusion.body import KINECT_V1, Body
+from fusion.compiling.kernels import compiles, inner_kernel, kernel
 
 _OF_A_SIDE = (
     "knee_flexion", "hip_flexion", "hip_abduction", "elbow_flexion", "shoulder_flexion", "shoulder_abduction",
@@ -89,13 +89,6 @@ def angle_sigma(
     ups = np.vstack((direction, tilted / np.linalg.norm(tilted, axis=1, keepdims=True)))
     _sigmas_of_frames(joints, deviations, _joints_of(body), ups, math.radians(up_sd), sigmas)
     return sigmas.reshape(*shape, len(ANGLES))
-
-
-def warm_up(body: Body) -> None:
-    """Compiles the kernels."""
-    nowhere = np.full((len(body), 3), np.nan)
-    joint_angles(body, nowhere)
-    angle_sigma(body, nowhere, nowhere[:, 0])
 
 
 def _prepared(
@@ -227,3 +220,11 @@ def _dot(u, v):  # type: ignore[no-untyped-def]
 @inner_kernel
 def _cross(u, v):  # type: ignore[no-untyped-def]
     return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+
+
+@compiles(_angles_of_frames, _sigmas_of_frames)
+def warm_up() -> None:
+    """Compiles or loads the kernels."""
+    nowhere = np.full((len(KINECT_V1), 3), np.nan)
+    joint_angles(KINECT_V1, nowhere)
+    angle_sigma(KINECT_V1, nowhere, nowhere[:, 0])

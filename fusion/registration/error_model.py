@@ -16,7 +16,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from fusion.body import Body
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import compiles, kernel
 from fusion.joint_kinds import by_joint
 from fusion.registration.keyframes import Evidence
 from fusion.registration.lasting_errors import COMMON_SD
@@ -134,12 +134,6 @@ def cost_of(
     sums = accumulated(evidence, error_model(body, settings, a_from_b, biases, noise_sd))
     price = np.sum(biases**2 / _BASIS_VARIANCE[:, None, None]) / settings.bias_sd**2
     return float(sums.figures[0]) + 0.5 * float(price)
-
-
-def warm_up() -> None:
-    """Compiles or loads the kernel, so that no frame of a live session waits for it."""
-    model = ErrorModel(np.eye(3), np.zeros(3), np.zeros(3), np.zeros((3, 1, 3)), np.ones(1), 1.0, 1.0)
-    accumulated(new_arrays(Evidence, K=1, J=1), model)
 
 
 def error_model(
@@ -276,3 +270,10 @@ def _accumulate(observations, model, sums):  # type: ignore[no-untyped-def]
     for y in range(6):
         for z in range(y):
             information[y, z] = information[z, y]
+
+
+@compiles(_accumulate)
+def warm_up() -> None:
+    """Compiles or loads the kernel, so that no frame of a live session waits for it."""
+    model = ErrorModel(np.eye(3), np.zeros(3), np.zeros(3), np.zeros((3, 1, 3)), np.ones(1), 1.0, 1.0)
+    accumulated(new_arrays(Evidence, K=1, J=1), model)

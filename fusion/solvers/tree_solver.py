@@ -6,8 +6,6 @@ lengths. One step costs O(J): see :mod:`fusion.solvers.tree_elimination`.
 
 import math
 
-import numpy as np
-
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.solvers import MAX_ITERATIONS
 from fusion.solvers.tree_elimination import (
@@ -25,7 +23,6 @@ from fusion.solvers.tree_start import (
     BENT_AWAY,
     FROM_START,
     FROM_TARGETS,
-    TreeWorkspace,
     aim_at,
     copy,
     leave_saddle,
@@ -33,7 +30,6 @@ from fusion.solvers.tree_start import (
     place,
     stretch,
 )
-from fusion.support.array_fields import new_arrays
 
 MAX_SYSTEMS = 150
 """Limit of linear systems from one start, about 0.5 ms."""
@@ -224,12 +220,3 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             copy(work.positions, positions)
             iterations, objective, converged = steps, found, ended
     return iterations, systems, objective, converged
-
-
-def compile_tree_solver(matrices: bool = False) -> None:
-    """Compiles the solver by solving a problem with 3×3 or with scalar weights."""
-    parents, order, rest = np.array([-1, 0]), np.array([0, 1]), np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    weights = np.tile(np.eye(3), (2, 1, 1)) if matrices else np.ones(2)
-    start, positions = np.full((2, 3), np.nan), np.empty((2, 3))
-    work = new_arrays(TreeWorkspace, J=2)
-    solve_tree(parents, order, rest, np.zeros((2, 3)), weights, np.ones(2), start, work, positions)

@@ -15,15 +15,19 @@ from numpy.typing import ArrayLike, NDArray
 from devices.depth.image_thinning import Depth
 from devices.events import Event
 from devices.pairing import pair_views
-from devices.people.recorded_people import Follow
+from devices.people.recorded_people import Follow, RecordedPeople
 from devices.recorded.files import recorded_at
 from devices.recorded.two_recordings import RecordingChoice, TwoRecordings, read_two
 from devices.skeletons.stated_format import MIRRORED
 from devices.tracker_choice import TrackerChoice
 from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
+from fusion.compiling.kernels import WarmUp, compiles
 from fusion.errors import CalibrationError
+from fusion.estimator.duplex_fusion import compile_smoother
+from fusion.facing import sequence
 from fusion.facing.handedness import mirrored_share
+from fusion.fuser import Fuser
 from fusion.pair_arrays import View
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings, FusionSetup
@@ -241,3 +245,25 @@ def _events_of(
         frame = min(int(np.searchsorted(times, change.time_ns)), len(times) - 1)
         events.append(Event(change.event, "WARN").placed(frame, int(times[frame] - times[0])))
     return sorted(events, key=lambda event: event.frame)
+
+
+def recording_warm_ups(settings: FuserSettings, *others: WarmUp) -> tuple[list[WarmUp], list[WarmUp]]:
+    """What two processes compile on a first run for whole recordings, and others."""
+    first, second = Fuser.warm_ups(settings.method)
+    if settings.method == "duplex":
+        second.append(compile_plan)
+    if settings.hindsight == "whole":
+        first.append(compile_smoother)
+    return first, [*second, *others]
+
+
+@compiles(*sequence.KERNELS)
+def compile_plan() -> None:
+    """Compiles what :func:`fuse_read` calls before it fuses, by planning the fusion of simulated people."""
+    from devices.simulated.kinect import simulated_pair
+
+    sensors = simulated_pair(motion="still", seconds=3.0)[:2]
+    people = (RecordedPeople.of(sensor.body, sensor.frames()) for sensor in sensors)
+    a, b = (each.view(each.ids) for each in people)
+    pairs = pair_views(sensors[0].body, a, b).pairs
+    plan_recording(sensors[0].body, pairs.skeletons, FuserSettings(hindsight="labels"))

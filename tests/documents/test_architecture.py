@@ -106,9 +106,9 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
     [
         ("from fusion import Fuser", 7_000, 0),
         ("from recordings import Session", 5_900, 6),
-        ("from recordings import fuse", 15_900, 25),
-        (RUN_FUSE.format(pair=PAIR), 21_900, 36),
-        ("import viewer_app.commands.live", 32_000, 56),
+        ("from recordings import fuse", 16_400, 25),
+        (RUN_FUSE.format(pair=PAIR), 22_500, 36),
+        ("import viewer_app.commands.live", 32_200, 56),
     ],
 )
 def test_who_reads_one_thing_need_not_read_all(what, most_lines, most_of_devices):

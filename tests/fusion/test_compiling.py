@@ -5,6 +5,8 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
+import time
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -12,12 +14,14 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import nominal_calibration
-from fusion.compiling import kernels as first_run
+from fusion.compiling import disk_cache, first_run
 from fusion.compiling.disk_cache import drop_stale_kernels
-from fusion.compiling.kernels import compiled_meanwhile
+from fusion.compiling.first_run import FirstRun
 from fusion.estimator import estimator
 from fusion.facing import sequence
 from fusion.facing.sequence import relabel_sequence, reported_pairs
@@ -26,7 +30,6 @@ from fusion.paper import method as paper
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
-from fusion.solvers.tree_solver import compile_tree_solver, solve_tree
 from tests.helpers.programs import python
 
 CALLED = """
@@ -200,8 +203,9 @@ def test_a_full_disk_costs_a_compilation(kept_kernel):
     assert [kept_kernel(), kept_kernel()] == [(3, 0), (3, 1)]
 
 
-PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
 COLD = """
+from pathlib import Path
+from fusion.compiling.kernels import compiles
 from fusion.compiling.kernels import kernel
 
 @kernel
@@ -211,6 +215,22 @@ def solve(x):
 @kernel
 def loop(x):
     return solve(x) + 1
+
+@compiles(loop)
+def compile_loop():
+    loop(1)
+    with Path(__file__).with_name("misses").open("a") as file:
+        file.write(f"{len(loop.stats.cache_misses)} ")
+
+@compiles(solve)
+def compile_solver():
+    solve(1)
+
+@compiles(solve)
+def never_ends():
+    import time
+    Path(__file__).with_name("begun").touch()
+    time.sleep(600)
 """
 
 
@@ -221,44 +241,104 @@ def test_a_kernel_on_disk_is_called_without_what_compiling_needs(tmp_path):
     assert said == ["3 True 4.0\n", "3 False 4.0\n"]
 
 
-def test_another_process_compiles_the_solver_on_a_first_run(tmp_path, monkeypatch):
+@pytest.fixture
+def cold(tmp_path, monkeypatch):
+    """A module with two kernels that are not on disk."""
     (tmp_path / "cold.py").write_text(COLD)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    cold = import_module("cold")
-    with compiled_meanwhile(cold.loop, "import cold; cold.solve(1)"):
-        pass
-    assert cold.loop(1) == 3
-    # the solver is found on disk; the loop over frames is compiled here
-    counts = [
+    monkeypatch.delitem(sys.modules, "cold", raising=False)
+    return import_module("cold")
+
+
+def found(*kernels):
+    """How often each was found on disk, and how often it was compiled here."""
+    return [
         sum(each.values())
-        for kernel in (cold.solve, cold.loop)
+        for kernel in kernels
         for each in (kernel.stats.cache_hits, kernel.stats.cache_misses)
     ]
-    assert counts == [1, 0, 0, 1]
 
 
-def test_the_program_continues_if_no_process_starts(monkeypatch):
-    monkeypatch.setattr(first_run, "_is_on_disk", lambda _: False)
-    monkeypatch.setattr(sys, "executable", "/nonexistent")
-    with compiled_meanwhile(solve_tree, "pass"):
-        pass
+def test_a_first_run_compiles_in_other_processes(cold):
+    with FirstRun([cold.compile_loop], [cold.compile_solver]) as run:
+        assert run.progress()[:2] == (0, 2)
+        run.finish()
+    assert run.progress() == (2, 2, 0.0)
+    assert cold.loop(1) == 3
+    assert found(cold.loop) == [1, 0], "loaded"
+    assert (Path(cold.__file__).with_name("misses")).read_text() == "1 0 ", "compiled by the other process"
 
 
-def test_only_what_this_interpreter_compiled_counts(tmp_path):
-    solver = Mock(__name__="solve_tree", stats=Mock(cache_path=tmp_path))
-    (tmp_path / "tree_solver.solve_tree-163.py27.nbi").touch()
-    (tmp_path / f"tree_solver.solve_tree-163.{PYTHON}x.nbi").touch()
-    assert not first_run._is_on_disk(solver)
-    (tmp_path / f"tree_solver.solve_tree-163.{PYTHON}.nbi").touch()
-    assert first_run._is_on_disk(solver)
+def test_a_later_run_starts_no_process_and_loads(cold, monkeypatch):
+    cold.loop(1)
+    monkeypatch.setattr(first_run, "_start", lambda _: pytest.fail("a process"))
+    with FirstRun([cold.compile_loop], [cold.compile_solver]) as run:
+        run.finish(load=False)
+        assert not Path(cold.__file__).with_name("misses").exists()
+        run.finish()
+        assert Path(cold.__file__).with_name("misses").exists()
 
 
-def test_a_later_run_starts_no_process(monkeypatch):
-    compile_tree_solver()
-    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process"))
-    with compiled_meanwhile(solve_tree, "pass"):
-        pass
+@pytest.mark.parametrize("missing", ["cache", "process"])
+def test_without_a_cache_or_a_process_the_program_compiles(cold, missing, monkeypatch):
+    if missing == "cache":
+        monkeypatch.setattr(disk_cache, "_prepare_disk", lambda _: False)
+    else:
+        monkeypatch.setattr(sys, "executable", "/nonexistent")
+    with FirstRun([cold.compile_loop], [cold.compile_solver]) as run:
+        run.finish(load=False)
+    assert run.progress() == (2, 2, 0.0)
+    assert cold.loop.signatures
+
+
+def test_ctrl_c_ends_a_first_run_and_its_processes(cold):
+    begun = Path(cold.__file__).with_name("begun")
+
+    def interrupt():
+        while not begun.exists():
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)  # unlike raise_signal, it reaches the main thread
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt), FirstRun([cold.never_ends]) as run:
+        run.finish()
+    assert [process.returncode is not None for process in run._processes] == [True]
+
+
+@given(
+    seconds=st.lists(st.floats(0.0, 100.0), min_size=5, max_size=5), data=st.data(), every=st.floats(0.1, 3.0)
+)
+def test_the_progress_never_sinks_and_is_told_at_least_every_five_seconds(seconds, data, every):
+    compiled, now, told, kernels = set(), [0.0], [], list("abcdefgh")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            first_run, "_add_calls", lambda _, calls: calls.update({each: set() for each in kernels})
+        )
+        patch.setattr(first_run, "_cost", lambda *_: 1.5)
+        patch.setattr(first_run, "_is_compiled", compiled.__contains__)
+        run = FirstRun(
+            [Mock(dispatchers=[None])], tell=lambda progress: told.append((now[0], progress)), every=every
+        )
+        run._clock, run._began = lambda: now[0], 0.0
+
+        def wait(pause):
+            now[0] += pause
+            compiled.update(data.draw(st.sets(st.sampled_from(kernels), max_size=3)))
+            return now[0] > 20.0
+
+        run._finished = Mock(wait=wait)
+        run._tell_often()
+        for later in seconds:
+            now[0] += later
+            run._tell(run.progress())
+        compiled.update(kernels)
+        run._tell(run.progress())
+    times, progress = zip(*told, strict=True)
+    assert max(np.diff([0.0, *times[: -len(seconds) - 1]])) <= 5.0
+    assert [each.done for each in progress] == sorted(each.done for each in progress)
+    assert all(0 <= each.done <= each.of == len(kernels) and each.seconds_left >= 0.0 for each in progress)
+    assert progress[-1] == (len(kernels), len(kernels), 0.0)
 
 
 @pytest.mark.parametrize(

@@ -184,7 +184,7 @@ def test_a_run_that_records_nothing_leaves_no_folder(tmp_path, capsys, monkeypat
     def stopped(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("viewer_app.commands.demo.warm_up", stopped)
+    monkeypatch.setattr("viewer_app.running.runner.first_run", stopped)
     there = tmp_path / "there"
     there.mkdir()
     for folder in (tmp_path / "above" / "new", there):

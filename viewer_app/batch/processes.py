@@ -12,26 +12,18 @@ from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
 
-from devices.pairing import pair_views
-from devices.people.recorded_people import RecordedPeople
-from devices.simulated.kinect import PERSON, simulated_pair
-from fusion.body import KINECT_V1
-from fusion.fuser import Fuser
-from fusion.plan import plan_recording
-from recordings.fusing.pairs import fuse_segments, setups_of
+from recordings.fusing.files import recording_warm_ups
 from viewer_app.batch.jobs import Job, Outcome
 from viewer_app.batch.worker import fuse_job
-from viewer_app.options.sensing import BatchOptions, recording_settings
+from viewer_app.options.sensing import recording_settings
 from viewer_app.output_console import output_console
-from viewer_app.running.loop import warm_up
-
-_SECONDS = 3.0
-"""Duration of the recording that is fused to compile the kernels: its start-up pose gives a calibration."""
+from viewer_app.running.compilation import warm_up
 
 
 def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Outcome, None, None]:
     """Runs the jobs and yields each outcome when it is known. Closing the generator ends all processes."""
-    compile_kernels(jobs[0].options)
+    settings = recording_settings(jobs[0].options)
+    warm_up(output_console(), recording_warm_ups(settings), load=False)  # before any worker needs the kernels
     # Spawned, not forked: the threads of numba and OpenBLAS do not survive a fork.
     spawn: Any = get_context("spawn")
     pool = ProcessPool(min(processes, len(jobs)), initializer=_begin, context=spawn)
@@ -46,19 +38,6 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Outcome, 
     finally:
         pool.stop()  # type: ignore[no-untyped-call]
         pool.join()
-
-
-def compile_kernels(options: BatchOptions) -> None:
-    """Fuses a simulated recording, so that all kernels are on disk before any worker needs them."""
-    settings = recording_settings(options)
-    sensors = simulated_pair(motion="still", body=KINECT_V1, seconds=_SECONDS)[:2]
-    a, b = (RecordedPeople.of(KINECT_V1, sensor.frames()).view([PERSON]) for sensor in sensors)
-    pairs = pair_views(KINECT_V1, a, b).pairs
-    plan = plan_recording(KINECT_V1, pairs.skeletons, settings)
-    segments = setups_of(plan, settings, (None, None))
-    warm_up(Fuser(segments[0][0]), output_console())
-    for _ in fuse_segments(segments, pairs, plan.labels):
-        pass
 
 
 def _why(code: int) -> str:

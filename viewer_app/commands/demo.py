@@ -23,12 +23,18 @@ from devices.simulated.demonstration import (
     demonstration,
     therapist,
 )
-from devices.simulated.kinect import Scene, SimulatedKinect, Truth, TruthAhead
+from devices.simulated.kinect import (
+    Scene,
+    SimulatedKinect,
+    Truth,
+    TruthAhead,
+    compile_images,
+    compile_tracking,
+)
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.real_time import paced_together
 from fusion.body import BLAZEPOSE, BODIES
 from fusion.calibration.calibration import nominal_calibration
-from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.data.session_arrays import SessionArrays, SessionFrame
 from viewer_app.coach.setup_coach import Coach
@@ -39,7 +45,7 @@ from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs
 from viewer_app.report.terminal import figure_table, print_lines
 from viewer_app.report.words import Line
-from viewer_app.running.loop import run_live, warm_up
+from viewer_app.running.loop import run_live
 from viewer_app.running.runner import Runner
 from viewer_app.running.status import LiveDisplay
 from viewer_app.sensors.raw_files import RawFiles
@@ -117,7 +123,7 @@ class _Demo(Runner):
         self.shown, self.person_at = shown, np.asarray(shown.truth.positions_at(0).mean(axis=0))
         self.setup = FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
         self.coach = Coach(a.body, self.setup.intrinsics, simulated=True)
-        warm_up(Fuser(self.setup), self.console, lambda: next(a.frames(), None))
+        self.warm_ups = [compile_tracking, *([] if self.options.depth == "none" else [compile_images])]
         if pace is not None:
             self.console.print(
                 "The program's own body tracker (BlazePose) runs on simulated infrared and depth images."
@@ -125,11 +131,9 @@ class _Demo(Runner):
         _introduce(self.console, self.options, shown.moments if pace is None else ())
         self.run(_together(a, b, pace), raw)
 
-    def open_session(self, stack: ExitStack) -> LiveDisplay:
-        """Opens the sensors last: their time starts at once."""
-        display = super().open_session(stack)
+    def begin(self, stack: ExitStack) -> None:
+        """Opens the sensors: their time starts at once."""
         self.open_sensors(stack, announced=False)
-        return display
 
     def loop(self, display: LiveDisplay) -> None:
         truth_at = TruthAhead(self.shown.truth)

@@ -16,12 +16,11 @@ from devices.recorded.files import not_of_libk4a
 from devices.recorded.two_recordings import RecordingChoice, TwoRecordings
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
-from fusion.fuser import Fuser
 from fusion.pair_arrays import Pairs
 from fusion.setup import FuserSettings
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.export import writer_for
-from recordings.fusing.files import fuse_read, read_for
+from recordings.fusing.files import fuse_read, read_for, recording_warm_ups
 from recordings.quality.figures import Figures, report
 from recordings.session import Session
 from viewer_app.errors import UsageError
@@ -31,7 +30,7 @@ from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, output_file, write_text
 from viewer_app.report import save_session_report
 from viewer_app.report.terminal import print_summary, say_more, say_saved
-from viewer_app.running.interruption import compiling
+from viewer_app.running.compilation import warm_up
 from viewer_app.viewer.viewer_choice import FileWindow, choose_viewing
 
 
@@ -53,6 +52,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     check_outputs(outputs, [*_recordings(options), Path(options.calibrate)], options.force, options.save)
     settings = recording_settings(options)
     read = _read(options, settings, console)
+    warm_up(console, recording_warm_ups(settings), load=False)
     source, progress = calibration_source(options.calibrate), _progress(console)
     fused = fuse_read(
         read,
@@ -64,8 +64,6 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
         force=options.force,
         progress=progress,
     )
-    with compiling(console):
-        Fuser(fused.fused[-1][0]).warm_up()
     session = Session.of(*fused)
     del fused  # ends the bar, and frees the labels, 30 bytes of each pair
     figures, kept, about = report(session), session, ""

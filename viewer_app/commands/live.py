@@ -11,11 +11,11 @@ from rich.markup import escape
 
 from devices.azure.settings import check_modes
 from devices.capture.sensor_pair import TwoSensors
+from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import thinned_camera
 from devices.network.remote_sensor import PREFIX
 from devices.recorded.files import has_images
 from fusion.calibration.calibration import Calibration, nominal_calibration
-from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.setup import FuserSettings, FusionSetup
 from recordings.calibration_file import calibration_to_json, read_calibration
@@ -26,7 +26,7 @@ from viewer_app.options.shared import check_seconds
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, write_text
 from viewer_app.running.interruption import call_after
-from viewer_app.running.loop import Status, run_live, warm_up
+from viewer_app.running.loop import Status, run_live
 from viewer_app.running.runner import Runner
 from viewer_app.running.status import LiveDisplay
 from viewer_app.sensors.local import capture_settings, one_of_live, two_connected_sensors, two_played_sensors
@@ -93,11 +93,12 @@ class _Live(Runner):
         body, given = sensors.a.sensor.body, self.options.calibrate
         start = nominal_calibration(body) if given == "auto" else read_calibration(Path(given), body)
         self.setup = FusionSetup(start, self._settings)
-        warm_up(Fuser(self.setup), self.console)
         super().run(sensors, raw)
 
-    def open_session(self, stack: ExitStack) -> LiveDisplay:
+    def open_session(self, stack: ExitStack, sample: bool = False) -> LiveDisplay:
         """Opens the sensors first, whose cameras it shows."""
+        del sample  # people before their sensors look for themselves
+        depth_witness.warm_up()  # which the sensors' threads call
         self.open_sensors(stack)
         sensors = self.sensors.a.sensor, self.sensors.b.sensor
         cameras = (
@@ -109,6 +110,11 @@ class _Live(Runner):
         rate = self.sensors.rate
         self.coach = Coach(setup.body, setup.intrinsics, rate, warm_up=WARM_UP, remote=remote)
         return super().open_session(stack)
+
+    def begin(self, stack: ExitStack) -> None:
+        """Counts frames from now on: earlier ones waited for the kernels."""
+        del stack
+        self.sensors.count_from_now()
 
     def loop(self, display: LiveDisplay) -> None:
         def go_on(status: Status) -> bool:

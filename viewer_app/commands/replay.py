@@ -29,7 +29,8 @@ from viewer_app.outputs.output import LiveOutput
 from viewer_app.report import save_session_report
 from viewer_app.report.pages.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images, print_summary, say_more, say_saved
-from viewer_app.running.loop import played, warm_up
+from viewer_app.running.compilation import warm_up
+from viewer_app.running.loop import played
 from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.file_window import write_for_viewer, written_and_shown
 from viewer_app.viewer.viewer_choice import window_opens
@@ -104,7 +105,7 @@ def _fused(
     if options.pace == "fast":
         yield from shown
         return
-    warm_up(Fuser(replay.segments[0][0]), console)
+    warm_up(console, Fuser.warm_ups(replay.segments[0][0].settings.method))
     setups = {own.start: setup for setup, own in replay.segments}
     fused = list(shown)
     frames = with_floors(chain.from_iterable(fused), replay.session)

@@ -1,4 +1,4 @@
-"""Ends a run by Ctrl-C or after some time, so that captured data is saved at any moment; notices."""
+"""Ends a run by Ctrl-C or after some time, so that captured data is saved at any moment."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from rich.console import Console
+from typing import Any
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end a command: Ctrl-C, ``docker stop`` and systemd, a closed terminal."""
@@ -116,9 +113,3 @@ class CtrlC:
             return
         if self._raises:
             raise KeyboardInterrupt
-
-
-def compiling(console: Console) -> AbstractContextManager[object]:
-    """Prints a notice if what is done inside, which loads or compiles kernels, takes more than a second."""
-    notice = "Loading the kernels; the first run compiles them …"
-    return call_after(1.0, lambda: console.print(notice))

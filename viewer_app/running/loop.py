@@ -13,23 +13,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
 from devices.capture.sensor_pair import TwoSensors
-from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, pair_without_images
-from devices.depth.rvl import encode_depth
 from devices.events import Event
-from devices.people import tracks as people_tracks
 from devices.people.recorded_people import Follow
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.calibrator import Calibrator
-from fusion.fuser import Fuser
-from fusion.movement import angles
 from fusion.setup import FusionSetup
 from recordings.data.session_arrays import SessionFrame
 from recordings.live_fusion import LiveFusion
-from viewer_app.running.interruption import compiling
 from viewer_app.sinks.sink import Sink
 
 _KEPT_FRAMES = 1_800
@@ -48,22 +41,6 @@ class Status:
     calibrator: Calibrator
     sensors: TwoSensors
     events: tuple[Event, ...]
-
-
-def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = lambda: None) -> None:
-    """Compiles the kernels, and what `meanwhile` compiles, before the first frame; prints a notice if this
-    takes more than a second.
-    """
-
-    def others() -> None:
-        meanwhile()
-        depth_witness.warm_up()
-        people_tracks.warm_up()
-        angles.warm_up(fuser.setup.body)
-        encode_depth(np.zeros((1, 1), dtype=np.uint16))
-
-    with compiling(console):
-        fuser.warm_up(others)
 
 
 @contextmanager

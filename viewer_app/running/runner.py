@@ -14,8 +14,10 @@ from rich.console import Console
 from devices.capture.sensor_pair import TwoSensors
 from devices.recorded.files import images_of, recorded_at
 from devices.sensor import ImageRecording, Sensor
+from fusion.compiling.kernels import WarmUp
 from fusion.setup import FusionSetup
 from recordings.data.session_arrays import SessionArrays, SessionFrame
+from recordings.live_fusion import live_warm_ups
 from recordings.quality.figures import Figures, fusion_figures, with_verdict
 from recordings.session import Session
 from viewer_app.coach.setup_coach import Coach
@@ -25,6 +27,7 @@ from viewer_app.output_files import warn_of_little_room
 from viewer_app.outputs.opening import announce_outputs, check_kept, plan_outputs, print_outputs
 from viewer_app.report import save_session_report
 from viewer_app.report.terminal import print_details, print_summary, say_more, say_saved
+from viewer_app.running.compilation import first_run
 from viewer_app.running.interruption import call_after
 from viewer_app.running.sensor_run import SensorRun
 from viewer_app.running.sounds import Sounds, player
@@ -51,6 +54,8 @@ class Runner(SensorRun):
     coach: Coach
     active: Layout
     person_at: NDArray[np.float64]
+    warm_ups: Sequence[WarmUp] = ()
+    """What it needs besides what every live run does."""
 
     def __init__(
         self, options: DemoOptions | LiveOptions, console: Console, save: Path | None, remote: bool = False
@@ -61,8 +66,19 @@ class Runner(SensorRun):
         self._save = save
 
     def work(self, stack: ExitStack) -> None:
-        self.open_outputs(stack)
-        self.loop(self.open_session(stack))
+        """Compiles kernels on a first run while outputs, sensors and viewer open; then fuses."""
+        shares = live_warm_ups(self.setup.settings.method, *self.warm_ups)
+        with first_run(self.console, shares) as running:
+            self.open_outputs(stack)
+            display = self.open_session(stack, sample=bool(running))
+            with self.ctrl_c.raising():
+                running.finish()
+        self.begin(stack)
+        self.session.begin()
+        self.loop(stack.enter_context(display))
+
+    def begin(self, stack: ExitStack) -> None:
+        """Called when all is compiled, before the first frame."""
 
     def loop(self, display: LiveDisplay) -> None:
         """Fuses until the sensors end."""
@@ -73,8 +89,12 @@ class Runner(SensorRun):
         self._outputs = stack.enter_context(self._plan.opened(self.setup, self.sensors.rate))
         announce_outputs(self.console, self._outputs)
 
-    def open_session(self, stack: ExitStack) -> LiveDisplay:
-        """Opens viewer, file and status line, which the stack closes; returns the observer of the loop."""
+    def open_session(self, stack: ExitStack, sample: bool = False) -> LiveDisplay:
+        """Opens viewer and file, which the stack closes; returns the observer of the loop, for the stack.
+
+        Args:
+            sample: Whether the viewer shows a recorded sample until the session begins.
+        """
         console, options, a, b = self.console, self.options, self.sensors.a.sensor, self.sensors.b.sensor
         if self._save is not None:
             warn_of_little_room(self._save, console)
@@ -99,6 +119,7 @@ class Runner(SensorRun):
                 file=self._save,
                 overwrite=options.force,
                 viewing=self.viewing,
+                sample=sample,
                 file_blueprint=layout(self.setup),
                 reframed=shown if self.active == "setup" else None,  # once it is known where B stands
                 others=self._outputs,
@@ -107,8 +128,7 @@ class Runner(SensorRun):
         )
         self.viewing.announce(console)
         sounds = self._sounds(stack) if options.sound else None
-        display = LiveDisplay(console, self.session, self.coach, options.quiet, options.verbose, sounds)
-        return stack.enter_context(display)
+        return LiveDisplay(console, self.session, self.coach, options.quiet, options.verbose, sounds)
 
     def _sounds(self, stack: ExitStack) -> Sounds | None:
         play = player()

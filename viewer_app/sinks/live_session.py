@@ -17,6 +17,8 @@ from viewer_app.sinks.sink import FanOut, Sink
 from viewer_app.sinks.viewer_sink import ViewerSink
 from viewer_app.viewer.viewer_choice import Viewing
 
+SAMPLE = Path(__file__).parents[1] / "viewer" / "recorded_sample.rrd"
+"""A few seconds of two sensors; ``python -m tests.experiments.recorded_sample`` makes it."""
 _PAUSE = 0.02
 """Longest time in seconds that the file's thread waits between two messages while the viewer's is writing."""
 
@@ -31,6 +33,7 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
         file: The file to write; None for none. It is readable while it grows.
         file_blueprint: The layout in the file; None: the viewer's. A file lacks what only a viewer is shown.
         reframed: Makes the viewer's layout of a setup in which B stands elsewhere; None: it stays.
+        sample: Whether the viewer shows a recorded sample until :meth:`begin`.
     """
 
     def __init__(
@@ -46,11 +49,15 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
         file_blueprint: rrb.Blueprint | None = None,
         reframed: Callable[[FusionSetup], rrb.Blueprint] | None = None,
         about: Mapping[str, str | int] | None = None,
+        sample: bool = False,
     ) -> None:
         identity = uuid4()
         self.viewer: ViewerSink | None = None
         if viewing is not None and viewing.hub is not None:
-            self.viewer = ViewerSink(setup, sources, blueprint, viewing, identity, file is None, reframed)
+            shown = SAMPLE if sample else None
+            self.viewer = ViewerSink(
+                setup, sources, blueprint, viewing, identity, file is None, reframed, shown
+            )
         self.file: SessionFile | None = None
         viewer = self.viewer
 
@@ -71,6 +78,11 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
                 on_failure=lambda why: None if viewer is None else viewer.event(Event(why, "ERROR")),
             )
         super().__init__([sink for sink in (self.file, self.viewer, *others) if sink is not None])
+
+    def begin(self) -> None:
+        """Shows this session where the viewer showed a sample."""
+        if self.viewer is not None:
+            self.viewer.begin()
 
     def save(self) -> None:
         """Writes the queued items to the file and closes it; later items go only to the other sinks."""

@@ -10,6 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from uuid import UUID
 
 import numpy as np
@@ -53,6 +54,7 @@ class ViewerFeed(QueuedSink):
         keep: Maximum number of queued frames; the oldest are dropped.
         patience: Seconds without progress after which the process is replaced.
         retry: Seconds between two starts.
+        sample: Another recording, shown until :meth:`begin`.
     """
 
     def __init__(
@@ -64,13 +66,17 @@ class ViewerFeed(QueuedSink):
         keep: int = _KEEP,
         patience: float = 10.0,
         retry: float = 0.5,
+        sample: Path | None = None,
     ) -> None:
         super().__init__(ItemQueue(self._admitted))
         self._thread = threading.Thread(target=self._run, name="viewer feed", daemon=True)
         self._drop_oldest = DropOldest(keep)
         self._start, self._stream, self._begin = start, stream, begin
         self._patience, self._retry = patience, retry
-        self._turn_over, self._free, self._ended = (threading.Event() for _ in range(3))
+        self._turn_over, self._free, self._ended, self._begun = (threading.Event() for _ in range(4))
+        self._sample = sample
+        if sample is None:
+            self._begun.set()
         self._writing_since: float | None = None  # on the monotonic clock; None while nothing is written
         self.process = start()
         self.starts = 1
@@ -86,6 +92,11 @@ class ViewerFeed(QueuedSink):
         if not self._queue.ended:
             self._free.clear()
         return self._drop_oldest(queued, item)
+
+    def begin(self) -> None:
+        """Shows the session instead of the sample."""
+        self._begun.set()
+        self.wait_until_free(_BEGINS_WITHIN)  # the static data would hold up the first frames
 
     def wait_for_turn(self, seconds: float) -> None:
         """Waits until the next items are written, at most the given seconds."""
@@ -133,6 +144,11 @@ class ViewerFeed(QueuedSink):
 
     def _feed(self, process: subprocess.Popen[bytes]) -> None:
         """Feeds the process until it is gone, hangs, or the feed stops."""
+        if self._sample is not None and not self._begun.is_set():
+            self._send(process, self._sample.read_bytes())
+            while not self._begun.wait(_WATCHED_EVERY):
+                if self._queue.ended or process.poll() is not None:
+                    return
         encoded = rr.binary_stream(self._stream)
         recorder = self._begin(self._stream)
         try:
@@ -209,6 +225,7 @@ class ViewerSink(ViewerFeed):
         identity: UUID,
         alone: bool = True,
         reframed: Callable[[FusionSetup], rrb.Blueprint] | None = None,
+        sample: Path | None = None,
     ) -> None:
         assert viewing.hub is not None
         self.hub = hub = viewing.hub
@@ -221,14 +238,15 @@ class ViewerSink(ViewerFeed):
             hub.start,
             rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
             self._begin_recording,
+            sample=sample,
         )
         while not hub.listens(started := self.process):  # the feed starts another one if it has ended
             if self.starts >= STARTS_TRIED or started.poll() is None:
                 super().close()
                 raise not_started(SERVER)
             time.sleep(_WATCHED_EVERY)
-        # While a hub takes the static data, it would hold up the first frames.
-        self.wait_until_free(_BEGINS_WITHIN)
+        if sample is None:
+            self.begin()
         if isinstance(viewing, LiveWindow):
             try:
                 self.window = ViewerWindow(lambda: start_window(hub, viewing.headless))

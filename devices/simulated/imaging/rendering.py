@@ -129,12 +129,12 @@ def depth_image(
     normal = random.standard_normal(z.shape, dtype=np.float32)
     uniform = random.random(z.shape, dtype=np.float32)
     image = np.zeros(z.shape, dtype=np.uint16)
-    _read_out(z, cosine, normal, uniform, astuple(errors), focal, image)
+    read_out(z, cosine, normal, uniform, astuple(errors), focal, image)
     return image
 
 
 @njit(nogil=True)
-def _read_out(z, cosine, normal, uniform, errors, focal, image):  # type: ignore[no-untyped-def]
+def read_out(z, cosine, normal, uniform, errors, focal, image):  # type: ignore[no-untyped-def]
     noise, growth, grazing, edge_loss, nearest, farthest = errors[:6]
     offset, wiggle, wiggle_metres, phase, flying, step, baseline = errors[6:]
     height, width = z.shape

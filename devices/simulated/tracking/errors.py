@@ -71,12 +71,12 @@ class BoneLengths:
     def apply(self, report: Report) -> None:
         body, held = report.of.body, report.at.copy()
         order, parents = body.order[1:], body.parent_indices
-        _hold(held, report.at, report.joints, order, parents, self._factor, report.of.errors.stretch)
+        hold(held, report.at, report.joints, order, parents, self._factor, report.of.errors.stretch)
         report.at = held
 
 
 @njit()
-def _hold(held, at, joints, order, parents, factor, stretch):  # type: ignore[no-untyped-def]
+def hold(held, at, joints, order, parents, factor, stretch):  # type: ignore[no-untyped-def]
     """Moves joints along their bones, from the root outwards: ``stretch`` of a length's error remains."""
     for joint in order:
         parent = parents[joint]

@@ -68,7 +68,7 @@ def test_frames_of_one_moment_pair_at_any_rates_lags_and_clocks(one, other, lag_
     # moments are off by the least jitter of ten seconds (3 ms exponential), by drift and by the latencies
     slack_ns = 2 * MILLISECOND_NS + abs(one["latency_ns"] - other["latency_ns"])
     skews, told = true_skews(both, a, b), np.array([pair.skew_ns for pair in both])
-    settled = np.array([pair.b.host_ns > 8 * SECOND_NS for pair in both])
+    settled = np.array([pair.b.host_ns > 8 * SECOND_NS for pair in both], dtype=bool)
     assert (np.abs(skews[settled]) <= pairing.interval_ns / 2 + slack_ns).all()
     assert (np.abs(told - skews)[settled] <= slack_ns).all()
     if abs(lag_a_ms - lag_b_ms) * MILLISECOND_NS > 4 * pairing.interval_ns:

@@ -210,7 +210,7 @@ def test_a_session_that_was_being_replaced_returns(tmp_path, in_this_process, mo
 
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs POSIX signals")
 def test_interrupted_half_way_and_resumed(tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(processes, "compile_kernels", lambda _: None)
+    monkeypatch.setattr(processes, "warm_up", lambda *_, **__: None)
     pairs, out = tmp_path / "pairs", tmp_path / "out"
     for seed in range(4):
         write_pair(pairs / f"p{seed}", seed=seed)

@@ -269,7 +269,7 @@ class Shown:
     def __init__(self, width=80, **options):
         self.printed = io.StringIO()
         self.session = MagicMock(
-            file=MagicMock(failure=None, saves=True, written_bytes=12_340_000, lost=0),
+            file=MagicMock(failure=None, waited=None, saves=True, written_bytes=12_340_000, lost=0),
             viewer=MagicMock(dropped=0, window_closed=False, window_failure=""),
         )
         self.coach = MagicMock(body=BODY, intrinsics=(MagicMock(), MagicMock()))

@@ -23,6 +23,7 @@ from fusion.calibration.calibration import nominal_calibration
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings.data import layout
+from recordings.session import Session
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, known_fuser, numbers_in, session
 from tests.helpers.machine import need_viewer
@@ -30,7 +31,7 @@ from tests.helpers.pictures import headless_viewer
 from tests.helpers.waiting import eventually
 from viewer_app.sinks import item_queue
 from viewer_app.sinks.item_queue import DropOldest, QueuedFrame
-from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.live_session import SAMPLE, LiveSession
 from viewer_app.sinks.queued_file import QueuedFile
 from viewer_app.sinks.session_file import SessionFile
 from viewer_app.sinks.sink import FanOut, Sink
@@ -199,6 +200,32 @@ def feed_into(command, fuser, **options):
         lambda stream: Recorder(stream, fuser.setup, ("a", "b")),
         **options,
     )
+
+
+COPY = """import sys
+with open(sys.argv[1], "wb", buffering=0) as file:
+    while data := sys.stdin.buffer.raw.read(65536):
+        file.write(data)
+"""
+
+
+def test_a_viewer_shows_a_sample_until_the_session_begins(tmp_path, fuser):
+    shown, sample = tmp_path / "shown.rrd", SAMPLE.read_bytes()
+    feed = feed_into([sys.executable, "-c", COPY, str(shown)], fuser, sample=SAMPLE)
+    for frame in frames(fuser, 3):
+        feed.write(frame)
+    assert eventually(lambda: shown.exists() and shown.read_bytes() == sample)
+    assert not feed.wait_until_free(0.5), "the frames wait"
+    feed.begin()
+    assert eventually(lambda: shown.stat().st_size > len(sample))
+    feed.close()
+    assert shown.read_bytes().startswith(sample)
+
+
+def test_the_sample_is_of_todays_layout():
+    """Else ``python -m tests.experiments.recorded_sample`` makes it again."""
+    about = Session.open(SAMPLE).about["session"]
+    assert about["layout_version"][0] == layout.VERSION
 
 
 @pytest.fixture
