@@ -201,7 +201,7 @@ def _cell(value):
 
 def main(arguments=None):
     """Checks, lowers or measures."""
-    parser = argparse.ArgumentParser(prog="python -m tests.ledger", description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m tests.ledger", description=__doc__)
     parser.add_argument("--lower", action="store_true", help="lower the limits to what is there now")
     parser.add_argument("--compile", action="store_true", help="measure how long the kernels compile")
     options = parser.parse_args(arguments)
@@ -222,7 +222,7 @@ def main(arguments=None):
     wrong = list(faults(rows, now, map(limits_of, earlier_versions())))
     if digest != kernels_digest():
         wrong.append("kernels: changed since they were measured: run python -m tests.ledger --compile.")
-    sys.exit("\n".join(wrong))
+    sys.exit("\n".join(wrong) or 0)
 
 
 if __name__ == "__main__":
