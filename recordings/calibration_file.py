@@ -2,12 +2,11 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from devices.input_file import input_text, reading
-from fusion.body import Body
+from fusion.body import BODIES, Body
 from fusion.calibration.bone_lengths import SHORTEST
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
@@ -21,7 +20,7 @@ _LONGEST = 1.5  # metres; longer than any human bone
 def calibration_to_json(calibration: Calibration) -> str:
     """The calibration as JSON: body, R, t, bone lengths by name, how it was made."""
     body = calibration.body
-    document: dict[str, Any] = {
+    document = {
         "body": body.name,
         "how": calibration.how,
         "a_from_b": {
@@ -38,8 +37,8 @@ def is_loaded(calibration: Calibration) -> bool:
     return calibration.how.startswith(_LOADED)
 
 
-def read_calibration(path: Path, body: Body) -> Calibration:
-    """Reads a calibration for the given body.
+def read_calibration(path: Path, body: Body | None = None) -> Calibration:
+    """Reads a calibration for the given body; without one, for the body that the file names.
 
     Raises:
         RecordingError: The file is missing, is not a calibration, or belongs to another body.
@@ -47,15 +46,15 @@ def read_calibration(path: Path, body: Body) -> Calibration:
     try:
         with reading(path, RecordingError, MissingFileError, "calibration"):
             document = json.loads(input_text(path))
+        body = body or BODIES[document["body"]]
         if document["body"] != body.name:
             raise RecordingError(
                 f"{path} is a calibration of {document['body']}; these recordings are of {body.name}."
             )
         lengths = np.zeros(len(body))
         for joint in body.bone_joints:
-            lengths[joint] = float(document["bone_lengths_m"][body.bones[joint]])
-        bones = lengths[body.bone_joints]
-        if not ((bones >= SHORTEST) & (bones <= _LONGEST)).all():
+            lengths[joint] = document["bone_lengths_m"][body.bones[joint]]
+        if not all(SHORTEST <= length <= _LONGEST for length in lengths[body.bone_joints]):
             raise ValueError(f"bone lengths must lie between {SHORTEST} and {_LONGEST} m")
         transform = document["a_from_b"]
         return Calibration(

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from devices.skeletons.name_tables import name_table
+from recordings.calibration_file import read_calibration
 from viewer_app.batch.finding import PAGE, TABLE, Pair, find_pairs
 from viewer_app.batch.jobs import Job, Outcome, Record, tidy
 from viewer_app.batch.manifest import read_manifest
@@ -30,7 +31,10 @@ def run(options: BatchOptions) -> None:
     if options.processes < 0:
         raise UsageError(f"--processes must be 0 or more; got {options.processes}.")
     recording_settings(options)
-    calibration_source(options.calibrate)
+    calibration = calibration_source(options.calibrate)
+    if isinstance(calibration, Path):
+        read_calibration(calibration)
+        options = replace(options, calibrate=str(calibration.absolute()))
     if options.names:
         name_table(options.names)
     options = _absolute(options)
@@ -39,7 +43,9 @@ def run(options: BatchOptions) -> None:
         console.print(line, style="yellow", markup=False)
     jobs = [Job(pair, options) for pair in pairs]
     refuse_without_effect(*(job.fuse_options(job.folder) for job in jobs))
-    _make_folder(options.out)
+    make_folder(options.out)
+    if not os.access(options.out, os.W_OK):
+        raise UsageError(f"The folder {options.out} is not writable.")
     claim(options.out / TABLE)
     tidy(options.out)
     known, to_do = plan_work(jobs, options.force)
@@ -136,13 +142,11 @@ def _difference(before: dict[str, object], now: dict[str, object]) -> str:
 
 def _absolute(options: BatchOptions) -> BatchOptions:
     """The options with absolute paths: a worker of a cluster has another working directory."""
-    calibration = calibration_source(options.calibrate)
     return replace(
         options,
         source=options.source.absolute(),
         out=options.out.absolute(),
         names=str(Path(options.names).absolute()) if Path(options.names).is_file() else options.names,
-        calibrate=str(calibration.absolute()) if isinstance(calibration, Path) else options.calibrate,
         tracker_model=None if options.tracker_model is None else options.tracker_model.absolute(),
         k4abt=None if options.k4abt is None else options.k4abt.absolute(),
     )
@@ -154,12 +158,6 @@ def _pairs(options: BatchOptions) -> tuple[list[Pair], list[str]]:
     if options.source.suffix.lower() == ".csv" or options.source.is_file():
         return read_manifest(options.source), []
     raise UsageError(f"No folder {options.source}. Name a folder of recordings, or a manifest (.csv).")
-
-
-def _make_folder(out: Path) -> None:
-    make_folder(out)
-    if not os.access(out, os.W_OK):
-        raise UsageError(f"The folder {out} is not writable.")
 
 
 def _outcomes(jobs: Sequence[Job], options: BatchOptions, console: Console) -> Generator[Outcome, None, None]:

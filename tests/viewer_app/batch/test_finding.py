@@ -6,6 +6,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from fusion.body import AZURE_KINECT
+from fusion.calibration.calibration import nominal_calibration
+from recordings.calibration_file import calibration_to_json
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.machine import need_browser
 from viewer_app.batch import processes
@@ -156,7 +159,8 @@ def test_usage_errors_give_one_line_and_exit_code_2(arguments, words, tmp_path, 
 def test_workers_in_another_folder_find_the_files_of_the_options(
     tracker, option, name, tmp_path, monkeypatch
 ):
-    touch(tmp_path, "pairs/a.mkv", "pairs/b.mkv", "networks/full", "elsewhere/x", "k.json", "libk4abt.so")
+    touch(tmp_path, "pairs/a.mkv", "pairs/b.mkv", "networks/full", "elsewhere/x", "libk4abt.so")
+    (tmp_path / "k.json").write_text(calibration_to_json(nominal_calibration(AZURE_KINECT)))
     seen = []
 
     def run(jobs, _):
