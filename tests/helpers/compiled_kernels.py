@@ -20,7 +20,7 @@ import psutil
 import pytest
 
 _ROOT = Path(__file__).resolve().parents[2]
-_NEEDS_NONE = re.compile(r"tests/(devices|documents)/(?!.*(fus|commands|architecture))")
+_NEEDS_NONE = re.compile(r"tests/(devices/(?!.*(?<!re)fus)|documents/(?!test_(commands|architecture)))")
 _COMPILING = pytest.StashKey()
 
 

@@ -1,5 +1,7 @@
 """Two simulated people before two sensors, and trackers that exchange, lose and renew their ids."""
 
+from functools import cache
+
 import numpy as np
 
 from devices.people.recorded_people import RecordedPeople
@@ -17,10 +19,11 @@ BEHIND = Beside(movement("idle"), (0.0, 0.0, 1.4), (1.6, 0.0, 0.1))
 """The same behind a person who walks: the two are never nearer than half a metre."""
 
 
+@cache
 def two_people(motions, seed=0, seconds=10.0):
     """Of each sensor and frame: time and the skeletons of both people, None where one is not seen.
 
-    The one behind another is not seen.
+    The one behind another is not seen. The lists are shared by all who ask for the same.
     """
     each = [
         simulated_pair(motion=motion, seed=2 * seed + k, body=KINECT_V2, seconds=seconds, height=height)

@@ -61,7 +61,7 @@ def test_tracked_joints_are_near_the_truth_and_hidden_ones_are_not_tracked(track
     """The goals of the project: median 35 mm, 90 % 90 mm; at most 5 % of hidden joints tracked."""
     found, hidden, seen = [], [], []
     for motion in ("walk", "arms", "badminton", "sit", "turn", "squat"):
-        for seconds in (1.0, 2.7, 4.4, 6.1, 7.8):
+        for seconds in (1.0, 4.4, 7.8):
             marks = landmarks_at(motion, seconds)
             tracker.forget()
             share = share_seen(marks)

@@ -23,12 +23,14 @@ PERIOD_NS = 33_333_333
 SECOND_NS = 1_000_000_000
 
 
-@pytest.mark.parametrize("tracking_ms", [(20, 20), (40, 40), (20, 60), (60, 20)])
-@pytest.mark.parametrize("latency_ms", [0, 100, 200])
+@pytest.mark.parametrize(
+    ("latency_ms", "tracking_ms"),
+    [(0, (20, 20)), (0, (60, 20)), (100, (40, 40)), (200, (20, 60)), (200, (20, 20))],
+)
 def test_frames_that_both_trackers_can_process_are_paired_and_new(bus, latency_ms, tracking_ms):
     a, b = tracking_ms
     outcome = run_slow_trackers(
-        bus, color_latency_ns=latency_ms * MS, tracking_ns=(a * MS, b * MS), seconds=12.0
+        bus, color_latency_ns=latency_ms * MS, tracking_ns=(a * MS, b * MS), seconds=9.0
     )
     assert outcome.paired >= 0.99
     assert outcome.age_ns <= max(tracking_ms) * MS + PERIOD_NS
@@ -36,7 +38,7 @@ def test_frames_that_both_trackers_can_process_are_paired_and_new(bus, latency_m
 
 
 def test_without_a_cable_the_same_moments_survive_too(bus):
-    outcome = run_slow_trackers(bus, tracking_ns=(60 * MS, 40 * MS), cable=False, seconds=12.0)
+    outcome = run_slow_trackers(bus, tracking_ns=(60 * MS, 40 * MS), cable=False, seconds=9.0)
     assert outcome.paired >= 0.99
     assert outcome.age_ns <= 60 * MS + PERIOD_NS
 
@@ -170,13 +172,13 @@ def test_both_count_the_same_moments_whatever_their_clocks_say(clock_ns):
     assert [later - first for first, later in pairwise(a)].count(2) == 1
 
 
-def test_clocks_that_drift_apart_for_an_hour_stay_on_one_grid():
+def test_clocks_that_drift_apart_stay_on_one_grid():
     decimation = FrameDecimation(30)
     off = 0
-    for index in range(108_000):
+    for index in range(36_000):
         at_ns = 10**12 + index * PERIOD_NS
         (a,) = _moments(decimation, "a", [at_ns], 0, ppm=30.0)
-        # B captures 50 ppm slower: after an hour its camera is 5.4 frames behind
+        # B captures 50 ppm slower: after twenty minutes its camera is 1.8 frames behind
         (b,) = _moments(decimation, "b", [round(10**12 + index * PERIOD_NS * (1 + 50e-6))], 7 * MS, ppm=-20.0)
         behind = index * 50e-6
         off = max(off, abs((b - a) - behind))

@@ -214,7 +214,7 @@ class Setting:
     angle_deg: float
     seconds: float
     standing: float = 0.0
-    seeds: int = 2
+    seeds: int = 1
 
 
 REAL = {

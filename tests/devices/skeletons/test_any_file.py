@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.sensor import DeviceError
@@ -208,7 +208,6 @@ def is_right(read, times, truth, states):
     return off_ns < 3_000_000 and np.nanmax(np.abs(view.positions - truth)) < 1e-4
 
 
-@settings(max_examples=150)
 @given(drawn=DRAWN)
 def test_a_file_is_read_right_or_refused(tmp_path, drawn):
     path = tmp_path / "a.csv"

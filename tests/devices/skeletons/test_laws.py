@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.sensor import DeviceError
@@ -25,7 +25,6 @@ from tests.helpers.two_views import FRAME_NS, moving, standing
 
 BODY = KINECT_V2
 ROW = 45  # bytes
-LAWS = settings(max_examples=100)
 HEADER = "time_us,body,joint,x,y,z,state"
 FAULTS = {  # what is done to a row, and what is told of it; None: nothing
     "none": (lambda row: [row], None),
@@ -61,7 +60,6 @@ def outcome(path, block):
     return read.people, set(read.warnings), passes
 
 
-@LAWS
 @given(
     frames=st.integers(8, 14),
     people=st.integers(1, 3),
@@ -109,7 +107,6 @@ def test_a_file_says_the_same_in_blocks_and_at_once(
         assert f"line {line}" in said
 
 
-@LAWS
 @given(
     people=st.integers(1, 2),
     cut=st.integers(1, len(BODY) - 1),
@@ -127,7 +124,6 @@ def test_a_file_cut_off_in_its_last_frame_is_refused_wherever_a_block_ends(
     assert "seems to be cut off" in told
 
 
-@LAWS
 @given(
     body=st.sampled_from(list(BODIES.values())),
     unit=st.sampled_from(list(METRES)),
@@ -143,7 +139,6 @@ def test_the_unit_is_found_whatever_a_minority_of_frames_says(body, unit, statur
     assert find_unit("a.csv", body, positions)[0] == METRES[unit][0]
 
 
-@LAWS
 @given(behind=st.integers(0, 60), seed=st.integers(0, 2**32))
 def test_a_file_is_refused_where_most_joints_are_behind_the_sensor(behind, seed):
     positions = np.random.default_rng(seed).uniform(0.5, 4.0, (60, 3))
@@ -155,7 +150,6 @@ def test_a_file_is_refused_where_most_joints_are_behind_the_sensor(behind, seed)
         check_metres_forward("a.csv", positions)
 
 
-@LAWS
 @given(
     xy=st.tuples(*[st.floats(-FARTHEST, FARTHEST, exclude_min=True, exclude_max=True)] * 2),
     z=st.floats(1e-6, 9.9),
@@ -180,7 +174,6 @@ def recorded(*people):
     return found_of(Path("a.json"), points, "time_ns", frames)
 
 
-@LAWS
 @given(still=st.lists(st.booleans(), min_size=1, max_size=3), share=st.floats(0, 1))
 def test_a_person_who_is_followed_and_stands_still_is_told(still, share):
     """Repeated in more than 90 % of the frames; of people who are seen as long, the last one is followed."""
@@ -192,7 +185,6 @@ def test_a_person_who_is_followed_and_stands_still_is_told(still, share):
     assert any("repeats the one before" in line for line in told) == (still[-1] and frames > 0.9 * 59)
 
 
-@LAWS
 @given(
     y_up=st.booleans(),
     lifted=st.sampled_from([(), ("left",), ("right",)]),
@@ -215,7 +207,6 @@ def test_d14_upside_down_is_told_of_the_person_who_is_followed(followed):
     assert any("the head is below the feet" in line for line in told) == bool(followed)
 
 
-@LAWS
 @given(
     groups=st.lists(st.lists(st.integers(0, 9), min_size=1, max_size=4), min_size=1, max_size=4),
     seed=st.integers(0, 2**32),

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.sensor import DeviceError
@@ -116,7 +116,6 @@ def write(path, rows, separator=",", comma=False):
     return path
 
 
-@settings(max_examples=150)
 @given(drawn=DRAWN, block=st.sampled_from([-1, 50, 400, 3000]))
 def test_a_wide_file_says_what_a_long_one_says(tmp_path, drawn, block):
     wide, long, names = tables(drawn)
@@ -134,7 +133,6 @@ def test_a_wide_file_says_what_a_long_one_says(tmp_path, drawn, block):
     assert {*read.ignored} - {*expected.ignored} == unused - {*expected.ignored}
 
 
-@settings(max_examples=60)
 @given(drawn=DRAWN, row=st.integers(0, 99), column=st.integers(0, 999), block=st.sampled_from([-1, 50, 3000]))
 def test_a_wrong_number_is_named_with_its_line_and_column(tmp_path, drawn, row, column, block):
     wide, _, names = tables(drawn)
