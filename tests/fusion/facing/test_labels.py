@@ -48,7 +48,7 @@ def test_both_views_exchanged_at_once_are_found_and_let_go(first, last, found_at
 
 def test_a_person_who_faces_the_sensors_is_not_relabelled():
     for motion, body in zip(("arms", "boxing", "squat", "bow", "sit"), cycle(("kinect_v2", "azure_kinect"))):
-        labels = simulated_views(motion, body, tracker="right", seconds=8.0).relabel(smooth=False)
+        labels = simulated_views(motion, body, tracker="right", seconds=6.0).relabel(smooth=False)
         assert (labels.codes[5:] > 0).mean() <= 0.02, (motion, body)
 
 
