@@ -92,9 +92,12 @@ def write_legs(opensim, path):
     model.printToXML(str(path))
 
 
-@pytest.fixture(params=BODIES.values(), ids=str)
+@pytest.fixture
 def session(request, tmp_path):
-    return record_with_a_gap(tmp_path / "s.rrd", request.param)
+    return record_with_a_gap(tmp_path / "s.rrd", getattr(request, "param", KINECT_V2))
+
+
+OF_EVERY_BODY = pytest.mark.parametrize("session", BODIES.values(), indirect=True, ids=str)
 
 
 def unseen(session, never):
@@ -213,6 +216,7 @@ def read_mot(path):
     )
 
 
+@OF_EVERY_BODY
 def test_mot_has_the_coordinates_of_opensim_s_model(session):
     head, table = read_mot(exported(session, "s.mot"))
     assert head == {
@@ -316,6 +320,7 @@ def test_parquet_has_the_same_rows_and_says_its_units(session):
     assert pyarrow_parquet.read_schema(path).metadata[b"units"] == b"metres, seconds, degrees"
 
 
+@OF_EVERY_BODY
 def test_npz_has_every_array(session):
     with np.load(exported(session, "s.npz")) as arrays:
         np.testing.assert_array_equal(arrays["fused"], session.rows.fused)
@@ -368,6 +373,7 @@ def test_c3d_is_read_by_another_library(session):
         np.testing.assert_allclose(points[:, :3], expected, atol=1e-3)  # float32, metres
 
 
+@OF_EVERY_BODY
 def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(session):
     path = exported(session, "s.bvh", feet="free")
     even = even_moments(session.rows)
