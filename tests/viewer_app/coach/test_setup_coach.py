@@ -29,12 +29,13 @@ from recordings.fusing.pairs import fuse_one
 from recordings.live_fusion import LiveFusion
 from recordings.quality.limits import FARTHEST_PERSON, nearest
 from tests.helpers.frame_pairs import frame_pair
+from tests.helpers.laws import person
 from tests.helpers.sentences import arguments, check_sentences
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice, calibration_advice, placement
 from viewer_app.coach.readiness import LASTS, Headline, Readiness, headline, to_markdown
 from viewer_app.coach.scene import CoachScene, places
-from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
+from viewer_app.coach.setup_coach import HOLD, MOST, MOVED, Coach, Situation
 from viewer_app.coach.standing_spot import ARM, standing_spot
 from viewer_app.viewer.blueprint import overview
 
@@ -243,6 +244,21 @@ def test_the_angle_is_judged_once_it_is_certain(angle, sd_deg, provisional, advi
     assert ("angle" in said) == advised
 
 
+@given(st.integers(0, 24), st.integers(1, 24))
+def test_a_mirror_image_is_told_while_it_makes_up_half_of_four_seconds(mirrored, right):
+    """Of frames 0.24 s apart."""
+    coach, first = Coach(BODY, (CAMERA, CAMERA)), None
+    of_a = [k < mirrored for k in range(mirrored + right)]
+    for k, is_mirrored in enumerate(of_a):
+        seen = pair_of(BODY, person(), k * 240_000_000)
+        frames = [SensorFrame(each.time_ns, {"1": each}) for each in (seen.a, seen.b)]
+        frames[0] = _mirrored(frames[0]) if is_mirrored else frames[0]
+        pair = frame_pair(*frames, "1", frames[0].time_ns)
+        first = first or fuse_one(Fuser(FusionSetup(KNOWN)), pair)
+        advice = coach.watch(replace(first, pair=pair), Situation(KNOWN, final=True, held=0.0))
+    assert any(each.topic == "mirrored A" for each in advice) == (np.mean(of_a[-17:]) > MOST)
+
+
 @pytest.mark.parametrize("sd_deg", [0.5, 3.2])
 def test_a_calibration_whose_rotation_is_uncertain_is_not_good(sd_deg):
     said = calibration_advice(a_calibration(90.0, sd_deg)).text
@@ -292,12 +308,18 @@ SEQUENCES = st.lists(
 
 @given(SEQUENCES)
 def test_a_headline_stays_for_two_seconds_unless_a_view_is_lost(steps):
-    readiness, time = Readiness(), 0.0
+    """The list has what was advised in two seconds, each thing once, and else only what the headline says."""
+    readiness, time, advised = Readiness(), 0.0, {}
     changes = []
     for passed, now in steps:
         time += passed
+        advised |= dict.fromkeys(now, time)
         shown = readiness.watch(time, [TOPICS[k] for k in sorted(now)], KNOWN)
-        assert shown.kind in {"", *(each.kind for each in readiness.advice)}  # the list says it, too
+        lately = [TOPICS[k] for k, at in sorted(advised.items()) if time - at < LASTS]
+        assert [each for each in TOPICS if readiness.advice.count(each) == 1 and each in lately] == lately
+        held = [each.kind for each in readiness.advice if each not in lately]
+        assert set(held) <= {shown.kind} - {each.kind for each in lately}
+        assert shown.kind in {"", *(each.kind for each in readiness.advice)}
         if not changes or shown != changes[-1][1]:
             changes.append((time, shown))
     for (before, old), (at, new) in itertools.pairwise(changes):
