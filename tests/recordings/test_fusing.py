@@ -69,7 +69,7 @@ def test_a_fused_recording_keeps_a_few_hundred_bytes_of_each_pair_in_memory(tmp_
     monkeypatch.setattr(large_arrays, "_LARGE", 2_000)  # bytes: one number per frame of 300 is larger
     held = {}
     fuse(*write_walk(tmp_path / "first", 100))  # what is held for the process
-    for frames in (300, 900):
+    for frames in (300, 600):
         files = write_walk(tmp_path / str(frames), frames)
         gc.collect()
         tracemalloc.start()
@@ -78,7 +78,7 @@ def test_a_fused_recording_keeps_a_few_hundred_bytes_of_each_pair_in_memory(tmp_
         held[frames], _ = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert len(session) == frames
-    assert (held[900] - held[300]) / 600 < 300.0
+    assert (held[600] - held[300]) / 300 < 300.0
 
 
 def test_a_saved_session_is_opened_in_parts(tmp_path, monkeypatch):

@@ -226,6 +226,12 @@ def walk(tmp_path_factory):
     return captured(tmp_path_factory.mktemp("walk") / "s.rrd", AZURE_KINECT, "walk", SECONDS, seed=11)
 
 
+@pytest.fixture(scope="module")
+def half(walk):
+    """The same, but the session is of 12 s: the search takes a third of the time."""
+    return replace(walk, session=replace(walk.session, rows=walk.session.rows[:360]))
+
+
 def truth_of(walk, labels=AZURE_KINECT.joints, **how):
     return TruthFile("truth.c3d", tuple(labels), *walk.truth(**how))
 
@@ -296,25 +302,25 @@ def test_a_truth_of_somebody_who_stands_is_refused(walk):
         TruthComparison.of(walk.session, truth_of(walk, offset_s=0.3, seconds=2.0))
 
 
-def test_gaps_of_half_a_second_stay_gaps(walk):
-    times, points = walk.truth(3.7, 8.0)
+def test_gaps_of_half_a_second_stay_gaps(half):
+    times, points = half.truth(3.7, 8.0)
     points[200:250, 5] = np.nan
-    found = TruthComparison.of(walk.session, TruthFile("t", AZURE_KINECT.joints, times, points))
+    found = TruthComparison.of(half.session, TruthFile("t", AZURE_KINECT.joints, times, points))
     inside = np.abs(found.time_ns * 1e-9 - 3.7 - 2.25) < 0.24
     assert np.isnan(found.distance["fused"][inside, 5]).all()
     assert np.isfinite(found.distance["fused"][~inside, 5]).mean() > 0.99
     assert np.isfinite(found.distance["fused"][inside, 6]).all()
 
 
-def test_markers_of_a_subject_need_no_table(walk):
-    times, points = walk.truth(3.7, 8.0)
+def test_markers_of_a_subject_need_no_table(half):
+    times, points = half.truth(3.7, 8.0)
     markers = {"Ann:LASI": 18, "Ann:RASI": 22, "Ann:LPSI": 18, "Ann:RPSI": 22, "Ann:C7": 3, "Ann:CLAV": 3}
     for side, (hip, shoulder) in {"L": (18, 5), "R": (22, 12)}.items():
         parts = {"KNE": hip + 1, "ANK": hip + 2, "TOE": hip + 3}
         arms = {"SHO": shoulder, "ELB": shoulder + 1, "WRA": shoulder + 2, "WRB": shoulder + 2}
         markers |= {f"Ann:{side}{part}": joint for part, joint in (parts | arms).items()}
     points = points[:, list(markers.values())]
-    found = TruthComparison.of(walk.session, TruthFile("t", tuple(markers), times, points))
+    found = TruthComparison.of(half.session, TruthFile("t", tuple(markers), times, points))
     assert found.table == "plug-in-gait"
     assert found.offset.seconds == pytest.approx(3.7, abs=0.002)
     knee = AZURE_KINECT.joint("KNEE_LEFT")
@@ -343,8 +349,8 @@ def test_the_constant_part_is_another_definition_of_the_joint(walk):
     np.testing.assert_array_equal(found.distance["a"], 0.0)
 
 
-def test_what_cannot_be_compared_says_why(walk, tmp_path, monkeypatch):
-    good = truth_of(walk, offset_s=3.7, seconds=8.0)
+def test_what_cannot_be_compared_says_why(half, tmp_path, monkeypatch):
+    walk, good = half, truth_of(half, offset_s=3.7, seconds=8.0)
 
     def error(session=walk.session, truth=good, **how):
         with pytest.raises(RecordingError) as raised:
@@ -426,21 +432,21 @@ def test_a_right_clock_stays_as_it_is(right):
     ],
     ids=["mirrored", "exchanged", "backwards"],
 )
-def test_a_mirror_image_is_called_so_and_nothing_else(walk, change, words):
-    truth = truth_of(walk, offset_s=3.7, seconds=8.0)
+def test_a_mirror_image_is_called_so_and_nothing_else(half, change, words):
+    truth = truth_of(half, offset_s=3.7, seconds=8.0)
     with pytest.raises(RecordingError, match=words) as raised:
-        TruthComparison.of(walk.session, replace(truth, points=change(truth.points)))
+        TruthComparison.of(half.session, replace(truth, points=change(truth.points)))
     if words is None:
         assert "mirror" not in str(raised.value)
         assert "exchanged" not in str(raised.value)
 
 
 @pytest.mark.parametrize("motion", ["squat", "turn"])
-def test_another_movement_is_refused(walk, motion):
-    times = np.arange(1100) / 100.0
+def test_another_movement_is_refused(half, motion):
+    times = np.arange(800) / 100.0
     file = TruthFile("t", AZURE_KINECT.joints, times, true_positions(AZURE_KINECT, motion)(times + 4.0))
     with pytest.raises(RecordingError, match="no offset in time makes the movements match"):
-        TruthComparison.of(walk.session, file)
+        TruthComparison.of(half.session, file)
 
 
 # --- Agreement of two methods: against scipy and an analysis of variance, and how often intervals cover.

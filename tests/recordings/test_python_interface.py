@@ -45,6 +45,12 @@ NAMES = {
 
 
 @cache
+def walk_of(name):
+    """Three seconds of a walk."""
+    return simulated_session("walk", 3.0, body=name)
+
+
+@cache
 def walk():
     """A walk with its truth, by two Kinects v2."""
     return simulated_session("walk", 8.0, body="kinect_v2")
@@ -194,7 +200,7 @@ def test_an_exported_rate_is_that_of_the_file(rate, ending, tmp_path):
     lost=st.sets(st.integers(0, 5), max_size=3),
 )
 def test_arrays_survive_a_file_and_a_process(name, frames, lost, tmp_path):
-    whole = simulated_session("walk", 3.0, body=name)
+    whole = walk_of(name)
     rows = whole.rows[60 : 60 + frames]
     at = [rows.positions_a.copy(), rows.positions_b.copy()]
     for k in lost & set(range(frames)):

@@ -6,7 +6,7 @@ import os
 import sys
 import wave
 from dataclasses import replace
-from itertools import islice
+from itertools import chain, islice
 from types import SimpleNamespace
 from unittest import mock
 from unittest.mock import MagicMock
@@ -156,10 +156,15 @@ def test_latency_settings_apply_only_while_the_loop_runs():
 
 
 def walking(count):
-    """Pairs of a simulated walk, with images, and the setup at the start."""
-    a, b, _ = simulated_pair(motion="walk", body=KINECT_V1, depth="half")
+    """Pairs of a simulated walk, the first of them with images, and the setup at the start."""
+    (a, b, _), (c, d, _) = (
+        simulated_pair(motion="walk", body=KINECT_V1, depth=of) for of in ("half", "none")
+    )
     setup = FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
-    both = islice(zip(a.frames(), b.frames(), strict=False), count)
+    with_images, without = (
+        zip(*each, strict=False) for each in ((a.frames(), b.frames()), (c.frames(), d.frames()))
+    )
+    both = chain(islice(with_images, min(count, 20)), islice(without, 20, count))
     return setup, [FramePair(of_a, of_b, SkeletonPair(None, None, of_a.time_ns)) for of_a, of_b in both]
 
 

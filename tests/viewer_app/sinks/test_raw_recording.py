@@ -316,7 +316,7 @@ while True:
 """
 
 
-@pytest.mark.parametrize(("seed", "compress"), [(1, False), (2, False), (3, False), (4, True)])
+@pytest.mark.parametrize(("seed", "compress"), [(1, False), (4, True)])
 def test_a_kill_at_any_moment_leaves_every_frame_that_was_written(seed, compress, tmp_path):
     moments = random.Random(seed)
     path = tmp_path / "a.mkv"
