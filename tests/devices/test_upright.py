@@ -24,7 +24,6 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
-from tests.helpers.command_line import duplex, one_line
 from tests.helpers.machine import need_networks
 
 ON_THEIR_SIDE = ORIENTATIONS[1:]
@@ -183,9 +182,3 @@ def test_skeletons_alone_have_no_orientation(tmp_path):
     choices = [RecordingChoice(tmp_path / f"{name}.csv", orientation=90) for name in "ab"]
     with pytest.raises(DeviceError, match=r"a\.csv has no images to turn"):
         read_two(*choices)
-
-
-@pytest.mark.parametrize("given", ["45", "90,0,0", "", "left", "90,x"])
-def test_another_angle_is_refused_in_one_line(given, capsys):
-    assert duplex("live", "--orientation", given, "--no-viewer") == 2
-    assert "give 0, 90, 180 or 270 degrees, or two of them, such as 90,0" in one_line(capsys)

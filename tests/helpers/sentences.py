@@ -31,15 +31,23 @@ def check_sentences(name, told):
 
 
 def refusals(capsys, folder):
-    """From a command line to its refusal, for :func:`check_sentences`; nothing in the folder changes."""
+    """From a command line to its refusal, for :func:`check_sentences`; nothing in the folder changes.
+
+    Before the command, a line may state files, as in ``m.csv='name,a\\nwalk,one.csv\\n'``.
+    """
 
     def files():
         return {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in folder.rglob("*")}
 
     def told(line):
+        words = shlex.split(line)
+        while words and (made := re.fullmatch(r"(\w+\.\w+)=(.*)", words[0])):
+            text = made[2].encode().decode("unicode_escape")
+            (folder / made[1]).write_text(text, encoding="utf-8")
+            words.pop(0)
         before = files()
         capsys.readouterr()
-        assert duplex(*filter(None, shlex.split(line))) == 2, line
+        assert duplex(*filter(None, words)) == 2, line
         assert files() == before, line
         said = one_line(capsys).removeprefix("duplex: ").rstrip("\n").replace(str(folder), "FOLDER")
         return re.sub(r"(unknown host .*?) \(.*?\)", r"\1", said)  # a resolver's own words

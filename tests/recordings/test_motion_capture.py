@@ -78,41 +78,6 @@ def test_what_this_program_exports_is_read(fused_run, tmp_path, name, table):
     np.testing.assert_allclose(unit * apart[known], expected[known], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("t.c3d", "no motion", "not a .c3d that ezc3d can read"),
-        ("t.trc", "PathFileType\n\n\n\n\n\n\n", "fourth line does not begin with Frame#"),
-        ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t1\t2\t3\n2\tx\t1\t2\t3\n", "line 7: not a row of numbers"),
-        ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t1\t2\t3\n2\t0\t1\t2\t3\n", "times that increase"),
-        ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t\t\t\n2\t1\t\t\t\n", "has no points"),
-        ("t.trc", "\n\n\nFrame#\tTime\tA\n\n1\t0\t1\t2\t3\n2\t1\t1\t2\n", "line 7 is cut off"),
-        (
-            "t.trc",
-            "\n\n\nFrame# Time A\n\n1 0 1 2 3\n2 1   1 2\n",
-            "line 7 has spaces instead of tabs and lacks",
-        ),
-        ("t.csv", "a,b\n1,2\n", "no column time_us"),
-        ("t.csv", "time_s,HEAD_x,HEAD_y\n0,1,2\n", "it has no column HEAD_z"),
-        ("t.csv", "time_s,joint,x,y,z\n0,HEAD,1,2,3\n0,HEAD,1,2,3\n", "line 3: HEAD has a second row"),
-        ("t.csv", "time_s,joint,x,y,z\n0,HEAD,1,2,3\n1,HEAD,1,two,3\n", "line 3: y must be a number"),
-        ("t.csv", "time_s,joint,x,y,z\n0,HEAD,1,2,3\n1,HEAD,1,2\n", "does not have 5 columns"),
-        ("t.csv", "time_s,joint,x,y\n0,HEAD,1,2\n", "Its columns must be those of duplex export"),
-        (
-            "t.csv",
-            "time_us,body,joint,x,y,z\n0,1,HEAD,1,2,3\n0,2,HEAD,1,2,3\n",
-            "has 2 bodies, and one is compared",
-        ),
-        ("t.csv", "", "is empty"),
-    ],
-)
-def test_a_file_that_cannot_be_read_says_why(name, text, message, tmp_path):
-    (tmp_path / name).write_text(text)
-    with pytest.raises(RecordingError, match=message) as raised:
-        read_truth(tmp_path / name)
-    assert "\n" not in str(raised.value)
-
-
 def test_a_trc_of_spaces_is_read(tmp_path):
     times, points = points_of(50)
     path = write_trc(tmp_path / "t.trc", LABELS, times, np.nan_to_num(points))

@@ -38,6 +38,7 @@ def folder(tmp_path, monkeypatch):
     write_view(tmp_path / "later.csv", KINECT_V2, moving(KINECT_V2, 30), start_us=60_000_000)
     write_view(tmp_path / "v1.csv", KINECT_V1, moving(KINECT_V1, 30))
     (tmp_path / "junk.csv").write_text("no recording\n")
+    (tmp_path / "empty").mkdir()
     (tmp_path / "bad.toml").write_text("[" * 5000)
     for name in ("taken.rrd", "taken.bvh"):
         (tmp_path / name).touch()

@@ -73,24 +73,6 @@ def test_a_table_of_ones_own_weighs_points_and_takes_the_first_whole_alternative
     }
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("joints = ", "is not TOML"),
-        ('HIP_LEFT = "A"', "needs one section, .joints."),
-        ('[joints]\nWING = "A"', "no body has a joint 'WING'. Joints are PELVIS"),
-        ("[joints]\nHIP_LEFT = 3", "HIP_LEFT must be the name of a point or a list of names; it is 3"),
-        ("[joints]\nHIP_LEFT = []", "HIP_LEFT must be"),
-        ('[joints]\nHIP_LEFT = ["LASI", "LPS"]', "needs one point 'LPS'; the file has LASI, LPSI"),
-    ],
-)
-def test_a_wrong_table_is_named_with_what_the_file_has(text, message, tmp_path):
-    path = tmp_path / "lab.toml"
-    path.write_text(text)
-    with pytest.raises(DeviceError, match=message):
-        name_table(path).points_of(AZURE_KINECT, ["LASI", "LPSI"])
-
-
 def test_of_two_subjects_a_table_names_one():
     labels = [f"{subject}:{name}" for subject in ("Ann", "Bob") for name in PLUG_IN_GAIT]
     assert fitting_table(AZURE_KINECT, labels).points_of(AZURE_KINECT, labels) == {}

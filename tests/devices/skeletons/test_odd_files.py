@@ -231,7 +231,7 @@ def test_times_of_json_that_go_back_or_repeat(tmp_path):
         pass
 
 
-def test_one_recording_twice_is_refused(tmp_path, capsys):
+def test_one_recording_twice_is_refused(tmp_path):
     a, _ = write_recordings(tmp_path)
     copy = tmp_path / "copy.csv"
     copy.write_bytes(a.read_bytes())
@@ -245,8 +245,6 @@ def test_one_recording_twice_is_refused(tmp_path, capsys):
         read_two(*map(RecordingChoice, empty))
     with pytest.raises(DeviceError, match="is a folder, not a recording"):
         read_two(RecordingChoice(tmp_path), RecordingChoice(tmp_path))
-    assert duplex("fuse", a, copy, "--no-viewer") == 2
-    assert "Fusion needs one recording of each sensor" in one_line(capsys)
 
 
 def write_seen(path, body, view, leave_out):
@@ -286,12 +284,6 @@ def test_the_body_is_that_of_both_files_together(tmp_path, body, missing_in_a, m
             view.positions[:, elbow], expected[:, body.joint("ELBOW_LEFT")], rtol=0, atol=1e-6
         )
         assert (view.states[:, elbow] == 2).all()
-
-
-def test_a_stated_body_without_a_joint_of_the_files_is_refused_in_one_line(tmp_path, capsys):
-    a, b = write_recordings(tmp_path)
-    assert duplex("fuse", a, b, "--no-viewer", "--body", "blazepose") == 2
-    assert "--body blazepose: it has no HandTipLeft, HandTipRight, SpineBase, SpineMid." in one_line(capsys)
 
 
 def test_a_number_of_too_many_digits_is_refused_in_one_line(tmp_path, capsys):

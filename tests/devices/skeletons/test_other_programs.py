@@ -224,25 +224,6 @@ def test_files_of_another_program_are_fused_and_replayed(own_pair, tmp_path, cap
     assert "was fused with another --names" in one_line(capsys)
 
 
-WRONG_NAMES = {
-    "tail": ('[joints]\nTail = "Hips"\n', "no body has a joint 'Tail'"),
-    "point": ('[joints]\nSpineBase = "Hipz"\n', "SpineBase needs one point 'Hipz'"),
-    "twice": ('[joints]\nHead = "Crown"\nHEAD = "Chin"\n', "HEAD is there twice, also as Head."),
-    "two bodies": ('[joints]\nSpineBase = "Hips"\nNOSE = "Chin"\n', "Unknown joint 'NOSE'"),
-    "no TOML": ("SpineBase: Hips\n", "is not TOML"),
-}
-
-
-@pytest.mark.parametrize("kind", WRONG_NAMES)
-def test_wrong_tables_of_names_are_refused_in_one_line(own_pair, kind, tmp_path, capsys):
-    folder, _ = own_pair
-    text, message = WRONG_NAMES[kind]
-    (tmp_path / "names.toml").write_text(text, encoding="utf-8")
-    own = [folder / "a.csv", folder / "b.csv", "--axes", "unity", "--names"]
-    assert duplex("fuse", *own, tmp_path / "names.toml", "--no-viewer") == 2
-    assert message in one_line(capsys)
-
-
 def test_a_ready_made_table_without_a_fitting_point_is_refused(tmp_path, good):
     path = changed(good, tmp_path / "a.csv", lambda table: table.assign(joint="p" + table["joint"]))
     with pytest.raises(DeviceError, match="by mixamo none of its points is a joint: pSpineBase, "):

@@ -9,7 +9,7 @@ import pytest
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from recordings.calibration_file import calibration_to_json
-from tests.helpers.command_line import duplex, one_line
+from tests.helpers.command_line import duplex
 from tests.helpers.machine import need_browser
 from viewer_app.batch import processes
 from viewer_app.batch.finding import Pair, find_pairs
@@ -104,52 +104,6 @@ def test_a_manifest(tmp_path):
         Pair("walk", tmp_path / "one.csv", tmp_path / "two.csv", person_b="7"),
         Pair("run", tmp_path / "deep/three.mkv", tmp_path / "two.csv", tmp_path / "s.json"),
     ]
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "m.csv is not a manifest: its first line must be name,a,b"),
-        ("name,a\nwalk,one.csv\n", "got name,a."),
-        ("name,a,b\n", "names no pair"),
-        ("name,a,b\nwalk,one.csv\n", "line 2: 3 columns are needed; got 2."),
-        ("name,a,b\nwalk,one.csv,\n", "line 2: b is empty."),
-        ("name,a,b\n../x,one.csv,two.csv\n", "line 2: '../x' is not a name for a folder."),
-        ("name,a,b\nSummary.html,one.csv,two.csv\n", "line 2: Summary.html is the name of the summary"),
-        ("name,a,b\nwalk,one.csv,no.csv\n", "line 2: no file"),
-        ("name,a,b\nwalk,one.csv,one.csv\n", "line 2: a and b are the same file."),
-        ("name,a,b\nx,one.csv,two.csv\n\nX,two.csv,one.csv\n", "line 4: the name X occurs twice."),
-        ('name,a,b\nwalk,"one.csv,two.csv\n', "is not a manifest: unexpected end of data"),
-    ],
-)
-def test_a_wrong_manifest_gives_one_line_and_exit_code_2(text, words, tmp_path, capsys):
-    touch(tmp_path, "one.csv", "two.csv")
-    (tmp_path / "m.csv").write_text(text, encoding="utf-8")
-    assert duplex("batch", tmp_path / "m.csv", "--out", tmp_path / "out") == 2
-    assert words in one_line(capsys)
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("nowhere",), "No folder"),
-        (("nowhere.csv",), "No manifest"),
-        (("empty",), "has no pair of recordings"),
-        (("pairs", "--processes", "-1"), "--processes must be 0 or more; got -1."),
-        (("pairs", "--method", "paper", "--smooth", "whole"), "--smooth needs --method duplex"),
-        (("pairs", "--calibrate", "no.json"), "--calibrate no.json: neither auto"),
-        (("pairs", "--out", "pairs/a.csv"), "a.csv is the name of a file; name a folder"),
-        (("pairs", "--scheduler", "127.0.0.1:1"), "name an address such as tcp://"),
-    ],
-)
-def test_usage_errors_give_one_line_and_exit_code_2(arguments, words, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    touch(tmp_path, "pairs/a.csv", "pairs/b.csv")
-    (tmp_path / "empty").mkdir()
-    out = () if "--out" in arguments else ("--out", "out")
-    assert duplex("batch", *arguments, *out) == 2
-    assert words in one_line(capsys)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from devices.recorded.files import frame_interval_ns, open_source
 from devices.simulated.real_time import PacedSensor
 from fusion.body import KINECT_V2
 from recordings import Session
-from tests.helpers.command_line import duplex, one_line
 from tests.helpers.network import free_address
 from tests.helpers.programs import Program, running
 from tests.helpers.recorded_pairs import write_view
@@ -90,22 +89,3 @@ def test_the_rate_is_the_source_s_own(fps, tmp_path):
     assert interval_ns == pytest.approx(1e9 / fps, abs=1000)
     assert interval_of(SimpleNamespace(interval_ns=interval_ns), 30) == interval_ns
     assert interval_of(None, 15) == 66_666_667
-
-
-MISTAKES = [
-    (("sensor", "--publish", "a//b", "--simulate", "a"), "is not a Zenoh key"),
-    (("sensor", "--publish", "a", "--simulate", "a", "--zenoh-connect", "host"), "is not a Zenoh address"),
-    (("sensor", "--publish", "a", "--simulate", "a", "--kinect", "1"), "cannot be combined"),
-    (("sensor", "--publish", "a", "--simulate", "a", "--seconds", "0"), "must be a positive number"),
-    (("sensor", "--publish", "a", "--simulate", "a", "--motion", "fly"), "No movement 'fly'"),
-    (("sensor", "--publish", "a", "--recording", "none.csv"), "No file none.csv"),
-    (("live", "--no-viewer", "--kinect-a", "zenoh:a", "--kinect-b", "zenoh:a"), "Name two different sensors"),
-    (("live", "--no-viewer", "--kinect-a", "zenoh:", "--kinect-b", "zenoh:b"), "is not a Zenoh key"),
-    (("live", "--no-viewer", "--kinect-a", "zenoh:a", "--principal", "1"), "--principal is for two Kinects"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "words"), MISTAKES)
-def test_a_mistake_gives_one_line(capsys, arguments, words):
-    assert duplex(*arguments) == 2
-    assert words in one_line(capsys)
