@@ -202,21 +202,6 @@ def test_servers_that_start_at_once_each_show_their_own_session(fuser, tmp_path)
                 stop(server)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"listen": "0.0.0.0"}, "--listen 0.0.0.0 is the address of --web"),
-        ({"web": True, "no_viewer": True}, "contradict"),
-        ({"web": True, "listen": "192.0.2.1"}, "Cannot listen on '192.0.2.1'"),
-        ({}, "There is no display"),
-    ],
-)
-def test_contradicting_options_give_one_line(options, words, monkeypatch):
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
-    with pytest.raises(UsageError, match=words):
-        choose_viewing(ViewerOptions(**options), None, live=True)
-
-
 def test_a_session_that_is_saved_goes_on_without_a_window(closed_display, monkeypatch, tmp_path):
     monkeypatch.setenv("DISPLAY", closed_display)
 
