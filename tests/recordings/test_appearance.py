@@ -278,7 +278,7 @@ V2 = KINECT_V2
 ELBOW = V2.joint("ELBOW_RIGHT")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def rows():
     """Four seconds of both views."""
     fuser = Fuser(FusionSetup(Calibration(V2, A_FROM_B, V2.nominal_lengths, "known")))
