@@ -498,11 +498,6 @@ def test_a_pause_in_the_recording_is_a_gap_at_an_even_rate(tmp_path):
     assert there[26:].all()
 
 
-def test_an_unknown_ending_says_which_are_known(tmp_path):
-    with pytest.raises(RecordingError, match=r"Known: \.bvh, \.c3d"):
-        writer_for(tmp_path / "s.fbx")
-
-
 @pytest.mark.parametrize(
     ("name", "package", "extra"),
     [("s.c3d", "ezc3d", "export"), ("s.glb", "pygltflib", "export"), ("s.mcap", "mcap.writer", "ros")],

@@ -118,9 +118,3 @@ def test_no_text_below_the_command_line_names_a_flag(package):
             if re.search(r"--[a-z]", text) and not _COMMAND.search(text):
                 named.append(f"{module.name}: {text}")
     assert named == []
-
-
-def test_the_command_line_and_python_each_say_it_their_way(tmp_path, capsys):
-    (tmp_path / "s.rrd").touch()
-    assert duplex("export", tmp_path / "s.rrd", "--to", tmp_path / "s.csv", "--rate", 60) == 2
-    assert "--rate is for .bvh, .c3d, .glb, .mot and .trc" in capsys.readouterr().err
