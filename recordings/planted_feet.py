@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.support.types import Array
 from recordings.gait import SIDES, Gait
+from recordings.gait.parts import spans_of
 
 Mask = NDArray[np.bool_]
 
@@ -178,7 +179,8 @@ def _planted(legs: Legs, t: Array, positions: Array, stands: Mask, usual: Array)
     feet = legs.feet_of(positions)
     moves, shares, frames = np.zeros_like(feet), np.zeros(feet.shape[:3]), np.arange(len(t))
     for leg, part in np.ndindex(2, 2):
-        own, spans = feet[:, leg, part], _spans(t, stands[:, leg, part])
+        own, spans = feet[:, leg, part], spans_of(stands[:, leg, part], t, _PAUSE)
+        spans = [span for span in spans if t[span[1] - 1] - t[span[0]] >= _LEAST]
         free = ~np.logical_or.reduce(
             [(frames >= begin) & (frames < end) for begin, end in spans] or [frames < 0]
         )
@@ -216,26 +218,8 @@ def _in_stances(stands: Mask, stances: Mask) -> Mask:
     """(T, 2, 2) with what lies between two times in a stance, (T, 2), and toes until they leave the floor."""
     stands = stands.copy()
     for leg, part in np.ndindex(2, 2):
-        for begin, end in _edges(stances[:, leg]):
+        for begin, end in spans_of(stances[:, leg]):
             known = begin + np.flatnonzero(stands[begin:end, leg, part])
             if len(known):
                 stands[known[0] : end if part else known[-1], leg, part] = True
     return stands
-
-
-def _edges(mask: Mask) -> list[list[int]]:
-    edges: list[list[int]] = (
-        np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
-    )
-    return edges
-
-
-def _spans(t: Array, stands: Mask) -> list[list[int]]:
-    """From which frame to before which one something stands; short pauses count."""
-    spans: list[list[int]] = []
-    for begin, end in _edges(stands):
-        if spans and t[begin] - t[spans[-1][1] - 1] < _PAUSE:
-            spans[-1][1] = end
-        else:
-            spans.append([begin, end])
-    return [span for span in spans if t[span[1] - 1] - t[span[0]] >= _LEAST]

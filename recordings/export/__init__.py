@@ -34,6 +34,13 @@ _PACKAGES = {
     ".mcap": (("rosbags.typesys", "mcap.writer"), "ros"),
 }
 """What some formats need, and the extra that has it."""
+_OPTIONS = {
+    "rate": (None, (".bvh", ".c3d", ".glb", ".mot", ".trc"), "keeps the recorded times"),
+    "names": ("body", (".bvh", ".glb"), "has the names of the joints"),
+    "feet": ("planted", (".bvh", ".glb"), "has those of S*"),
+    "table": ("long", (".csv", ".parquet"), "has one layout"),
+}
+"""Of some writers: the default, the formats that have it, and why others do not."""
 
 
 def writer_for(
@@ -61,30 +68,19 @@ def writer_for(
             f"{path}: {path.suffix or 'no ending'} is no format to export to. Known: {', '.join(_MODULES)}."
         )
     options: dict[str, Any] = {}
-    if rate is not None:
-        if suffix not in (".bvh", ".c3d", ".glb", ".mot", ".trc"):
-            raise RecordingError(
-                f"`rate` is for .bvh, .c3d, .glb, .mot and .trc; {path.suffix} keeps the recorded times."
-            )
-        if not 1.0 <= rate <= 1000.0:
-            raise RecordingError(f"`rate` is {rate:g}; a rate is 1 to 1000 frames per second.")
-        options["rate"] = rate
-    if names != "body":
-        if suffix not in (".bvh", ".glb"):
-            raise RecordingError(f"`names` is for .bvh and .glb; {path.suffix} has the names of the joints.")
-        if names not in get_args(Names):
-            raise UnknownNameError("convention of names", names, get_args(Names))
-        options["names"] = names
-    if feet != "planted":
-        if suffix not in (".bvh", ".glb"):
-            raise RecordingError(f"`feet` is for .bvh and .glb; {path.suffix} has those of S*.")
-        if feet not in get_args(Feet):
-            raise UnknownNameError("way of feet", feet, get_args(Feet))
-        options["feet"] = feet
-    if table != "long":
-        if suffix not in (".csv", ".parquet"):
-            raise RecordingError(f"`table` is for .csv and .parquet; {path.suffix} has one layout.")
-        options["layout"] = table
+    for name, given in zip(_OPTIONS, (rate, names, feet, table), strict=True):
+        default, formats, otherwise = _OPTIONS[name]
+        if given != default:
+            if suffix not in formats:
+                known = f"{', '.join(formats[:-1])} and {formats[-1]}"
+                raise RecordingError(f"`{name}` is for {known}; {path.suffix} {otherwise}.")
+            options[name] = given
+    if not 1.0 <= options.get("rate", 1.0) <= 1000.0:
+        raise RecordingError(f"`rate` is {rate:g}; a rate is 1 to 1000 frames per second.")
+    if names not in get_args(Names):
+        raise UnknownNameError("convention of names", names, get_args(Names))
+    if feet not in get_args(Feet):
+        raise UnknownNameError("way of feet", feet, get_args(Feet))
     check_packages(suffix)
     writer: Writer = getattr(import_module(f"recordings.export.{_MODULES[suffix]}"), f"write_{suffix[1:]}")
     return partial(writer, **options)

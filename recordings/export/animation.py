@@ -29,6 +29,7 @@ from recordings.data.interpolation import positions_at
 from recordings.errors import RecordingError
 from recordings.export import Feet, Names
 from recordings.export.even_frames import even_moments, y_up, y_up_rotations
+from recordings.gait.events import find_gait
 from recordings.planted_feet import planted_feet
 from recordings.session_series import SessionSeries
 
@@ -98,9 +99,8 @@ class Animation:
         if feet == "planted":
             positions = np.concatenate([self._at(part) for part in self._parts()])
             positions = _with_lengths(body, positions, session.calibration.bone_lengths)
-            self._planted = planted_feet(
-                body, 1e-9 * self._time_ns.astype(np.float64), positions, session.gait
-            )
+            gait = find_gait(body, session.time_ns, session.rows.seen, session.up, session.rows.sigma)
+            self._planted = planted_feet(body, 1e-9 * self._time_ns.astype(np.float64), positions, gait)
 
     def __len__(self) -> int:
         return len(self._time_ns)

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-import pyarrow.parquet
 from numpy.typing import NDArray
 
+from fusion.movement.angles import ANGLES
 from recordings.data.session_arrays import SessionArrays
 from recordings.errors import UnknownNameError
 from recordings.export import Table
@@ -23,17 +23,19 @@ _STATES = np.array(["not_tracked", "inferred", "tracked"])
 _FUSED_STATES = np.array(["fused", "predicted", "never_seen"])
 
 
-def write_csv(session: SessionSeries, path: Path, layout: Table = "long") -> str:
+def write_csv(session: SessionSeries, path: Path, table: Table = "long") -> str:
     """Writes :func:`arrow_table`; cells are empty if a joint has no position."""
     with path.open("wb") as file:  # whose errors are the system's; pyarrow's own have its words before them
-        pyarrow.csv.write_csv(arrow_table(session, layout), file)
+        pyarrow.csv.write_csv(arrow_table(session, table), file)
     return _frames(session)
 
 
-def write_parquet(session: SessionSeries, path: Path, layout: Table = "long") -> str:
+def write_parquet(session: SessionSeries, path: Path, table: Table = "long") -> str:
     """Writes :func:`arrow_table`; null if a joint has no position."""
+    import pyarrow.parquet
+
     with path.open("wb") as file:
-        pyarrow.parquet.write_table(arrow_table(session, layout), file)
+        pyarrow.parquet.write_table(arrow_table(session, table), file)
     return _frames(session)
 
 
@@ -51,7 +53,7 @@ def arrow_table(session: SessionSeries, layout: Table) -> pa.Table:
         "time_s": "s",
         "weight": "1",
         **dict.fromkeys("xyz", "m"),
-        **dict.fromkeys(session.angles, "deg"),
+        **dict.fromkeys(ANGLES, "deg"),
     }
     units |= {f"contact_{side}": "1" for side in SIDES}
     units |= {f"{joint}_{axis}": "m" for joint in session.body.joints for axis in "xyz"}

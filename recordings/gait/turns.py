@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from recordings.gait import Turn
-from recordings.gait.parts import ERRORS_LAST, RATE, Part
+from recordings.gait.parts import ERRORS_LAST, RATE, Part, spans_of
 
 _TURNING = math.radians(15.0)  # per second
 _LEAST = math.radians(45.0)
@@ -21,16 +21,7 @@ def turns_of(part: Part) -> Iterator[Turn]:
     bend = np.maximum(np.abs(np.gradient(rate, 1.0 / RATE)), 1e-9)
     error = part.facing_error / np.maximum(np.linalg.norm(part.facing, axis=1), 1e-9)
     for sign in (1.0, -1.0):
-        spans: list[list[int]] = []
-        turning = sign * rate > _TURNING
-        for begin, end in (
-            np.flatnonzero(np.diff(turning, prepend=False, append=False)).reshape(-1, 2).tolist()
-        ):
-            if spans and begin - spans[-1][1] < _PAUSE * RATE:
-                spans[-1][1] = end
-            else:
-                spans.append([begin, end])
-        for begin, end in spans:
+        for begin, end in spans_of(sign * rate > _TURNING, np.arange(len(rate)), _PAUSE * RATE + 1.0):
             angle, seconds = float(facing[end - 1] - facing[begin]), (end - begin) / RATE
             if begin and end < len(rate) and abs(angle) > _LEAST and _SECONDS[0] <= seconds <= _SECONDS[1]:
                 ends = [begin, end]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.fuser import FusedFrame
+from fusion.fused_frame import FusedFrame
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform, rotation_of
 from fusion.setup import FusionSetup

@@ -9,16 +9,9 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReviewOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs, check_page, write_text
-from viewer_app.report.events import (
-    ListedEvent,
-    list_events,
-    opening_event,
-    seconds_of,
-)
+from viewer_app.report.events import ListedEvent, list_events, opening_event, seconds_of
 from viewer_app.report.pages.good_part import MOST_STRETCHES, good_seconds
-from viewer_app.report.pages.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_events, print_lines, print_summary, say_more
-from viewer_app.viewer.file_window import in_this_layout, served, show
 from viewer_app.viewer.viewer_choice import NoViewer, choose_viewing
 
 
@@ -51,8 +44,12 @@ def run(options: ReviewOptions) -> None:
         say_more(console, "every bone, with plots, with --html FILE.html")
     if viewing == NoViewer():  # none is wanted
         return
-    page = session_page(session.last_setup, figures)
-    in_layout = in_this_layout(session, options.session, page, options.layout)
+    from viewer_app.report.pages.session_page import session_page  # Rerun
+    from viewer_app.viewer.file_window import in_this_layout, served, show
+
+    in_layout = in_this_layout(
+        session, options.session, session_page(session.last_setup, figures), options.layout
+    )
     if viewing.hub is not None:
         with in_layout as file, served(file, viewing.hub):
             viewing.announce(console)

@@ -34,7 +34,6 @@ def run(options: TrimOptions) -> None:
     part = session.part(np.flatnonzero(kept))
     with output_file(options.save, options.force) as hidden:
         about = f"These figures are of {session}, of which this session is a part."
-        page = session_page(part.last_setup, report(session), about)
-        damaged = write_for_viewer(part, hidden, page)
+        damaged = write_for_viewer(part, hidden, session_page(part.last_setup, report(session), about))
     console.print(f"Saved {options.save}: {len(part)} of {len(session)} frames.", markup=False)
     print_damaged_images(console, damaged)
