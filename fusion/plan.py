@@ -142,9 +142,7 @@ def _labels(pairs: Pairs, segments: Segments, progress: Progress) -> Labels:
         around = slice(max(part.start - _AROUND, 0), min(part.stop + _AROUND, len(pairs)))
         of = pairs[around].arrays()
         views = of.a, _b_in_a(of, around, segments)
-        reported = reported_pairs(
-            pairs.body, views, (of.states_a, of.states_b), _place_of_b(around, segments)
-        )
+        reported = reported_pairs(views, (of.states_a, of.states_b), _place_of_b(around, segments))
         found = relabel_sequence(pairs.body, reported, of.time_ns)
         own = slice(part.start - around.start, part.stop - around.start)
         labels.append(found.rows(own).as_stored())

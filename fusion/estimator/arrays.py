@@ -15,6 +15,7 @@ from fusion.body import Body
 from fusion.estimator.constants import Constants, JointErrors, acceleration_shares, calmness
 from fusion.facing.model import FacingModel, FacingState
 from fusion.joint_kinds import by_joint, of_kind
+from fusion.registration.rigid_fit import NOWHERE
 from fusion.rigid import RigidTransform
 from fusion.setup import DEFAULT_SMOOTHING
 from fusion.solvers.tree_start import TreeWorkspace
@@ -33,20 +34,17 @@ class Model(NamedTuple):
     linked: NDArray[np.bool_]  # (J, J)
     mirror: NDArray[np.int64]  # (J,) a joint's counterpart on the other side; itself on the middle line
     limb: NDArray[np.bool_]  # (J,) joints of arms and legs beyond shoulders and hips
-    hinges: NDArray[np.int64]  # (4, 3) near end, hinge, far end: both knees, both elbows
-    bend_signs: Array  # (4,) 1 where the hinge lies before the line of its ends, -1 behind
-    sides: NDArray[np.int64]  # (4,) left and right hip, left and right shoulder
     slow: Array  # (J,) metres
     fast: Array  # (J,) metres
     acceleration: Array  # (J,) relative to an elbow's
     bone_lengths: Array  # (J,) metres
     rotation: Array  # (3, 3) R of a_from_b
     translation: Array  # (3,) t, which is where K_B stands
-    registration_variances: Array  # (2,) of R, rad², and of R q + t at the person, m², along an axis
+    registration_variances: Array  # (2,) of R, rad², and of R q + t at the centre, m², along an axis
+    registration_centre: Array  # (3,) metres, the mean place that R and t were found from; NaN where unknown
     rotations: Array  # (2, 3, 3) from each sensor's frame to K_A's: I, and R
     translations: Array  # (2, 3) likewise: 0, and t
     witness: WitnessModel  # tables for the evidence of depth images
-    up: Array  # (3,) against gravity in K_A's frame; NaN where it is learned from the person
     calmness: float
     constants: Constants
 
@@ -170,9 +168,6 @@ class Output(NamedTuple):
     stale_b: Annotated[NDArray[np.bool_], ("T",)]
 
 
-_LIMBS = (("Hip", "Knee", "Ankle"), ("Shoulder", "Elbow", "Wrist"))
-
-
 def new_model(
     body: Body,
     bone_lengths: Array,
@@ -180,6 +175,7 @@ def new_model(
     smoothing: float = DEFAULT_SMOOTHING,
     constants: Constants | None = None,
     registration_variances: tuple[float, float] = (0.0, 0.0),
+    registration_centre: Array = NOWHERE,
 ) -> Model:
     """The model of one body and calibration."""
     errors = JointErrors.of(body)
@@ -190,14 +186,6 @@ def new_model(
         linked=body.linked,
         mirror=np.ascontiguousarray(body.mirror, dtype=np.int64),
         limb=of_kind(body, "elbow", "wrist", "hand", "tip", "thumb", "knee", "ankle", "foot"),
-        hinges=np.array(
-            [[body.joint(joint + side) for joint in limb] for limb in _LIMBS for side in ("Left", "Right")],
-            dtype=np.int64,
-        ),
-        bend_signs=np.array([1.0, 1.0, -1.0, -1.0]),
-        sides=np.array(
-            [body.joint(j) for j in ("HipLeft", "HipRight", "ShoulderLeft", "ShoulderRight")], dtype=np.int64
-        ),
         slow=by_joint(body, errors.slow),
         fast=by_joint(body, errors.fast),
         acceleration=by_joint(body, acceleration_shares()),
@@ -205,10 +193,10 @@ def new_model(
         rotation=np.array(a_from_b.rotation, dtype=np.float64, order="C"),
         translation=np.array(a_from_b.translation, dtype=np.float64),
         registration_variances=np.array(registration_variances, dtype=np.float64),
+        registration_centre=registration_centre,
         rotations=np.array((np.eye(3), a_from_b.rotation), dtype=np.float64),
         translations=np.array((np.zeros(3), a_from_b.translation), dtype=np.float64),
         witness=new_witness_model(body),
-        up=np.full(3, np.nan),
         calmness=calmness(smoothing),
         constants=constants or Constants.of(body),
     )

@@ -1,4 +1,4 @@
-"""The best skeleton with exact bone lengths, hinges that bend one way, and the covariance of S*.
+"""The best skeleton with exact bone lengths, and the covariance of S*.
 
 A bone transmits information between its joints, so that the covariance belongs to the skeleton as a whole.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel
-from fusion.skeleton import TRACKED
 from fusion.solvers.small_matrices import inverse
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_start import copy
@@ -90,56 +89,6 @@ def correct_state(model, state, solve):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def enforce_hinges(model, state, views):  # type: ignore[no-untyped-def]
-    """Moves a hinge that neither view tracks onto the straight line, where it bends to the wrong side.
-
-    A knee lies before the line from hip to ankle, an elbow behind the line from shoulder to wrist of an arm
-    that hangs down. The trunk faces forwards: (left - right) × (shoulders - hips). The hinge is moved
-    along the part of that direction that is normal to its line.
-    """
-    x = state.positions
-    lh, rh, ls, rs = model.sides[0], model.sides[1], model.sides[2], model.sides[3]
-    if not (state.known[lh] and state.known[rh] and state.known[ls] and state.known[rs]):
-        return
-    ax, ux = x[lh, 0] - x[rh, 0] + x[ls, 0] - x[rs, 0], x[ls, 0] + x[rs, 0] - x[lh, 0] - x[rh, 0]
-    ay, uy = x[lh, 1] - x[rh, 1] + x[ls, 1] - x[rs, 1], x[ls, 1] + x[rs, 1] - x[lh, 1] - x[rh, 1]
-    az, uz = x[lh, 2] - x[rh, 2] + x[ls, 2] - x[rs, 2], x[ls, 2] + x[rs, 2] - x[lh, 2] - x[rh, 2]
-    fx, fy, fz = ay * uz - az * uy, az * ux - ax * uz, ax * uy - ay * ux
-    for h in range(len(model.hinges)):
-        near, hinge, far = model.hinges[h, 0], model.hinges[h, 1], model.hinges[h, 2]
-        if not (state.known[near] and state.known[hinge] and state.known[far]):
-            continue
-        seen = 0.0
-        for v in range(2):
-            if views.states[v, hinge] == TRACKED:
-                seen += views.trust[v, hinge]
-        if seen > 0.5:
-            continue
-        lx, ly, lz = x[far, 0] - x[near, 0], x[far, 1] - x[near, 1], x[far, 2] - x[near, 2]
-        square = lx * lx + ly * ly + lz * lz
-        if square < 1e-4:
-            continue
-        sign = model.bend_signs[h]
-        if sign < 0.0 and lx * ux + ly * uy + lz * uz > 0.0:  # a raised arm bends either way
-            continue
-        along = (fx * lx + fy * ly + fz * lz) / square
-        nx, ny, nz = fx - along * lx, fy - along * ly, fz - along * lz
-        size = math.sqrt(nx * nx + ny * ny + nz * nz)
-        if size < 1e-6:
-            continue
-        nx, ny, nz = nx / size, ny / size, nz / size
-        bend = (
-            (x[hinge, 0] - x[near, 0]) * nx
-            + (x[hinge, 1] - x[near, 1]) * ny
-            + (x[hinge, 2] - x[near, 2]) * nz
-        )
-        if sign * bend < 0.0:
-            x[hinge, 0] -= bend * nx
-            x[hinge, 1] -= bend * ny
-            x[hinge, 2] -= bend * nz
-
-
-@inner_kernel
 def joint_covariances(model, solve, covariance, sigma):  # type: ignore[no-untyped-def]
     """Computes the covariance of each joint of S* given all joints' information and the bone lengths.
 
@@ -193,28 +142,30 @@ def joint_covariances(model, solve, covariance, sigma):  # type: ignore[no-untyp
 
 
 @inner_kernel
-def add_registration_error(model, positions, shares, covariance, sigma):  # type: ignore[no-untyped-def]
-    """Adds the uncertainty of R and t: joint i comes from B by its share w_i, at r from the person's centre.
+def add_registration_error(model, shares, output, k):  # type: ignore[no-untyped-def]
+    """Adds the uncertainty of R and t: joint i comes from B by its share w_i, at r from their centre.
 
         Σ ← Σ + w_i² (σ_t² I + σ_R² (|r|² I - r rᵀ))
 
     Args:
-        positions, shares: (J, 3) S*, metres; (J,) B's share of each joint.
-        covariance, sigma: (J, 3, 3) m², (J,) metres; changed.
+        model: With the mean place of the joints that R and t were found from; where it is unknown, r is from
+            the root.
+        shares: (J,) B's share of each joint.
+        output: Row k is changed.
     """
     turn, shift = model.registration_variances[0], model.registration_variances[1]
+    x, covariance, sigma = output.positions[k], output.covariance[k], output.sigma[k]
+    centre = model.registration_centre
+    if math.isnan(centre[0]):
+        centre = x[model.order[0]]
     for i in range(len(sigma)):
-        square = 0.0
+        square, added = 0.0, shares[i] * shares[i]
         for c in range(3):
-            r = positions[i, c] - positions[model.order[0], c]
-            square += r * r
-        added = shares[i] * shares[i]
+            square += (x[i, c] - centre[c]) ** 2
         for r in range(3):
-            from_r = positions[i, r] - positions[model.order[0], r]
             covariance[i, r, r] += added * (shift + turn * square)
             for c in range(3):
-                from_c = positions[i, c] - positions[model.order[0], c]
-                covariance[i, r, c] -= added * turn * from_r * from_c
+                covariance[i, r, c] -= added * turn * (x[i, r] - centre[r]) * (x[i, c] - centre[c])
         sigma[i] = math.sqrt(sigma[i] * sigma[i] + added * (3.0 * shift + 2.0 * turn * square))
 
 

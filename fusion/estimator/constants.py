@@ -110,9 +110,6 @@ class Constants(NamedTuple):
     length_error: float = 0.015
     """Error of a bone's length within a view, metres, that multiplies the odds of an outlier at either of its
     ends by e."""
-    length_by_speed: float = 0.03
-    """Error of a bone's length added for each m/s between its ends, s. A tracker smears a limb that
-    swings."""
     length_limit: float = 4.0  # largest logarithm of that factor
     other_limb_sd: float = 0.1
     """Deviation of a joint between views that both have it right, metres."""

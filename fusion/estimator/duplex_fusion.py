@@ -12,7 +12,7 @@ from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.compiling.kernels import compiles
 from fusion.compiling.references import by_reference
 from fusion.estimator.arrays import Filter, LastSkeletons, Model, Output, Solve, State, Views, new_model
-from fusion.estimator.bones import enforce_hinges, joint_covariances, solve_bones
+from fusion.estimator.bones import joint_covariances, solve_bones
 from fusion.estimator.constants import Constants
 from fusion.estimator.covariance import find_covers
 from fusion.estimator.estimator import estimate_pairs
@@ -30,6 +30,7 @@ from fusion.facing.model import FacingState, new_facing_model
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays, PairStacker
 from fusion.registration.lasting_errors import COMMON_SD
+from fusion.registration.rigid_fit import NOWHERE
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from fusion.support.array_fields import new_arrays
@@ -100,6 +101,7 @@ class DuplexFusion:
             setup.settings.smoothing,
             self._constants,
             _registration_variances(calibration),
+            getattr(calibration.registration, "centre", NOWHERE),
         )
 
     def run(self, pairs: PairArrays, smooth: bool = False) -> FusedFrames:
@@ -161,7 +163,6 @@ def compile_steps() -> None:
         (relabel, model, facing_model, facing, views, labels, k, dt),
         (joint_covariances, model, solve, output.covariance[k], output.sigma[k]),
         (solve_bones, model, state, solve),
-        (enforce_hinges, model, state, views),
         (store_outlier_state, model, state, views, dt),
         (start_joints, model, state, views, solve),
         (update_common_error, model, state, views, solve, dt),

@@ -8,7 +8,6 @@ from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.estimator.bones import (
     add_registration_error,
     correct_state,
-    enforce_hinges,
     joint_covariances,
     set_solver_targets,
     solve_bones,
@@ -32,14 +31,13 @@ from fusion.estimator.measurements.outliers import (
 )
 from fusion.estimator.measurements.views import relabel, remove_scales, transform_views
 from fusion.estimator.process import (
-    drop_wrong_offsets,
     elapsed,
     forget,
     inflate_on_other_limb,
     inflate_on_surprise,
     inflate_where_astray,
 )
-from fusion.estimator.smoother import trace_result
+from fusion.estimator.smoother import trace_covariance, trace_result
 from fusion.pair_arrays import anyone_seen
 
 _LEAST_TRUST = 0.01  # a joint with less trust counts as predicted
@@ -74,12 +72,12 @@ def estimate_pairs(filter, trace, pairs, output):  # type: ignore[no-untyped-def
         # remove each view's own scale
         remove_scales(model, state, views, dt)
         # evidence of the bones' lengths within each view
-        length_evidence(model, state, views)
+        length_evidence(model, views)
         # evidence of joints that lie on the other limb
         other_limb_evidence(model, views)
         # shoulders and hips towards the heading
         if model.constants.heading:
-            turn_girdles(filter.facing_model, filter.facing.memory.frame_up, model.translations, views)
+            turn_girdles(filter.facing_model, filter.facing.memory.axis, model.translations, views)
         # predict positions, velocities and variances
         predict(model, state, views, trace, k, dt)
         # the displacement of a view's whole skeleton
@@ -92,7 +90,6 @@ def estimate_pairs(filter, trace, pairs, output):  # type: ignore[no-untyped-def
         measure_surface(model, views, solve)
         # decay of each view's offsets
         decay_offsets(model, state, views, dt)
-        drop_wrong_offsets(model, state, views, trace, k)
         # a joint that is predicted on the other limb
         inflate_on_other_limb(model, state, views, trace, k)
         # probability that a measurement is an outlier
@@ -110,8 +107,6 @@ def estimate_pairs(filter, trace, pairs, output):  # type: ignore[no-untyped-def
         start_joints(model, state, views, solve)
         store_outlier_state(model, state, views, dt)
         update_followed_views(state, views, dt)
-        # knees and elbows bend in one direction only
-        enforce_hinges(model, state, views)
         # the best skeleton with exact bone lengths
         set_solver_targets(model, state, solve)
         output.iterations[k] = solve_bones(model, state, solve)
@@ -121,13 +116,13 @@ def estimate_pairs(filter, trace, pairs, output):  # type: ignore[no-untyped-def
         state.last_time[0], state.last_time[1] = pairs.time_ns[k], 1
         # covariance of S*
         joint_covariances(model, solve, output.covariance[k], output.sigma[k])
+        trace_covariance(trace, output, k, -1.0)
         add_lag(state, output.covariance[k], output.sigma[k])
         add_displacements(model, state, output.covariance[k], output.sigma[k])
         write_row(state, views, solve, output, k)
         add_other_place(state, views, output.positions[k], output.covariance[k], output.sigma[k])
-        add_registration_error(
-            model, output.positions[k], state.from_b, output.covariance[k], output.sigma[k]
-        )
+        add_registration_error(model, state.from_b, output, k)
+        trace_covariance(trace, output, k, 1.0)
 
 
 @inner_kernel

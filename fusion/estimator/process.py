@@ -17,7 +17,6 @@ _LOST_SECONDS = 0.3  # a tracker that is wrong in all joints seldom stays so for
 _LARGEST_STEP = 0.15  # m, largest standard deviation that acceleration adds in one step
 _LEAST_STEP_SECONDS = 1.0 / 60.0  # half a frame: a movement that surprises takes at least so long
 _LEAST_SURPRISE = 1e-3  # a smaller surprise has no visible effect
-_AGREED, _DISPROVED = 0.05, 0.2  # m: views that are as near as that have no offsets that are so far apart
 _TOLD_APART = 0.12  # m between a joint and its counterpart
 _ASTRAY = 0.08  # m from where the views see a point of the body
 _ASTRAY_SECONDS = 0.1  # in which the square of that distance is added to the variance
@@ -92,27 +91,6 @@ def grow(state, trace, k, i, square, slope):  # type: ignore[no-untyped-def]
         state.variances[i, c] += by
         if len(trace.seconds) > 0:
             trace.predicted_variances[k, i, c] += by
-
-
-@inner_kernel
-def drop_wrong_offsets(model, state, views, trace, k):  # type: ignore[no-untyped-def]
-    """Starts a joint again whose views agree without their offsets, and not with them.
-
-    Such offsets were those of a wrong label, a sensor in another place, or another calibration; they would
-    last for seconds, and a view that is right would count as an outlier.
-    """
-    for i in range(len(model.parents)):
-        if not state.known[i] or views.states[0, i] == 0 or views.states[1, i] == 0:
-            continue
-        apart = expected = 0.0
-        for c in range(3):
-            offset = state.offsets[0, i, c] - state.offsets[1, i, c]
-            expected += offset * offset
-            apart += (innovation(state, views, 0, i, c) - innovation(state, views, 1, i, c) + offset) ** 2
-        if apart < _AGREED**2 and expected > _DISPROVED**2:
-            state.known[i] = False
-            if len(trace.seconds) > 0:
-                trace.predicted_variances[k, i, 0] = 0.0
 
 
 @inner_kernel

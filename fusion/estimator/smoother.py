@@ -13,7 +13,7 @@ import math
 from typing import Annotated, NamedTuple
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.estimator.bones import add_registration_error, joint_covariances
+from fusion.estimator.bones import joint_covariances
 from fusion.solvers.small_matrices import inverse
 from fusion.solvers.tree_solver import solve_tree
 from fusion.support.types import Array
@@ -28,6 +28,7 @@ class Trace(NamedTuple):
     filtered: Annotated[Array, ("T", "J", 6)]  # position and velocity after the bones
     filtered_variances: Annotated[Array, ("T", "J", 3)]
     shared_error: Annotated[Array, ("T", "J", 3, 3)]
+    added: Annotated[Array, ("T", "J", 3, 3)]  # m², what the steps after the bones add to it
 
 
 @inner_kernel
@@ -42,6 +43,16 @@ def trace_result(model, state, trace, k):  # type: ignore[no-untyped-def]
             trace.filtered_variances[k, i, c] = state.variances[i, c] if state.known[i] else 0.0
             for r in range(3):
                 trace.shared_error[k, i, r, c] = state.shared_error[i, r, c]
+
+
+@inner_kernel
+def trace_covariance(trace, output, k, sign):  # type: ignore[no-untyped-def]
+    """Adds the covariance of pair k to what is added to that of the smoothed pair, or subtracts it."""
+    if len(trace.seconds) > 0:
+        for i in range(output.sigma.shape[1]):
+            for r in range(3):
+                for c in range(3):
+                    trace.added[k, i, r, c] += sign * output.covariance[k, i, r, c]
 
 
 @kernel
@@ -117,7 +128,12 @@ def _solve_bones(model, solve, trace, output, k, like):  # type: ignore[no-untyp
         output.positions[like], solve.tree_work, solve.positions,
     )  # fmt: skip
     joint_covariances(model, solve, output.covariance[k], output.sigma[k])
-    add_registration_error(model, solve.positions, output.weights_b[k], output.covariance[k], output.sigma[k])
     for i in range(len(model.parents)):
+        square = output.sigma[k, i] ** 2
+        for c in range(3):
+            square += trace.added[k, i, c, c]
+            for r in range(3):
+                output.covariance[k, i, r, c] += trace.added[k, i, r, c]
+        output.sigma[k, i] = math.sqrt(square)
         for c in range(3):
             output.positions[k, i, c] = solve.positions[i, c]

@@ -1,9 +1,9 @@
 """Evidence of the views on the direction that the person faces, and on their labels.
 
-That of one view is horizontal vectors in K_A's frame:
+That of one view is vectors in K_A's frame, normal to the body's axis u where they are compared:
 
-* **axes**: l × u of shoulders and hips, with l from the right joint to the left one and u the upward
-  direction. They depend on the labels: exchanged, they point backwards.
+* **axes**: l × u of shoulders and hips, with l from the right joint to the left one. They depend on the
+  labels: exchanged, they point backwards.
 * **cues**: the knee's offset from the line hip–ankle, the elbow's from the line shoulder–wrist (reversed),
   the head's from the neck. These positions are the same however the tracker labels them, so cues do not
   depend on the labels of the whole body.
@@ -12,9 +12,10 @@ That of one view is horizontal vectors in K_A's frame:
 
 That of both views is the places of elbows and knees (:func:`agreement`): labels that differ exchange them.
 
-The upward direction is learned from the person, because a tilted sensor's −y axis is not up and skeletons
-do not contain gravity. While a person stands, trunk and legs are in line and point up. The mean of both over
-such frames is within a few degrees of the vertical.
+The axis u of the body points from the ankles to the shoulders, averaged over both views and a third of a
+second. It is upright where a person keeps the balance, also in a squat. The frame of the headings turns with
+it, and not about it. So the model is the same for a person who stands, sits or lies: it contains no gravity,
+which skeletons do not show.
 """
 
 from __future__ import annotations
@@ -38,19 +39,20 @@ CONTINUOUS_SECONDS = 0.5
 _LOG_ODDS = math.log(0.3), math.log(3000.0)  # smallest and largest
 IN_LINE = math.cos(math.radians(20.0))
 """The person counts as standing if the cosine between trunk and legs is above this."""
-_LEARNING_SECONDS = 10.0  # of views: the mean forgets older frames, because a sensor may be moved
+_LEVEL = math.sqrt(0.5)  # cosine to −y of the frame: sensors are tilted by less
+_RARE = 0.05  # share of the frames in which the person stands
+_SHORTEST_AXIS = 0.05  # metres
 
 
 @inner_kernel
 def measure_view(model, state, view, positions, states):  # type: ignore[no-untyped-def]
     """Writes the view's axes, cues and spans with their trust; trust 0 where a joint is missing."""
-    up = state.memory.frame_up
     for pair in range(6):
         left, right = model.pairs[pair, 0], model.pairs[pair, 1]
         for c in range(3):
             state.evidence.spans[view, pair, c] = positions[left, c] - positions[right, c]
     for girdle in range(2):
-        _axis(model, state, view, girdle, states, up)
+        _axis(model, state, view, girdle, states, state.memory.axis)
     row = 0
     for joint, first, last, sign in ((KNEE, HIP, ANKLE, 1.0), (ELBOW, SHOULDER, WRIST, -1.0)):
         for side in range(2):
@@ -223,38 +225,29 @@ def bounded(cost, most):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def learn_up(model, state, positions, dt):  # type: ignore[no-untyped-def]
-    """Updates the upward direction with one view in which the person stands, dt s after the last pair."""
-    trunk_trunk = legs_legs = trunk_legs = 0.0
-    for c in range(3):
-        trunk, legs = _trunk_and_legs(model.pairs, positions, c)
-        trunk_trunk += trunk * trunk
-        legs_legs += legs * legs
-        trunk_legs += trunk * legs
-    length = math.sqrt(trunk_trunk * legs_legs)
-    if not (length > 0.05 and trunk_legs > IN_LINE * length):  # also false where a joint is missing
-        return
-    state.memory.up_seconds[0] = min(state.memory.up_seconds[0] + dt, _LEARNING_SECONDS)
-    share, squared = min(dt / state.memory.up_seconds[0], 1.0), 0.0
-    for c in range(3):
-        trunk, legs = _trunk_and_legs(model.pairs, positions, c)
-        seen = trunk / math.sqrt(trunk_trunk) + legs / math.sqrt(legs_legs)
-        state.memory.up[c] += share * (0.5 * seen - state.memory.up[c])
-        squared += state.memory.up[c] ** 2
-    for c in range(3):
-        state.memory.up[c] /= math.sqrt(squared)
+def add_axis(pairs, positions, total):  # type: ignore[no-untyped-def]
+    """Adds the (3,) unit vector of a view from the ankles, or else from the hips, to the shoulders."""
+    for low in (ANKLE, HIP):
+        squared = 0.0
+        for c in range(3):
+            squared += _upwards(pairs, positions, low, c) ** 2
+        if squared > _SHORTEST_AXIS * _SHORTEST_AXIS:  # also false where a joint is missing
+            for c in range(3):
+                total[c] += _upwards(pairs, positions, low, c) / math.sqrt(squared)
+            return
 
 
 @inner_kernel
-def _trunk_and_legs(pairs, positions, c):  # type: ignore[no-untyped-def]
+def _upwards(pairs, positions, low, c):  # type: ignore[no-untyped-def]
     shoulders = positions[pairs[SHOULDER, 0], c] + positions[pairs[SHOULDER, 1], c]
-    hips = positions[pairs[HIP, 0], c] + positions[pairs[HIP, 1], c]
-    ankles = positions[pairs[ANKLE, 0], c] + positions[pairs[ANKLE, 1], c]
-    return 0.5 * (shoulders - hips), 0.5 * (hips - ankles)
+    return 0.5 * (shoulders - positions[pairs[low, 0], c] - positions[pairs[low, 1], c])
 
 
 def upright_direction(body: Body, *views: NDArray[np.float64]) -> NDArray[np.float64]:
     """(3,) unit vector against gravity: the median direction of trunk and legs while the person stands.
+
+    A person who lies is straight as well. So directions within 45° of the frame's −y, the vertical of sensors
+    that stand upright, count alone, unless they are rare: then the sensor is turned.
 
     Args:
         views: (T, J, 3) positions in one frame; NaN where not tracked.
@@ -277,5 +270,6 @@ def upright_direction(body: Body, *views: NDArray[np.float64]) -> NDArray[np.flo
     every = np.concatenate(found)
     if len(every) == 0:
         return np.array((0.0, -1.0, 0.0))
-    up = np.median(every, axis=0)
+    level = every[:, 1] < -_LEVEL * np.linalg.norm(every, axis=1)
+    up = np.median(every[level] if level.mean() > _RARE else every, axis=0)
     return np.asarray(up / np.linalg.norm(up))

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.facing.evidence import CONTINUOUS_SECONDS, exchange_odds, learn_up, measure_view, update_motion
+from fusion.facing.evidence import CONTINUOUS_SECONDS, add_axis, exchange_odds, measure_view, update_motion
 from fusion.facing.model import FRAME_SECONDS, WHOLE
 from fusion.facing.whole_body import correct, log_likelihood, predict, prior_belief, set_headings, set_turning
 
 _SHORTEST = 1e-3  # seconds between two pairs
+_AXIS_SECONDS = 0.3  # over which the body's axis is averaged
+_LEAST_AXIS = 0.2  # length of the sum of the views' unit vectors along the body
+_LEAST_ACROSS = 0.7  # sine: a sensor that looks more along the body sees less of its front or back
 _CERTAIN = 0.9  # probability of labels that change without the sight of shoulders and hips
 _ABANDONED = 0.2  # labels with a smaller probability are given up
 
@@ -33,7 +36,7 @@ def update_facing(model, state, pair, dt):  # type: ignore[no-untyped-def]
 @inner_kernel
 def update_evidence(model, state, pair, dt):  # type: ignore[no-untyped-def]
     """Computes the evidence of the pair: log-likelihood, probabilities of exchanges and turns."""
-    update_up(model, state, pair, dt)
+    update_axis(model, state, pair, dt)
     state.evidence.frames[2] = dt / FRAME_SECONDS if state.belief.started[0] == 1 else 1.0
     for view in range(2):
         change = state.evidence.velocity_change[view]
@@ -56,18 +59,33 @@ def update_evidence(model, state, pair, dt):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def update_up(model, state, pair, dt):  # type: ignore[no-untyped-def]
-    """Updates the upward direction, which is learned from the person where it is unknown."""
-    known = math.isfinite(pair.up[0])
+def update_axis(model, state, pair, dt):  # type: ignore[no-untyped-def]
+    """Updates the body's axis, and turns the frame of the headings with it."""
+    memory, seen = state.memory, state.evidence.axis_seen
+    seen[0] = seen[1] = seen[2] = 0.0
     for view in range(2):
-        if not known and not pair.stale[view]:
-            learn_up(model, state, pair.positions[view], max(dt, _SHORTEST))
-    set_headings(state, pair.up if known else state.memory.up)
+        if not pair.stale[view]:
+            add_axis(model.pairs, pair.positions[view], seen)
+    length = math.sqrt(seen[0] ** 2 + seen[1] ** 2 + seen[2] ** 2)
+    if length < _LEAST_AXIS:  # none is seen, or the views contradict each other
+        return
+    off = 0.0
+    for c in range(3):
+        seen[c] /= length
+        off += (seen[c] - memory.axis[c]) ** 2
+    dt, known = max(dt, _SHORTEST), not math.isnan(off)
+    usual = 1.0 - math.exp(-dt / _AXIS_SECONDS)
+    share = min(usual + math.sqrt(off), 1.0) if known else 1.0  # what is far off is a movement, no error
+    for c in range(3):
+        step = share * (seen[c] - memory.axis[c]) if known else 0.0
+        memory.axis_velocity[c] += usual * (step / dt - memory.axis_velocity[c])
+        seen[c] = memory.axis[c] + step if known else seen[c]
+    set_headings(state, seen)
 
 
 @inner_kernel
 def set_sensor_directions(state, sensor_b):  # type: ignore[no-untyped-def]
-    """The horizontal directions from the person to the sensors; kept where no person is seen."""
+    """The directions from the person to the sensors, normal to the body's axis; kept without a person."""
     for view in range(2):
         x = y = z = 0.0
         count = 0
@@ -81,13 +99,13 @@ def set_sensor_directions(state, sensor_b):  # type: ignore[no-untyped-def]
         x, y, z = -x / count, -y / count, -z / count
         if view == 1:
             x, y, z = x + sensor_b[0], y + sensor_b[1], z + sensor_b[2]
-        u = state.memory.frame_up
-        height = x * u[0] + y * u[1] + z * u[2]
+        u = state.memory.axis
+        height, distance = x * u[0] + y * u[1] + z * u[2], math.sqrt(x * x + y * y + z * z)
         x, y, z = x - height * u[0], y - height * u[1], z - height * u[2]
         length = math.sqrt(x * x + y * y + z * z)
-        if length > 1e-6:
-            toward = state.evidence.toward[view]
-            toward[0], toward[1], toward[2] = x / length, y / length, z / length
+        length = max(length, _LEAST_ACROSS * distance)
+        toward = state.evidence.toward[view]
+        toward[0], toward[1], toward[2] = x / length, y / length, z / length
 
 
 @inner_kernel
@@ -178,7 +196,7 @@ def store_spans(state, stale):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def forget_facing(state):  # type: ignore[no-untyped-def]
-    """Resets what is known of the person; the upward direction stays."""
+    """Resets what is known of the person."""
     evidence, memory, result = state.evidence, state.memory, state.result
     state.belief.started[0] = 0
     for view in range(2):
@@ -199,4 +217,5 @@ def forget_facing(state):  # type: ignore[no-untyped-def]
     result.confidence[0] = 0.0
     for c in range(3):
         memory.velocity[c] = 0.0
-        result.facing[c] = math.nan
+        memory.axis_velocity[c] = 0.0
+        memory.axis[c] = result.facing[c] = math.nan

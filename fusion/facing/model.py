@@ -11,7 +11,7 @@ from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
 from fusion.joint_kinds import ARM, LEG, limbs, of_kind
 
 HEADINGS = 36
-"""Headings are the multiples of 10° in the horizontal plane."""
+"""Headings are the multiples of 10° in the plane normal to the body's axis."""
 TAPS = 17
 """The largest turn between two frames, in headings: nearly half a circle."""
 FRAME_SECONDS = 1.0 / 30.0
@@ -161,9 +161,6 @@ class ReportedPair(NamedTuple):
     states: NDArray[np.uint8]  # (2, J) uint8 tracking states
     stale: Bools  # (2,) whether the view repeats its last skeleton or has none, and so is no evidence
     sensor_b: Floats  # (3,) position of K_B in K_A's frame: t of the registration
-    up: Floats
-    """(3,) unit vector against gravity in K_A's frame; NaN where it is unknown: then it is learned from the
-    person (see :mod:`fusion.facing.evidence`)."""
 
 
 class Evidence(NamedTuple):
@@ -181,7 +178,8 @@ class Evidence(NamedTuple):
     frames: Annotated[Floats, (3,)]
     """In 1/30 s: since the last fresh skeleton of A, of B (kept while stale); since the last pair."""
     velocity_change: Annotated[Floats, (2, 3)]  # of the trunk, by each view
-    toward: Annotated[Floats, (2, 3)]  # horizontal unit vectors from the person to the sensors
+    toward: Annotated[Floats, (2, 3)]  # unit vectors from the person to the sensors, normal to the axis
+    axis_seen: Annotated[Floats, (3,)]  # the views' sum of unit vectors along the body, then the new axis
     likelihood: Annotated[Floats, (HEADINGS, 2, 2)]  # log-likelihood
     turning: Annotated[Floats, (2 * TAPS + 1,)]  # P(θ' | θ), by difference
     reach: Annotated[Ints, (1,)]  # how many headings `turning` reaches to either side
@@ -209,9 +207,8 @@ class Memory(NamedTuple):
     since: Annotated[Floats, (2,), FRAME_SECONDS]  # seconds since a view's last fresh skeleton
     speed: Annotated[Floats, (2,)]  # mean speed of the joints, low-passed
     velocity: Annotated[Floats, (3,)]  # of the trunk, low-passed
-    up: Annotated[Floats, (3,), (0.0, -1.0, 0.0)]  # learned from every person: it belongs to the sensor
-    up_seconds: Annotated[Floats, (1,)]  # from which it was learned
-    frame_up: Annotated[Floats, (3,), np.nan]  # up direction of the headings
+    axis: Annotated[Floats, (3,), np.nan]  # of the body: unit vector from the ankles to the shoulders
+    axis_velocity: Annotated[Floats, (3,)]  # 1/s, averaged
     headings: Annotated[Floats, (HEADINGS, 3)]  # unit vectors
 
 

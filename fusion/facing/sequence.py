@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.facing.evidence import measure_view, upright_direction
-from fusion.facing.filter import decide, forget_facing, update_facing
+from fusion.facing.evidence import measure_view
+from fusion.facing.filter import decide, forget_facing, update_axis, update_facing
 from fusion.facing.labels import Labels
 from fusion.facing.model import (
     FORGET_NS,
@@ -20,7 +20,7 @@ from fusion.facing.model import (
     ReportedPair,
     new_facing_model,
 )
-from fusion.facing.whole_body import retrodict, set_headings, set_turning
+from fusion.facing.whole_body import retrodict, set_turning
 from fusion.skeleton import stale_frames
 from fusion.support.array_fields import new_arrays
 
@@ -63,7 +63,6 @@ def relabel_sequence(
     if smooth:
         _backward(model, state, intervals, anew, history)
         again = by_reference(new_arrays(FacingState, J=len(body)))
-        again.memory.up[:] = state.memory.frame_up
         _label(model, again, pairs, intervals, anew, labels, history)
     return labels
 
@@ -79,11 +78,9 @@ def _first_pairs(times: NDArray[np.int64], states: NDArray[np.uint8]) -> NDArray
 
 
 def reported_pairs(
-    body: Body,
     views: tuple[ArrayLike, ArrayLike],
     states: tuple[ArrayLike, ArrayLike],
     sensor_b: ArrayLike,
-    up: ArrayLike | None = None,
 ) -> ReportedPair:
     """T pairs of a recording for :func:`relabel_sequence`; the view is the second axis.
 
@@ -91,21 +88,17 @@ def reported_pairs(
         views: A and B, (T, J, 3) in K_A's frame as reported, metres; NaN where not tracked.
         states: (T, J) tracking states of A and of B.
         sensor_b: (3,) position of K_B in K_A's frame, or (T, 3) of each pair.
-        up: (3,) against gravity; learned from the person where None.
     """
     positions = np.stack([np.asarray(view, dtype=np.float64) for view in views], axis=1)
     state = np.stack([np.asarray(each, dtype=np.uint8) for each in states], axis=1)
     stale = np.asarray(~state.any(axis=2))  # (T, 2); nobody is no evidence, either
     for view in range(2):
         stale[:, view] |= stale_frames(positions[:, view], state[:, view])
-    if up is None:
-        up = upright_direction(body, positions[:, 0], positions[:, 1])
     return ReportedPair(
         positions=positions,
         states=state,
         stale=stale,
         sensor_b=np.array(np.broadcast_to(sensor_b, (len(state), 3)), dtype=np.float64, order="C"),
-        up=np.array(up, dtype=np.float64),
     )
 
 
@@ -123,7 +116,7 @@ def _forward(model, state, pairs, intervals, anew, labels, history):  # type: ig
     for k in range(len(intervals)):
         if anew[k]:
             forget_facing(state)
-        pair = ReportedPair(pairs.positions[k], pairs.states[k], pairs.stale[k], pairs.sensor_b[k], pairs.up)
+        pair = ReportedPair(pairs.positions[k], pairs.states[k], pairs.stale[k], pairs.sensor_b[k])
         update_facing(model, state, pair, intervals[k])
         _store_labels(state, labels, k)
         if len(history.beliefs) > 0:
@@ -175,10 +168,11 @@ def _backward(model, state, intervals, anew, history):  # type: ignore[no-untype
 @kernel
 def _label(model, state, pairs, intervals, anew, labels, history):  # type: ignore[no-untyped-def]
     """Computes the results of a recording from the smoothed beliefs."""
-    set_headings(state, state.memory.up)
     for k in range(len(intervals)):
         if anew[k]:
             forget_facing(state)
+        pair = ReportedPair(pairs.positions[k], pairs.states[k], pairs.stale[k], pairs.sensor_b[k])
+        update_axis(model, state, pair, intervals[k])
         for view in range(2):
             state.memory.since[view] += intervals[k]
             if not pairs.stale[k, view]:

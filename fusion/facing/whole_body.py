@@ -1,7 +1,8 @@
 """The hidden Markov model of the whole body: heading, A mirrored, B mirrored.
 
-The state is (θ, m_A, m_B) with θ one of N headings in the horizontal plane and m_v whether view v reports the
-person with left and right exchanged. One step is
+The state is (θ, m_A, m_B) with θ one of N headings in the plane normal to the body's axis
+(:mod:`fusion.facing.evidence`) and m_v whether view v reports the person with left and right exchanged. One
+step is
 
     p(θ', m') ∝ L(θ', m'_A, m'_B) Σ P(m'_A | m_A, θ') P(m'_B | m_B, θ') P(θ' | θ) p(θ, m_A, m_B).
 
@@ -39,23 +40,40 @@ from fusion.facing.evidence import agreement, bounded
 from fusion.facing.model import FRAME_SECONDS, TAPS
 
 _INTERVALS = 4  # of the tables over the cosine
+_TURNING_RATE = 0.7  # rad/s of the body's axis: a person who falls or bows faster does not walk
+_HALF_TURN = 1e-6  # least 1 + cosine: an axis that reverses between two frames has no smallest rotation
 _MOST_FRAMES = 6.0  # a longer time than 0.2 s without evidence of motion gives a frame no larger weight
 
 
 @inner_kernel
-def set_headings(state, up):  # type: ignore[no-untyped-def]
-    """The unit vectors of the headings, horizontal under ``up``; the first is nearest to K_A's x."""
-    same = True
+def set_headings(state, axis):  # type: ignore[no-untyped-def]
+    """Sets the body's axis u, and the unit vectors of the headings, normal to it.
+
+    They turn by the smallest rotation from the last axis u' to u: v ← v - (v · u) / (1 + u' · u) (u' + u).
+    The first one of a person has no heading that means anything.
+    """
+    u, first = state.memory.axis, state.memory.headings[0]
+    norm = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    along = cosine = 0.0
     for c in range(3):
-        same = same and abs(state.memory.frame_up[c] - up[c]) < 1e-12
-    if same:
-        return
-    norm = math.sqrt(up[0] ** 2 + up[1] ** 2 + up[2] ** 2)
+        along += first[c] * axis[c] / norm
+        cosine += u[c] * axis[c] / norm
+    if math.isnan(cosine):  # along the coordinate axis that is farthest from u
+        u[0] = u[1] = u[2] = along = 0.0
+        first[0] = first[1] = first[2] = cosine = 0.0
+        x, y, z = abs(axis[0]), abs(axis[1]), abs(axis[2])
+        first[0 if x <= min(y, z) else (1 if y <= z else 2)] = 1.0
+    share, along_new = along / max(1.0 + cosine, _HALF_TURN), 0.0
     for c in range(3):
-        state.memory.frame_up[c] = up[c] / norm
-    u = state.memory.frame_up
-    length = math.sqrt(1.0 - u[0] * u[0])
-    x0, x1, x2 = (1.0 - u[0] * u[0]) / length, -u[0] * u[1] / length, -u[0] * u[2] / length
+        first[c] -= share * (u[c] + axis[c] / norm)
+        u[c] = axis[c] / norm
+        along_new += first[c] * u[c]
+    length = 0.0
+    for c in range(3):
+        first[c] -= along_new * u[c]
+        length += first[c] ** 2
+    length = math.sqrt(length)
+    x0, x1, x2 = first[0] / length, first[1] / length, first[2] / length
     z0, z1, z2 = u[1] * x2 - u[2] * x1, u[2] * x0 - u[0] * x2, u[0] * x1 - u[1] * x0
     count = len(state.memory.headings)
     for n in range(count):
@@ -175,6 +193,9 @@ def log_likelihood(model, state, pair):  # type: ignore[no-untyped-def]
     v, likelihood = state.memory.velocity, state.evidence.likelihood
     speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     weight = k.motion_weight * min(state.evidence.frames[2], _MOST_FRAMES)
+    turning = state.memory.axis_velocity
+    rate = math.sqrt(turning[0] ** 2 + turning[1] ** 2 + turning[2] ** 2)
+    weight /= (1.0 + (rate / _TURNING_RATE) ** 2) ** 2
     pace = weight * min(speed, k.motion_cap) ** 4 / max(speed, 1e-9)
     if stale[0] and stale[1]:
         pace = 0.0
@@ -232,6 +253,7 @@ def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-de
     straight = back = 0.0
     kappa, s = in_table(model.axis_kappa, cosine), state.evidence.toward[view]
     folded, most = model.constants.folded, model.constants.axis_floor
+    beside = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]  # 1 but where the sensor looks along the body
     # the reported direction for f is toward s + across f
     toward, across = 0.0, 1.0
     if folded > 0.0:
@@ -248,9 +270,9 @@ def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-de
             as_shown, mirrored = bounded(kappa * (1.0 - along), most), bounded(kappa * (1.0 + along), most)
             if folded > 0.0:
                 other = bounded(kappa * (1.0 - toward * nearing - across * along), most)
-                as_shown = _mixture(as_shown, other, 1.0 - model.constants.unbiased)
+                as_shown = _mixture(as_shown, other, beside * (1.0 - model.constants.unbiased))
                 other = bounded(kappa * (1.0 - along + 2.0 * cosine * nearing), most)
-                mirrored = _mixture(mirrored, other, folded)
+                mirrored = _mixture(mirrored, other, beside * folded)
             straight += trust * (peak - as_shown)
             back += trust * (peak - mirrored)
     weight = min(model.constants.axis_weight * state.evidence.frames[view], 1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,6 +169,9 @@ def _weighted_sums(p, q, apart, scale, sums):  # type: ignore[no-untyped-def]
                             sums[k, 16 + 3 * i + j] += wq * q[k, n, j]
 
 
+NOWHERE = np.full(3, np.nan)
+
+
 @dataclass(frozen=True, eq=False)
 class Registration:
     """A transform between the sensors and its uncertainty."""
@@ -185,8 +188,10 @@ class Registration:
     frames: int  # how many pairs were used
     body: Body  # the body the joints belong to
     translation_sd: float = float("nan")
-    """Metres, standard deviation of R q + t at the person's centre, along the least certain axis, with the
-    trackers' lasting errors; NaN where a session does not have it."""
+    """Metres, standard deviation of R q + t at the centre, along the least certain axis, with the trackers'
+    lasting errors; NaN where a session does not have it."""
+    centre: Array = field(default_factory=lambda: NOWHERE)
+    """(3,) metres, the mean place of the joints that were used, in K_A's frame; NaN like that."""
 
     @staticmethod
     def between(
@@ -199,11 +204,13 @@ class Registration:
         for joint in np.flatnonzero(seen.any(axis=0)):
             joints[joint] = np.median(apart[seen[:, joint], joint])
         median, rms = float(np.median(known)), float(np.sqrt(np.mean(known**2)))
-        rotation_sd, *translation_sd = sd
-        return Registration(a_from_b, median, rms, joints, rotation_sd, len(p), body, *translation_sd)
+        rotation_sd, translation_sd = sd
+        return Registration(
+            a_from_b, median, rms, joints, rotation_sd, len(p), body, translation_sd, p[seen].mean(axis=0)
+        )
 
     def sd_at(self, distance: float) -> float:
-        """Metres, standard deviation of R q + t at this distance from the person's centre, at most."""
+        """Metres, standard deviation of R q + t at this distance from the centre, at most."""
         return float(np.hypot(self.translation_sd, distance * self.rotation_sd))
 
     def worst_joints(self, count: int = 3) -> list[tuple[str, float]]:

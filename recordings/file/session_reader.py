@@ -13,7 +13,7 @@ from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.intrinsics import Intrinsics
-from fusion.registration.rigid_fit import Registration
+from fusion.registration.rigid_fit import NOWHERE, Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
 from fusion.support.large_arrays import GrowingArray, parts
@@ -127,11 +127,12 @@ def _calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, 
                 a_from_b,
                 float(of["residual_median"][0]),
                 float(of["residual_rms"][0]),
-                np.array(of["joint_residuals"], dtype=np.float64),
+                np.array(of["joint_residuals"]),
                 float(of["rotation_sd"][0]),
                 int(of["pairs"][0]),
                 body,
                 float(of.get("translation_sd", [np.nan])[0]),
+                np.array(of.get("centre", NOWHERE)),
             )
         how = str(of["how"][0])
         provisional = of.get("provisional", [how.startswith(_PROVISIONAL)])[0]

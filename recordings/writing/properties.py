@@ -12,7 +12,7 @@ from fusion.intrinsics import Intrinsics
 from fusion.setup import REVISIONS, FusionSetup
 from recordings.data import layout
 
-_RESIDUALS = ("residual_median", "residual_rms", "rotation_sd", "translation_sd")
+_RESIDUALS = ("residual_median", "residual_rms", "rotation_sd", "translation_sd", "centre")
 
 
 def session_properties(

@@ -364,7 +364,7 @@ def test_one_place_of_a_sensor_compiles_what_a_place_for_each_pair_does():
     at, states = np.zeros((3, len(KINECT_V2), 3)), np.full((3, len(KINECT_V2)), 2, np.uint8)
     counts = []
     for sensor in (np.ones((3, 3)), np.ones(3)):
-        pairs = reported_pairs(KINECT_V2, (at, at), (states, states), sensor, up=(0.0, -1.0, 0.0))
+        pairs = reported_pairs((at, at), (states, states), sensor)
         relabel_sequence(KINECT_V2, pairs, np.arange(3) * 33_000_000)
         counts.append(len(sequence._forward.signatures))
     assert counts[0] == counts[1] > 0

@@ -64,15 +64,6 @@ def distance(a, b):
     return np.linalg.norm(a - b, axis=-1)
 
 
-def with_the_up_of(fuser):
-    """A new fuser that knows the upward direction, which belongs to the sensor and not to the person."""
-    fresh = Fuser(fuser.setup)
-    ours, its = fuser._fusion._filter.facing.memory, fresh._fusion._filter.facing.memory
-    for name in ("up", "up_seconds"):
-        getattr(its, name)[...] = getattr(ours, name)
-    return fresh
-
-
 # No history lasts
 
 
@@ -93,7 +84,7 @@ def test_a_person_who_comes_back_after_a_second_is_a_new_one(away, empty, mirror
     after, _ = walk(0.7, seed=2, place=(0.4, 0.0, 0.3), start=last_ns / SECOND + away)
     fuser = Fuser(setup_of())
     fuser.fuse_sequence(before + nobody)
-    fresh = with_the_up_of(fuser)
+    fresh = Fuser(fuser.setup)
     for pair in after:
         frame, other = fuser.update(pair), fresh.update(pair)
         for name in ("positions", "velocities", "sigma", "covariance", "weights_a", "doubt_a", "doubt_b"):

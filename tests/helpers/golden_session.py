@@ -78,7 +78,7 @@ def runs_of(stored):
         live.append(fuser.update(pair))
     arrays = Pairs.of(BODY, pairs).arrays()
     views = arrays.a, after.a_from_b.apply(arrays.b)
-    reported = reported_pairs(BODY, views, (arrays.states_a, arrays.states_b), after.a_from_b.translation)
+    reported = reported_pairs(views, (arrays.states_a, arrays.states_b), after.a_from_b.translation)
     labels = relabel_sequence(BODY, reported, arrays.time_ns).as_stored()
     whole = Fuser(FusionSetup(after)).smooth_sequence(pairs, labels)
     return {"live": _run(live), "whole": _run(whole)}

@@ -24,8 +24,6 @@ from fusion.registration.rigid_fit import label_free_fit
 from tests.helpers.frame_pairs import paired
 
 Floats = NDArray[np.float64]
-UP = np.array((0.0, -1.0, 0.0))
-UNKNOWN = np.full(3, np.nan)
 FRAME = 1.0 / 30.0
 """Seconds."""
 
@@ -44,19 +42,17 @@ class Views:
     truth: Floats
 
     def relabel(self, **options):
-        pairs = self.reported(options.pop("up", None))
-        return relabel_sequence(self.body, pairs, self.time_ns, **options)
+        return relabel_sequence(self.body, self.reported(), self.time_ns, **options)
 
-    def reported(self, up=None):
+    def reported(self):
         """What the facing filter takes."""
-        views, states = (self.a, self.b_in_a), (self.states_a, self.states_b)
-        return reported_pairs(self.body, views, states, self.sensor_b, up)
+        return reported_pairs((self.a, self.b_in_a), (self.states_a, self.states_b), self.sensor_b)
 
-    def reported_at(self, k, up, stale=(False, False)):
+    def reported_at(self, k, stale=(False, False)):
         """Pair k."""
         return ReportedPair(
             np.stack((self.a[k], self.b_in_a[k])), np.stack((self.states_a[k], self.states_b[k])),
-            np.array(stale), self.sensor_b.copy(), up,
+            np.array(stale), self.sensor_b.copy(),
         )  # fmt: skip
 
     def relabelled(self, labels):
@@ -241,6 +237,6 @@ def real_views(folder):
     )
 
 
-def step(model, state, views, k, up=UP, stale=(False, False)):
+def step(model, state, views, k, stale=(False, False)):
     """Updates the facing filter with pair k."""
-    update_facing(model, state, views.reported_at(k, up, stale), FRAME)
+    update_facing(model, state, views.reported_at(k, stale), FRAME)

@@ -80,23 +80,19 @@ def measure_surface(model, views, solve):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def length_evidence(model, state, views):  # type: ignore[no-untyped-def]
+def length_evidence(model, views):  # type: ignore[no-untyped-def]
     """Adds the evidence of the bones at each joint to that of the depth image.
 
-        l_vi = - min(max_b |length of b in the view - l_b| / e_b, length_limit),
-        e_b² = length_error² + (length_by_speed |u_end - u_parent|)²
+        l_vi = - min(max_b |length of b in the view - l_b| / length_error, length_limit)
 
     over the bones b at joint i whose ends the view tracks. The positions are those without the view's scale.
     It is a log likelihood ratio that the joint is no outlier, see
-    :func:`fusion.estimator.measurements.outliers.prior_outlier`. In a fast
-    swing a tracker smears the limb, so a wrong length says less there.
+    :func:`fusion.estimator.measurements.outliers.prior_outlier`.
 
     Args:
-        state: The joints' velocities u are read.
         views: Positions and states are read; evidence and length errors are written.
     """
     k = model.constants
-    still = k.length_error * k.length_error
     for v in range(2):
         x, errors = views.positions[v], views.length_errors[v]
         for i in range(len(model.parents)):
@@ -105,12 +101,10 @@ def length_evidence(model, state, views):  # type: ignore[no-untyped-def]
             p = model.parents[i]
             if p < 0 or views.states[v, i] != TRACKED or views.states[v, p] != TRACKED:
                 continue
-            square = fast = 0.0
+            square = 0.0
             for c in range(3):
                 square += (x[i, c] - x[p, c]) ** 2
-                fast += (state.velocities[i, c] - state.velocities[p, c]) ** 2
-            expected = math.sqrt(still + k.length_by_speed * k.length_by_speed * fast)
-            error = abs(math.sqrt(square) - model.bone_lengths[i]) / expected
+            error = abs(math.sqrt(square) - model.bone_lengths[i]) / k.length_error
             errors[i], errors[p] = max(errors[i], error), max(errors[p], error)
         for i in range(len(model.parents)):
             if errors[i] > 0.0:

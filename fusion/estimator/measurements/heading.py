@@ -13,13 +13,13 @@ from fusion.compiling.kernels import inner_kernel
 from fusion.facing.model import HIP, SHOULDER
 from fusion.facing.whole_body import in_table
 
-_SHORTEST = 1e-3  # metres: a shorter horizontal span has no direction
+_SHORTEST = 1e-3  # metres: a shorter span across the body has no direction
 _CONFIDENCES = 1e-3, 1.0 - 1e-6  # smallest and largest
 
 
 @inner_kernel
-def turn_girdles(facing_model, up, sensors, views):  # type: ignore[no-untyped-def]
-    """Turns shoulders and hips of each view about the vertical through their middle.
+def turn_girdles(facing_model, axis, sensors, views):  # type: ignore[no-untyped-def]
+    """Turns shoulders and hips of each view about the body's axis through their middle.
 
     With δ the angle from the axis of shoulders or hips, l × u, to the heading:
 
@@ -31,13 +31,13 @@ def turn_girdles(facing_model, up, sensors, views):  # type: ignore[no-untyped-d
 
     Args:
         facing_model: Of the body.
-        up: (3,) upward unit vector.
+        axis: (3,) the body's axis; NaN where unknown.
         sensors: (2, 3) positions of the sensors, metres.
         views: The heading, re-labelled positions, which are changed, and states.
     """
     f = views.heading
     length = math.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
-    if not length > 0.0:  # also where there is none
+    if not length > 0.0 or math.isnan(axis[0]):  # also where there is none
         return
     variance = -2.0 * math.log(min(max(length, _CONFIDENCES[0]), _CONFIDENCES[1]))
     for v in range(2):
@@ -46,15 +46,15 @@ def turn_girdles(facing_model, up, sensors, views):  # type: ignore[no-untyped-d
             if views.states[v, left] == 0 or views.states[v, right] == 0:
                 continue
             x = views.positions[v]
-            cosine = _cosine_to_sensor(x, left, right, sensors[v], f, up) / length
+            cosine = _cosine_to_sensor(x, left, right, sensors[v], f, axis) / length
             sigma = in_table(facing_model.constants.axis_bias, cosine)
             if sigma > 0.0:
-                _turn_pair(x, left, right, f, up, sigma * sigma / (sigma * sigma + variance))
+                _turn_pair(x, left, right, f, axis, sigma * sigma / (sigma * sigma + variance))
 
 
 @inner_kernel
 def _cosine_to_sensor(x, left, right, sensor, f, u):  # type: ignore[no-untyped-def]
-    """Horizontal component of f towards the sensor, seen from the middle of two joints."""
+    """Component of f, normal to u, towards the sensor, seen from the middle of two joints."""
     d0 = sensor[0] - 0.5 * (x[left, 0] + x[right, 0])
     d1 = sensor[1] - 0.5 * (x[left, 1] + x[right, 1])
     d2 = sensor[2] - 0.5 * (x[left, 2] + x[right, 2])

@@ -6,7 +6,7 @@ import math
 
 from fusion.compiling.kernels import inner_kernel
 from fusion.facing.exchange import exchange
-from fusion.facing.filter import update_facing, update_up
+from fusion.facing.filter import update_axis, update_facing
 from fusion.facing.model import ReportedPair
 from fusion.pair_arrays import repeats
 from fusion.skeleton import TRACKED
@@ -64,12 +64,12 @@ def relabel(model, facing_model, facing, views, labels, k, dt):  # type: ignore[
     biased = facing_model.constants.folded > 0.0  # then the heading is needed, too
     for v in range(2):  # neither is evidence of the heading
         views.stale[v] = views.stale[v] or not _anyone(views.reported_states[v])
-    pair = ReportedPair(views.reported, views.reported_states, views.stale, model.translation, model.up)
+    pair = ReportedPair(views.reported, views.reported_states, views.stale, model.translation)
     missing = codes[0] < 0 or codes[1] < 0 or math.isnan(doubt[0]) or math.isnan(doubt[1])
     if missing or (biased and math.isnan(heading[0])):
         update_facing(facing_model, facing, pair, dt)
     elif biased:
-        update_up(facing_model, facing, pair, dt)
+        update_axis(facing_model, facing, pair, dt)
     for v in range(2):
         views.codes[v] = codes[v] if codes[v] >= 0 else facing.result.codes[v]
         views.side_doubt[v] = facing.result.doubt[v] if math.isnan(doubt[v]) else doubt[v]

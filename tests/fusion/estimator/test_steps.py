@@ -16,7 +16,7 @@ from fusion import joint_kinds
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.estimator import covariance, kalman, process, smoother
 from fusion.estimator.arrays import Model, Solve, State, Views, new_model
-from fusion.estimator.bones import enforce_hinges, joint_covariances
+from fusion.estimator.bones import joint_covariances
 from fusion.estimator.constants import Constants
 from fusion.estimator.measurements import evidence, offsets, outliers, views
 from fusion.facing.model import new_facing_model
@@ -427,24 +427,3 @@ def test_a_hand_on_the_other_hand_is_doubted_and_hands_that_touch_are_not():
     assert (told > -0.5).all()
     seen.positions[0, left] = seen.positions[0, right] - 0.02
     assert (evidence_of(scene) > -1.0).all()
-
-
-@pytest.mark.parametrize(("joint", "sign"), [("Knee", -1.0), ("Elbow", 1.0)])
-@pytest.mark.parametrize("tracked", [True, False])
-def test_an_unseen_hinge_does_not_bend_backwards(scene, joint, sign, tracked):
-    state, seen = scene.state, scene.views
-    state.positions[:] = straight = standing(BODY)
-    i = BODY.joint(f"{joint}Left")
-    forward = np.array((-1.0, 0.0, -1.0)) / math.sqrt(2.0)  # the person is turned by 45°
-    state.positions[i] += sign * 0.1 * forward
-    seen.states[:, i], seen.trust[:, i] = (2, 1.0) if tracked else (0, 0.0)
-    bent = state.positions.copy()
-    interpreted(enforce_hinges)(scene.model, state, seen)
-    if tracked:
-        np.testing.assert_allclose(state.positions, bent, atol=ROUNDING)
-    else:
-        np.testing.assert_allclose(state.positions, straight, atol=2e-3)  # toes and thumbs tilt the trunk
-    state.positions[i] = straight[i] - sign * 0.1 * forward
-    right = state.positions.copy()
-    interpreted(enforce_hinges)(scene.model, state, seen)
-    np.testing.assert_allclose(state.positions, right, atol=ROUNDING)

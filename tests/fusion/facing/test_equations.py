@@ -14,7 +14,7 @@ from fusion.facing.filter import update_facing
 from fusion.facing.model import HEADINGS, TAPS, FacingConstants, FacingState, new_facing_model
 from fusion.support.array_fields import new_arrays
 from tests.helpers.interpreted import interpreted
-from tests.helpers.labelled_views import UP, simulated_views, step
+from tests.helpers.labelled_views import simulated_views, step
 
 
 def table(values, cosine):
@@ -28,17 +28,16 @@ def off_line(at, i, j, k):
 
 
 def reference_likelihood(c, views, k, state):
-    """(N, 2, 2) the equations of ``whole_body.py``: −y is up, all is tracked; speeds are the state's."""
-    body = views.body
-    angles = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
-    front = np.stack((np.cos(angles), 0.0 * angles, np.sin(angles)), axis=1)
+    """(N, 2, 2) the equations of ``whole_body.py``: all is tracked; axis and speeds are the state's."""
+    body, up, front = views.body, state.memory.axis, state.memory.headings
     speed = np.linalg.norm(state.memory.velocity)
-    common = c.motion_weight * min(speed, c.motion_cap) ** 4 * (front @ state.memory.velocity) / speed
+    walks = (1.0 + (np.linalg.norm(state.memory.axis_velocity) / 0.7) ** 2) ** -2
+    common = walks * c.motion_weight * min(speed, c.motion_cap) ** 4 * (front @ state.memory.velocity) / speed
     axis = []
     trunk = [body.joint(n + side) for n in ("Shoulder", "Hip") for side in ("Left", "Right")]
     root = 0.5 * (views.a[k] + views.b_in_a[k])[trunk].mean(axis=0)
     for view, at, sensor in ((0, views.a[k], np.zeros(3)), (1, views.b_in_a[k], views.sensor_b)):
-        toward = (sensor - root) * (1.0, 0.0, 1.0)
+        toward = sensor - root - (sensor - root) @ up * up
         cosine = front @ toward / np.linalg.norm(toward)
         cues = []
         for side in ("Left", "Right"):
@@ -67,7 +66,7 @@ def reference_likelihood(c, views, k, state):
             total = 0.0
             for name in ("Shoulder", "Hip"):
                 left = at[body.joint(name + "Left")] - at[body.joint(name + "Right")]
-                flat = np.cross(left, UP)
+                flat = np.cross(left, up)
                 width = np.linalg.norm(flat)
                 nominal = 2.0 * body.nominal_lengths[body.joint(name + "Left")]
                 trust = min(1.0, width / (0.7 * nominal)) ** 2
@@ -158,11 +157,11 @@ def test_smoothing_is_the_forward_backward_algorithm():
     count = 24
     part = replace(views, **{name: getattr(views, name)[60 : 60 + count] for name in (
         "time_ns", "a", "states_a", "b_in_a", "states_b", "truth")})  # fmt: skip
-    labels = part.relabel(up=UP)
+    labels = part.relabel()
     seconds = np.diff(part.time_ns, prepend=part.time_ns[0]) * 1e-9
     stale = [np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=(1, 2))] for x in (part.a, part.b_in_a)]
     for k in range(count):
-        update_facing(model, state, part.reported_at(k, UP, (stale[0][k], stale[1][k])), seconds[k])
+        update_facing(model, state, part.reported_at(k, (stale[0][k], stale[1][k])), seconds[k])
         kept.append(deepcopy((state.belief.probabilities, state.evidence.likelihood, state)))
     beta = np.ones((HEADINGS, 2, 2))
     for k in range(count - 1, -1, -1):
@@ -185,7 +184,7 @@ def test_smoothing_is_the_forward_backward_algorithm():
 
 def test_live_and_sequence_agree_bit_for_bit_and_repeat():
     views = simulated_views("walk", seconds=8.0)
-    one, other = views.relabel(up=UP, smooth=False), views.relabel(up=UP, smooth=False)
+    one, other = views.relabel(smooth=False), views.relabel(smooth=False)
     model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     for name in ("codes", "heading", "doubt", "mirrored"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
@@ -195,7 +194,7 @@ def test_live_and_sequence_agree_bit_for_bit_and_repeat():
         for x in (views.a, views.b_in_a)
     ]
     for k in range(len(seconds)):
-        update_facing(model, state, views.reported_at(k, UP, (stale[0][k], stale[1][k])), seconds[k])
+        update_facing(model, state, views.reported_at(k, (stale[0][k], stale[1][k])), seconds[k])
         np.testing.assert_array_equal(state.result.codes, one.codes[k])
         heading = (state.result.confidence[0] * state.result.facing).astype(np.float32)
         np.testing.assert_array_equal(heading, one.heading[k])
