@@ -6,7 +6,6 @@ is turned by 90° is at (-y, x, z) afterwards.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 
 from devices.depth.camera import turned
 from devices.sensor import (
-    ORIENTATIONS,
     ColorCamera,
     ColorImage,
     Orientation,
@@ -24,8 +22,10 @@ from devices.sensor import (
     SensorFrame,
     SensorWrapper,
 )
+from devices.skeletons.likelihood import axes_likelihood
+from devices.skeletons.meaning import PRIOR_OF_AXES
+from devices.skeletons.stated_format import ROLLED, SIGNED
 from fusion.body import Body
-from fusion.facing.evidence import upright_direction
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import View, joined_views
 from fusion.rigid import RigidTransform
@@ -33,7 +33,6 @@ from fusion.skeleton import Skeleton
 from fusion.support.large_arrays import parts
 
 _QUARTER = np.array(((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
-_LEVEL = 0.7  # length of the upward direction in the image's plane, below which the sensor looks up or down
 
 
 def rotation(orientation: Orientation) -> NDArray[np.float64]:
@@ -68,16 +67,16 @@ def turned_view(view: View, orientation: Orientation) -> View:
     return joined_views(block(rows) for rows in parts(len(view.time_ns)))
 
 
-def orientation_of(body: Body, positions: NDArray[np.floating]) -> Orientation:
-    """The orientation of a sensor by the people that it saw standing; 0 where it saw none.
+def orientation_of(body: Body, seconds: NDArray[np.float64], positions: NDArray[np.floating]) -> Orientation:
+    """The orientation of a sensor by the likelihood of the people that it saw; 0 where nothing tells.
 
     Args:
+        seconds: (T,) times.
         positions: (T, J, 3) in its frame; NaN where not tracked.
     """
-    x, y, _ = upright_direction(body, positions.astype(np.float64))
-    if math.hypot(x, y) < _LEVEL:
-        return 0
-    return ORIENTATIONS[round(math.degrees(math.atan2(-x, -y)) / 90.0) % 4]
+    *_, scores = axes_likelihood(body, seconds, positions.astype(np.float64))
+    of_axes = dict(zip(SIGNED, np.logaddexp.reduce(scores, axis=0) + PRIOR_OF_AXES, strict=True))
+    return ROLLED[max(ROLLED, key=lambda axes: of_axes[axes])]
 
 
 class UprightSensor(SensorWrapper):

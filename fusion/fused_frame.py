@@ -33,8 +33,9 @@ class FusedFrame:
         exchanged_a, exchanged_b: Which sides of the view were exchanged: bit 0 arms, bit 1 legs, 3 the whole
             body; bit 2 if the trunk is not exchanged with them (:mod:`fusion.facing.model`).
         doubt_a, doubt_b: Probability that the sides of the view are still wrong.
-        heading: (3,) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to 1,
-            is the confidence. NaN if it is unknown; None with the paper's methods.
+        heading: (3,) direction in which the person faces, normal to the line from the ankles to the
+            shoulders, in K_A's frame; its length, from 0 to 1, is the confidence. NaN if it is unknown; None
+            with the paper's methods.
         velocities: (J, 3) m/s; None with the paper's methods.
     """
 

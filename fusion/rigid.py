@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.errors import FusionError
 
+NOWHERE = np.full(3, np.nan)
+"""An unknown point."""
+
 
 @dataclass(frozen=True, eq=False)
 class RigidTransform:

@@ -9,7 +9,7 @@ from devices.depth.image_thinning import Depth
 from devices.people.recorded_people import Follow
 from devices.recorded.two_recordings import RecordingChoice
 from devices.sensor import DeviceError
-from devices.skeletons.stated_format import StatedFormat, Unit
+from devices.skeletons.stated_format import Texts, Units, stated_of_both
 from devices.tracker_choice import WantedTracker, choose_tracker
 from fusion.body import BODIES
 from fusion.calibration.calibration import Calibration
@@ -28,9 +28,9 @@ def fuse(
     person_b: str | None = None,
     skeletons_a: str | Path | None = None,
     skeletons_b: str | Path | None = None,
-    unit: Unit = "auto",
-    axes: str = "",
-    names: str | Path = "",
+    unit: Units = "auto",
+    axes: Texts = "",
+    names: Texts = "",
     body: str = "",
     tracker: WantedTracker = "auto",
     depth: Depth = "full",
@@ -60,8 +60,8 @@ def fuse(
         person_a, person_b: Ids of the person: whoever has them most of the time, even if at times under other
             ids. None: chosen by ``follow``.
         skeletons_a, skeletons_b: For recordings of images: saved skeletons, used instead of the body tracker.
-        unit: Unit of the positions of ``.csv`` files: ``m``, ``cm``, ``mm``, ``ft``, ``in``; ``auto``: found
-            from the size of the person.
+        unit: Unit of the positions: ``m``, ``cm``, ``mm``, ``ft``, ``in``; ``auto``: found from the size of
+            the person. This, axes and names may be pairs, A's and B's.
         axes: Axes of the positions of ``.csv`` files: ``kinect``, ``unity``, ``opengl``, ``ros``, or the axes
             of the file that are x (right), y (down) and z (forward), such as ``x,-y,z``.
         names: A table of the names of the joints in ``.csv`` files: a TOML file, or ``mixamo``,
@@ -84,10 +84,10 @@ def fuse(
     """
     if body and body not in BODIES:
         raise DeviceError(f"body is {', '.join(BODIES)}; got {body!r}.")
-    stated = StatedFormat(unit, axes, str(names))
+    of_a, of_b = stated_of_both(unit, axes, names)
     choices = (
-        RecordingChoice(Path(a), _path(skeletons_a), person_a, stated, "skeletons_a", "person_a", body),
-        RecordingChoice(Path(b), _path(skeletons_b), person_b, stated, "skeletons_b", "person_b", body),
+        RecordingChoice(Path(a), _path(skeletons_a), person_a, of_a, "skeletons_a", "person_a", body),
+        RecordingChoice(Path(b), _path(skeletons_b), person_b, of_b, "skeletons_b", "person_b", body),
     )
     settings = replace(settings or FuserSettings(), hindsight=hindsight)
     read = read_for(settings, choices, choose_tracker(tracker), offset_ms, follow=follow)

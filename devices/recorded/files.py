@@ -20,7 +20,7 @@ from devices.sensor import (
     SensorWrapper,
 )
 from devices.skeletons.file_sensor import SkeletonRecording
-from devices.skeletons.stated_format import StatedFormat, Unit
+from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.support.progress import Progress, quietly
 
@@ -30,11 +30,9 @@ def open_source(
     skeletons: Path | None = None,
     tracker: TrackerChoice | None = None,
     option: str = "",
-    unit: Unit = "auto",
+    stated: StatedFormat = UNSTATED,
     progress: Progress = quietly,
-    axes: str = "",
-    names: str = "",
-    orientation: Orientation = 0,
+    orientation: Orientation | None = None,
 ) -> Sensor:
     """Creates the sensor for a recording; opens nothing.
 
@@ -47,21 +45,18 @@ def open_source(
         skeletons: Saved skeletons of an Azure Kinect recording.
         tracker: The body tracker, if one is needed. None: chosen for this machine.
         option: Name of the option that gives ``skeletons``, for messages; empty without one.
-        unit, axes, names: Of a ``.csv``; see :class:`devices.skeletons.stated_format.StatedFormat`.
+        stated: What is stated about a file of skeletons.
         progress: Shows the progress of reading a ``.csv``.
-        orientation: Of the sensor, for a recording of images; see :mod:`devices.upright`.
+        orientation: Of the sensor; see :mod:`devices.upright`. None: not stated.
 
     Raises:
-        DeviceError: Skeletons or an orientation are given for a file without images, or the tracker cannot
+        DeviceError: Skeletons are given for a file without images, or the tracker cannot
             use its images.
     """
-    stated = StatedFormat(unit, axes, names)
     if not has_images(path):
-        if orientation:
-            raise DeviceError(f"{path.name} has no images to turn. `axes` states the axes of a .csv.")
         if skeletons is not None:
             raise DeviceError(f"{path.name} has its own skeletons; {option} {skeletons} is for an .mkv.")
-        return SkeletonRecording(path, stated, progress)
+        return SkeletonRecording(path, replace(stated, orientation=orientation), progress)
     from devices.upright import upright
 
     if skeletons is not None:
@@ -70,21 +65,23 @@ def open_source(
         from devices.azure.mkv import MkvRecording
         from devices.azure.tracking.tracked_recording import RecordingWithSkeletons
 
+        in_images = replace(stated, of_images=True)
         return upright(
-            RecordingWithSkeletons(MkvRecording(path), SkeletonRecording(skeletons, stated)), orientation
+            RecordingWithSkeletons(MkvRecording(path), SkeletonRecording(skeletons, in_images)),
+            orientation or 0,
         )
     stated.refuse_for(path)
     tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(path))
     if tracker.name == "blazepose":
         from devices.blazepose.tracked_images import TrackedImages
 
-        return TrackedImages(upright(open_images(path), orientation), tracker.blazepose)
+        return TrackedImages(upright(open_images(path), orientation or 0), tracker.blazepose)
     from devices.azure.mkv import MkvRecording
     from devices.azure.tracking.tracked_recording import TrackedRecording
 
     otherwise = f" Or give its skeletons, saved before, with {option} FILE." if option else ""
-    settings = replace(tracker.k4abt, orientation=orientation)
-    return upright(TrackedRecording(MkvRecording(path), settings, otherwise=otherwise), orientation)
+    settings = replace(tracker.k4abt, orientation=orientation or 0)
+    return upright(TrackedRecording(MkvRecording(path), settings, otherwise=otherwise), orientation or 0)
 
 
 def has_images(path: Path) -> bool:

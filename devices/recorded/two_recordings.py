@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import filecmp
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -181,11 +181,13 @@ def read_two(
             tracker,
             choice.skeletons_option,
             progress=progress,
-            **asdict(choice.stated),
-            orientation=choice.orientation or 0,
+            stated=replace(choice.stated, side=side),
+            orientation=choice.orientation,
         )
-        for choice in (choice_a, choice_b)
+        for side, choice in (("a", choice_a), ("b", choice_b))
     )
+    if isinstance(a, SkeletonRecording) and isinstance(b, SkeletonRecording):
+        a.partner, b.partner = b, a
     read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
     read_a, read_b, people = follow_one_person((read_a, read_b), offset_ns, follow)
     body, about_body = _body_of_both((a, b), (read_a, read_b), choice_a.body)
@@ -345,7 +347,9 @@ def refuse_same(a: Path, b: Path) -> None:
             same = filecmp.cmp(a, b, shallow=False)
     except OSError:
         return  # the readers say what is wrong with the files
-    if same:
+    from devices.skeletons.csv_files.text import has_several_sensors  # of one file that is given twice
+
+    if same and not (a.suffix.lower() == ".csv" and has_several_sensors(a)):
         raise DeviceError(f"{a} and {b} are the same recording. Fusion needs one recording of each sensor.")
 
 
@@ -371,8 +375,9 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRec
     if choice.orientation is None and has_images(choice.path):
         from devices.upright import orientation_of, turned_camera, turned_view
 
-        seen = people.skeletons.positions
-        orientation = orientation_of(people.body, seen[:: max(1, len(seen) // _SAMPLES)])
+        some = slice(None, None, max(1, len(people.frame) // _SAMPLES))
+        seconds = np.asarray(people.skeletons.time_ns[some] * 1e-9, dtype=np.float64)
+        orientation = orientation_of(people.body, seconds, people.skeletons.positions[some])
         if orientation:
             people = replace(people, skeletons=turned_view(people.skeletons, orientation))
             camera = None if camera is None else turned_camera(camera, orientation)

@@ -17,7 +17,8 @@ from fusion.intrinsics import Intrinsics
 from fusion.support.progress import Progress, quietly
 
 if TYPE_CHECKING:
-    from devices.skeletons.border import ReadFile
+    from devices.skeletons.border import Look, ReadFile
+    from devices.skeletons.meaning import Meaning
 
 READERS = MappingProxyType({".csv": "csv_files.reader", ".json": "offline_processor", ".skeleton": "ntu"})
 """The module for each file extension, with ``read_…``; imported when such a file is opened."""
@@ -33,6 +34,10 @@ class SkeletonRecording(Sensor):
         self._path = path
         self._stated, self._progress = stated, progress
         self._read: ReadFile | None = None
+        self._look: Look | None = None
+        self._meaning: Meaning | None = None
+        self.partner: SkeletonRecording | None = None
+        """The other file of the capture, with which its meaning is found."""
         self._body: Body | None = None
 
     @property
@@ -55,22 +60,43 @@ class SkeletonRecording(Sensor):
         return self._body
 
     def __enter__(self) -> SkeletonRecording:
-        suffix = self._path.suffix.lower()
-        if suffix not in READERS:
-            if self._path.is_dir():
-                raise DeviceError(f"{self.name} is a folder, not a recording.")
-            raise DeviceError(
-                f"{self.name}: {self._path.suffix or 'no ending'} is not a format of recorded skeletons. "
-                f"Known: {', '.join(READERS)}; with images: {', '.join(IMAGE_SUFFIXES)}."
-            )
         from devices.skeletons.border import checked
+        from devices.skeletons.meaning import decide
 
-        reader = getattr(import_module(f"devices.skeletons.{READERS[suffix]}"), f"read_{suffix[1:]}")
+        look = self.looked()
+        if self._meaning is None:
+            files = [self] if self.partner is None else [self, self.partner]
+            for file, meaning in zip(files, decide([file.looked().evidence for file in files]), strict=True):
+                file._meaning = meaning
+        assert self._meaning is not None
         with reading(self.name, DeviceError, MissingRecordingError):
-            found = reader(self._path, self._stated, self._progress)
-            read = checked(self._path, found, self._stated)
+            read = checked(look, self._meaning)
         self._read, self._body, self.warnings = read, read.body, list(read.warnings)
+        self._look = None
         return self
+
+    def looked(self) -> Look:
+        """The file as it was found, and what it tells of its meaning.
+
+        Raises:
+            DeviceError: It cannot be read.
+        """
+        from devices.skeletons.border import look
+
+        if self._look is None:
+            suffix = self._path.suffix.lower()
+            if suffix not in READERS:
+                if self._path.is_dir():
+                    raise DeviceError(f"{self.name} is a folder, not a recording.")
+                raise DeviceError(
+                    f"{self.name}: {self._path.suffix or 'no ending'} is not a format of recorded skeletons. "
+                    f"Known: {', '.join(READERS)}; with images: {', '.join(IMAGE_SUFFIXES)}."
+                )
+            reader = getattr(import_module(f"devices.skeletons.{READERS[suffix]}"), f"read_{suffix[1:]}")
+            with reading(self.name, DeviceError, MissingRecordingError):
+                found = reader(self._path, self._stated, self._progress)
+                self._look = look(self._path, found, self._stated)
+        return self._look
 
     def __exit__(self, *exc_info: object) -> None:
         self._read = None

@@ -5,6 +5,8 @@ of a point in the file, a list of points whose mean is the joint (a point that i
 or a list of such lists, of which the first counts that the file has whole.
 """
 
+from __future__ import annotations
+
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,14 +14,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from devices.input_file import input_text
 from devices.sensor import DeviceError, MissingRecordingError
-from fusion.body import BODIES, Body
+from fusion.body import BODIES, Body, body_of
+from fusion.errors import FusionError
 
-READY_MADE = ("bodies", "plug-in-gait", "gait2392", "mixamo")
+READY_MADE = (
+    "bodies", "plug-in-gait", "gait2392", "mixamo", "nuitrack", "openpose", "mediapipe", "motive",
+)  # fmt: skip
 """Tables that the program brings along, in the order in which they are tried."""
 _FOLDER = Path(__file__).parent / "names"
 _MOST_LISTED = 12
+_FEWEST = 5  # joints; fewer may be those of another table
 Points = tuple[str, ...]
 
 
@@ -129,7 +138,7 @@ def _by_plain_name(labels: Iterable[str]) -> dict[str, int]:
     index: dict[str, int] = {}
     for short in (False, True):
         names = [
-            re.sub(r"^mixamorig\d*", "", plain(label.rpartition(":")[2])) if short else plain(label)
+            re.sub(r"^(?:mixamorig\d*|joint)", "", plain(label.rpartition(":")[2])) if short else plain(label)
             for label in labels
         ]
         for k, name in enumerate(names):
@@ -141,3 +150,97 @@ def _by_plain_name(labels: Iterable[str]) -> dict[str, int]:
 def _find(index: Mapping[str, int], point: str) -> int | None:
     whole = index.get(plain(point))
     return index.get(plain(point.rpartition(":")[2])) if whole is None else whole
+
+
+def points_of(name: object, labels: Sequence[str], table: str = "") -> tuple[FilePoints, str]:
+    """The joints that the points of a file are, and the ready-made table by which they were found, if any.
+
+    Args:
+        table: A name of :data:`READY_MADE`, or a TOML file. Empty: the names are those of a body's joints, or
+            those of the ready-made table by which most joints are found.
+
+    Raises:
+        DeviceError: A name is no joint's, or the file lacks a point of the table.
+    """
+    try:
+        if not table:
+            own = max(sum(body.find(label) is not None for label in labels) for body in BODIES.values())
+            tables = map(name_table, READY_MADE[1:] if own < len(labels) else READY_MADE[:1])
+            best = max(tables, key=lambda one: _count(one, labels))
+            if own == len(labels) or _count(best, labels) < max(_FEWEST, own + 1):
+                body = body_of(set(labels))
+                return FilePoints(body, {label: body.joint(label) for label in labels}), ""
+        else:
+            best = name_table(table)
+        body = _body_by(best, labels)
+    except FusionError as error:
+        raise DeviceError(f"{name}: {error}") from None
+    groups = best.points_of(body, labels)
+    if not groups:
+        raise DeviceError(f"{name}: by {best.name} none of its points is a joint: {listed(labels)}.")
+    points = FilePoints(body, {label: k for k, label in enumerate(labels)}, groups)
+    return points, "" if table else best.name
+
+
+def _count(table: NameTable, labels: Sequence[str]) -> int:
+    return max(len(table.points_of(body, labels)) for body in BODIES.values())
+
+
+def _body_by(table: NameTable, labels: Sequence[str]) -> Body:
+    """Of the bodies that have all joints of a table, the one of which most are found in a file.
+
+    A ready-made table has the joints of several bodies.
+    """
+    named = () if table.ready_made else table.joints
+    fitting = [body for body in BODIES.values() if all(body.find(joint) is not None for joint in named)]
+    return max(fitting or [body_of(set(named))], key=lambda body: len(table.points_of(body, labels)))
+
+
+@dataclass(frozen=True, eq=False)
+class FilePoints:
+    """The points of a file, and the joints of a body that they are.
+
+    Attributes:
+        body: The body.
+        index: Each point's index, by its name in the file.
+        groups: The points whose mean is a joint, by joint; None if the points are the joints.
+    """
+
+    body: Body
+    index: Mapping[str, int]
+    groups: Mapping[int, Sequence[int]] | None = None
+
+    def __len__(self) -> int:
+        return len(self.body) if self.groups is None else len(self.index)
+
+    def find(self, label: str) -> int | None:
+        """The index of a point by its name in any spelling; None if it is none of these."""
+        return self.body.find(label) if self.groups is None else self.index.get(label)
+
+    def named(self, index: int) -> str:
+        """The name of a point in messages."""
+        return self.body.joints[index] if self.groups is None else list(self.index)[index]
+
+    @property
+    def left_out(self) -> list[str]:
+        """Names of the points that are no joint's."""
+        if self.groups is None:
+            return []
+        used = {k for points in self.groups.values() for k in points}
+        return [label for label, k in self.index.items() if k not in used]
+
+    def joints(
+        self, positions: NDArray[np.float64], states: NDArray[np.uint8]
+    ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+        """Positions (N, J, 3) and states (N, J) of the joints from those of the points.
+
+        A joint is tracked as its worst point is, and has no position where one of its points has none.
+        """
+        if self.groups is None:
+            return positions, states
+        at = np.full((len(positions), len(self.body), 3), np.nan)
+        state = np.zeros((len(positions), len(self.body)), dtype=np.uint8)
+        for joint, points in self.groups.items():
+            at[:, joint] = positions[:, points].mean(axis=1)
+            state[:, joint] = states[:, points].min(axis=1)
+        return at, state

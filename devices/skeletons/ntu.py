@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from devices.sensor import DeviceError
+from devices.skeletons.name_tables import FilePoints
 from devices.skeletons.read_file import Bodies, FoundPoints, found_of, text_bytes
-from devices.skeletons.stated_format import UNSTATED, FilePoints, StatedFormat
+from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from fusion.body import KINECT_V2
 from fusion.support.progress import Progress, quietly
 

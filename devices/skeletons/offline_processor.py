@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from devices.sensor import DeviceError
+from devices.skeletons.name_tables import points_of
 from devices.skeletons.read_file import Bodies, FoundPoints, found_of, text_bytes
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from fusion.support.progress import Progress, quietly
@@ -37,7 +38,7 @@ def read_json(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = 
         if not isinstance(document, dict):
             raise TypeError(f"it holds a {type(document).__name__}, not an object")
         names = [str(name) for name in document["joint_names"]]
-        points = stated.points(path, names)
+        points, _ = points_of(path, names)
         joint = np.array([points.find(name) for name in names], dtype=np.int64)
         if len(names) == 0 or len(set(joint.tolist())) < len(names):
             raise DeviceError(f"{path}: joint_names is empty or names a joint twice.")

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from devices.input_file import open_input
 from devices.sensor import DeviceError
-from devices.skeletons.stated_format import FilePoints, Unit
+from devices.skeletons.name_tables import FilePoints
+from devices.skeletons.stated_format import Unit
 from devices.skeletons.times import capture_times, digest, times_of_new_frames
 from fusion.pair_arrays import View, joined_views
 from fusion.skeleton import TrackingState
@@ -29,15 +30,18 @@ _FEWEST_NULS = 8  # bytes in a row that a power cut leaves; a single one may be 
 
 @dataclass(frozen=True, eq=False)
 class FoundPoints:
-    """The points of a file as it has them, in the sensor's axes.
+    """The points of a file as it has them.
 
     Attributes:
         points: Which joints they are.
         time_ns: (T,) times of the frames, in order.
         ids: The tracker's ids of the people.
         frame, person: (N,) of each skeleton: number of its frame, in order, and index of its id.
-        view: N rows of P points, in the file's unit.
+        view: N rows of P points, in the file's unit and axes.
         unit: The unit that the format defines.
+        free_axes: Whether the format leaves the axes open.
+        names, clock: How names and times are read, in words, if otherwise than as this program defines it.
+        table: The ready-made table of names that was found.
         warnings: What the user should know about the file, a line each.
         ignored: Names of columns that are not read.
         where: Where in the file a point of a skeleton is, for messages, by their numbers.
@@ -50,6 +54,10 @@ class FoundPoints:
     person: NDArray[np.int64]
     view: View
     unit: Unit = "m"
+    free_axes: bool = False
+    names: str = ""
+    clock: str = ""
+    table: str = ""
     warnings: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
     where: Callable[[int, int], str] | None = None
@@ -85,7 +93,7 @@ def found_of(
         sum(digest(at, np.arange(len(at)), i).sum() for i, (_, at, _) in enumerate(of)) for of in places
     ]
     telling = times_of_new_frames(each, np.array(digests, dtype=np.float64))
-    times, told = capture_times(path, column, moments, called=called, telling=telling)
+    times, clock, told = capture_times(path, column, moments, called=called, telling=telling)
     back = np.flatnonzero(np.diff(times) < 0)
     if len(back):
         told.append(f"{path}: the time goes back at frame {back[0] + 1}; the frames were sorted by time.")
@@ -107,7 +115,9 @@ def found_of(
     states = np.array([state for _, state in rows], dtype=np.uint8).reshape(-1, len(points))
     view = joined_views([View(times[order][frame], at, states)])  # type: ignore[arg-type]
     warnings = (*about.pop("warnings", ()), *told)
-    return FoundPoints(points, times[order], list(numbers), frame, person, view, warnings=warnings, **about)
+    return FoundPoints(
+        points, times[order], list(numbers), frame, person, view, clock=clock, warnings=warnings, **about
+    )
 
 
 def text_bytes(path: Path) -> bytes:

@@ -1,35 +1,69 @@
-"""What a user states about the ``.csv`` files of another program: unit, axes, and names of the joints."""
+"""What is stated about a file of skeletons: unit, axes and orientation, names; and what they are called."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations, product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from devices.sensor import DeviceError
-from devices.skeletons.name_tables import NameTable, listed, name_table
-from fusion.body import BODIES, Body, body_of
-from fusion.errors import FusionError
-from fusion.facing.handedness import mirrored_share
+from devices.sensor import DeviceError, Orientation
+from fusion.support.types import Array
 
-AXES: MappingProxyType[str, str] = MappingProxyType(
-    {"kinect": "-x,-y,z", "unity": "x,-y,z", "opengl": "x,-y,-z", "ros": "-y,-z,x"}
+_EYE = np.eye(3)
+MATRICES = np.array(
+    [np.diag(s) @ _EYE[list(p)] for p in permutations(range(3)) for s in product((1, -1), repeat=3)]
 )
+"""(48, 3, 3) from a file's axes to the sensor's."""
+SIGNED = tuple(
+    ",".join("-" * int(row.sum() < 0) + "xyz"[np.abs(row).argmax()] for row in axes) for axes in MATRICES
+)
+"""Their names: which axes of a file are x (right), y (down) and z (forward), such as ``-x,-y,z``."""
+Unit = Literal["auto", "m", "cm", "mm", "ft", "in"]
+"""Unit of a file's positions; auto: found from the size of the person."""
+METRES = MappingProxyType(
+    {
+        "m": (1.0, "metres"), "cm": (0.01, "centimetres"), "mm": (0.001, "millimetres"),
+        "ft": (0.3048, "feet"), "in": (0.0254, "inches"),
+    }
+)  # fmt: skip
+"""Metres per unit, and the unit's name."""
+AXES = MappingProxyType({"kinect": "-x,-y,z", "unity": "x,-y,z", "opengl": "x,-y,-z", "ros": "-y,-z,x"})
 """The axes of other programs by name: which axes of a file are x (right), y (down) and z (forward).
 
 Kinect is the SDK of Kinect v1 and v2. Unity's axes are left-handed, so that one changes its sign.
 """
-MIRRORED = 0.5
-"""The value of :func:`fusion.facing.handedness.mirrored_share` above which a person is a mirror image."""
-Unit = Literal["auto", "m", "cm", "mm", "ft", "in"]
-"""Unit of a file's positions; auto: found from the size of the person."""
+OWN_AXES = "x,y,z"
+ROLLED: MappingProxyType[str, Orientation] = MappingProxyType(
+    {OWN_AXES: 0, "-y,x,z": 90, "-x,-y,z": 180, "y,-x,z": 270}
+)
+"""Degrees by which a sensor is turned clockwise that gives such axes."""
+
+
+def matrix_of(axes: str) -> Array:
+    return np.asarray(MATRICES[SIGNED.index(axes)])
+
+
+def index_of(matrix: Array) -> int:
+    return int(np.argmax((matrix == MATRICES).all(axis=(1, 2))))
+
+
+def called_axes(axes: str) -> str:
+    """The name of axes if they have one."""
+    return next((name for name, signed in AXES.items() if signed == axes), axes)
+
+
+def axes_in_words(axes: str) -> str:
+    """Axes as a user states them, and what they are."""
+    if axes == OWN_AXES:
+        return "x right, y down, z forward, as seen from the sensor"
+    rolled = f" (or a sensor that is turned clockwise by {ROLLED[axes]}°)" if axes in ROLLED else ""
+    return f"the axes {called_axes(axes)}{rolled}"
 
 
 @dataclass(frozen=True)
@@ -37,22 +71,29 @@ class StatedFormat:
     """What is stated about a file.
 
     Attributes:
-        unit: Unit of the positions; found from the size of the person where ``auto``.
-        axes: A name of :data:`AXES`, or three axes of the file such as ``x,-y,z``; this program's own where
-            empty.
-        names: A ready-made table of names, or a TOML file; see :mod:`devices.skeletons.name_tables`. Joints
-            have this program's names where empty.
+        unit: Unit of the positions; found where ``auto``.
+        axes: A name of :data:`AXES`, or three axes of the file such as ``x,-y,z``; found where empty.
+        names: A ready-made table of names, or a TOML file; see :mod:`devices.skeletons.name_tables`.
+            Found where empty.
+        orientation: How the sensor is turned clockwise, in degrees; found with the axes where None.
+        of_images: Whether these skeletons belong to images, in whose frame they are.
+        side: Which of two files this is, ``a`` or ``b``, for messages; empty for a single one.
     """
 
     unit: Unit = "auto"
     axes: str = ""
     names: str = ""
+    orientation: Orientation | None = None
+    of_images: bool = False
+    side: str = ""
 
     @property
     def about(self) -> dict[str, str]:
         """What a session records about its files."""
         about = {"axes": self.axes} if self.axes else {}
         if self.names:
+            from devices.skeletons.name_tables import name_table
+
             joints = {joint: list(map(list, of)) for joint, of in name_table(self.names).joints.items()}
             about["joint_names"] = json.dumps(joints)
         return about
@@ -67,129 +108,41 @@ class StatedFormat:
             if stated:
                 raise DeviceError(f"{path}: --{option} {stated} is for .csv files; the format defines them.")
 
-    def turned(self, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Positions (..., 3) of a file in the axes of a sensor.
+    @property
+    def signed_axes(self) -> str:
+        """The stated axes and orientation as one of :data:`.likelihood.SIGNED`; empty where not stated.
 
         Raises:
             DeviceError: The axes are neither a name nor three different axes.
         """
-        if not self.axes:
-            return xyz
-        parts = [part.strip() for part in AXES.get(self.axes.lower(), self.axes).lower().split(",")]
-        found = [re.fullmatch(r"([+-]?)([xyz])", part) for part in parts]
-        used = [match[2] for match in found if match is not None]
-        if len(parts) != 3 or len(used) != 3:
+        if not self.axes and self.orientation is None:
+            return OWN_AXES if self.of_images else ""
+        signed = AXES.get(self.axes.lower(), self.axes.lower() or OWN_AXES).replace(" ", "").replace("+", "")
+        if not re.fullmatch(r"-?[xyz],-?[xyz],-?[xyz]", signed):
             raise DeviceError(
                 f"`axes={self.axes}`: neither {', '.join(AXES)}, nor three axes of the file such as x,-y,z, "
                 "which are x (right), y (down) and z (forward)."
             )
-        for axis in used:
-            if used.count(axis) > 1:
-                raise DeviceError(f"`axes={self.axes}` has {axis} twice: each of x, y and z is needed once.")
-        signs = [-1.0 if part.startswith("-") else 1.0 for part in parts]
-        return xyz[..., ["xyz".index(axis) for axis in used]] * signs
+        if signed not in SIGNED:
+            twice = next(axis for axis in "xyz" if signed.count(axis) > 1)
+            raise DeviceError(f"`axes={self.axes}` has {twice} twice: each of x, y and z is needed once.")
+        rolled = next(axes for axes, degrees in ROLLED.items() if degrees == (self.orientation or 0))
+        return SIGNED[index_of(matrix_of(rolled) @ matrix_of(signed))]
 
-    def check_handed(self, name: object, body: Body, positions: NDArray[np.floating]) -> list[str]:
-        """Refuses stated axes by which the person is a mirror image.
-
-        Returns:
-            A warning where nothing tells, because no frame of the (N, J, 3) positions has trunk and feet.
-
-        Raises:
-            DeviceError: The feet point to the wrong side in most frames.
-        """
-        share = mirrored_share(body, positions) if self.axes else 0.0
-        if share is None:
-            return [
-                f"{name}: whether the person is a mirror image by `axes={self.axes}` is unknown, because it "
-                "has no feet or no trunk. Raise the left arm, and see whether S* does."
-            ]
-        if share > MIRRORED:
-            raise DeviceError(
-                f"{name}: by `axes={self.axes}` the person is a mirror image, so the result is left-handed. "
-                "Change the sign of one axis."
-            )
-        return []
-
-    def points(self, name: object, labels: Sequence[str]) -> FilePoints:
-        """The joints that the points of a file are.
-
-        Raises:
-            DeviceError: A name is no joint's, or the file lacks a point of the table.
-        """
-        try:
-            if not self.names:
-                body = body_of(set(labels))
-                return FilePoints(body, {label: body.joint(label) for label in labels})
-            table = name_table(self.names)
-            body = _body_by(table, labels)
-        except FusionError as error:
-            raise DeviceError(f"{name}: {error}") from None
-        groups = table.points_of(body, labels)
-        if not groups:
-            raise DeviceError(f"{name}: by {table.name} none of its points is a joint: {listed(labels)}.")
-        return FilePoints(body, {label: k for k, label in enumerate(labels)}, groups)
+    def option(self, name: str, value: str = "") -> str:
+        """An option of this file in a message."""
+        return f"`{name}{self.side and '_'}{self.side}{value and '='}{value}`"
 
 
 UNSTATED = StatedFormat()
-"""A file as this program defines it."""
+"""A file of which nothing is stated."""
+Units = Unit | tuple[Unit, Unit]
+"""A unit of both files, or that of each."""
+Texts = str | Path | tuple[str | Path, str | Path]
+"""A text or file for both files, or that of each."""
 
 
-def _body_by(table: NameTable, labels: Sequence[str]) -> Body:
-    """Of the bodies that have all joints of a table, the one of which most are found in a file.
-
-    A ready-made table has the joints of several bodies.
-    """
-    named = () if table.ready_made else table.joints
-    fitting = [body for body in BODIES.values() if all(body.find(joint) is not None for joint in named)]
-    return max(fitting or [body_of(set(named))], key=lambda body: len(table.points_of(body, labels)))
-
-
-@dataclass(frozen=True, eq=False)
-class FilePoints:
-    """The points of a file, and the joints of a body that they are.
-
-    Attributes:
-        body: The body.
-        index: Each point's index, by its name in the file.
-        groups: The points whose mean is a joint, by joint; None if the points are the joints.
-    """
-
-    body: Body
-    index: Mapping[str, int]
-    groups: Mapping[int, Sequence[int]] | None = None
-
-    def __len__(self) -> int:
-        return len(self.body) if self.groups is None else len(self.index)
-
-    def find(self, label: str) -> int | None:
-        """The index of a point by its name in any spelling; None if it is none of these."""
-        return self.body.find(label) if self.groups is None else self.index.get(label)
-
-    def named(self, index: int) -> str:
-        """The name of a point in messages."""
-        return self.body.joints[index] if self.groups is None else list(self.index)[index]
-
-    @property
-    def left_out(self) -> list[str]:
-        """Names of the points that are no joint's."""
-        if self.groups is None:
-            return []
-        used = {k for points in self.groups.values() for k in points}
-        return [label for label, k in self.index.items() if k not in used]
-
-    def joints(
-        self, positions: NDArray[np.float64], states: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Positions (N, J, 3) and states (N, J) of the joints from those of the points.
-
-        A joint is tracked as its worst point is, and has no position where one of its points has none.
-        """
-        if self.groups is None:
-            return positions, states
-        at = np.full((len(positions), len(self.body), 3), np.nan)
-        state = np.zeros((len(positions), len(self.body)), dtype=np.uint8)
-        for joint, points in self.groups.items():
-            at[:, joint] = positions[:, points].mean(axis=1)
-            state[:, joint] = states[:, points].min(axis=1)
-        return at, state
+def stated_of_both(unit: Units, axes: Texts, names: Texts) -> list[StatedFormat]:
+    """What is stated about two files."""
+    each = [of if isinstance(of, tuple) else (of, of) for of in (unit, axes, names)]
+    return [StatedFormat(*map(str, of)) for of in zip(*each, strict=True)]  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Capture times as files have them: their unit by the frame rate, midnight, and times of text."""
+"""Capture times as files have them: their unit by the interval of frames, clocks set anew, times of text."""
 
 import math
 import re
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
 
-TIME_COLUMNS: MappingProxyType[str, tuple[float, str]] = MappingProxyType(
+TIME_COLUMNS = MappingProxyType(
     {
         "time_us": (1.0, "microseconds"),
         "time_ms": (1e3, "milliseconds"),
@@ -33,23 +33,31 @@ _FEWEST = 3  # times; fewer tell no unit
 FEWEST = 15
 """Frames: a person can be seen as standing still for fewer."""
 LOGGED_TWICE = 0.2  # of the frames: more repeat the one before where a program logs faster than its tracker
-_TRACKER_US = 8_000.0, 205_000.0
-"""Body trackers give 5 to 120 frames per second; with a tolerance."""
-_SLOW_US, _ODD_US = 1e6 / 12.0, (2_000.0, 5_000_000.0)
-"""The longest interval for which the unit that a column names is taken without a question, and those with
-one: a recording may have few frames per second, or those of a sensor in another unit."""
-_RATES, _RATE_WITHIN, _LOOSELY = (5.0, 30.0, 15.0, 60.0, 90.0), 0.02, 0.12
-"""Usual rates of sensors, and how far their median interval may be from that."""
-_WRAPS = (
-    (8.64e10, "midnight"),
-    (4.32e10, "noon"),
-    (None, "the end of a counter of 32 bits"),  # of the file's own units
-)
-_PAUSE_US = 6e7  # the longest pause in which a wrap is recognised
+_TRACKER_US, _ANY_US = (8_000.0, 205_000.0), (2_000.0, 5_000_000.0)
+"""Body trackers give 5 to 120 frames per second; with a tolerance. Beyond, and what no recording has."""
+_RATES, _RATE_WITHIN = (5.0, 15.0, 30.0, 60.0, 90.0), 0.02
+_USUAL, _OWN, _SELDOM, _NO_TRACKER = 2.0, 4.0, -1.0, -5.0
+"""Log priors: of the rate of a sensor, of the unit that the column names, of others, of another rate."""
+_CLEAR, _NONE = 3.5, -6.0
+_AGAIN = 0.5  # of the times after a step back that are before it, too
 _CLOCK = re.compile(
     r"(?:^|[ T])(?:(\d+)\.)?(\d+):(\d\d):(\d\d(?:[.,]\d*)?)\s*(?:([AaPp])[Mm])?"
     r"(?:Z|[+-]\d\d:?\d\d)?$"
 )
+
+
+class CaptureTimes(NamedTuple):
+    """The times of a file.
+
+    Attributes:
+        time_ns: Nanoseconds, in the file's order.
+        clock: How they are read, in words, if otherwise than the column says.
+        told: Lines for the user.
+    """
+
+    time_ns: NDArray[np.int64]
+    clock: str
+    told: list[str]
 
 
 def capture_times(
@@ -59,8 +67,9 @@ def capture_times(
     shortest_us: float = _TRACKER_US[0],
     called: str = "",
     telling: NDArray[Any] | None = None,
-) -> tuple[NDArray[np.int64], list[str]]:
-    """Nanoseconds of the times of a file, in its order, and lines for the user.
+    key: NDArray[Any] | None = None,
+) -> CaptureTimes:
+    """The times of a file.
 
     Args:
         column: A name of :data:`TIME_COLUMNS`, or :data:`FRAME_NUMBERS`.
@@ -68,22 +77,27 @@ def capture_times(
         shortest_us: Interval of frames that is not unusual.
         called: The column's name in the file, if another.
         telling: (T,) those by which the unit is found, different and ascending. None: all.
+        key: (N,) which joint of which person a row is of. None: rows are frames.
 
     Raises:
         DeviceError: The interval is no body tracker's in any unit, or nanoseconds exceed 64 bits.
     """
     telling = np.unique(times) if telling is None else telling
-    us, told = find_time_unit(name, column, telling, shortest_us, called)
-    times, wrapped = _unwrapped(times, us)
-    told = [*told, f"{name}: the times continue over {wrapped}."] if wrapped else told
+    us, clock, told = find_time_unit(name, column, telling, shortest_us, called)
     for epoch_s in _EPOCHS_S:
         if times.min() * us >= max(_LATEST_US, epoch_s * 1e6):
             times = times - times.dtype.type(epoch_s * 1e6 / us)
     if max(float(times.max()), -float(times.min())) * us >= _LATEST_US:
         raise DeviceError(f"{name}: {called or column} goes beyond {_LATEST_US} microseconds.")
     if times.dtype == np.int64 and (ns := round(1000.0 * us)) == 1000.0 * us:
-        return times * ns, told
-    return np.rint(times * us).astype(np.int64) * 1000, told
+        time_ns = times * ns
+    else:
+        time_ns = np.rint(times * us).astype(np.int64) * 1000
+    time_ns, back = _going_on(time_ns, np.zeros(len(times)) if key is None else key)
+    for frame_ns in back:
+        set_back = f"the clock went back by {frame_ns * 1e-9:.3f} s, as one that is set or past midnight"
+        told.append(f"{name}: {set_back}; from there, the times go on.")
+    return CaptureTimes(time_ns, clock, told)
 
 
 def digest(xyz: NDArray[Any], point: NDArray[Any] | int, person: NDArray[Any] | int) -> NDArray[np.float64]:
@@ -105,57 +119,47 @@ def times_of_new_frames(times: NDArray[Any], digests: NDArray[Any]) -> NDArray[A
 
 def find_time_unit(
     name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0], called: str = ""
-) -> tuple[float, list[str]]:
-    """Finds the unit of capture times from their interval.
+) -> tuple[float, str, list[str]]:
+    """Finds the unit of capture times by the likelihood of their interval.
 
     Args:
         column: The name of the column, of :data:`TIME_COLUMNS` or :data:`FRAME_NUMBERS`.
         times: (T,) different times as the file has them, ascending.
 
     Returns:
-        Microseconds per unit, and a line for the user if it is not the unit that the column names, or an
-        unusual one.
+        Microseconds per unit; the unit in words if it is not the one that the column names; and a line for
+        the user where another one is nearly as likely.
 
     Raises:
         DeviceError: The usual interval is no body tracker's in any unit.
     """
-    called = called or column
+    called, own = called or column, TIME_COLUMNS.get(column, (_FRAME_US, ""))[0]
     if column == FRAME_NUMBERS:
-        return _FRAME_US, [_numbered(name, called)]
-    own, _ = TIME_COLUMNS[column]
+        return own, _numbered(called), []
     if len(times) < _FEWEST:
-        return own, []
+        return own, "", []
     interval = float(np.median(np.diff(times)))
-    own_us, stated = interval * own, column != "time"
-    if stated and shortest_us <= own_us <= _SLOW_US:
-        return own, []
-    units = [unit for unit in _UNITS if unit.fits(interval)]
-    sensors = [unit for unit in _UNITS if _is_usual(interval * unit.us, _RATES[1:])]
-    odd = stated and _ODD_US[0] <= own_us <= _ODD_US[1]
-    if odd and _TRACKER_US[0] <= own_us <= _TRACKER_US[1]:
-        units = [unit for unit in units if unit in sensors]
-    elif odd:  # no tracker's: those of a sensor whose frames come late and early, too
-        units = [unit for unit in _UNITS if _is_usual(interval * unit.us, _RATES[1:2], _LOOSELY)]
-    by_own = f"{name}: by {called} there are {1e6 / own_us:.3g} frames per second; "
-    if odd and _TRACKER_US[0] <= own_us <= _TRACKER_US[1]:
-        return own, [
-            f"{by_own}if it holds {unit.words}, there are {unit.rate(interval)}. State times by a column "
-            f"{unit.column or 'time_s'} then."
-            for unit in sensors[:1]
-        ]
-    if units:
-        unit = min(units, key=lambda one: one.oddness(interval))
-        way = f" Name the column {unit.column} to state this unit." if unit.column else ""
-        per_second = f"{unit.rate(interval)} frames per second"
-        return unit.us, [f"{name}: {called} is read as {unit.words}, so that there are {per_second}.{way}"]
-    if interval == 1.0 and (times == np.rint(times)).all():
-        return _FRAME_US, [_numbered(name, called)]
-    if odd:
-        return own, [f"{by_own}body trackers give 5 to 120. Check its unit."]
-    raise DeviceError(
-        f"{name}: the unit of {called} is unclear; in no unit is its usual interval of {interval:.6g} "
-        "that of 5 to 120 frames per second. Name the column time_s, time_ms, time_us or time_ns by its unit."
-    )
+    if interval == 1.0 and own < _ANY_US[0] and (times == np.rint(times)).all():
+        return _FRAME_US, _numbered(called), []
+    scores = {unit: unit.likelihood(interval, column, shortest_us) for unit in _UNITS}
+    best, other = sorted(_UNITS, key=lambda unit: -scores[unit])[:2]
+    if scores[best] < _NONE:
+        raise DeviceError(
+            f"{name}: the unit of {called} is unclear; in no unit is its usual interval of {interval:.6g} "
+            "that of 5 to 120 frames per second. Name the column time_s, time_ms, time_us or time_ns by its "
+            "unit. If frames came at a constant rate, a column `frame` that counts them is enough."
+        )
+    if best.column != column:
+        way = f" (a column {best.column} states this)" if best.column else ""
+        rate = f"{called} in {best.words}, so that there are {best.rate(interval)} frames per second"
+        return best.us, rate + way, []
+    by_own = f"{name}: by {called} there are {best.rate(interval)} frames per second; "
+    if not shortest_us <= interval * own <= _TRACKER_US[1]:
+        return own, "", [f"{by_own}body trackers give 5 to 120. Check its unit."]
+    if scores[best] - scores[other] < _CLEAR:
+        state = f"State times by a column {other.column or 'time_s'} then."
+        return own, "", [f"{by_own}if it holds {other.words}, there are {other.rate(interval)}. {state}"]
+    return own, "", []
 
 
 class _Unit(NamedTuple):
@@ -165,15 +169,15 @@ class _Unit(NamedTuple):
     words: str
     column: str = ""  # that states it, if any
 
-    def fits(self, interval: float) -> bool:
-        """Whether it is a body tracker's; in a unit that is seldom used, whether it is just a sensor's."""
-        trackers = _TRACKER_US[0] <= interval * self.us <= _TRACKER_US[1]
-        return trackers and (self.column != "" or _is_usual(interval * self.us, _RATES[1:3]))
-
-    def oddness(self, interval: float) -> tuple[bool, float]:
-        """Less for the rate of a sensor, then for one nearer to 30 per second."""
+    def likelihood(self, interval: float, column: str, shortest_us: float) -> float:
+        """The logarithm of it, and of the priors."""
         us = interval * self.us
-        return not _is_usual(us, _RATES), abs(math.log(us / _FRAME_US))
+        if not _ANY_US[0] <= us <= _ANY_US[1]:
+            return -math.inf
+        usual = any(abs(us * rate * 1e-6 - 1.0) <= _RATE_WITHIN for rate in _RATES)
+        tracker = shortest_us <= us <= _TRACKER_US[1]
+        prior = _OWN * (self.column == column) + _SELDOM * (not self.column)
+        return prior + _USUAL * usual + _NO_TRACKER * (not tracker) - abs(math.log(us / _FRAME_US))
 
     def rate(self, interval: float) -> str:
         """Frames per second in words."""
@@ -188,24 +192,29 @@ _UNITS = (
 )
 
 
-def _is_usual(interval_us: float, rates: tuple[float, ...], within: float = _RATE_WITHIN) -> bool:
-    return any(abs(interval_us * rate * 1e-6 - 1.0) <= within for rate in rates)
+def _numbered(column: str) -> str:
+    return f"{column} as counted frames, 30 per second (a column time_s states times)"
 
 
-def _numbered(name: object, column: str) -> str:
-    return f"{name}: {column} counts frames; 30 per second are assumed. A column time_s states the times."
+def _going_on(time_ns: NDArray[np.int64], key: NDArray[Any]) -> tuple[NDArray[np.int64], list[int]]:
+    """Times that go on where a clock is set back between two parts in order, and by how much it was.
 
-
-def _unwrapped(times: NDArray[Any], us: float) -> tuple[NDArray[Any], str]:
-    """Times that go on where a clock begins anew, as at midnight, and what was passed."""
-    steps = np.diff(times)
-    for period_us, words in _WRAPS if (steps < 0).any() else ():
-        period = times.dtype.type(2**32 if period_us is None else period_us / us)
-        reach = min(_PAUSE_US / us, period / 8)
-        over = (np.abs(steps + period) < reach).astype(np.int64) - (np.abs(steps - period) < reach)
-        if over.any() and over[over != 0][0] > 0:
-            return times + period * np.append(0, np.cumsum(over)).astype(times.dtype), words
-    return times, ""
+    Rows that are out of order here and there, and people one after the other, are left as they are.
+    """
+    steps = np.diff(time_ns)
+    at = np.flatnonzero(steps < 0) + 1
+    frames = np.append(0, np.cumsum(steps != 0))
+    parts = np.diff([0, *frames[at], frames[-1] + 1])
+    if not len(at) or parts.min() < FEWEST or not all((key[:k] == key[k]).any() for k in at.tolist()):
+        return time_ns, []
+    if np.isin(time_ns[at[-1] :], time_ns[: at[0]]).mean() > _AGAIN:  # another person's, who has no id
+        return time_ns, []
+    interval = int(np.median(steps[steps > 0]))
+    back = -steps[at - 1]
+    time_ns = time_ns.copy()
+    for k, longer in zip(at.tolist(), back.tolist(), strict=True):
+        time_ns[k:] += longer + interval
+    return time_ns, back.tolist()
 
 
 def moments_of(texts: list[str]) -> NDArray[np.int64] | None:

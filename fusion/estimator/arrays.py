@@ -15,8 +15,7 @@ from fusion.body import Body
 from fusion.estimator.constants import Constants, JointErrors, acceleration_shares, calmness
 from fusion.facing.model import FacingModel, FacingState
 from fusion.joint_kinds import by_joint, of_kind
-from fusion.registration.rigid_fit import NOWHERE
-from fusion.rigid import RigidTransform
+from fusion.rigid import NOWHERE, RigidTransform
 from fusion.setup import DEFAULT_SMOOTHING
 from fusion.solvers.tree_start import TreeWorkspace
 from fusion.support.types import Array

@@ -30,7 +30,7 @@ from fusion.facing.model import FacingState, new_facing_model
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays, PairStacker
 from fusion.registration.lasting_errors import COMMON_SD
-from fusion.registration.rigid_fit import NOWHERE
+from fusion.rigid import NOWHERE
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from fusion.support.array_fields import new_arrays

@@ -7,12 +7,13 @@ import math
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.facing.evidence import CONTINUOUS_SECONDS, add_axis, exchange_odds, measure_view, update_motion
 from fusion.facing.model import FRAME_SECONDS, WHOLE
-from fusion.facing.whole_body import correct, log_likelihood, predict, prior_belief, set_headings, set_turning
+from fusion.facing.whole_body import correct, log_likelihood, predict, prior_belief, set_turning
 
 _SHORTEST = 1e-3  # seconds between two pairs
 _AXIS_SECONDS = 0.3  # over which the body's axis is averaged
 _LEAST_AXIS = 0.2  # length of the sum of the views' unit vectors along the body
 _LEAST_ACROSS = 0.7  # sine: a sensor that looks more along the body sees less of its front or back
+_HALF_TURN = 1e-6  # least 1 + cosine: an axis that reverses between two frames has no smallest rotation
 _CERTAIN = 0.9  # probability of labels that change without the sight of shoulders and hips
 _ABANDONED = 0.2  # labels with a smaller probability are given up
 
@@ -75,7 +76,7 @@ def update_axis(model, state, pair, dt):  # type: ignore[no-untyped-def]
         off += (seen[c] - memory.axis[c]) ** 2
     dt, known = max(dt, _SHORTEST), not math.isnan(off)
     usual = 1.0 - math.exp(-dt / _AXIS_SECONDS)
-    share = min(usual + math.sqrt(off), 1.0) if known else 1.0  # what is far off is a movement, no error
+    share = min(usual + math.sqrt(off), 1.0)  # what is far off is a movement, no error
     for c in range(3):
         step = share * (seen[c] - memory.axis[c]) if known else 0.0
         memory.axis_velocity[c] += usual * (step / dt - memory.axis_velocity[c])
@@ -84,8 +85,48 @@ def update_axis(model, state, pair, dt):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
+def set_headings(state, axis):  # type: ignore[no-untyped-def]
+    """Sets the body's axis u, and the unit vectors of the headings, normal to it.
+
+    They turn by the smallest rotation from the last axis u' to u: v ← v - (v · u) / (1 + u' · u) (u' + u).
+    The first one of a person has no heading that means anything.
+    """
+    u, first = state.memory.axis, state.memory.headings[0]
+    norm = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    along = cosine = 0.0
+    for c in range(3):
+        along += first[c] * axis[c] / norm
+        cosine += u[c] * axis[c] / norm
+    if math.isnan(cosine):  # along the coordinate axis that is farthest from u
+        u[0] = u[1] = u[2] = along = 0.0
+        first[0] = first[1] = first[2] = cosine = 0.0
+        x, y, z = abs(axis[0]), abs(axis[1]), abs(axis[2])
+        first[0 if x <= min(y, z) else (1 if y <= z else 2)] = 1.0
+    share, along_new = along / max(1.0 + cosine, _HALF_TURN), 0.0
+    for c in range(3):
+        first[c] -= share * (u[c] + axis[c] / norm)
+        u[c] = axis[c] / norm
+        along_new += first[c] * u[c]
+    length = 0.0
+    for c in range(3):
+        first[c] -= along_new * u[c]
+        length += first[c] ** 2
+    length = math.sqrt(length)
+    x0, x1, x2 = first[0] / length, first[1] / length, first[2] / length
+    z0, z1, z2 = u[1] * x2 - u[2] * x1, u[2] * x0 - u[0] * x2, u[0] * x1 - u[1] * x0
+    count = len(state.memory.headings)
+    for n in range(count):
+        angle = 2.0 * math.pi * n / count
+        cosine, sine = math.cos(angle), math.sin(angle)
+        state.memory.headings[n, 0] = cosine * x0 + sine * z0
+        state.memory.headings[n, 1] = cosine * x1 + sine * z1
+        state.memory.headings[n, 2] = cosine * x2 + sine * z2
+
+
+@inner_kernel
 def set_sensor_directions(state, sensor_b):  # type: ignore[no-untyped-def]
-    """The directions from the person to the sensors, normal to the body's axis; kept without a person."""
+    """The directions from the person to the sensors, normal to the body's axis; kept where one is unknown."""
+    u = state.memory.axis
     for view in range(2):
         x = y = z = 0.0
         count = 0
@@ -94,16 +135,14 @@ def set_sensor_directions(state, sensor_b):  # type: ignore[no-untyped-def]
             if math.isfinite(root[0]):
                 x, y, z = x + root[0], y + root[1], z + root[2]
                 count += 1
-        if count == 0:
+        if count == 0 or math.isnan(u[0]):
             return
         x, y, z = -x / count, -y / count, -z / count
         if view == 1:
             x, y, z = x + sensor_b[0], y + sensor_b[1], z + sensor_b[2]
-        u = state.memory.axis
         height, distance = x * u[0] + y * u[1] + z * u[2], math.sqrt(x * x + y * y + z * z)
         x, y, z = x - height * u[0], y - height * u[1], z - height * u[2]
-        length = math.sqrt(x * x + y * y + z * z)
-        length = max(length, _LEAST_ACROSS * distance)
+        length = max(math.sqrt(x * x + y * y + z * z), _LEAST_ACROSS * distance)
         toward = state.evidence.toward[view]
         toward[0], toward[1], toward[2] = x / length, y / length, z / length
 
@@ -131,7 +170,7 @@ def decide(model, state, belief):  # type: ignore[no-untyped-def]
             kept = (x == whole[0] or _may_change(state, 0)) and (y == whole[1] or _may_change(state, 1))
             if kept and labels[x, y] > best:
                 best, a, b = labels[x, y], x, y
-    held = state.belief.labels[state.belief.whole[0], state.belief.whole[1]]
+    held = labels[whole[0], whole[1]]
     if state.belief.started[0] == 0 or best >= model.constants.change_from or held < _ABANDONED:
         state.belief.whole[0], state.belief.whole[1] = a, b
     state.belief.started[0] = 1

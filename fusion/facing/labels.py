@@ -23,8 +23,9 @@ class Labels(NamedTuple):
     doubt: Annotated[NDArray[np.float32], ("T", 2), np.nan]
     """Probability that the sides of A and of B are wrong all the same; NaN where missing."""
     heading: Annotated[NDArray[np.float32], ("T", 3), np.nan]
-    """The horizontal direction in which the person faces, in K_A's frame; its length, from 0 to 1, is the
-    confidence: that of the mean of the unit vectors of all headings. NaN where missing."""
+    """The direction in which the person faces, normal to the body's axis (:mod:`fusion.facing.evidence`), in
+    K_A's frame; its length, from 0 to 1, is the confidence: that of the mean of the unit vectors of all
+    headings. NaN where missing."""
     mirrored: Annotated[NDArray[np.float32], ("T", 2), np.nan]
     """Probability that A and B report the person mirrored; a result only."""
 

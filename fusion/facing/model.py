@@ -170,7 +170,7 @@ class Evidence(NamedTuple):
     :func:`fusion.facing.filter.decide` reads its axes.
     """
 
-    axes: Annotated[Floats, (2, 2, 3)]  # view; shoulders, hips: horizontal direction that they face
+    axes: Annotated[Floats, (2, 2, 3)]  # view; shoulders, hips: direction that they face, normal to the axis
     axis_trust: Annotated[Floats, (2, 2)]
     cues: Annotated[Floats, (2, 5, 3)]  # view; knees, elbows, head
     cue_trust: Annotated[Floats, (2, 5)]
@@ -216,7 +216,7 @@ class Result(NamedTuple):
     """The results for the last pair."""
 
     codes: Annotated[Ints, (2,)]  # the exchange code of A and of B
-    facing: Annotated[Floats, (3,), np.nan]  # horizontal unit vector in which the person faces, K_A's frame
+    facing: Annotated[Floats, (3,), np.nan]  # unit vector in which the person faces, normal to the axis
     confidence: Annotated[Floats, (1,)]
     """Length of the mean of the unit vectors of all headings under their probabilities."""
     doubt: Annotated[Floats, (2,)]

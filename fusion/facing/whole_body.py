@@ -41,47 +41,7 @@ from fusion.facing.model import FRAME_SECONDS, TAPS
 
 _INTERVALS = 4  # of the tables over the cosine
 _TURNING_RATE = 0.7  # rad/s of the body's axis: a person who falls or bows faster does not walk
-_HALF_TURN = 1e-6  # least 1 + cosine: an axis that reverses between two frames has no smallest rotation
 _MOST_FRAMES = 6.0  # a longer time than 0.2 s without evidence of motion gives a frame no larger weight
-
-
-@inner_kernel
-def set_headings(state, axis):  # type: ignore[no-untyped-def]
-    """Sets the body's axis u, and the unit vectors of the headings, normal to it.
-
-    They turn by the smallest rotation from the last axis u' to u: v ← v - (v · u) / (1 + u' · u) (u' + u).
-    The first one of a person has no heading that means anything.
-    """
-    u, first = state.memory.axis, state.memory.headings[0]
-    norm = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
-    along = cosine = 0.0
-    for c in range(3):
-        along += first[c] * axis[c] / norm
-        cosine += u[c] * axis[c] / norm
-    if math.isnan(cosine):  # along the coordinate axis that is farthest from u
-        u[0] = u[1] = u[2] = along = 0.0
-        first[0] = first[1] = first[2] = cosine = 0.0
-        x, y, z = abs(axis[0]), abs(axis[1]), abs(axis[2])
-        first[0 if x <= min(y, z) else (1 if y <= z else 2)] = 1.0
-    share, along_new = along / max(1.0 + cosine, _HALF_TURN), 0.0
-    for c in range(3):
-        first[c] -= share * (u[c] + axis[c] / norm)
-        u[c] = axis[c] / norm
-        along_new += first[c] * u[c]
-    length = 0.0
-    for c in range(3):
-        first[c] -= along_new * u[c]
-        length += first[c] ** 2
-    length = math.sqrt(length)
-    x0, x1, x2 = first[0] / length, first[1] / length, first[2] / length
-    z0, z1, z2 = u[1] * x2 - u[2] * x1, u[2] * x0 - u[0] * x2, u[0] * x1 - u[1] * x0
-    count = len(state.memory.headings)
-    for n in range(count):
-        angle = 2.0 * math.pi * n / count
-        cosine, sine = math.cos(angle), math.sin(angle)
-        state.memory.headings[n, 0] = cosine * x0 + sine * z0
-        state.memory.headings[n, 1] = cosine * x1 + sine * z1
-        state.memory.headings[n, 2] = cosine * x2 + sine * z2
 
 
 @inner_kernel
@@ -105,7 +65,7 @@ def prior_belief(state):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def cosine_to_sensor(state, view, f):  # type: ignore[no-untyped-def]
-    """Cosine between a horizontal unit vector and the direction to the sensor."""
+    """Cosine between a unit vector normal to the body's axis and the direction to the sensor."""
     s = state.evidence.toward[view]
     return f[0] * s[0] + f[1] * s[1] + f[2] * s[2]
 

@@ -20,7 +20,7 @@ from fusion.registration.lasting_errors import (
     opposition,
     turned_apart,
 )
-from fusion.rigid import RigidTransform, through_quaternion
+from fusion.rigid import NOWHERE, RigidTransform, through_quaternion
 from fusion.skeleton import SkeletonPair
 from fusion.support.types import Array
 
@@ -169,9 +169,6 @@ def _weighted_sums(p, q, apart, scale, sums):  # type: ignore[no-untyped-def]
                             sums[k, 16 + 3 * i + j] += wq * q[k, n, j]
 
 
-NOWHERE = np.full(3, np.nan)
-
-
 @dataclass(frozen=True, eq=False)
 class Registration:
     """A transform between the sensors and its uncertainty."""
@@ -183,15 +180,14 @@ class Registration:
     """(J,) metres, the median of each joint; NaN for a joint never tracked in both views."""
     rotation_sd: float
     """Radians, standard deviation of R about its least certain axis, with the errors of
-    :mod:`fusion.registration.lasting_errors`. It counts every joint of a pose as one observation, because a
-    joint's bias is the same in all frames."""
+    :mod:`fusion.registration.lasting_errors`. A joint's bias is the same in all frames of a pose."""
     frames: int  # how many pairs were used
     body: Body  # the body the joints belong to
     translation_sd: float = float("nan")
     """Metres, standard deviation of R q + t at the centre, along the least certain axis, with the trackers'
     lasting errors; NaN where a session does not have it."""
     centre: Array = field(default_factory=lambda: NOWHERE)
-    """(3,) metres, the mean place of the joints that were used, in K_A's frame; NaN like that."""
+    """(3,) metres, the mean place of the joints that were used, in K_A's frame; NaN likewise."""
 
     @staticmethod
     def between(
@@ -204,10 +200,8 @@ class Registration:
         for joint in np.flatnonzero(seen.any(axis=0)):
             joints[joint] = np.median(apart[seen[:, joint], joint])
         median, rms = float(np.median(known)), float(np.sqrt(np.mean(known**2)))
-        rotation_sd, translation_sd = sd
-        return Registration(
-            a_from_b, median, rms, joints, rotation_sd, len(p), body, translation_sd, p[seen].mean(axis=0)
-        )
+        turn, shift = sd
+        return Registration(a_from_b, median, rms, joints, turn, len(p), body, shift, p[seen].mean(axis=0))
 
     def sd_at(self, distance: float) -> float:
         """Metres, standard deviation of R q + t at this distance from the centre, at most."""
@@ -255,13 +249,11 @@ def register(pairs: Sequence[SkeletonPair], *, frontal: bool = False) -> Registr
     # Of opposite sides of the body few joints are seen by both, and whole limbs are off at once.
     rotation_se *= float(np.hypot(1.0, 0.5 * (1.0 - cosine)))
     common_sd = max(COMMON_SD, _OF_RESIDUAL * float(np.sqrt(mean_square)))
-    sd = (
-        float(np.hypot(rotation_se, of_tracker.sd_where(sine, cosine, known=frontal))),
-        float(np.sqrt(translation_se**2 + common_variance(a_from_b, middle, common_sd))),
-    )
+    turn = float(np.hypot(rotation_se, of_tracker.sd_where(sine, cosine, known=frontal)))
+    shift = float(np.sqrt(translation_se**2 + common_variance(a_from_b, middle, common_sd)))
     if frontal:
         a_from_b = turned_apart(a_from_b, middle, of_tracker.turn)
-    registration = Registration.between(body, p, q, both, a_from_b, *sd)
+    registration = Registration.between(body, p, q, both, a_from_b, turn, shift)
     if registration.residual_median > LARGEST_RESIDUAL:
         raise CalibrationError(
             f"The two views disagree by {registration.residual_median * 1000:.0f} mm (median) after the best "

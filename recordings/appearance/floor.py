@@ -27,6 +27,9 @@ _ENOUGH = 10
 """Frames with both ankles, before the first finding."""
 _MOVED, _TURNED = 0.03, math.radians(1.0)
 """Metres and radians: smaller changes are not reported."""
+_LIES = 1.0
+"""Radians: a vertical that is farther from the last one, and from that of a sensor that stands upright, is of
+a person who lies."""
 _CENTIMETRE = 0.01
 _SAMPLES = 9000
 """Frames from which the floor of a session is found."""
@@ -46,8 +49,7 @@ class FloorFinder:
         self._ankles = [body.joint("ankle left"), body.joint("ankle right")]
         self._recent: deque[NDArray[np.float64]] = deque(maxlen=_OVER)
         self._since = 0
-        self._found = False
-        self.a_from_floor = floor_frame(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT)
+        self.a_from_floor = _ASSUMED
 
     def add(self, fused: NDArray[np.floating]) -> bool:
         """Adds (T, J, 3) S* in K_A's frame, metres; returns whether the floor changed noticeably."""
@@ -55,14 +57,15 @@ class FloorFinder:
         whole = np.asarray(fused[seen], dtype=np.float64)
         self._recent.extend(whole[:: math.ceil(len(whole) / _OVER) or 1])
         self._since += len(fused)
-        if len(self._recent) < _ENOUGH or (self._since < _EVERY and self._found):
+        found = self.a_from_floor is not _ASSUMED
+        if len(self._recent) < _ENOUGH or (self._since < _EVERY and found):
             return False
         self._since = 0
         new = find_floor(self._body, np.array(self._recent))
-        moved = float(np.linalg.norm(new.translation - self.a_from_floor.translation))
-        if self._found and moved < _MOVED and new.angle_to(self.a_from_floor) < _TURNED:
+        moved = np.linalg.norm(new.translation - self.a_from_floor.translation)
+        turned = new.angle_to(self.a_from_floor)
+        if found and (min(turned, new.angle_to(_ASSUMED)) > _LIES or (moved < _MOVED and turned < _TURNED)):
             return False
-        self._found = True
         self.a_from_floor = new
         return True
 
@@ -87,9 +90,7 @@ def floor_under(rows: SessionArrays) -> RigidTransform:
     body, fused = rows.body, rows.fused[:: len(rows) // _SAMPLES + 1]
     ankles = [body.joint("ankle left"), body.joint("ankle right")]
     whole = fused[np.isfinite(fused[:, ankles]).all(axis=(1, 2))]
-    if not len(whole):
-        return floor_frame(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT)
-    return find_floor(body, whole)
+    return find_floor(body, whole) if len(whole) else _ASSUMED
 
 
 def floor_frame(up: NDArray[np.float64], height: float) -> RigidTransform:
@@ -109,3 +110,7 @@ def floor_frame(up: NDArray[np.float64], height: float) -> RigidTransform:
     right = np.cross(down, looks)
     right /= np.linalg.norm(right)
     return RigidTransform.of(np.stack((right, down, np.cross(right, down)), axis=1), height * down)
+
+
+_ASSUMED = floor_frame(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT)
+"""K_A ← floor of a sensor that stands upright, until feet have been seen."""

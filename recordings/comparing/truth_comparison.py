@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from devices.skeletons.border import METRES
 from devices.skeletons.name_tables import NameTable, fitting_table, listed
+from devices.skeletons.stated_format import METRES
 from fusion.body import Body
 from fusion.errors import CalibrationError
 from fusion.facing.evidence import upright_direction

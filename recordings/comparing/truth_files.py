@@ -138,16 +138,16 @@ def _without_origin(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def _read_csv(path: Path) -> _Read:
     """A row for each joint and frame, or for each frame with columns such as HEAD_x, HEAD_y and HEAD_z."""
     (text,) = text_rows(path, -1, required=())
-    time_ns, told = capture_times(path, *text.times(), shortest_us=2_000.0)  # motion capture is fast
+    time_ns, clock, told = capture_times(path, *text.times(), shortest_us=2_000.0)  # motion capture is fast
     times, frame = np.unique(time_ns, return_inverse=True)
     refuse_cut_off(text, None, frame)
     names = text.table.column_names
     wide = [name[:-2] for name in names if name.endswith("_x")]
     columns = [f"{label}_{axis}" for label in wide for axis in "xyz"] or ["joint", *"xyz"]
     if missing := [name for name in columns if name not in names]:
+        lacks = f"{path} is no .csv of motion: it has no column {missing[0]}."
         raise RecordingError(
-            f"{path} is no .csv of motion: it has no column {missing[0]}. Its columns must be those of "
-            "duplex export, or time_us,body,joint,x,y,z."
+            f"{lacks} Its columns must be those of duplex export, or time_us,body,joint,x,y,z."
         )
     if wide:
         labels, joint = wide, np.tile(np.arange(len(wide)), len(frame))
@@ -174,7 +174,8 @@ def _read_csv(path: Path) -> _Read:
     points = np.full((len(times) * len(labels), 3), np.nan)
     points[slot] = values
     text.decimals.check(path)
-    return labels, times.astype(np.float64) * 1e-9, points.reshape(len(times), -1, 3), " ".join(told)
+    words = f"{clock} {' '.join(told)}".strip()
+    return labels, times.astype(np.float64) * 1e-9, points.reshape(len(times), -1, 3), words
 
 
 _READERS = {".c3d": _read_c3d, ".trc": _read_trc, ".csv": _read_csv}

@@ -110,8 +110,9 @@ class SessionArrays:
         witness_a, witness_b: (T, J, 4) depth evidence for each joint, metres; columns:
             ``fusion.witness.COLUMNS``.
         side_doubt: (T, 2) probability that the sides of A and of B are still wrong, in 1/255.
-        heading: (T, 3) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to
-            1, is the confidence.
+        heading: (T, 3) direction in which the person faces, normal to the line from the ankles to the
+            shoulders, in K_A's frame; its length, from 0 to 1, is the confidence. Before revision 13 of
+            ``duplex`` it was horizontal.
         up: (T, 3) against gravity in K_A's frame, as live outputs used it; sessions of live sensors only.
     """
 

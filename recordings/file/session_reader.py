@@ -13,8 +13,8 @@ from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.intrinsics import Intrinsics
-from fusion.registration.rigid_fit import NOWHERE, Registration
-from fusion.rigid import RigidTransform
+from fusion.registration.rigid_fit import Registration
+from fusion.rigid import NOWHERE, RigidTransform
 from fusion.setup import FuserSettings
 from fusion.support.large_arrays import GrowingArray, parts
 from recordings.data import layout

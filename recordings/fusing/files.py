@@ -18,7 +18,6 @@ from devices.pairing import pair_views
 from devices.people.recorded_people import Follow, RecordedPeople
 from devices.recorded.files import recorded_at
 from devices.recorded.two_recordings import RecordingChoice, TwoRecordings, read_two
-from devices.skeletons.stated_format import MIRRORED
 from devices.tracker_choice import TrackerChoice
 from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
@@ -175,7 +174,7 @@ def check_related(
     if not plan.views_differ > _UNRELATED:
         return
     for name, view in zip((a, b), read.pairing.pairs.skeletons.views, strict=True):
-        if (mirrored_share(read.body, view.positions) or 0.0) > MIRRORED:
+        if (mirrored_share(read.body, view.positions) or 0.0) > _MOSTLY:
             raise CalibrationError(
                 f"{name} is the mirror image of a person: state its axes with `axes`, or change the sign of "
                 "x in it. `force` uses it as it is."

@@ -11,7 +11,7 @@ from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.settings import CaptureSettings
 from devices.depth.camera import in_image, project
 from devices.recorded.two_recordings import RecordingChoice, read_two
-from devices.sensor import ORIENTATIONS, ColorCamera, ColorImage, DeviceError, Sensor
+from devices.sensor import ORIENTATIONS, ColorCamera, ColorImage, Sensor
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker_errors import TrackerErrors
@@ -71,7 +71,8 @@ def test_s_star_of_sensors_on_their_side_is_that_of_sensors_that_stand(orientati
     stands, b, truth = pair(seconds=0.5)
     lies, _, _ = pair((orientation, 0), seconds=0.5)
     assert (
-        orientation_of(AZURE_KINECT, next(iter(lies.frames())).people[PERSON].positions[None]) == orientation
+        orientation_of(AZURE_KINECT, np.zeros(1), next(iter(lies.frames())).people[PERSON].positions[None])
+        == orientation
     )
     lengths = bone_lengths_of(AZURE_KINECT, truth.positions_at(0))
     lengths[AZURE_KINECT.root] = 0.0
@@ -167,7 +168,8 @@ def test_a_recording_of_a_sensor_on_its_side_is_turned_upright(stated, tmp_path)
     assert read.orientations == (90, 0)
     camera = read.cameras("full")[0]
     assert (camera.width, camera.height) == (a.intrinsics.height, a.intrinsics.width)
-    up = orientation_of(AZURE_KINECT, read.pairing.pairs.skeletons.views[0].positions)
+    view = read.pairing.pairs.skeletons.views[0]
+    up = orientation_of(AZURE_KINECT, view.time_ns * 1e-9, view.positions)
     assert up == 0
     number, image = next(iter(read.depth_images("a", "full")))
     (first,) = UprightSensor(Given([next(iter(a.frames()))], a.intrinsics), 90).frames()
@@ -175,10 +177,11 @@ def test_a_recording_of_a_sensor_on_its_side_is_turned_upright(stated, tmp_path)
     np.testing.assert_array_equal(image, first.depth)
 
 
-def test_skeletons_alone_have_no_orientation(tmp_path):
-    a, b, _ = pair(seconds=1.0, depth="half", infrared=True)
-    for name, sensor in (("a", a), ("b", b)):
-        write(tmp_path, name, sensor)
-    choices = [RecordingChoice(tmp_path / f"{name}.csv", orientation=90) for name in "ab"]
-    with pytest.raises(DeviceError, match=r"a\.csv has no images to turn"):
-        read_two(*choices)
+def test_a_person_who_stands_first_and_then_lies_is_no_sensor_on_its_side():
+    a, _, _ = pair(seconds=4.0)
+    at = np.array([frame.people[PERSON].positions for frame in a.frames()])
+    middle = np.nanmean(at, axis=(0, 1))
+    lying = (at - middle) @ rotation(90).T + middle
+    for first in (12, 40, 119):
+        both = np.concatenate([at[:first], lying])
+        assert orientation_of(AZURE_KINECT, np.arange(len(both)) / 30.0, both) == 0

@@ -9,7 +9,8 @@ import numpy as np
 import pandas
 import pytest
 
-from devices.skeletons.stated_format import AXES, StatedFormat
+from devices.skeletons.name_tables import points_of
+from devices.skeletons.stated_format import AXES
 from fusion import KINECT_V2
 from fusion.body import BODIES
 from recordings import Session, SessionArrays, fuse
@@ -137,7 +138,7 @@ def test_the_table_of_names_is_one_of_the_program(tmp_path):
     (text,) = re.findall(r"```toml\n(.*?)```", FILES.read_text(encoding="utf-8"), re.DOTALL)
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     labels = ["LeftUpLeg", "crown", "chin"]
-    points = StatedFormat(names=str(tmp_path / "mine.toml")).points("a.csv", labels)
+    points, _ = points_of("a.csv", labels, str(tmp_path / "mine.toml"))
     assert {points.body.joints[joint]: of for joint, of in points.groups.items()} == {
         points.body.joints[points.body.joint("hip left")]: [0],
         points.body.joints[points.body.joint("head")]: [1, 2],

@@ -216,6 +216,7 @@ def test_a_floor_is_assumed_found_once_and_reported_again_when_the_sensor_moves(
     assert not finder.add(fused[:5])
     assert finder.add(fused[5:40])
     assert not any(finder.add(fused[k : k + 1]) for k in range(40, 240))
+    assert not finder.add(fused[..., [1, 0, 2]])  # the person lies
     tilted, _ = seen_by(10.0, 300)
     assert any(finder.add(tilted[k : k + 1]) for k in range(300))
 

@@ -19,7 +19,6 @@ from devices.events import Event, spells_of
 from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError
 from devices.simulated.kinect import simulated_pair
-from devices.skeletons.border import checked
 from devices.skeletons.csv_files import reader
 from devices.skeletons.csv_files.reader import read_csv
 from fusion import plan
@@ -51,6 +50,7 @@ from tests.helpers.demonstrations import pairs_of
 from tests.helpers.frame_pairs import frame_pairs, paired
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.sentences import arguments, check_sentences
+from tests.helpers.skeleton_files import read_found
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, standing
 from viewer_app.report.events import event_in_words, list_events
 from viewer_app.report.words import lead_lines
@@ -137,7 +137,7 @@ def test_a_part_that_looks_wrong_by_itself_is_judged_by_the_whole(change, line_e
     path, _ = write_walk(tmp_path / "walk", 40)
     header, *rows = path.read_text().splitlines()
     path.write_text(line_end.join([header, *change(rows)]) + line_end, newline="")
-    whole, in_blocks = (checked(path, read_csv(path, block=size)) for size in (-1, 5000))  # three frames
+    whole, in_blocks = (read_found(path, read_csv(path, block=size)) for size in (-1, 5000))  # three frames
     assert in_blocks.warnings == whole.warnings
     for values, expected in zip(in_blocks.people.skeletons[:3], whole.people.skeletons[:3], strict=True):
         np.testing.assert_array_equal(values, expected)

@@ -129,7 +129,7 @@ def test_a_csv_may_have_semicolons_decimal_commas_and_other_units_of_time(tmp_pa
     np.testing.assert_array_equal(second.points, first.points)
     assert first.points[4].tolist() == [[4.5, -1.25, k] for k in range(3)]
     assert first.warning == ""
-    assert "time_us is read as milliseconds" in second.warning
+    assert "time_us in milliseconds" in second.warning
 
 
 @given(

@@ -45,7 +45,7 @@ def test_case_1_a_gap_of_minutes_in_the_middle(case):
 
 def test_case_2_feet_that_were_never_seen_are_no_unit(case):
     session, expected = fuse(*case(2)), fuse(*case(2), unit="m")
-    assert not [event for event in session.events if "are read as" in event.text]
+    assert not [event for event in session.events if "read as" in event.text]
     np.testing.assert_array_equal(session.fused, expected.fused)
     pelvis = session.fused[:, session.body.root]
     assert np.linalg.norm(pelvis, axis=1).mean() == pytest.approx(2.57, abs=0.1)

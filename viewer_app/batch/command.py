@@ -6,6 +6,7 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import psutil
 from rich.console import Console
@@ -20,7 +21,7 @@ from viewer_app.batch.summary import Row, State, worst_first, write_page, write_
 from viewer_app.errors import UsageError
 from viewer_app.options.needs import refuse_without_effect
 from viewer_app.options.sensing import BatchOptions, recording_settings
-from viewer_app.options.shared import calibration_source
+from viewer_app.options.shared import NAMES, calibration_source
 from viewer_app.output_console import output_console
 from viewer_app.output_files import claim, make_folder
 
@@ -35,8 +36,8 @@ def run(options: BatchOptions) -> None:
     if isinstance(calibration, Path):
         read_calibration(calibration)
         options = replace(options, calibrate=str(calibration.absolute()))
-    if options.names:
-        name_table(options.names)
+    for table in filter(None, (getattr(options, name) for name in NAMES)):
+        name_table(table)
     options = _absolute(options)
     pairs, alone = _pairs(options)
     for line in alone:
@@ -142,11 +143,14 @@ def _difference(before: dict[str, object], now: dict[str, object]) -> str:
 
 def _absolute(options: BatchOptions) -> BatchOptions:
     """The options with absolute paths: a worker of a cluster has another working directory."""
+    files: Any = {
+        name: str(Path(table).absolute()) for name in NAMES if Path(table := getattr(options, name)).is_file()
+    }
     return replace(
         options,
         source=options.source.absolute(),
         out=options.out.absolute(),
-        names=str(Path(options.names).absolute()) if Path(options.names).is_file() else options.names,
+        **files,
         tracker_model=None if options.tracker_model is None else options.tracker_model.absolute(),
         k4abt=None if options.k4abt is None else options.k4abt.absolute(),
     )

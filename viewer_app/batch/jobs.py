@@ -18,7 +18,7 @@ from devices.input_file import open_input
 from fusion.setup import REVISIONS
 from viewer_app.batch.finding import Pair
 from viewer_app.options.sensing import BatchOptions, FuseOptions
-from viewer_app.options.shared import calibration_source
+from viewer_app.options.shared import NAMES, calibration_source
 
 RECORD, PARTIAL = "record.json", ".partial"
 """Names of a session's record, and of the folder of what is not complete, in the output folder."""
@@ -177,8 +177,7 @@ def _value(name: str, option: Any) -> Any:
     calibration = calibration_source(option) if name == "calibrate" else None
     if isinstance(calibration, Path):
         return f"sha256:{checksum(calibration)}"
-    if name == "names" and Path(option).is_file():
-        return f"sha256:{checksum(Path(option))}"
+    option = Path(option) if name in NAMES and option else option
     if isinstance(option, Path) and option.is_file():
         return f"sha256:{checksum(option)}"
     return str(option) if isinstance(option, Path) else option

@@ -130,8 +130,8 @@ def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:
     b = options.b, options.skeletons_b, options.person_b
     body = "" if options.body == "auto" else options.body
     return (
-        RecordingChoice(*a, options.stated, "--skeletons-a", "--person-a", body, turned_a),
-        RecordingChoice(*b, options.stated, "--skeletons-b", "--person-b", body, turned_b),
+        RecordingChoice(*a, options.stated_of("a"), "--skeletons-a", "--person-a", body, turned_a),
+        RecordingChoice(*b, options.stated_of("b"), "--skeletons-b", "--person-b", body, turned_b),
     )
 
 

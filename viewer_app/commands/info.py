@@ -1,7 +1,6 @@
 """``duplex info``: what is in a file, whether a session, a recording or motion capture."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,11 @@ from rich.table import Table
 from devices.input_file import check_recording, open_input, reading
 from devices.recorded.files import has_images, open_images, recorded_at
 from devices.sensor import DeviceError
-from devices.skeletons.border import METRES, ReadFile
+from devices.skeletons.border import ReadFile
 from devices.skeletons.file_sensor import READERS, SkeletonRecording
+from devices.skeletons.meaning import MeaningError
 from devices.skeletons.name_tables import listed, name_table
-from devices.skeletons.stated_format import AXES, MIRRORED, StatedFormat
-from fusion.facing.handedness import mirrored_share
+from devices.skeletons.stated_format import METRES, OWN_AXES, StatedFormat, called_axes
 from recordings.comparing.truth_files import TruthFile, read_truth
 from recordings.data import layout
 from recordings.data.images import Images
@@ -80,11 +79,14 @@ def _of_file(path: Path, stated: StatedFormat) -> Rows:
         return
     try:
         if suffix in READERS:
-            read, by = _read(path, stated)
-            yield "format", _FORMATS[suffix]
-            yield from _of_skeletons(path, read, by)
+            with SkeletonRecording(path, stated) as recording:
+                yield "format", _FORMATS[suffix]
+                yield from _of_skeletons(path, recording.content, stated)
             return
         truth = read_truth(path)
+    except MeaningError as fault:
+        yield from _likely(fault)
+        raise
     except (DeviceError, RecordingError) as fault:
         try:
             if suffix != ".csv":
@@ -96,33 +98,6 @@ def _of_file(path: Path, stated: StatedFormat) -> Rows:
             raise fault from None
     yield "format", "motion capture" if suffix in READERS else _FORMATS[suffix]
     yield from _of_motion_capture(path, truth)
-
-
-def _read(path: Path, stated: StatedFormat) -> tuple[ReadFile, StatedFormat]:
-    """A file's skeletons; where no axes are stated, by those of which a person stands before the sensor.
-
-    Raises:
-        DeviceError: It cannot be read.
-    """
-    fault: DeviceError | None = None
-    fallback: tuple[ReadFile, StatedFormat] | None = None
-    others = AXES if path.suffix.lower() == ".csv" and not stated.axes else ()
-    for axes in (stated.axes, *others):
-        by = replace(stated, axes=axes)
-        try:
-            with SkeletonRecording(path, by) as recording:
-                read = recording.content
-        except DeviceError as error:
-            fault = fault or error
-            continue
-        mirrored = mirrored_share(read.body, read.people.skeletons.positions) or 0.0
-        if mirrored <= MIRRORED and not any("`axes" in line for line in read.warnings):
-            return read, by
-        fallback = fallback or (read, by)
-    if fallback is None and fault is not None:
-        raise fault
-    assert fallback is not None
-    return fallback
 
 
 def _begins(path: Path) -> str:
@@ -157,11 +132,10 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
         if np.isfinite(away).any()
         else "its root is never seen"
     )
-    yield "unit", f"{read.unit}; {place}"
-    share = mirrored_share(body, positions)
-    hands = "unknown, without feet or trunk" if share is None else "yes" if share > MIRRORED else "no"
-    yield "axes", stated.axes or "x right, y down, z forward, as seen from the sensor"
-    yield "mirror image", hands
+    meaning = read.meaning
+    yield "unit", f"{METRES[meaning.unit][1]}; {place}"
+    yield "axes", meaning.in_words
+    yield from _likely(meaning)
     if read.ignored:
         yield "ignored", f"columns {listed(read.ignored)}"
     for k, line in enumerate(read.warnings):
@@ -170,11 +144,20 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
 
 
 def _options(read: ReadFile, stated: StatedFormat) -> str:
-    """The options by which a file is read so without a question."""
-    unit = next(key for key, (_, words) in METRES.items() if words == read.unit)
-    asked = stated.unit != "auto" or any("`unit" in line for line in read.warnings)
-    options = (("unit", unit if asked else ""), ("axes", stated.axes), ("names", stated.names))
-    return "".join(f" --{name} {value}" for name, value in options if value)
+    """The options that state how the file is read, where that is not the default."""
+    unit, axes = read.meaning.unit, read.meaning.axes
+    options = {
+        "unit": unit if unit != read.unit or stated.unit != "auto" else "",
+        "axes": called_axes(axes) if axes != OWN_AXES or stated.axes else "",
+        "names": stated.names or read.names,
+    }
+    return "".join(f" --{name}-a {value}" for name, value in options.items() if value)
+
+
+def _likely(of: Any) -> Rows:
+    """The hypotheses, the best first, and how much less likely the others are."""
+    for question, options in of.table.items():
+        yield f"likely {question}", ", ".join(f"{option} {score:.1f}" for option, score in options[:2])
 
 
 def _of_times(time_ns: NDArray[np.int64]) -> Rows:

@@ -3,7 +3,6 @@
 import threading
 import time
 from contextlib import ExitStack
-from dataclasses import asdict
 
 from rich.console import Console
 
@@ -98,9 +97,9 @@ def _sensor(options: PublishOptions, console: Console) -> Sensor:
         if has_images(options.recording):
             tracker = tracker.for_images_of(not_of_libk4a(options.recording))
             announce_tracker(tracker, console, options.recording)
-        stated = asdict(options.stated)
+        turned = options.orientation or None
         return PacedSensor(
-            open_source(options.recording, tracker=tracker, **stated, orientation=options.orientation)
+            open_source(options.recording, tracker=tracker, stated=options.stated, orientation=turned)
         )
     settings = KinectSettings(depth_mode=options.depth_mode, fps=options.fps)
     return one_sensor(options.kinect, "--kinect", tracker, settings, console, options.orientation)

@@ -27,6 +27,7 @@ from viewer_app.options.shared import (
 )
 
 _STATED = ("unit", "axes", "names")
+_OF_SIDES = tuple(f"{name}_{side}" for name in _STATED for side in "ab")
 _TRACKER = ("tracker", "tracker_model", "tracker_network", "k4abt", "processing")
 
 
@@ -110,15 +111,12 @@ NEEDS = (
         "needs another --calibrate; a calibration from a file is kept",
     ),
     Need(FuseOptions, ("depth",), _reads_images, "needs a recording of images: .mkv, .db3 or .bag"),
-    Need(
-        FuseOptions, ("orientation",), _reads_images, "needs a recording of images; for skeletons, use --axes"
-    ),
     Need(FuseOptions, _TRACKER, _tracks_images, "needs a recording of images without saved skeletons"),
     Need(
         FuseOptions, ("person",), _tracks_images, "needs images; for skeletons, use --person-a and --person-b"
     ),
     Need(FuseOptions, ("depth",), _writes_or_shows, "needs a viewer, or --save FILE.rrd"),
-    Need(FuseOptions, _STATED, _reads_csv, "needs a .csv file"),
+    Need(FuseOptions, _STATED + _OF_SIDES, _reads_csv, "needs a .csv file"),
     Need(BatchOptions, ("processes",), lambda o: o.scheduler is None, "cannot be used with --scheduler"),
     Need(PublishOptions, ("motion", "body"), lambda o: o.simulate is not None, "needs --simulate"),
     Need(PublishOptions, _STATED, lambda o: o.recording is not None, "needs --recording"),

@@ -4,24 +4,28 @@ A class's own options come after those of its bases, and those of its last base 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import CoercionError, Group, Parameter, Token
 
 from devices.sensor import ORIENTATIONS, Orientation
-from devices.skeletons.stated_format import StatedFormat
+from devices.skeletons.stated_format import StatedFormat, Unit
 from fusion.setup import PAPER_H
 from viewer_app.errors import UsageError
 
 ARGUMENT = Parameter(group="Arguments")
+NAMES = "names", "names_a", "names_b"
+"""Options that may be a file of names."""
 SENSORS = Parameter(group=Group("Sensors", sort_key=1))
 TRACKER = Parameter(group=Group("Body tracker", sort_key=2))
 METHOD = Parameter(group=Group("Method", sort_key=3))
 VIEWER = Parameter(group=Group("Viewer", sort_key=4))
 OUTPUTS = Parameter(group=Group("Outputs", sort_key=5))
 EXPERTS = Parameter(group=Group("For experts", sort_key=6))
+_OfUnit = Annotated[Unit, SENSORS]
+_OfAxes = Annotated[str, SENSORS, Parameter(allow_leading_hyphen=True)]
 
 
 def _whole(kind: type, tokens: Sequence[Token]) -> int:
@@ -124,12 +128,12 @@ class MethodOptions(FusionOptions):
 class OwnFileOptions:
     """How the .csv files of other programs are read."""
 
-    unit: Annotated[Literal["auto", "m", "cm", "mm", "ft", "in"], SENSORS] = "auto"
+    unit: _OfUnit = "auto"
     """Unit of the positions in .csv, .json and .skeleton files. auto: found from the person's size."""
-    axes: Annotated[str, SENSORS, Parameter(allow_leading_hyphen=True)] = ""
+    axes: _OfAxes = ""
     """Axes of .csv files: kinect, unity, opengl, ros, or those pointing right, down and forward: x,-y,z."""
     names: Annotated[str, SENSORS] = ""
-    """Joint names in .csv files: a .toml table, or mixamo, plug-in-gait or gait2392."""
+    """Joint names in .csv files: a .toml table, or one such as nuitrack or mixamo."""
 
     @property
     def stated(self) -> StatedFormat:
@@ -150,6 +154,18 @@ class FollowOptions:
 class RecordingOptions(OwnFileOptions):
     """How recordings are fused."""
 
+    unit_a: _OfUnit = "auto"
+    """Unit of A's file alone, likewise --unit-b, --axes-a, --axes-b, --names-a and --names-b."""
+    unit_b: _OfUnit = "auto"
+    """Unit of B's file alone."""
+    axes_a: _OfAxes = ""
+    """Axes of A's file alone."""
+    axes_b: _OfAxes = ""
+    """Axes of B's file alone."""
+    names_a: Annotated[str, SENSORS] = ""
+    """Joint names in A's file alone."""
+    names_b: Annotated[str, SENSORS] = ""
+    """Joint names in B's file alone."""
     body: Annotated[Literal["auto", "kinect_v1", "kinect_v2", "azure_kinect", "blazepose"], SENSORS] = "auto"
     """Body tracker that made the .csv or .json files. auto: found from the joint names in both files."""
     calibrate: Annotated[str, METHOD] = "auto"
@@ -161,6 +177,11 @@ class RecordingOptions(OwnFileOptions):
     method duplex."""
     depth: Annotated[Literal["none", "half", "full"], SENSORS] = "full"
     """Depth images to keep in the session: none, every second pixel in both directions, or all."""
+
+    def stated_of(self, side: Literal["a", "b"]) -> StatedFormat:
+        """What is stated about one of the files: for it alone, else for both."""
+        own = {name: getattr(self, f"{name}_{side}") for name in ("unit", "axes", "names")}
+        return replace(self.stated, **{name: of for name, of in own.items() if of not in ("", "auto")})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +227,7 @@ class OrientationOptions:
     orientation: Annotated[str | None, SENSORS] = None
     """Degrees by which both sensors are turned clockwise, seen from behind: 0, 90, 180 or 270. 90,0: A is on
     its side and B is upright. Images and skeletons are turned upright. If not given, fuse finds it from the
-    person in recordings of images."""
+    person in recordings."""
 
     @property
     def orientations(self) -> tuple[Orientation | None, Orientation | None]:

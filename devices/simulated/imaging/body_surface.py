@@ -1,6 +1,7 @@
 """The person's surface as capsules, and the visibility of joints behind it."""
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,29 +15,11 @@ from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 from fusion.support.types import Array
 
-# (from landmark, to landmark, share of the way, radius in metres at reference height); _S is either side.
-_TABLE = """
-    SPINE_CHEST   SPINE_NAVEL  1.0  0.125
-    SPINE_NAVEL   PELVIS       1.0  0.120
-    SHOULDER_LEFT SHOULDER_RIGHT 1.0 0.065
-    HIP_LEFT      HIP_RIGHT    1.0  0.105
-    CLAVICLE_S    HIP_S        1.0  0.095
-    NECK          HEAD         1.0  0.055
-    HEAD          HEAD_TOP     0.5  0.085
-    SHOULDER_S    ELBOW_S      1.0  0.048
-    ELBOW_S       WRIST_S      1.0  0.038
-    WRIST_S       HANDTIP_S    0.9  0.032
-    WRIST_S       THUMB_S      0.9  0.015
-    HIP_S         KNEE_S       1.0  0.075
-    KNEE_S        ANKLE_S      1.0  0.050
-    ANKLE_S       FOOT_S       1.0  0.035
-    HEEL_S        FOOT_S       1.0  0.028
-"""
-
 
 def _rows() -> list[tuple[int, int, float, float]]:
     rows = []
-    for line in _TABLE.strip().splitlines():
+    table = Path(__file__).with_suffix(".txt").read_text(encoding="utf-8")
+    for line in table.splitlines()[1:]:
         sides = ("LEFT", "RIGHT") if "_S " in line else ("",)
         for side in sides:
             first, second, share, radius = line.replace("_S ", f"_{side} ").split()

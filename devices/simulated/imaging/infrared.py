@@ -15,6 +15,7 @@ import re
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -48,18 +49,7 @@ class Material(IntEnum):
 
 # At 850 nm, rounded. Skin reflects about 0.6 there, lips less; dark hair 0.1 to 0.2. Most dyes
 # hide little: cotton and denim 0.3 to 0.8, rubber less. A painted wall 0.7, a wooden floor 0.4.
-_REFLECTANCE = {
-    Material.FLOOR: 0.40,
-    Material.WALL: 0.70,
-    Material.SKIN: 0.60,
-    Material.LIPS: 0.40,
-    Material.HAIR: 0.15,
-    Material.DARK: 0.10,
-    Material.SHIRT: 0.45,
-    Material.TROUSERS: 0.30,
-    Material.SHOES: 0.20,
-}
-REFLECTANCE = np.array([_REFLECTANCE[material] for material in Material], dtype=np.float32)
+REFLECTANCE = np.array([0.40, 0.70, 0.60, 0.40, 0.15, 0.10, 0.45, 0.30, 0.20], dtype=np.float32)
 """(M,) reflectance of each :class:`Material`."""
 
 
@@ -112,48 +102,6 @@ def infrared_image(
     return np.clip(noisy + 0.5, 0.0, 65535.0).astype(np.uint16)
 
 
-# One capsule per row: material, radius in metres at reference height, both ends. An end is a landmark and an
-# offset in metres from it at rest (x to the person's left, y down, z backwards). _S is either side; of the
-# right side x is mirrored.
-_TABLE = """
-    shirt     0.125  SPINE_CHEST                  SPINE_NAVEL
-    shirt     0.120  SPINE_NAVEL                  PELVIS 0 -0.03 0
-    shirt     0.065  SHOULDER_LEFT                SHOULDER_RIGHT
-    shirt     0.095  CLAVICLE_S                   HIP_S 0 -0.04 0
-    shirt     0.070  SHOULDER_S 0.005 0 0         SHOULDER_S 0.005 0.01 0
-    shirt     0.056  ELBOW_S 0 -0.295 0           ELBOW_S 0 -0.135 0
-    skin      0.048  ELBOW_S 0 -0.295 0           ELBOW_S
-    skin      0.038  ELBOW_S                      WRIST_S 0 -0.100 0
-    skin      0.030  WRIST_S 0 -0.110 0           WRIST_S
-    skin      0.030  HAND_S 0 -0.065 0            HAND_S 0 -0.005 0.008
-    skin      0.026  HAND_S 0 -0.060 -0.012       HAND_S 0 -0.010 -0.016
-    skin      0.011  HAND_S 0 0 -0.026            HANDTIP_S 0 -0.014 -0.030
-    skin      0.011  HAND_S 0 0 -0.008            HANDTIP_S 0 -0.006 -0.008
-    skin      0.011  HAND_S 0 0 0.010             HANDTIP_S 0 -0.012 0.012
-    skin      0.010  HAND_S 0 0 0.026             HANDTIP_S 0 -0.030 0.032
-    skin      0.014  HAND_S 0 -0.065 -0.015       THUMB_S 0 -0.015 0
-    trousers  0.105  HIP_LEFT                     HIP_RIGHT
-    trousers  0.085  KNEE_S 0 -0.425 0            KNEE_S 0 -0.260 0
-    trousers  0.075  KNEE_S 0 -0.425 0            KNEE_S 0 -0.100 0
-    trousers  0.064  KNEE_S 0 -0.120 0            KNEE_S
-    trousers  0.060  ANKLE_S 0 -0.370 0           ANKLE_S 0 -0.250 0
-    trousers  0.052  KNEE_S                       ANKLE_S 0 -0.060 0
-    shoes     0.038  ANKLE_S                      FOOT_S
-    shoes     0.032  HEEL_S                       FOOT_S
-    skin      0.055  NECK 0 0.03 0                HEAD
-    skin      0.083  HEAD                         HEAD 0 -0.075 0
-    skin      0.060  HEAD 0 0.010 -0.030          HEAD 0 -0.050 -0.035
-    skin      0.036  HEAD 0 0.045 -0.045          HEAD 0 0.045 -0.045
-    skin      0.012  NOSE 0 -0.025 0.017          NOSE 0 0 0.010
-    skin      0.014  EAR_S 0.008 -0.015 0.005     EAR_S 0.008 0.018 0
-    dark      0.009  EYE_S -0.010 0 0.008         EYE_S 0.010 0 0.013
-    hair      0.007  EYE_S -0.015 -0.020 0.006    EYE_S 0.016 -0.020 0.018
-    lips      0.008  HEAD -0.022 0.008 -0.084     HEAD 0.022 0.008 -0.084
-    hair      0.084  HEAD 0 -0.090 0.013          HEAD 0 -0.085 0.015
-    hair      0.082  HEAD 0 -0.085 0.020          HEAD 0 0.005 0.026
-"""
-
-
 class _Rows(NamedTuple):
     """The table: each end as a weighted sum of landmarks, which rotates with the segment that carries it."""
 
@@ -180,7 +128,8 @@ def materials() -> NDArray[np.int8]:
 @cache
 def _rows() -> _Rows:
     first, second, radii, kinds = [], [], [], []
-    for line in _TABLE.strip().splitlines():
+    table = (Path(__file__).parent / "clothed_person.txt").read_text(encoding="utf-8")
+    for line in table.splitlines()[3:]:
         for side in ("LEFT", "RIGHT") if "_S " in f"{line} " else ("",):
             material, radius, *words = re.sub(r"_S\b", f"_{side}", line).split()
             start, end = _ends(words)

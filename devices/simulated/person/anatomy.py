@@ -8,8 +8,10 @@ Segments rotate only about joints that all bodies have. Every bone of every body
 constant length. The upper trunk, from the navel to the shoulders and the neck, is one segment.
 """
 
+import tomllib
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,44 +39,17 @@ for _side in ("LEFT", "RIGHT"):
     }
 SEGMENTS = tuple(_SEGMENTS)
 
-# landmark: (segment that carries it, landmark it is measured from, offset at rest in metres); _LEFT only,
-# the right is its mirror image. Proportions after Drillis and Contini (1966), joints as Azure's tracker
-# places them.
 _Landmark = tuple[str, str, tuple[float, float, float]]
-_MIDDLE: dict[str, _Landmark] = {
-    "PELVIS": ("pelvis", "", (0.0, 0.0, 0.0)),
-    "SPINE_NAVEL": ("pelvis", "PELVIS", (0.0, -0.175, 0.0)),
-    "SPINE_CHEST": ("trunk", "SPINE_NAVEL", (0.0, -0.140, 0.005)),
-    "SPINE_SHOULDER": ("trunk", "SPINE_NAVEL", (0.0, -0.290, 0.010)),
-    "NECK": ("trunk", "SPINE_NAVEL", (0.0, -0.350, 0.0)),
-    "HEAD": ("head", "NECK", (0.0, -0.115, -0.020)),
-    "HEAD_TOP": ("head", "HEAD", (0.0, -0.165, 0.0)),
-    "NOSE": ("head", "HEAD", (0.0, -0.030, -0.112)),
-}
-_SIDED: dict[str, _Landmark] = {
-    "CLAVICLE": ("trunk", "SPINE_NAVEL", (0.035, -0.305, 0.0)),
-    "SHOULDER": ("trunk", "SPINE_NAVEL", (0.185, -0.300, 0.0)),
-    "ELBOW": ("upper_arm", "SHOULDER", (0.0, 0.295, 0.0)),
-    "WRIST": ("forearm", "ELBOW", (0.0, 0.255, 0.0)),
-    "HAND": ("hand", "WRIST", (0.0, 0.085, 0.0)),
-    "HANDTIP": ("hand", "WRIST", (0.0, 0.180, 0.0)),
-    "THUMB": ("hand", "WRIST", (0.0, 0.085, -0.060)),
-    "HIP": ("pelvis", "PELVIS", (0.092, 0.020, 0.0)),
-    "KNEE": ("thigh", "HIP", (0.0, 0.425, 0.0)),
-    "ANKLE": ("shin", "KNEE", (0.0, 0.420, 0.0)),
-    "FOOT": ("foot", "ANKLE", (0.0, 0.055, -0.150)),
-    "HEEL": ("foot", "ANKLE", (0.0, 0.045, 0.050)),
-    "EYE": ("head", "HEAD", (0.032, -0.065, -0.090)),
-    "EAR": ("head", "HEAD", (0.076, -0.040, 0.0)),
-}
+"""The segment that carries a landmark, the landmark that it is measured from, and the offset at rest."""
 
 
 def _landmark_table() -> dict[str, _Landmark]:
-    table = dict(_MIDDLE)
+    tables = tomllib.loads((Path(__file__).parent / "landmarks.toml").read_text(encoding="utf-8"))
+    table = {name: (segment, origin, tuple(at)) for name, (segment, origin, at) in tables["middle"].items()}
     for side, sign in (("LEFT", 1.0), ("RIGHT", -1.0)):
-        for name, (segment, origin, (x, y, z)) in _SIDED.items():
+        for name, (segment, origin, (x, y, z)) in tables["left"].items():
             sided_segment = segment if segment in _SEGMENTS else f"{segment}_{side}"
-            sided_origin = f"{origin}_{side}" if origin in _SIDED else origin
+            sided_origin = f"{origin}_{side}" if origin in tables["left"] else origin
             table[f"{name}_{side}"] = (sided_segment, sided_origin, (sign * x, y, z))
     return table
 

@@ -6,9 +6,10 @@ with the start-up pose, standing still, so that the program can calibrate, unles
 Then it repeats its loop.
 """
 
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,54 +24,22 @@ STARTUP_SECONDS = 2.5
 """Duration of the start-up pose."""
 _BLEND_SECONDS = 1.2
 
-# name: (first channel, number of channels)
-_WIDTHS = {
-    "place": 2,  # position of the pelvis on the floor: left and back in the world, metres
-    "height": 1,  # height of the pelvis above the floor, metres
-    "heading": 1,  # turned to the left, radians
-    "pelvis": 2,  # pelvis bowed forwards, leaning to the left, radians
-    "spine": 3,  # trunk against pelvis: bowed, leaning left, turned left
-    "head": 3,  # head against trunk: bowed, leaning left, turned left
-    "left": 3,  # wrist from shoulder: out, up, front, in arm lengths
-    "right": 3,
-    "left_elbow": 3,  # direction of the elbow: out, up, front
-    "right_elbow": 3,
-    "wrists": 2,  # left and right hand bent towards the palm, radians
-    "hop": 1,  # height of both feet above the floor, metres
-}
-CHANNELS: dict[str, slice] = {}
-for _name, _width in _WIDTHS.items():
-    _start = sum(_WIDTHS[n] for n in CHANNELS)
-    CHANNELS[_name] = slice(_start, _start + _width)
-
-Values = Mapping[str, ArrayLike]
-STANDING: dict[str, ArrayLike] = {
-    "place": (0.0, 0.0), "height": 0.935, "heading": 0.0, "pelvis": (0.0, 0.0),
-    "spine": (0.03, 0.0, 0.0), "head": (0.05, 0.0, 0.0),
-    "left": (0.10, -0.95, 0.09), "right": (0.10, -0.95, 0.09),
-    "left_elbow": (0.35, 0.0, -1.0), "right_elbow": (0.35, 0.0, -1.0),
-    "wrists": (0.1, 0.1), "hop": 0.0,
-}  # fmt: skip
-"""Standing at ease with hanging arms."""
-STARTUP: dict[str, ArrayLike] = STANDING | {
-    "height": 0.905,
-    "left": (0.72, -0.62, 0.10), "right": (0.72, -0.62, 0.10),
-    "left_elbow": (0.1, -0.4, -1.0), "right_elbow": (0.1, -0.4, -1.0), "wrists": (0.0, 0.0),
-}  # fmt: skip
-"""Arms and legs apart: every joint is visible. The bone lengths of eq. 13 are measured in this pose."""
-
-
 Frame = dict[str, ArrayLike]
-
-
-def both_arms(hands: ArrayLike, elbows: ArrayLike = (0.35, 0.0, -1.0), **others: Any) -> Frame:
-    """Returns channel values with the same values for both arms, and others."""
-    return {"left": hands, "right": hands, "left_elbow": elbows, "right_elbow": elbows, **others}
+Values = Mapping[str, ArrayLike]
+_POSES = tomllib.loads((Path(__file__).parent / "poses.toml").read_text(encoding="utf-8"))
+STANDING: Frame = _POSES["standing"]
+"""Standing at ease with hanging arms; all channels."""
+STARTUP: Frame = STANDING | _POSES["startup"]
+"""Arms and legs apart: every joint is visible. The bone lengths of eq. 13 are measured in this pose."""
+CHANNELS: dict[str, slice] = {}
+_COUNT = 0
+for _name, _values in STANDING.items():
+    CHANNELS[_name] = slice(_COUNT, _COUNT := _COUNT + np.size(_values))
 
 
 def channels(values: Values) -> Array:
     """Converts named values to (C,) channels; all names are required."""
-    row = np.empty(sum(_WIDTHS.values()))
+    row = np.empty(_COUNT)
     for name, where in CHANNELS.items():
         row[where] = values[name]
     return row
@@ -148,7 +117,7 @@ class Motion:
 
 def _sway(t: Array) -> Array:
     """Returns (T, C) breathing and balance: a few millimetres at frequencies without a common period."""
-    c = np.zeros((len(t), sum(_WIDTHS.values())))
+    c = np.zeros((len(t), _COUNT))
     c[:, CHANNELS["place"]] = np.stack(
         (0.004 * np.sin(2.1 * t) + 0.003 * np.sin(0.83 * t), 0.004 * np.sin(1.7 * t + 1)), axis=1
     )

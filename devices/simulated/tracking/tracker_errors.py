@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
 from devices.simulated.tracking.mirroring import Mirroring
-from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V1, KINECT_V2, Body
+from fusion.body import Body
 from fusion.joint_kinds import KINDS
 from fusion.support.types import Array
 
@@ -71,59 +74,16 @@ class TrackerErrors:
     @staticmethod
     def of(body: Body) -> TrackerErrors:
         """Returns the errors of the tracker that reports this body."""
-        return _OF[body.name]
+        return _tables()[body.name]
 
 
-_KINECT_V2 = TrackerErrors(
-    view_bias=0.023, skin=0.25, seen_share=0.35,
-    unsure=_SURE | {"hand": 0.03, "tip": 0.05, "thumb": 0.05, "foot": 0.05},
-    inferred_error=0.14, inferred_jitter=2.0, not_tracked=0.02, mistracked=0.4, snap=0.6,
-    stretch=0.12, bones=0.047, outliers=0.0065, outlier_size=0.17, rescale=0.018, rescale_seconds=2.0,
-    jitter={
-        "spine": 0.0016, "head": 0.001, "girdle": 0.0024, "elbow": 0.0024, "wrist": 0.0036, "hand": 0.005,
-        "tip": 0.005,
-        "thumb": 0.014, "knee": 0.0018, "ankle": 0.001, "foot": 0.002, "face": 0.003,
-    },
-    moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.97, faces_sensor=1.0, heading_sd=0.2),
-    stale=0.05, lost=0.002,
-)  # fmt: skip
-_KINECT_V1 = replace(
-    _KINECT_V2,
-    view_bias=0.03, stretch=0.5, bones=0.03, inferred_error=0.16,
-    jitter={kind: 2.0 * size for kind, size in _KINECT_V2.jitter.items()},
-    mirroring=Mirroring(back=0.97, faces_sensor=0.5), stale=0.0,
-)  # fmt: skip
-"""Assumed: no recordings of two of them are published. Its tracker takes backs for fronts, too, but does not
-hold bone lengths, and its depth image is rougher. How far a person turns to it is
-not known; half is assumed."""
-_AZURE = TrackerErrors(
-    view_bias=0.009, skin=0.15, seen_share=0.35,
-    unsure=_SURE | {"hand": 0.10, "tip": 0.2, "thumb": 0.3, "foot": 0.16},
-    inferred_error=0.06, inferred_jitter=2.5, not_tracked=0.65, mistracked=0.25, snap=0.6,
-    stretch=0.16, bones=0.02, outliers=0.005, outlier_size=0.20, rescale=0.028, rescale_seconds=0.6,
-    jitter={**_KINECT_V2.jitter, "spine": 0.0012, "girdle": 0.0020},
-    moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.05),
-    stale=0.04, lost=0.001,
-)  # fmt: skip
-_BLAZEPOSE = TrackerErrors(
-    view_bias=0.012, skin=0.0, seen_share=0.35,
-    unsure={
-        "spine": 0.03, "head": 0.0, "girdle": 0.35, "elbow": 0.12, "wrist": 0.2, "hand": 0.3, "tip": 0.0,
-        "thumb": 0.35,
-        "knee": 0.02, "ankle": 0.05, "foot": 0.2, "face": 0.03,
-    },
-    inferred_error=0.08, inferred_jitter=2.0, not_tracked=0.0, mistracked=0.08, snap=0.6,
-    stretch=0.5, outliers=0.02, outlier_size=0.20, rescale=0.02, rescale_seconds=0.6,
-    jitter={
-        "spine": 0.0037, "head": 0.0026, "girdle": 0.0035, "elbow": 0.0037, "wrist": 0.0056, "hand": 0.0048,
-        "tip": 0.0048, "thumb": 0.0049, "knee": 0.0033, "ankle": 0.0044, "foot": 0.0057, "face": 0.0033,
-    },
-    moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.12),
-)  # fmt: skip
-"""Rounded from four simulated scenes (seed 100). It repeats no frame: it works on each image."""
-_OF = {
-    KINECT_V1.name: _KINECT_V1,
-    KINECT_V2.name: _KINECT_V2,
-    AZURE_KINECT.name: _AZURE,
-    BLAZEPOSE.name: _BLAZEPOSE,
-}
+@cache
+def _tables() -> dict[str, TrackerErrors]:
+    tables = tomllib.loads((Path(__file__).parent / "tracker_errors.toml").read_text(encoding="utf-8"))
+    found: dict[str, TrackerErrors] = {}
+    for name, values in tables.items():
+        others = found.get(values.pop("as", ""), TrackerErrors())
+        values["unsure"] = _SURE | values.get("unsure", others.unsure)
+        values["mirroring"] = Mirroring(**values["mirroring"])
+        found[name] = replace(others, **values)
+    return found

@@ -2,24 +2,33 @@
 
 import csv
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+import pyarrow as pa
+
 from devices.sensor import DeviceError
-from devices.skeletons.csv_files.wide import AXES, Wide, find_wide
+from devices.skeletons.csv_files.states import StateColumn
 from devices.skeletons.name_tables import plain
 from devices.skeletons.times import FRAME_NUMBERS, TIME_COLUMNS
 
 COLUMNS = ("body", "joint", "x", "y", "z")
 _EITHER = f"{','.join(COLUMNS)} (or HEAD_x,HEAD_y,HEAD_z and so on)"
 _LONGEST_HEADER = 65_536  # bytes
+_FEWEST = 5  # points; fewer may be those of another table
 _SEPARATORS = (",", ";", "\t")
+_SPACE, _LENGTH = r"(?:joint|position|pos|camera|world)*", r"(?:m|cm|mm|metres?|meters?)?"
+_AXES = {axis: rf"(?:{_SPACE}|p){axis}{_LENGTH}" for axis in "xyz"}
+_POINT = re.compile(rf"(.+?)({_SPACE})([xyz])({_LENGTH})")
+_NO_POINT = re.compile(r"q|quat|quaternion|rot|rotation|orientation|o|v|vel|velocity|a|acc")
 _SPELLED = {
     "body": r"(?:body|person|user|player|subject)(?:id|idx|index|number|nr)?|trackingid|id",
     "joint": r"(?:joint|bodypart|part|landmark|keypoint|bone)(?:type|name|id|index|number)?",
-    **AXES,
+    **_AXES,
 }
+_DEVICE = re.compile(r"(?:device|sensor|camera|kinect)(?:id|idx|index|number|nr|serial)?")
 _CLOCK = (
     r"(?:device|capture|sensor|system|host|relative|frame|file|unix|elapsed|body)*"
     r"(?:timestamp|timeofday|time|datetime|clock|ts|t)"
@@ -36,6 +45,84 @@ _CLOCKS = {
 """Other spellings of the columns, without case and punctuation. A column's own name comes first."""
 
 
+class Wide(NamedTuple):
+    """The columns of a file that contain points, by number.
+
+    Attributes:
+        names: Of all columns, as in the file.
+        joints: The points, in the order of their last columns.
+        numbers: By the column that they become, x, y, z or a column of states: each point's column; -1 where
+            a point has none.
+    """
+
+    names: Sequence[str]
+    joints: Sequence[str]
+    numbers: Mapping[str, Sequence[int]]
+
+    def long(self, table: pa.Table, shared: Sequence[str]) -> pa.Table:
+        """One row per point: those of the first row of a table come first.
+
+        The last column of the file stays the last one, so that a file that is cut off can be recognised.
+
+        Args:
+            table: All columns of the file, of any number of rows.
+            shared: Names of the columns that each point repeats.
+        """
+        rows, joints = table.num_rows, len(self.joints)
+        row = np.repeat(np.arange(rows), joints)
+        by_row = np.arange(joints * rows).reshape(joints, rows).T.ravel()
+        made = {name: table[name].take(row) for name in shared}
+        joint = pa.array(self.joints, pa.string()).take(np.tile(np.arange(joints), rows))
+        nothing = [pa.array([""] * rows, pa.string())]
+        for name, numbers in sorted(self.numbers.items(), key=lambda item: item[1][-1]):
+            columns = (table.column(k).chunks if k >= 0 else nothing for k in numbers)
+            made[name] = pa.concat_arrays([chunk for chunks in columns for chunk in chunks]).take(by_row)
+        ends_with_joint = any(numbers[-1] == table.num_columns - 1 for numbers in self.numbers.values())
+        return pa.table({"joint": joint, **made} if ends_with_joint else {**made, "joint": joint})
+
+
+def find_wide(names: Sequence[str]) -> Wide | None:
+    """Finds the columns x, y and z of each point; None if fewer than five points have them.
+
+    Columns of states name a point and a state in any order.
+    """
+    found: dict[tuple[str, str], dict[str, dict[str, int]]] = {}  # words around it → point → axis → column
+    for number, name in enumerate(names):
+        if match := _POINT.fullmatch(plain(name)):
+            point, space, axis, length = match.groups()
+            found.setdefault((space, length), {}).setdefault(point, {}).setdefault(axis, number)
+    whole = [{point: axes for point, axes in of.items() if len(axes) == 3} for of in found.values()]
+    points = max(whole, key=len, default={})
+    longer = {other for point in points for other in points if _NO_POINT.fullmatch(other.removeprefix(point))}
+    points = {point: axes for point, axes in points.items() if point not in longer}
+    if len(points) < _FEWEST:
+        return None
+    used = {number for axes in points.values() for number in axes.values()}
+    states: dict[str, dict[str, int]] = {}
+    for number, name in enumerate(names):
+        word = plain(name)
+        for point in sorted(points, key=len, reverse=True) if number not in used else ():
+            if point in (word[: len(point)], word[-len(point) :]):
+                kind = word.replace(point, "", 1)
+                kind = {"c": "confidence", "s": "trackingstate"}.get(kind, kind)
+                if StateColumn.is_like(kind):
+                    states.setdefault(kind, {}).setdefault(point, number)
+                break
+    kept = {kind: of for kind, of in states.items() if 2 * len(of) > len(points)}
+    columns = {axis: {point: axes[axis] for point, axes in points.items()} for axis in "xyz"} | kept
+    order = sorted(points, key=lambda point: max(of.get(point, -1) for of in columns.values()))
+    numbers = {name: [of.get(point, -1) for point in order] for name, of in columns.items()}
+    spelled = [names[points[point]["x"]] for point in order]
+    labels = [_begin(name, len(point)) for name, point in zip(spelled, order, strict=True)]
+    return Wide(names, labels, numbers)
+
+
+def _begin(name: str, count: int) -> str:
+    """The part of a name that has so many letters and digits."""
+    ends = [match.end() for match in re.finditer(r"[A-Za-z0-9]", name)]
+    return name[: ends[count - 1]]
+
+
 class Columns(NamedTuple):
     """The columns of a file; those of other spellings have the names that this program uses."""
 
@@ -46,6 +133,7 @@ class Columns(NamedTuple):
     begin: int  # lines before the first row
     wide: Wide | None = None  # if a row has all joints
     others: tuple[str, ...] = ()  # in the file of a wide table, and used for nothing
+    device: str = ""  # the column that says which sensor a row is of
 
     @property
     def joints_per_line(self) -> int:
@@ -58,11 +146,8 @@ class Columns(NamedTuple):
         return self.wide.names[numbers[row % len(numbers)]] if self.wide and numbers else column
 
 
-def columns_of(path: Path, raw: bytes, required: Collection[str], table: str = "") -> Columns:
+def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
     """The columns of a file that begins with these bytes.
-
-    Args:
-        table: Of the names of its joints, for a file whose rows have all joints; see :func:`find_wide`.
 
     Raises:
         DeviceError: One is missing, or is there twice.
@@ -85,13 +170,14 @@ def columns_of(path: Path, raw: bytes, required: Collection[str], table: str = "
     missing = [name for name in required if name not in columns and name != "body"]
     if not time:
         missing.insert(0, next(iter(TIME_COLUMNS)))
-    wide = find_wide(names, table) if set(missing) & set(required) else None
+    wide = find_wide(names) if set(missing) & set(required) else None
     if missing and not (wide and time):
         missing = [name for name in missing if not wide or name not in required]
         raise DeviceError(
             f"{path}: no column {', '.join(missing)}. Columns must be time_us,{_EITHER} and "
             f"optionally state; the file begins with {header[:80]!r}."
-            + (" This looks like JSON: name it .json." if header.lstrip().startswith(("{", "[")) else "")
+            + " If frames came at a constant rate, a column frame that counts them is enough." * bool(wide)
+            + " This looks like JSON: name it .json." * header.lstrip().startswith(("{", "["))
         )
     if len(set(columns)) < len(columns):
         twice = next(name for name in columns if columns.count(name) > 1)
@@ -102,7 +188,8 @@ def columns_of(path: Path, raw: bytes, required: Collection[str], table: str = "
     used = {number for of in wide.numbers.values() for number in of} if wide else set(range(len(names)))
     used |= {columns.index(name) for name in (time, "body", "") if name in columns}
     others = tuple(name for k, name in enumerate(names) if k not in used)
-    return Columns(columns, separator, time, in_file[columns.index(time)], at + 1, wide, others)
+    device = next((name for name in columns if _DEVICE.fullmatch(plain(name))), "")
+    return Columns(columns, separator, time, in_file[columns.index(time)], at + 1, wide, others, device)
 
 
 def header_of(lines: list[str]) -> int:

@@ -1,13 +1,13 @@
 """Reads skeletons from CSV, one row per joint: ``time_us,body,joint,x,y,z[,state]``; metres, sensor frame.
 
 The files of other programs may have other units, axes, names and spellings of the columns, or a row for all
-joints; see :mod:`.wide`.
+joints; see :mod:`.columns`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,10 @@ from devices.sensor import DeviceError
 from devices.skeletons.csv_files.columns import COLUMNS, Columns
 from devices.skeletons.csv_files.states import StateColumn
 from devices.skeletons.csv_files.text import codes, line_of_row, refuse_cut_off, text_rows
-from devices.skeletons.name_tables import listed
+from devices.skeletons.name_tables import FilePoints, listed, points_of
 from devices.skeletons.read_file import FoundPoints
-from devices.skeletons.stated_format import UNSTATED, FilePoints, StatedFormat
-from devices.skeletons.times import capture_times, digest, times_of_new_frames
+from devices.skeletons.stated_format import UNSTATED, StatedFormat
+from devices.skeletons.times import FEWEST, capture_times, digest, times_of_new_frames
 from fusion.body import BODIES
 from fusion.pair_arrays import View, joined_views
 from fusion.skeleton import TrackingState
@@ -49,13 +49,14 @@ def read_csv(
         DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, a
             repeated joint; the message names the line. Or times of an unknown unit.
     """
-    rows = _rows(path, block, progress, stated.names)
-    points, labels, about_points = _points(path, stated, rows.labels)
-    time_ns, about_times = capture_times(
-        path, rows.clock, rows.time, called=rows.columns.time_in_file, telling=_times_of_new_frames(rows)
-    )
+    rows, about_rows = _of_one_sensor(_rows(path, block, progress), stated.side)
+    points, labels, names, table, about_points = _points(path, stated, rows.labels)
     label = np.array([points.find(name) for name in labels], dtype=np.int64)[rows.label]
-    backward = _backward(rows, time_ns, rows.person * len(points) + label)
+    joint = rows.person * len(points) + label
+    called, telling = rows.columns.time_in_file, _times_of_new_frames(rows)
+    clock = capture_times(path, rows.clock, rows.time, called=called, telling=telling, key=joint)
+    time_ns, clock_in_words, about_times = clock
+    backward = _backward(rows, time_ns, joint)
     times, frame = np.unique(time_ns, return_inverse=True)
     key, skeleton = np.unique(frame * len(rows.people) + rows.person, return_inverse=True)
     slot = skeleton * len(points) + label
@@ -70,7 +71,7 @@ def read_csv(
             at = np.full((count * len(points), 3), np.nan)
             state = np.zeros(count * len(points), dtype=np.uint8)
             here = by[first:end] - part.start * len(points)
-            at[here], state[here] = stated.turned(rows.xyz[of]), states[of]
+            at[here], state[here] = rows.xyz[of], states[of]
             time = times[key[part] // len(rows.people)]
             yield View(time, at.reshape(count, -1, 3), state.reshape(count, -1))
 
@@ -80,8 +81,9 @@ def read_csv(
 
     view = joined_views(blocks())
     return FoundPoints(
-        points, times, rows.people, key // len(rows.people), key % len(rows.people), view, "m",
-        (*about_points, *about_times, *backward, *repeated, *about_states), ignored, where,
+        points, times, rows.people, key // len(rows.people), key % len(rows.people), view, "m", True,
+        names, clock_in_words, table,
+        (*about_rows, *about_points, *about_times, *backward, *repeated, *about_states), ignored, where,
     )  # fmt: skip
 
 
@@ -101,15 +103,19 @@ class _Rows:
     xyz: NDArray[np.float64]
     states: list[StateColumn]
     other_columns: tuple[str, ...]
+    sensors: list[str]
+    sensor: NDArray[np.int32]  # index of each row's sensor
+    number: NDArray[np.int64] | None = None  # of each row in the file; None: all rows in their order
 
     def line(self, row: int) -> int:
         """The number of a row's line in the file, from 1."""
+        row = row if self.number is None else int(self.number[row])
         return line_of_row(self.path, row // self.columns.joints_per_line)
 
 
-def _rows(path: Path, block: int, progress: Progress, table_of_names: str) -> _Rows:
-    people, labels = dict[str, int](), dict[str, int]()
-    person, label, xyz = GrowingArray(), GrowingArray(), GrowingArray()
+def _rows(path: Path, block: int, progress: Progress) -> _Rows:
+    people, labels, sensors = dict[str, int](), dict[str, int](), dict[str, int]()
+    person, label, xyz, sensor = GrowingArray(), GrowingArray(), GrowingArray(), GrowingArray()
     times: list[NDArray[Any]] = []
     states: list[StateColumn] = []
     names: list[str] = []
@@ -117,12 +123,13 @@ def _rows(path: Path, block: int, progress: Progress, table_of_names: str) -> _R
     before: pa.Table | None = None
     table: pa.Table | None = None
     text, clock = None, ""
-    for text in progress(text_rows(path, block, names=table_of_names), f"reading {path.name}", count):
+    for text in progress(text_rows(path, block), f"reading {path.name}", count):
         before, table = table, text.table
         clock, time = text.times()
         times.append(time)
         xyz.append(np.stack([text.numbers(axis, pa.float64()) for axis in "xyz"], axis=1))
-        for known, column, rows in ((people, "body", person), (labels, "joint", label)):
+        columns = (people, "body", person), (labels, "joint", label), (sensors, text.columns.device, sensor)
+        for known, column, rows in columns:
             there = column in table.column_names
             values, code = codes(table, column) if there else (["0"], np.zeros(len(time), dtype=np.int64))
             numbers = [known.setdefault(value, len(known)) for value in values]
@@ -135,11 +142,40 @@ def _rows(path: Path, block: int, progress: Progress, table_of_names: str) -> _R
     assert text is not None
     refuse_cut_off(text, before, np.concatenate(times[-2:]))
     pa.default_memory_pool().release_unused()
-    persons, joints, places = GrowingArray.wholes((person, label, xyz))
+    persons, joints, places, devices = GrowingArray.wholes((person, label, xyz, sensor))
     return _Rows(
         path, text.columns, clock, np.concatenate(times), "body" in text.table.column_names,
         list(people), persons, list(labels), joints, places, states, (*names, *text.columns.others),
+        list(sensors), devices,
     )  # fmt: skip
+
+
+def _of_one_sensor(rows: _Rows, side: str) -> tuple[_Rows, list[str]]:
+    """The rows of one of several sensors, and of people; with lines for the user.
+
+    A column of ids that has another one in almost every frame counts rows.
+    """
+    told = []
+    if len(rows.sensors) > 1:
+        chosen = int(side == "b")
+        number = np.flatnonzero(rows.sensor == chosen)
+        told.append(
+            f"{rows.path}: it has {len(rows.sensors)} sensors by the column {rows.columns.device}; this is "
+            f"{rows.sensors[chosen]!r}. The file given twice is fused: the first two as A and B."
+        )
+        for column in rows.states:
+            column.keep(number)
+        rows = replace(
+            rows, time=rows.time[number], person=rows.person[number], label=rows.label[number],
+            xyz=rows.xyz[number], number=number,
+        )  # fmt: skip
+    ids = len(rows.people)
+    if ids >= FEWEST and 2 * ids > len(
+        np.unique(np.unique(rows.time, return_inverse=True)[1] * ids + rows.person)
+    ):
+        told.append(f"{rows.path}: the column of ids ({rows.people[0]!r}, …) counts rows and is no person's.")
+        rows = replace(rows, people=["0"], person=np.zeros_like(rows.person), has_body=False)
+    return rows, told
 
 
 def _times_of_new_frames(rows: _Rows) -> NDArray[Any]:
@@ -147,18 +183,21 @@ def _times_of_new_frames(rows: _Rows) -> NDArray[Any]:
     return times_of_new_frames(times, np.bincount(frame, digest(rows.xyz, rows.label, rows.person)))
 
 
-def _points(path: Path, stated: StatedFormat, labels: list[str]) -> tuple[FilePoints, list[str], list[str]]:
-    """What the points of a file are, their names, and lines for the user."""
-    told = []
+def _points(
+    path: Path, stated: StatedFormat, labels: list[str]
+) -> tuple[FilePoints, list[str], str, str, list[str]]:
+    """What the points of a file are, their names, how and by which table they were found, and lines."""
     if all(label.isdecimal() for label in labels) and not stated.names:
         body = next((body for body in BODIES.values() if len(body) == 1 + max(map(int, labels))), None)
         if body is not None:
-            told = [f"{path}: the numbers of joints are read as those of {body.name}, from 0 on."]
             labels = [body.joints[int(label)] for label in labels]
-    points = stated.points(path, labels)
+            words = f"the numbers of joints as those of {body.name}, from 0 on"
+            return points_of(path, labels)[0], labels, words, "", []
+    points, table = points_of(path, labels, stated.names)
+    told = []
     if left_out := points.left_out:
-        told.append(f"{path}: by {stated.names} these points are no joints: {listed(left_out)}.")
-    return points, labels, told
+        told.append(f"{path}: by {stated.names or table} these points are no joints: {listed(left_out)}.")
+    return points, labels, f"the names of {table}" if table else "", table, told
 
 
 def _backward(rows: _Rows, time_ns: NDArray[np.int64], joint: NDArray[np.int64]) -> list[str]:
@@ -222,19 +261,14 @@ def _once(
             there = "one time" if frames == 1 else f"{frames} different times"
             raise DeviceError(
                 f"{path}: the times lost their digits: {len(slot)} rows have {there}, such as "
-                f"{rows.time[row]:.6g} in line {rows.line(row)}. Write them with all digits."
+                f"{rows.time[row]:.6g} in line {rows.line(row)}. Write them with all digits, or, if frames "
+                "came at a constant rate, a column frame that counts them."
             )
     joint = points.named(int(slot[row]) % len(points))
+    why = " Are two recordings in one file?" if backward else ""
+    why = why or " Have two people one id, or did the times lose digits?" * (share > _OFTEN)
+    why = why if rows.has_body else " There is no column body: name the one that distinguishes people so."
     raise DeviceError(
         f"{path}: joint {joint} of one person has two rows in one frame, the second in line "
-        f"{rows.line(row)}."
-        + (
-            " There is no column body: name the one that distinguishes people so."
-            if not rows.has_body
-            else " Are two recordings in one file?"
-            if backward
-            else " Have two people one id, or did the times lose digits?"
-            if share > _OFTEN
-            else ""
-        )
+        f"{rows.line(row)}.{why}"
     )

@@ -14,12 +14,12 @@ _LIKE_A_STATE = re.compile(
     r"(state|status|(confidence|conf)(level)?|(is)?(tracked|visible|valid|seen|inferred)|visibility|score|quality)"
 )
 _PREFIX = re.compile(r"^(k4abt)?(joint)?(trackingstate|tracking|confidencelevel|confidence|state)(?=.)")
-_WORDS = {
-    **dict.fromkeys(("nottracked", "untracked", "none", "false", "no", "lost", "missing", "invisible"), 0),
-    **dict.fromkeys(("inferred", "low", "occluded", "estimated", "predicted"), 1),
-    **dict.fromkeys(("tracked", "tracking", "medium", "high", "true", "yes", "visible", "seen", "valid"), 2),
-    **dict.fromkeys(("", "nan", "null"), 2),  # whether there is a position decides
-}
+_NAMES = (
+    "nottracked untracked none false no lost missing invisible",
+    "inferred low occluded estimated predicted",
+    "tracked tracking medium high true yes visible seen valid nan null",  # nan: whether there is a position
+)
+_WORDS = {"": 2} | {word: state for state, words in enumerate(_NAMES) for word in words.split()}
 _OF_INFERRED = {"0": 2, "0.0": 2, "false": 2, "1": 1, "1.0": 1, "true": 1, "": 2, "nan": 2}
 """States by the values of a column that says whether a joint is inferred; others are not known."""
 _MOST = 64
@@ -54,6 +54,10 @@ class StateColumn:
                 self.values.append(value)
         of = np.array([number.get(value, _MOST) for value in values], dtype=np.uint8)
         self._codes.append(of[code])
+
+    def keep(self, rows: NDArray[np.int64]) -> None:
+        """Keeps some of the rows."""
+        self._codes = [np.concatenate(self._codes)[rows]]
 
     def states(self) -> NDArray[np.uint8] | None:
         """(N,) states of all rows; None if a value is none.

@@ -22,6 +22,7 @@ from devices.skeletons.read_file import text_blocks
 from devices.skeletons.times import moments_of
 
 _EMPTY = r"^(?i:nan|null|none|na|n/a|#n/a|-|-?1\.#[a-z]+)?$"
+_FIRST = 1_000_000  # bytes
 _THOUSANDS = r"^[+-]?[1-9][0-9]{0,2}(,[0-9]{3})+$"
 
 
@@ -126,13 +127,8 @@ class TextRows:
         )
 
 
-def text_rows(
-    path: Path, size: int, required: Collection[str] = COLUMNS, names: str = ""
-) -> Iterator[TextRows]:
+def text_rows(path: Path, size: int, required: Collection[str] = COLUMNS) -> Iterator[TextRows]:
     """The rows of a file in blocks of this many bytes, at least one; a row for each joint.
-
-    Args:
-        names: Table of the names of its joints.
 
     Raises:
         DeviceError: There is no row, no time, or one of the required columns is missing; or numbers have
@@ -143,13 +139,13 @@ def text_rows(
     for raw in text_blocks(path, size):
         skipped = 0
         if columns is None:
-            columns = columns_of(path, raw, required, names)
+            columns = columns_of(path, raw, required)
             skipped, decimals.comma = columns.begin, columns.separator != ","
         elif not raw.strip():
             continue
         table = _table(path, raw, columns.names, columns.separator, skipped)
         if columns.wide:
-            shared = [name for name in (columns.time, "body") if name in columns.names]
+            shared = [name for name in (columns.time, "body", columns.device) if name in columns.names]
             table = columns.wide.long(table, shared)
         if table.num_rows:
             yield TextRows(table, raw, path, first, columns, decimals)
@@ -186,12 +182,8 @@ def _table(path: Path, raw: bytes, columns: list[str], separator: str, skipped: 
         commas = separator == "," and wrong[0].count(",") >= len(columns) + 2
         raise DeviceError(
             f"{path}{_line_of(path, wrong[0])}: {wrong[0][:60]!r} does not have {len(columns)} columns"
-            + (
-                "; the file is cut off. Copy it again, or delete its last line."
-                if last and not commas
-                else "."
-            )
-            + (" If its numbers have decimal commas, separate the columns by semicolons." if commas else "")
+            + ("; the file is cut off. Copy it again, or delete its last line." if last > commas else ".")
+            + " If its numbers have decimal commas, separate the columns by semicolons." * commas
         )
     return table
 
@@ -265,3 +257,11 @@ def _lost_digits(joints: list[str], values: list[str]) -> bool:
     except ValueError:
         return False
     return abs(old) >= 10 and abs(new) <= 0.11 * abs(old)
+
+
+def has_several_sensors(path: Path) -> bool:
+    """Whether a column says that the rows of a file are of several sensors."""
+    with suppress(DeviceError, OSError):
+        rows = next(text_rows(path, _FIRST, required=()))
+        return bool(rows.columns.device) and len(codes(rows.table, rows.columns.device)[0]) > 1
+    return False

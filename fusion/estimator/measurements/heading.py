@@ -73,7 +73,7 @@ def _turn_pair(x, left, right, f, u, weight):  # type: ignore[no-untyped-def]
     along = a0 * f[0] + a1 * f[1] + a2 * f[2]
     across = u[0] * (a1 * f[2] - a2 * f[1]) + u[1] * (a2 * f[0] - a0 * f[2]) + u[2] * (a0 * f[1] - a1 * f[0])
     angle = weight * math.atan2(across, along)
-    # Rodrigues' rotation of d about u: its change is (cos - 1) h + sin (u x d), with h = a x u horizontal
+    # Rodrigues' rotation of d about u: its change is (cos - 1) h + sin (u x d), with h = u x a normal to u
     less, sine = math.cos(angle) - 1.0, math.sin(angle)
     height = d0 * u[0] + d1 * u[1] + d2 * u[2]
     h0, h1, h2 = d0 - height * u[0], d1 - height * u[1], d2 - height * u[2]

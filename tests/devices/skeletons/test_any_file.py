@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.sensor import DeviceError
-from devices.skeletons.border import METRES
 from devices.skeletons.file_sensor import SkeletonRecording
+from devices.skeletons.stated_format import METRES
 from fusion.body import BODIES
 from tests.helpers.two_views import moving
 

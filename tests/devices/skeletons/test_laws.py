@@ -1,5 +1,6 @@
 """Laws of skeleton files: they hold for any file, not only for those of the other tests."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -8,19 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.sensor import DeviceError
-from devices.skeletons.border import (
-    METRES,
-    check_metres_forward,
-    checked,
-    find_unit,
-    impossible,
-    upside_down,
-)
+from devices.simulated.kinect import simulated_pair
+from devices.skeletons.border import impossible
 from devices.skeletons.csv_files.reader import read_csv
+from devices.skeletons.file_sensor import SkeletonRecording
+from devices.skeletons.meaning import MeaningError
+from devices.skeletons.name_tables import FilePoints
 from devices.skeletons.read_file import Bodies, found_of
-from devices.skeletons.stated_format import FilePoints
+from devices.skeletons.stated_format import AXES, METRES, SIGNED, StatedFormat, called_axes
 from fusion.body import BODIES, KINECT_V2
 from fusion.skeleton import FARTHEST_JOINT as FARTHEST
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.skeleton_files import NAMES, TIMES, read_found, write_meaning
 from tests.helpers.two_views import FRAME_NS, moving, standing
 
 BODY = KINECT_V2
@@ -54,7 +54,7 @@ def outcome(path, block):
         return blocks
 
     try:
-        read = checked(path, read_csv(path, progress=progress, block=block))
+        read = read_found(path, read_csv(path, progress=progress, block=block))
     except DeviceError as error:
         return None, {str(error)}, passes
     return read.people, set(read.warnings), passes
@@ -125,32 +125,6 @@ def test_a_file_cut_off_in_its_last_frame_is_refused_wherever_a_block_ends(
 
 
 @given(
-    body=st.sampled_from(list(BODIES.values())),
-    unit=st.sampled_from(list(METRES)),
-    stature=st.floats(0.75, 1.2),
-    outliers=st.floats(0.0, 0.45),
-    seed=st.integers(0, 2**32),
-)
-def test_the_unit_is_found_whatever_a_minority_of_frames_says(body, unit, stature, outliers, seed):
-    random = np.random.default_rng(seed)
-    positions = np.repeat(standing(body)[None] * stature / METRES[unit][0], 60, axis=0)
-    for t in range(int(outliers * 60)):
-        positions[t] *= random.uniform(0.0, 1000.0, (len(body), 1))
-    assert find_unit("a.csv", body, positions)[0] == METRES[unit][0]
-
-
-@given(behind=st.integers(0, 60), seed=st.integers(0, 2**32))
-def test_a_file_is_refused_where_most_joints_are_behind_the_sensor(behind, seed):
-    positions = np.random.default_rng(seed).uniform(0.5, 4.0, (60, 3))
-    positions[:behind, 2] *= -1
-    if behind > 30:
-        with pytest.raises(DeviceError, match="negative z"):
-            check_metres_forward("a.csv", positions)
-    elif behind < 30:
-        check_metres_forward("a.csv", positions)
-
-
-@given(
     xy=st.tuples(*[st.floats(-FARTHEST, FARTHEST, exclude_min=True, exclude_max=True)] * 2),
     z=st.floats(1e-6, 9.9),
 )
@@ -181,30 +155,8 @@ def test_a_person_who_is_followed_and_stands_still_is_told(still, share):
     frames = round(share * 59)
     held = shaken.copy()
     held[59 - frames :] = held[59 - frames]
-    told = checked(Path("a.json"), recorded(*(held if each else shaken for each in still))).warnings
+    told = read_found(Path("a.json"), recorded(*(held if each else shaken for each in still))).warnings
     assert any("repeats the one before" in line for line in told) == (still[-1] and frames > 0.9 * 59)
-
-
-@given(
-    y_up=st.booleans(),
-    lifted=st.sampled_from([(), ("left",), ("right",)]),
-    height=st.sampled_from([0.3, 0.6, 0.9, 1.2, 1.4]),
-)
-def test_a_y_axis_that_points_up_is_told_whichever_leg_is_lifted(y_up, lifted, height):
-    positions = np.repeat(standing(BODY)[None], 50, axis=0)
-    for side in lifted:
-        positions[:, BODY.joint(f"ankle {side}"), 1] -= height
-    positions[..., 1] *= -1.0 if y_up else 1.0
-    assert bool(upside_down("a.csv", BODY, positions)) == y_up
-
-
-@pytest.mark.parametrize("followed", [0, 1])
-def test_d14_upside_down_is_told_of_the_person_who_is_followed(followed):
-    """Of two people who are seen as long, the last one is followed."""
-    shaken = np.random.default_rng(0).normal(0.0, 0.01, (60, len(BODY), 3)) + standing(BODY)
-    down = shaken * (1.0, -1.0, 1.0)
-    told = checked(Path("a.json"), recorded(*((shaken, down) if followed else (down, shaken)))).warnings
-    assert any("the head is below the feet" in line for line in told) == bool(followed)
 
 
 @given(
@@ -220,3 +172,158 @@ def test_a_joint_is_tracked_as_its_worst_point_is(groups, seed):
         for t in range(6):
             assert found[t, joint] == min(int(states[t, point]) for point in of)
     assert not found[:, len(groups) :].any()
+
+
+# Law 3: any subset of joints in any axes, each file its own, is read right or refused with the options.
+
+WITHOUT = {
+    "nothing": (),
+    "feet": ("foot", "heel"),
+    "arms": ("elbow", "wrist", "hand", "thumb"),
+    "face": ("nose", "eye", "ear"),
+    "legs": ("knee", "ankle", "foot", "heel", "hip"),
+}
+
+
+@cache
+def simulated(motion, body, height=1.75):
+    """Both views of two seconds: times, positions and states."""
+    a, b, _ = simulated_pair(motion=motion, body=BODIES[body], seed=3, seconds=6.0, height=height)
+    views = []
+    for sensor in (a, b):
+        frames = list(sensor.frames())[::3]
+        people = [one for frame in frames for one in frame.people.values()]
+        times = np.array([one.time_ns for one in people])
+        views.append((times, *(np.array([getattr(p, of) for p in people]) for of in ("positions", "states"))))
+    return views
+
+
+def written(folder, motion, body, without, axes, **meaning):
+    """Both files, and what they hold; ``axes`` of A and of B."""
+    body, files = BODIES[body], []
+    plain = [name.lower() for name in body.joints]
+    hidden = np.array([any(part in name for part in WITHOUT[without]) for name in plain])
+    for side, (times, at, states), own in zip("ab", simulated(motion, body.name), axes, strict=True):
+        seen = np.where(hidden, 0, states)
+        path = folder / f"{side}.csv"
+        has = write_meaning(path, body, times, at, seen, own, **meaning)
+        files.append((path, times, at, seen, has))
+    return files
+
+
+def read_pair(files, **stated):
+    """Both recordings, read with each other's help."""
+    a, b = (
+        SkeletonRecording(path, StatedFormat(side=side, **stated))
+        for (path, *_), side in zip(files, "ab", strict=True)
+    )
+    a.partner, b.partner = b, a
+    with a, b:
+        return a.content, b.content
+
+
+def assert_right(read, body, times, at, seen, has):
+    (person,) = read.people.ids
+    view = read.people.view((person,))
+    assert np.ptp(np.diff(view.time_ns) - np.diff(times)) < 3_000_000
+    for joint in has:
+        own = read.body.find(body.joints[joint])
+        if own is not None and seen[:, joint].any():
+            there = view.states[:, own] > 0
+            np.testing.assert_allclose(view.positions[there, own], at[there, joint], atol=2e-3)
+
+
+MEANINGS = {
+    "motion": st.sampled_from(["walk", "squat", "sit", "idle"]),
+    "body": st.sampled_from(["kinect_v2", "azure_kinect", "kinect_v1"]),
+    "unit": st.sampled_from(list(METRES)),
+    "time": st.sampled_from(list(TIMES)),
+    "axes": st.tuples(*[st.sampled_from(SIGNED)] * 2),
+    "same": st.booleans(),
+}
+
+
+@given(names=st.sampled_from(NAMES), **MEANINGS)
+def test_whole_bodies_are_read_right_in_any_meaning(tmp_path, motion, body, unit, time, axes, same, names):
+    files = written(
+        tmp_path, motion, body, "nothing", axes[:1] * 2 if same else axes, unit=unit, time=time, names=names
+    )
+    for read, (_, *truth) in zip(read_pair(files), files, strict=True):
+        assert_right(read, BODIES[body], *truth)
+
+
+@given(without=st.sampled_from(list(WITHOUT)), **MEANINGS)
+def test_parts_of_bodies_are_read_right_or_refused_with_the_options(
+    tmp_path, motion, body, unit, time, axes, same, without
+):
+    axes = axes[:1] * 2 if same else axes
+    files = written(tmp_path, motion, body, without, axes, unit=unit, time=time)
+    refused = None
+    try:
+        reads = read_pair(files)
+    except MeaningError as error:
+        refused = error
+    if refused is None:
+        for read, (_, *truth) in zip(reads, files, strict=True):
+            assert_right(read, BODIES[body], *truth)
+    else:
+        options = [option for option, behind in refused.table["axes"] if behind > -6.0]
+        assert called_axes(axes["b.csv" in str(refused)]) in options
+        assert "`axes_" in str(refused)
+
+
+@pytest.mark.parametrize("axes", SIGNED[::7])
+def test_what_info_proposes_works(tmp_path, axes, capsys):
+    (a, *_), (b, *_) = written(
+        tmp_path, "walk", "kinect_v2", "nothing", (axes, "x,y,z"), unit="mm", time="time"
+    )
+    assert duplex("info", a) == 0
+    (command,) = [line for line in capsys.readouterr().out.splitlines() if "duplex fuse" in line]
+    words = command.replace("OTHER.csv", str(b)).replace("s.rrd", str(tmp_path / "s.rrd")).split()
+    assert ("--axes-a" in words) == (axes != "x,y,z")
+    assert duplex(*words[words.index("duplex") + 1 :], "--no-viewer") == 0
+
+
+def test_stated_axes_are_tested_by_the_same_likelihood(tmp_path, capsys):
+    files = written(tmp_path, "walk", "kinect_v2", "nothing", (AXES["kinect"],) * 2)
+    for read, (_, *truth) in zip(read_pair(files, axes="kinect"), files, strict=True):
+        assert_right(read, BODIES["kinect_v2"], *truth)
+        assert read.warnings == ()
+    for read in read_pair(files, orientation=180):
+        assert read.warnings == ()
+    told = read_pair(files, axes="x,y,z")[0].warnings
+    assert "by `axes_a=x,y,z` the person is not upright; `axes_a=kinect` fits better" in "".join(told)
+    for axes, words in {
+        "unity": "by --axes-a unity the person is a mirror image",
+        "x,-y,-z": "by --axes-a x,-y,-z the person is not before the sensor",
+        "x,x,z": "has x twice",
+        "x,y": "neither kinect, unity, opengl, ros, nor three axes",
+    }.items():
+        assert duplex("fuse", *(path for path, *_ in files), "--axes", axes, "--no-viewer") == 2
+        assert words in one_line(capsys)
+
+
+def test_positions_relative_to_the_person_are_refused_in_these_words(tmp_path):
+    times, at, states = simulated("walk", "azure_kinect")[0]
+    write_meaning(tmp_path / "a.csv", BODIES["azure_kinect"], times, at - at[:, :1], states)
+    with pytest.raises(DeviceError, match="relative to the person"), SkeletonRecording(tmp_path / "a.csv"):
+        pass
+
+
+def test_both_sensors_in_one_file_are_split(tmp_path):
+    body, lines = BODIES["kinect_v2"], []
+    for device, (times, at, states) in enumerate(simulated("walk", "kinect_v2")):
+        path = tmp_path / f"{device}.csv"
+        write_meaning(path, body, times, at, states)
+        header, *rows = path.read_text().splitlines()
+        lines += [f"{row},{device}" for row in rows]
+    both = tmp_path / "both.csv"
+    both.write_text(
+        "\n".join([f"{header},device_index", *sorted(lines, key=lambda row: int(row.split(",")[0]))]) + "\n"
+    )
+    for read, side in zip(read_pair(((both,), (both,))), (0, 1), strict=True):
+        with SkeletonRecording(tmp_path / f"{side}.csv") as expected:
+            np.testing.assert_array_equal(
+                read.people.skeletons.positions, expected.people.skeletons.positions
+            )
+        assert "has 2 sensors by the column device_index" in read.warnings[0]

@@ -1,6 +1,7 @@
 """Files of other programs: their units of time, their axes, their names of the joints."""
 
 import json
+import re
 
 import numpy as np
 import pandas
@@ -10,24 +11,19 @@ from hypothesis import strategies as st
 
 from devices.sensor import DeviceError
 from devices.skeletons.file_sensor import SkeletonRecording
-from devices.skeletons.stated_format import AXES, UNSTATED, StatedFormat
+from devices.skeletons.name_tables import READY_MADE, fitting_table, name_table
+from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.skeletons.times import TIME_COLUMNS, find_time_unit
-from fusion.body import KINECT_V2
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, KINECT_V2
 from recordings import Session, fuse
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.recorded_pairs import assert_same_session, write_recordings, write_view
-from tests.helpers.two_views import A_FROM_B, moving
+from tests.helpers.two_views import moving
 from viewer_app.batch.worker import fuse_job
 
 FRAMES = 40
-PER_SECOND = {"time_s": 1.0, "time_ms": 1e3, "time_us": 1e6, "time_ns": 1e9}
-SENSOR_FROM = {
-    "kinect": [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
-    "unity": [[1, 0, 0], [0, -1, 0], [0, 0, 1]],
-    "opengl": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-    "ros": [[0, -1, 0], [0, 0, -1], [1, 0, 0]],
-}
-"""x right, y down, z forward of each program's axes, as its documentation has them."""
+UNITY = np.diag([1, -1, 1])
+"""From its axes to the sensor's, as its documentation has them."""
 
 
 @pytest.fixture(scope="module")
@@ -47,16 +43,6 @@ def changed(path, made, change):
     return made
 
 
-def retimed(column, per_second, rate=30.0, start=0.0):
-    def change(table):
-        frame = table.index // len(KINECT_V2)
-        times = (start + frame / rate) * per_second
-        times = times if per_second < 1e6 else times.round().astype("int64")
-        return table.assign(time_us=times).rename(columns={"time_us": column})
-
-    return change
-
-
 def turned(path, made, sensor_from):
     """Writes a recording in other axes."""
 
@@ -66,25 +52,10 @@ def turned(path, made, sensor_from):
     return changed(path, made, change)
 
 
-@pytest.mark.parametrize(("rate", "start"), [(5.0, 0.0), (30.0, 1_763_900_000.25), (120.0, 0.0)])
-@pytest.mark.parametrize("unit", PER_SECOND)
-def test_the_unit_of_time_is_found_by_the_rate(tmp_path, good, unit, rate, start):
-    for column in ("time_us", "time", unit):
-        path = changed(good, tmp_path / f"{column}.csv", retimed(column, PER_SECOND[unit], rate, start))
-        read = read_csv(path)
-        expected = np.rint((start + np.arange(FRAMES) / rate) * 1e6) * 1000
-        np.testing.assert_allclose(np.diff(read.people.time_ns), np.diff(expected), rtol=0, atol=2001)
-        assert read.people.time_ns[0] == pytest.approx(expected[0], abs=1001)
-        told = f"{column} is read as {TIME_COLUMNS[unit][1]}, so that there are {rate:g} frames per second"
-        told += f". Name the column {unit} to state this unit."
-        assert [told in warning for warning in read.warnings] == [True] * (column != unit)
-
-
-@pytest.mark.parametrize("interval", [300e-6, 0.001, 0.4, 1.2, 1500.0, 1e9])
-def test_an_interval_of_no_body_tracker_is_refused(tmp_path, good, interval):
-    path = changed(good, tmp_path / "odd.csv", retimed("time_us", 1.0, 1.0 / interval))
+@pytest.mark.parametrize("interval", [300e-6, 0.001, 0.4, 1e9])
+def test_an_interval_of_no_body_tracker_is_refused(interval):
     with pytest.raises(DeviceError, match="unit of time_us is unclear; in no unit is its usual interval"):
-        read_csv(path)
+        find_time_unit("a.csv", "time_us", interval * np.arange(FRAMES))
 
 
 UNITS_US = {"ns": 1e-3, "us": 1.0, "ms": 1e3, "s": 1e6, "ticks": 0.1, "60 MHz": 1 / 60, "1/8 ms": 125.0}
@@ -102,10 +73,10 @@ def test_a_rate_is_found_or_told(unit_rate, column, start):
     assume(column != "time_ticks" or unit == "ticks")  # 5 per second in microseconds are 50 in ticks
     times = (start + np.arange(20) / rate) * 1e6 / UNITS_US[unit]
     try:
-        us, told = find_time_unit("a.csv", column, times)
+        us, clock, told = find_time_unit("a.csv", column, times)
     except DeviceError:
         return
-    assert told or us == pytest.approx(UNITS_US[unit])
+    assert clock or told or us == pytest.approx(UNITS_US[unit])
     if column == "time" and rate in (15.0, 30.0):
         assert us == pytest.approx(UNITS_US[unit])
 
@@ -116,45 +87,9 @@ def test_a_rate_is_found_or_told(unit_rate, column, start):
 )
 def test_stamps_in_whole_milliseconds_tell_their_unit(milliseconds, unit):
     """Kinect v2: most often 32 ms from frame to frame, which is 31 per second by the median."""
-    us, told = find_time_unit("a.csv", "time_us", np.cumsum(milliseconds) * 1e3 / UNITS_US[unit])
+    us, clock, _ = find_time_unit("a.csv", "time_us", np.cumsum(milliseconds) * 1e3 / UNITS_US[unit])
     assert us == pytest.approx(UNITS_US[unit])
-    assert told
-
-
-@pytest.mark.parametrize("spelling", ["name", "list"])
-@pytest.mark.parametrize("axes", SENSOR_FROM)
-def test_axes_of_other_programs_are_turned(tmp_path, good, axes, spelling):
-    path = turned(good, tmp_path / "a.csv", SENSOR_FROM[axes])
-    read = read_csv(path, StatedFormat(axes=axes if spelling == "name" else AXES[axes]))
-    assert read.warnings == ()
-    expected = read_csv(good).people.skeletons.positions
-    np.testing.assert_allclose(read.people.skeletons.positions, expected, rtol=0, atol=1e-6)
-
-
-WRONG_AXES = {
-    "x,x,z": "has x twice",
-    "x,y": "neither kinect, unity, opengl, ros, nor three axes",
-    "x,y,w": "neither kinect, unity, opengl, ros, nor three axes",
-    "x,-y,z": "by --axes x,-y,z the person is a mirror image, so the result is left-handed",
-    "unity": "by --axes unity the person is a mirror image",
-    "-x,y,-z": "most joints have a negative z",
-}
-
-
-@pytest.mark.parametrize("axes", WRONG_AXES)
-def test_wrong_axes_are_refused_in_one_line(tmp_path, good, axes, capsys):
-    other = write_view(tmp_path / "b.csv", KINECT_V2, A_FROM_B.inverse().apply(moving(KINECT_V2, FRAMES)))
-    # a right-handed file, or the person of a left-handed one
-    assert duplex("fuse", good, other, "--no-viewer", "--axes", axes) == 2
-    assert WRONG_AXES[axes] in one_line(capsys)
-
-
-def test_axes_that_nothing_proves_are_said_to_be_unproved(tmp_path, good):
-    """Of a file without feet, as of OpenPose; these axes mirror the person."""
-    path = changed(good, tmp_path / "a.csv", lambda table: table[~table["joint"].str.startswith("Foot")])
-    said, _ = read_csv(path, StatedFormat(axes="unity")).warnings  # and that the head is below
-    assert said.startswith(f"{path}: whether the person is a mirror image by `axes=unity` is unknown")
-    assert read_csv(path).warnings == ()
+    assert clock
 
 
 NAMES = """
@@ -184,10 +119,11 @@ def own_pair(tmp_path_factory):
     folder.mkdir()
     expected = fuse(*write_recordings(tmp_path))
     for side in "ab":
-        made = turned(tmp_path / f"{side}.csv", folder / f"{side}.csv", SENSOR_FROM["unity"])
-        changed(made, made, retimed("time", 1.0))
-        table = pandas.read_csv(made).rename(columns={"time": "time_us"})
-        renamed(table).rename(columns={"time_us": "time"}).to_csv(made, index=False)
+        made = turned(tmp_path / f"{side}.csv", folder / f"{side}.csv", UNITY)
+        table = renamed(pandas.read_csv(made))
+        table.assign(time_us=table["time_us"] * 1e-6).rename(columns={"time_us": "time"}).to_csv(
+            made, index=False
+        )
     return folder, expected
 
 
@@ -205,7 +141,7 @@ def test_files_of_another_program_are_fused_and_replayed(own_pair, tmp_path, cap
     save = tmp_path / "s.rrd"
     assert duplex("fuse", a, b, "--no-viewer", *stated, "--save", save) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert said.count("time is read as seconds, so that there are 30 frames per second") == 2
+    assert said.count("time in seconds, so that there are 30 frames per second") == 2
     assert said.count("these points are no joints: ring finger.") == 2
     session = Session.open(save)
     np.testing.assert_allclose(session.fused, expected.fused, atol=1e-4)
@@ -239,3 +175,84 @@ def test_formats_with_axes_and_names_of_their_own_take_none(tmp_path, suffix, st
     path.write_text("{}", encoding="utf-8")
     with pytest.raises(DeviceError, match=r"is for \.csv files"), SkeletonRecording(path, stated):
         pass
+
+
+PLUG_IN_GAIT = """
+    LFHD RFHD LBHD RBHD C7 T10 CLAV STRN LSHO LELB LWRA LWRB LFIN RSHO RELB RWRA RWRB RFIN
+    LASI RASI LPSI RPSI LTHI LKNE LTIB LANK LHEE LTOE RTHI RKNE RTIB RANK RHEE RTOE
+""".split()  # noqa: SIM905
+GAIT2392 = """
+    Sternum R.Acromium L.Acromium Top.Head R.ASIS L.ASIS V.Sacral R.Thigh.Upper R.Knee.Lat R.Knee.Med
+    R.Ankle.Lat R.Ankle.Med R.Heel R.Toe.Tip L.Thigh.Upper L.Knee.Lat L.Knee.Med L.Ankle.Lat L.Ankle.Med
+    L.Heel L.Toe.Tip
+""".split()  # noqa: SIM905
+MIXAMO = """
+    Hips Spine Spine1 Spine2 Neck Head LeftShoulder LeftArm LeftForeArm LeftHand RightArm RightForeArm
+    RightHand LeftUpLeg LeftLeg LeftFoot LeftToeBase RightUpLeg RightLeg RightFoot RightToeBase
+""".split()  # noqa: SIM905
+
+
+@pytest.mark.parametrize(
+    ("table", "labels", "joints"),
+    [
+        ("plug-in-gait", [f"Subject:{name}" for name in PLUG_IN_GAIT], {"WRIST_LEFT": ["LWRA", "LWRB"]}),
+        ("plug-in-gait", [*PLUG_IN_GAIT, "LFEO"], {"KNEE_LEFT": ["LFEO"], "KNEE_RIGHT": ["RKNE"]}),
+        ("gait2392", [name.lower() for name in GAIT2392], {"KNEE_LEFT": ["L.Knee.Lat", "L.Knee.Med"]}),
+        ("mixamo", [f"mixamorig:{name}" for name in MIXAMO], {"SHOULDER_LEFT": ["LeftArm"]}),
+        ("mixamo", [f"mixamorig{name}" for name in MIXAMO], {"SHOULDER_LEFT": ["mixamorigLeftArm"]}),
+        ("mixamo", [f"mixamorig1_{name}" for name in MIXAMO], {"HEAD": ["mixamorig1_Head"]}),
+        ("bodies", KINECT_V2.joints, {"PELVIS": ["SpineBase"], "ELBOW_LEFT": ["ElbowLeft"]}),
+    ],
+)
+def test_the_table_of_a_file_is_found_by_its_labels(table, labels, joints):
+    found = fitting_table(AZURE_KINECT, labels)
+    assert found.name == table
+    points = found.points_of(AZURE_KINECT, labels)
+    for joint, names in joints.items():
+        short = [labels[k].rpartition(":")[2].lower() for k in points[AZURE_KINECT.joint(joint)]]
+        assert short == [name.lower() for name in names]
+    lateral = {"hip", "knee", "ankle", "shoulder"}
+    assert {f"{part} {side}" for part in lateral for side in ("left", "right")} <= {
+        AZURE_KINECT.joints[j].lower().replace("_", " ") for j in points
+    }
+
+
+@pytest.mark.parametrize("table", READY_MADE)
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_left_and_right_of_a_ready_made_table_are_mirror_images(table, body):
+    names = name_table(table).joints
+    labels = sorted({point for ways in names.values() for way in ways for point in way})
+    found = name_table(table).points_of(body, labels)
+    assert len(found) > 0
+    for joint, own in found.items():
+        other = found[int(body.mirror[joint])]
+        if body.mirror[joint] != joint:
+            assert own != other
+            mine, others = (
+                [re.sub(r"left|right|^[LR]", "", labels[k], flags=re.I) for k in points]
+                for points in (own, other)
+            )
+            assert mine == others
+
+
+def test_a_table_of_ones_own_weighs_points_and_takes_the_first_whole_alternative(tmp_path):
+    path = tmp_path / "lab.toml"
+    lines = '"hip left" = ["A", "A", "B"]', 'WristLeft = [["C", "D"], ["c"]]', 'EYE_LEFT = "E"'
+    path.write_text("\n".join(["[joints]", *lines]))
+    points = name_table(path).points_of(KINECT_V1, ["Head", "B", "C", "Bob:A"])
+    assert points == {
+        KINECT_V1.joint("HipLeft"): [3, 3, 1],
+        KINECT_V1.joint("WristLeft"): [2],
+        KINECT_V1.joint("Head"): [0],
+    }
+
+
+def test_of_two_subjects_a_table_names_one():
+    labels = [f"{subject}:{name}" for subject in ("Ann", "Bob") for name in PLUG_IN_GAIT]
+    assert fitting_table(AZURE_KINECT, labels).points_of(AZURE_KINECT, labels) == {}
+    assert name_table("plug-in-gait").points_of(AZURE_KINECT, labels) == {}
+
+
+def test_a_missing_table_is_named_with_the_ready_made_ones():
+    with pytest.raises(DeviceError, match=r"No table of names 'vicon'.*plug-in-gait, gait2392, mixamo"):
+        name_table("vicon")

@@ -175,19 +175,16 @@ def test_heads_that_both_trackers_place_too_far_back_do_not_turn_the_person(moti
         assert (np.sum(labels.heading * heading(views.body, views.truth), axis=1)[60:] > 0.0).all()
 
 
-def test_a_missing_view_and_a_missing_person():
+def test_a_missing_view_a_missing_person_and_views_that_contradict_each_other():
     views = simulated_views("walk", tracker="right")
     model = by_reference(new_facing_model(KINECT_V2))
     state = by_reference(new_arrays(FacingState, J=len(KINECT_V2)))
     gone = replace(views, b_in_a=np.full_like(views.b_in_a, np.nan), states_b=np.zeros_like(views.states_b))
     nobody = replace(gone, a=np.full_like(views.a, np.nan), states_a=np.zeros_like(views.states_a))
-    for k in range(150):
-        step(model, state, views, k)
-    for k in range(150, 180):
-        step(model, state, nobody, k)
+    inverted = replace(views, b_in_a=-views.b_in_a)
+    for k, seen in enumerate([inverted] * 20 + [views] * 130 + [nobody] * 30 + [gone] * 80):
+        step(model, state, seen, k, stale=(False, seen is gone))
         assert np.isfinite(state.result.mirrored).all()
-    for k in range(180, 260):
-        step(model, state, gone, k, stale=(False, True))
     assert (state.result.codes[0], state.result.codes[1]) == (0, 0)
     facing = heading(views.body, views.truth[259:260])[0]
     assert state.result.facing @ facing > 0.5

@@ -58,8 +58,6 @@ def test_a_kinect_v2_exchanges_them_at_most_while_the_pose_changes(pose):
 
 def test_the_vertical_is_that_of_a_person_who_mostly_lies():
     standing, _ = scene(AZURE_KINECT)
-    shares = np.where(np.arange(len(standing)) < 30, 0.0, 90.0)
-    lying = Exercise((0.0, 0.0, 0.0, 90.0, 0.0)).truth(
-        AZURE_KINECT, standing, np.where(shares > 0.0, 6.0, 0.0)
-    )
+    times = np.where(np.arange(len(standing)) < 30, 0.0, 6.0)
+    lying = Exercise(POSES["on the belly"]).truth(AZURE_KINECT, standing, times)
     assert upright_direction(AZURE_KINECT, lying) @ UP > np.cos(np.radians(8.0))

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from devices.skeletons.stated_format import AXES
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
@@ -543,29 +542,13 @@ def test_what_is_in_a_recording_of_skeletons(recording, capsys):
     assert rows["frames"] == "40 in 3.30 s, 30.0 per second"
     assert rows["gaps"] == "1, of 2.03 s at 0.63 s"
     assert rows["unit"].startswith("millimetres; the person is 2.6")
-    assert rows["mirror image"] == "unknown, without feet or trunk"
     assert rows["ignored"] == "columns remark"
-    assert "are read as millimetres" in rows["note"]
-    assert rows["fuse it"] == f"duplex fuse {recording} OTHER.csv --unit mm --save s.rrd"
+    assert "read as millimetres" in rows["note"]
+    assert rows["likely unit"].startswith("mm 0.0, ")
+    assert rows["fuse it"] == f"duplex fuse {recording} OTHER.csv --unit-a mm --save s.rrd"
     rows, code, _ = told(capsys, recording, "--unit", "mm")
     assert "note" not in rows
-    assert rows["fuse it"].endswith("--unit mm --save s.rrd")
-
-
-@pytest.mark.parametrize("axes", AXES)
-def test_the_axes_of_another_program_are_recognised(tmp_path, capsys, axes):
-    theirs = moving(KINECT_V2, 20) + np.random.default_rng(0).normal(0.0, 0.005, (20, 25, 3))
-    sources = [part.strip("-") for part in AXES[axes].split(",")]
-    signs = [-1.0 if part.startswith("-") else 1.0 for part in AXES[axes].split(",")]
-    written = np.stack(
-        [theirs[..., sources.index(axis)] * signs[sources.index(axis)] for axis in "xyz"], axis=-1
-    )
-    path = write_view(tmp_path / "a.csv", KINECT_V2, written)
-    rows, code, _ = told(capsys, path)
-    assert code == 0
-    assert rows["axes"] == axes
-    assert rows["mirror image"] == "no"
-    assert rows["fuse it"] == f"duplex fuse {path} OTHER.csv --axes {axes} --save s.rrd"
+    assert rows["fuse it"].endswith("--unit-a mm --save s.rrd")
 
 
 def test_a_recording_that_cannot_be_read_is_described_and_says_why(recording, capsys):

@@ -1,0 +1,163 @@
+"""How likely positions are those of a person before a sensor, by the axes and the unit of their file.
+
+A hypothesis is one of 48 axes (which of the file's are x right, y down and z forward) and one of five units.
+Its log likelihood adds up what a body that moves before a sensor tells:
+
+* **size**: bones are as long as a person's;
+* **place**: the person is in the image, 0.5 to 6 m away;
+* **posture**: trunk, legs and head point up in some frames at least; or the person lies, which is seldom:
+  flat, and staying in one place;
+* **side**: toes, face, knees and hands are in front of the plane that the names of left and right span, the
+  person looks at the sensor and walks forward. Only this distinguishes a person from the mirror image.
+
+Nothing of it depends on one frame: each part is a mean over those of a sample.
+"""
+
+import re
+import warnings
+
+import numpy as np
+
+from devices.skeletons.stated_format import MATRICES, SIGNED
+from fusion.body import Body
+from fusion.support.types import Array
+
+_HANDED = np.rint(np.linalg.det(MATRICES))
+
+_STATURE, _SIZES = (
+    1.4,
+    0.17,
+)  # metres of the middle of all people, children included; deviation of the logarithm
+_WIDE, _HIGH = 0.5, 0.35  # the person's usual place in the image, as tangents
+_NEAR, _FAR, _BEYOND = 0.5, 6.0, 0.25
+_LEANING = 0.35  # radians from the vertical, of people and sensors
+_UPRIGHT, LIES, _ON_SIDE = 0.002, 0.25, 0.15
+"""Shares: of frames, that counts as none; of recordings of people who lie; and of these on their side."""
+_FLAT, _STILL = 0.15, 0.12  # statures
+_LEAST = -12.0  # log likelihood of what cannot be
+_FEWEST_BONES = 3
+_ADULT = 1.75  # metres, of Body.nominal_lengths
+_LARGEST = 1e9  # in any unit; a larger number is an error
+_PARTS = re.findall(r"\w+", "shoulder hip knee ankle foot elbow wrist thumb head eye ear nose")
+_UP = (
+    ("hip", "shoulder", 1.0), ("ankle", "hip", 1.0), ("ankle", "knee", 0.5), ("shoulder", "head", 0.5),
+    ("elbow", "shoulder", 0.3),
+)  # fmt: skip
+"""Joints, those above them in a person who stands, and the weight of it."""
+_ACROSS = (("shoulder", 1.0), ("hip", 1.0), ("knee", 0.1), ("elbow", 0.1), ("ear", 0.1), ("eye", 0.1))
+_IN_FRONT = (
+    ("ankle", "foot", 0.03, 9.0), ("ear", "eye", 0.03, 6.0), ("head", "nose", 0.03, 6.0),
+    ("wrist", "thumb", 0.02, 1.5), ("shoulder", "wrist", 0.1, 4.0),
+)  # fmt: skip
+"""Joints, those in front of them, how far (statures), and the weight of it, as log odds."""
+_BENDS = (("hip", "knee", "ankle", 1.0), ("shoulder", "elbow", "wrist", -1.0))
+_BENT, _FACES, _WALKS = (0.02, 1.5), (0.3, 2.0), (0.3, 4.0)
+
+
+def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float | None, float, Array]:
+    """What frames of a person, as a file has them, tell of the unit and the axes.
+
+    Args:
+        seconds: (T,) times of the frames.
+        positions: (T, J, 3) as the file has them; NaN where a joint was not seen.
+
+    Returns:
+        The person's stature, None if too few bones were seen; the distance from the origin; and (2, 48) log
+        likelihood of :data:`SIGNED` but for the size, of a person who stands and who lies.
+    """
+    stature = stature_of(body, positions)
+    at = np.where(np.abs(positions) < _LARGEST, positions, np.nan) / (stature or 1.0)
+    with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)  # frames in which joints are not seen
+        both = {part: _both(body, at, part) for part in _PARTS}
+        middle = {part: np.nanmean(pair, axis=1) for part, pair in both.items()}
+        up = _unit(
+            np.nansum([weight * _unit(middle[high] - middle[low]) for low, high, weight in _UP], axis=0)
+        )
+        across = np.nansum(
+            [weight * (both[part][:, 0] - both[part][:, 1]) for part, weight in _ACROSS], axis=0
+        )
+        front = _unit(np.cross(across, up))
+        centre = np.nanmedian(at, axis=1)
+        speed = np.full_like(centre, np.nan)
+        speed[1:-1] = (centre[2:] - centre[:-2]) / (seconds[2:] - seconds[:-2])[:, None]
+        found = [(middle[far] - middle[near], usual, weight) for near, far, usual, weight in _IN_FRONT]
+        found += [(sign * _bend(*(both[part] for part in parts)), *_BENT) for *parts, sign in _BENDS]
+        found += [
+            (-_unit(centre), *_FACES),
+            (speed - up * np.sum(speed * up, axis=1, keepdims=True), *_WALKS),
+        ]
+        shares = [
+            weight * np.nanmean(np.tanh(np.sum(way * front, axis=1) / usual)) for way, usual, weight in found
+        ]
+        known = np.isfinite(centre + up).all(axis=1)
+        centre, up, front, extent = centre[known], up[known], front[known], at[known] - centre[known, None]
+        if not len(centre):
+            return stature, np.nan, np.zeros((2, len(SIGNED)))
+        right, down, forward = np.moveaxis(MATRICES, 1, 0)
+        away = centre @ forward.T
+        place = -0.5 * ((centre @ right.T / away / _WIDE) ** 2 + (centre @ down.T / away / _HIGH) ** 2)
+        place = np.where(away > 0.0, np.maximum(place, _LEAST), _LEAST).mean(axis=0)
+        stands = np.log(np.mean(_along(-up @ down.T), axis=0) + _UPRIGHT)
+        on_back = np.log(np.nanmean(_along(np.abs(front @ down.T)), axis=0) + _ON_SIDE)
+        flat = 2.0 * np.median(np.nanstd(extent @ down.T, axis=1), axis=0)
+    moves = 2.0 * np.linalg.norm(np.std(centre, axis=0))
+    lies = np.log(LIES) + np.nan_to_num(on_back) - 0.5 * ((flat / _FLAT) ** 2 + (moves / _STILL) ** 2)
+    mirrored = np.maximum(0.0, -np.nansum(shares) * _HANDED)
+    distance = (stature or np.nan) * float(np.median(np.linalg.norm(centre, axis=1)))
+    return stature, distance, place + np.maximum([stands, lies], _LEAST) - mirrored
+
+
+def size_likelihood(stature: float) -> float:
+    """Log likelihood of a unit by how tall the person is in it, metres."""
+    return float(-0.5 * (np.log(stature / _STATURE) / _SIZES) ** 2)
+
+
+def place_likelihood(away: float) -> float:
+    """Log likelihood of a person's distance, metres."""
+    return float(
+        np.nan_to_num(-0.5 * (np.log(away / np.clip(away, _NEAR, _FAR)) / _BEYOND) ** 2, neginf=_LEAST)
+    )
+
+
+def stature_of(body: Body, positions: Array) -> float | None:
+    """How tall the person is, in the unit of (N, J, 3) positions; None if too few bones were seen.
+
+    It is the median over the bones, so that some joints may have any place.
+    """
+    bones = body.bone_joints
+    at = np.where(np.abs(positions) < _LARGEST, positions, np.nan)
+    length = np.linalg.norm(at[:, bones] - at[:, body.parent_indices[bones]], axis=2)
+    length[length == 0.0] = np.nan
+    seen = np.isfinite(length).any(axis=0)
+    if seen.sum() < _FEWEST_BONES:
+        return None
+    nominal = body.nominal_lengths[bones[seen]]
+    ratio = np.nanmedian(length[:, seen], axis=0) / nominal
+    order = np.argsort(ratio)
+    middle = np.searchsorted(np.cumsum(nominal[order]), 0.5 * nominal.sum())
+    return _ADULT * float(ratio[order[middle]])
+
+
+def _both(body: Body, at: Array, part: str) -> Array:
+    """(T, 2, 3) the left and the right joint, or the only one; NaN where the body has none."""
+    joints = (body.find(f"{part} {side}") for side in ("left", "right"))
+    found = [body.find(part) if joint is None else joint for joint in joints]
+    nothing = np.full_like(at[:, 0], np.nan)
+    return np.stack([nothing if joint is None else at[:, joint] for joint in found], axis=1)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def _along(cosine: Array) -> Array:
+    """How near directions are to one, by the cosine of their angles, 0 to 1."""
+    return np.exp((cosine - 1.0) / _LEANING**2)
+
+
+def _bend(first: Array, joint: Array, last: Array) -> Array:
+    """(T, 3) mean offset of both sides' joints (T, 2, 3) from the line between two others."""
+    line = last - first
+    share = np.sum((joint - first) * line, axis=2, keepdims=True) / np.sum(line**2, axis=2, keepdims=True)
+    return np.asarray(np.nanmean(joint - first - share * line, axis=1))
