@@ -26,10 +26,9 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.screens import browser
 from tests.helpers.two_views import calibration_of
-from viewer_app.commands import review
 from viewer_app.report.pages.film import film
 from viewer_app.report.pages.review_page import review_page
-from viewer_app.viewer import viewer_choice
+from viewer_app.viewer import file_window, viewer_choice
 from viewer_app.viewer.blueprint import LAYOUTS, session_blueprint
 
 EVENTS = (
@@ -58,7 +57,7 @@ def path(session, tmp_path):
 def shown(monkeypatch):
     """Replaces the viewer."""
     viewer = MagicMock(return_value=True)
-    monkeypatch.setattr(review, "show", viewer)
+    monkeypatch.setattr(file_window, "show", viewer)
     monkeypatch.setattr(viewer_choice, "why_no_window", lambda: None)
     return viewer
 
@@ -103,14 +102,14 @@ def test_without_a_display_it_says_where_a_viewer_would_open(path, shown, monkey
 
 def test_a_browser_is_served_the_session(path, monkeypatch, capsys):
     served = []
-    monkeypatch.setattr(review, "served", lambda file, hub: nullcontext(served.append((file, hub.web_port))))
+    monkeypatch.setattr(file_window, "served", lambda *of: nullcontext(served.append(of)))
     monkeypatch.setattr(viewer_choice.WebPage, "stay", lambda *_: None)
     monkeypatch.setattr("viewer_app.viewer.web_page.has_display", lambda: False)
     assert duplex("review", path, "--web") == 0
-    ((file, port),) = served
+    ((file, hub),) = served
     assert file == path
     said = capsys.readouterr().out
-    assert f"Viewer: http://127.0.0.1:{port}/?url=" in said
+    assert f"Viewer: http://127.0.0.1:{hub.web_port}/?url=" in said
     assert "a window would open at 1.00 s, event 3." in said
 
 
