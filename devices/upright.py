@@ -22,8 +22,8 @@ from devices.sensor import (
     SensorFrame,
     SensorWrapper,
 )
-from devices.skeletons.likelihood import axes_likelihood
-from devices.skeletons.meaning import PRIOR_OF_AXES
+from devices.skeletons.likelihood import axes_likelihood, size_likelihood
+from devices.skeletons.meaning import CLEAR, PRIOR_OF_AXES
 from devices.skeletons.stated_format import ROLLED, SIGNED
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
@@ -74,7 +74,9 @@ def orientation_of(body: Body, seconds: NDArray[np.float64], positions: NDArray[
         seconds: (T,) times.
         positions: (T, J, 3) in its frame; NaN where not tracked.
     """
-    *_, scores = axes_likelihood(body, seconds, positions.astype(np.float64))
+    stature, _, scores = axes_likelihood(body, seconds, positions.astype(np.float64))
+    if stature is None or size_likelihood(stature) < -2.0 * CLEAR:  # nobody is so small or tall
+        return 0
     of_axes = dict(zip(SIGNED, np.logaddexp.reduce(scores, axis=0) + PRIOR_OF_AXES, strict=True))
     return ROLLED[max(ROLLED, key=lambda axes: of_axes[axes])]
 

@@ -24,10 +24,7 @@ from fusion.support.types import Array
 
 _HANDED = np.rint(np.linalg.det(MATRICES))
 
-_STATURE, _SIZES = (
-    1.4,
-    0.17,
-)  # metres of the middle of all people, children included; deviation of the logarithm
+_STATURE, _SIZES = 1.4, 0.17  # metres, the middle of all people, with children; deviation of the logarithm
 _WIDE, _HIGH = 0.5, 0.35  # the person's usual place in the image, as tangents
 _NEAR, _FAR, _BEYOND = 0.5, 6.0, 0.25
 _LEANING = 0.35  # radians from the vertical, of people and sensors
