@@ -166,11 +166,11 @@ class SimulatedKinect(Sensor):
         trackers = [
             Tracker(
                 Tracked(
-                    self.body, self._errors, flesh, self._lens, rig.frame_seconds,
+                    self.body, self._errors, self._lens, rig.frame_seconds,
                     replace(self._streams, person=person), None if person else self._script,
                 )
             )
-            for person, flesh in enumerate(each_flesh)
+            for person in range(len(heights))
         ]  # fmt: skip
         ids = PersonIds(self._streams, scene.exchanged * rig.frame_seconds / 60.0)
         for frame, marks in self._poses():

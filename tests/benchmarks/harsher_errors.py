@@ -13,8 +13,11 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.joint_kinds import by_joint, kind_of
 
 SIZES = frozenset(
-    {"view_bias", "skin", "bones", "inferred_error", "outlier_size", "rescale", "jitter", "moving_jitter"}
-)
+    {
+        "view_bias", "skin", "lean", "bones", "inferred_error", "outlier_size", "rescale", "jitter",
+        "moving_jitter",
+    }
+)  # fmt: skip
 """Knobs for the size of an error; they are multiplied."""
 SHARES = frozenset(
     {

@@ -45,14 +45,16 @@ class ViewBias:
         report.at = report.at + self._of_view @ waves + self._of_body @ axes
 
 
-class Skin:
-    """A shift towards the skin, along the ray."""
+class Depth:
+    """A shift along the ray: towards the skin, and away from the sensor with the height above the root."""
 
     def __init__(self, of: Tracked) -> None:
-        self._depth = of.errors.skin * of.flesh
+        self._root, self._skin, self._lean = of.body.root, of.errors.skin, of.errors.lean
 
     def apply(self, report: Report) -> None:
-        report.at = report.at * (1.0 - self._depth / np.linalg.norm(report.joints, axis=1))[:, None]
+        y, distance = report.joints[:, 1], np.linalg.norm(report.joints, axis=1)
+        away = self._lean * (y[self._root] - y) - self._skin
+        report.at = report.at * (1.0 + away / distance)[:, None]
 
 
 class BoneLengths:
@@ -195,7 +197,7 @@ class Loss:
 
 ORDER: tuple[tuple[Callable[[Tracked], Error], Callable[[TrackerErrors], bool]], ...] = (
     (ViewBias, lambda errors: errors.view_bias > 0.0),
-    (Skin, lambda errors: errors.skin > 0.0),
+    (Depth, lambda errors: errors.skin != 0.0 or errors.lean != 0.0),
     (Hiding, lambda errors: errors.seen_share > 0.0 or any(errors.unsure.values())),
     (BoneLengths, lambda errors: errors.stretch != 1.0 or errors.bones > 0.0),
     (Outliers, lambda errors: errors.outliers > 0.0),

@@ -24,7 +24,6 @@ class Tracked:
 
     body: Body
     errors: TrackerErrors
-    flesh: Array  # (J,) depth of each joint under the skin, metres
     intrinsics: Intrinsics  # of the camera: which joints cover each other
     frame_seconds: float
     streams: Streams

