@@ -59,7 +59,6 @@ class State(NamedTuple):
     velocities: Annotated[Array, ("J", 3)]  # m/s
     variances: Annotated[Array, ("J", 3)]  # position, position with velocity, velocity; any axis
     known: Annotated[NDArray[np.bool_], ("J",)]
-    unseen: Annotated[NDArray[np.bool_], ("J",)]  # whether neither view reported the joint in the last pair
     offsets: Annotated[Array, (2, "J", 3)]  # lasting error of each view relative to S*, metres
     offset_variances: Annotated[Array, (2, "J")]
     displacements: Annotated[Array, (2, 3)]  # of each view's whole skeleton, metres

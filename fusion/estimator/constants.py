@@ -72,7 +72,6 @@ class Constants(NamedTuple):
     """Constants of the filter. SI units; standard deviations along one axis."""
 
     slow_scale: float = 0.8  # of the slow errors of :class:`JointErrors`
-    along_ray: float = 1.3  # how much larger a slow error is along the view's ray than across it
     inferred_slow: float = 2.5  # how many times larger the slow error of an inferred joint is
     inferred_fast: float = 20.0
     """How many times larger its fast error counts. An inferred position keeps the same error for about half a
@@ -83,13 +82,9 @@ class Constants(NamedTuple):
     """Distance across the ray, metres, at which a joint before this one doubles its slow variance."""
     near_power: float = 2.0  # how steeply that grows as the two come nearer
     near_limit: float = 20.0  # largest factor of that variance
-    before: float = 0.0
-    """How much farther than this joint the other may be and still count as before it, metres."""
     acceleration: float = 1.0
-    """Standard deviation of a still elbow's mean acceleration over 1/30 s, m/s², of the body's tracker."""
+    """Standard deviation of a still elbow's mean acceleration over 1/30 s, m/s²."""
     acceleration_by_speed: float = 16.0  # what is added for each m/s, 1/s
-    unseen_acceleration: float = 0.6
-    """Factor on the acceleration of a joint that neither view reports; of the body's tracker."""
     velocity_seconds: float = 0.4  # how long a joint keeps its velocity relative to its parent's
     agreement_seconds: float = 1.0  # how long an offset between the views lasts while both see the joint
     alone_seconds: float = 0.85  # how long an offset lasts while one view sees it
@@ -106,7 +101,6 @@ class Constants(NamedTuple):
     pose lasts."""
     surface_fast: float = 0.008  # fast error of the surface in a depth image, metres
     surprise: float = 0.05  # probability of a movement within 1/30 s that the prediction does not cover
-    sides_doubted: float = 1.0  # how much of the doubt about a view's sides counts as probability of outliers
     length_error: float = 0.015
     """Error of a bone's length within a view, metres, that multiplies the odds of an outlier at either of its
     ends by e."""
@@ -139,13 +133,6 @@ class Constants(NamedTuple):
         registered and labelled over the whole recording. ``tests.benchmarks.accuracy`` prints
         the coverage. BlazePose's: of 1.4 and 1.1, the more likely one on four movements of seeds 300 to 302.
 
-        ``acceleration``: simulated recordings of seed 4100. With Kinect v2, S* is 0.33 frames late with 2,
-        and 0.35 with 1. With Azure Kinects, joints that both views hide are 1.9 mm worse with 2 than with 1.
-
-        ``unseen_acceleration``: so chosen that the rms error of a limb is its rms σ, if it is deleted for a
-        second from both views; simulated recordings of seeds 300 and 301, four movements. BlazePose has the
-        factor of Azure Kinects, which was not measured for it.
-
         ``inferred_outlier``: BlazePose guesses hidden arms 100 to 250 mm off. On nine scenes of seed 100, S*
         has 33.0 mm with 0.2, 32.2 mm with 0.4 and 32.1 mm with 0.6.
         """
@@ -153,7 +140,7 @@ class Constants(NamedTuple):
             return Constants(scale_sd=0.01, spread=1.1, inferred_outlier=0.4)
         if body is AZURE_KINECT:
             return Constants()
-        return Constants(scale_sd=0.01, spread=1.3, acceleration=2.0, unseen_acceleration=0.25)
+        return Constants(scale_sd=0.01, spread=1.3)
 
 
 def calmness(smoothing: float) -> float:

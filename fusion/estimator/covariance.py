@@ -1,9 +1,8 @@
 """The covariance of each measurement, from its ray, joint, tracking state and covering joint.
 
 Two errors add up. The slow one is a bias that depends on the view and the pose and lasts for a second or
-more; it is larger along the ray than across it, larger for an inferred joint, and larger where another joint
-lies before this one in the sensor's viewing plane: the mis-leading joint of sec. 3. The fast one changes from
-frame to frame.
+more; it is larger for an inferred joint, and larger where another joint lies before this one in the sensor's
+viewing plane: the mis-leading joint of sec. 3. The fast one changes from frame to frame.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ def find_covers(model, views):  # type: ignore[no-untyped-def]
                 uy = views.positions[v, j, 1] - sy
                 uz = views.positions[v, j, 2] - sz
                 along = ux * rx + uy * ry + uz * rz
-                if along > depth + model.constants.before or along < _NEAREST:
+                if along > depth or along < _NEAREST:
                     continue
                 f = depth / along
                 ux, uy, uz = ux * f - rx * depth, uy * f - ry * depth, uz * f - rz * depth
@@ -70,19 +69,17 @@ def find_covers(model, views):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def set_covariances(model, state, views):  # type: ignore[no-untyped-def]
-    """Computes the slow covariance C = σ² m (I + (κ² - 1) r rᵀ) and fast variance of each measurement.
+    """Computes the slow covariance C = σ² m I and the fast variance of each measurement.
 
-    σ is the joint's slow error, r the ray, κ ``along_ray``. m = 1 + (near / d)^power with d the distance of
-    the covering joint, eq. (10) read as information: a measurement's information falls to a half where d is
-    ``near``. An inferred joint has both errors multiplied.
+    σ is the joint's slow error. m = 1 + (near / d)^power with d the distance of the covering joint, eq. (10)
+    read as information: a measurement's information falls to a half where d is ``near``. An inferred joint
+    has both errors multiplied.
     """
     k = model.constants
-    stretch = k.along_ray * k.along_ray - 1.0
     for v in range(2):
         for i in range(len(model.parents)):
             if views.states[v, i] == 0:
                 continue
-            rx, ry, rz = views.rays[v, i, 0], views.rays[v, i, 1], views.rays[v, i, 2]
             slow = k.slow_scale * model.slow[i]
             fast = k.fast_scale * model.fast[i]
             d = views.cover_distances[v, i]
@@ -94,13 +91,6 @@ def set_covariances(model, state, views):  # type: ignore[no-untyped-def]
             vx, vy, vz = state.velocities[i, 0], state.velocities[i, 1], state.velocities[i, 2]
             by_speed = k.fast_by_speed * math.sqrt(vx * vx + vy * vy + vz * vz)
             views.fast[v, i] = fast * fast + by_speed * by_speed
-            along = stretch * variance
-            C = views.slow[v, i]
-            C[0, 0], C[1, 1], C[2, 2] = (
-                variance + along * rx * rx,
-                variance + along * ry * ry,
-                variance + along * rz * rz,
-            )
-            C[0, 1] = C[1, 0] = along * rx * ry
-            C[0, 2] = C[2, 0] = along * rx * rz
-            C[1, 2] = C[2, 1] = along * ry * rz
+            for r in range(3):
+                for c in range(3):
+                    views.slow[v, i, r, c] = variance if r == c else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,11 @@ from fusion.rigid import NOWHERE
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from fusion.support.array_fields import new_arrays
+
+_UNSTATED = 0.035, 0.05
+"""Radians, and metres at the person: deviations of a calibration that states none."""
+_ANYWHERE = 1.0, 1.0
+"""rad², m²: variances where nothing is known."""
 
 
 class DuplexFusion:
@@ -122,13 +128,14 @@ class DuplexFusion:
 
 def _registration_variances(calibration: Calibration) -> tuple[float, float]:
     """Variances of R, rad², and of R q + t at the person, m², beyond the trackers' lasting errors, which the
-    estimator knows; 0 where the calibration does not say.
+    estimator knows. Without data, B may stand anywhere.
     """
     registration = calibration.registration
-    if registration is None:
-        return 0.0, 0.0
-    turn, shift = registration.rotation_sd**2, registration.translation_sd**2 - COMMON_SD**2
-    return (turn if np.isfinite(turn) else 0.0), (max(shift, 0.0) if np.isfinite(shift) else 0.0)
+    if registration is None and calibration.provisional:
+        return _ANYWHERE
+    stated = getattr(registration, "rotation_sd", math.nan), getattr(registration, "translation_sd", math.nan)
+    turn, shift = (sd if math.isfinite(sd) else usual for sd, usual in zip(stated, _UNSTATED, strict=True))
+    return turn**2, max(shift**2 - COMMON_SD**2, 0.0)
 
 
 @compiles(estimate_pairs)

@@ -17,6 +17,7 @@ _LARGEST_VARIANCE = 0.25  # m²: its bones keep a joint within this variance
 _LEAST_TRUST = 1e-3  # a measurement with less trust has no visible effect
 _LEAST_SUM = 0.05  # trust of both views together
 _FIRST_SPEED = 1.0  # m/s, standard deviation along an axis
+_ALIKE = 1.0 / 3.0  # how much more variance two views of one direction leave than those at a right angle
 
 
 @inner_kernel
@@ -30,9 +31,8 @@ def predict(model, state, views, trace, k, dt):  # type: ignore[no-untyped-def]
 
         σ_a = share (acceleration + acceleration_by_speed |v|) √calmness
 
-    times ``unseen_acceleration`` for a joint that is unseen: neither view reports it in this pair, or neither
-    did in the last one. The speed of a joint of an arm or leg is relative to the root. If the joint is seen,
-    the root's velocity counts by the trust of the last pair, because a doubted joint may be elsewhere.
+    The speed of a joint of an arm or leg is relative to the root. If views report the joint, in this pair and
+    the last, the root's velocity counts by their trust in the last, because a doubted joint may be elsewhere.
 
     One 2×2 matrix P per joint holds for all three axes. Its bones keep a joint within ``_LARGEST_VARIANCE``,
     which is knowledge, and so no part of the prediction in the trace.
@@ -56,16 +56,14 @@ def predict(model, state, views, trace, k, dt):  # type: ignore[no-untyped-def]
             for c in range(3):
                 v[i, c] = v[p, c] + kept * (v[i, c] - v[p, c])
         missing = views.states[0, i] == 0 and views.states[1, i] == 0
-        unseen, share = missing or state.unseen[i], 0.0
+        trust = views.trust[0, i] + views.trust[1, i]
+        share = 0.0
         if model.limb[i] and state.known[root]:
-            share = 1.0 if unseen else min(views.trust[0, i] + views.trust[1, i], 1.0)
+            share = 1.0 if missing or trust == 0.0 else min(trust, 1.0)
         square = 0.0
         for c in range(3):
             square += (v[i, c] - share * v[root, c]) ** 2
         sd = model.acceleration[i] * (of.acceleration + of.acceleration_by_speed * math.sqrt(square))
-        if unseen:
-            sd *= of.unseen_acceleration
-        state.unseen[i] = missing
         for c in range(3):
             x[i, c] += v[i, c] * dt
         own = kept if p >= 0 and state.known[p] else 1.0
@@ -79,29 +77,39 @@ def predict(model, state, views, trace, k, dt):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def kalman_update(model, state, views):  # type: ignore[no-untyped-def]
-    """Updates with each view's measurement, A then B, with its noise divided by its trust.
+    """Updates with both views' measurements at once, each with its noise divided by its trust.
 
-        S = P + (fast + offset variance) / β,    x ← x + (P/S) e,    v ← v + (P_xv/S) e
+        1/N = Σ_v β_v / (fast_v + offset variance_v),    e = N Σ_v e_v β_v / (fast_v + offset variance_v)
+        S = P + N,    x ← x + (P/S) e,    v ← v + (P_xv/S) e
 
-    e is the innovation; all axes have the same gain.
+    e_v is the innovation; all axes have the same gain.
     """
     x, v, P = state.positions, state.velocities, state.variances
     for i in range(len(model.parents)):
-        if not state.known[i]:
+        a = _information(state, views, 0, i)
+        b = _information(state, views, 1, i)
+        if not state.known[i] or a + b == 0.0:
             continue
-        for s in range(2):
-            trust = views.trust[s, i]
-            if trust < _LEAST_TRUST:
-                continue
-            S = P[i, 0] + (views.fast[s, i] + state.offset_variances[s, i]) / trust
-            gain, gain_v = P[i, 0] / S, P[i, 1] / S
-            for c in range(3):
-                e = innovation(state, views, s, i, c)
-                x[i, c] += gain * e
-                v[i, c] += gain_v * e
-            P[i, 2] -= gain_v * P[i, 1]
-            P[i, 1] *= 1.0 - gain
-            P[i, 0] *= 1.0 - gain
+        S = P[i, 0] + 1.0 / (a + b)
+        gain, gain_v = P[i, 0] / S, P[i, 1] / S
+        for c in range(3):
+            e = 0.0
+            if a > 0.0:
+                e += a / (a + b) * innovation(state, views, 0, i, c)
+            if b > 0.0:
+                e += b / (a + b) * innovation(state, views, 1, i, c)
+            x[i, c] += gain * e
+            v[i, c] += gain_v * e
+        P[i, 2] -= gain_v * P[i, 1]
+        P[i, 1] *= 1.0 - gain
+        P[i, 0] *= 1.0 - gain
+
+
+@inner_kernel
+def _information(state, views, s, i):  # type: ignore[no-untyped-def]
+    """Of view s on the place of joint i, 1/m²; 0 where its trust has no visible effect."""
+    trust = views.trust[s, i]
+    return trust / (views.fast[s, i] + state.offset_variances[s, i]) if trust >= _LEAST_TRUST else 0.0
 
 
 @inner_kernel
@@ -152,7 +160,7 @@ def start_joints(model, state, views, solve):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def update_common_error(model, state, views, solve, dt):  # type: ignore[no-untyped-def]
-    """Updates the slow error of S*: M ← M + (1 - φ) (λ (Σ_v β_v C_v⁻¹)⁻¹ - M), at the pace of the offsets.
+    """Updates the slow error of S*: M ← M + (1 - φ) (λ μ (Σ_v β_v C_v⁻¹)⁻¹ - M), at the pace of the offsets.
 
     No measurement shows this error: it is common to the views once their difference d is known. But slow
     errors are large together and small together, so that d tells of their size. With a t distribution of ν
@@ -160,7 +168,9 @@ def update_common_error(model, state, views, solve, dt):  # type: ignore[no-unty
 
         λ = (ν + 3 |d|² / tr(C_A + C_B)) / (ν + 3)
 
-    averaged over the time that offsets last; with one view it is kept. Without a measurement M is kept, and
+    averaged over the time that offsets last; with one view it is kept. A view's error is a constant and a
+    wave of the direction that the person is seen from, of equal variances. So views of one direction have it
+    in common: μ = 1 + β_A β_B c / 3, with c the cosine between the rays. Without a measurement M is kept, and
     only the uncertainty of the prediction grows.
     """
     k, sums, scratch = model.constants, solve.sums, solve.scratch
@@ -182,9 +192,13 @@ def update_common_error(model, state, views, solve, dt):  # type: ignore[no-unty
             size = _error_size(model, state, views, i)
             state.error_size[i] = size + kept * (state.error_size[i] - size)
         pace = (1.0 - kept) * min(total, 1.0)
+        cosine = 0.0
+        for c in range(3):
+            cosine += views.rays[0, i, c] * views.rays[1, i, c]
+        size = state.error_size[i] * (1.0 + _ALIKE * views.trust[0, i] * views.trust[1, i] * cosine)
         for r in range(3):
             for c in range(3):
-                target = state.error_size[i] * scratch[r, c]
+                target = size * scratch[r, c]
                 state.shared_error[i, r, c] += pace * (target - state.shared_error[i, r, c])
 
 

@@ -46,7 +46,7 @@ def forget(model, state, facing):  # type: ignore[no-untyped-def]
         state.view_outlier_probability[v] = state.scales[v] = 0.0
         state.scale_variances[v] = model.constants.scale_sd**2
     for i in range(len(state.known)):
-        state.known[i] = state.unseen[i] = False
+        state.known[i] = False
         state.agreed[i] = state.from_b[i] = 0.0
         for v in range(2):
             state.outlier_probability[v, i] = state.offset_variances[v, i] = state.alone[v, i] = 0.0

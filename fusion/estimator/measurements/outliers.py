@@ -129,7 +129,7 @@ def prior_outlier(model, state, views, v, i, lasts):  # type: ignore[no-untyped-
     before = max(state.outlier_probability[v, i], state.view_outlier_probability[v])
     prior = min(rare + max(lasts - rare, 0.0) * before, _LARGEST_PRIOR)
     if model.mirror[i] != i:
-        prior = max(prior, min(k.sides_doubted * views.side_doubt[v], _LARGEST_PRIOR))
+        prior = max(prior, min(views.side_doubt[v], _LARGEST_PRIOR))
     if views.log_odds[v, i] != 0.0:
         odds = prior / (1.0 - prior) * math.exp(-views.log_odds[v, i])
         prior = odds / (1.0 + odds)

@@ -8,11 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
-from fusion.calibration.calibration import Calibration
+from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.errors import FusionError
 from fusion.estimator.constants import Constants
 from fusion.facing.labels import Labels
 from fusion.fuser import Fuser
+from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
@@ -234,9 +235,19 @@ def test_a_smoothed_recording_is_nearer_to_the_truth_and_has_exact_bones():
         Fuser(FusionSetup(calibration_of(BODY), FuserSettings(method="paper"))).smooth_sequence(pairs)
 
 
+def test_what_b_sees_alone_is_as_uncertain_as_its_place():
+    """Before a calibration, K_B is taken to be K_A; a calibration may be loaded without its deviation."""
+    pairs = [replace(pair, a=None) for pair in recording(np.tile(standing(BODY), (10, 1, 1)))]
+    sides = Labels.with_sides(np.zeros((len(pairs), 2)))
+    for calibration, least in ((nominal_calibration(BODY), 1.0), (calibration_of(BODY), 0.05)):
+        frame = fuser(calibration=calibration).fuse_sequence(pairs, sides)[-1]
+        assert frame.sigma.min() > least
+
+
 def test_the_reported_deviation_holds_the_truth():
     """Errors as the filter assumes them: a lasting one of the joint's own size in each view, a fast one."""
     body, inside = BODY, []
+    exact = Registration(A_FROM_B, 0.0, 0.0, np.zeros(len(body)), 0.0, 1, body, 0.0)
     for seed in range(6):
         rng = np.random.default_rng(seed)
         model = fuser()._fusion._filter.model
@@ -247,7 +258,8 @@ def test_the_reported_deviation_holds_the_truth():
             replace(p, a=changed(p.a, lambda at: at + bias[0]), b=changed(p.b, lambda at: at + bias[1]))  # noqa: B023
             for p in recording(truth, 0.003, seed)
         ]
-        found = Fuser(FusionSetup(calibration_of(body)), k._replace(spread=1.0))
+        setup = FusionSetup(replace(calibration_of(body), registration=exact))
+        found = Fuser(setup, k._replace(spread=1.0))
         frames = found.fuse_sequence(pairs, Labels.with_sides(np.zeros((len(pairs), 2))))[40:]
         sigma = np.array([frame.sigma for frame in frames])
         inside.append([np.mean(apart(positions(frames), truth[40:]) < n * sigma) for n in (1, 2)])
