@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from tests.benchmarks import results
-from tests.benchmarks.methods import ABLATIONS, METHODS, OURS, WITHOUT_DEPTH
+from tests.benchmarks.methods import METHODS, OURS, WITHOUT_DEPTH
 from tests.benchmarks.trials import Simulation, Trial, run_trials
 
 SETS = {
@@ -30,7 +30,7 @@ ANGLES = (45.0, 90.0, 135.0)
 SEEDS = (7300, 7301)
 """Nobody looked at these seeds during development."""
 
-_KINDS = {method.name: method.kind for method in (*METHODS, *ABLATIONS)}
+_KINDS = {method.name: method.kind for method in METHODS}
 
 
 def summary(outcomes):
@@ -112,15 +112,13 @@ def main(arguments=None):
     parser.add_argument("--angles", nargs="+", type=float, default=ANGLES, help="degrees between the sensors")
     parser.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
     parser.add_argument("--seconds", type=float, default=20.0, help="duration of each recording")
-    parser.add_argument("--methods", nargs="+", choices=_KINDS, help="all but the ablations if not given")
-    parser.add_argument("--ablations", action="store_true", help="add ours with one part switched off each")
+    parser.add_argument("--methods", nargs="+", choices=_KINDS, help="all if not given")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--print", action="store_true", help="print the figures instead of writing the file")
     options = parser.parse_args(arguments)
-    rows = METHODS + (ABLATIONS if options.ablations else ())
     simulation = SETS[options.set]
     names = options.methods or [
-        method.name for method in rows if method.name != WITHOUT_DEPTH or simulation.depth != "none"
+        method.name for method in METHODS if method.name != WITHOUT_DEPTH or simulation.depth != "none"
     ]
     trials = [Trial(*one) for one in product(options.motions, options.angles, options.seeds)]
     outcomes = []

@@ -1,6 +1,6 @@
 """The methods that the benchmark of accuracy compares: one row each, from the simplest to ours.
 
-To add a method, add a row to :data:`METHODS`. A switch of our method is a row of :data:`ABLATIONS`.
+To add a method, add a row to :data:`METHODS`.
 """
 
 import time
@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from devices.frame_pairs import RecordedPairs
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.estimator.constants import Constants
-from fusion.facing.labels import Labels
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
 from fusion.registration.rigid_fit import fit_recording
@@ -27,7 +25,7 @@ from recordings.live_fusion import LiveFusion
 from tests.benchmarks import baselines
 
 Array = NDArray[np.float64]
-Kind = Literal["view", "baseline", "bound", "method", "ablation"]
+Kind = Literal["view", "baseline", "bound", "method"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,36 +116,28 @@ class Method:
     find: Callable[[RecordedPair], Found] = field(repr=False)
 
 
-def fused(settings, labels=None, **constants):
-    """Our program with these settings, pair by pair.
-
-    Args:
-        settings: The method's choices.
-        labels: Of every pair, whatever the facing filter would say.
-        constants: Of :class:`fusion.estimator.constants.Constants`, in place of the body's own.
-    """
+def fused(settings):
+    """Our program with these settings, pair by pair."""
 
     def find(recording):
-        fuser = Fuser(
-            FusionSetup(recording.calibration, settings), Constants.of(recording.body)._replace(**constants)
-        )
+        fuser = Fuser(FusionSetup(recording.calibration, settings))
         fuser.warm_up()
         frames, cost = [], []
         for pair in recording.pairs:
             skeletons = pair.skeletons
             before = time.perf_counter_ns()
-            frames.append(fuser.update(skeletons, labels))
+            frames.append(fuser.update(skeletons))
             cost.append(time.perf_counter_ns() - before)
         return _found(frames, float(np.median(cost)) * 1e-3)
 
     return find
 
 
-def as_recorded(settings, refine=True):
+def as_recorded(settings):
     """What ``duplex fuse`` makes of the recording: calibration and labels from the whole of it."""
 
     def find(recording):
-        plan = plan_recording(recording.body, recording.pairs.skeletons, settings, refine=refine)
+        plan = plan_recording(recording.body, recording.pairs.skeletons, settings)
         segments = setups_of(plan, settings, (None, None))
         frames = list(chain.from_iterable(fuse_segments(segments, recording.pairs, plan.labels)))
         return _found([f.fused for f in frames], float(np.median([f.fuse_ns for f in frames])) * 1e-3)
@@ -220,6 +210,9 @@ def _oracle(recording):
 DEFAULT = FuserSettings()
 """The default settings."""
 
+WITHOUT_DEPTH = "without depth"
+"""A method for recordings with depth images."""
+
 METHODS = (
     Method("A alone", "view", _baseline(lambda r: baselines.alone(r.a))),
     Method("B alone", "view", _baseline(lambda r: baselines.alone(r.refined.apply(r.b)))),
@@ -234,6 +227,7 @@ METHODS = (
     Method("duplex", "method", as_recorded(replace(DEFAULT, hindsight="labels"))),
     Method("duplex, live", "method", as_live(DEFAULT)),
     Method("duplex, smoothed", "method", as_recorded(replace(DEFAULT, hindsight="whole"))),
+    Method(WITHOUT_DEPTH, "method", without_depth(replace(DEFAULT, hindsight="labels"))),
 )
 """In the order of the tables.
 
@@ -244,31 +238,3 @@ time."""
 
 OURS = "duplex"
 """The method that the tables compare the others with: the default."""
-
-WITHOUT_DEPTH = "without depth"
-"""The ablation that recordings without depth images cannot have."""
-
-_NEVER = 1e-12  # a probability: what the filter takes the logarithm of
-
-ABLATIONS = (
-    Method("start-up, causal", "ablation", fused(DEFAULT)),
-    Method("without refinement", "ablation", as_recorded(replace(DEFAULT, hindsight="labels"), refine=False)),
-    Method("without time", "ablation", fused(replace(DEFAULT, smoothing=0.0))),
-    Method(
-        "without robustness",
-        "ablation",
-        fused(DEFAULT, outlier=_NEVER, inferred_outlier=_NEVER, outlier_lasts=_NEVER, surprise=_NEVER),
-    ),
-    Method("without bones", "ablation", fused(DEFAULT, bones=False)),
-    Method("without anisotropy", "ablation", fused(DEFAULT, along_ray=1.0)),
-    Method("without facing", "ablation", fused(DEFAULT, Labels.with_sides([(0, 0)]))),
-    Method("without scale", "ablation", fused(DEFAULT, scale_sd=0.0)),
-    Method("without lengths", "ablation", fused(DEFAULT, length_limit=0.0)),
-    Method(WITHOUT_DEPTH, "ablation", without_depth(replace(DEFAULT, hindsight="labels"))),
-)
-"""One part switched off at a time, for ``--ablations``.
-
-``without refinement`` is ``duplex`` with the start-up pose's calibration. ``without depth`` is ``duplex``
-without the evidence of depth images, for recordings that have such images. The others are
-``start-up, causal`` with one part switched off: the start-up pose's calibration, and nothing that looks
-ahead."""

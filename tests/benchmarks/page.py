@@ -19,7 +19,7 @@ _SETS = {
     "heavy_tails": "Azure, heavy-tailed errors",
     "depth": "Azure, with depth images",
 }
-_OTHERS = ("real", "certainty", "coverage", "conditions", "speed", "latency")
+_OTHERS = ("real", "certainty", "coverage", "ablation", "conditions", "speed", "latency")
 _FEWEST = 8  # recordings, of which an interval is stated
 _DEGREES = float(np.degrees(1.0))
 _BASELINES = ("mean, start-up", "mean, refined", "tracked wins", "Kalman, start-up", "Kalman, refined")
@@ -40,6 +40,7 @@ def page():
             results.read("conditions")["figures"], results.read("real")["figures"]["pairs"]
         ),
         certainty=_certainty(results.read("certainty")["figures"], results.read("coverage")["figures"]),
+        ablation=_ablation(results.read("ablation")["figures"]),
         speed=_speed(results.read("speed")),
         latency=_latency(results.read("latency")),
         origins="\n".join(origins),
@@ -62,7 +63,7 @@ def _machine(machine):
 
 def _origin(name):
     command = results.read(name)["command"].removeprefix("python -m tests.benchmarks.")
-    if name in ("real", "certainty"):  # one folder after the other
+    if name in ("real", "certainty", "ablation"):  # one folder after the other
         command = command.partition(" kinect")[0] + " FOLDER…"
     return re.sub(r" --processes \d+", "", command)  # changes no figure
 
@@ -280,6 +281,39 @@ def _conditions(figures, real):
         )
         rows.append((title, "; ".join(shares)))
     return _table(("condition", "error, clean = 1"), rows)
+
+
+def _ablation(figures):
+    steps = figures["steps"]
+    columns = {
+        "Azure/Kinect v2/BlazePose, mm": [
+            (steps[body], "error", 1e3) for body in ("azure_kinect", "kinect_v2", "blazepose")
+        ],
+        "real: roughness, %/hands together, %/heading, °": [
+            (steps["real"], what, by)
+            for what, by in (("roughness", 100.0), ("hands_together", 100.0), ("heading", _DEGREES))
+        ],
+    }
+    rows = [
+        (
+            name or "–",
+            *(
+                "/".join(_change(of[name][what], by, name) for of, what, by in cell)
+                for cell in columns.values()
+            ),
+        )
+        for name in steps["real"]
+    ]
+    return _table(("without", *columns), rows)
+
+
+def _change(values, factor, name):
+    """A mean, or a mean change and half of its interval; bold where the interval excludes 0."""
+    mean, low, high = (factor * value for value in values)
+    if not name:
+        return f"{mean:.1f}"
+    text = f"{mean:+.1f}±{0.5 * (high - low):.1f}".replace("-", "−")
+    return f"**{text}**" if low * high > 0.0 else text
 
 
 def _real_row(name, rows, over):

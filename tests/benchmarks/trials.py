@@ -16,7 +16,7 @@ from fusion.body import BODIES
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from tests.benchmarks.harsher_errors import heavy_tailed, scaled
-from tests.benchmarks.methods import ABLATIONS, METHODS, RecordedPair
+from tests.benchmarks.methods import METHODS, RecordedPair
 from tests.benchmarks.scores import accuracy
 from tests.helpers.frame_pairs import paired
 
@@ -84,7 +84,7 @@ def run_trials(trials, simulation, seconds, names, processes=1):
 
 def chosen_methods(names):
     """The rows of these names, in the tables' order."""
-    return [method for method in (*METHODS, *ABLATIONS) if method.name in names]
+    return [method for method in METHODS if method.name in names]
 
 
 def run_trial(trial, simulation, seconds, names):
