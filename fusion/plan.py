@@ -21,7 +21,7 @@ from fusion.calibration.offline import (
     spaced,
     start_up_calibration,
 )
-from fusion.calibration.online import CalibrationChange
+from fusion.calibration.online import CalibrationChange, LearnerSettings
 from fusion.errors import CalibrationError
 from fusion.facing.labels import Labels
 from fusion.facing.model import WHOLE
@@ -72,7 +72,8 @@ def plan_recording(
     Args:
         settings: The method; ``hindsight`` determines whether labels are found here.
         calibration: An earlier calibration; that of the start-up pose where None.
-        refine: Whether the method ``duplex`` refines it over the whole recording.
+        refine: Whether the method ``duplex`` refines it over the whole recording. The bones of people of
+            another size are learned all the same.
 
     Raises:
         CalibrationError: None is given, and none can be found.
@@ -84,10 +85,11 @@ def plan_recording(
         return RecordingPlan(segments, views_differ=_difference(pairs, segments))
     learned: LearnedCalibration | None = None
     few = pairs if len(pairs) <= _LONG else pairs[spaced(pairs.time_ns, fresh_pairs(pairs))]
-    if refine and len(few):
-        codes = _labels(few, ((start, slice(0, len(few))),), progress).codes & WHOLE
+    if len(few):
+        codes = _labels(few, ((start, slice(0, len(few))),), progress).codes & WHOLE if refine else None
+        learns = LearnerSettings(refine, refine, refine, refine)
         with suppress(CalibrationError):  # nothing to learn from: the start-up pose's calibration remains
-            learned = learn_from_recording(body, few, codes, start, progress=progress, timed=pairs)
+            learned = learn_from_recording(body, few, codes, start, learns, progress, pairs)
     if learned is not None:
         segments = _segments(learned, pairs.time_ns)
     differ = _difference(pairs, segments)

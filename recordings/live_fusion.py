@@ -62,9 +62,10 @@ class LiveFusion:
         self.calibrator = Calibrator(setup.body, kept, frontal=setup.settings.method == "duplex")
         self._fuser = Fuser(setup)
         self._people = PersonOfPair(setup.body, follow)
-        learns = setup.settings.method == "duplex" and (refine or not calibrated)
-        settings = LearnerSettings(refinement=RefinementSettings(in_steps=True))
-        self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if learns else None
+        learns = refine or not calibrated
+        settings = LearnerSettings(learns, learns, learns, learns, RefinementSettings(in_steps=True))
+        duplex = setup.settings.method == "duplex"
+        self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if duplex else None
         self._views = ViewEvents(setup.body)
         self._floor = FloorFinder(setup.body)
 

@@ -1,6 +1,7 @@
 """The calibration of a whole recording in two passes: knocks first, then R, t and bones between them."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -50,7 +51,7 @@ class LearnedCalibration:
     """The calibration of a whole recording, with events."""
 
     spans: tuple[CalibrationSpan, ...]
-    """One, and one more for each time that a sensor was moved; in order of time."""
+    """One, and one more for each time that a sensor was moved or another person came; in order of time."""
     clock: ClockOffset | None  # offset and skew of B's clock; None where there is too little motion
     events: tuple[CalibrationChange, ...]  # events of the learner, as live; knocks with their times
 
@@ -87,10 +88,11 @@ def learn_from_recording(
     progress: Progress = quietly,
     timed: Sequence[SkeletonPair] | None = None,
 ) -> LearnedCalibration:
-    """Learns one calibration from a recording, or one for each span between knocks.
+    """Learns one calibration from a recording, or one for each span between knocks and of each person.
 
     The first pass runs the live learner over the recording and finds when a sensor was moved. The second fits
-    R and t to all keyframes of each span, and the bone lengths to evenly spaced pairs of the longest span.
+    R and t to all keyframes of each span between knocks, and the bone lengths of each person to evenly spaced
+    pairs of the longest span with them.
 
     Args:
         codes: (T, 2) exchange codes of A and B: bit 0 arms, bit 1 legs; 0 where None.
@@ -106,35 +108,36 @@ def learn_from_recording(
     codes = np.zeros((len(pairs), 2), dtype=np.int64) if codes is None else np.asarray(codes)
     seen = _Fresh(pairs[fresh], codes[fresh])
     start = start or start_up_calibration(body, pairs)
-    start = _best_start(seen, start, settings)
+    if settings.refine:
+        start = _best_start(seen, start, settings)
+    chosen = spaced(pairs.time_ns, fresh)
 
     length_ns = int(pairs.time_ns[-1] - pairs.time_ns[0]) if len(pairs) else 0
     rarely = replace(settings.refinement, interval_ns=max(_PROPOSED_NS, length_ns // _PROPOSALS))
     learner = CalibrationLearner(body, start, replace(settings, refinement=rarely, clock=False, bones=False))
     changes: list[CalibrationChange] = []
-    chosen = spaced(pairs.time_ns, fresh).tolist()
-    for number, k in enumerate(progress(chosen, "learning the registration", len(chosen))):
+    people = [(int(pairs.time_ns[0]), 0)]
+    for number, k in enumerate(progress(chosen.tolist(), "learning the registration", len(chosen))):
         if number % PART == 0:
             give_back()
         changes += learner.observe(pairs[k], (int(codes[k, 0]), int(codes[k, 1])))
+        if changes and changes[-1].kind == "person" and changes[-1].time_ns == pairs.time_ns[k]:
+            people.append((int(changes[-1].since_ns or 0), learner.person))
 
     knocks = _lasting_knocks(seen, changes, start, settings)
     begins = [int(pairs.time_ns[0]), *(int(change.since_ns or 0) for change in knocks)]
     starts = [start, *(change.calibration for change in knocks)]
-    spans, bone_evidence = [], []
+    spans = []
     for begin_ns, end_ns, first in zip(begins, [*begins[1:], None], starts, strict=True):
         calibration = (
             _refit(body, seen.keyframes(begin_ns, end_ns), first, settings) if settings.refine else first
         )
         spans.append(CalibrationSpan(begin_ns, calibration))
-        within = seen.within(begin_ns, end_ns)
-        count = within.stop - within.start
-        even = within.start + np.arange(min(count, _BONE_PAIRS)) * count // max(min(count, _BONE_PAIRS), 1)
-        evidence = evidence_of(body, seen.pairs[even], seen.codes[even].tolist())
-        match_sides(body, evidence, calibration.a_from_b)
-        bone_evidence.append((count, evidence, calibration))
-    if settings.bones:
-        spans = _with_bones(body, spans, bone_evidence)
+    came = [change for change in changes if change.kind == "person"]
+    if len(people) > 1 and people[1][0] <= pairs.time_ns[chosen[0]]:  # the calibration's bones are nobody's
+        people = [(people[0][0], people[1][1]), *people[2:]]
+        came = came[settings.refine :]
+    spans = _with_bones(body, seen, spans, people, learner.sizes, settings.bones)
     clock = None
     if settings.clock:
         if timed is not None:
@@ -143,7 +146,7 @@ def learn_from_recording(
         if len(begins) > 1:
             fresh = fresh[pairs.time_ns[fresh] < begins[1]]
         clock = clock_offset_of(body, pairs[fresh], spans[0].calibration.a_from_b)
-    return LearnedCalibration(tuple(spans), clock, tuple(knocks))
+    return LearnedCalibration(tuple(spans), clock, tuple(sorted((*knocks, *came), key=lambda of: of.time_ns)))
 
 
 class _Fresh(NamedTuple):
@@ -277,14 +280,44 @@ def _refit(body: Body, evidence: Evidence, start: Calibration, settings: Learner
 
 
 def _with_bones(
-    body: Body, spans: list[CalibrationSpan], seen: list[tuple[int, Evidence, Calibration]]
+    body: Body,
+    seen: _Fresh,
+    spans: list[CalibrationSpan],
+    people: list[tuple[int, int]],
+    sizes: Sequence[float],
+    first_learned: bool,
 ) -> list[CalibrationSpan]:
-    """The spans with one set of bone lengths, because a knock does not change the person."""
-    _, evidence, calibration = max(seen, key=lambda item: item[0])  # the longest span
-    if len(evidence.a) < _FEWEST:
-        return spans
-    try:
-        lengths = robust_bone_lengths(body, evidence, calibration.a_from_b, spans[0].calibration.bone_lengths)
-    except CalibrationError:
-        return spans
-    return [replace(s, calibration=replace(s.calibration, bone_lengths=lengths)) for s in spans]
+    """The spans with the bone lengths of who is there, because a knock does not change the person.
+
+    Args:
+        people: Since when each person is there, and their number.
+        sizes: By number, the logarithm of their scale relative to the bones of the spans.
+        first_learned: Whether the bones of the first person are learned, too.
+    """
+    begins = sorted({span.first_ns for span in spans} | {since_ns for since_ns, _ in people})
+    pieces = []
+    longest: dict[int, tuple[int, slice, Calibration]] = {}
+    for begin_ns, end_ns in zip(begins, [*begins[1:], None], strict=True):
+        calibration = next(span.calibration for span in reversed(spans) if span.first_ns <= begin_ns)
+        person = next(number for since_ns, number in reversed(people) if since_ns <= begin_ns)
+        within = seen.within(begin_ns, end_ns)
+        pieces.append((begin_ns, calibration, person))
+        if within.stop - within.start > longest.get(person, (-1,))[0]:
+            longest[person] = within.stop - within.start, within, calibration
+    lengths = {}
+    for person, (count, within, calibration) in longest.items():
+        bones, few = calibration.bone_lengths, min(count, _BONE_PAIRS)
+        if person:
+            bones = bones * np.exp(sizes[person])
+        if person or first_learned:
+            even = within.start + np.arange(few) * count // max(few, 1)
+            evidence = evidence_of(body, seen.pairs[even], seen.codes[even].tolist())
+            match_sides(body, evidence, calibration.a_from_b)
+            with suppress(CalibrationError):
+                if len(evidence.a) >= _FEWEST:
+                    bones = robust_bone_lengths(body, evidence, calibration.a_from_b, bones)
+        lengths[person] = bones
+    return [
+        CalibrationSpan(begin_ns, replace(calibration, bone_lengths=lengths[person]))
+        for begin_ns, calibration, person in pieces
+    ]

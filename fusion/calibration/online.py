@@ -10,6 +10,7 @@ import numpy as np
 from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import Calibration
+from fusion.calibration.person_size import PersonSize, sizes_of
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, ClockOffsetEstimator
 from fusion.registration.keyframes import Evidence, evidence_of, match_sides
@@ -18,13 +19,15 @@ from fusion.registration.refinement import Refinement, RefinementSettings
 from fusion.registration.robust_fit import Prior, RobustFit, registration_of, with_frontal_sd
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
+from fusion.support.types import Array
 
-Kind = Literal["refined", "knocked", "bones", "clock"]
+Kind = Literal["refined", "knocked", "bones", "person", "clock"]
 
 _BONES_AT_NS = (10_000_000_000, 30_000_000_000, 60_000_000_000)
-"""When bone lengths are learned, counted from the first pair; after the last they are fixed."""
+"""When a person's bone lengths are learned, in time with them; after the last they are fixed."""
 _BONE_CHANGE = 0.002  # metres; if no bone changes by more, the lengths are kept
 _FEWEST_BONE_KEYFRAMES = 24
+_LONGEST_NS = 1_000_000_000  # between two pairs of time with a person
 _RECENT, _RECENT_NS = 60, 95_000_000
 """Pairs kept for judging a knock, and their distance: 6 s at 30 pairs per second."""
 _UNKNOWN_TURN, _LEAST_TURN, _UNKNOWN_SHIFT = 0.035, 0.01, 0.05  # radians, radians, metres at the person
@@ -37,7 +40,8 @@ class LearnerSettings:
 
     refine: bool = True  # whether R and t are refined
     follow: bool = True  # whether a knocked sensor is registered anew
-    bones: bool = True  # whether bone lengths are learned
+    bones: bool = True
+    """Whether bone lengths are learned of the person who was calibrated; they are of other people."""
     clock: bool = True  # whether the offset of the sensors' clocks is estimated
     refinement: RefinementSettings = field(default_factory=RefinementSettings)  # of R and t
     knock: KnockSettings = field(default_factory=KnockSettings)  # when a sensor counts as knocked
@@ -49,12 +53,25 @@ class CalibrationChange:
 
     kind: Kind
     """``refined``: R and t improved. ``knocked``: a sensor was moved, and is registered anew. ``bones``: new
-    bone lengths. ``clock``: the clocks' offset is known; the calibration is unchanged."""
+    bone lengths. ``person``: another person is there. ``clock``: the clocks' offset is known."""
     event: str  # a sentence for the event log
     time_ns: int  # time of the pair that caused it
     calibration: Calibration  # in force from the next pair on
-    since_ns: int | None = None  # for ``knocked``, when the views moved apart
+    since_ns: int | None = None  # for ``knocked`` and ``person``, since when
     clock: ClockOffset | None = None  # for ``clock``, the offset
+
+
+class _Bones:
+    """Bone lengths of one person.
+
+    Args:
+        first: (J,) metres, until they are learned.
+    """
+
+    def __init__(self, first: Array) -> None:
+        self.first = self.lengths = first
+        self.seen_ns = 0  # time in which both sensors saw the person
+        self.learned = 0  # times that the lengths were learned
 
 
 class CalibrationLearner:
@@ -70,12 +87,27 @@ class CalibrationLearner:
         self._clock = ClockOffsetEstimator(body)
         self._recent: deque[tuple[SkeletonPair, tuple[int, int]]] = deque(maxlen=_RECENT)
         self._test_ns = 0  # a suspected knock is tested from this time on
-        self._first_ns: int | None = None
-        self._bones_learned = 0
+        self._last_ns: int | None = None
+        self._meet(calibration)
+
+    def _meet(self, calibration: Calibration) -> None:
+        """Begins with the person of a calibration."""
+        self._size, self._bones = PersonSize(), [_Bones(calibration.bone_lengths)]
+
+    @property
+    def person(self) -> int:
+        """The number of the person present; 0 is who was calibrated."""
+        return self._size.present
+
+    @property
+    def sizes(self) -> list[float]:
+        """The logarithm of each person's scale relative to the bones of the first calibration."""
+        return self._size.people
 
     def adopt(self, calibration: Calibration) -> None:
         """Puts another calibration in force and keeps the evidence."""
         self.calibration = calibration
+        self._meet(calibration)
         self._refinement.adopt(calibration.a_from_b, prior_of(calibration))
         self._knock.adopt(calibration.a_from_b)
 
@@ -100,10 +132,14 @@ class CalibrationLearner:
         pair.require(self._body)
         if pair.a is None or pair.b is None or any(stale):
             return []
-        self._first_ns = pair.time_ns if self._first_ns is None else self._first_ns
+        known = self._bones[self._size.present]
+        if self._last_ns is not None and 0 < pair.time_ns - self._last_ns < _LONGEST_NS:
+            known.seen_ns += pair.time_ns - self._last_ns
+        self._last_ns = pair.time_ns
+        changes: list[CalibrationChange] = []
         if not self._recent or pair.time_ns - self._recent[-1][0].time_ns >= _RECENT_NS:
             self._recent.append((pair, codes))
-        changes: list[CalibrationChange] = []
+            changes += self._recognize(pair)
         if self._settings.follow:
             self._knock.observe(pair)
         if self._knock.since_ns is not None:
@@ -111,7 +147,9 @@ class CalibrationLearner:
             changes += self._test_knock(pair.time_ns, self._knock.since_ns)
         elif self._settings.refine:
             changes += self._refine(pair, codes)
-        if self._settings.bones:
+        else:
+            self._refinement.keyframes.add(pair, codes)
+        if self._settings.bones or self._size.present:
             changes += self._learn_bones(pair.time_ns)
         if self._settings.clock:
             clock = self._clock.observe(pair, self.calibration.a_from_b)
@@ -187,15 +225,32 @@ class CalibrationLearner:
         )
         return CalibrationChange("knocked", event, now_ns, self.calibration, since_ns)
 
+    def _recognize(self, pair: SkeletonPair) -> list[CalibrationChange]:
+        """Puts the bones of another person in force once their size shows that they are there."""
+        size, before = self._size, self._size.present
+        sizes = [
+            float(sizes_of(self._body, view.positions[None], view.states[None], self._bones[0].first)[0])
+            for view in (pair.a, pair.b)
+            if view is not None
+        ]
+        if not size.observe(pair.time_ns, *sizes):
+            return []
+        if size.present == len(self._bones):
+            self._bones.append(_Bones(self._bones[0].first * np.exp(size.people[-1])))
+        self.calibration = replace(self.calibration, bone_lengths=self._bones[size.present].lengths)
+        event = person_event(size.people[size.present] - size.people[before])
+        return [CalibrationChange("person", event, pair.time_ns, self.calibration, size.since_ns)]
+
     def _learn_bones(self, now_ns: int) -> list[CalibrationChange]:
-        if self._bones_learned == len(_BONES_AT_NS) or self._first_ns is None:
+        known, since_ns = self._bones[self._size.present], self._size.since_ns
+        if known.learned == len(_BONES_AT_NS) or known.seen_ns < _BONES_AT_NS[known.learned]:
             return []
-        if now_ns - self._first_ns < _BONES_AT_NS[self._bones_learned]:
-            return []
-        self._bones_learned += 1
         evidence = self._refinement.keyframes.evidence
+        if since_ns is not None:
+            evidence = evidence.chosen(evidence.time_ns >= since_ns)
         if len(evidence.a) < _FEWEST_BONE_KEYFRAMES:
             return []
+        known.learned += 1
         old = self.calibration.bone_lengths
         try:
             lengths = robust_bone_lengths(self._body, evidence, self.calibration.a_from_b, old)
@@ -204,12 +259,13 @@ class CalibrationLearner:
         changed = int(np.argmax(np.abs(lengths - old)))
         if abs(lengths[changed] - old[changed]) < _BONE_CHANGE:
             return []
+        known.lengths = lengths
         self.calibration = replace(self.calibration, bone_lengths=lengths)
         mean = float(np.mean(np.abs(lengths - old)[self._body.bone_joints]))
         event = (
             f"Bone lengths learned from {len(evidence.a)} keyframes: mean change {mean * 1e3:.1f} mm, most "
             f"{self._body.bones[changed]}, {old[changed] * 1e3:.0f} to {lengths[changed] * 1e3:.0f} mm"
-            f"{'; fixed from now on' if self._bones_learned == len(_BONES_AT_NS) else ''}."
+            f"{'; fixed from now on' if known.learned == len(_BONES_AT_NS) else ''}."
         )
         return [CalibrationChange("bones", event, now_ns, self.calibration)]
 
@@ -220,6 +276,13 @@ class CalibrationLearner:
             how=how,
             registration=registration_of(self._body, evidence, fit),
         )
+
+
+def person_event(change: float) -> str:
+    """The event that another person is there, by the logarithm of their scale relative to the bones of S*."""
+    ratio = float(np.exp(change))
+    size = f"{100 * abs(ratio - 1.0):.0f} % {'smaller' if ratio < 1.0 else 'larger'}"
+    return f"The person is {size} than the bones of S*, which has theirs from now on."
 
 
 def prior_of(calibration: Calibration) -> Prior:

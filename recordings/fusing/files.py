@@ -242,7 +242,8 @@ def _events_of(
         events.append(Event(plan.clock.event))
     for change in plan.changes:
         frame = min(int(np.searchsorted(times, change.time_ns)), len(times) - 1)
-        events.append(Event(change.event, "WARN").placed(frame, int(times[frame] - times[0])))
+        event = Event(change.event, "WARN" if change.kind == "knocked" else "INFO")
+        events.append(event.placed(frame, int(times[frame] - times[0])))
     return sorted(events, key=lambda event: event.frame)
 
 

@@ -1,0 +1,108 @@
+"""The bones of S* are those of the person present, whoever was there before and wherever absences lie."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fusion.body import KINECT_V2 as BODY
+from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.calibration.offline import learn_from_recording
+from fusion.calibration.online import CalibrationLearner, LearnerSettings
+from fusion.calibration.person_size import PersonSize
+from fusion.skeleton import SkeletonPair
+from tests.helpers.laws import COSTLY, SECOND
+from tests.helpers.two_views import calibration_of, moving, pair_of
+
+STEP_NS = SECOND // 10
+KEPT = LearnerSettings(refine=False, follow=False, bones=False, clock=False)
+PLACES = moving(BODY, 300)[::3]
+START = replace(calibration_of(BODY), bone_lengths=np.nan_to_num(bone_lengths_of(BODY, PLACES[0])))
+scales = st.one_of(st.floats(0.6, 0.92), st.floats(1.085, 1.4))
+
+
+def seen(scale, begin_ns, seconds):
+    """Somebody of this size who walks before both sensors."""
+    pairs = []
+    for k in range(round(10 * seconds)):
+        at = PLACES[k % len(PLACES)] * scale + (0.5 * np.sin(0.1 * k), 0.0, 2.6 * (1.0 - scale))
+        pairs.append(pair_of(BODY, at, begin_ns + k * STEP_NS))
+    return pairs
+
+
+def learned(pairs, settings=KEPT):
+    learner = CalibrationLearner(BODY, START, settings)
+    return learner, [change for pair in pairs for change in learner.observe(pair)]
+
+
+def size(lengths):
+    bones = BODY.bone_joints
+    return float(np.median(lengths[bones] / START.bone_lengths[bones]))
+
+
+@COSTLY
+@given(scales, st.floats(0.0, 90.0), st.booleans(), st.floats(3.0, 15.0))
+def test_another_persons_bones_are_theirs_after_3_s(scale, away_s, kept, before_s):
+    first = seen(1.0, 0, before_s)
+    second = seen(scale, first[-1].time_ns + STEP_NS + round(away_s * SECOND), 3.0)
+    learner, changes = learned(first + second, KEPT if kept else LearnerSettings(refine=False, follow=False))
+    assert abs(size(learner.calibration.bone_lengths) / scale - 1.0) < 0.02
+    event = next(change for change in changes if change.kind == "person")
+    assert event.since_ns == second[0].time_ns or away_s <= 1.0
+    assert ("smaller" if scale < 1.0 else "larger") in event.event
+
+
+@given(scales, st.floats(2.0, 60.0))
+def test_who_comes_back_has_the_bones_of_before(scale, away_s):
+    pairs = seen(1.0, 0, 12.0)
+    for of in (scale, 1.0):
+        pairs += seen(of, pairs[-1].time_ns + round(away_s * SECOND), 12.0)
+    learner, changes = learned(pairs)
+    assert [change.kind for change in changes].count("person") == 2
+    assert learner.calibration.bone_lengths is START.bone_lengths
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.035), st.floats(0.3, 1.0), st.floats(-0.02, 0.02))
+def test_a_trackers_wandering_scale_is_nobody_else(seed, scale_sd, lasting_s, usual):
+    """Sizes of two views that wander on their own, about one that is a little off."""
+    noise = np.random.default_rng(seed)
+    kept = np.exp(-0.1 / lasting_s)
+    steps = noise.normal(0.0, scale_sd * np.sqrt(1.0 - kept * kept), (600, 2))
+    size, sizes = PersonSize(), np.zeros(2)
+    for k, step in enumerate(steps):
+        sizes = kept * sizes + step
+        assert not size.observe(k * STEP_NS, *(usual + sizes).tolist())
+
+
+@given(st.floats(0.1, 3.0), st.floats(1.5, 100.0))
+def test_bones_are_learned_wherever_an_absence_lies(seen_s, away_s):
+    first = seen(1.0, 0, seen_s)
+    second = seen(1.0, first[-1].time_ns + round(away_s * SECOND), 12.0)
+    learner = CalibrationLearner(
+        BODY, replace(START, bone_lengths=0.97 * START.bone_lengths), LearnerSettings(refine=False)
+    )
+    for pair in first + second:
+        learner.observe(pair)
+    assert abs(size(learner.calibration.bone_lengths) - 1.0) < 0.005
+
+
+@given(scales, st.floats(4.0, 10.0), st.floats(4.0, 10.0))
+def test_a_recording_has_the_bones_of_each_person(scale, before_s, after_s):
+    first = seen(1.0, 0, before_s)
+    pairs = first + seen(scale, first[-1].time_ns + 3 * SECOND, after_s)
+    found = learn_from_recording(BODY, pairs, start=START, settings=KEPT)
+    assert [span.first_ns for span in found.spans] == [0, pairs[len(first)].time_ns]
+    assert [
+        round(size(span.calibration.bone_lengths) / of, 2)
+        for span, of in zip(found.spans, (1.0, scale), strict=True)
+    ] == [1.0, 1.0]
+    assert found.spans[0].calibration.bone_lengths is START.bone_lengths
+    assert [change.kind for change in found.events] == ["person"]
+
+
+def test_one_person_is_one_span_whatever_the_calibration_was():
+    pairs: list[SkeletonPair] = seen(0.8, 0, 10.0)
+    found = learn_from_recording(BODY, pairs, start=START, settings=KEPT)
+    (span,) = found.spans
+    assert abs(size(span.calibration.bone_lengths) / 0.8 - 1.0) < 0.01
