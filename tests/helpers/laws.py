@@ -12,6 +12,7 @@ from fusion.body import KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
+from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -54,8 +55,9 @@ def lengths_of(body=BODY):
 
 
 def setup_of(a_from_b=A_FROM_B, body=BODY, **settings):
-    """The person's bone lengths, and the settings of a fuser."""
-    calibration = Calibration(body, a_from_b, lengths_of(body), "known truth")
+    """The person's bone lengths and an exact registration, and the settings of a fuser."""
+    exact = Registration(a_from_b, 0.0, 0.0, np.zeros(len(body)), 0.0, 1, body, 0.0)
+    calibration = Calibration(body, a_from_b, lengths_of(body), "known truth", exact)
     return FusionSetup(calibration, FuserSettings(**settings))
 
 
