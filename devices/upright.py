@@ -74,7 +74,7 @@ def orientation_of(body: Body, seconds: NDArray[np.float64], positions: NDArray[
         seconds: (T,) times.
         positions: (T, J, 3) in its frame; NaN where not tracked.
     """
-    stature, _, scores = axes_likelihood(body, seconds, positions.astype(np.float64))
+    stature, _, scores, _ = axes_likelihood(body, seconds, positions.astype(np.float64))
     if stature is None or size_likelihood(stature) < -2.0 * CLEAR:  # nobody is so small or tall
         return 0
     of_axes = dict(zip(SIGNED, np.logaddexp.reduce(scores, axis=0) + PRIOR_OF_AXES, strict=True))

@@ -168,6 +168,7 @@ class SimulatedKinect(Sensor):
                 Tracked(
                     self.body, self._errors, self._lens, rig.frame_seconds,
                     replace(self._streams, person=person), None if person else self._script,
+                    rig.rolled(which),
                 )
             )
             for person in range(len(heights))

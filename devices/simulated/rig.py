@@ -6,6 +6,7 @@ import numpy as np
 
 from devices.sensor import DeviceError
 from fusion.rigid import RigidTransform
+from fusion.support.types import Array
 
 OfSensors = float | tuple[float, float]
 """One value of both sensors, or those of A and B."""
@@ -41,21 +42,25 @@ class Rig:
         """The pose of sensor A (0) or B (1). World axes: x left of the person, y down, z backwards."""
         # Sensor A stands on the person's right, at negative x, and is turned towards the person's left.
         yaw = np.radians(self.angle_deg) * (0.5 if which == 0 else -0.5)
-        distance, height, tilt, roll = (
-            _of_sensor(value, which) for value in (self.distance, self.height, self.tilt_deg, self.roll_deg)
+        distance, height, tilt = (
+            _of_sensor(value, which) for value in (self.distance, self.height, self.tilt_deg)
         )
-        tilt, roll = np.radians(tilt), np.radians(roll)
+        tilt = np.radians(tilt)
         turned = np.array(
             [[np.cos(yaw), 0.0, np.sin(yaw)], [0.0, 1.0, 0.0], [-np.sin(yaw), 0.0, np.cos(yaw)]]
         )
         down = np.array(
             [[1.0, 0.0, 0.0], [0.0, np.cos(tilt), np.sin(tilt)], [0.0, -np.sin(tilt), np.cos(tilt)]]
         )
-        rolled = np.array(
+        ahead = turned @ (0.0, 0.0, 1.0)
+        return RigidTransform.of(turned @ down @ self.rolled(which), -distance * ahead - (0.0, height, 0.0))
+
+    def rolled(self, which: int) -> Array:
+        """(3, 3) from the frame of a sensor to that of the same sensor without roll."""
+        roll = np.radians(_of_sensor(self.roll_deg, which))
+        return np.array(
             [[np.cos(roll), -np.sin(roll), 0.0], [np.sin(roll), np.cos(roll), 0.0], [0.0, 0.0, 1.0]]
         )
-        ahead = turned @ (0.0, 0.0, 1.0)
-        return RigidTransform.of(turned @ down @ rolled, -distance * ahead - (0.0, height, 0.0))
 
     @property
     def a_from_b(self) -> RigidTransform:

@@ -30,7 +30,7 @@ _NEAR, _FAR, _BEYOND = 0.5, 6.0, 0.25
 _LEANING = 0.35  # radians from the vertical, of people and sensors
 _UPRIGHT, LIES, _ON_SIDE = 0.002, 0.25, 0.15
 """Shares: of frames, that counts as none; of recordings of people who lie; and of these on their side."""
-_FLAT, _STILL = 0.15, 0.12  # statures
+_FLAT, _STILL, _ABOVE = 0.15, 0.12, 0.1  # statures
 _LEAST = -12.0  # log likelihood of what cannot be
 _FEWEST_BONES = 3
 _ADULT = 1.75  # metres, of Body.nominal_lengths
@@ -51,7 +51,7 @@ _BENDS = (("hip", "knee", "ankle", 1.0), ("shoulder", "elbow", "wrist", -1.0))
 _BENT, _FACES, _WALKS = (0.02, 1.5), (0.3, 2.0), (0.3, 4.0)
 
 
-def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float | None, float, Array]:
+def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float | None, float, Array, Array]:
     """What frames of a person, as a file has them, tell of the unit and the axes.
 
     Args:
@@ -90,19 +90,25 @@ def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float
         known = np.isfinite(centre + up).all(axis=1)
         centre, up, front, extent = centre[known], up[known], front[known], at[known] - centre[known, None]
         if not len(centre):
-            return stature, np.nan, np.zeros((2, len(SIGNED)))
+            return stature, np.nan, np.zeros((2, len(SIGNED))), np.zeros((len(SIGNED), 3))
         right, down, forward = np.moveaxis(MATRICES, 1, 0)
         away = centre @ forward.T
         place = -0.5 * ((centre @ right.T / away / _WIDE) ** 2 + (centre @ down.T / away / _HIGH) ** 2)
         place = np.where(away > 0.0, np.maximum(place, _LEAST), _LEAST).mean(axis=0)
-        stands = np.log(np.mean(_along(-up @ down.T), axis=0) + _UPRIGHT)
-        on_back = np.log(np.nanmean(_along(np.abs(front @ down.T)), axis=0) + _ON_SIDE)
-        flat = 2.0 * np.median(np.nanstd(extent @ down.T, axis=1), axis=0)
+        gravity = np.stack([up @ down.T, _HANDED * (front @ down.T), _unit(across)[known] @ down.T])
+        stands = np.log(np.mean(_along(-gravity[0]), axis=0) + _UPRIGHT)
+        on_back = np.nanmean(_along(-gravity[1]), axis=0)
+        spread = np.nanmean(extent[:, :, :, None] * extent[:, :, None], axis=(0, 1))
+        normal = _unit(-down @ np.linalg.inv(spread + 0.02**2 * np.eye(3)))
+        above = np.sum(normal * -np.median(centre, axis=0), axis=1)
+        flat = 3.0 * np.median(np.nanmedian(np.abs(extent @ down.T), axis=1), axis=0)
+        of_body = np.nan_to_num(np.nanmean(gravity, axis=1)).T
     moves = 2.0 * np.linalg.norm(np.std(centre, axis=0))
-    lies = np.log(LIES) + np.nan_to_num(on_back) - 0.5 * ((flat / _FLAT) ** 2 + (moves / _STILL) ** 2)
+    lies = np.log(LIES * (np.nan_to_num(on_back) + _ON_SIDE)) - np.logaddexp(0.0, -above / _ABOVE)
+    lies -= 0.5 * ((flat / _FLAT) ** 2 + (moves / _STILL) ** 2)
     mirrored = np.maximum(0.0, -np.nansum(shares) * _HANDED)
     distance = (stature or np.nan) * float(np.median(np.linalg.norm(centre, axis=1)))
-    return stature, distance, place + np.maximum([stands, lies], _LEAST) - mirrored
+    return stature, distance, place + np.maximum([stands, lies], _LEAST) - mirrored, of_body
 
 
 def size_likelihood(stature: float) -> float:

@@ -33,6 +33,7 @@ _PRIOR = MappingProxyType(
 )
 _OTHER = -1.0, -0.5  # log priors of a second file in other axes than the first, at most; and of two programs
 _OWN_UNIT = 2.0
+_POSTURE = 0.4
 _ONE_PERSON = 0.2  # deviation of the logarithm of one person's size in two files
 CLEAR = 2.5
 """How much more likely, as a logarithm, an option is than the next one to be taken."""
@@ -65,6 +66,7 @@ class Evidence:
         stature: Of the person, in the file's unit; None if too few bones were seen.
         away: How far the person is from the origin, in the file's unit.
         axes: (2, 48) log likelihoods of the axes, if the person stands and if it lies.
+        down: (48, 3) the direction of gravity in the body's frame by these axes: up, to the front, to the left.
     """
 
     name: object
@@ -74,6 +76,7 @@ class Evidence:
     stature: float | None
     away: float
     axes: Array
+    down: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +124,11 @@ def decide(of: Sequence[Evidence]) -> list[Meaning]:
     one_program = np.tile(np.maximum(own, _OTHER[0]) - own + _OTHER[1], (len(own), 1))
     np.fill_diagonal(one_program, -own)
     units = _together([_unit_scores(each) for each in of], one_person)
-    axes = _together([each.axes + PRIOR_OF_AXES for each in of], one_program)
+    one_posture = of[0].down[:, None] - of[-1].down[None]
+    axes = _together(
+        [each.axes + PRIOR_OF_AXES for each in of],
+        one_program - 0.5 * np.sum((one_posture / _POSTURE) ** 2, axis=2),
+    )
     return [_meaning(each, *scores) for each, *scores in zip(of, units, axes, strict=True)]
 
 

@@ -210,10 +210,10 @@ def _going_on(time_ns: NDArray[np.int64], key: NDArray[Any]) -> tuple[NDArray[np
     if np.isin(time_ns[at[-1] :], time_ns[: at[0]]).mean() > _AGAIN:  # another person's, who has no id
         return time_ns, []
     interval = int(np.median(steps[steps > 0]))
-    back = -steps[at - 1]
+    back = interval - steps[at - 1]
     time_ns = time_ns.copy()
     for k, longer in zip(at.tolist(), back.tolist(), strict=True):
-        time_ns[k:] += longer + interval
+        time_ns[k:] += longer
     return time_ns, back.tolist()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -28,6 +28,8 @@ class Tracked:
     frame_seconds: float
     streams: Streams
     script: ScriptedFaults | None = None
+    rolled: Array = field(default_factory=lambda: np.eye(3))
+    """(3, 3) from the sensor's frame to that of one that stands upright, as the tracker sees the person."""
 
     @cached_property
     def corners(self) -> list[int]:
@@ -43,7 +45,7 @@ class Tracked:
 
 @dataclass(eq=False)
 class Report:
-    """One frame: the truth in the sensor's frame, metres, and what the tracker reports of it so far."""
+    """One frame: the truth in the frame of the upright sensor, metres, and what the tracker reports of it so far."""
 
     of: Tracked
     joints: Array  # (J, 3) the truth

@@ -27,10 +27,11 @@ class Tracker:
         """The skeleton that is reported of (J, 3) true joints in the sensor's frame, metres, with (J,)
         visible shares; None while the person is lost.
         """
-        count = len(joints)
+        count, rolled = len(joints), self._of.rolled
+        joints = joints @ rolled.T
         report = Report(
             self._of, joints, visible, time_ns, joints, np.full(count, TRACKED, np.uint8), np.zeros(count)
         )
         for error in self._errors:
             error.apply(report)
-        return None if report.lost else Skeleton.of(self._of.body, report.at, report.states, time_ns)
+        return None if report.lost else Skeleton.of(self._of.body, report.at @ rolled, report.states, time_ns)
