@@ -6,7 +6,7 @@ Its log likelihood adds up what a body that moves before a sensor tells:
 * **size**: bones are as long as a person's;
 * **place**: the person is in the image, 0.5 to 6 m away;
 * **posture**: trunk, legs and head point up in some frames at least; or the person lies, which is seldom:
-  flat, and staying in one place;
+  flat, below the sensor, mostly on the back, and staying in one place;
 * **side**: toes, face, knees and hands are in front of the plane that the names of left and right span, the
   person looks at the sensor and walks forward. Only this distinguishes a person from the mirror image.
 
@@ -30,7 +30,7 @@ _NEAR, _FAR, _BEYOND = 0.5, 6.0, 0.25
 _LEANING = 0.35  # radians from the vertical, of people and sensors
 _UPRIGHT, LIES, _ON_SIDE = 0.002, 0.25, 0.15
 """Shares: of frames, that counts as none; of recordings of people who lie; and of these on their side."""
-_FLAT, _STILL, _ABOVE = 0.15, 0.12, 0.1  # statures
+_FLAT, _STILL, _BELOW = 0.15, 0.12, 0.1  # statures; of who lies, the last one below the sensor
 _LEAST = -12.0  # log likelihood of what cannot be
 _FEWEST_BONES = 3
 _ADULT = 1.75  # metres, of Body.nominal_lengths
@@ -59,8 +59,9 @@ def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float
         positions: (T, J, 3) as the file has them; NaN where a joint was not seen.
 
     Returns:
-        The person's stature, None if too few bones were seen; the distance from the origin; and (2, 48) log
-        likelihood of :data:`SIGNED` but for the size, of a person who stands and who lies.
+        The person's stature, None if too few bones were seen; the distance from the origin; (2, 48) log
+        likelihood of :data:`SIGNED` but for the size, of a person who stands and who lies; and (48, 3) by
+        each of these, the direction of gravity in the body's frame: up, to the front, to the left.
     """
     stature = stature_of(body, positions)
     at = np.where(np.abs(positions) < _LARGEST, positions, np.nan) / (stature or 1.0)
@@ -98,13 +99,11 @@ def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float
         gravity = np.stack([up @ down.T, _HANDED * (front @ down.T), _unit(across)[known] @ down.T])
         stands = np.log(np.mean(_along(-gravity[0]), axis=0) + _UPRIGHT)
         on_back = np.nanmean(_along(-gravity[1]), axis=0)
-        spread = np.nanmean(extent[:, :, :, None] * extent[:, :, None], axis=(0, 1))
-        normal = _unit(-down @ np.linalg.inv(spread + 0.02**2 * np.eye(3)))
-        above = np.sum(normal * -np.median(centre, axis=0), axis=1)
+        below = np.median(centre @ down.T, axis=0)
         flat = 3.0 * np.median(np.nanmedian(np.abs(extent @ down.T), axis=1), axis=0)
         of_body = np.nan_to_num(np.nanmean(gravity, axis=1)).T
     moves = 2.0 * np.linalg.norm(np.std(centre, axis=0))
-    lies = np.log(LIES * (np.nan_to_num(on_back) + _ON_SIDE)) - np.logaddexp(0.0, -above / _ABOVE)
+    lies = np.log(LIES * (np.nan_to_num(on_back) + _ON_SIDE)) - np.logaddexp(0.0, -below / _BELOW)
     lies -= 0.5 * ((flat / _FLAT) ** 2 + (moves / _STILL) ** 2)
     mirrored = np.maximum(0.0, -np.nansum(shares) * _HANDED)
     distance = (stature or np.nan) * float(np.median(np.linalg.norm(centre, axis=1)))

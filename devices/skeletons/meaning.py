@@ -33,7 +33,7 @@ _PRIOR = MappingProxyType(
 )
 _OTHER = -1.0, -0.5  # log priors of a second file in other axes than the first, at most; and of two programs
 _OWN_UNIT = 2.0
-_POSTURE = 0.4
+_POSTURE = 0.4  # deviation of the direction of gravity in one body, by two files
 _ONE_PERSON = 0.2  # deviation of the logarithm of one person's size in two files
 CLEAR = 2.5
 """How much more likely, as a logarithm, an option is than the next one to be taken."""
@@ -66,7 +66,7 @@ class Evidence:
         stature: Of the person, in the file's unit; None if too few bones were seen.
         away: How far the person is from the origin, in the file's unit.
         axes: (2, 48) log likelihoods of the axes, if the person stands and if it lies.
-        down: (48, 3) the direction of gravity in the body's frame by these axes: up, to the front, to the left.
+        down: (48, 3) the direction of gravity in the body's frame by these axes; the same in both views.
     """
 
     name: object
@@ -210,13 +210,14 @@ def _unit(of: Evidence, table: Sequence[tuple[str, float]]) -> tuple[str, tuple[
 
 
 def _axes(of: Evidence, table: Sequence[tuple[str, float]]) -> str:
-    (best, _), (other, behind) = table[:2]
-    options = " or ".join(of.stated.option("axes", called_axes(one)) for one in (best, other))
+    alike = [one for one, behind in table if behind > -CLEAR]
+    best = alike[0]
+    options = " or ".join(of.stated.option("axes", called_axes(one)) for one in alike)
     if (np.logaddexp.reduce(of.axes, axis=0) + PRIOR_OF_AXES).max() < _NONE:
-        raise DeviceError(f"{of.name}: in no axes is this a person before a sensor; {options} fit best.")
-    if behind > -CLEAR:
-        both = f"{axes_in_words(best)}, and {axes_in_words(other)}"
-        raise DeviceError(f"{of.name}: two axes fit alike, {both}. State {options}.")
+        raise DeviceError(f"{of.name}: in no axes is this a person before a sensor; {options} fits best.")
+    if len(alike) > 1:
+        every = "; ".join(map(axes_in_words, alike))
+        raise DeviceError(f"{of.name}: {len(alike)} axes fit alike: {every}. State {options}.")
     return best
 
 

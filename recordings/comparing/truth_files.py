@@ -1,4 +1,4 @@
-"""Reads motion capture: points over time from .c3d, OpenSim's .trc, or a .csv as this program writes it."""
+"""Reads motion capture: points over time from .c3d, OpenSim's .trc, and .csv of this and other programs."""
 
 import math
 from dataclasses import dataclass
@@ -15,9 +15,10 @@ from devices.skeletons.csv_files.text import codes, refuse_cut_off, text_rows
 from devices.skeletons.times import capture_times
 from fusion.support.medians import median_of_known
 from recordings.comparing.c3d_file import read_c3d
+from recordings.comparing.vendor_text import is_vendor_text, read_vendor_text
 from recordings.errors import MissingFileError, RecordingError
 
-SUFFIXES = (".c3d", ".trc", ".csv")
+SUFFIXES = (".c3d", ".trc", ".csv", ".tsv")
 """Suffixes of files of motion capture."""
 _TRC_HEAD = 5  # lines before the first frame; an empty one may follow
 _LARGEST = 2 << 30  # bytes of a .trc or .c3d; a .trc of 50 points at 120 Hz takes 600 MB an hour
@@ -136,7 +137,13 @@ def _without_origin(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _read_csv(path: Path) -> _Read:
-    """A row for each joint and frame, or for each frame with columns such as HEAD_x, HEAD_y and HEAD_z."""
+    """A row for each joint and frame, for each frame with columns such as HEAD_x; or another program's."""
+    with open_input(path) as file:
+        vendor = is_vendor_text(file.read(100).decode("utf-8-sig", "replace").replace("\r", ""))
+    if vendor:
+        content = input_text(path, "utf-8-sig", "replace", _LARGEST)
+        labels, seconds, points = read_vendor_text(path, content)
+        return labels, seconds, _without_origin(points), ""
     (text,) = text_rows(path, -1, required=())
     time_ns, clock, told = capture_times(path, *text.times(), shortest_us=2_000.0)  # motion capture is fast
     times, frame = np.unique(time_ns, return_inverse=True)
@@ -178,4 +185,4 @@ def _read_csv(path: Path) -> _Read:
     return labels, times.astype(np.float64) * 1e-9, points.reshape(len(times), -1, 3), words
 
 
-_READERS = {".c3d": _read_c3d, ".trc": _read_trc, ".csv": _read_csv}
+_READERS = {".c3d": _read_c3d, ".trc": _read_trc, ".csv": _read_csv, ".tsv": _read_csv}

@@ -86,3 +86,53 @@ def write_trc(path, labels, times, points):
         lines.append(f"{n}\t{time:.5f}\t" + "\t".join(cells))
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def write_motive(path, labels, times, points):
+    """Of OptiTrack Motive: bones with rotations and (N, M, 3) positions, and markers."""
+    count = len(labels)
+    heads = [
+        ["Format Version", "1.23", "Take Name", "walk", "Length Units", "Millimeters"],
+        [],
+        ["", "Type", *["Bone"] * 7 * count, *["Marker"] * 3],
+        ["", "Name", *(name for label in labels for name in [label] * 7), *["Unlabeled"] * 3],
+        ["", "ID", *["1"] * (7 * count + 3)],
+        ["", "", *(["Rotation"] * 4 + ["Position"] * 3) * count, *["Position"] * 3],
+        ["Frame", "Time (Seconds)", *"XYZWXYZ" * count, *"XYZ"],
+    ]
+    rows = [
+        [k, f"{t:.6f}", *(cell for at in frame for cell in (*[0.5] * 4, *_cells(at))), 1, 2, 3]
+        for k, (t, frame) in enumerate(zip(times, points, strict=True))
+    ]
+    return _write(path, ",", [*heads, *rows])
+
+
+def write_nexus(path, labels, times, points):
+    """Of Vicon Nexus: a section of devices, and one of (N, M, 3) trajectories."""
+    rate = round(1.0 / (times[1] - times[0]))
+    heads = [
+        ["Devices"], [1000], ["", "", "Force"], ["Frame", "Sub Frame", "Fx"], ["", "", "N"], [1, 0, 5.0], [],
+        ["Trajectories"], [rate], ["", "", *(cell for label in labels for cell in (label, "", ""))],
+        ["Frame", "Sub Frame", *"XYZ" * len(labels)], ["", "", *["mm"] * 3 * len(labels)],
+    ]  # fmt: skip
+    rows = [[k + 40, 0, *(cell for at in frame for cell in _cells(at))] for k, frame in enumerate(points)]
+    return _write(path, ",", [*heads, *rows])
+
+
+def write_qualisys(path, labels, times, points):
+    """Of Qualisys Track Manager: (N, M, 3) points after a head; missing ones are zeros."""
+    heads = [
+        ["NO_OF_FRAMES", len(times)], ["NO_OF_MARKERS", len(labels)],
+        ["FREQUENCY", round(1.0 / (times[1] - times[0]))], ["DATA_INCLUDED", "3D"], ["MARKER_NAMES", *labels],
+    ]  # fmt: skip
+    rows = [[f"{value:.4f}" for value in np.nan_to_num(frame).ravel()] for frame in points]
+    return _write(path, "\t", [*heads, *rows])
+
+
+def _cells(at):
+    return ["" if np.isnan(value) else f"{value:.4f}" for value in at]
+
+
+def _write(path, separator, rows):
+    path.write_text("\n".join(separator.join(map(str, row)) for row in rows) + "\n", encoding="utf-8")
+    return path

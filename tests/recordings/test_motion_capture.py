@@ -36,7 +36,15 @@ from recordings.session import Session
 from tests.benchmarks.scores import accuracy
 from tests.helpers.footfalls import walker
 from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.motion_capture import captured, true_positions, write_c3d, write_trc
+from tests.helpers.motion_capture import (
+    captured,
+    true_positions,
+    write_c3d,
+    write_motive,
+    write_nexus,
+    write_qualisys,
+    write_trc,
+)
 from tests.helpers.two_views import A_FROM_B, calibration_of, standing
 from tests.helpers.unreliable import never_ends
 
@@ -50,7 +58,13 @@ def points_of(count):
     return np.arange(count) / 120.0, points
 
 
-@pytest.mark.parametrize(("writer", "name"), [(write_c3d, "t.c3d"), (write_trc, "T.TRC")])
+@pytest.mark.parametrize(
+    ("writer", "name"),
+    [
+        (write_c3d, "t.c3d"), (write_trc, "T.TRC"), (write_motive, "t.csv"), (write_nexus, "t.csv"),
+        (write_qualisys, "t.tsv"),
+    ],
+)  # fmt: skip
 def test_points_of_other_writers_are_read(writer, name, tmp_path):
     times, points = points_of(50)
     read = read_truth(writer(tmp_path / name, LABELS, times, points))

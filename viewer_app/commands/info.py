@@ -40,6 +40,7 @@ _FORMATS = {
     ".db3": "images of a RealSense",
     ".c3d": "motion capture",
     ".trc": "motion capture of OpenSim",
+    ".tsv": "motion capture of Qualisys",
 }
 _MOST_PEOPLE = 8
 

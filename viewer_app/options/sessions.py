@@ -66,7 +66,7 @@ class InfoOptions(OwnFileOptions):
     """
 
     file: Annotated[Path, ARGUMENT] = field(kw_only=False)
-    """The file to read: .rrd, .csv, .json, .skeleton, .mkv, .bag, .db3, .c3d or .trc."""
+    """The file to read: .rrd, .csv, .json, .skeleton, .mkv, .bag, .db3, .c3d, .trc or .tsv."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,8 +93,8 @@ class CompareOptions(SummaryOptions):
     first: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """A session."""
     second: Annotated[Path, ARGUMENT] = field(kw_only=False)
-    """Motion capture of the same movement (.c3d, .trc or .csv), or another session of the same capture, such
-    as a replay with other settings."""
+    """Motion capture of the same movement (.c3d, .trc, .csv or .tsv), or another session of the same capture,
+    such as a replay with other settings."""
     names: Annotated[Path | None, MOTION_CAPTURE] = None
     """Which points in the file are joints: a TOML table, or plug-in-gait, gait2392, mixamo or bodies. If not
     given, the one of these that finds the most joints."""

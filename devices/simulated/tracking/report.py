@@ -45,7 +45,7 @@ class Tracked:
 
 @dataclass(eq=False)
 class Report:
-    """One frame: the truth in the frame of the upright sensor, metres, and what the tracker reports of it so far."""
+    """One frame: the truth in the upright sensor's frame, metres, and what the tracker reports so far."""
 
     of: Tracked
     joints: Array  # (J, 3) the truth
