@@ -154,7 +154,6 @@ class SessionArrays:
         frames: Sequence[SessionFrame],
         numbers: Sequence[int] | None = None,
         start_ns: int | None = None,
-        like: SessionArrays | None = None,
     ) -> SessionArrays:
         """Stacks the frames of one or more turns of the loop.
 
@@ -162,7 +161,6 @@ class SessionArrays:
             bone_lengths: (J,) metres, or (T, J) where they change.
             numbers: Of the frames; from 0 if None.
             start_ns: When the session began; with the first of these frames if None.
-            like: Earlier frames of the session: these then have the same optional figures.
         """
         figures: dict[str, Any] = {}
         if isinstance(frames, SessionFrames):
@@ -174,12 +172,6 @@ class SessionArrays:
             times = np.array([frame.pair.time_ns for frame in frames], dtype=np.int64)
             for name, spec in FRAME_FIELDS.items():
                 figures[name] = spec.stacked(body, [of_frame[name] for of_frame in each])
-        if like is not None:
-            for name in (name for name, spec in FRAME_FIELDS.items() if spec.optional):
-                if getattr(like, name) is None:
-                    figures[name] = None
-                elif figures[name] is None:
-                    figures[name] = FRAME_FIELDS[name].nothing(body, len(frames))
         return SessionArrays(
             body,
             np.broadcast_to(bone_lengths, (len(frames), len(body))),

@@ -1,6 +1,6 @@
 """Reads a session from its file: checks its content, and takes the frames before the first damaged one."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -186,29 +186,32 @@ def _frames_of(
     frames."""
     groups = _groups(found)
     stored: dict[tuple[str, str], tuple[int, type[np.generic]]] = {
-        key: (sum(spec.width(body) for _, spec in specs), specs[0][1].stored) for key, specs in groups.items()
+        key: (sum(spec.width(body) for spec in specs), specs[0].stored) for key, specs in groups.items()
     }
     stored |= {_TIME: (1, np.int64), _FRAME_CRC: (1, np.uint32), _FUSED_CRC: (1, np.uint32)}
     stored[_JOINT_DIGESTS] = (len(body), np.uint8)
     if _CHECKS_CRC in found.values:  # sessions of 1.0 and earlier have none
         stored[_CHECKS_CRC] = (1, np.uint32)
-    columns: dict[tuple[str, str], tuple[NDArray[Any], NDArray[np.int64]]] = {}
-    for key, (width, kind) in stored.items():
-        columns[key] = _consecutive(found, key, width, kind)
-    counts = [len(order) for _, order in columns.values()]
+    optional = [key for key, specs in groups.items() if specs[0].optional]
+    columns = {key: _column(found, key, *form) for key, form in stored.items() if key not in optional}
+    counts = [int(np.append(at < 0, True).argmax()) for _, at in columns.values()]
     written, n = max(counts), min(counts)
+    columns |= {key: _column(found, key, *stored[key], n) for key in optional}
+    has = np.array([columns[key][1] >= 0 for key in optional]).reshape(len(optional), n)
+    changes = 1 + np.flatnonzero((has[:, 1:] != has[:, :-1]).any(axis=0))
     checks = GrowingArray(), GrowingArray()
 
     def whole_frames() -> Iterator[SessionArrays]:
-        for part in parts(n) if n else [slice(0, 0)]:
-            of_part = {key: values[order[part]] for key, (values, order) in columns.items()}
+        for part in _split(parts(n), changes.tolist()) if n else [slice(0, 0)]:
+            present = {key: of for key, of in columns.items() if (of[1][part] >= 0).all()}
+            of_part = {key: values[at[part]] for key, (values, at) in present.items()}
             figures: dict[str, Any] = {}
             with np.errstate(invalid="ignore"):  # damaged numbers are detected below
-                for key, specs in groups.items():
+                for key in groups.keys() & of_part.keys():
                     column = 0
-                    for name, spec in specs:
+                    for spec in groups[key]:
                         width = spec.width(body)
-                        figures[name] = spec.from_file(body, of_part[key][:, column : column + width])
+                        figures[spec.name] = spec.from_file(body, of_part[key][:, column : column + width])
                         column += width
             number = np.arange(part.start, part.stop)
             targets = _targets(calibrations, number)
@@ -230,27 +233,38 @@ def _frames_of(
     return whole, (fused_checksums, joint_digests), written - len(whole)
 
 
-def _groups(found: Columns) -> dict[tuple[str, str], list[tuple[str, FrameField]]]:
+def _groups(found: Columns) -> dict[tuple[str, str], list[FrameField]]:
     """The figures by component, in storage order; without figures that the file lacks."""
-    groups: dict[tuple[str, str], list[tuple[str, FrameField]]] = {}
-    for name, spec in FRAME_FIELDS.items():
+    groups: dict[tuple[str, str], list[FrameField]] = {}
+    for spec in FRAME_FIELDS.values():
         key = spec.entity, spec.component
         if not spec.optional or key in found.values:
-            groups.setdefault(key, []).append((name, spec))
+            groups.setdefault(key, []).append(spec)
     return groups
 
 
-def _consecutive(
-    found: Columns, key: tuple[str, str], width: int, kind: type[np.generic]
+def _column(
+    found: Columns, key: tuple[str, str], width: int, kind: type[np.generic], count: int | None = None
 ) -> tuple[NDArray[Any], NDArray[np.int64]]:
-    """(N, width) values, and where those of frames 0, 1, … are, up to the first missing frame."""
+    """(N, width) values, and where those of frames 0, 1, … are; -1 for a frame that has none.
+
+    Args:
+        count: Of the frames; None: as many as there can be without a gap.
+    """
     frames, values = found.values.get(key, (np.empty(0, np.int64), np.empty((0, width), kind)))
     if values.dtype != kind or values.size != len(frames) * width:
-        return np.empty((0, width), kind), np.empty(0, np.int64)
-    order = np.argsort(frames, kind="stable")
-    frames = frames[order]
-    count = int(np.argmin(np.concatenate([frames, [-1]]) == np.arange(len(frames) + 1)))
-    return values.reshape(len(frames), width), order[:count]
+        frames, values = frames[:0], np.empty((0, width), kind)
+    at = np.full(len(frames) if count is None else count, -1)
+    known = np.flatnonzero((frames >= 0) & (frames < len(at)))
+    at[frames[known]] = known
+    return values.reshape(len(frames), width), at
+
+
+def _split(every: Iterable[slice], at: list[int]) -> Iterator[slice]:
+    """The parts, of which none has one of some frames within it: each of those begins one."""
+    for part in every:
+        bounds = [part.start, *(k for k in at if part.start < k < part.stop), part.stop]
+        yield from map(slice, bounds, bounds[1:])
 
 
 def _targets(calibrations: list[tuple[int, Calibration]], number: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from devices.depth.image_thinning import has_image, pair_has_images
+from devices.depth.image_thinning import has_image
 from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings.appearance import entity_styles
@@ -73,8 +73,7 @@ class Recorder:
         self._pause = pause or (lambda: None)
         self._start_ns = start_ns
         self._last: tuple[int, int] | None = None  # number and time of the last frame
-        self._like: SessionArrays | None = None  # the first frame, whose optional figures all have
-        self._imaged = False  # whether a sensor has had an image
+        self._had: set[str] = set()  # figures that a frame has had, which all later ones have
         self._plots_later, self._unplotted = plots_later, list[SessionArrays]()
         self._shown = points
         self._of_images: dict[tuple[str, str], NDArray[np.int64]] = {}
@@ -115,11 +114,11 @@ class Recorder:
         if numbers is None:
             numbers = range(self._next, self._next + len(frames))
         of, begun_ns = self._calibration, self._begun_by(frames[0])
-        rows = SessionArrays.stack(of.body, of.bone_lengths, frames, numbers, begun_ns, like=self._like)
-        if self._like is None:  # a person whom a depth camera sees later has evidence, too
-            if self._imaged or any(pair_has_images(frame.pair) for frame in frames):
-                rows = replace(rows, witness_a=rows.filled("witness_a"), witness_b=rows.filled("witness_b"))
-            self._like = rows[:1]
+        rows = SessionArrays.stack(of.body, of.bone_lengths, frames, numbers, begun_ns)
+        rows = replace(rows, **{name: rows.filled(name) for name in self._had})
+        if new := {name for name, _, _ in rows.figures()} - self._had:
+            self.plot()  # frames that are plotted together have the same figures
+            self._had |= new
         if self._shown:
             self._of_images = {
                 (side, kind): self.images.moments(
@@ -140,7 +139,6 @@ class Recorder:
 
     def record_images(self, number: int, frame: SessionFrame) -> None:
         """Logs the images of a frame, in time order. The frame must be recorded later without images."""
-        self._imaged |= pair_has_images(frame.pair)
         self.images.record(number, frame.pair.time_ns - self._begun_by(frame), frame.pair)
 
     def record_rows(self, rows: SessionArrays, checks: FusedChecks | None = None) -> None:

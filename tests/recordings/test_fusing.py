@@ -6,6 +6,9 @@ import os
 import tempfile
 import tracemalloc
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from uuid import uuid4
 
 import numpy as np
@@ -413,27 +416,54 @@ def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_pat
     assert seen > 60 * 20  # most joints of most frames
 
 
-def test_a_live_file_keeps_the_witness_of_who_comes_later(tmp_path):
-    """Its images are written before its frames, which then have none; at first, no one is seen."""
+@cache
+def pairs_with_depth():
     a, b, _ = simulated_pair(motion="still", seconds=0.5, depth="half")
-    setup = FusionSetup(
-        Calibration(a.body, RigidTransform.of(np.eye(3), np.ones(3)), a.body.nominal_lengths, "known")
+    return list(pairs_of(a, b))
+
+
+@given(data=st.data())
+def test_a_live_file_keeps_every_figure_whoever_comes_late(data):
+    """A person or a sensor may come late; images are written before the frames, or there are none."""
+    pairs = pairs_with_depth()
+    comes = [data.draw(st.integers(0, len(pairs))) for _ in "abt"]
+    sensor_late, images, later = (data.draw(st.booleans()) for _ in range(3))
+    sizes = data.draw(st.lists(st.integers(1, 7), min_size=len(pairs)))
+    body = pairs[0].skeletons.a.body
+    fuser = Fuser(
+        FusionSetup(Calibration(body, RigidTransform.of(np.eye(3), np.ones(3)), body.nominal_lengths, "known"))
     )
-    fuser = Fuser(setup)
-    pairs = list(pairs_of(a, b))
-    pairs[0] = replace(pairs[0], skeletons=replace(pairs[0].skeletons, a=None, b=None))
-    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
-    stream.save(tmp_path / "s.rrd")
-    recorder = Recorder(stream, setup, ("a", "b"))
+    frames = []
     for k, pair in enumerate(pairs):
-        frame = fuse_one(fuser, pair)
-        recorder.record_images(k, frame)
-        recorder.record_all([replace(frame, pair=pair_without_images(pair))])
-    recorder.finish()
-    stream.disconnect()
-    rows = Session.open(tmp_path / "s.rrd").rows
-    for witness in (rows.witness_a, rows.witness_b):
-        assert np.isfinite(witness).any(axis=(1, 2)).tolist() == [k > 0 for k in range(len(pairs))]
+        absent = dict.fromkeys((side for side, first in zip("ab", comes, strict=False) if k < first))
+        given_ = replace(pair, skeletons=replace(pair.skeletons, **absent))
+        if sensor_late and "b" in absent:
+            given_ = replace(given_, b=None)
+        frame = fuse_one(fuser, given_)
+        frames.append(replace(frame, truth=frame.fused.positions if k >= comes[2] else None))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "s.rrd"
+        stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+        stream.save(path)
+        recorder = Recorder(stream, fuser.setup, ("a", "b"), plots_later=later)
+        first = 0
+        while first < len(frames):
+            block = frames[first : first + sizes[first]]
+            for k, frame in enumerate(block if images else [], first):
+                recorder.record_images(k, frame)
+            recorder.record_all([replace(of, pair=pair_without_images(of.pair)) for of in block])
+            first += len(block)
+        recorder.finish()
+        stream.disconnect()
+        session = Session.open(path)
+    assert session.damage is None
+    expected = Session.of([(fuser.setup, frames)])
+    np.testing.assert_array_equal(session.fused_checksums, expected.fused_checksums)
+    for name, _, values in session.rows.figures():
+        in_memory = expected.rows.filled(name)
+        if values.dtype == in_memory.dtype and name not in ("fused", "truth", "sigma", "fuse_ms"):  # rounded
+            np.testing.assert_array_equal(values, in_memory, name)
+    assert (session.truth is None) == (expected.truth is None)
 
 
 # --- Events at a moment, spells with a start and an end, and limbs that a view reports at a wrong place.

@@ -82,19 +82,6 @@ def test_figures_that_share_a_component_are_neither_optional_nor_of_two_types():
         assert len({spec.stored for spec in specs}) == 1
 
 
-@pytest.mark.parametrize("first_has_it", [True, False])
-def test_a_session_has_an_optional_figure_if_its_first_frame_has_it(first_has_it):
-    calibration = calibration_of(KINECT_V1)
-    fuser = Fuser(FusionSetup(calibration))
-    frames = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 4)]
-    with_truth = [replace(frame, truth=frame.fused.positions) for frame in frames]
-    first, then = (with_truth, frames) if first_has_it else (frames, with_truth)
-    early = SessionArrays.stack(KINECT_V1, calibration.bone_lengths, first[:2])
-    late = SessionArrays.stack(KINECT_V1, calibration.bone_lengths, then[2:], like=early)
-    assert (early.truth is not None) == (late.truth is not None) == first_has_it
-    assert np.isnan(late.filled("truth")).all()
-
-
 def test_disagreement_is_the_median_over_the_joints_that_both_see():
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     frames = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 30)]
