@@ -28,11 +28,11 @@ _numbers = count()
 _held: set[Path] = set()
 
 
-class TakenError(FileExistsError):
-    """Another program has made a file of that name; `kept` is where this one's is."""
+class KeptError(OSError):
+    """A file could not get its name; `kept` is where it is instead, which the message says."""
 
-    def __init__(self, path: Path, kept: Path) -> None:
-        super().__init__(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    def __init__(self, fault: OSError, path: Path, kept: Path) -> None:
+        super().__init__(fault.errno, f"{fault.strerror}; what was written is {kept}", str(path))
         self.kept = kept
 
 
@@ -70,15 +70,14 @@ class Hidden:
         raise BlockingIOError(errno.EWOULDBLOCK, "another process is writing it", str(target))
 
     def place(self, target: Path, overwrite: bool) -> None:
-        """Gives the file its name once it is on the disk.
+        """Gives the file its name.
 
         Raises:
             FileExistsError: The target exists, and `overwrite` is not set.
-            OSError: It could not be written or renamed.
+            OSError: It could not be renamed.
         """
         if target.exists() and not target.is_file():
             raise OSError(errno.EINVAL, "it is not a regular file", str(target))
-        os.fsync(self.descriptor)
         if sys.platform == "win32":  # which renames no open file
             self._release()
         if overwrite:
@@ -103,8 +102,18 @@ class Hidden:
             finally:
                 os.close(folder)
 
+    def keep(self, target: Path, fault: OSError) -> KeptError:
+        """Gives a file that could not get its name a free one, or leaves it where it is; returns the error."""
+        kept = free_name(target)
+        try:
+            self.place(kept, overwrite=False)
+        except OSError:
+            kept = self.path
+            _held.discard(kept)
+        return KeptError(fault, target, kept)
+
     def remove(self) -> None:
-        """Removes what has not got its name. Removing twice has no effect."""
+        """Removes what has not got a name. Removing twice has no effect."""
         if self.path in _held:
             _held.discard(self.path)
             if self.path.is_dir():
@@ -113,7 +122,7 @@ class Hidden:
                 self._release()
             with suppress(OSError):
                 self.path.unlink(missing_ok=True)
-            self._release()
+        self._release()
 
     def _release(self) -> None:
         descriptor, self.descriptor = self.descriptor, -1
@@ -126,7 +135,7 @@ def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     """Yields a hidden path beside `path`; gives the file its name on success, and removes it on failure.
 
     Raises:
-        TakenError: The file exists, and `overwrite` is not set. What was written has another name.
+        KeptError: It could not get its name, as where the file exists and `overwrite` is not set.
         OSError: It could not be written.
     """
     path = real_path(path)
@@ -136,12 +145,11 @@ def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     hidden = Hidden(path)
     try:
         yield hidden.path
+        os.fsync(hidden.descriptor)
         try:
             hidden.place(path, overwrite)
-        except FileExistsError:
-            kept = free_name(path)
-            hidden.place(kept, overwrite=False)
-            raise TakenError(path, kept) from None
+        except OSError as fault:
+            raise hidden.keep(path, fault) from None
     finally:
         hidden.remove()
 
@@ -150,6 +158,7 @@ class GrowingOutput:
     """A file that is written block by block, and can be read meanwhile under its name.
 
     It is made with the first block, and gets its name then; where it replaces an older file, after a second.
+    Where it cannot get it, each block tries again. One that another program has made keeps its name.
 
     Args:
         again: Called where a block could not be written, with the reason; whether to try again.
@@ -161,7 +170,9 @@ class GrowingOutput:
         self.path, self._overwrite, self._again = real_path(path), overwrite, again
         self._hidden: Hidden | None = None
         self._file: FileIO | None = None
-        self.size, self.placed, self._since, self._ending = 0, False, 0.0, b""
+        self.size, self._since, self._ending = 0, 0.0, b""
+        self._placed = False
+        self._kept: KeptError | None = None
 
     def append(self, block: bytes | memoryview, ending: bytes = b"") -> None:
         """Writes a block completely; or raises an OSError, and the file is as after the block before.
@@ -173,12 +184,12 @@ class GrowingOutput:
             try:
                 return self._append(block, ending)
             except OSError as fault:
-                if isinstance(fault, FileExistsError | FileNotFoundError) or not self._again(fault):
+                if isinstance(fault, FileNotFoundError) or not self._again(fault):
                     raise
 
     def _append(self, block: bytes | memoryview, ending: bytes) -> None:
         file = self._opened()
-        if self.placed and not (
+        if self._placed and not (
             self.path.exists() and os.path.samestat(os.fstat(file.fileno()), self.path.stat())
         ):
             raise FileNotFoundError("it was moved or deleted")
@@ -188,16 +199,17 @@ class GrowingOutput:
             with suppress(OSError):
                 self._write_all(file, self._ending)
             raise
-        waits = self._overwrite and self.path.exists() and time.monotonic() - self._since < _SAFE_S
-        if not self.placed and not waits:
-            self._place()
         self.size, self._ending = self.size + len(block), ending
+        waits = self._overwrite and self.path.exists() and time.monotonic() - self._since < _SAFE_S
+        if not self._placed and not waits:
+            with suppress(OSError):
+                self._place(self._overwrite)
 
     def _opened(self) -> FileIO:
         if self._hidden is None:
             self._hidden, self._since = Hidden(self.path), time.monotonic()
         if self._file is None and sys.platform == "win32":  # which renames no open file
-            self._file = FileIO(self.path if self.placed else self._hidden.path, "r+")
+            self._file = FileIO(self.path if self._placed else self._hidden.path, "r+")
         elif self._file is None:
             self._file = FileIO(self._hidden.descriptor, "r+", closefd=False)
         return self._file
@@ -218,23 +230,40 @@ class GrowingOutput:
         file.write(block)
 
     def close(self, *, whole: bool = True) -> None:
-        """Ends the file. One that has no name yet gets it if it is `whole`, else it is removed."""
+        """Ends the file. One that has no name yet gets it; one that is not `whole` replaces no other.
+
+        Raises:
+            KeptError: It could not get its name, once.
+        """
         try:
-            if whole and self.size and not self.placed:
-                self._place()
+            if self.size and not self._placed:
+                self._place(self._overwrite and whole)
+        except OSError as fault:
+            assert self._hidden is not None
+            self._placed, self._kept = True, self._hidden.keep(self.path, fault)
         finally:
             if self._file is not None:
                 self._file.close()
             if self._hidden is not None:
                 self._hidden.remove()
+        kept, self._kept = self._kept, None
+        if kept is not None:
+            raise kept
 
-    def _place(self) -> None:
+    def _place(self, overwrite: bool) -> None:
         assert self._hidden is not None
+        if self._hidden.descriptor >= 0:
+            os.fsync(self._hidden.descriptor)
         if sys.platform == "win32" and self._file is not None:
             self._file.close()
             self._file = None
-        self._hidden.place(self.path, self._overwrite)
-        self.placed = True
+        try:
+            self._hidden.place(self.path, overwrite)
+        except FileExistsError as fault:
+            name = free_name(self.path)
+            self._hidden.place(name, overwrite=False)
+            self.path, self._kept = name, KeptError(fault, self.path, name)
+        self._placed = True
 
 
 def real_path(path: Path) -> Path:

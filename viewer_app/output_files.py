@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from devices.output_file import Hidden, TakenError, real_path, whole_file
+from devices.output_file import Hidden, real_path, whole_file
 from devices.sensor import IMAGE_SUFFIXES
 from viewer_app.errors import UsageError
 
@@ -145,15 +145,12 @@ def output_file(path: Path, force: bool) -> Iterator[Path]:
     """:func:`~devices.output_file.whole_file` of a command.
 
     Raises:
-        UsageError: The file could not be written, or it exists by now and `force` is not set. That file is
-            not replaced, and the message names ours.
+        UsageError: The file could not be written, or it exists by now and `force` is not set: the message
+            says where it is instead.
     """
     try:
         with whole_file(path, overwrite=force) as hidden:
             yield hidden
-    except TakenError as taken:
-        said = f"{path} was made by another program meanwhile. What this one made is {taken.kept}."
-        raise UsageError(said) from None
     except OSError as error:
         raise UsageError(f"{path} could not be written: {error.strerror or error}.") from error
 

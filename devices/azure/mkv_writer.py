@@ -88,11 +88,6 @@ class MkvWriter:
             self._file.close(whole=False)
             raise
 
-    @property
-    def placed(self) -> bool:
-        """Whether the file is there under its name."""
-        return self._file.placed
-
     def write(self, frame: SensorFrame) -> None:
         """Appends a frame. Its time is later than that of the frame before.
 

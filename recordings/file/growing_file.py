@@ -50,11 +50,6 @@ class GrowingFile:
         """Whether data is written."""
         return self._file.size > 0
 
-    @property
-    def placed(self) -> bool:
-        """Whether the file is there under its name."""
-        return self._file.placed
-
     def write(self) -> None:
         """Writes the data logged since the last call.
 

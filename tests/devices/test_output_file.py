@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices import output_file
-from devices.output_file import GrowingOutput, Hidden, TakenError, free_name, whole_file
+from devices.output_file import GrowingOutput, Hidden, KeptError, free_name, whole_file
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX files")
 KILLED = """
@@ -40,7 +40,7 @@ def names(folder):
 def test_a_file_that_is_there_is_left_alone(tmp_path):
     path = tmp_path / "s.rrd"
     path.write_text("theirs")  # made while we worked: nobody looked before
-    with pytest.raises(TakenError) as taken, whole_file(path, overwrite=False) as hidden:
+    with pytest.raises(KeptError) as taken, whole_file(path, overwrite=False) as hidden:
         hidden.write_text("ours")
     assert (path.read_text(), taken.value.kept.read_text()) == ("theirs", "ours")
     assert names(tmp_path) == ["s-2.rrd", "s.rrd"]
@@ -107,21 +107,38 @@ def test_an_older_file_stays_until_a_growing_one_is_safe(tmp_path, monkeypatch):
     file.patch(0, b"x")
     file.close()
     assert (path.read_bytes(), names(tmp_path)) == (b"x23456", ["s.mkv"])
-    for whole, content in ((False, b"x23456"), (True, b"78")):
-        file = GrowingOutput(path, overwrite=True)
-        file.append(b"78")
-        file.close(whole=whole)
-        assert (path.read_bytes(), names(tmp_path)) == (content, ["s.mkv"])
-
-
-def test_a_growing_file_does_not_replace_an_older_one_unasked(tmp_path):
-    path = tmp_path / "s.mkv"
-    path.write_bytes(b"before")
-    file = GrowingOutput(path, overwrite=False)
-    with pytest.raises(FileExistsError):
-        file.append(b"12")
+    file = GrowingOutput(path, overwrite=True)
+    file.append(b"78")
     file.close()
-    assert (path.read_bytes(), names(tmp_path)) == (b"before", ["s.mkv"])
+    assert (path.read_bytes(), names(tmp_path)) == (b"78", ["s.mkv"])
+    file = GrowingOutput(path, overwrite=True)
+    file.append(b"9")
+    with pytest.raises(KeptError, match=r"what was written is .*s-2\.mkv"):
+        file.close(whole=False)
+    file.close()
+    assert (path.read_bytes(), (tmp_path / "s-2.mkv").read_bytes()) == (b"78", b"9")
+    assert names(tmp_path) == ["s-2.mkv", "s.mkv"]
+
+
+@pytest.mark.parametrize("there", ["file", "folder", "folder at first"])
+def test_a_growing_file_is_kept_under_a_name_that_is_free(tmp_path, there):
+    path = tmp_path / "s.mkv"
+    path.write_bytes(b"before") if there == "file" else path.mkdir()
+    file = GrowingOutput(path, overwrite=False)
+    file.append(b"12")
+    if there == "folder at first":
+        path.rmdir()
+    file.append(b"34")
+    if there == "folder at first":
+        file.close()
+        assert (path.read_bytes(), names(tmp_path)) == (b"1234", ["s.mkv"])
+        return
+    with pytest.raises(KeptError) as error:
+        file.close()
+    kept = tmp_path / "s-2.mkv"
+    assert (error.value.kept, names(tmp_path)) == (kept, ["s-2.mkv", "s.mkv"])
+    assert str(kept) in error.value.strerror
+    assert (kept.read_bytes(), path.is_dir() or path.read_bytes()) == (b"1234", there == "folder" or b"before")
 
 
 class Faulty:
@@ -174,10 +191,14 @@ blocks = st.tuples(st.binary(min_size=1, max_size=9), st.binary(max_size=3))
 
 @posix  # Windows opens the file again
 @given(
-    st.lists(blocks, min_size=1, max_size=6), st.lists(faults, max_size=40), st.booleans(), st.integers(0, 30)
+    st.lists(blocks, min_size=1, max_size=6),
+    st.lists(faults, max_size=40),
+    st.lists(faults, max_size=20),
+    st.booleans(),
+    st.integers(0, 30),
 )
-def test_what_fails_is_tried_again_and_costs_nothing_that_is_written(blocks, faults, older, patience):
-    """The file has all blocks, or those before the one for which it was not tried again."""
+def test_what_fails_is_tried_again_and_costs_nothing_that_is_written(blocks, faults, at_end, older, patience):
+    """The file, or the one that the error names, has all blocks or those before the one that was given up."""
     told = []
 
     def again(fault):
@@ -196,9 +217,17 @@ def test_what_fails_is_tried_again_and_costs_nothing_that_is_written(blocks, fau
                 file.append(block, end)
                 written, ending, stopped = written + block, end, False
         assert stopped == (len(told) > patience)
-        file.close()
-        assert names(Path(folder)) == (["s.rrd"] if written or older else [])
-        assert not (written or older) or path.read_bytes() == (written + ending if written else b"before")
+        where = path
+        with Faulty(at_end).calls():
+            try:
+                file.close()
+            except KeptError as error:
+                assert written
+                where = error.kept
+        kept = {path: b"before"} if older else {}
+        if written:
+            kept[where] = written + ending
+        assert {each: each.read_bytes() for each in Path(folder).iterdir()} == kept
 
 
 @posix

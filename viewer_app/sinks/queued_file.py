@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
+from devices.output_file import KeptError
 from devices.sensor import DeviceError
 from viewer_app.sinks.item_queue import ItemQueue
 
@@ -106,17 +106,6 @@ class QueuedFile(Generic[Item]):
             self.without_images += item is not whole
         return item
 
-    @contextmanager
-    def _counting(self, frames: int, file: Any) -> Iterator[None]:
-        """Counts frames that the block appends to a file, which says if it is `placed` under its name."""
-        try:
-            yield
-        except OSError:
-            if not file.placed:  # an older file stays
-                self.written = 0
-            raise
-        self.written += frames
-
     def _again(self, fault: OSError) -> bool:
         """Waits before a block is tried again that could not be written; False at the end."""
         if self.waited is None:
@@ -132,7 +121,7 @@ class QueuedFile(Generic[Item]):
             self.failure = (
                 f"{self.path} is not saved from frame {self.written} on: {why}. Everything before that can "
                 f"be read."
-                if self.written
+                if self.written and not isinstance(fault, KeptError)
                 else f"{self.path} could not be written: {why}."
             )
             self._on_failure(self.failure)

@@ -108,8 +108,8 @@ class RawRecorder(QueuedFile[SensorFrame]):
         with self._open_writer(self.path, *given, calibration=calibration, **self._how) as writer:
             following: SensorFrame | None = frame
             while following is not None:
-                with self._counting(1, writer):
-                    writer.write(following)
+                writer.write(following)
+                self.written += 1
                 following = self._next()
 
     def _first_whole(self) -> SensorFrame | None:

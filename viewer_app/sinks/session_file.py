@@ -75,8 +75,8 @@ class SessionFile(QueuedFile[Item], QueuedSink):
                 if whole:
                     recorder.finish()
                 if file.begun or frames:
-                    with self._counting(frames, file):
-                        file.write()
+                    file.write()
+                    self.written += frames
             file.close()
             if whole:
                 compact.take_place()

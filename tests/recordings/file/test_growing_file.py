@@ -222,9 +222,9 @@ def test_a_file_that_came_in_between_is_not_overwritten(tmp_path):
     file = file_of(path, fuser)
     path.write_text("precious")
     finished(file, frames)
-    assert file.failure is not None
-    assert "File exists" in file.failure
-    assert path.read_text() == "precious"
+    kept = tmp_path / "s-2.rrd"
+    assert file.failure == f"{path} could not be written: File exists; what was written is {kept}."
+    assert (path.read_text(), frames_in(kept), file.lost) == ("precious", 10, 0)
 
 
 # ------------------------------------------------------------------ the disk
