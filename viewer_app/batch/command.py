@@ -88,7 +88,8 @@ def run(options: BatchOptions) -> None:
 def plan_work(jobs: Sequence[Job], force: bool) -> tuple[list[Row], list[Job]]:
     """The sessions that are finished, by the checksums of their inputs and their options; and other jobs.
 
-    A session fails at once if its folder would have to be replaced and holds files of somebody else.
+    A session fails at once if it exists and an input cannot be read, or if its folder would have to be
+    replaced and holds files of somebody else.
 
     Raises:
         UsageError: A session was fused from other recordings, with other options, by another version or
@@ -98,20 +99,18 @@ def plan_work(jobs: Sequence[Job], force: bool) -> tuple[list[Row], list[Job]]:
     left: list[Job] = []
     for job in jobs:
         record = job.record()
-        if record is not None:
-            try:
-                difference = _difference(record["identity"], job.identity())
-            except OSError:
-                difference = ""  # unreadable: the worker reports it
-            if difference == "":
-                known.append(Row(job, "fused", record))
-                continue
-            if not force:
-                raise UsageError(
-                    f"{job.folder} was fused {difference}. Choose another --out, or fuse it again "
-                    "with --force."
-                )
-        if strangers := job.strangers():
+        try:
+            difference = "" if record is None else _difference(record["identity"], job.identity())
+        except OSError as fault:
+            known.append(Row(job, "failed", None, f"{fault.filename}: {fault.strerror}."))
+            continue
+        if difference and not force:
+            raise UsageError(
+                f"{job.folder} was fused {difference}. Choose another --out, or fuse it again with --force."
+            )
+        if record is not None and not difference and job.is_whole:
+            known.append(Row(job, "fused", record))
+        elif strangers := job.strangers():
             why = f"{job.folder} holds files that duplex batch did not write: {', '.join(strangers[:3])}."
             known.append(Row(job, "failed", None, why))
         else:
@@ -129,6 +128,8 @@ def _difference(before: dict[str, object], now: dict[str, object]) -> str:
     """What differs between two identities, for a message; empty if nothing does."""
     if before == now:
         return ""
+    if not before:
+        return "from what its record does not say"
     if before.get("program") != now["program"]:
         return f"by version {before.get('program')}; this is {now['program']}"
     if before.get("options") != now["options"]:

@@ -9,6 +9,7 @@ import json
 import os
 import shutil
 import socket
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -105,15 +106,21 @@ class Job:
         }
 
     def record(self) -> Record | None:
-        """The record of the finished session; None if there is no complete session."""
-        needed = [self.session, self.report, *([self.page] if self.options.pages else [])]
-        if not all(path.is_file() for path in needed):
-            return None
-        try:
+        """The record in the session's folder, which may lack other files; None if there is no session.
+
+        That of a session whose record cannot be read has no identity.
+        """
+        with suppress(OSError, ValueError, RecursionError):
             record = json.loads((self.folder / RECORD).read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError):
-            return None
-        return record if isinstance(record, dict) and {"identity", "figures"} <= record.keys() else None
+            if isinstance(record, dict) and {"identity", "figures"} <= record.keys():
+                return record
+        return {"identity": {}} if self.session.exists() else None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the session's folder has all files that the options ask for."""
+        needed = [self.session, self.report, *([self.page] if self.options.pages else [])]
+        return all(path.is_file() for path in needed)
 
     def strangers(self) -> list[str]:
         """Names of files in the session's folder that ``duplex batch`` did not write there."""

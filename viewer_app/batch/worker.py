@@ -42,7 +42,7 @@ def fuse_job(job: Job) -> Outcome:
 def _fuse(job: Job) -> Record:
     os.environ.setdefault("RERUN_ANALYTICS", "0")
     identity = job.identity()
-    finished = job.record()
+    finished = job.record() if job.is_whole else None
     if finished is not None and finished["identity"] == identity:
         # A cluster repeats a job if its worker is lost after the session is in its place.
         return finished

@@ -2,18 +2,25 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from unittest.mock import create_autospec
 
 import psutil
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
 
 from fusion.setup import REVISIONS
 from recordings.session import Session
@@ -22,11 +29,12 @@ from tests.helpers.dying_worker import DEADLY, fuses_or_dies
 from tests.helpers.machine import small_disk
 from tests.helpers.recorded_pairs import assert_same_session, write_pair
 from tests.helpers.waiting import eventually
-from viewer_app.batch import cluster, processes
+from viewer_app.batch import cluster, processes, worker
 from viewer_app.batch.command import usable_processors
 from viewer_app.batch.finding import Pair
 from viewer_app.batch.jobs import Job, Outcome
 from viewer_app.batch.worker import fuse_job
+from viewer_app.commands.fuse import fuse_files
 from viewer_app.options.sensing import BatchOptions
 from viewer_app.report.pages import review_page
 
@@ -165,6 +173,110 @@ def test_only_what_is_not_done_is_fused(tmp_path, in_this_process, capsys):
     assert in_this_process[5:] == ["two"]
     assert "holds files that duplex batch did not write: one.bvh." in capsys.readouterr().out
     assert sorted(table(out)["state"]) == ["failed", "fused", "fused"]
+
+
+class KilledError(BaseException):
+    """The process ends here: nothing is tidied."""
+
+
+@cache
+def one_session():
+    """A session and the figures of its report, whatever is fused."""
+    with TemporaryDirectory() as folder:
+        pair = write_pair(Path(folder) / "pairs" / "p")
+        options = BatchOptions(source=pair.parent, out=Path(folder) / "out", method="paper")
+        fused = Job(Pair("p", pair / "a.csv", pair / "b.csv"), options).fuse_options(Path(folder))
+        return fuse_files(fused, Console(file=StringIO()))
+
+
+def fused_at_once(options, _):
+    """The session's file says what it was made of."""
+    options.save.write_text(f"{options.a.read_text()}{options.b.read_text()}{options.h}")
+    options.report.write_text("{}")
+    return one_session()[0], dict(one_session()[1])
+
+
+def dies_at(monkeypatch, rename):
+    """The process is killed at the n-th time that a folder gets another name; never if there are fewer."""
+    left, real = [rename], Path.rename
+
+    def counted(path, to):
+        if left[0] == 0:
+            monkeypatch.setattr(Path, "rename", dies)
+            monkeypatch.setattr(shutil, "rmtree", dies)
+            raise KilledError
+        left[0] -= 1
+        return real(path, to)
+
+    def dies(*_, **__):
+        raise KilledError
+
+    monkeypatch.setattr(Path, "rename", counted)
+
+
+RUNS = st.lists(
+    st.fixed_dictionaries(
+        {
+            "inputs": st.sampled_from([None, None, "other", "unreadable"]),
+            "h": st.sampled_from([0.6, 0.6, 0.9]),
+            "pages": st.booleans(),
+            "force": st.sampled_from([False, False, True]),
+            "dies": st.none() | st.integers(0, 3),
+            "lost": st.sets(st.sampled_from(["rrd", "json", "html", "record"]), max_size=1),
+        }
+    ),
+    min_size=2,
+    max_size=5,
+)
+
+
+@given(RUNS)
+def test_whatever_happened_before_no_session_is_lost_and_none_is_taken_for_another(runs):
+    with TemporaryDirectory() as at, pytest.MonkeyPatch.context() as patched:
+        pairs, out, version = Path(at) / "pairs", Path(at) / "out", {"p": 0, "q": 0}
+        patched.setattr(worker, "fuse_files", fused_at_once)
+        patched.setattr(worker, "truth_free_figures", lambda _: {})
+        patched.setattr(review_page, "review_page", lambda *_: "")
+        fusing_here(patched)
+        for run in runs:
+            for name, number in version.items():
+                if run["inputs"] == "other" and name == "p":
+                    version[name] = number + 1
+                (pairs / name).mkdir(parents=True, exist_ok=True)
+                for side in "ab":
+                    (pairs / name / f"{side}.csv").unlink(missing_ok=True)
+                    (pairs / name / f"{side}.csv").write_text(f"{name}{side}{version[name]} ")
+            if run["inputs"] == "unreadable":
+                (pairs / "p" / "a.csv").unlink()
+                (pairs / "p" / "a.csv").symlink_to("nowhere")
+            for lost in run["lost"]:
+                (out / "p" / ("record.json" if lost == "record" else f"p.{lost}")).unlink(missing_ok=True)
+            right = {name: f"{name}a{k} {name}b{k} {run['h']}" for name, k in version.items()}
+            before = {path.stem: path.read_text() for path in out.glob("*/*.rrd")}
+            old = {path.stem: path.stem for path in out.glob(".partial/*.old/*.rrd")}
+            command = "batch", pairs, "--out", out, *PLAIN, "--h", run["h"]
+            command += tuple(f"--{each}" for each in ("pages", "force") if run[each])
+            code, killed = None, False
+            with pytest.MonkeyPatch.context() as this_time:
+                if run["dies"] is not None:
+                    dies_at(this_time, run["dies"])
+                try:
+                    code = duplex(*command)
+                except KilledError:
+                    killed = True
+            there = {path.stem: path.read_text() for path in out.glob("*/*.rrd")}
+            kept = {path.stem: path.read_text() for path in out.glob(".partial/*.old/*.rrd")}
+            assert before.keys() | old.keys() <= there.keys() | kept.keys()
+            for name, content in there.items():
+                changed = content != before.get(name, content)
+                assert not changed or run["force"]
+                assert not changed or content == right[name]
+            if run["inputs"] != "unreadable" and (run["force"] or not before) and not killed:
+                assert code == 0
+            if code == 0:
+                assert there == right
+                assert run["inputs"] != "unreadable"
+            assert killed or code in (0, 1, 2)
 
 
 def test_sessions_of_another_revision_are_fused_again(tmp_path, in_this_process, monkeypatch, capsys):
