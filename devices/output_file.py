@@ -103,7 +103,7 @@ class Hidden:
                 os.close(folder)
 
     def keep(self, target: Path, fault: OSError) -> KeptError:
-        """Gives a file that could not get its name a free one, or leaves it where it is; returns the error."""
+        """Gives a file that could not get its name a free one, or leaves it there; returns the error."""
         kept = free_name(target)
         try:
             self.place(kept, overwrite=False)

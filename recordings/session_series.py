@@ -199,13 +199,14 @@ class SessionSeries(SessionData):
 
         return read_only(good_frames(self, self.quality_per_second))
 
-    def part(self, frames: ArrayLike) -> Self:
-        """Some frames as a separate session: ``session.part(np.flatnonzero(session.good_frames))``.
+    def part(self, frames: ArrayLike | slice) -> Self:
+        """Some frames as a session in memory: ``session.part(session.good_frames)``.
 
         Its numbers and times start at 0. A gap between the frames stays in the times.
 
         Args:
-            frames: (N,) their numbers, increasing.
+            frames: (N,) their numbers, increasing; or (T,) flags, or a slice. For times:
+                ``session.part((session.time >= 2.0) & (session.time < 5.0))``.
 
         Raises:
             RecordingError: There are none, or the session does not have them in this order.

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO, cast
 
-_PARAMETER = re.compile(r"`([a-z][a-z0-9_]*)(?:=([^`]*))?`")
+_PARAMETER = re.compile(r"(?<![^\s(,;:\"'])`([a-z][a-z0-9_]*)(?:=([^`]*))?`(?![\w/\\-]|\.\w)")
+"""Within the name of a file, something beside the backquotes tells that they are of it."""
 _FLAGS = {"offset_ms": "offset"}
 """Flags that are named otherwise than the parameter."""
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")

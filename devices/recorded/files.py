@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -119,13 +120,13 @@ def recorded_at(path: Path) -> str:
         return "" if recording.info is None else recording.info.recorded
 
 
-def distinct_names(a: Path, b: Path) -> tuple[str, str]:
-    """The names of two files, with as many of their folders as tell them apart."""
-    for parts in range(1, max(len(a.parts), len(b.parts)) + 1):
-        names = Path(*a.parts[-parts:]), Path(*b.parts[-parts:])
-        if names[0] != names[1]:
-            break
-    return str(names[0]), str(names[1])
+def distinct_names(a: str, b: str) -> tuple[str, str]:
+    """The names of two files, with as many of their folders as tell them apart; other names as they are."""
+    one, other = (re.split(r"[/\\]", name) for name in (a, b))
+    for parts in range(1, max(len(one), len(other)) + 1):
+        if one[-parts:] != other[-parts:]:
+            return "/".join(one[-parts:]), "/".join(other[-parts:])
+    return one[-1], other[-1]
 
 
 def frame_count(source: Sensor) -> int | None:

@@ -136,6 +136,13 @@ class SessionData:
         return int(self.about["session"].get("first_frame", [0])[0])
 
     @property
+    def numbers(self) -> NDArray[np.int64]:
+        """(T,) the numbers of the frames in the original capture."""
+        runs = json.loads(self.about["session"].get("frames", ["[]"])[0])
+        known = [np.arange(*run) for run in runs] or [self.first_frame + np.arange(len(self))]
+        return np.concatenate(known)[: len(self)]
+
+    @property
     def left_out(self) -> int:
         """How many frames between its first and its last one were left out on purpose."""
         return int(self.about["session"].get("left_out", [0])[0])

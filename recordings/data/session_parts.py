@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -19,26 +20,31 @@ S = TypeVar("S", bound=SessionData)
 T = TypeVar("T")
 
 
-def part_of(session: S, frames: ArrayLike) -> S:
+def part_of(session: S, frames: ArrayLike | slice) -> S:
     """The session of some frames, whose numbers and times start at 0; a gap between them stays in the times.
 
-    Its properties ``first_frame``, ``seconds_before`` and ``left_out`` are the number of its first frame in
-    the original capture, when that was there, and how many frames within it are missing.
+    Its ``numbers`` are those of its frames in the original capture; its property ``seconds_before`` is when
+    the first one was there. It is in memory, whatever file it comes from.
 
     Args:
-        frames: (N,) their numbers, increasing.
+        frames: (N,) their numbers, increasing; or (T,) flags, or a slice.
 
     Raises:
         RecordingError: There are none, or the session does not have them in this order.
     """
-    kept = np.asarray(frames, dtype=np.int64)
-    if not (len(kept) and kept[0] >= 0 and kept[-1] < len(session) and (np.diff(kept) > 0).all()):
-        raise RecordingError(f"{session} has {len(session)} frames; a part needs some of them, in order.")
+    try:
+        kept = np.arange(len(session))[frames if isinstance(frames, slice) else np.asarray(frames)]
+    except IndexError:
+        kept = np.arange(0)
+    if kept.ndim != 1 or not len(kept) or (np.diff(kept) <= 0).any():
+        raise RecordingError(
+            f"{session} has {len(session)} frames; a part needs some of them, in order: their numbers, or a "
+            "flag for each frame."
+        )
     if len(kept) == len(session):
         return session
     first, end = int(kept[0]), int(kept[-1]) + 1
-    gaps = end - first - len(kept)
-    chosen = kept if gaps else slice(first, end)
+    chosen = kept if end - first > len(kept) else slice(first, end)
     rows = session.rows[chosen]
     rows = replace(rows, frame=np.arange(len(kept)), time_ns=rows.time_ns - rows.time_ns[0])
     begins = np.searchsorted(kept, [number for number, _ in session.calibrations]).tolist()
@@ -50,13 +56,17 @@ def part_of(session: S, frames: ArrayLike) -> S:
     # nobody knows it of this part
     of_all = "dropped", "others_seen"
     about = {n: of for n, of in session.about["session"].items() if not n.startswith(of_all)}
-    about["first_frame"] = [session.first_frame + first]
     before = about.get("seconds_before", [0.0])[0]
     about["seconds_before"] = [before + 1e-9 * float(session.rows.time_ns[first])]
-    if gaps or session.left_out:
-        about["left_out"] = [session.left_out + gaps]
+    numbers = session.numbers[kept]
+    about["first_frame"] = [int(numbers[0])]
+    told_only = 0 if "frames" in about else session.left_out  # by a version that did not say which
+    about["left_out"] = [told_only + int(numbers[-1] + 1 - numbers[0]) - len(kept)]
+    runs = np.split(numbers, 1 + np.flatnonzero(np.diff(numbers) > 1))
+    about["frames"] = [json.dumps([[int(run[0]), int(run[-1]) + 1] for run in runs])]
     return replace(
         session,
+        path=None,
         rows=rows,
         calibrations=calibrations,
         events=tuple(_events(session, kept, calibrations, rows.time_ns)),

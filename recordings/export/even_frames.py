@@ -43,6 +43,13 @@ def even_moments(rows: SessionArrays, rate: float | None = None) -> EvenMoments:
     return EvenMoments(rate, np.minimum(time_ns, last_ns))
 
 
+def with_fused(session: SessionSeries) -> SessionArrays:
+    """The frames of a session that has S* in some of them; or a RecordingError."""
+    if not any(np.isfinite(part.fused).any() for part in session.rows.parts()):
+        raise RecordingError(f"{session} has no frame with an S*; there is nothing to export.")
+    return session.rows
+
+
 class EvenPositions:
     """S* at an even rate, interpolated over gaps of up to 0.25 s.
 
@@ -57,9 +64,7 @@ class EvenPositions:
         Raises:
             RecordingError: No frame has an S*.
         """
-        self._rows = rows = session.rows
-        if not any(np.isfinite(part.fused).any() for part in rows.parts()):
-            raise RecordingError(f"{session} has no frame with an S*; there is nothing to export.")
+        self._rows = rows = with_fused(session)
         self._even = even_moments(rows, rate)
         self.rate, self.time_ns = self._even.rate, self._even.time_ns
         self._filled = self._left = 0

@@ -16,7 +16,7 @@ from recordings.appearance.floor import floor_under
 from recordings.data.interpolation import positions_at
 from recordings.data.session_arrays import SessionArrays
 from recordings.errors import RecordingError
-from recordings.export.even_frames import EvenPositions, even_moments
+from recordings.export.even_frames import EvenPositions, even_moments, with_fused
 from recordings.session_series import SessionSeries
 
 # Vendors count further in parameters of their own; ezc3d and all that is built on it read none of those
@@ -29,12 +29,12 @@ def write_c3d(session: SessionSeries, path: Path, rate: float | None = None) -> 
     The origin lies on the floor, below K_A.
 
     Raises:
-        RecordingError: The session is too long for the format.
+        RecordingError: No frame has an S*, or the session is too long for the format.
         OSError: The file could not be written completely.
     """
     import ezc3d
 
-    even = even_moments(session.rows, rate)
+    even = even_moments(with_fused(session), rate)
     if len(even.time_ns) > _MOST_FRAMES:
         raise RecordingError(
             f"A .c3d holds {_MOST_FRAMES} frames, {_MOST_FRAMES / even.rate / 60:.0f} min at "

@@ -126,6 +126,8 @@ class RrdFile:
                 return
             yield kind, begin, end
             if kind == _END:
+                if (other := self._data.find(_MAGIC + b"\0", end)) >= 0:
+                    self._wrong(f"another recording begins at byte {other}, which is not read")
                 return
             offset = end
         self._wrong("it was not ended")

@@ -27,7 +27,6 @@ from fusion.support.progress import Progress, quietly
 from recordings.appearance.coach_page import CoachPage
 from recordings.data import layout
 from recordings.data.session_data import OF_DAMAGED, SessionData
-from recordings.data.session_parts import PartOfImages
 from recordings.errors import RecordingError
 from recordings.file.rrd_file import RrdFile, damage_of
 from recordings.writing.changes import log_quality
@@ -98,9 +97,7 @@ def write_session(
 
 def _kept_id(session: SessionData, path: Path) -> str | None:
     """The recording's id if a session replaces its own file, so that its images are still found there."""
-    if session.path is None or isinstance(session.images, PartOfImages) or not path.exists():
-        return None
-    if not path.samefile(session.path):
+    if session.path is None or not path.exists() or not path.samefile(session.path):
         return None
     with RrdFile(path) as file:
         identity = file.identity()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from itertools import islice
@@ -16,7 +15,7 @@ from devices.depth.image_thinning import Depth
 from devices.events import Event
 from devices.pairing import pair_views
 from devices.people.recorded_people import Follow, RecordedPeople
-from devices.recorded.files import recorded_at
+from devices.recorded.files import distinct_names, recorded_at
 from devices.recorded.two_recordings import RecordingChoice, TwoRecordings, read_two
 from devices.tracker_choice import TrackerChoice
 from fusion.body import BODIES, Body
@@ -119,7 +118,7 @@ def fuse_read(
     """
     skeletons = read.pairing.pairs.skeletons
     plan = plan_recording(read.body, skeletons, settings, calibration, refine, progress)
-    names = without_folders(sources)
+    names = distinct_names(*sources)
     if not force:
         check_related(read, plan, *names, calibrated=calibration is not None)
     segments = setups_of(plan, settings, read.cameras(depth))
@@ -189,15 +188,6 @@ def check_related(
         f"{1e3 * plan.views_differ:.0f} mm after the best registration. Check that they belong together, and "
         "their clocks; `force` fuses them all the same."
     )
-
-
-def without_folders(sources: tuple[str, str]) -> tuple[str, str]:
-    """The names of the sensors; for files, the shortest end of the path that distinguishes them."""
-    a, b = (re.split(r"[/\\]", source) for source in sources)
-    for parts in range(1, min(len(a), len(b)) + 1):
-        if a[-parts:] != b[-parts:]:
-            return "/".join(a[-parts:]), "/".join(b[-parts:])
-    return a[-1], b[-1]
 
 
 def _about(read: TwoRecordings, plan: RecordingPlan) -> dict[str, str | float]:

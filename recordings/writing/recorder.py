@@ -115,7 +115,8 @@ class Recorder:
             numbers = range(self._next, self._next + len(frames))
         of, begun_ns = self._calibration, self._begun_by(frames[0])
         rows = SessionArrays.stack(of.body, of.bone_lengths, frames, numbers, begun_ns)
-        rows = replace(rows, **{name: rows.filled(name) for name in self._had})
+        filled: dict[str, Any] = {name: rows.filled(name) for name in self._had}
+        rows = replace(rows, **filled)
         if new := {name for name, _, _ in rows.figures()} - self._had:
             self.plot()  # frames that are plotted together have the same figures
             self._had |= new

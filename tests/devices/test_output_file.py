@@ -138,7 +138,10 @@ def test_a_growing_file_is_kept_under_a_name_that_is_free(tmp_path, there):
     kept = tmp_path / "s-2.mkv"
     assert (error.value.kept, names(tmp_path)) == (kept, ["s-2.mkv", "s.mkv"])
     assert str(kept) in error.value.strerror
-    assert (kept.read_bytes(), path.is_dir() or path.read_bytes()) == (b"1234", there == "folder" or b"before")
+    assert (kept.read_bytes(), path.is_dir() or path.read_bytes()) == (
+        b"1234",
+        there == "folder" or b"before",
+    )
 
 
 class Faulty:

@@ -107,6 +107,14 @@ def unseen(session, never):
     return replace(session, rows=replace(rows, **states))
 
 
+@pytest.mark.parametrize("suffix", [".bvh", ".c3d", ".glb", ".mcap", ".mot", ".trc"])
+def test_a_session_without_a_fused_frame_is_not_written(session, tmp_path, suffix):
+    none = replace(session, rows=replace(session.rows, fused=np.full_like(session.fused, np.nan)))
+    with pytest.raises(RecordingError, match="nothing to export|installed"):
+        none.export(tmp_path / f"none{suffix}")
+    assert not (tmp_path / f"none{suffix}").exists()
+
+
 def on_floor(session, positions):
     """Metres: x right, y up, z towards the sensor. test_animations.py has the floor on known truth."""
     return floor_under(session.rows).inverse().apply(positions) * [1.0, -1.0, -1.0]

@@ -431,7 +431,9 @@ def test_a_live_file_keeps_every_figure_whoever_comes_late(data):
     sizes = data.draw(st.lists(st.integers(1, 7), min_size=len(pairs)))
     body = pairs[0].skeletons.a.body
     fuser = Fuser(
-        FusionSetup(Calibration(body, RigidTransform.of(np.eye(3), np.ones(3)), body.nominal_lengths, "known"))
+        FusionSetup(
+            Calibration(body, RigidTransform.of(np.eye(3), np.ones(3)), body.nominal_lengths, "known")
+        )
     )
     frames = []
     for k, pair in enumerate(pairs):

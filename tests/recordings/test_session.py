@@ -36,6 +36,7 @@ from recordings.comparing.session_comparison import Comparison
 from recordings.data import layout
 from recordings.data.session_arrays import SessionFrame
 from recordings.errors import RecordingError
+from recordings.file.rrd_file import END_OF_FILE, without_footer
 from recordings.file.session_writer import write_session
 from recordings.fusing.pairs import fuse_segments
 from recordings.replaying import Agreement, Replay
@@ -211,6 +212,17 @@ def test_a_session_opens_without_pandas(fused_run):
     )
     said = python("-c", program, path)
     assert said.stdout == "3\n", said.stderr
+
+
+@pytest.mark.parametrize("grown", [False, True])
+def test_a_session_behind_another_is_said(fused_run, tmp_path, grown):
+    session, both = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1)), tmp_path / "both.rrd"
+    whole = session.path.read_bytes()
+    first = bytes(without_footer(whole, with_header=True)) + END_OF_FILE if grown else whole
+    both.write_bytes(first + whole)
+    opened = Session.open(both)
+    assert len(opened) == 3
+    assert opened.damage == f"another recording begins at byte {len(first)}, which is not read"
 
 
 def test_an_event_moved_to_another_time_is_damage(tmp_path):
@@ -479,8 +491,8 @@ class Model:
         self.settings, self.cameras = session.settings, (session.intrinsics_a, session.intrinsics_b)
         self.spells = spells_in(session)
         self.warned = Counter(event.text for event in session.events)["clocks are apart"]
-        self.first, self.damage, self.lost = session.first_frame, session.damage, session.frames_lost
-        self.left_out = session.left_out
+        self.damage, self.lost = session.damage, session.frames_lost
+        self.numbers = session.numbers
         self.whole = True  # whether all frames are here that S* was made of
 
     def keep(self, kept):
@@ -513,7 +525,7 @@ class Model:
         later = self.settings.method == "duplex" and self.settings.hindsight == "whole"
         gaps = kept[-1] + 1 - kept[0] - len(kept)
         self.whole &= kept[0] == 0 and not gaps and not (later and len(kept) < count)
-        self.first, self.left_out = self.first + kept[0], self.left_out + gaps
+        self.numbers = self.numbers[kept]
 
 
 class Saving(RuleBasedStateMachine):
@@ -615,6 +627,7 @@ class Saving(RuleBasedStateMachine):
         else:
             self.original = again
         expected, self.model = self.model, Model(again)
+        self.model.numbers = expected.numbers
         assert len(Comparison.of(before, again)) == len(before)
         assert (again.damage, again.frames_lost) == (before.damage, before.frames_lost)
         assert self.model.about == expected.about
@@ -630,17 +643,15 @@ class Saving(RuleBasedStateMachine):
             return
         self.model.keep(list(range(len(session))))
         expected, self.model = self.model, Model(session)
-        self.model.whole = expected.whole
+        self.model.whole, self.model.numbers = expected.whole, expected.numbers
         self.session = session
 
     @invariant()
     def the_session_is_the_model(self):
         session, of = self.session, self.model
-        assert (session.first_frame, session.left_out, session.frames_lost) == (
-            of.first,
-            of.left_out,
-            of.lost,
-        )
+        assert session.frames_lost == of.lost
+        np.testing.assert_array_equal(session.numbers, of.numbers)
+        assert session.first_frame == of.numbers[0]
         assert (session.damage is None) == (of.damage is None)
         for name in _KEYS:
             values, stored = of.rows.get(name), getattr(session.rows, name)
@@ -697,12 +708,14 @@ def test_a_part_of_a_part_is_that_part_of_the_whole(outer, choice):
     np.testing.assert_array_equal(twice.time_ns, once.time_ns)
     np.testing.assert_array_equal(twice.fused, once.fused)
     assert twice.calibrations == once.calibrations
-    if kept[inner[0]] - kept[0] == inner[0]:  # else gaps before it are not counted, which is a defect
-        assert twice.first_frame == once.first_frame == kept[inner[0]]
-    before = [each.about["session"].get("seconds_before", [0.0])[0] for each in (once, twice)]
-    assert before == pytest.approx(2 * [1e-9 * whole.time_ns[kept[inner[0]]]])
-    gaps = [frames[-1] + 1 - frames[0] - len(frames) for frames in (kept, inner)]
-    assert twice.left_out == sum(gaps)  # also where a gap of the first cut is no longer within it
+    np.testing.assert_array_equal(twice.numbers, [kept[k] for k in inner])
+    flags = np.isin(np.arange(len(whole)), twice.numbers)
+    told = [{**each.about["session"]} for each in (once, twice, whole.part(flags))]
+    before = [each.pop("seconds_before", [0.0])[0] for each in told]
+    assert before == pytest.approx(3 * [1e-9 * whole.time_ns[kept[inner[0]]]])
+    if len(kept) < len(whole):
+        assert told == 3 * told[:1]
+        assert (twice.path, str(twice)) == (None, "the session in memory")
 
 
 @cache

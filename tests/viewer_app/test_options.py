@@ -94,8 +94,10 @@ names = st.from_regex(r"[a-z][a-z0-9_]{0,12}", fullmatch=True)
 @given(before=words, name=names.filter(lambda name: name != "offset_ms"), value=words, after=words)
 def test_a_parameter_becomes_a_flag_of_the_same_length_and_nothing_else_changes(before, name, value, after):
     flag = f"--{name.replace('_', '-')}"
-    assert in_flags(f"{before}`{name}`{after}") == f"{before}{flag}{after}"
-    assert in_flags(f"{before}`{name}={value}`{after}") == f"{before}{flag} {value}{after}"
+    assert in_flags(f"{before} `{name}` {after}") == f"{before} {flag} {after}"
+    assert in_flags(f"{before} (`{name}={value}`, {after}") == f"{before} ({flag} {value}, {after}"
+    for of_file in (f"x`{name}`.csv", f"a/`{name}`", f"`{name}`.csv", f"`{name}`/b.csv", f"`{name}`-2"):
+        assert in_flags(f"{before} {of_file}: {after}") == f"{before} {of_file}: {after}"
     assert len(in_flags(f"`{name}`")) == len(f"`{name}`")
     assert in_flags(before + after) == before + after
     assert in_flags(f"`duplex {name}`") == f"`duplex {name}`"

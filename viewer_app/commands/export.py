@@ -1,7 +1,5 @@
 """``duplex export``: writes S* in formats of other programs."""
 
-import numpy as np
-
 from recordings.export import writer_for
 from recordings.session import Session
 from viewer_app.options.sessions import ExportOptions
@@ -19,7 +17,7 @@ def run(options: ExportOptions) -> None:
     session = Session.open(options.session)
     print_damage(console, session)
     if options.good:
-        session = session.part(np.flatnonzero(good_frames_of(session, console)))
+        session = session.part(good_frames_of(session, console))
     with output_file(options.to, options.force) as hidden:
         written = write(session, hidden)
     console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)

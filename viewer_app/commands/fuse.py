@@ -70,7 +70,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     if options.good:
         from viewer_app.report.pages.good_part import good_frames_of
 
-        kept = session.part(np.flatnonzero(good_frames_of(session, console)))
+        kept = session.part(good_frames_of(session, console))
         about = "These figures are of the whole recordings, of which this session has the good seconds."
 
     def export_it() -> None:

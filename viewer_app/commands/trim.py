@@ -1,7 +1,5 @@
 """``duplex trim``: saves a time range of a session as a new session."""
 
-import numpy as np
-
 from recordings.quality.figures import report
 from recordings.session import Session
 from viewer_app.errors import UsageError
@@ -31,7 +29,7 @@ def run(options: TrimOptions) -> None:
         )
     if options.good:
         kept &= good_frames_of(session, console)
-    part = session.part(np.flatnonzero(kept))
+    part = session.part(kept)
     with output_file(options.save, options.force) as hidden:
         about = f"These figures are of {session}, of which this session is a part."
         damaged = write_for_viewer(part, hidden, session_page(part.last_setup, report(session), about))

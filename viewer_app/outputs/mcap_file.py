@@ -89,7 +89,10 @@ class McapOutput(LiveOutput):
                 self._write()
         except UsageError as fault:
             self.failure = str(fault)
-        self._file.close()
+        try:
+            self._file.close()
+        except OSError as fault:
+            self.failure = self.failure or f"{self._path} could not be written: {fault.strerror}."
 
     def _at(self, time_ns: int) -> int:
         return max(time_ns + (self._unix_ns or 0), 0)

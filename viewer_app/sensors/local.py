@@ -134,7 +134,7 @@ def two_played_sensors(options: LiveOptions, paths: Sequence[Path], console: Con
     on_cable = delay_ns is not None and len(arrivals) < 2
     beat = Beat(2, common="arrival" if one_run else "capture" if on_cable else None)
     played: list[Sensor] = []
-    names = distinct_names(*paths)
+    names = distinct_names(*map(str, paths))
     for path, name, orientation in zip(paths, names, options.orientations, strict=True):
         if tracker.name == "k4abt":
             tracked = open_source(path, tracker=tracker, orientation=orientation or 0)

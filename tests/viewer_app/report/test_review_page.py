@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from devices.recorded.files import distinct_names
 from fusion.body import KINECT_V2
 from recordings.appearance.colors import PREDICTED_COLOR
 from recordings.appearance.floor import floor_under
-from recordings.fusing.files import without_folders
 from recordings.gait import Gait, Measured, Step, Turn
 from recordings.quality.figures import report
 from recordings.quality.limits import POSSIBLE
@@ -47,9 +47,10 @@ pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
 
 
 def test_files_are_named_without_their_folders():
-    assert without_folders(("ann/walk/a.csv", "ann/walk/b.csv")) == ("a.csv", "b.csv")
-    assert without_folders(("C:\\ann\\left\\s.csv", "C:\\ann\\right\\s.csv")) == ("left/s.csv", "right/s.csv")
-    assert without_folders(("Kinect 12", "Kinect 12")) == ("Kinect 12", "Kinect 12")
+    assert distinct_names(*("ann/walk/a.csv", "ann/walk/b.csv")) == ("a.csv", "b.csv")
+    assert distinct_names(*("C:\\ann\\left\\s.csv", "C:\\ann\\right\\s.csv")) == ("left/s.csv", "right/s.csv")
+    assert distinct_names(*("1/rec.csv", "rec.csv")) == ("1/rec.csv", "rec.csv")
+    assert distinct_names(*("Kinect 12", "Kinect 12")) == ("Kinect 12", "Kinect 12")
 
 
 @pytest.fixture(scope="module")

@@ -16,11 +16,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from devices.people.recorded_people import SeenPerson
+from devices.recorded.files import distinct_names
 from recordings.appearance.colors import MARK_COLORS, PROMINENT_BONES
 from recordings.appearance.joint_trust import TrustColors
 from recordings.data.frame_noise import frame_noise_of
 from recordings.data.session_arrays import rate_without_pauses
-from recordings.fusing.files import without_folders
 from recordings.quality.doubtful_time import UNCERTAIN
 from recordings.quality.limits import GOOD, USABLE
 from recordings.session import Session
@@ -44,7 +44,7 @@ _MOST_EVENTS = 12
 
 def review_page(session: Session, figures: dict[str, Any]) -> str:
     """The page as HTML."""
-    source_a, source_b = without_folders(session.sources)
+    source_a, source_b = distinct_names(*session.sources)
     lead = list(lead_lines(figures))
     events = list_events(session.events)
     printed = {each.number for each in shortest_list(events, _MOST_EVENTS)}
