@@ -1,4 +1,4 @@
-"""What a session shows beside its frames: images, and people who are not followed.
+"""What a session shows beside its frames: images, people who are not followed, and what was logged live.
 
 None here; :mod:`recordings.fusing.recording_images` has those of two recordings,
 :mod:`recordings.file.stored_images` a session file's.
@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Generic, TypeVar
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from devices.sensor import ColorImage
@@ -53,6 +54,10 @@ class SessionImages:
         """The people who are not followed, as :func:`drawn_bones`; of frames with some, and the next one."""
         del side, frames
         return Images()
+
+    def logged(self) -> Iterator[tuple[str, pa.RecordBatch]]:
+        """What a live capture logged beside its frames (:func:`layout.is_logged`): entity and chunk."""
+        return iter(())
 
 
 def drawn_bones(body: Body, positions: NDArray[np.floating]) -> NDArray[np.float32]:

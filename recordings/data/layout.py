@@ -163,6 +163,13 @@ def stream_figure(name: str) -> str:
     return f"{QUALITY}/{name}"
 
 
+def is_logged(entity: str) -> bool:
+    """Whether an entity is of the capture alone, and not of its frames: the coach, the figures of streams."""
+    return entity in LOGGED or entity.startswith(f"{COACH}/")
+
+
+LOGGED = (COACH, *map(stream_figure, ("drift_ppm", "dropped", "unpaired")))
+"""What a session that is made of a live one keeps as it was logged; see :func:`is_logged`."""
 SKELETON_NAMES = {
     "a": "S_A",
     "b": "S_B",

@@ -8,10 +8,13 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
+from devices.arrow_numbers import numbers_of
 from devices.events import Event, spells_of
 from devices.sensor import ColorImage
+from recordings.data import layout
 from recordings.data.images import Images, SessionImages
 from recordings.data.session_data import SessionData
 from recordings.errors import RecordingError
@@ -134,6 +137,18 @@ class PartOfImages(SessionImages):
 
     def others(self, side: str, frames: range) -> Images[NDArray[np.float32]]:
         return self._of(lambda every: self._images.others(side, every), frames, lambda bones: not len(bones))
+
+    def logged(self) -> Iterator[tuple[str, pa.RecordBatch]]:
+        """Of a frame that is left out, the newest in the next one."""
+        for entity, batch in self._images.logged():
+            if layout.FRAME in batch.schema.names:
+                at = batch.schema.get_field_index(layout.FRAME)
+                frames = np.searchsorted(self._kept, numbers_of(batch.column(at)))
+                newest = np.append(frames[1:] != frames[:-1], True) & (frames < len(self._kept))
+                batch = batch.set_column(at, batch.schema.field(at), pa.array(frames)).filter(
+                    pa.array(newest)
+                )
+            yield entity, batch
 
     def _of(
         self, source: Callable[[range], Images[T]], frames: range, ends: Callable[[T], bool] = lambda _: False

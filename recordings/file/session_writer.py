@@ -18,9 +18,11 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import pyarrow as pa
 import rerun as rr
 import rerun_bindings
 
+from devices.arrow_numbers import numbers_of
 from devices.output_file import whole_file
 from fusion.support.large_arrays import parts
 from fusion.support.progress import Progress, quietly
@@ -91,6 +93,7 @@ def write_session(
                 _flush(stream, path)  # else all that a slow disk has not yet written would be in memory
         log_quality(stream, session)
         damaged = _copy_images(session, recorder)
+        _copy_logged(session, stream, without=None if page is None else layout.COACH)
         recorder.finish()
     return damaged
 
@@ -206,6 +209,21 @@ def _copy_images(session: SessionData, recorder: Recorder) -> int:
             recorder.images.color(side, frame, int(time_ns[frame]), picture)
         damaged += others.damaged + depth.damaged + color.damaged
     return damaged
+
+
+def _copy_logged(session: SessionData, stream: rr.RecordingStream, without: str | None) -> None:
+    """Logs again what was logged beside the frames, at the frames' times; not an entity and those below."""
+    for entity, batch in session.images.logged():
+        if without is not None and entity.startswith(without):
+            continue
+        if layout.FRAME in batch.schema.names:
+            frames = numbers_of(batch.column(layout.FRAME))
+            there = (frames >= 0) & (frames < len(session))
+            times = pa.array(session.rows.time_ns[frames[there]].astype("m8[ns]"))
+            at = batch.schema.get_field_index(layout.TIME)
+            batch = batch.filter(pa.array(there)).set_column(at, batch.schema.field(at), times)
+        if batch.num_rows:
+            stream.send_record_batch(batch)
 
 
 # Rerun keeps two threads and the buffers of each stream, together 1 to 4 MB, until it looks for streams to

@@ -1,6 +1,7 @@
 """The images and other people in a session's file, read on demand. What is damaged is skipped and counted."""
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -42,7 +43,7 @@ class ImageReader(Images[T]):
         frames: range,
     ) -> None:
         super().__init__(lambda: ((frame, decoded(raw)) for frame, raw in self._whole()))
-        self._path, self._identity = file
+        self._file = file
         self._entity, self._checked, self._frames = entity, checked, frames
 
     def count(self) -> int:
@@ -52,11 +53,7 @@ class ImageReader(Images[T]):
     def _whole(self) -> Iterator[tuple[int, Any]]:
         self.damaged = 0
         next_frame = self._frames.start
-        with RrdFile(self._path) as file:
-            if file.identity() != self._identity:
-                raise RecordingError(
-                    f"{self._path} holds another session now. Open it again to read its images."
-                )
+        with _opened(*self._file) as file:
             for entity, batch in file.chunks(images=self._entity not in map(layout.others, layout.VIEWS)):
                 if entity != self._entity or layout.FRAME not in batch.schema.names:
                     continue
@@ -93,6 +90,18 @@ class FileImages(SessionImages):
 
     def others(self, side: str, frames: range) -> Images[NDArray[np.float32]]:
         return ImageReader(self._file, layout.others(side), _checked_others, lambda bones: bones, frames)
+
+    def logged(self) -> Iterator[tuple[str, pa.RecordBatch]]:
+        with _opened(*self._file) as file:
+            yield from (each for each in file.chunks(images=False) if layout.is_logged(each[0]))
+
+
+@contextmanager
+def _opened(path: Path, identity: tuple[str, str] | None) -> Iterator[RrdFile]:
+    with RrdFile(path) as file:
+        if file.identity() != identity:
+            raise RecordingError(f"{path} holds another session now. Open it again to read its images.")
+        yield file
 
 
 def _checked_others(batch: pa.RecordBatch, k: int, frame: int) -> tuple[NDArray[np.float32], bool]:

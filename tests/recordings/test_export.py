@@ -110,7 +110,7 @@ def unseen(session, never):
 @pytest.mark.parametrize("suffix", [".bvh", ".c3d", ".glb", ".mcap", ".mot", ".trc"])
 def test_a_session_without_a_fused_frame_is_not_written(session, tmp_path, suffix):
     none = replace(session, rows=replace(session.rows, fused=np.full_like(session.fused, np.nan)))
-    with pytest.raises(RecordingError, match="nothing to export|installed"):
+    with pytest.raises(RecordingError, match=r"nothing to export|installed"):
         none.export(tmp_path / f"none{suffix}")
     assert not (tmp_path / f"none{suffix}").exists()
 

@@ -24,6 +24,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 import recordings.session
 from devices.depth.rvl import encode_depth
 from devices.events import Event, spells_of
+from devices.frame_pairs import PairingFigures
 from devices.pairing import pair_views
 from devices.people.recorded_people import RecordedPeople
 from devices.simulated.kinect import PERSON, simulated_pair
@@ -32,6 +33,7 @@ from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
 from fusion.setup import FuserSettings, FusionSetup
 from recordings import Session, fuse
+from recordings.appearance.coach_page import CoachPage, Mark
 from recordings.comparing.session_comparison import Comparison
 from recordings.data import layout
 from recordings.data.session_arrays import SessionFrame
@@ -470,7 +472,7 @@ def made(smoothing, integers, about, no_a, no_b, method="duplex", moved=None):
         Event("B loses the left arm", topic="arm", phase="start").placed(3, time_ns[3]),
         Event("B finds the left arm", topic="arm", phase="end").placed(8, time_ns[8]),
     )
-    return Session.of(parts, events=events, images=FrameImages(frames, 2), about=about)
+    return Session.of(parts, events=events, images=LiveImages(frames, 2), about=about)
 
 
 def spells_in(session):
@@ -492,6 +494,7 @@ class Model:
         self.spells = spells_in(session)
         self.warned = Counter(event.text for event in session.events)["clocks are apart"]
         self.damage, self.lost = session.damage, session.frames_lost
+        self.logged = logged_of(session)
         self.numbers = session.numbers
         self.whole = True  # whether all frames are here that S* was made of
 
@@ -526,6 +529,47 @@ class Model:
         gaps = kept[-1] + 1 - kept[0] - len(kept)
         self.whole &= kept[0] == 0 and not gaps and not (later and len(kept) < count)
         self.numbers = self.numbers[kept]
+        self.logged = {key: [held[k] for k in kept] for key, held in self.logged.items()}
+
+
+@cache
+def logged_live():
+    """What the coach and the streams log beside the frames."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "live.rrd"
+        stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+        stream.save(path)
+        fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
+        recorder = Recorder(stream, fuser.setup, ("a", "b"))
+        for k, pair in enumerate(frame_pairs(KINECT_V1, _FRAMES)):
+            figures = PairingFigures(alone_a=k // 4, dropped=(k // 3, 0), drift_ppm=0.5 * k)
+            recorder.record_all([SessionFrame(pair, fuser.update(pair.skeletons), 0, streams=figures)])
+            if k % 5 == 0:
+                mark = Mark((((0.0, 0.0, 0.0), (1.0, 0.0, float(k))),), "do", (0.0, 0.0, 0.0))
+                recorder.coach(CoachPage(f"page {k}", (("spot", mark),) if k else ()))
+        recorder.finish()
+        stream.disconnect()
+        return tuple(Session.open(path).images.logged())
+
+
+class LiveImages(FrameImages):
+    def logged(self):
+        return iter(logged_live())
+
+
+def logged_of(session):
+    """By entity and component: what holds in each frame."""
+    found, times = {}, range(len(session))
+    for entity, batch in session.images.logged():
+        rows = batch.to_pydict()
+        row, frames = batch.column(0).to_pylist(), rows.get("frame", [-1] * batch.num_rows)
+        for component in (name for name in rows if ":" in name):
+            held = found.setdefault((entity, component), [])
+            held += zip(frames, row, rows[component], strict=True)
+    return {
+        key: [max((each for each in held if each[0] <= t), default=(0, b"", None))[2] for t in times]
+        for key, held in found.items()
+    }
 
 
 class Saving(RuleBasedStateMachine):
@@ -627,7 +671,7 @@ class Saving(RuleBasedStateMachine):
         else:
             self.original = again
         expected, self.model = self.model, Model(again)
-        self.model.numbers = expected.numbers
+        self.model.numbers, self.model.logged = expected.numbers, expected.logged
         assert len(Comparison.of(before, again)) == len(before)
         assert (again.damage, again.frames_lost) == (before.damage, before.frames_lost)
         assert self.model.about == expected.about
@@ -650,6 +694,8 @@ class Saving(RuleBasedStateMachine):
     def the_session_is_the_model(self):
         session, of = self.session, self.model
         assert session.frames_lost == of.lost
+        if of.damage is None:
+            assert logged_of(session) == of.logged
         np.testing.assert_array_equal(session.numbers, of.numbers)
         assert session.first_frame == of.numbers[0]
         assert (session.damage is None) == (of.damage is None)
