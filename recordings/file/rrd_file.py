@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import mmap
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -72,14 +72,14 @@ _Parts = dict[tuple[str, str], tuple[GrowingArray, GrowingArray, NDArray[Any]]]
 """By (entity, component): frame numbers, values, and an empty array like these."""
 
 
-def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
-    """Reads all data of the wanted entities. Raises as :class:`RrdFile`."""
-    found = Columns()
+def read_columns(path: Path, wanted: Collection[tuple[str, str]]) -> Columns:
+    """Reads properties, events, calibrations and the wanted components. Raises as :class:`RrdFile`."""
+    found, entities = Columns(), {entity for entity, _ in wanted}
     parts: _Parts = {}
     with RrdFile(path) as file:
         for entity, batch in file.chunks(images=False):
-            if wanted(entity):
-                _take(entity, batch, found, parts)
+            if not _take(entity, batch, found) and entity in entities:
+                _take_numbers(entity, batch, wanted, parts)
         found.damage, found.identity = file.damage, file.identity()
     arrays = GrowingArray.wholes(array for frames, values, _ in parts.values() for array in (frames, values))
     found.values = dict(zip(parts, zip(arrays[::2], arrays[1::2], strict=True), strict=True))
@@ -254,12 +254,8 @@ def _varint(message: bytes, at: int) -> tuple[int, int]:
     raise ValueError("a number has no end")
 
 
-def _take(
-    entity: str,
-    batch: pa.RecordBatch,
-    found: Columns,
-    parts: _Parts,
-) -> None:
+def _take(entity: str, batch: pa.RecordBatch, found: Columns) -> bool:
+    """Takes what is no numbers of frames; whether it was that."""
     names = batch.schema.names
     if entity.startswith(f"{PROPERTIES}/"):
         values = found.properties.setdefault(entity.removeprefix(f"{PROPERTIES}/"), {})
@@ -267,20 +263,26 @@ def _take(
             value = batch.column(name).to_pylist()
             if value and isinstance(value[-1], list) and value[-1]:
                 values[name] = value[-1]
-        return
-    if entity == layout.EVENTS:
+    elif entity == layout.EVENTS:
         found.texts += _texts(batch)
         found.texts.sort(
             key=lambda text: text[2][_ROW_ID]
         )  # chunks are not always in the order of their rows
-        return
-    if layout.FRAME not in names:
-        return
-    if entity == layout.CALIBRATION:
+    elif entity == layout.CALIBRATION and layout.FRAME in names:
         of_entity = found.logged.setdefault(entity, [])
         components = [name for name in names[1:] if name not in (layout.FRAME, layout.TIME, "log_time")]
         for frame, _, row in _texts(batch):
             of_entity.append((frame or 0, {name: row[name] for name in components}))
+    else:
+        return False
+    return True
+
+
+def _take_numbers(
+    entity: str, batch: pa.RecordBatch, wanted: Collection[tuple[str, str]], parts: _Parts
+) -> None:
+    names = batch.schema.names
+    if layout.FRAME not in names:
         return
     if batch.column(layout.FRAME).type != pa.int64() or batch.column(layout.FRAME).null_count:
         return
@@ -289,7 +291,7 @@ def _take(
         if name == layout.FRAME:
             continue
         for field_name, of_field in _fields_of(name, column):
-            dense = _dense(of_field)
+            dense = _dense(of_field) if (entity, field_name) in wanted else None
             if dense is None or len(dense) != len(frames):
                 continue
             of_frames, of_values, like = parts.setdefault(

@@ -35,18 +35,21 @@ from recordings.writing.checksums import (
     properties_checksum,
 )
 
-_NOT_ROWS = {layout.BONES, *map(layout.others, layout.VIEWS)}
 _TIME = layout.QUALITY, layout.TIME
 _FRAME_CRC, _FUSED_CRC = (layout.QUALITY, FRAME_CRC), (layout.QUALITY, FUSED_CRC)
 _CHECKS_CRC = layout.QUALITY, CHECKS_CRC
 _JOINT_DIGESTS = layout.QUALITY, layout.JOINT_DIGESTS
+_WANTED = {(spec.entity, spec.component) for spec in FRAME_FIELDS.values()} | {
+    *(_TIME, _FRAME_CRC, _FUSED_CRC, _CHECKS_CRC, _JOINT_DIGESTS)
+}
+"""What is read; all else in a file is for the viewer."""
 _PROVISIONAL = ("none yet", "provisional")
 """How descriptions of provisional calibrations begin in sessions of 1.0 and earlier."""
 
 
 def read_session(path: Path) -> SessionData:
     """Reads a session; see :meth:`recordings.session.Session.open`."""
-    found = read_columns(path, lambda entity: entity not in _NOT_ROWS)
+    found = read_columns(path, _WANTED)
     about = _checked_properties(path, found)
     name = about["session"]["body"][0]
     if name not in BODIES:

@@ -50,7 +50,13 @@ def test_the_plots_have_the_sessions_angles(fuser_and_frames, tmp_path, monkeypa
         for frame in made:
             live.write(frame)
     angles = Session.open(tmp_path / "s.rrd").angles
-    found = read_columns(tmp_path / "s.rrd", lambda entity: entity.startswith(layout.ANGLES)).values
+    places = (
+        (layout.ANGLES, layout.DEGREES),
+        (layout.ANGLES, layout.VARIANCES),
+        (layout.ANGLES_BEYOND, layout.DEGREES),
+    )
+    wanted = {(entity, f"{component}.{name}") for entity, component in places for name in ANGLES}
+    found = read_columns(tmp_path / "s.rrd", wanted).values
     for component, expected in ((layout.DEGREES, angles.degrees), (layout.VARIANCES, angles.sigma**2)):
         for k, name in enumerate(ANGLES):
             numbers, values = found[layout.ANGLES, f"{component}.{name}"]

@@ -118,8 +118,8 @@ def test_skew_drift_and_drops_are_on_the_timeline(kinects, live):
     assert np.ptp(Session.open(live.saved).rows.skew_ns) > 0
     for name in ("drift_ppm", "dropped", "unpaired"):
         assert rows_of(live.saved, f"/quality/{name}") >= 2, name
-    counted = read_columns(live.saved, lambda entity: entity == "/quality/unpaired").values
-    unpaired = counted["/quality/unpaired", "Scalars:scalars"][1]
+    key = "/quality/unpaired", "Scalars:scalars"
+    unpaired = read_columns(live.saved, {key}).values[key][1]
     # one of six frames of A has no partner
     assert unpaired[-1, 0] >= rows_of(live.saved, "/fused/skeleton") // 6 - 2 > 0
     assert (np.diff(unpaired, axis=0) >= 0).all()
