@@ -196,10 +196,19 @@ def _frames_of(
     if _CHECKS_CRC in found.values:  # sessions of 1.0 and earlier have none
         stored[_CHECKS_CRC] = (1, np.uint32)
     optional = [key for key, specs in groups.items() if specs[0].optional]
-    columns = {key: _column(found, key, *form) for key, form in stored.items() if key not in optional}
+    places: list[NDArray[np.int64]] = []
+
+    def column(key: tuple[str, str], count: int | None = None) -> tuple[NDArray[Any], NDArray[np.int64]]:
+        values, at = _column(found, key, *stored[key], count)
+        same = next((other for other in places if np.array_equal(other, at)), None)
+        if same is None:  # usually all have one order, which takes memory once
+            places.append(at)
+        return values, at if same is None else same
+
+    columns = {key: column(key) for key in stored if key not in optional}
     counts = [int(np.append(at < 0, True).argmax()) for _, at in columns.values()]
     written, n = max(counts), min(counts)
-    columns |= {key: _column(found, key, *stored[key], n) for key in optional}
+    columns |= {key: column(key, n) for key in optional}
     has = np.array([columns[key][1] >= 0 for key in optional]).reshape(len(optional), n)
     changes = 1 + np.flatnonzero((has[:, 1:] != has[:, :-1]).any(axis=0))
     checks = GrowingArray(), GrowingArray()
