@@ -17,6 +17,7 @@ import numpy as np
 from devices.events import Event
 from devices.frame_pairs import FramePair
 from devices.people.association import Registered
+from devices.people.one_place import OnePlace
 from devices.people.recorded_people import Follow, RecordedPeople
 from devices.people.room import HOLD_S, REACH_M, Place, Room, Seen
 from devices.people.tracks import SPEED_M_S, Tracks, TracksAhead
@@ -82,9 +83,10 @@ class PersonOfPair:
 
     Args:
         follow: Who is next when that one is gone.
+        follow_moves: Whether a sensor that was moved is registered anew.
     """
 
-    def __init__(self, body: Body, follow: Follow = "middle") -> None:
+    def __init__(self, body: Body, follow: Follow = "middle", follow_moves: bool = True) -> None:
         self._body, self._follow = body, follow
         self._views = _View(TracksAhead(body)), _View(TracksAhead(body))
         self._rooms: tuple[Room, ...] = ()  # of both views, or of each; none while one person is alone
@@ -93,6 +95,7 @@ class PersonOfPair:
         self._told: tuple[bool, int | None] = False, None  # whether others are there; since when it is not so
         self._events: list[Event] = []
         self._search = _Search(body)
+        self._place = OnePlace(body, follow_moves)
 
     def chosen(self, pair: FramePair, a_from_b: RigidTransform | None = None) -> FramePair:
         """The pair with the skeletons of the person followed; ``a_from_b`` once a calibration is settled."""
@@ -101,6 +104,7 @@ class PersonOfPair:
             self._views = _View(TracksAhead(self._body)), _View(TracksAhead(self._body))
             self._rooms, self._told = (), (self._told[0], None)
             self._search.restart()
+            self._place.restart()
         self._last_ns = time_ns
         known = self._search.found if a_from_b is None else a_from_b
         seen = (
@@ -119,6 +123,8 @@ class PersonOfPair:
                 0 if of.tracks and view.lone.takes(of.places[0], of.time_ns) else None
                 for view, of in zip(self._views, seen, strict=True)
             ]
+            if a_from_b is not None:
+                picks = self._place.chosen(time_ns, seen, picks, a_from_b)
             self._one = self._one or None not in picks
             self._tell(time_ns, seen, picks, others=False)
         else:
@@ -135,7 +141,7 @@ class PersonOfPair:
         """
         if self._rooms:
             self._search.step()
-        events, self._events = self._events, []
+        events, self._events = [*self._events, *self._place.events()], []
         return events
 
     def _room(self, *views: int) -> Room:

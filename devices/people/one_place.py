@@ -1,0 +1,123 @@
+"""Whether the only bodies of two views are one person, once the sensors' placement is known."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.events import Event
+from devices.people.room import Seen
+from fusion.body import Body
+from fusion.errors import CalibrationError
+from fusion.registration.rigid_fit import fit_recording
+from fusion.rigid import RigidTransform
+from fusion.support.types import Array
+
+_FAR_M = 0.6  # between two bodies that are not one person
+_EVERY_NS, _KEPT, _FEWEST = 95_000_000, 60, 20  # pairs that are compared: 6 s, and 2 s at least
+_TESTED_NS = 500_000_000  # between two comparisons
+_AWAY_NS = 10_000_000_000  # who was out of sight for longer is not waited for
+_TOLD_NS = 500_000_000  # bodies apart for less have no event
+_MOVED_M, _LEFT = 0.1, 0.2
+"""Movement that tells, rms; share of its variance that one placement of the sensors must explain all but."""
+
+
+def one_movement(p: Array, q: Array) -> bool:
+    """Whether some placement of the sensors makes one movement of two views' joints.
+
+    Args:
+        p, q: (T, J, 3) metres in each sensor's frame; NaN where unknown.
+    """
+    known = np.isfinite(p + q).all(axis=(0, 2))  # throughout
+    try:
+        apart = p[:, known] - fit_recording(p[:, known], q[:, known]).apply(q[:, known])
+    except CalibrationError:
+        return False
+    moved, left = (float(np.var(of, axis=0).sum(axis=1).mean()) for of in (p[:, known], apart))
+    return moved > _MOVED_M**2 and left < _LEFT * moved
+
+
+class OnePlace:
+    """Leaves out the view that sees somebody else than the person followed.
+
+    Two bodies that the placement puts far apart are two people, and who was seen first is followed. They are
+    one person before a sensor that was moved, once another placement makes one movement of both.
+
+    Args:
+        follow_moves: Whether a sensor that was moved is registered anew, and both views are wanted.
+    """
+
+    def __init__(self, body: Body, follow_moves: bool) -> None:
+        self._body, self._follow_moves = body, follow_moves
+        self.restart()
+
+    def restart(self) -> None:
+        """Forgets the bodies, whose times and tracks are not those of the next ones."""
+        self._tracks, self._begun_ns = [-1, -1], [0, 0]
+        self._left: int | None = None
+        self._since_ns = self._last_ns = self._tested_ns = 0
+        self._pairs: deque[tuple[int, NDArray[np.float32], NDArray[np.float32]]] = deque(maxlen=_KEPT)
+        self._moved = self._told = False
+        self._events: list[Event] = []
+
+    def chosen(
+        self, time_ns: int, seen: Sequence[Seen], picks: list[int | None], a_from_b: RigidTransform
+    ) -> list[int | None]:
+        """The bodies of a pair that are the person followed."""
+        for view, (of, pick) in enumerate(zip(seen, picks, strict=True)):
+            if pick is not None and of.tracks[pick] != self._tracks[view]:
+                self._tracks[view], self._begun_ns[view] = of.tracks[pick], time_ns
+        a, b = picks
+        if a is None or b is None:
+            if self._left is None or picks[self._left] is None:
+                return picks
+            if time_ns - self._last_ns < _AWAY_NS:
+                return [None, None]
+            self._end()
+            return picks
+        self._last_ns = time_ns
+        apart = math.dist(seen[0].places[a], a_from_b.apply(np.array(seen[1].places[b])))
+        if apart < _FAR_M:
+            self._end()
+            return picks
+        if self._left is None:
+            self._left, self._since_ns = int(self._begun_ns[1] >= self._begun_ns[0]), time_ns
+        if not self._moved:
+            self._compare(time_ns, seen[0].skeletons[a].positions, seen[1].skeletons[b].positions)
+        if not self._told and time_ns - self._since_ns >= _TOLD_NS:
+            self._told = True
+            side = "AB"[self._left]
+            text = f"{side} sees somebody else, {apart:.1f} m from the person: its view is left out."
+            self._events.append(Event(text, "WARN", "elsewhere", "start"))
+        if self._moved and self._follow_moves:
+            return picks
+        return [None if view == self._left else pick for view, pick in enumerate(picks)]
+
+    def events(self) -> list[Event]:
+        """The events since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def _compare(self, time_ns: int, a: NDArray[np.float32], b: NDArray[np.float32]) -> None:
+        if not self._pairs or time_ns - self._pairs[-1][0] >= _EVERY_NS:
+            self._pairs.append((time_ns, a, b))
+        if len(self._pairs) < _FEWEST or time_ns - self._tested_ns < _TESTED_NS:
+            return
+        self._tested_ns = time_ns
+        _, of_a, of_b = zip(*self._pairs, strict=True)
+        if one_movement(np.array(of_a, np.float64), np.array(of_b, np.float64)):
+            self._moved = True
+            if not self._follow_moves:
+                text = "A sensor was moved since the calibration: the view of B is left out. Calibrate again."
+                self._left = 1
+                self._events.append(Event(text, "WARN"))
+
+    def _end(self) -> None:
+        if self._told:
+            self._events.append(Event("Both sensors see one person.", topic="elsewhere", phase="end"))
+        self._left, self._moved, self._told = None, False, False
+        self._pairs.clear()
