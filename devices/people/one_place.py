@@ -44,8 +44,9 @@ def one_movement(p: Array, q: Array) -> bool:
 class OnePlace:
     """Leaves out the view that sees somebody else than the person followed.
 
-    Two bodies that the placement puts far apart are two people, and who was seen first is followed. They are
-    one person before a sensor that was moved, once another placement makes one movement of both.
+    Two bodies that the placement puts far apart are two people, and who was seen first is followed; of two at
+    once, the one nearer to the axis of their sensor. They are one person before a sensor that was moved, once
+    another placement makes one movement of both.
 
     Args:
         follow_moves: Whether a sensor that was moved is registered anew, and both views are wanted.
@@ -85,7 +86,11 @@ class OnePlace:
             self._end()
             return picks
         if self._left is None:
-            self._left, self._since_ns = int(self._begun_ns[1] >= self._begun_ns[0]), time_ns
+            off_axis = [
+                abs(math.atan2(of.places[k][0], of.places[k][2])) for of, k in zip(seen, (a, b), strict=True)
+            ]
+            self._left = max((0, 1), key=lambda view: (self._begun_ns[view], off_axis[view], view))
+            self._since_ns = time_ns
         if not self._moved:
             self._compare(time_ns, seen[0].skeletons[a].positions, seen[1].skeletons[b].positions)
         if not self._told and time_ns - self._since_ns >= _TOLD_NS:
