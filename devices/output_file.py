@@ -32,7 +32,8 @@ class KeptError(OSError):
     """A file could not get its name; `kept` is where it is instead, which the message says."""
 
     def __init__(self, fault: OSError, path: Path, kept: Path) -> None:
-        super().__init__(fault.errno, f"{fault.strerror}; what was written is {kept}", str(path))
+        why = "another program made it meanwhile" if fault.errno == errno.EEXIST else fault.strerror
+        super().__init__(fault.errno, f"{why}; what was written is {kept}", str(path))
         self.kept = kept
 
 
@@ -110,6 +111,8 @@ class Hidden:
         except OSError:
             kept = self.path
             _held.discard(kept)
+            with suppress(OSError):  # what is read-only is no remains
+                kept.chmod(0o400)
         return KeptError(fault, target, kept)
 
     def remove(self) -> None:
@@ -199,6 +202,8 @@ class GrowingOutput:
             with suppress(OSError):
                 self._write_all(file, self._ending)
             raise
+        if not self._placed:
+            os.fsync(file.fileno())
         self.size, self._ending = self.size + len(block), ending
         waits = self._overwrite and self.path.exists() and time.monotonic() - self._since < _SAFE_S
         if not self._placed and not waits:
@@ -332,7 +337,8 @@ def _remove_if_left(path: Path) -> None:
         path.unlink()
         return
     about = path.stat(follow_symlinks=False)
-    if about.st_uid == os.getuid() and (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
+    own = about.st_uid == os.getuid() and about.st_mode & stat.S_IWUSR
+    if own and (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
         lock = _locked(path, surely=True)
         if lock is not None:
             if stat.S_ISDIR(about.st_mode):

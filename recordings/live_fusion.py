@@ -62,9 +62,9 @@ class LiveFusion:
         self.calibrator = Calibrator(setup.body, kept, frontal=setup.settings.method == "duplex")
         self._fuser = Fuser(setup)
         learns = refine or not calibrated
-        self._people = PersonOfPair(setup.body, follow, follow_moves=learns)
-        settings = LearnerSettings(learns, learns, learns, learns, RefinementSettings(in_steps=True))
         duplex = setup.settings.method == "duplex"
+        self._people = PersonOfPair(setup.body, follow, follow_moves=learns if duplex else None)
+        settings = LearnerSettings(learns, learns, learns, learns, RefinementSettings(in_steps=True))
         self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if duplex else None
         self._views = ViewEvents(setup.body)
         self._floor = FloorFinder(setup.body)
@@ -85,8 +85,8 @@ class LiveFusion:
 
     def chosen(self, pair: FramePair) -> FramePair:
         """Returns the pair with the followed person chosen."""
-        known = self.calibrator.final and self.setup.settings.method == "duplex"
-        return self._people.chosen(pair, self.setup.calibration.a_from_b if known else None)
+        final = self.calibrator.final
+        return self._people.chosen(pair, self.setup.calibration.a_from_b if final else None)
 
     def fuse(self, pair: FramePair) -> SessionFrame:
         """Fuses a pair whose person is chosen, with the newest calibration; see :attr:`setup`."""

@@ -83,10 +83,10 @@ class PersonOfPair:
 
     Args:
         follow: Who is next when that one is gone.
-        follow_moves: Whether a sensor that was moved is registered anew.
+        follow_moves: Whether a sensor that was moved is registered anew. None: no view is left out.
     """
 
-    def __init__(self, body: Body, follow: Follow = "middle", follow_moves: bool = True) -> None:
+    def __init__(self, body: Body, follow: Follow = "middle", follow_moves: bool | None = True) -> None:
         self._body, self._follow = body, follow
         self._views = _View(TracksAhead(body)), _View(TracksAhead(body))
         self._rooms: tuple[Room, ...] = ()  # of both views, or of each; none while one person is alone
@@ -95,7 +95,7 @@ class PersonOfPair:
         self._told: tuple[bool, int | None] = False, None  # whether others are there; since when it is not so
         self._events: list[Event] = []
         self._search = _Search(body)
-        self._place = OnePlace(body, follow_moves)
+        self._place = None if follow_moves is None else OnePlace(follow_moves)
 
     def chosen(self, pair: FramePair, a_from_b: RigidTransform | None = None) -> FramePair:
         """The pair with the skeletons of the person followed; ``a_from_b`` once a calibration is settled."""
@@ -104,7 +104,8 @@ class PersonOfPair:
             self._views = _View(TracksAhead(self._body)), _View(TracksAhead(self._body))
             self._rooms, self._told = (), (self._told[0], None)
             self._search.restart()
-            self._place.restart()
+            if self._place is not None:
+                self._place.end("Time begins anew.")
         self._last_ns = time_ns
         known = self._search.found if a_from_b is None else a_from_b
         seen = (
@@ -114,6 +115,8 @@ class PersonOfPair:
         if max(len(of.tracks) for of in seen) > 1:
             self._crowded_ns = time_ns
             if not self._rooms:
+                if self._place is not None:
+                    self._place.end("Several people are seen.")
                 self._begin(seen)
                 if known is not None and seen[1].places:
                     places = known.apply(seen[1].places).tolist()
@@ -123,7 +126,7 @@ class PersonOfPair:
                 0 if of.tracks and view.lone.takes(of.places[0], of.time_ns) else None
                 for view, of in zip(self._views, seen, strict=True)
             ]
-            if a_from_b is not None:
+            if a_from_b is not None and self._place is not None:
                 picks = self._place.chosen(time_ns, seen, picks, a_from_b)
             self._one = self._one or None not in picks
             self._tell(time_ns, seen, picks, others=False)
@@ -141,7 +144,9 @@ class PersonOfPair:
         """
         if self._rooms:
             self._search.step()
-        events, self._events = [*self._events, *self._place.events()], []
+        events, self._events = self._events, []
+        if self._place is not None:
+            events += self._place.events()
         return events
 
     def _room(self, *views: int) -> Room:

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from devices.events import Event
 from devices.people.room import Seen
-from fusion.body import Body
 from fusion.errors import CalibrationError
-from fusion.registration.rigid_fit import fit_recording
+from fusion.registration.rigid_fit import fit_rigid
 from fusion.rigid import RigidTransform
 from fusion.support.types import Array
 
@@ -22,6 +21,8 @@ _EVERY_NS, _KEPT, _FEWEST = 95_000_000, 60, 20  # pairs that are compared: 6 s, 
 _TESTED_NS = 500_000_000  # between two comparisons
 _AWAY_NS = 10_000_000_000  # who was out of sight for longer is not waited for
 _TOLD_NS = 500_000_000  # bodies apart for less have no event
+_FEWEST_JOINTS, _NOISE_M = 5, 0.01
+_ANOTHER = 0.1  # logarithm of the sizes of two people's skeletons
 _MOVED_M, _LEFT = 0.1, 0.2
 """Movement that tells, rms; share of its variance that one placement of the sensors must explain all but."""
 
@@ -33,12 +34,20 @@ def one_movement(p: Array, q: Array) -> bool:
         p, q: (T, J, 3) metres in each sensor's frame; NaN where unknown.
     """
     known = np.isfinite(p + q).all(axis=(0, 2))  # throughout
+    p, q = p[:, known], q[:, known]
+    if known.sum() < _FEWEST_JOINTS or abs(math.log(_size(p) / _size(q))) > _ANOTHER:
+        return False
     try:
-        apart = p[:, known] - fit_recording(p[:, known], q[:, known]).apply(q[:, known])
+        apart = p - fit_rigid(p.reshape(-1, 3), q.reshape(-1, 3)).apply(q)
     except CalibrationError:
         return False
-    moved, left = (float(np.var(of, axis=0).sum(axis=1).mean()) for of in (p[:, known], apart))
+    moved, left = (float(np.var(of, axis=0).sum(axis=1).mean()) for of in (p, apart))
     return moved > _MOVED_M**2 and left < _LEFT * moved
+
+
+def _size(joints: Array) -> float:
+    """Metres, median distance of joints (T, J, 3) from their middle."""
+    return float(np.median(np.linalg.norm(joints - joints.mean(axis=1, keepdims=True), axis=2))) + _NOISE_M
 
 
 class OnePlace:
@@ -52,12 +61,8 @@ class OnePlace:
         follow_moves: Whether a sensor that was moved is registered anew, and both views are wanted.
     """
 
-    def __init__(self, body: Body, follow_moves: bool) -> None:
-        self._body, self._follow_moves = body, follow_moves
-        self.restart()
-
-    def restart(self) -> None:
-        """Forgets the bodies, whose times and tracks are not those of the next ones."""
+    def __init__(self, follow_moves: bool) -> None:
+        self._follow_moves = follow_moves
         self._tracks, self._begun_ns = [-1, -1], [0, 0]
         self._left: int | None = None
         self._since_ns = self._last_ns = self._tested_ns = 0
@@ -74,16 +79,16 @@ class OnePlace:
                 self._tracks[view], self._begun_ns[view] = of.tracks[pick], time_ns
         a, b = picks
         if a is None or b is None:
-            if self._left is None or picks[self._left] is None:
+            if self._left is None or picks[self._left] is None or (self._moved and self._follow_moves):
                 return picks
-            if time_ns - self._last_ns < _AWAY_NS:
+            if self._moved or time_ns - self._last_ns < _AWAY_NS:
                 return [None, None]
-            self._end()
+            self.end("The person is gone; the other one is followed.")
             return picks
         self._last_ns = time_ns
         apart = math.dist(seen[0].places[a], a_from_b.apply(np.array(seen[1].places[b])))
         if apart < _FAR_M:
-            self._end()
+            self.end("Both sensors see one person.")
             return picks
         if self._left is None:
             off_axis = [
@@ -121,8 +126,10 @@ class OnePlace:
                 self._left = 1
                 self._events.append(Event(text, "WARN"))
 
-    def _end(self) -> None:
+    def end(self, text: str) -> None:
+        """Forgets who is elsewhere, with an event if that was told."""
         if self._told:
-            self._events.append(Event("Both sensors see one person.", topic="elsewhere", phase="end"))
+            self._events.append(Event(text, topic="elsewhere", phase="end"))
         self._left, self._moved, self._told = None, False, False
         self._pairs.clear()
+        self._tested_ns = 0

@@ -12,6 +12,7 @@ from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.online import CalibrationChange, CalibrationLearner, LearnerSettings, prior_of
+from fusion.calibration.person_size import sizes_of
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.pair_arrays import Pairs
@@ -26,6 +27,7 @@ from fusion.rigid import RigidTransform
 from fusion.skeleton import NO_FRAME, SkeletonPair, stale_frames
 from fusion.support.large_arrays import PART, give_back, parts
 from fusion.support.progress import Progress, quietly
+from fusion.support.types import Array
 
 _KEYFRAMES = 128  # per span; the tempering of the fit was chosen for this number
 _BONE_PAIRS = 256
@@ -117,12 +119,14 @@ def learn_from_recording(
     learner = CalibrationLearner(body, start, replace(settings, refinement=rarely, clock=False, bones=False))
     changes: list[CalibrationChange] = []
     people = [(int(pairs.time_ns[0]), 0)]
+    sizes = _sizes(body, pairs, chosen, start.bone_lengths)
     for number, k in enumerate(progress(chosen.tolist(), "learning the registration", len(chosen))):
         if number % PART == 0:
             give_back()
-        changes += learner.observe(pairs[k], (int(codes[k, 0]), int(codes[k, 1])))
-        if changes and changes[-1].kind == "person" and changes[-1].time_ns == pairs.time_ns[k]:
-            people.append((int(changes[-1].since_ns or 0), learner.person))
+        exchanged = int(codes[k, 0]), int(codes[k, 1])
+        new = learner.observe(pairs[k], exchanged, sizes=sizes[number])
+        people += [(int(of.since_ns or 0), learner.person) for of in new if of.kind == "person"]
+        changes += new
 
     knocks = _lasting_knocks(seen, changes, start, settings)
     begins = [int(pairs.time_ns[0]), *(int(change.since_ns or 0) for change in knocks)]
@@ -134,7 +138,8 @@ def learn_from_recording(
         )
         spans.append(CalibrationSpan(begin_ns, calibration))
     came = [change for change in changes if change.kind == "person"]
-    if len(people) > 1 and people[1][0] <= pairs.time_ns[chosen[0]]:  # the calibration's bones are nobody's
+    measured = next((k for k, of in zip(chosen, sizes, strict=True) if not np.isnan(sum(of))), 0)
+    if len(people) > 1 and people[1][0] <= pairs.time_ns[measured]:  # the calibration's bones are nobody's
         people = [(people[0][0], people[1][1]), *people[2:]]
         came = came[settings.refine :]
     spans = _with_bones(body, seen, spans, people, learner.sizes, settings.bones)
@@ -147,6 +152,16 @@ def learn_from_recording(
             fresh = fresh[pairs.time_ns[fresh] < begins[1]]
         clock = clock_offset_of(body, pairs[fresh], spans[0].calibration.a_from_b)
     return LearnedCalibration(tuple(spans), clock, tuple(sorted((*knocks, *came), key=lambda of: of.time_ns)))
+
+
+def _sizes(body: Body, pairs: Pairs, chosen: NDArray[np.int64], lengths: Array) -> list[tuple[float, float]]:
+    """The sizes of both views in the chosen pairs."""
+    found: list[tuple[float, float]] = []
+    for part in parts(len(chosen)):
+        of = pairs[chosen[part]].arrays()
+        views = (of.a, of.states_a), (of.b, of.states_b)
+        found += zip(*(sizes_of(body, *view, lengths).tolist() for view in views), strict=True)
+    return found
 
 
 class _Fresh(NamedTuple):
@@ -306,7 +321,7 @@ def _with_bones(
             longest[person] = within.stop - within.start, within, calibration
     lengths = {}
     for person, (count, within, calibration) in longest.items():
-        bones, few = calibration.bone_lengths, min(count, _BONE_PAIRS)
+        bones, few = spans[0].calibration.bone_lengths, min(count, _BONE_PAIRS)
         if person:
             bones = bones * np.exp(sizes[person])
         if person or first_learned:

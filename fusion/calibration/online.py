@@ -10,7 +10,7 @@ import numpy as np
 from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import Calibration
-from fusion.calibration.person_size import PersonSize, sizes_of
+from fusion.calibration.person_size import PersonSize, sizes_of_pair
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, ClockOffsetEstimator
 from fusion.registration.keyframes import Evidence, evidence_of, match_sides
@@ -116,12 +116,14 @@ class CalibrationLearner:
         pair: SkeletonPair,
         codes: tuple[int, int] = (0, 0),
         stale: tuple[bool, bool] = (False, False),
+        sizes: tuple[float, float] | None = None,
     ) -> list[CalibrationChange]:
         """Takes the next pair.
 
         Args:
             codes: Exchange codes of A and of B: bit 0 the arms, bit 1 the legs.
             stale: Whether A and B repeat their last skeletons.
+            sizes: Of both views, if known, as :func:`sizes_of_pair` gives them for the first bones.
 
         Returns:
             The changes, in order; usually none.
@@ -137,9 +139,9 @@ class CalibrationLearner:
             known.seen_ns += pair.time_ns - self._last_ns
         self._last_ns = pair.time_ns
         changes: list[CalibrationChange] = []
-        if not self._recent or pair.time_ns - self._recent[-1][0].time_ns >= _RECENT_NS:
+        if not self._recent or not 0 <= pair.time_ns - self._recent[-1][0].time_ns < _RECENT_NS:
             self._recent.append((pair, codes))
-            changes += self._recognize(pair)
+            changes += self._recognize(pair, sizes)
         if self._settings.follow:
             self._knock.observe(pair)
         if self._knock.since_ns is not None:
@@ -147,7 +149,7 @@ class CalibrationLearner:
             changes += self._test_knock(pair.time_ns, self._knock.since_ns)
         elif self._settings.refine:
             changes += self._refine(pair, codes)
-        else:
+        elif self._settings.bones or self._size.present:
             self._refinement.keyframes.add(pair, codes)
         if self._settings.bones or self._size.present:
             changes += self._learn_bones(pair.time_ns)
@@ -225,14 +227,11 @@ class CalibrationLearner:
         )
         return CalibrationChange("knocked", event, now_ns, self.calibration, since_ns)
 
-    def _recognize(self, pair: SkeletonPair) -> list[CalibrationChange]:
+    def _recognize(self, pair: SkeletonPair, sizes: tuple[float, float] | None) -> list[CalibrationChange]:
         """Puts the bones of another person in force once their size shows that they are there."""
         size, before = self._size, self._size.present
-        sizes = [
-            float(sizes_of(self._body, view.positions[None], view.states[None], self._bones[0].first)[0])
-            for view in (pair.a, pair.b)
-            if view is not None
-        ]
+        if sizes is None:
+            sizes = sizes_of_pair(self._body, pair, self._bones[0].first)
         if not size.observe(pair.time_ns, *sizes):
             return []
         if size.present == len(self._bones):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import SHORTEST, bone_lengths_of
-from fusion.skeleton import TRACKED
+from fusion.skeleton import TRACKED, SkeletonPair
 from fusion.support.types import Array
 
 _WINDOW_NS, _SHORTEST_NS, _FEWEST = 2_500_000_000, 2_000_000_000, 10
@@ -35,16 +36,25 @@ def sizes_of(body: Body, positions: NDArray[np.floating], states: NDArray[np.uin
         lengths: (J,) metres.
     """
     bones = body.bone_joints[lengths[body.bone_joints] >= SHORTEST]
-    tracked = (states[:, bones] == TRACKED) & (states[:, body.parent_indices[bones]] == TRACKED)
+    known = (states[:, bones] == TRACKED) & (states[:, body.parent_indices[bones]] == TRACKED)
     seen = bone_lengths_of(body, positions)[:, bones]
-    ratio = np.log(np.where(tracked & (seen >= SHORTEST), seen, np.nan) / lengths[bones])
-    size = np.full(len(ratio), np.nan)
-    known = np.isfinite(ratio).any(axis=1)
-    size[known] = np.nanmedian(ratio[known], axis=1)
-    for _ in range(3):
-        weight = (lengths[bones] / (1.0 + ((ratio - size[:, None]) / _USUAL_ERROR) ** 2)) ** 2
-        size[known] = np.nansum(weight * ratio, axis=1)[known] / np.nansum(weight, axis=1)[known]
-    return size
+    known &= seen >= SHORTEST
+    ratio = np.log(np.where(known, seen / lengths[bones], 1.0))
+    size, some = np.zeros((len(ratio), 1)), known.any(axis=1)
+    for _ in range(4):
+        weight = np.where(known, (lengths[bones] / (1.0 + ((ratio - size) / _USUAL_ERROR) ** 2)) ** 2, 0.0)
+        size[some, 0] = (weight * ratio).sum(axis=1)[some] / weight.sum(axis=1)[some]
+    size[~some] = np.nan
+    return size[:, 0]
+
+
+def sizes_of_pair(body: Body, pair: SkeletonPair, lengths: Array) -> tuple[float, float]:
+    """:func:`sizes_of` of both views; NaN where one sees nobody."""
+    a, b = (
+        np.nan if view is None else sizes_of(body, view.positions[None], view.states[None], lengths)[0]
+        for view in (pair.a, pair.b)
+    )
+    return float(a), float(b)
 
 
 class PersonSize:
@@ -73,16 +83,16 @@ class PersonSize:
             self._mean += (0.5 * (a + b) - self._mean) / min(self._count, _MOST)
             if self._count >= _OWN:
                 self.people[self.present] = self._mean
-        if len(recent) < _FEWEST or time_ns - recent[0][0] < _SHORTEST_NS:
+        if len(recent) < _FEWEST or time_ns - recent[0][0] < _SHORTEST_NS or not self._differ(recent[-1][1:]):
             return False
         sizes = np.array(recent)[:, 1:]
-        views = np.median(sizes, axis=0) - self.people[self.present]
-        if views[0] * views[1] < 0.0 or np.abs(views).min() < _ANOTHER:
+        views = np.median(sizes, axis=0)
+        if not self._differ(views.tolist()):
             return False
         early, late = (float(np.median(half.mean(axis=1))) for half in np.array_split(sizes, 2))
         if abs(late - early) > _ANOTHER:  # the person came within these
             return False
-        size = self.people[self.present] + float(views.mean())
+        size = float(views.mean())
         nearest = int(np.argmin(np.abs(np.array(self.people) - size)))
         if nearest == self.present or abs(self.people[nearest] - size) > _SAME:
             nearest = len(self.people)
@@ -91,3 +101,8 @@ class PersonSize:
         self._mean, self._count = 0.0, 0
         recent.clear()
         return True
+
+    def _differ(self, views: Sequence[float]) -> bool:
+        """Whether both views are too large, or too small, for the person present."""
+        a, b = (size - self.people[self.present] for size in views)
+        return a * b > 0.0 and min(abs(a), abs(b)) >= _ANOTHER

@@ -14,7 +14,7 @@ Rows = list[list[str]]
 Read = tuple[list[str], NDArray[np.float64], NDArray[np.float64]]
 
 
-_NEXUS = re.compile(r"(Devices|Events|Joints|Segments|Model Outputs|Trajectories)\W*\n")
+_NEXUS = re.compile(r"(Devices|Events|Joints|Segments|Model Outputs|Trajectories)\W*(\n|\Z)")
 
 
 def is_vendor_text(start: str) -> bool:
@@ -30,10 +30,11 @@ def read_vendor_text(name: object, text: str) -> Read:
     """
     read = {"Fo": _motive, "NO": _qualisys}.get(text[:2], _nexus)
     separator = "\t" if read is _qualisys else ","
-    rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), delimiter=separator)]
     try:
-        return read(rows)
-    except (StopIteration, IndexError, KeyError, ValueError) as fault:
+        return read(
+            [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), delimiter=separator)]
+        )
+    except (csv.Error, StopIteration, IndexError, KeyError, ValueError) as fault:
         raise RecordingError(f"{name} is not complete, or not as its program writes it ({fault}).") from None
 
 
@@ -52,6 +53,8 @@ def _nexus(rows: Rows) -> Read:
     """Sections follow one another; an empty row ends one."""
     first = next(k for k, row in enumerate(rows) if row[:1] == ["Trajectories"])
     rate, names, axes = float(rows[first + 1][0]), rows[first + 2], rows[first + 3]
+    if not rate > 0.0:
+        raise ValueError(f"its rate is {rate}")
     rows = rows[first + 5 :]
     end = next((k for k, row in enumerate(rows) if not any(row)), len(rows))
     table, begins = _table(rows[:end], len(axes)), _begins(axes)
@@ -67,7 +70,7 @@ def _qualisys(rows: Rows) -> Read:
     rows = [row for row in rows[first:] if any(row)]
     if len(rows) < int(of["NO_OF_FRAMES"][0]):
         raise ValueError(f"it states {of['NO_OF_FRAMES'][0]} frames and has {len(rows)}")
-    before = 2 if len([cell for cell in rows[0] if cell]) > 3 * len(names) else 0
+    before = 2 if len(rows[0]) >= 2 + 3 * len(names) else 0  # a tab may follow the last
     table = _table(rows, before + 3 * len(names))
     seconds = table[:, 1] if before else np.arange(len(table)) / float(of["FREQUENCY"][0])
     points = table[:, before:].reshape(len(table), -1, 3)
@@ -90,5 +93,7 @@ def _is_number(cell: str) -> bool:
 def _table(rows: Rows, width: int) -> NDArray[np.float64]:
     """Rows of numbers; an empty cell is NaN, and so are those that a row lacks at its end."""
     rows = [row for row in rows if any(row)]
+    if not rows:
+        raise ValueError("it has no frames")
     cells = [[float(cell or math.nan) for cell in row[:width]] for row in rows]
     return np.array([row + [math.nan] * (width - len(row)) for row in cells]).reshape(-1, width)

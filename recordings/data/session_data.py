@@ -140,7 +140,9 @@ class SessionData:
         """(T,) the numbers of the frames in the original capture."""
         runs = json.loads(self.about["session"].get("frames", ["[]"])[0])
         known = [np.arange(*run) for run in runs] or [self.first_frame + np.arange(len(self))]
-        return np.concatenate(known)[: len(self)]
+        numbers = np.concatenate(known)[: len(self)]
+        numbers.setflags(write=False)
+        return numbers
 
     @property
     def left_out(self) -> int:

@@ -231,7 +231,8 @@ def _events_of(
     if plan.clock is not None:
         events.append(Event(plan.clock.event))
     for change in plan.changes:
-        frame = min(int(np.searchsorted(times, change.time_ns)), len(times) - 1)
+        since_ns = change.since_ns if change.kind == "person" and change.since_ns else change.time_ns
+        frame = min(int(np.searchsorted(times, since_ns)), len(times) - 1)
         event = Event(change.event, "WARN" if change.kind == "knocked" else "INFO")
         events.append(event.placed(frame, int(times[frame] - times[0])))
     return sorted(events, key=lambda event: event.frame)

@@ -176,7 +176,7 @@ def test_each_table_of_benchmarks_is_of_the_methods_revision():
             assert document["revision"] == REVISIONS["duplex"], f"{document['command']}, make benchmarks"
         assert name == "angles" or benchmarks_page.measured(name) in page
     tables = re.findall(r"^(.+)\n\n\|", page, re.MULTILINE)
-    assert len(tables) == 7
+    assert len(tables) == 8
     for above in tables:
         assert re.search(r"Revision \d+, \d{4}-\d\d-\d\d\.$", above), above
 

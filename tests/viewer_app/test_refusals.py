@@ -145,7 +145,7 @@ def test_of_two_processes_on_one_output_the_second_is_refused(tmp_path):
 def test_what_was_made_meanwhile_is_told_in_one_line(tmp_path):
     path = tmp_path / "s.json"
     path.write_text("theirs")
-    with pytest.raises(UsageError, match=r"another program meanwhile.*s-2\.json"):
+    with pytest.raises(UsageError, match=r"another program made it meanwhile.*s-2\.json"):
         write_text(path, "ours", force=False)
     assert path.read_text() == "theirs"
     write_text(path, "ours", force=True)

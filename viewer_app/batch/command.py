@@ -102,7 +102,9 @@ def plan_work(jobs: Sequence[Job], force: bool) -> tuple[list[Row], list[Job]]:
         try:
             difference = "" if record is None else _difference(record["identity"], job.identity())
         except OSError as fault:
-            known.append(Row(job, "failed", None, f"{fault.filename}: {fault.strerror}."))
+            known.append(
+                Row(job, "failed", None, f"{fault.filename or job.name}: {fault.strerror or fault}.")
+            )
             continue
         if difference and not force:
             raise UsageError(

@@ -118,6 +118,8 @@ class QueuedFile(Generic[Item]):
             self._write()
         except (OSError, DeviceError) as fault:
             why = _why(fault)
+            if isinstance(fault, KeptError) and isinstance(first := fault.__context__, OSError):
+                why = f"{_why(first)}; what was written is {fault.kept}"
             self.failure = (
                 f"{self.path} is not saved from frame {self.written} on: {why}. Everything before that can "
                 f"be read."
