@@ -135,14 +135,15 @@ def _kind(bone: str) -> str:
 
 def pelvis_rotations(body: Body, positions: NDArray[np.floating]) -> NDArray[np.float32]:
     """(T, 3, 3) K_A ← pelvis: x from left to right hip, y down the spine, z forward; identity without a
-    joint.
+    joint, or where the hips lie in one place.
     """
     at = np.asarray(positions, dtype=np.float32)
     hips = at[:, body.joint("hip right")] - at[:, body.joint("hip left")]
     spine = at[:, body.root] - at[:, body.bone("lower_spine")]
-    x = hips / np.linalg.norm(hips, axis=1, keepdims=True)
-    z = _cross(x, spine)
-    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):  # hips in one place
+        x = hips / np.linalg.norm(hips, axis=1, keepdims=True)
+        z = _cross(x, spine)
+        z /= np.linalg.norm(z, axis=1, keepdims=True)
     rotations = np.stack((x, _cross(z, x), z), axis=2)
     rotations[~np.isfinite(rotations).all(axis=(1, 2))] = np.eye(3)
     return _rounded(rotations)

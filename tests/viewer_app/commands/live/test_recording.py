@@ -16,6 +16,7 @@ from devices.sensor import SensorFrame
 from devices.simulated.real_time import PacedSensor
 from devices.tracker_choice import TrackerChoice
 from fusion.body import AZURE_KINECT
+from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.calibration.calibration import nominal_calibration
 from fusion.intrinsics import Intrinsics
 from recordings.calibration_file import calibration_to_json
@@ -140,7 +141,10 @@ def test_a_slow_tracker_loses_no_recorded_frame(kinects, live, standin, tmp_path
 @pytest.mark.usefixtures("kinects")
 def test_recordings_give_the_same_s_as_live_did(live, standin, tmp_path):
     raw, calibration = tmp_path / "raw", tmp_path / "c.json"
-    calibration.write_text(calibration_to_json(nominal_calibration(AZURE_KINECT)), encoding="utf-8")
+    person = np.arange(32)[:, None] * (0.001, -0.01, 0.0)  # of the stand-in
+    lengths = np.nan_to_num(bone_lengths_of(AZURE_KINECT, person))
+    kept = replace(nominal_calibration(AZURE_KINECT), bone_lengths=lengths)
+    calibration.write_text(calibration_to_json(kept), encoding="utf-8")
     live("--record", raw, "--calibrate", calibration, seconds=2.0)
     was = Session.open(live.saved)
     for library in ("libk4a.so", "libk4abt.so"):  # one library for both, as the loader sees it
