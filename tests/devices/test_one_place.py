@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -95,3 +96,35 @@ def test_who_is_alone_in_the_other_view_is_not_taken_for_a_while():
     seen, _ = chosen(pairs)
     assert not any(b for _, b in seen[30:350])
     assert all(b for _, b in seen[-60:])
+
+
+MOVED = (
+    RigidTransform.of(Rotation.from_euler("y", 60.0, degrees=True).as_matrix(), (0.3, 0.0, 0.0)) @ B_FROM_A
+)
+BEFORE = [pair_of(k, walker(k), walker(k)) for k in range(60)]
+AFTER = [pair_of(k, walker(k), walker(k), b_from_a=MOVED) for k in range(60, 200)]
+
+
+@pytest.mark.parametrize("follow_moves", [True, False])
+def test_before_a_sensor_that_was_moved_there_is_one_person(follow_moves):
+    """B's view is used when A loses the person, if it is registered anew; else never again."""
+    gone = [pair_of(k, None, walker(k), b_from_a=MOVED) for k in range(200, 560)]
+    seen, events = chosen([*BEFORE, *AFTER, *gone], follow_moves=follow_moves)
+    assert all(b is follow_moves for _, b in seen[200:])
+    assert "Both sensors" not in " ".join(event.text for event in events)
+
+
+def test_a_method_that_follows_no_move_leaves_out_no_view():
+    seen, events = chosen([*BEFORE, *AFTER], follow_moves=None)
+    assert all(a and b for a, b in seen[:60])
+    assert not any(event.topic == "elsewhere" for event in events)
+
+
+def test_who_is_elsewhere_ends_when_several_people_come_or_time_begins_anew():
+    place = np.array((1.5, 0.0, 0.0))
+    apart = [pair_of(k, walker(k), walker(k, place)) for k in range(30)]
+    crowd = pair_of(30, walker(30), walker(30))
+    crowd = replace(crowd, a=replace(crowd.a, people={**crowd.a.people, "2": crowd.b.people["1"]}))
+    for following in (crowd, pair_of(0, walker(0), walker(0))):
+        _, events = chosen([*BEFORE[:1], *apart[1:], following])
+        assert [event.phase for event in events if event.topic == "elsewhere"] == ["start", "end"]

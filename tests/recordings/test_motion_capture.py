@@ -759,3 +759,39 @@ def test_a_registration_is_judged_where_the_person_is():
     assert off.position_off == pytest.approx(0.05)
     assert off.apart == pytest.approx(0.05)
     assert judge_registration(turned @ A_FROM_B, a, b).rotation_off == pytest.approx(np.pi / 2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("\n100\n", "\n0\n"), (",,Force", ',,"Force'), ("\n40,0", "\n\n40,0")],
+    ids=["rate", "quote", "no frames"],
+)
+def test_a_text_of_another_program_that_cannot_be_read_is_refused_in_one_line(tmp_path, old, new):
+    times, points = 0.01 * np.arange(30), np.arange(180.0).reshape(30, 2, 3)
+    path = write_nexus(tmp_path / "n.csv", ["A", "B"], times, points)
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1) + "x," * 80_000, "utf-8")
+    with pytest.raises(RecordingError, match="is not complete, or not as its program writes it"):
+        read_truth(path)
+
+
+def test_what_another_programs_text_lacks_is_unknown_however_it_was_saved(tmp_path):
+    """Empty cells in the first frame of a Qualisys text with times; commas that a spreadsheet adds."""
+    times, points = 0.01 * np.arange(4), np.arange(24.0).reshape(4, 2, 3)
+    lines = write_qualisys(tmp_path / "q.tsv", ["A", "B"], times, points).read_text("utf-8").splitlines()
+    head, rows = (
+        lines[:5],
+        [f"{k + 1}\t{t}\t{row}" for k, (t, row) in enumerate(zip(times, lines[5:], strict=True))],
+    )
+    rows[0] = "1\t0.0\t\t\t\t" + lines[5].split("\t", 3)[3]
+    (tmp_path / "q.tsv").write_text("\n".join([*head, *rows]), "utf-8")
+    read = read_truth(tmp_path / "q.tsv").points
+    assert np.isnan(read[0, 0]).all()
+    expected = read[1, 1] / points[1, 1]  # metres, whatever the unit
+    np.testing.assert_allclose(read[1:], points[1:] * expected, atol=1e-9)
+    path = write_nexus(tmp_path / "n.csv", ["A", "B"], times, points)
+    whole = read_truth(path).points
+    text = path.read_text("utf-8")
+    path.write_text("Trajectories" + "," * 120 + text.split("Trajectories", 1)[1], "utf-8")
+    np.testing.assert_array_equal(read_truth(path).points, whole)
