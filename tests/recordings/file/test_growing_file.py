@@ -223,7 +223,8 @@ def test_a_file_that_came_in_between_is_not_overwritten(tmp_path):
     path.write_text("precious")
     finished(file, frames)
     kept = tmp_path / "s-2.rrd"
-    assert file.failure == f"{path} could not be written: File exists; what was written is {kept}."
+    why = "another program made it meanwhile"
+    assert file.failure == f"{path} could not be written: {why}; what was written is {kept}."
     assert (path.read_text(), frames_in(kept), file.lost) == ("precious", 10, 0)
 
 
