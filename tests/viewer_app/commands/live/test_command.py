@@ -47,9 +47,10 @@ def test_two_sensors_become_a_session_and_a_summary(kinects, live, tmp_path, mon
     said = live("--verbose")
     for words in ("Sync cable: B leads, A captures on its pulses", "Paired", "Largest bone error", "Saved"):
         assert words in said
-    captures = min(np.subtract([device.captures for device in kinects.devices], before))
-    # the first and the last may lack the other sensor; a busy machine drops some
-    assert 0.5 * captures <= rows_of(live.saved, "/fused/skeleton") <= captures + 2
+    captures = [device.captures for device in kinects.devices]
+    # a busy machine drops some; images from before may wait; the first and last may lack the other sensor
+    rows = rows_of(live.saved, "/fused/skeleton")
+    assert 0.5 * min(np.subtract(captures, before)) <= rows <= min(captures) + 2
     assert kinects.open_serials == []
     assert kinects.started == ["000123", "000456"], "the subordinate first"
     modes = [(config.wired_sync_mode, config.subordinate_delay_off_master_usec) for config in kinects.configs]
