@@ -116,7 +116,7 @@ class Hidden:
         return KeptError(fault, target, kept)
 
     def remove(self) -> None:
-        """Removes what has not got a name. Removing twice has no effect."""
+        """Removes the file unless it was placed or kept. A second call has no effect."""
         if self.path in _held:
             _held.discard(self.path)
             if self.path.is_dir():
@@ -202,10 +202,10 @@ class GrowingOutput:
             with suppress(OSError):
                 self._write_all(file, self._ending)
             raise
-        if not self._placed:
+        waits = self._overwrite and self.path.exists() and time.monotonic() - self._since < _SAFE_S
+        if not self._placed and not waits:
             os.fsync(file.fileno())
         self.size, self._ending = self.size + len(block), ending
-        waits = self._overwrite and self.path.exists() and time.monotonic() - self._since < _SAFE_S
         if not self._placed and not waits:
             with suppress(OSError):
                 self._place(self._overwrite)
@@ -242,6 +242,7 @@ class GrowingOutput:
         """
         try:
             if self.size and not self._placed:
+                os.fsync(self._opened().fileno())
                 self._place(self._overwrite and whole)
         except OSError as fault:
             assert self._hidden is not None
@@ -257,8 +258,6 @@ class GrowingOutput:
 
     def _place(self, overwrite: bool) -> None:
         assert self._hidden is not None
-        if self._hidden.descriptor >= 0:
-            os.fsync(self._hidden.descriptor)
         if sys.platform == "win32" and self._file is not None:
             self._file.close()
             self._file = None

@@ -87,9 +87,10 @@ def plan_recording(
     few = pairs if len(pairs) <= _LONG else pairs[spaced(pairs.time_ns, fresh_pairs(pairs))]
     if len(few):
         codes = _labels(few, ((start, slice(0, len(few))),), progress).codes & WHOLE if refine else None
-        learns = LearnerSettings(refine, refine, refine, refine)
         with suppress(CalibrationError):  # nothing to learn from: the start-up pose's calibration remains
-            learned = learn_from_recording(body, few, codes, start, learns, progress, pairs)
+            learned = learn_from_recording(
+                body, few, codes, start, LearnerSettings().if_learned(refine), progress, pairs
+            )
     if learned is not None:
         segments = _segments(learned, pairs.time_ns)
     differ = _difference(pairs, segments)

@@ -48,7 +48,8 @@ class LiveFusion:
     """Fuses one pair after another to S*.
 
     Args:
-        calibrated: Whether to keep its calibration; otherwise one is found while pairs arrive, and refined.
+        calibrated: Whether to keep its calibration, except the bones of people of another size. Otherwise
+            one is found while pairs arrive, and refined.
         refine: Whether to refine a calibration that is kept.
         follow: Whom of several people; see :class:`devices.people.following.PersonOfPair`.
     """
@@ -64,7 +65,7 @@ class LiveFusion:
         learns = refine or not calibrated
         duplex = setup.settings.method == "duplex"
         self._people = PersonOfPair(setup.body, follow, follow_moves=learns if duplex else None)
-        settings = LearnerSettings(learns, learns, learns, learns, RefinementSettings(in_steps=True))
+        settings = LearnerSettings(refinement=RefinementSettings(in_steps=True)).if_learned(learns)
         self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if duplex else None
         self._views = ViewEvents(setup.body)
         self._floor = FloorFinder(setup.body)
@@ -132,7 +133,8 @@ class LiveFrames(Iterator[SessionFrame]):
     """The fused frames of two running sensors, one after another.
 
     Args:
-        setup: A setup whose calibration is kept. None: calibrate while frames arrive.
+        setup: A setup whose calibration is kept, except the bones of people of another size. None: calibrate
+            while frames arrive.
     """
 
     def __init__(self, sensors: TwoSensors, setup: FusionSetup | None, keep: bool) -> None:
@@ -215,7 +217,8 @@ def fuse_live(a: Sensor, b: Sensor, setup: FusionSetup | None = None, *, keep: b
 
     Args:
         a, b: The principal sensor K_A and the secondary sensor K_B, both not yet open. S* is in K_A's frame.
-        setup: A setup whose calibration is kept. None: calibrate while frames arrive.
+        setup: A setup whose calibration is kept, except the bones of people of another size. None: calibrate
+            while frames arrive.
         keep: Whether to keep the frames, without images, so that :attr:`LiveFrames.session` has them all.
 
     Returns:

@@ -19,7 +19,7 @@ from devices.frame_pairs import FramePair
 from devices.people.association import Registered
 from devices.people.one_place import OnePlace
 from devices.people.recorded_people import Follow, RecordedPeople
-from devices.people.room import HOLD_S, REACH_M, Place, Room, Seen
+from devices.people.room import HOLD_S, REACH_M, TOLD_S, Place, Room, Seen
 from devices.people.tracks import SPEED_M_S, Tracks, TracksAhead
 from devices.sensor import SensorFrame
 from fusion.body import Body
@@ -27,7 +27,6 @@ from fusion.rigid import RigidTransform
 
 _ALONE_S = 5.0  # nobody else was seen for so long
 _SEEN_ON_NS = 200_000_000  # who was out of sight for longer may be somebody else
-_TOLD_S = 0.5  # others who are seen for less have no event
 _KEPT, _FEWEST_KEPT = 150, 20  # pairs, for the registration
 _SEARCH_S, _AGAIN_S = 0.5, 5.0
 _LEAST_FIT = 0.5  # of the skeletons that can have a partner
@@ -95,7 +94,7 @@ class PersonOfPair:
         self._told: tuple[bool, int | None] = False, None  # whether others are there; since when it is not so
         self._events: list[Event] = []
         self._search = _Search(body)
-        self._place = None if follow_moves is None else OnePlace(follow_moves)
+        self._place = None if follow_moves is None else OnePlace(body, follow_moves)
 
     def chosen(self, pair: FramePair, a_from_b: RigidTransform | None = None) -> FramePair:
         """The pair with the skeletons of the person followed; ``a_from_b`` once a calibration is settled."""
@@ -202,7 +201,7 @@ class PersonOfPair:
             return
         since_ns = time_ns if since_ns is None else since_ns
         self._told = told, since_ns
-        if time_ns - since_ns < (_TOLD_S if others else HOLD_S) * 1e9:
+        if time_ns - since_ns < (TOLD_S if others else HOLD_S) * 1e9:
             return
         self._told = others, None
         if not others:

@@ -10,33 +10,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.events import Event
-from devices.people.room import Seen
+from devices.people.room import TOLD_S, WAIT_S, Seen
+from fusion.body import Body
+from fusion.calibration.person_size import sizes_of
 from fusion.errors import CalibrationError
 from fusion.registration.rigid_fit import fit_rigid
 from fusion.rigid import RigidTransform
+from fusion.skeleton import TRACKED
 from fusion.support.types import Array
 
 _FAR_M = 0.6  # between two bodies that are not one person
 _EVERY_NS, _KEPT, _FEWEST = 95_000_000, 60, 20  # pairs that are compared: 6 s, and 2 s at least
 _TESTED_NS = 500_000_000  # between two comparisons
-_AWAY_NS = 10_000_000_000  # who was out of sight for longer is not waited for
-_TOLD_NS = 500_000_000  # bodies apart for less have no event
-_FEWEST_JOINTS, _NOISE_M = 5, 0.01
-_ANOTHER = 0.1  # logarithm of the sizes of two people's skeletons
+_FEWEST_JOINTS = 5
+_ANOTHER = 0.1  # logarithm of the ratio of the sizes that two views show of one person
 _MOVED_M, _LEFT = 0.1, 0.2
-"""Movement that tells, rms; share of its variance that one placement of the sensors must explain all but."""
+"""Least rms movement; largest share of its variance that one placement of the sensors leaves unexplained."""
 
 
-def one_movement(p: Array, q: Array) -> bool:
+def one_movement(body: Body, p: Array, q: Array) -> bool:
     """Whether some placement of the sensors makes one movement of two views' joints.
 
     Args:
         p, q: (T, J, 3) metres in each sensor's frame; NaN where unknown.
     """
     known = np.isfinite(p + q).all(axis=(0, 2))  # throughout
-    p, q = p[:, known], q[:, known]
-    if known.sum() < _FEWEST_JOINTS or abs(math.log(_size(p) / _size(q))) > _ANOTHER:
+    ratio = np.subtract(*(sizes_of(body, of, _states_of(of), body.nominal_lengths) for of in (p, q)))
+    if known.sum() < _FEWEST_JOINTS or abs(np.median(ratio)) > _ANOTHER:
         return False
+    p, q = p[:, known], q[:, known]
     try:
         apart = p - fit_rigid(p.reshape(-1, 3), q.reshape(-1, 3)).apply(q)
     except CalibrationError:
@@ -45,9 +47,9 @@ def one_movement(p: Array, q: Array) -> bool:
     return moved > _MOVED_M**2 and left < _LEFT * moved
 
 
-def _size(joints: Array) -> float:
-    """Metres, median distance of joints (T, J, 3) from their middle."""
-    return float(np.median(np.linalg.norm(joints - joints.mean(axis=1, keepdims=True), axis=2))) + _NOISE_M
+def _states_of(joints: Array) -> NDArray[np.uint8]:
+    """(T, J) tracking states: tracked where a joint is known."""
+    return np.where(np.isfinite(joints).all(axis=2), TRACKED, 0).astype(np.uint8)
 
 
 class OnePlace:
@@ -61,8 +63,8 @@ class OnePlace:
         follow_moves: Whether a sensor that was moved is registered anew, and both views are wanted.
     """
 
-    def __init__(self, follow_moves: bool) -> None:
-        self._follow_moves = follow_moves
+    def __init__(self, body: Body, follow_moves: bool) -> None:
+        self._body, self._follow_moves = body, follow_moves
         self._tracks, self._begun_ns = [-1, -1], [0, 0]
         self._left: int | None = None
         self._since_ns = self._last_ns = self._tested_ns = 0
@@ -81,7 +83,7 @@ class OnePlace:
         if a is None or b is None:
             if self._left is None or picks[self._left] is None or (self._moved and self._follow_moves):
                 return picks
-            if self._moved or time_ns - self._last_ns < _AWAY_NS:
+            if self._moved or time_ns - self._last_ns < WAIT_S * 1e9:
                 return [None, None]
             self.end("The person is gone; the other one is followed.")
             return picks
@@ -98,7 +100,7 @@ class OnePlace:
             self._since_ns = time_ns
         if not self._moved:
             self._compare(time_ns, seen[0].skeletons[a].positions, seen[1].skeletons[b].positions)
-        if not self._told and time_ns - self._since_ns >= _TOLD_NS:
+        if not self._told and time_ns - self._since_ns >= TOLD_S * 1e9:
             self._told = True
             side = "AB"[self._left]
             text = f"{side} sees somebody else, {apart:.1f} m from the person: its view is left out."
@@ -119,7 +121,7 @@ class OnePlace:
             return
         self._tested_ns = time_ns
         _, of_a, of_b = zip(*self._pairs, strict=True)
-        if one_movement(np.array(of_a, np.float64), np.array(of_b, np.float64)):
+        if one_movement(self._body, np.array(of_a, np.float64), np.array(of_b, np.float64)):
             self._moved = True
             if not self._follow_moves:
                 text = "A sensor was moved since the calibration: the view of B is left out. Calibrate again."

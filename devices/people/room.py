@@ -23,8 +23,9 @@ from fusion.support.types import Array
 Place = Sequence[float]  # (3,) metres
 
 REACH_M = 0.4  # how far the middle of a body may be off from frame to frame: tracker noise and a step
-HOLD_S, _WAIT_S = 2.0, 10.0
+HOLD_S, WAIT_S = 2.0, 10.0
 """A person out of sight is waited for; after so long a newcomer is taken, and after so long anybody."""
+TOLD_S = 0.5  # others who are seen for less have no event
 _FORGET_S = 60.0  # somebody out of sight is no longer recognised
 _SAME_PLACE_M = 0.3  # of one person in two views, at most
 _PLACE_SD_M = 0.1  # the same, usually
@@ -254,13 +255,13 @@ class Room:
         if away_s <= HOLD_S or not here:
             return
         chosen = here
-        if followed is not None and away_s <= _WAIT_S:
+        if followed is not None and away_s <= WAIT_S:
             chosen = [person for person in here if not person.beside and self._may_be(person, followed)]
         if chosen:
             longest = max(person.measured for person in chosen) if self._follow == "longest" else 0
             chosen = [person for person in chosen if person.measured >= longest]
             self.followed = min(chosen, key=lambda person: self._off_axis(person, seen))
-            self.changed = followed is not None and away_s > _WAIT_S
+            self.changed = followed is not None and away_s > WAIT_S
             self.guessed = True
             for person in self.people:
                 person.beside = person.is_seen

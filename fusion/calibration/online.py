@@ -10,7 +10,7 @@ import numpy as np
 from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import Calibration
-from fusion.calibration.person_size import PersonSize, sizes_of_pair
+from fusion.calibration.person_size import AWAY_NS, PersonSize, sizes_of_pair
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, ClockOffsetEstimator
 from fusion.registration.keyframes import Evidence, evidence_of, match_sides
@@ -27,7 +27,6 @@ _BONES_AT_NS = (10_000_000_000, 30_000_000_000, 60_000_000_000)
 """When a person's bone lengths are learned, in time with them; after the last they are fixed."""
 _BONE_CHANGE = 0.002  # metres; if no bone changes by more, the lengths are kept
 _FEWEST_BONE_KEYFRAMES = 24
-_LONGEST_NS = 1_000_000_000  # between two pairs of time with a person
 _RECENT, _RECENT_NS = 60, 95_000_000
 """Pairs kept for judging a knock, and their distance: 6 s at 30 pairs per second."""
 _UNKNOWN_TURN, _LEAST_TURN, _UNKNOWN_SHIFT = 0.035, 0.01, 0.05  # radians, radians, metres at the person
@@ -45,6 +44,10 @@ class LearnerSettings:
     clock: bool = True  # whether the offset of the sensors' clocks is estimated
     refinement: RefinementSettings = field(default_factory=RefinementSettings)  # of R and t
     knock: KnockSettings = field(default_factory=KnockSettings)  # when a sensor counts as knocked
+
+    def if_learned(self, learned: bool) -> "LearnerSettings":
+        """These; or those of a calibration that is kept: only bones of people of another size are learned."""
+        return self if learned else replace(self, refine=False, follow=False, bones=False, clock=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +138,7 @@ class CalibrationLearner:
         if pair.a is None or pair.b is None or any(stale):
             return []
         known = self._bones[self._size.present]
-        if self._last_ns is not None and 0 < pair.time_ns - self._last_ns < _LONGEST_NS:
+        if self._last_ns is not None and 0 < pair.time_ns - self._last_ns < AWAY_NS:
             known.seen_ns += pair.time_ns - self._last_ns
         self._last_ns = pair.time_ns
         changes: list[CalibrationChange] = []

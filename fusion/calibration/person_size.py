@@ -19,7 +19,7 @@ _ANOTHER = 0.055
 """Logarithm of the scale at which a person is another one. Both views of one person are at most 4.4 % too
 large, or too small, together for 3 s in 21 real pairs of recordings."""
 _SAME = 0.03  # the same, of somebody who was there before
-_AWAY_NS = 1_000_000_000  # who was out of sight for longer may be somebody else
+AWAY_NS = 1_000_000_000  # who was out of sight for longer may be somebody else
 _OWN, _MOST = 100, 600  # samples after which a person's size is their own mean, and over how many
 _USUAL_ERROR = 0.15  # of a bone; a larger one counts less and less
 
@@ -74,7 +74,7 @@ class PersonSize:
         if np.isnan(a + b):
             return False
         recent = self._recent
-        if recent and not 0 <= time_ns - recent[-1][0] <= _AWAY_NS:
+        if recent and not 0 <= time_ns - recent[-1][0] <= AWAY_NS:
             recent.clear()
         recent.append((time_ns, a, b))
         while time_ns - recent[0][0] > _WINDOW_NS:

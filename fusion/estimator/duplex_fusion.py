@@ -37,7 +37,7 @@ from fusion.skeleton import SkeletonPair
 from fusion.support.array_fields import new_arrays
 
 _UNSTATED = 0.035, 0.05
-"""Radians, and metres at the person: deviations of a calibration that states none."""
+"""Standard deviations where a calibration states none: radians, and metres at the person."""
 _ANYWHERE = 1.0, 1.0
 """rad², m²: variances where nothing is known."""
 

@@ -23,7 +23,7 @@ def is_vendor_text(start: str) -> bool:
 
 
 def read_vendor_text(name: object, text: str) -> Read:
-    """The labels, the times in seconds, and the points (N, M, 3) in the file's unit, of such a text.
+    """Reads labels, times in seconds, and points (N, M, 3) in the file's unit.
 
     Raises:
         RecordingError: It is not complete, or has no points.

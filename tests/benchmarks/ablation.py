@@ -38,12 +38,12 @@ STEPS = {
     "size of slow errors": {"freedom": 1.0 / _NEVER},
     "fast errors by speed": {"fast_by_speed": 0.0},
 }
-"""By name, the constants without which a step has no effect; first all steps."""
+"""For each ablated step, constants with which it has no effect; none for the whole method."""
 MOTIONS, ANGLES, SEED = ("walk", "badminton", "squat", "arms"), (60.0, 120.0), 7302
 
 
 def without(body, skeletons, measure):
-    """The figures of a recording, by step that is missing."""
+    """Returns the figures of one recording for each ablated step."""
     settings = FuserSettings(hindsight="labels")
     plan = plan_recording(body, skeletons, settings)
     pairs, found = Pairs.of(body, skeletons), {}
@@ -61,7 +61,7 @@ def without(body, skeletons, measure):
 
 
 def simulated(body, trial):
-    """Mean error of a simulated recording, metres."""
+    """Returns the mean joint error of a simulated recording, in metres."""
     recording, first = record(trial, Simulation(body), 12.0)
 
     def error(fused, _):
@@ -71,7 +71,7 @@ def simulated(body, trial):
 
 
 def real(folder):
-    """Figures without truth of a real recording."""
+    """Returns the figures of a real recording, which need no ground truth."""
     read = read_two(*(RecordingChoice(folder / f"{side}.csv") for side in "ab"))
     skeletons = [pair.skeletons for pair in read.pairing.pairs]
     views = Pairs.of(read.body, skeletons).arrays()
@@ -92,7 +92,7 @@ def real(folder):
 
 
 def differences(recordings):
-    """By missing step and figure: the mean difference, and its interval; without a step, the mean."""
+    """Returns the mean of each figure, and for each ablated step its mean difference and 95 % interval."""
     rows = {}
     for name, figure in product(STEPS, recordings[0][""]):
         values = np.array([[of[name][figure], of[""][figure]] for of in recordings])

@@ -157,8 +157,8 @@ def test_what_comes_later_makes_s_star_no_less_certain(missing, frames, seed, sm
     smoothed = Fuser(setup_of(smoothing=smoothing)).smooth_sequence(pairs, None)
     before, after = (np.array([frame.sigma for frame in run]) for run in (filtered, smoothed))
     assert (after > 0.0).all()
-    # the bones' directions, along which they are certain, are not the same: those of an arm that is lost for
-    # four seconds differ most, and change the sum of its variances by 4 %
+    # the directions of the bones, along which they are certain, differ. They differ most for an arm that is
+    # lost for four seconds: the sum of its variances changes by 4 %
     assert ((after**2).sum(axis=1) <= 1.1 * (before**2).sum(axis=1)).all()
 
 

@@ -16,7 +16,7 @@ from tests.helpers.laws import COSTLY, SECOND
 from tests.helpers.two_views import calibration_of, moving, pair_of
 
 STEP_NS = SECOND // 10
-KEPT = LearnerSettings(refine=False, follow=False, bones=False, clock=False)
+KEPT = LearnerSettings().if_learned(False)
 PLACES = moving(BODY, 300)[::3]
 START = replace(calibration_of(BODY), bone_lengths=np.nan_to_num(bone_lengths_of(BODY, PLACES[0])))
 scales = st.one_of(st.floats(0.6, 0.92), st.floats(1.085, 1.4))
