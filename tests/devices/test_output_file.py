@@ -201,7 +201,7 @@ blocks = st.tuples(st.binary(min_size=1, max_size=9), st.binary(max_size=3))
     st.integers(0, 30),
 )
 def test_what_fails_is_tried_again_and_costs_nothing_that_is_written(blocks, faults, at_end, older, patience):
-    """The file, or the one that the error names, has the blocks before the first that was given up, or all."""
+    """The file, or that of the error, has all blocks, or those before the first that was given up."""
     told = []
 
     def again(fault):
