@@ -31,8 +31,9 @@ def predict(model, state, views, trace, k, dt):  # type: ignore[no-untyped-def]
 
         σ_a = share (acceleration + acceleration_by_speed |v|) √calmness
 
-    The speed of a joint of an arm or leg is relative to the root. If views report the joint, in this pair and
-    the last, the root's velocity counts by their trust in the last, because a doubted joint may be elsewhere.
+    times ``unseen_acceleration`` for a joint that is unseen: no view reports it in this pair, or none did in
+    the last. The speed of a joint of an arm or leg is relative to the root. If the joint is seen, the root's
+    velocity counts by the trust of the last pair, because a doubted joint may be elsewhere.
 
     One 2×2 matrix P per joint holds for all three axes. Its bones keep a joint within ``_LARGEST_VARIANCE``,
     which is knowledge, and so no part of the prediction in the trace.
@@ -57,13 +58,13 @@ def predict(model, state, views, trace, k, dt):  # type: ignore[no-untyped-def]
                 v[i, c] = v[p, c] + kept * (v[i, c] - v[p, c])
         missing = views.states[0, i] == 0 and views.states[1, i] == 0
         trust = views.trust[0, i] + views.trust[1, i]
-        share = 0.0
-        if model.limb[i] and state.known[root]:
-            share = 1.0 if missing or trust == 0.0 else min(trust, 1.0)
+        unseen = missing or trust == 0.0
+        share = (1.0 if unseen else min(trust, 1.0)) if model.limb[i] and state.known[root] else 0.0
         square = 0.0
         for c in range(3):
             square += (v[i, c] - share * v[root, c]) ** 2
         sd = model.acceleration[i] * (of.acceleration + of.acceleration_by_speed * math.sqrt(square))
+        sd *= of.unseen_acceleration if unseen else 1.0
         for c in range(3):
             x[i, c] += v[i, c] * dt
         own = kept if p >= 0 and state.known[p] else 1.0

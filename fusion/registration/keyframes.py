@@ -1,7 +1,7 @@
 """The evidence for registration: a bounded set of pairs from all over the volume.
 
 Frames of a person who stands still repeat the same bias of each joint, so that few of them become keyframes.
-Keyframes are stored by the person's place and heading, so that the set covers the whole volume.
+Keyframes are stored by the person's place and heading in both views, so that the set covers the whole volume.
 """
 
 from __future__ import annotations
@@ -20,9 +20,11 @@ from fusion.support.array_fields import new_arrays
 from fusion.support.large_arrays import give_back
 from fusion.support.types import Array
 
-_SHORTEST_NS = 200_000_000  # between two keyframes
-_LONGEST_NS = 2_000_000_000  # after this time a pair becomes a keyframe even without motion
-_MOVED = 0.06  # metres, mean over the joints: a pose that is new
+_SHORTEST_NS = 190_000_000
+"""Between two keyframes. At usual frame rates no whole number of intervals, so that a jitter of the times
+decides nothing."""
+_LONGEST_NS = 1_990_000_000  # after this time a pair becomes a keyframe even without motion
+_MOVED = 0.06  # metres, mean over the joints of both views: a pose that is new
 _CELL = 0.5  # metres
 _SECTORS = 8  # of the person's heading
 _BLOCK_NS = 2_000_000_000  # frames of one block share a fold
@@ -53,7 +55,8 @@ class Evidence(NamedTuple):
     @property
     def folds(self) -> NDArray[np.int64]:
         """(K,) 0 or 1: alternate blocks of two seconds, so that one half can be held out."""
-        return np.asarray((self.time_ns // _BLOCK_NS) % 2, dtype=np.int64)
+        since_first = self.time_ns - self.time_ns.min(initial=np.iinfo(np.int64).max)
+        return np.asarray((since_first // _BLOCK_NS) % 2, dtype=np.int64)
 
 
 def relabelled(
@@ -91,7 +94,7 @@ class KeyframeSet:
             [body.joint(f"{name}_{side}") for name in ("SHOULDER", "HIP")] for side in ("LEFT", "RIGHT")
         )
         self._store = new_arrays(Evidence, K=capacity, J=len(body))
-        self._cells: dict[tuple[int, int, int], list[int]] = {}  # the slots in each, oldest first
+        self._cells: dict[tuple[int, ...], list[int]] = {}  # the slots in each, oldest first
         self._count = 0
         self._newest: int | None = None
 
@@ -126,21 +129,13 @@ class KeyframeSet:
     def add_views(self, views: tuple[Array, Array], weights: tuple[Array, Array], time_ns: int) -> bool:
         """The same of a pair that is due, as :func:`relabelled` gives its views."""
         (a, b), (weight_a, weight_b) = views, weights
-        if self._selective and not self._new(a, weight_a, time_ns):
-            return False
         weight = weight_a * weight_b
+        if self._selective and not self._new((a, b), weight, time_ns):
+            return False
         if np.count_nonzero(weight == 1.0) < len(self._body) // 3:
             return False
-        (l1, l2), (r1, r2) = self._left, self._right
-        across = 0.5 * (a[l1] + a[l2] - (a[r1] + a[r2]))
-        heading = float(np.arctan2(across[2], across[0]))
-        centre = a[weight_a > 0.0].mean(axis=0)
-        cell = (
-            int(np.floor(centre[0] / _CELL)),
-            int(np.floor(centre[2] / _CELL)),
-            int((heading / (2.0 * np.pi) + 0.5) * _SECTORS) % _SECTORS,
-        )
-        slot = self._slot(cell)
+        heading = self._heading(a)
+        slot = self._slot((*_cell(a, weight_a, heading), *_cell(b, weight_b, self._heading(b))))
         store = self._store
         store.a[slot], store.b[slot], store.weights[slot] = a, b, weight
         store.basis[slot] = 1.0, np.cos(heading), np.sin(heading)
@@ -156,16 +151,21 @@ class KeyframeSet:
         """Whether enough time has passed since the newest keyframe."""
         return self._newest is None or time_ns - self._store.time_ns[self._newest] >= _SHORTEST_NS
 
-    def _new(self, a: Array, weight: Array, time_ns: int) -> bool:
-        if self._newest is None or time_ns - self._store.time_ns[self._newest] >= _LONGEST_NS:
+    def _new(self, views: tuple[Array, Array], weight: Array, time_ns: int) -> bool:
+        newest = self._newest
+        if newest is None or time_ns - self._store.time_ns[newest] >= _LONGEST_NS:
             return True
-        both = (weight > 0.0) & (self._store.weights[self._newest] > 0.0)
+        both = (weight > 0.0) & (self._store.weights[newest] > 0.0)
         if not both.any():
             return True
-        moved = (a - self._store.a[self._newest])[both]
-        return bool(np.sqrt((moved * moved).sum(axis=1)).mean() > _MOVED)
+        moved = np.array(views)[:, both] - np.array((self._store.a[newest, both], self._store.b[newest, both]))
+        return bool(np.sqrt((moved * moved).sum(axis=2)).mean() > _MOVED)
 
-    def _slot(self, cell: tuple[int, int, int]) -> int:
+    def _heading(self, at: Array) -> float:
+        across = at[self._left].sum(axis=0) - at[self._right].sum(axis=0)
+        return float(np.arctan2(across[2], across[0]))
+
+    def _slot(self, cell: tuple[int, ...]) -> int:
         slot = self._count
         if slot < self._capacity:
             self._count += 1
@@ -175,6 +175,12 @@ class KeyframeSet:
             slot = min(fullest, key=lambda slots: int(self._store.time_ns[slots[0]])).pop(0)
         self._cells.setdefault(cell, []).append(slot)
         return slot
+
+
+def _cell(at: Array, weight: Array, heading: float) -> tuple[int, int, int]:
+    """The place and the sector of a person's heading in one view."""
+    x, _, z = np.floor(at[weight > 0.0].mean(axis=0) / _CELL).astype(int).tolist()
+    return x, z, int((heading / (2.0 * np.pi) + 0.5) * _SECTORS) % _SECTORS
 
 
 def evidence_of(

@@ -157,9 +157,8 @@ def test_what_comes_later_makes_s_star_no_less_certain(missing, frames, seed, sm
     smoothed = Fuser(setup_of(smoothing=smoothing)).smooth_sequence(pairs, None)
     before, after = (np.array([frame.sigma for frame in run]) for run in (filtered, smoothed))
     assert (after > 0.0).all()
-    # the directions of the bones, along which they are certain, differ. They differ most for an arm that is
-    # lost for four seconds: the sum of its variances changes by 4 %
-    assert ((after**2).sum(axis=1) <= 1.1 * (before**2).sum(axis=1)).all()
+    # the directions of the bones, along which they are certain, are not quite the same
+    assert ((after**2).sum(axis=1) <= 1.01 * (before**2).sum(axis=1)).all()
 
 
 @given(
@@ -183,7 +182,7 @@ def test_a_limb_that_nobody_sees_is_hardly_less_certain_if_the_person_is_carried
         found.append(fused(pairs)[-1].sigma[HIDDEN[missing]])
     carried, still = found
     # an error of the relative velocity remains; the whole velocity would make it 1 + 16 v, up to 25
-    assert (carried < 4.0 * still).all()
+    assert (carried < 1.6 * still).all()
 
 
 @given(
@@ -271,7 +270,7 @@ def test_sigma_grows_as_much_per_second_at_any_rate():
         sigma = np.array([frame.sigma for frame in fused(pairs)]).reshape(8, 10, rate // 10, -1)[2:, 6:, 0]
         found.append(np.sqrt(np.mean(sigma[..., arm] ** 2) / np.mean(sigma[..., others] ** 2)))
     # the acceleration grows with the velocity, whose noise depends on the rate; per frame it would be 3 = √9
-    assert max(found) < 1.2 * min(found)
+    assert max(found) < 1.1 * min(found)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

@@ -177,7 +177,7 @@ def test_a_refinement_in_steps_is_the_same_two_pairs_later(monkeypatch):
     fits = []
     fit = refinement.fit_robust
     monkeypatch.setattr(refinement, "fit_robust", lambda *of, **more: (fits.append(1), fit(*of, **more))[1])
-    pairs = walk(120)
+    pairs = walk(180)
     in_steps = LearnerSettings(refinement=RefinementSettings(in_steps=True))
     learner = CalibrationLearner(BODY, Calibration(BODY, OFF, BODY.nominal_lengths, "start"), in_steps)
     each, stepwise = [], []

@@ -130,9 +130,11 @@ def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the
             v[i] = before.velocities[parent] + kept * (v[i] - before.velocities[parent])
         F = np.array(((1.0, DT), (0.0, 1.0)))
         trust = scene.views.trust[:, i].sum()
-        trusted = 1.0 if unseen[i] or trust == 0.0 else min(trust, 1.0)
+        unseen[i] |= trust == 0.0
+        trusted = 1.0 if unseen[i] else min(trust, 1.0)
         own = v[i] - model.limb[i] * trusted * v[BODY.root]
         sd = model.acceleration[i] * (k.acceleration + k.acceleration_by_speed * np.linalg.norm(own))
+        sd *= k.unseen_acceleration if unseen[i] else 1.0
         white = np.array(((DT**3 / 3.0, DT**2 / 2.0), (DT**2 / 2.0, DT)))
         expected = F @ relax @ covariance_of(P[i]) @ relax.T @ F.T + sd**2 / 30.0 * white
         np.testing.assert_allclose(covariance_of(before.variances[i]), expected, rtol=ROUNDING)

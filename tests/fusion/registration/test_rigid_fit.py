@@ -377,13 +377,16 @@ def test_no_joint_in_common_is_an_error():
         fit_robust(KINECT_V2, nothing, A_FROM_B, SETTINGS)
 
 
-def test_the_keyframe_set_stays_small_and_keeps_the_whole_volume():
-    frames = KeyframeSet(KINECT_V2, capacity=32)
+def test_the_keyframe_set_stays_small_keeps_the_whole_volume_and_favours_no_sensor():
+    frames, exchanged = (KeyframeSet(KINECT_V2, capacity=32) for _ in range(2))
     walk = moving(KINECT_V2, 40)
     for k in range(4000):
         at = walk[k % 40] + ([1.5, 0.0, 0.0] if k < 300 else [0.0, 0.0, 0.0])
-        frames.add(pair_of(KINECT_V2, at, k * FRAME_NS))
+        pair = pair_of(KINECT_V2, at, k * FRAME_NS)
+        frames.add(pair)
+        exchanged.add(SkeletonPair(pair.b, pair.a, pair.time_ns))
     assert len(frames) == 32
+    assert frames.evidence.time_ns.tolist() == exchanged.evidence.time_ns.tolist()
     away = frames.evidence.a[:, KINECT_V2.root, 0] > 1.0
     assert 4 <= away.sum() <= 28  # a two-minute stay elsewhere did not push out the first place
 
