@@ -64,7 +64,7 @@ class LiveFusion:
         self._fuser = Fuser(setup)
         learns = refine or not calibrated
         duplex = setup.settings.method == "duplex"
-        self._people = PersonOfPair(setup.body, follow, follow_moves=learns if duplex else None)
+        self._people = PersonOfPair(setup.body, follow, follow_moves=learns or not duplex)
         settings = LearnerSettings(refinement=RefinementSettings(in_steps=True)).if_learned(learns)
         self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if duplex else None
         self._views = ViewEvents(setup.body)

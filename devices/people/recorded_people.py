@@ -10,8 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import CableSync, DeviceError, Orientation, SensorFrame
 from fusion.body import Body
+from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import View, view_of
 from fusion.skeleton import Skeleton
 from fusion.support.large_arrays import Rows
@@ -108,19 +109,31 @@ class RecordedPeople(Rows[SensorFrame]):
             )
         return wanted
 
-    def successors(self, person: str) -> tuple[str, ...]:
-        """The ids of people seen only while the followed person is absent, the one seen longest first.
 
-        A tracker assigns a new id to a person who returns. After the first person has left, the next one is
-        followed.
-        """
-        when = {name: self.frame[self.person == k] for k, name in enumerate(self.ids)}
-        taken, others = np.zeros(len(self), dtype=bool), []
-        for name in sorted(when, key=lambda name: (name != person, -len(when[name]), name)):
-            if not taken[when[name]].any():
-                taken[when[name]] = True
-                others.append(name)
-        return tuple(others[1:])
+@dataclass(frozen=True, eq=False)
+class OneRecording:
+    """One recording without images, and the person to fuse."""
+
+    name: str
+    people: RecordedPeople
+    sync: CableSync | None
+    warnings: list[str]
+    arrivals: NDArray[np.int64]
+    """(T, 2) capture and arrival times, where they were recorded."""
+    person: View
+    wanted: str | None
+    """Id of the person that the user chose."""
+    option: str
+    """What the user knows that choice as, for messages."""
+    intrinsics: Intrinsics | None = None
+    orientation: Orientation = 0
+    others: RecordedPeople | None = None  # who are not followed
+
+    @property
+    def seen(self) -> View:
+        """The frames in which the person is seen."""
+        seen = self.person.states.any(axis=1)
+        return self.person if seen.all() else self.person.chosen_whole(np.flatnonzero(seen))
 
 
 @dataclass(frozen=True)

@@ -1,278 +1,431 @@
-"""The people of a room, followed by place through the frames of one sensor or of two.
+"""Who is who in two views, from one pair of frames to the next, live and recorded.
 
-A body goes on from frame to frame as its track does. Where a track is new or in doubt, the body is who the
+A person is a track in either view. Once the placement of the sensors is known, bodies of both views that are
+in one place are one person, and bodies that are far apart are two, also where each view has only one. Before
+that, the only bodies of both views are one person. Where a track is new or in doubt, the body is who the
 other view has in that place, else who was seen there last: by place, time and lengths of bones.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
-from devices.people.association import bones_of, cost_of_return, differing
+from devices.people.placement import one_movement
 from devices.people.recorded_people import Follow
 from devices.people.tracks import SPEED_M_S
 from fusion.body import Body
+from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.rigid import RigidTransform
-from fusion.skeleton import Skeleton
 from fusion.support.types import Array
 
 Place = Sequence[float]  # (3,) metres
+Joints = NDArray[np.float32]  # (J, 3) metres
 
-REACH_M = 0.4  # how far the middle of a body may be off from frame to frame: tracker noise and a step
-HOLD_S, WAIT_S = 2.0, 10.0
+HOLD_NS, WAIT_NS = 2_000_000_000, 10_000_000_000
 """A person out of sight is waited for; after so long a newcomer is taken, and after so long anybody."""
-TOLD_S = 0.5  # others who are seen for less have no event
-_FORGET_S = 60.0  # somebody out of sight is no longer recognised
-_SAME_PLACE_M = 0.3  # of one person in two views, at most
+ALONE_NS = 5_000_000_000  # nobody else was seen for so long
+_FORGET_NS = 60_000_000_000  # somebody out of sight is no longer recognised
+_SURE_NS = 200_000_000  # for so long two people are in one place
+_SAME_PLACE_M, FAR_M = 0.3, 0.6  # of one person in two views, at most: among others, and alone
 _PLACE_SD_M = 0.1  # the same, usually
-_SURE_NS = 200_000_000  # for so long two views of a person are apart, or those of two people in one place
+_REACH_M = 0.4  # how far the middle of a body may be off from frame to frame: tracker noise and a step
 _BONES_EVERY, _BONES_NEW = 30, 0.2  # frames; share of a new measurement
-_RETURN_S = 1.0  # the bones of who was away for less are not compared
-_MOST_OWNED = 200  # tracks
+_BONE_ERROR, _DIFFERENT_BONES = 0.06, 0.2  # median, of a length: of one person; of a child and a grown-up
+_RETURN_M, _WALK_M_S, _ROOM_M = 0.3, 0.7, 2.0
+"""People come back this far from where they were last seen: at once, more for each second, and at most."""
+_RETURN_NS = 1_000_000_000  # the bones of who was away for less are not compared
+_COMPARED_NS, _KEPT, _FEWEST = 90_000_000, 60, 20  # pairs that tell a move of a sensor: 6 s, and 2 s at least
+_TESTED_NS = 500_000_000  # between two such comparisons
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
     """The bodies of one frame of a view: those that have a place."""
 
-    time_ns: int
-    names: list[str]
-    skeletons: list[Skeleton]
-    tracks: list[int]
-    doubtful: list[bool]
-    places: list[list[float]]
+    names: Sequence[object]
+    joints: Sequence[Joints]
+    tracks: Sequence[int]
+    doubtful: Sequence[bool]
+    places: Sequence[Place]  # in the sensor's frame
+
+
+NOBODY = Seen((), (), (), (), ())
+
+
+@dataclass(eq=False, slots=True)
+class Sight:
+    """What one view has of a person."""
+
+    now: int | None = None  # which body of this frame
+    track: int | None = None
+    since_ns: int = 0  # when the track was found to be theirs
+    place: Place | None = None  # the last one
+    seen_ns: int = 0
+    bones: Array | None = None  # (J,) metres
 
 
 @dataclass(eq=False, slots=True)
 class Person:
     """Somebody in the room."""
 
-    place: Place
-    seen_ns: int
-    now: list[int | None]  # of each view: which body of this frame
-    since_ns: list[int]  # of each view: when the track was found to be theirs
-    bones: list[Array | None]  # of each view
+    sights: list[Sight] = field(default_factory=lambda: [Sight(), Sight()])
     beside: bool = False  # whether seen while the person followed was
     apart_ns: int | None = None  # since when their two views are
+    begun_ns: int = 0
     measured: int = 0  # frames in which they were seen
+    together: int = 0  # the same, by both views in one place
+    into: Person | None = None  # who they turned out to be
 
     @property
-    def is_seen(self) -> bool:
-        return any(index is not None for index in self.now)
+    def now(self) -> tuple[int | None, int | None]:
+        """Of each view: which body of this frame."""
+        return self.sights[0].now, self.sights[1].now
+
+    @property
+    def seen_ns(self) -> int:
+        return max(self.sights[0].seen_ns, self.sights[1].seen_ns)
 
 
 class Room:
-    """People by place, seen by one sensor, or by two whose placement is known."""
+    """People by place, seen by two sensors; see the module."""
 
-    def __init__(self, body: Body, views: Sequence[int], follow: Follow = "middle") -> None:
-        self._body, self._views, self._follow = body, views, follow
-        self._owner: dict[tuple[int, int], Person] = {}  # by view and track
-        self._met: dict[tuple[int, int], int] = {}  # since when two people are in one place
+    def __init__(self, body: Body, follow: Follow = "middle") -> None:
+        self._body, self._follow = body, follow
+        self._met: dict[tuple[Person, Person], int] = {}  # since when two people are in one place
+        self._pairs: dict[tuple[Person, Person], deque[tuple[int, Joints, Joints]]] = {}
+        self._given: RigidTransform | None = None
+        self._a_from_b: list[list[float]] | None = None  # (3, 4)
+        self._time_ns, self._crowded_ns = 0, -(2**62)
+        self._seen: Sequence[Seen] = (NOBODY, NOBODY)
+        self._at: Sequence[Sequence[Place]] = ((), ())  # places in K_A's frame, once the placement is known
+        self.moved: RigidTransform | None = None
+        """The placement since a sensor was moved, until the one that is given agrees again."""
         self.people: list[Person] = []
         self.followed: Person | None = None
-        self.guessed = False  # whether the person followed was chosen or found again among several
         self.changed = False  # whether another person is followed than before
 
-    def adopt_room(self, other: Room, place: RigidTransform) -> None:
-        """Begins with the people of another room, whose frame has this place."""
-        self._owner, self.people, self.followed = dict(other._owner), list(other.people), other.followed
-        for person in self.people:
-            person.place = place.apply(person.place).tolist()
-
-    def adopt(self, seen: Sequence[Seen]) -> None:
-        """Begins with the only people of some views."""
-        for view in self._views:
-            if seen[view].tracks:
-                person = self._new(0, seen[view]) if self.followed is None else self.followed
-                person.now[view] = 0
-                self._owner[view, seen[view].tracks[0]] = self.followed = person
-
-    def observe(self, time_ns: int, seen: Sequence[Seen]) -> None:
-        """Takes the next frames. Of a room of both views, bodies of B are in K_A's frame."""
+    def observe(self, time_ns: int, seen: Sequence[Seen], a_from_b: RigidTransform | None) -> None:
+        """Takes the next frames, and the placement once that is known."""
+        if a_from_b is not self._given:
+            self._given = a_from_b
+            self._put(a_from_b if self.moved is None else self.moved)
+        self._time_ns, self._seen = time_ns, seen
+        self._at = seen[0].places, [_put_by(self._a_from_b, place) for place in seen[1].places]
         left: list[tuple[int, int]] = []
-        for person in self.people:
-            person.now = [None, None]
-        for view in self._views:
-            of = seen[view]
-            for k, track in enumerate(of.tracks):
-                owner = None if of.doubtful[k] else self._owner.get((view, track))
-                if owner is None or owner.now[view] is not None:
-                    left.append((view, k))
-                else:
-                    owner.now[view] = k
-        if left:
-            self._find(time_ns, seen, left)
-        for person in self.people:
-            by = [(view, at) for view in self._views if (at := person.now[view]) is not None]
-            if by:
-                view, at = by[0]
-                person.place, person.seen_ns = seen[view].places[at], time_ns
-                person.measured += 1
-                for view, at in by if person.measured % _BONES_EVERY == 1 else ():
-                    self._measure(person, view, seen[view].skeletons[at])
-        if len(self._views) > 1:
-            self._compare(time_ns, seen)
-        self._choose(time_ns, seen)
-
-    def _new(self, k: int, of: Seen) -> Person:
-        person = Person(of.places[k], of.time_ns, [None, None], [0, 0], [None, None])
-        self.people.append(person)
-        return person
-
-    def _own(self, person: Person, view: int, k: int, of: Seen, time_ns: int) -> None:
-        person.now[view] = k
-        if not of.doubtful[k] and of.tracks[k] >= 0:
-            self._owner[view, of.tracks[k]], person.since_ns[view] = person, time_ns
-
-    def _find(self, time_ns: int, seen: Sequence[Seen], left: list[tuple[int, int]]) -> None:
-        """Who bodies are whose tracks do not tell it: by the other view, else by place, time and bones."""
-        costs = []
-        for view, k in left:
+        for view, of in enumerate(seen):
+            if len(of.tracks) > 1:
+                self._crowded_ns = time_ns
+            owners = {}
             for person in self.people:
-                if person.now[view] is None:
-                    cost = self._cost(person, view, k, seen, time_ns)
-                    if cost < np.inf:
-                        costs.append((cost, view, k, person))
-        for _, view, k, person in sorted(costs, key=lambda each: each[0]):
+                sight = person.sights[view]
+                sight.now = None
+                if sight.track is not None:
+                    owners[sight.track] = sight
+            for k, track in enumerate(of.tracks):
+                if track in owners and not of.doubtful[k]:
+                    owners.pop(track).now = k
+                else:
+                    left.append((view, k))
+        if left:
+            self._find(left)
+        self._compare()
+        for person in self.people:
+            if person.now != (None, None):
+                self._measure(person)
+        self._choose()
+        if self._a_from_b is not None and self.followed is not None:
+            self._look_for_a_move(self.followed)
+
+    def _put(self, a_from_b: RigidTransform | None) -> None:
+        self._a_from_b = None if a_from_b is None else _rows_of(a_from_b)
+
+    def _own(self, person: Person, view: int, k: int) -> None:
+        sight, of = person.sights[view], self._seen[view]
+        sight.now = k
+        if not of.doubtful[k]:
+            sight.track, sight.since_ns = of.tracks[k], self._time_ns
+
+    def _find(self, left: list[tuple[int, int]]) -> None:
+        """Who bodies are whose tracks do not tell it: by the other view, else by place, time and bones."""
+        costs = [
+            (cost, n, view, k, person)
+            for view, k in left
+            for n, person in enumerate(self.people)
+            if person.now[view] is None and (cost := self._cost(person, view, k)) < np.inf
+        ]
+        for _, _, view, k, person in sorted(costs, key=lambda each: each[:2]):
             if (view, k) not in left or person.now[view] is not None:
                 continue
-            if self._cost(person, view, k, seen, time_ns) < np.inf:  # not elsewhere in the other view
-                others = sum(of.now[view] is None for of in self.people)
-                if person is self.followed and (others > 1 or seen[view].doubtful[k]):
-                    self.guessed = True
-                self._own(person, view, k, seen[view], time_ns)
+            if self._cost(person, view, k) < np.inf:  # not elsewhere in the other view
+                if self._a_from_b is None and self._is_guessed(person, view, k):
+                    person = self._only_in(person, view)
+                self._own(person, view, k)
                 left.remove((view, k))
         for view, k in left:
-            place = seen[view].places[k]
-            partner = next(
-                (
-                    person
-                    for person in self.people
-                    if person.now[view] is None
-                    and (other := self._place(person, 1 - view, seen)) is not None
-                    and math.dist(other, place) < _SAME_PLACE_M
-                ),
-                None,
-            )
-            self._own(partner or self._new(k, seen[view]), view, k, seen[view], time_ns)
-        if len(self._owner) > _MOST_OWNED:
-            alive = {(view, track) for view in self._views for track in seen[view].tracks}
-            self._owner = {track: of for track, of in self._owner.items() if track in alive}
+            near = (of for of in self.people if of.now[view] is None and self._may_be(of, view, k))
+            person = next(near, None) or Person(begun_ns=self._time_ns)
+            if person.begun_ns == self._time_ns and person not in self.people:
+                self.people.append(person)
+            self._own(person, view, k)
         self.people = [
             person
             for person in self.people
-            if person is self.followed or time_ns - person.seen_ns < _FORGET_S * 1e9 or person.is_seen
+            if person is self.followed
+            or person.now != (None, None)
+            or self._time_ns - person.seen_ns < _FORGET_NS
         ]
 
-    def _place(self, person: Person, view: int, seen: Sequence[Seen]) -> Place | None:
-        k = person.now[view] if view in self._views else None
-        return None if k is None else seen[view].places[k]
+    def _is_guessed(self, person: Person, view: int, k: int) -> bool:
+        """Whether somebody who is found again may be another one."""
+        absent = [of for of in self.people if of.now[view] is None and of.sights[view].place is not None]
+        lost = max(map(len, self._at)) > 1 and self._time_ns - person.sights[view].seen_ns > _SURE_NS
+        return lost or len(absent) > 1 or self._seen[view].doubtful[k]
 
-    def _cost(self, person: Person, view: int, k: int, seen: Sequence[Seen], time_ns: int) -> float:
-        of = seen[view]
-        other = self._place(person, 1 - view, seen)
-        if other is not None:
-            far = math.dist(other, of.places[k])
-            if far > _SAME_PLACE_M:
+    def _only_in(self, person: Person, view: int) -> Person:
+        """The person of one view, who is no longer known to be that of the other."""
+        if person.sights[1 - view].place is None:
+            return person
+        rest = Person(beside=person.beside, begun_ns=person.begun_ns, measured=person.measured)
+        rest.sights[1], person.sights[1] = person.sights[1], Sight()
+        self.people.append(rest)
+        return rest if view else person
+
+    def _limit(self) -> float:
+        """How far two views of one person may be apart."""
+        return FAR_M if max(map(len, self._at)) < 2 else _SAME_PLACE_M
+
+    def _are_alone(self) -> bool:
+        """Whether both views have one body, and had no other for a while."""
+        return len(self._at[0]) == len(self._at[1]) == 1 and self._time_ns - self._crowded_ns > ALONE_NS
+
+    def _is_gone(self, sight: Sight) -> bool:
+        """Whether a view has not seen somebody for so long that they may be anywhere."""
+        return sight.place is None or self._time_ns - sight.seen_ns > HOLD_NS
+
+    def _may_be(self, person: Person, view: int, k: int) -> bool:
+        """Whether a newcomer is somebody whom the other view sees."""
+        other = person.now[1 - view]
+        if other is None:
+            return False
+        if self._a_from_b is None:
+            return self._are_alone() and self._is_gone(person.sights[view])
+        return math.dist(self._at[1 - view][other], self._at[view][k]) <= self._limit()
+
+    def _cost(self, person: Person, view: int, k: int) -> float:
+        """How unlike somebody a body is; infinite for another person."""
+        other, place = person.now[1 - view], self._at[view][k]
+        if other is not None and self._a_from_b is not None:
+            far = math.dist(self._at[1 - view][other], place)
+            if far > self._limit():
                 return np.inf
             return 0.5 * (far / _PLACE_SD_M) ** 2 + 2.0 * math.log(_PLACE_SD_M)
-        far, seconds = math.dist(person.place, of.places[k]), 1e-9 * (time_ns - person.seen_ns)
-        if far > REACH_M + SPEED_M_S * seconds:
+        own, by = person.sights[view], view
+        if self._a_from_b is not None and person.seen_ns > own.seen_ns:
+            by = 1 - view
+        last = person.sights[by]
+        if last.place is None:
             return np.inf
-        bones, known = np.nan, person.bones[view]
-        if seconds > _RETURN_S and known is not None:
-            bones = differing(known, bones_of(self._body, of.skeletons[k].positions[None]))
-        return cost_of_return(bones, far, seconds)
+        seconds = 1e-9 * (self._time_ns - last.seen_ns)
+        far = math.dist(_put_by(self._a_from_b, last.place) if by else last.place, place)
+        if far > _REACH_M + SPEED_M_S * seconds:
+            return np.inf
+        bones = _BONE_ERROR
+        if self._time_ns - last.seen_ns > _RETURN_NS and own.bones is not None:
+            differing = _differing(own.bones, self._bones(self._seen[view].joints[k]))
+            if differing > _DIFFERENT_BONES:
+                return np.inf
+            bones = bones if np.isnan(differing) else differing
+        sd = min(_RETURN_M + _WALK_M_S * seconds, _ROOM_M)
+        # errors of the bones, and of a place on the floor
+        return 0.5 * (bones / _BONE_ERROR) ** 2 + 0.5 * (far / sd) ** 2 + 2.0 * math.log(sd)
 
-    def _measure(self, person: Person, view: int, skeleton: Skeleton) -> None:
-        now, before = bones_of(self._body, skeleton.positions[None]), person.bones[view]
-        if before is not None:
-            now = np.where(np.isnan(now), before, now)
-            now = np.where(np.isnan(before), now, before + _BONES_NEW * (now - before))
-        person.bones[view] = now
+    def _bones(self, joints: Joints) -> Array:
+        """(J,) metres; NaN of those not seen."""
+        lengths = bone_lengths_of(self._body, joints)
+        return np.where(lengths > 0.0, lengths, np.nan)
 
-    def _compare(self, time_ns: int, seen: Sequence[Seen]) -> None:
+    def _measure(self, person: Person) -> None:
+        person.measured += 1
+        for sight, of in zip(person.sights, self._seen, strict=True):
+            if sight.now is None:
+                continue
+            sight.place, sight.seen_ns = of.places[sight.now], self._time_ns
+            if person.measured % _BONES_EVERY == 1:
+                now, before = self._bones(of.joints[sight.now]), sight.bones
+                if before is not None:
+                    now = np.where(np.isnan(now), before, now)
+                    now = np.where(np.isnan(before), now, before + _BONES_NEW * (now - before))
+                sight.bones = now
+
+    def _compare(self) -> None:
         """Separates what two views have of different people, and joins what they have of one."""
-        single: tuple[list[Person], list[Person]] = [], []
+        only: tuple[list[Person], list[Person]] = [], []
         for person in self.people:
-            a, b = self._place(person, 0, seen), self._place(person, 1, seen)
-            if a is None or b is None:
-                if (a is None) != (b is None):
-                    single[a is None].append(person)
-                continue
-            if math.dist(a, b) <= _SAME_PLACE_M:
-                person.apart_ns = None
-                continue
-            person.apart_ns = time_ns if person.apart_ns is None else person.apart_ns
-            if time_ns - person.apart_ns >= _SURE_NS:
-                later = int(person.since_ns[1] >= person.since_ns[0])
-                place = (a, b)[later]
-                if any(
-                    math.dist(at, place) < _SAME_PLACE_M
-                    for of in self.people
-                    if of is not person and (at := self._place(of, 1 - later, seen)) is not None
-                ):
-                    k = person.now[later]
-                    assert k is not None
-                    self._owner.pop((later, seen[later].tracks[k]), None)
-                    person.now[later], person.apart_ns = None, None
-        met = {}
-        for one in single[0]:
-            for other in single[1]:
-                a, b = self._place(one, 0, seen), self._place(other, 1, seen)
-                if a is None or b is None or math.dist(a, b) > _SAME_PLACE_M:
-                    continue
-                pair = id(one), id(other)
-                met[pair] = self._met.get(pair, time_ns)
-                if time_ns - met[pair] >= _SURE_NS and one in self.people and other in self.people:
-                    self._join(one, other)
+            in_a, in_b = person.now
+            if in_a is None or in_b is None:
+                if in_a is not None or in_b is not None:
+                    only[in_a is None].append(person)
+            elif self._a_from_b is None:
+                person.together += 1
+            else:
+                self._separate(person, in_a, in_b)
+        near = []
+        for a, b in product(*only):
+            apart = math.dist(self._at[0][a.sights[0].now or 0], self._at[1][b.sights[1].now or 0])
+            if self._a_from_b is None:
+                if self._are_alone() and self._is_gone(a.sights[1]) and self._is_gone(b.sights[0]):
+                    self._join(a, b)
+            elif apart <= _SAME_PLACE_M:
+                near.append((apart, a, b))
+        met: dict[tuple[Person, Person], int] = {}
+        for _, a, b in sorted(near, key=lambda each: each[0]):
+            if not any(a is of or b is by for of, by in met):
+                met[a, b] = self._met.get((a, b), self._time_ns)
+                if self._time_ns - met[a, b] >= _SURE_NS:
+                    self._join(a, b)
         self._met = met
 
+    def _separate(self, person: Person, a: int, b: int) -> None:
+        """Whether both views have one person; the later one is somebody else otherwise."""
+        if self.moved is not None and person is self.followed and self._given is not None:
+            given = _put_by(_rows_of(self._given), self._seen[1].places[b])
+            if math.dist(self._at[0][a], given) <= _SAME_PLACE_M:
+                self.moved = None
+                self._put(self._given)
+                return
+        apart = math.dist(self._at[0][a], self._at[1][b])
+        if apart <= _SAME_PLACE_M:
+            person.together += 1
+            person.apart_ns = None
+            return
+        person.apart_ns = self._time_ns if person.apart_ns is None else person.apart_ns
+        later = int(person.sights[1].since_ns >= person.sights[0].since_ns)
+        place, earlier = (self._at[0][a], self._at[1][b])[later], 1 - later
+        if apart > FAR_M or (
+            self._time_ns - person.apart_ns >= _SURE_NS
+            and any(
+                math.dist(self._at[earlier][k], place) < _SAME_PLACE_M
+                for of in self.people
+                if of is not person and (k := of.now[earlier]) is not None
+            )
+        ):
+            person.apart_ns = None
+            person.sights[later].now = person.sights[later].track = None
+
     def _join(self, one: Person, other: Person) -> None:
-        if other is self.followed:
+        """Both are one person: the one followed, or who was there first."""
+        if other is self.followed or (one is not self.followed and other.begun_ns < one.begun_ns):
             one, other = other, one
-        for view in self._views:
-            if other.now[view] is not None:
-                one.now[view], one.since_ns[view] = other.now[view], other.since_ns[view]
-            one.bones[view] = other.bones[view] if one.bones[view] is None else one.bones[view]
+        for view, sight in enumerate(other.sights):
+            mine = one.sights[view]
+            if sight.now is not None or (mine.now is None and sight.seen_ns > mine.seen_ns):
+                one.sights[view] = sight
+                sight.bones = mine.bones if sight.bones is None else sight.bones
+        one.together += other.together
         one.beside, one.measured = one.beside or other.beside, max(one.measured, other.measured)
-        self._owner = {track: one if of is other else of for track, of in self._owner.items()}
+        other.into = one
         self.people.remove(other)
 
-    def _choose(self, time_ns: int, seen: Sequence[Seen]) -> None:
+    def _choose(self) -> None:
         """Whom to follow."""
-        here = [person for person in self.people if person.is_seen]
-        followed = self.followed
-        if followed is not None and followed.is_seen:
+        here = [person for person in self.people if person.now != (None, None)]
+        followed, changed = self.followed, False
+        if followed is not None and followed.now != (None, None):
             for person in here:
                 person.beside = True
+            if self._a_from_b is None and followed.sights[0].place is None:
+                here = [person for person in here if person.now[0] is not None]
+            elif followed.together or self._a_from_b is None or self._time_ns - followed.begun_ns < WAIT_NS:
+                return
+            else:  # one view has always had somebody whom the other does not see, such as a mirror image
+                here = [person for person in here if 2 * person.together > followed.measured]
+                changed = True
+        elif followed is not None:
+            away_ns = self._time_ns - followed.seen_ns
+            if away_ns <= HOLD_NS:
+                return
+            changed = away_ns > WAIT_NS
+            if not changed:
+                here = [person for person in here if not person.beside and self._is_like(person, followed)]
+        if not here:
             return
-        away_s = np.inf if followed is None else 1e-9 * (time_ns - followed.seen_ns)
-        if away_s <= HOLD_S or not here:
-            return
-        chosen = here
-        if followed is not None and away_s <= WAIT_S:
-            chosen = [person for person in here if not person.beside and self._may_be(person, followed)]
-        if chosen:
-            longest = max(person.measured for person in chosen) if self._follow == "longest" else 0
-            chosen = [person for person in chosen if person.measured >= longest]
-            self.followed = min(chosen, key=lambda person: self._off_axis(person, seen))
-            self.changed = followed is not None and away_s > WAIT_S
-            self.guessed = True
-            for person in self.people:
-                person.beside = person.is_seen
+        if self._follow == "longest":
+            longest = max(person.measured for person in here)
+            here = [person for person in here if person.measured >= longest]
+        self.changed = changed
+        self.followed = min(here, key=self._off_axis)
+        for person in self.people:
+            person.beside = person.now != (None, None)
 
-    def _may_be(self, one: Person, other: Person) -> bool:
-        pairs = zip(one.bones, other.bones, strict=True)
-        bones = [differing(of, before) for of, before in pairs if of is not None and before is not None]
-        return all(cost_of_return(each, 0.0, 0.0) < np.inf for each in bones)
+    def _is_like(self, one: Person, other: Person) -> bool:
+        pairs = zip(one.sights, other.sights, strict=True)
+        bones = [(of.bones, before.bones) for of, before in pairs]
+        return not any(
+            of is not None and before is not None and _differing(of, before) > _DIFFERENT_BONES
+            for of, before in bones
+        )
 
-    def _off_axis(self, person: Person, seen: Sequence[Seen]) -> float:
-        """The angle between a person and the axis of a view that sees them: near or far, what is central."""
-        view = next(v for v in self._views if person.now[v] is not None)
-        at = seen[view].skeletons[person.now[view] or 0].positions
-        return float(abs(np.arctan2(np.nanmean(at[:, 0]), np.nanmean(at[:, 2]))))
+    def _off_axis(self, person: Person) -> tuple[bool, float]:
+        """The angle between somebody and the axis of a view that sees them: near or far, what is central.
+
+        Before the placement is known, whom A sees comes first.
+        """
+        by = 0 if person.now[0] is not None else 1
+        x, _, z = self._seen[by].places[person.now[by] or 0]
+        return self._a_from_b is None and by == 1, abs(math.atan2(x, z))
+
+    def _look_for_a_move(self, followed: Person) -> None:
+        """Joins whom the other view has elsewhere, if another placement makes one movement of both.
+
+        What one view has of the person followed, and the other view of somebody else, is compared.
+        """
+        a, b = followed.now
+        others = () if (a is None) == (b is None) else self.people
+        pairs = {}
+        for other in others:
+            k = other.now[a is not None]
+            if other is followed or k is None or other.now[a is None] is not None:
+                continue
+            at = (a if a is not None else k), (b if b is not None else k)
+            kept = pairs[followed, other] = self._pairs.get((followed, other), deque(maxlen=_KEPT))
+            if kept and self._time_ns - kept[-1][0] < _COMPARED_NS:
+                continue
+            kept.append((self._time_ns, self._seen[0].joints[at[0]], self._seen[1].joints[at[1]]))
+            if len(kept) < _FEWEST or kept[-1][0] // _TESTED_NS == kept[-2][0] // _TESTED_NS:
+                continue
+            _, p, q = zip(*kept, strict=True)
+            found = one_movement(self._body, np.array(p, np.float64), np.array(q, np.float64))
+            if found is not None:
+                self.moved = found
+                self._put(found)
+                self._join(followed, other)
+                pairs = {}
+                break
+        self._pairs = pairs
+
+
+def _rows_of(a_from_b: RigidTransform) -> list[list[float]]:
+    """(3, 4) [R | t]."""
+    return np.column_stack((a_from_b.rotation, a_from_b.translation)).tolist()  # type: ignore[no-any-return]
+
+
+def _put_by(a_from_b: list[list[float]] | None, place: Place) -> Place:
+    """A place of B in K_A's frame; as it is while the placement is unknown."""
+    if a_from_b is None:
+        return place
+    x, y, z = place
+    return [a * x + b * y + c * z + d for a, b, c, d in a_from_b]
+
+
+def _differing(one: Array, other: Array) -> float:
+    """The median difference of the lengths of two people's bones, as a share; NaN if unknown."""
+    ratio = np.abs(one / other - 1.0)
+    ratio = ratio[np.isfinite(ratio)]
+    return float(np.median(ratio)) if len(ratio) else np.nan

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,6 @@ from devices.pairing import median_interval
 from devices.people.recorded_people import RecordedPeople
 from fusion.body import KINECT_V1, Body
 from fusion.compiling.kernels import compiles, inner_kernel, kernel
-from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 from fusion.support.large_arrays import parts
 from fusion.support.types import Array
@@ -21,10 +20,10 @@ Index = NDArray[np.int64]
 
 _SLOTS = 16  # bodies in one view at a time
 _HOLD_NS, _HOLD = 200_000_000, 2.5  # a body unseen for longer, and so many frames, begins a new track
+_REPEATED_NS = 1_000_000_000  # a body whose joints are the same to the bit for longer is nobody
 _REACH_M, SPEED_M_S = 0.1, 4.0  # tracker noise; a running person
 _UNSURE_M = 0.05  # mean over the joints: two bodies this near to each other may be exchanged
 _FEWEST_JOINTS = 3
-_MOST_TRACKS = 150  # the longest; the others are not used
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,72 +31,45 @@ class Tracks:
     """The tracks of one view."""
 
     people: RecordedPeople
-    track: Index  # (N,) of each skeleton; -1 of none that counts
-    count: Index  # (M,) skeletons of each track
+    track: Index  # (N,) of each skeleton; -1 of nobody: no joint is known, or all are repeated
+    doubtful: NDArray[np.bool_]  # (N,) whether it may be another one's
 
     @staticmethod
     def of(people: RecordedPeople) -> Tracks:
-        track = tracks_of(people)
-        count = np.bincount(track[track >= 0])
-        if len(count) > _MOST_TRACKS:
-            kept = np.sort(np.argsort(-count, kind="stable")[:_MOST_TRACKS])
-            number = np.full(len(count) + 1, -1, dtype=np.int64)  # the last one is that of track -1
-            number[kept] = np.arange(len(kept))
-            track, count = number[track], count[kept]
-        return Tracks(people, track, count)
-
-    def longest(self, count: int) -> list[int]:
-        return [int(k) for k in np.argsort(-self.count, kind="stable")[:count]]
-
-    def rows(self, tracks: Sequence[int]) -> Index:
-        return np.flatnonzero(np.isin(self.track, tracks))
+        track = np.full(len(people.frame), -1, dtype=np.int64)
+        doubtful = np.zeros(len(track), dtype=np.bool_)
+        hold_ns = np.int64(max(_HOLD_NS, int(_HOLD * median_interval(people.time_ns))))
+        mirror = np.ascontiguousarray(people.body.mirror)
+        _number_all(
+            people.frame, people.time_ns, people.skeletons.positions, mirror, hold_ns,
+            *_held(len(people.body)), track, doubtful,
+        )  # fmt: skip
+        return Tracks(people, track, doubtful)
 
     def at(self, rows: Index) -> Array:
         """(n, J, 3) metres."""
         return np.asarray(self.people.skeletons.positions[rows], dtype=np.float64)
 
-    def centres(self, rows: Index) -> Array:
-        """(n, 3) middle of the torso; of all joints where none of those is tracked."""
-        middle, torso = np.empty((len(rows), 3)), np.array(self.people.body.torso)
-        for part in parts(len(rows)):
-            _middles(self.people.skeletons.positions[rows[part]], torso, middle[part])
+    def centres(self) -> Array:
+        """(N, 3) middle of the torso; of all joints where none of those is tracked."""
+        middle, torso = np.empty((len(self.track), 3)), np.array(self.people.body.torso)
+        for part in parts(len(middle)):
+            _middles(self.people.skeletons.positions[part], torso, middle[part])
         return middle
 
-    def spans(self) -> tuple[Index, Index]:
-        """(M,) first and last frame of each track."""
-        some = self.track >= 0
-        first = np.full(len(self.count), len(self.people), dtype=np.int64)
-        last = np.full(len(self.count), -1, dtype=np.int64)
-        np.minimum.at(first, self.track[some], self.people.frame[some])
-        np.maximum.at(last, self.track[some], self.people.frame[some])
-        return first, last
 
-
-def tracks_of(people: RecordedPeople) -> Index:
-    """(N,) track of each skeleton: a body that goes on from frame to frame, whatever its ids; -1 of none."""
-    track = np.full(len(people.frame), -1, dtype=np.int64)
-    hold_ns = np.int64(max(_HOLD_NS, int(_HOLD * median_interval(people.time_ns))))
-    held = _Held(len(people.body))
-    mirror = np.ascontiguousarray(people.body.mirror)
-    _number_all(
-        people.frame, people.time_ns, people.skeletons.positions, mirror, hold_ns, *held.arrays, track
+def _held(joints: int) -> tuple[NDArray[np.generic], ...]:
+    """The bodies that go on, place, time, since when they are the same, number, whether it is in doubt; the
+    count of numbers; scratch."""
+    return (
+        np.full((_SLOTS, joints, 3), np.nan, dtype=np.float32),
+        np.zeros((2, _SLOTS), dtype=np.int64),
+        np.full(_SLOTS, -1, dtype=np.int64),
+        np.zeros(_SLOTS, dtype=np.bool_),
+        np.zeros(1, dtype=np.int64),
+        np.empty((2, _SLOTS), dtype=np.int64),
+        np.empty((_SLOTS, _SLOTS)),
     )
-    return track
-
-
-class _Held:
-    """The bodies that go on: place, time, number, whether it is in doubt, the count of numbers; scratch."""
-
-    def __init__(self, joints: int) -> None:
-        self.arrays = (
-            np.full((_SLOTS, joints, 3), np.nan, dtype=np.float32),
-            np.zeros(_SLOTS, dtype=np.int64),
-            np.full(_SLOTS, -1, dtype=np.int64),
-            np.zeros(_SLOTS, dtype=np.bool_),
-            np.zeros(1, dtype=np.int64),
-            np.empty((2, _SLOTS), dtype=np.int64),
-            np.empty((_SLOTS, _SLOTS)),
-        )
 
 
 class TracksAhead:
@@ -105,18 +77,12 @@ class TracksAhead:
 
     def __init__(self, body: Body) -> None:
         self._mirror, self._torso = np.ascontiguousarray(body.mirror), np.array(body.torso, dtype=np.int64)
-        self._held = _Held(len(body)).arrays
+        self._held = _held(len(body))
         self._last_ns: int | None = None
         self._interval_ns = _HOLD_NS / _HOLD
 
-    def of(
-        self, time_ns: int, people: Iterable[Skeleton], frame: RigidTransform
-    ) -> tuple[list[int], list[bool], list[list[float]]]:
-        """Of each body of the next frame: its track, whether it may be another one's, and its middle.
-
-        Args:
-            frame: From the sensor's frame to that of the middle.
-        """
+    def of(self, time_ns: int, people: Iterable[Skeleton]) -> tuple[list[int], list[bool], list[list[float]]]:
+        """Of each body of the next frame: its track, whether it may be another one's, and its middle."""
         at = np.array([person.positions for person in people], dtype=np.float32)
         if self._last_ns is not None:
             since_ns = min(max(time_ns - self._last_ns, 0), 2.0 * self._interval_ns)
@@ -128,17 +94,17 @@ class TracksAhead:
         hold_ns = max(_HOLD_NS, int(_HOLD * self._interval_ns))
         track, doubtful, middle = np.empty(count, np.int64), np.empty(count, np.bool_), np.empty((count, 3))
         _number_next(
-            np.int64(time_ns), at, self._mirror, self._torso, np.int64(hold_ns), frame.rotation,
-            frame.translation, *self._held, track, doubtful, middle,
+            np.int64(time_ns), at, self._mirror, self._torso, np.int64(hold_ns), *self._held, track, doubtful,
+            middle,
         )  # fmt: skip
         return track.tolist(), doubtful.tolist(), middle.tolist()
 
 
 @kernel
 def _number_all(  # type: ignore[no-untyped-def]
-    frame, time_ns, positions, mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track
-):
-    doubtful = np.zeros(_SLOTS, dtype=np.bool_)
+    frame, time_ns, positions, mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track,
+    doubtful,
+):  # fmt: skip
     first = 0
     while first < len(frame):
         end = first + 1
@@ -148,15 +114,15 @@ def _number_all(  # type: ignore[no-untyped-def]
         here = slice(first, min(end, first + _SLOTS))
         _number(
             now, positions[here], mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost,
-            track[here], doubtful,
+            track[here], doubtful[here],
         )  # fmt: skip
         first = end
 
 
 @kernel
 def _number_next(  # type: ignore[no-untyped-def]
-    now, positions, mirror, torso, hold_ns, rotation, translation, held, held_ns, number, unsure, total,
-    pairing, cost, track, doubtful, middle,
+    now, positions, mirror, torso, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track,
+    doubtful, middle,
 ):  # fmt: skip
     for r in range(len(track)):
         track[r], doubtful[r] = -1, True
@@ -165,13 +131,8 @@ def _number_next(  # type: ignore[no-untyped-def]
         now, positions[here], mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track,
         doubtful,
     )  # fmt: skip
-    at = np.empty(3)
     for r in range(len(track)):
-        _middle(positions[r], torso, at)
-        for c in range(3):
-            middle[r, c] = translation[c]
-            for k in range(3):
-                middle[r, c] += rotation[c, k] * at[k]
+        _middle(positions[r], torso, middle[r])
 
 
 @kernel
@@ -209,7 +170,7 @@ def _number(  # type: ignore[no-untyped-def]
         slot_of[s] = owner[s] = -1
         for r in range(_SLOTS):
             cost[r, s] = np.inf
-        waited = now - held_ns[s]
+        waited = now - held_ns[0, s]
         if waited > hold_ns or waited < 0:
             number[s] = -1
         for r in range(here):
@@ -248,13 +209,20 @@ def _number(  # type: ignore[no-untyped-def]
                     s = free
             if s < 0:
                 continue
-            owner[s], number[s], unsure[s] = r, total[0], False
+            owner[s], number[s], unsure[s], held_ns[1, s] = r, total[0], False, now
             total[0] += 1
-        held_ns[s] = now
+        held_ns[0, s] = now
+        known = False
         for j in range(len(mirror)):
             for c in range(3):
-                held[s, j, c] = positions[r, j, c]
+                at = positions[r, j, c]
+                known = known or at == at
+                if at == at and at != held[s, j, c]:
+                    held_ns[1, s] = now
+                held[s, j, c] = at
         track[r], doubtful[r] = number[s], unsure[s]
+        if not known or now - held_ns[1, s] > _REPEATED_NS:
+            track[r] = -1
 
 
 @inner_kernel
@@ -278,16 +246,7 @@ def _apart(one, other, mirror):  # type: ignore[no-untyped-def]
     return least
 
 
-def mean_of_joints(values: Array) -> Array:
-    """(n, d) means over the joints of (n, J, d); NaN where no joint is known."""
-    known = np.isfinite(values)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
-
-
 @compiles(_number_next)
 def warm_up() -> None:
     """Compiles or loads the kernel of :class:`TracksAhead`, so that a first frame does not wait for it."""
-    TracksAhead(KINECT_V1).of(
-        0, [Skeleton.of(KINECT_V1, np.zeros((len(KINECT_V1), 3)))], RigidTransform.identity()
-    )
+    TracksAhead(KINECT_V1).of(0, [Skeleton.of(KINECT_V1, np.zeros((len(KINECT_V1), 3)))])

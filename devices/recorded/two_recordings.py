@@ -20,8 +20,7 @@ from devices.pairing import (
     offset_by_arrival,
     pair_views,
 )
-from devices.people.recorded_people import Follow, RecordedPeople, SeenPerson
-from devices.people.recorded_person import OneRecording, follow_one_person
+from devices.people.recorded_people import Follow, OneRecording, RecordedPeople, SeenPerson
 from devices.recorded.files import (
     frame_count,
     has_images,
@@ -164,7 +163,7 @@ def read_two(
         offset_ns: Added to the times of B; found from the motion if None.
         every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_views`.
         follow: Which of several people to follow, if no id is given; see
-            :func:`devices.people.association.follow_one`.
+            :func:`devices.people.recorded_person.follow_one_person`.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, both are the same recording, the bodies differ,
@@ -188,6 +187,8 @@ def read_two(
     )
     if isinstance(a, SkeletonRecording) and isinstance(b, SkeletonRecording):
         a.partner, b.partner = b, a
+    from devices.people.recorded_person import follow_one_person  # not where files are only read
+
     read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
     read_a, read_b, people = follow_one_person((read_a, read_b), offset_ns, follow)
     body, about_body = _body_of_both((a, b), (read_a, read_b), choice_a.body)
@@ -362,10 +363,6 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRec
             work = "tracking" if choice.is_tracked else "reading"
             read = progress(without_images(source), f"{work} {source.name}", frame_count(source))
             people = RecordedPeople.of(source.body, read)
-            if choice.person is None and not people.crowded:
-                from devices.people.following import one_person  # who gets several ids
-
-                people = RecordedPeople.of(source.body, one_person(source.body, people))
             images = images_of(source)
             if isinstance(images, ImageRecording):
                 sync, arrivals = images.sync, list(images.arrivals)

@@ -10,9 +10,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from devices.frame_pairs import FramePair
-from devices.people.association import Registered
-from devices.people.following import PersonOfPair, _Search, one_person
-from devices.people.room import Seen
+from devices.people.following import PersonOfPair
 from devices.sensor import SensorFrame
 from devices.simulated.demonstration import therapist
 from devices.simulated.kinect import PERSON, Beside, simulated_pair
@@ -141,11 +139,18 @@ def still(x, z=2.0, states=2, scale=1.0):
     return Skeleton.of(AZURE_KINECT, np.array([x, 0.0, z]) + offsets, np.full(32, states))
 
 
-def names(frames, a_from_b=None):
+def breathing(people, time_ns):
+    """The same, a millimetre off: a skeleton that is repeated to the bit is nobody."""
+    off = np.float32(0.001 * np.sin(1e-9 * time_ns))
+    return {name: replace(person, positions=person.positions + off) for name, person in people.items()}
+
+
+def names(frames, a_from_b=None, follow="middle"):
     """Of each frame of A, whom it follows, where B sees nobody."""
-    people = PersonOfPair(AZURE_KINECT)
+    people = PersonOfPair(AZURE_KINECT, follow)
     chosen = []
     for frame in frames:
+        frame = replace(frame, people=breathing(frame.people, frame.time_ns))
         one = people.chosen(pair_of(frame), a_from_b).skeletons.a
         chosen.append(next((name for name, person in frame.people.items() if person is one), None))
     return chosen, people.learn()
@@ -162,20 +167,6 @@ KNOWN = pytest.mark.parametrize("a_from_b", [None, RigidTransform.identity()], i
 def test_the_first_choice_is_nearest_to_the_middle_of_the_view(a_from_b):
     # 0.5 m aside at 4 m is 7 degrees from the axis, 0.4 m at 1.5 m is 15: the farther one is more central
     assert names(at_rate({"1": still(0.4, 1.5), "2": still(-0.5, 4.0)}), a_from_b)[0] == ["2"]
-
-
-@KNOWN
-def test_the_same_person_stays_chosen_when_another_is_more_central(a_from_b):
-    frames = at_rate(*({"1": still(0.1 + 0.02 * i), "2": still(-1.5 + 0.03 * i)} for i in range(60)))
-    assert names(frames, a_from_b)[0] == ["1"] * 60
-
-
-@KNOWN
-@pytest.mark.parametrize("apart", [1.2, 0.5])
-def test_exchanged_ids_do_not_exchange_the_person(apart, a_from_b):
-    before = {"1": still(0.0), "2": still(apart)}
-    after = {"2": still(0.02), "1": still(apart - 0.02)}
-    assert names(at_rate(before, before, after, after), a_from_b)[0] == ["1", "1", "2", "2"]
 
 
 @KNOWN
@@ -198,10 +189,7 @@ def test_after_ten_seconds_another_one_is_followed_and_an_event_says_so(a_from_b
 def test_when_the_person_is_gone_the_one_in_the_middle_or_seen_longest_is_next(follow, next_one):
     one, two, three = {"1": still(0.0)}, {"2": still(2.5)}, {"3": still(0.8, 3.0)}
     frames = at_rate(*[one | two] * 60, *[one | two | three] * 30, *[two | three] * 310)
-    people = PersonOfPair(AZURE_KINECT, follow)
-    for frame in frames:
-        chosen = people.chosen(pair_of(frame)).skeletons.a
-    assert chosen is frames[-1].people[next_one]
+    assert names(frames, follow=follow)[0][-1] == next_one
 
 
 @KNOWN
@@ -227,7 +215,6 @@ def test_a_lone_person_who_is_nearer_than_a_running_one_gets_is_followed_on(late
     frames = [SensorFrame(1000 * FRAME_NS + t, of) for t, of in zip(times, people, strict=True)]
     taken = metres < 0.4 + 4.0 * seconds or seconds > 2.0
     assert names(frames)[0] == ["1", "2" if taken else None, "3"]
-    assert [bool(f.people) for f in one_person(AZURE_KINECT, frames)] == [True, taken, True]
 
 
 @pytest.mark.parametrize("people", [{}, {"1": still(0.0, states=0)}])
@@ -248,9 +235,9 @@ def test_others_are_told_once_by_an_event_and_their_end_by_another():
 def test_a_sensor_that_was_moved_splits_nobody():
     """The other sensor's people are half a metre off: the same skeletons are followed."""
     moved = RigidTransform.of(np.eye(3), (0.45, 0.0, 0.0))
-    crowd = {"1": still(0.0), "2": still(1.5)}
     people = PersonOfPair(AZURE_KINECT)
     for k in range(120):
+        crowd = breathing({"1": still(0.0), "2": still(1.5)}, k * FRAME_NS)
         frame = SensorFrame(k * FRAME_NS, crowd)
         known = RigidTransform.identity() if k < 30 else moved
         pair = people.chosen(pair_of(frame, frame), known)
@@ -261,23 +248,13 @@ def test_a_sensor_that_was_moved_splits_nobody():
 def test_views_that_were_put_together_wrongly_are_put_right_in_a_third_of_a_second(off):
     """A placement that is off brings the wrong people of B to those of A, or nobody."""
     wrong = RigidTransform.of(np.eye(3), (off, 0.0, 0.0))
-    crowd = {"1": still(0.0), "2": still(1.5)}
     people = PersonOfPair(AZURE_KINECT)
     for k in range(60):
+        crowd = breathing({"1": still(0.0), "2": still(1.5)}, k * FRAME_NS)
         frame = SensorFrame(k * FRAME_NS, crowd)
         pair = people.chosen(pair_of(frame, frame), wrong if k < 30 else RigidTransform.identity())
         assert pair.skeletons.a is crowd["1"]
         assert pair.skeletons.b is (None if k < 30 else crowd["1"]) or 30 <= k < 40
-
-
-def test_somebody_whom_only_the_other_sensor_sees_is_not_followed():
-    crowd, elsewhere = {"1": still(0.0), "2": still(1.5)}, {"5": still(-2.5)}
-    people = PersonOfPair(AZURE_KINECT)
-    for k in range(30):
-        pair = pair_of(SensorFrame(k * FRAME_NS, crowd), SensorFrame(k * FRAME_NS, elsewhere))
-        skeletons = people.chosen(pair, RigidTransform.identity()).skeletons
-        assert skeletons.a is crowd["1"]
-        assert skeletons.b is None
 
 
 def test_before_the_placement_is_known_two_who_come_back_are_told_apart_in_one_view_only():
@@ -285,16 +262,17 @@ def test_before_the_placement_is_known_two_who_come_back_are_told_apart_in_one_v
     back = {"8": still(1.4), "9": still(0.1)}
     people, seen = PersonOfPair(AZURE_KINECT), []
     for k, of in enumerate([*[alone] * 10, *[crowd] * 30, *[{}] * 45, *[back] * 5]):
-        frame = SensorFrame(k * FRAME_NS, of)
-        seen.append(people.chosen(pair_of(frame, frame)).skeletons)
-    assert all(pair.a is pair.b is not None for pair in seen[:40])
-    assert all(pair.a is back["9"] and pair.b is None for pair in seen[-5:])
+        frame = SensorFrame(k * FRAME_NS, breathing(of, k * FRAME_NS))
+        seen.append((frame, people.chosen(pair_of(frame, frame)).skeletons))
+    assert all(pair.a is pair.b is not None for _, pair in seen[:40])
+    assert all(pair.a is frame.people["9"] and pair.b is None for frame, pair in seen[-5:])
 
 
 def ids_of_both(frames, a_from_b=None):
     """Of each frame: whom A and B follow, where (A's people, B's people) are given."""
     people, chosen = PersonOfPair(AZURE_KINECT), []
     for k, sides in enumerate(frames):
+        sides = tuple(breathing(of, k * FRAME_NS) for of in sides)
         a, b = (SensorFrame(k * FRAME_NS, of) for of in sides)
         pair = people.chosen(pair_of(a, b), a_from_b).skeletons
         chosen.append(
@@ -352,15 +330,6 @@ def test_two_views_never_follow_two_people_once_several_are_seen(hidden, a_from_
     assert all(a == b for a, b in chosen if None not in (a, b))
 
 
-@pytest.mark.parametrize(
-    ("side", "a_from_b"), [(0, None), (0, RigidTransform.identity()), (1, RigidTransform.identity())]
-)
-def test_who_was_alone_in_either_view_stays_followed_when_another_comes(side, a_from_b):
-    alone, crowd = {"1": still(1.0)}, {"1": still(1.0), "2": still(0.0)}
-    frames = [({}, of) if side else (of, {}) for of in [alone] * 10 + [crowd] * 10]
-    assert {pair[side] for pair in ids_of_both(frames, a_from_b)} == {"1"}
-
-
 @KNOWN
 def test_who_comes_back_first_is_not_taken_if_all_were_away_for_seconds(a_from_b):
     crowd, therapist_only = {"1": still(0.0), "2": still(1.5)}, {"2": still(1.5)}
@@ -381,7 +350,7 @@ def test_after_a_clock_reset_the_placement_is_found_and_the_others_end():
     assert np.mean(found[-60:]) > 0.9
     crowd, people, events = {"1": still(0.0), "2": still(1.5)}, PersonOfPair(AZURE_KINECT), []
     for frame in at_rate(*[crowd] * 60, first=9000) + at_rate(*[{"1": still(0.0)}] * 90):
-        people.chosen(pair_of(frame))
+        people.chosen(pair_of(replace(frame, people=breathing(frame.people, frame.time_ns))))
         events += people.learn()
     assert [event.phase for event in events if event.topic == "others"] == ["start", "end"]
 
@@ -395,47 +364,10 @@ def test_who_was_beside_the_person_is_no_newcomer_when_the_other_view_sees_them_
     assert set(chosen[60:]) == {(None, None)}
 
 
-def test_two_placements_are_compared_where_the_second_sensor_has_the_people():
-    """Once a placement was found, places are in K_A's frame: those of B's people are their skeletons'."""
-    angle, person = 0.15, still(0.0, 5.0)
-    turn = np.array(((np.cos(angle), 0, np.sin(angle)), (0, 1, 0), (-np.sin(angle), 0, np.cos(angle))))
-    middle = np.nanmean(person.positions, axis=0)
-    turned = RigidTransform.of(turn, middle - turn @ middle)
-    assert accepted((RigidTransform.identity(), 10.0, 9.0, 10), (turned, 10.0, 9.0, 10)) is turned
-
-
-def accepted(*found):
-    """The placement that is taken after some were found, each with its score, the next one's and the most."""
-    person = still(0.0, 5.0)
-    search, of = _Search(AZURE_KINECT), Seen(0, ["1"], [person], [0], [False], [[0.0, 0.0, 0.0]])
-    search.keep(0, (of, of))
-    for a_from_b, *scores in found:
-        search._accept(Registered(a_from_b, np.zeros(1, np.int64), *scores))
-    return search.found
-
-
-@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-@example(0.49, 0.0)
-@example(0.51, 0.2)
-def test_a_placement_is_taken_that_fits_half_of_the_skeletons_and_leads_clearly_or_twice(fit, lead):
-    assume(min(abs(fit - 0.5), abs(lead - 0.3), abs(lead - 0.02)) > 1e-6)
-    found = RigidTransform.identity(), 10.0 * fit, 10.0 * (fit - lead), 10
-    assert (accepted(found) is not None) == (fit > 0.5 and lead > 0.3)
-    assert (accepted(found, found) is not None) == (fit > 0.5 and lead > 0.02)
-
-
 def test_two_who_were_never_seen_at_once_are_not_one_person_before_the_placement_is_known():
     one, two = {"1": still(0.0)}, {"1": still(0.0), "2": still(1.5)}
     assert ids_of_both([({}, one), (one, {})] * 5 + [(two, two)] * 5)[-5:] == [("1", None)] * 5
     assert ids_of_both([({}, one), (one, one)] * 5 + [(two, two)] * 5)[-5:] == [("1", "1")] * 5
-
-
-@KNOWN
-@pytest.mark.parametrize(("alone", "newcomer"), [(100, False), (200, True)])
-def test_who_was_there_five_seconds_ago_is_no_newcomer(alone, newcomer, a_from_b):
-    one, other = {"1": still(0.0)}, {"2": still(2.5)}
-    chosen, _ = names(at_rate(*[one | other] * 30, *[one] * alone, *[other] * 90), a_from_b)
-    assert chosen[-1] == ("2" if newcomer else None)
 
 
 @KNOWN

@@ -8,17 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.people import association
-from devices.people.association import Followed, follow_one
-from devices.people.recorded_people import RecordedPeople
-from devices.people.tracks import TracksAhead, tracks_of
+from devices.people.recorded_people import OneRecording, RecordedPeople
+from devices.people.recorded_person import follow_one_person
+from devices.people.tracks import Tracks, TracksAhead
 from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError, SensorFrame
 from devices.simulated.kinect import Beside, movement
 from fusion.body import AZURE_KINECT, KINECT_V2
-from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
-from fusion.support.large_arrays import parts
 from tests.helpers.laws import COSTLY
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_people import (
@@ -53,31 +50,31 @@ def test_the_person_seen_longest_is_followed_unless_another_is_wanted():
         RecordedPeople.of(AZURE_KINECT, [SensorFrame(0)]).choose_person(None, "a.csv", "--person-a")
 
 
-def test_an_id_that_somebody_else_has_longer_chooses_nobody():
-    """Of two people: one has the id 1 for 9 frames, the other for 4, then 2 for 3."""
-    ids = ["1"] * 9 + ["1"] * 4 + ["2"] * 3
-    people = RecordedPeople.of(
-        AZURE_KINECT, [frame for t, name in enumerate(ids) for frame in _alone([t], name)]
+def follow_one(a, b, offset_ns=0, follow="longest", ids=(None, None)):
+    """Both recordings with the person, and who else is seen."""
+    reads = (
+        OneRecording(
+            side, people, None, [], np.zeros((0, 2), np.int64), people.skeletons, name, f"person_{side}"
+        )
+        for side, people, name in zip("ab", (a, b), ids, strict=True)
     )
-    for end, expected in ((16, "2"), (13, None)):
-        rows = np.arange(9), np.arange(9, end)
-        one, other = Followed([(rows[0],) * 2, (rows[1],) * 2], 2).people((people, people))
-        assert one.ids == ("1", "1")
-        assert other.ids == (expected, expected)
+    return follow_one_person(tuple(reads), offset_ns, follow)
 
 
 def test_the_next_person_is_followed_under_the_same_id():
+    """Where the placement of the sensors is unknown, those who are never seen together are one person."""
     frames = [*_alone(range(7), "2"), SensorFrame(7), *_alone(range(8, 11), "4"), *_alone(range(11, 12), "5")]
     beside = _alone(range(3, 4), "3")[0].people | frames[3].people
     frames[3] = SensorFrame(3, beside)  # someone else, at the same time
     people = RecordedPeople.of(AZURE_KINECT, frames)
     assert [list(frame.people) for frame in people] == [list(frame.people) for frame in frames]
-    assert people.successors("2") == ("4", "5")
-    followed = people.view(("2", "4", "5"))
-    np.testing.assert_array_equal(followed.time_ns, range(12))
-    assert followed.states.any(axis=1).tolist() == [True] * 7 + [False] + [True] * 4
-    np.testing.assert_array_equal(followed.positions[9], frames[9].people["4"].positions)
-    assert RecordedPeople.of(AZURE_KINECT, _alone(range(2), "2")).successors("2") == ()
+    nobody = RecordedPeople.of(AZURE_KINECT, [SensorFrame(0), SensorFrame(1)])
+    read, _, everyone = follow_one(people, nobody)
+    assert everyone == ()
+    np.testing.assert_array_equal(read.person.time_ns, range(12))
+    assert read.person.states.any(axis=1).tolist() == [True] * 7 + [False] + [True] * 4
+    np.testing.assert_array_equal(read.person.positions[9], frames[9].people["4"].positions)
+    assert "'4', '5' counts as the person '2'" in read.warnings[0]
 
 
 # --- Who is one person in two views that show several people, whatever ids the trackers give them.
@@ -99,10 +96,8 @@ def treated(seed=0):
     return two_people(("squat", THERAPIST), seed, 8.0)[0]
 
 
-def followed(a, b, offset_ns=0):
-    found = follow_one(a, b, offset_ns)
-    assert found is not None
-    return [people.view_of(rows) for people, rows in zip((a, b), found.rows, strict=True)]
+def followed(a, b, offset_ns=0, **options):
+    return [read.person for read in follow_one(a, b, offset_ns, **options)[:2]]
 
 
 def assert_right(views, seen, who=FOLLOWED, least=0.995):
@@ -177,11 +172,11 @@ def test_a_person_who_comes_back_under_another_id_is_followed_again(other_stays)
         )
         for view in views
     ]
-    found = follow_one(*recordings, 0)
-    seen = [people.view_of(rows) for people, rows in zip(recordings, found.rows, strict=True)]
+    *reads, everyone = follow_one(*recordings)
+    seen = [read.person for read in reads]
     # a squat is seen as long as the therapist at most
     who = FOLLOWED if share_right(views[0], seen[0])[0] > 0.5 else OTHER
-    assert who == (OTHER if other_stays else FOLLOWED) or found.count == 2
+    assert who == (OTHER if other_stays else FOLLOWED) or len(everyone) == 2
     assert_right(views, seen, who)
 
 
@@ -202,7 +197,8 @@ def test_views_that_have_nobody_in_common_are_not_brought_together():
     shifted = RecordedPeople(
         people.body, people.time_ns + 10**12, people.ids, people.frame, people.person, people.skeletons
     )
-    assert follow_one(recorded(a), shifted, 0) is None
+    *_, everyone = follow_one(recorded(a), shifted)
+    assert everyone == ()
 
 
 @given(IDS, st.integers(0, 99))
@@ -210,7 +206,7 @@ def test_views_that_have_nobody_in_common_are_not_brought_together():
 def test_a_track_has_one_person(ids, seed):
     for view in treated():
         people = recorded(view, np.random.default_rng(seed), **ids)
-        track = tracks_of(people)
+        track = Tracks.of(people).track
         assert len(track) == len(people.frame)
         for k in np.unique(track):
             rows = np.flatnonzero(track == k)
@@ -243,11 +239,11 @@ def test_after_two_were_in_one_place_nobody_knows_who_is_who(least, known):
         )
         for t, half in enumerate(halves)
     ]
-    track = tracks_of(RecordedPeople.of(KINECT_V2, frames)).reshape(-1, 2)
+    track = Tracks.of(RecordedPeople.of(KINECT_V2, frames)).track.reshape(-1, 2)
     assert (set(track[0]) == set(track[-1])) == known
     assert set(track[0]).isdisjoint(track[-1]) != known
     ahead = TracksAhead(KINECT_V2)
-    found = [ahead.of(f.time_ns, f.people.values(), RigidTransform.identity()) for f in frames]
+    found = [ahead.of(f.time_ns, f.people.values()) for f in frames]
     np.testing.assert_array_equal([tracks for tracks, _, _ in found], track)
     assert any(any(doubtful) for _, doubtful, _ in found) != known
 
@@ -281,30 +277,17 @@ def test_those_who_are_seen_for_a_moment_are_not_counted(tmp_path, frames, told)
 def test_an_id_chooses_whoever_has_it_most_of_the_time(seed):
     """Also where ids are exchanged and renewed, and given for one view only."""
     a, b = (recorded(view, np.random.default_rng(seed), exchanged=0.004, renewed=0.01) for view in treated())
-    everyone = follow_one(a, b, 0).everyone
-    for name in a.ids:
-        counts = [np.isin(rows[0], a.rows_of([name])).sum() for rows in everyone]
-        found = follow_one(a, b, 0, ids=(name, None)).rows
-        for one, other in zip(found, everyone[int(np.argmax(counts))], strict=True):
-            np.testing.assert_array_equal(one, other)
-
-
-def whose(people, rows, view):
-    return OTHER if share_right(view, people.view_of(rows))[0] < 0.5 else FOLLOWED
-
-
-def test_a_long_recording_is_gone_through_in_parts(monkeypatch):
-    a, b = (recorded(view, np.random.default_rng(1), exchanged=0.01) for view in treated())
-    whole = follow_one(a, b, 0)
-    monkeypatch.setattr(association, "parts", lambda count: parts(count, 7))
-    for one, other in zip(follow_one(a, b, 0).rows, whole.rows, strict=True):
-        np.testing.assert_array_equal(one, other)
+    who = {person.ids[0]: person for person in follow_one(a, b)[2]}
+    for name, person in who.items():
+        found = follow_one(a, b, ids=(name, None))
+        assert found[2][0] == person
 
 
 def test_ids_of_two_people_are_not_one():
+    """Each view then follows who has its id."""
     a, b = (recorded(view) for view in treated())
-    assert follow_one(a, b, 0, ids=("1", "1")) is not None
-    assert follow_one(a, b, 0, ids=("1", "2")) is None
+    for read, name in zip(follow_one(a, b, ids=("1", "2"))[:2], "12", strict=True):
+        np.testing.assert_array_equal(read.person.positions, read.people.view([name]).positions)
 
 
 def test_the_one_in_the_middle_or_the_one_seen_longest():
@@ -318,8 +301,8 @@ def test_the_one_in_the_middle_or_the_one_seen_longest():
     ]
     a, b = (recorded(view) for view in views)
     for follow, who in (("middle", FOLLOWED), ("longest", OTHER)):
-        for people, rows, view in zip((a, b), follow_one(a, b, 0, follow).rows, views, strict=True):
-            assert whose(people, rows, view) == who
+        for seen, view in zip(followed(a, b, follow=follow), views, strict=True):
+            assert (share_right(view, seen)[0] > 0.5) == (who == FOLLOWED)
 
 
 def test_people_whom_two_trackers_number_otherwise(shared):

@@ -107,7 +107,7 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
         ("from fusion import Fuser", 7_000, 0),
         ("from recordings import Session", 5_900, 6),
         ("from recordings import fuse", 16_400, 25),
-        (RUN_FUSE.format(pair=PAIR), 22_900, 36),
+        (RUN_FUSE.format(pair=PAIR), 24_000, 39),
         ("import viewer_app.commands.live", 32_400, 57),
     ],
 )

@@ -1,0 +1,216 @@
+"""The person given is one in both views, live and recorded, and a moved sensor is no other person."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from devices.frame_pairs import FramePair
+from devices.people.following import PersonOfPair
+from devices.people.recorded_people import OneRecording, RecordedPeople
+from devices.people.recorded_person import follow_one_person
+from devices.sensor import SensorFrame
+from fusion.body import KINECT_V2 as BODY
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton, SkeletonPair
+from tests.helpers.laws import COSTLY
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
+
+COUNT = 360
+BODIES = [moving(BODY, COUNT, seed) for seed in range(3)]
+B_FROM_A = A_FROM_B.inverse()
+
+
+def walker(k, place=(0.0, 0.0, 0.0), who=0):
+    """Somebody who walks to and fro about a place."""
+    to_and_fro = (0.4 * np.sin(0.05 * k + who), 0.0, 0.3 * np.cos(0.03 * k + 2 * who))
+    return BODIES[who][k % COUNT] + place + np.array(to_and_fro)
+
+
+def frame_of(k, side, people, b_from_a=B_FROM_A):
+    """What a sensor sees of (id, joints in K_A's frame)."""
+    rng, t = np.random.default_rng(2 * k + side), k * FRAME_NS
+    seen = {}
+    for name, at in people:
+        at = b_from_a.apply(at) if side else at
+        seen[name] = Skeleton.of(BODY, at + rng.normal(0.0, 0.01, at.shape), None, t)
+    return SensorFrame(t, seen)
+
+
+def live(frames, a_from_b=A_FROM_B, **options):
+    """Of each pair: the skeletons followed in A and B; and the events."""
+    people, seen, events = PersonOfPair(BODY, **options), [], []
+    for a, b in frames:
+        pair = FramePair(a, b, SkeletonPair(None, None, a.time_ns, 0))
+        skeletons = people.chosen(pair, a_from_b).skeletons
+        seen.append((skeletons.a, skeletons.b))
+        events += people.learn()
+    return seen, events
+
+
+def recorded(frames):
+    """The same of a recording: the positions."""
+    reads = []
+    for side, of in zip("ab", zip(*frames, strict=True), strict=True):
+        people, none = RecordedPeople.of(BODY, of), np.zeros((0, 2), np.int64)
+        reads.append(OneRecording(side, people, None, [], none, people.skeletons, None, f"person_{side}"))
+    views = [read.person for read in follow_one_person(tuple(reads), 0, "longest")[:2]]
+    return [
+        [view.positions[k] if view.states[k].any() else None for view in views] for k in range(len(frames))
+    ]
+
+
+def who_is(frames, seen, names):
+    """Of each frame and view: who is followed; None for nobody. ``names``: of each frame and view, by id."""
+    found = []
+    for of, picks, called in zip(frames, seen, names, strict=True):
+        row = []
+        for frame, pick, each in zip(of, picks, called, strict=True):
+            at = getattr(pick, "positions", pick)
+            ids = (
+                []
+                if at is None
+                else [n for n, p in frame.people.items() if np.array_equal(p.positions, at, equal_nan=True)]
+            )
+            row.append(each[ids[0]] if ids else None)
+        found.append(tuple(row))
+    return found
+
+
+HIDDEN = st.tuples(st.integers(0, 2), st.integers(0, 1), st.integers(60, 240), st.integers(3, 100))
+"""Who is hidden from which view, from when on, and for how many frames."""
+
+
+@COSTLY
+@given(
+    st.integers(2, 3),
+    st.floats(0.0, 6.28),
+    st.floats(1.3, 2.5),
+    st.lists(HIDDEN, max_size=4),
+    st.one_of(st.none(), st.tuples(st.integers(0, 1), st.integers(60, 100), st.integers(60, 200))),
+    st.booleans(),
+    st.booleans(),
+)
+def test_who_is_followed_is_one_person_in_both_views_live_and_recorded(
+    count, angle, far, hidden, elsewhere, renewed, one_each
+):
+    """Args of the scene: ``elsewhere`` is when a view does not see the first person, ``renewed`` whether ids
+    change, and ``one_each`` whether the tracker gives one person, the first whom it sees."""
+    turns = [angle + k * np.pi / 2 for k in range(count - 1)]
+    places = [np.zeros(3), *(far * np.array((np.cos(a), 0.0, np.sin(a))) for a in turns)]
+    spans = [(who, side, range(begin, begin + n)) for who, side, begin, n in hidden]
+    if elsewhere is not None:
+        side, begin, n = elsewhere
+        spans.append((0, side, range(begin, begin + n)))
+    frames, names = [], []
+    for k in range(COUNT):
+        sides, called = [], []
+        for side in (0, 1):
+            gone = {who for who, of, span in spans if of == side and k in span}
+            seen = [who for who in range(count) if who not in gone][: 1 if one_each else None]
+            ids = [str(k // 50 + 10 * who) if renewed else "1" if one_each else str(who) for who in seen]
+            people = [(i, walker(k, places[who], who)) for i, who in zip(ids, seen, strict=True)]
+            sides.append(frame_of(k, side, people))
+            called.append(dict(zip(ids, seen, strict=True)))
+        frames.append(tuple(sides))
+        names.append(tuple(called))
+    for seen in (live(frames)[0], recorded(frames)):
+        found = who_is(frames, seen, names)
+        (person,) = {who for pair in found for who in pair} - {None}
+        there = np.array([[person in each.values() for each in called] for called in names])
+        given = np.array([[who is not None for who in pair] for pair in found])
+        assert given[there].mean() > 0.97
+
+
+def both(k, b_from_a=B_FROM_A):
+    return tuple(frame_of(k, side, [("1", walker(k))], b_from_a) for side in (0, 1))
+
+
+MOVED = RigidTransform.of(Rotation.from_euler("y", 60.0, degrees=True).as_matrix(), (0.3, 0, 0)) @ B_FROM_A
+
+
+@COSTLY
+@given(st.floats(20.0, 90.0), st.floats(-1.0, 1.0), st.booleans(), st.booleans())
+def test_a_sensor_that_was_moved_is_found_within_5_s(degrees, shift, follow_moves, beside):
+    """Its view is used on if it is registered anew, and left out otherwise; others are no hindrance."""
+    turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    moved = RigidTransform.of(turn, (shift, 0.0, 0.0)) @ B_FROM_A
+    far = min(
+        np.linalg.norm(np.mean(A_FROM_B.apply(moved.apply(at)) - at, 0)) for at in map(walker, (60, 99))
+    )
+    frames = []
+    for k in range(240):
+        place = B_FROM_A if k < 60 else moved
+        people = [("1", walker(k)), *([("2", walker(k, (-1.6, 0.0, 0.6), 1))] if beside else [])]
+        frames.append((frame_of(k, 0, people), frame_of(k, 1, people, place)))
+    seen, events = live(frames, follow_moves=follow_moves)
+    called = [({"1": 1, "2": 2},) * 2] * len(frames)
+    who = who_is(frames, seen, called)
+    assert {a for a, _ in who} == {1}
+    assert {b for _, b in who} <= {1, None}
+    if far > 0.8:
+        assert all(b == (1 if follow_moves else None) for _, b in who[-20:])
+        assert follow_moves or "Calibrate again" in " ".join(event.text for event in events)
+
+
+@pytest.mark.parametrize("follow_moves", [True, False])
+def test_a_view_that_is_registered_anew_is_used_alone(follow_moves):
+    frames = [both(k) for k in range(60)] + [both(k, MOVED) for k in range(60, 200)]
+    frames += [(frame_of(k, 0, []), both(k, MOVED)[1]) for k in range(200, 560)]
+    seen, _ = live(frames, follow_moves=follow_moves)
+    assert all((b is not None) is follow_moves for _, b in seen[200:])
+
+
+def elsewhere(k, who=1):
+    return frame_of(k, 0, [("1", walker(k))]), frame_of(k, 1, [("1", walker(k, (1.5, 0.0, 0.5), who))])
+
+
+@pytest.mark.parametrize("who", [0, 1])
+def test_a_view_that_sees_only_somebody_else_is_told_within_a_second(who):
+    """Also where both stand and move alike, but for their walk."""
+    _, events = live(
+        [*map(both, range(60)), *(elsewhere(k, who) for k in range(60, 120)), *map(both, range(120, 260))]
+    )
+    told = [event for event in events if event.topic == "others"]
+    assert [event.phase for event in told] == ["start", "end"]
+    assert "The one followed is '1' of A. B sees somebody else" in told[0].text
+
+
+def test_who_is_alone_in_the_other_view_is_taken_after_ten_seconds():
+    frames = [*map(both, range(30)), *map(elsewhere, range(30, 60))]
+    frames += [(frame_of(k, 0, []), elsewhere(k)[1]) for k in range(60, 460)]
+    seen, events = live(frames)
+    assert not any(b for _, b in seen[30:358])
+    assert all(b for _, b in seen[-60:])
+    assert sum("another one is followed" in event.text for event in events) == 1
+
+
+@given(st.integers(0, 60), st.integers(1, 90), st.booleans())
+def test_a_skeleton_that_is_repeated_for_more_than_a_second_is_nobody(begin, repeated, one_view):
+    frames = [both(k) for k in range(begin + 1)]
+    a, b = frames[-1]
+    for k in range(begin + 1, begin + 1 + repeated):
+        t = k * FRAME_NS
+        fresh = both(k)[0] if one_view else replace(a, time_ns=t)
+        frames.append((fresh, replace(b, time_ns=t)))
+    frames += [both(k) for k in range(begin + 1 + repeated, begin + 4 + repeated)]
+    stale = [False] * (begin + 1) + [k * FRAME_NS > 1e9 for k in range(1, repeated + 1)] + [False] * 3
+    for seen in (live(frames)[0], recorded(frames)):
+        assert [b is None for _, b in seen] == stale
+        assert [a is None for a, _ in seen] == [not one_view and of for of in stale]
+
+
+def test_a_mirror_image_is_not_followed_in_a_recording():
+    """It is seen by A alone, all the time; the person for less."""
+    frames = []
+    for k in range(300):
+        at = walker(k)
+        image = (at * (1.0, 1.0, -1.0) + (0.0, 0.0, 8.0))[BODY.mirror]
+        people = [("1", at)] if k % 10 else []
+        frames.append((frame_of(k, 0, [*people, ("77", image)]), frame_of(k, 1, [("1", at)])))
+    seen = recorded(frames)
+    called = [({"1": 1, "77": 77}, {"1": 1})] * len(frames)
+    assert set(who_is(frames, seen, called)) == {(1, 1), (None, 1)}
