@@ -80,3 +80,15 @@ class PairingFigures:
     def unpaired(self) -> tuple[int, int]:
         """Frames of A and of B without a partner."""
         return self.alone_a, self.alone_b + self.unmatched_b
+
+
+def lone_side(skew_ns: int, interval_ns: int) -> int:
+    """Which of the oldest frames of two streams has no partner: 1 A's, -1 B's, 0 neither: they are a pair.
+
+    Two frames within half an interval of the faster stream are of one moment. So what is a pair follows from
+    the capture moments alone, wherever the streams are cut.
+
+    Args:
+        skew_ns: B's moment minus A's.
+    """
+    return (2 * skew_ns > interval_ns) - (2 * skew_ns < -interval_ns)

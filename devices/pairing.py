@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.frame_pairs import RecordedPairs
+from devices.frame_pairs import RecordedPairs, lone_side
 from devices.sensor import DeviceError
 from fusion.body import Body
 from fusion.pair_arrays import Pairs, View
@@ -49,72 +49,67 @@ def pair_views(
     body: Body,
     a: View,
     b: View,
-    tolerance_ns: int | None = None,
     *,
     offset_ns: int | NDArray[np.int64] = 0,
     every_frame: bool = False,
 ) -> Pairing:
-    """Pairs each frame of A with the nearest of B in time, each frame once.
+    """Pairs the frames of two recordings by :func:`devices.frame_pairs.lone_side`, each frame once.
 
-    Two frames are a pair when each is the other's nearest and they lie within the tolerance. A frame that
-    falls into a gap of the other recording (it saw no one, or lost frames there) is given alone.
+    A frame that falls into a gap of the other recording (it saw no one, or lost frames there) is given alone.
 
     Args:
         a, b: The person in all frames of each recording.
-        tolerance_ns: Half the slower stream's median frame interval if None.
         offset_ns: Added to the times of B, one or (T,), so that both are on A's clock.
-        every_frame: Whether all other frames are also given alone: those without a partner because one
-            sensor is faster, and those before or after the other recording. Otherwise they are left out,
-            because the paper's methods fuse pairs.
+        every_frame: Whether all other lone frames are given, too, but those within half an interval of
+            another moment. The paper's methods fuse pairs.
 
     Raises:
         DeviceError: A recording is empty, or the two never overlap in time.
     """
-    moments = _moments(a.time_ns, b.time_ns + offset_ns, tolerance_ns, every_frame)
-    pairs = RecordedPairs(Pairs(body, (a, b), *stored(moments[:, 0], moments[:, 1], moments[:, 2:])))
+    times = a.time_ns, b.time_ns + offset_ns
+    frames, time_ns, skew_ns = _moments(times, every_frame)
+    pairs = RecordedPairs(Pairs(body, (a, b), *stored(time_ns, skew_ns, frames)))
     frames_a, frames_b = len(a.time_ns), len(b.time_ns)
-    with_a, with_b = (moments[:, 2:] >= 0).T
+    with_a, with_b = (frames >= 0).T
     alone_a, alone_b = int((~with_b).sum()), int((~with_a).sum())
     dropped_a, dropped_b = frames_a - int(with_a.sum()), frames_b - int(with_b.sum())
     return Pairing(pairs, frames_a, frames_b, dropped_a, dropped_b, alone_a, alone_b)
 
 
 def _moments(
-    time_a: NDArray[np.int64], time_b: NDArray[np.int64], tolerance_ns: int | None, every_frame: bool
-) -> NDArray[np.int64]:
-    """(T, 4) time, skew, frame of A, frame of B of each pair; -1 for no frame."""
-    if len(time_a) == 0 or len(time_b) == 0:
+    times: tuple[NDArray[np.int64], NDArray[np.int64]], every_frame: bool
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Of each moment: (T, 2) the frames of A and of B, -1 for none; its time; and its skew."""
+    if min(map(len, times)) == 0:
         raise DeviceError("A recording without frames cannot be paired.")
-    if tolerance_ns is None:
-        tolerance_ns = max(median_interval(time_a), median_interval(time_b)) // 2
-    nearest_b = nearest_of(time_a, time_b)
-    mutual = nearest_of(time_b, time_a)[nearest_b] == np.arange(len(time_a))
-    skew = time_b[nearest_b] - time_a
-    chosen = np.flatnonzero(mutual & (np.abs(skew) <= tolerance_ns))
-    if len(chosen) == 0:
+    interval_ns = min(map(_least_interval, times))
+    (a, b), rows, i, j = (each.tolist() for each in times), list[tuple[int, int]](), 0, 0
+    while i < len(a) and j < len(b):
+        side = lone_side(b[j] - a[i], interval_ns)
+        rows.append((i if side >= 0 else -1, j if side <= 0 else -1))
+        i, j = i + (side >= 0), j + (side <= 0)
+    rows += [(k, -1) for k in range(i, len(a))] + [(-1, k) for k in range(j, len(b))]
+    frames = np.array(rows, dtype=np.int64)
+    at_a, at_b = (each[of] for each, of in zip(times, frames.T, strict=True))
+    paired = np.asarray((frames >= 0).all(axis=1))
+    if not paired.any():
         raise DeviceError(
-            f"The two recordings never overlap in time: A runs from {_span(time_a)}, B from {_span(time_b)}. "
-            "They must be of the same capture, on one clock."
+            f"The two recordings never overlap in time: A runs from {_span(times[0])}, B from "
+            f"{_span(times[1])}. They must be of the same capture, on one clock."
         )
-    alone_a, alone_b = (
-        _without(len(times), paired) if every_frame else np.setdiff1d(_in_gaps(times, others), paired)
-        for times, others, paired in ((time_a, time_b, chosen), (time_b, time_a, nearest_b[chosen]))
-    )
-    moments = np.concatenate(
-        [
-            np.stack([time_a[chosen], skew[chosen], chosen, nearest_b[chosen]], axis=1),
-            np.stack([time_a[alone_a], 0 * alone_a, alone_a, 0 * alone_a - 1], axis=1),
-            np.stack([time_b[alone_b], 0 * alone_b, 0 * alone_b - 1, alone_b], axis=1),
-        ]
-    )
-    return moments[np.argsort(moments[:, 0], kind="stable")]
-
-
-def _without(count: int, some: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The other numbers below a count."""
-    others = np.ones(count, dtype=np.bool_)
-    others[some] = False
-    return np.flatnonzero(others)
+    time_ns = np.where(frames[:, 0] >= 0, at_a, at_b)
+    kept = np.full(len(frames), every_frame) | paired
+    if not every_frame:
+        for side, (own, other) in enumerate((times, times[::-1])):
+            kept[np.isin(frames[:, side], _in_gaps(own, other))] = True
+    order = np.flatnonzero(kept)[np.argsort(time_ns[kept], kind="stable")]
+    moments, lone, crowded = time_ns[order].tolist(), ~paired[order], set[int]()
+    for k in (np.flatnonzero(np.diff(moments) < interval_ns // 2) + 1).tolist():
+        before = next(m for m in range(k - 1, -1, -1) if m not in crowded)
+        if lone[k] and moments[k] - moments[before] < interval_ns // 2:
+            crowded.add(k)  # it is of a moment that is there
+    order = np.delete(order, sorted(crowded))
+    return frames[order], time_ns[order], np.where(paired, at_b - at_a, 0)[order]
 
 
 def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -131,6 +126,16 @@ def nearest_of(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[n
     return np.where(np.abs(others[before] - times) <= np.abs(others[after] - times), before, after)
 
 
+def _least_interval(times: NDArray[np.int64]) -> int:
+    """The median interval of frames without one missing between them, though half are missing."""
+    steps = np.diff(times)
+    return (
+        median_interval(times)
+        if len(steps) == 0
+        else int(np.median(steps[steps <= _GAP * np.quantile(steps, 0.25)]))
+    )
+
+
 def median_interval(times: NDArray[np.int64]) -> int:
     """Nanoseconds between two frames; a thirtieth of a second for a single frame."""
     return int(np.median(np.diff(times))) if len(times) > 1 else 33_000_000
@@ -141,10 +146,8 @@ def _span(times: NDArray[np.int64]) -> str:
 
 
 def clock_by_motion(body: Body, a: View, b: View) -> ClockOffset | None:
-    """The offset of B's clock by the motion; None below 2/3 of a frame or with a deviation above two frames.
-
-    It may be that large in a part of the recording only, where it grows or changes in steps.
-    """
+    """The offset of B's clock by the motion; None below 2/3 of a frame everywhere, or if it is not certain to
+    two frames."""
     if not min(len(a.time_ns), len(b.time_ns)):
         return None
     found = find_clock_offset(body, a, b)

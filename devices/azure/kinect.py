@@ -30,7 +30,8 @@ from devices.azure.tracking.settings import TrackerSettings
 from devices.azure.tracking.tracker_queue import TrackerQueue
 from devices.capture.capture_stream import CaptureStream, LiveSensor
 from devices.capture.causes import Cause
-from devices.capture.clock.moments import ImageJoiner, Moment, arrival_ns
+from devices.capture.clock.host_clock import arrival_ns
+from devices.capture.clock.moments import ImageJoiner, Moment
 from devices.capture.frame_decimation import FrameDecimation
 from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT

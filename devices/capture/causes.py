@@ -124,6 +124,8 @@ class Cause(Enum):
         "The frames of {label} come {late_ms:.0f} ms later than those of {other}: too late for pairs. Its "
         "network, its USB controller, its colour camera (`color`) or its tracker is slower."
     )
+    # The times of its frames jump, or go back.
+    CLOCK_SET = "The clock of {label} was set, or started anew; its times go on."
     # --- Closing
     # Closing takes long, and it is known what it waits for.
     CLOSES_LATER = "{label} does not close yet: it waits for {waits_for}. It closes by itself after that."

@@ -156,7 +156,10 @@ class TwoSensors:
             if arrival.opening != self._openings[side]:
                 self._openings[side] = arrival.opening
                 pairs += self._pairing.restart(side)
+            resets = self._pairing.resets
             pairs += self._pairing.add(side, arrival.frame, arrival.at_ns)
+            if self._pairing.resets > resets:
+                self._say(Cause.CLOCK_SET.says(label=dict(self._sides)[side].sensor.name))
         for side, thread in self._sides:
             if thread.gone:
                 self._pairing.set_gone(side, True)

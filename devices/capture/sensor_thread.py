@@ -7,9 +7,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import suppress
-from dataclasses import replace
 
 from devices.capture.causes import Cause
+from devices.capture.clock.host_clock import SourceTimes
 from devices.capture.sensor_state import (
     USUAL_LIMITS,
     Arrival,
@@ -87,6 +87,7 @@ class SensorThread:
         self._fault: BaseException | None = None
         self._stopping, self._opened_or_failed = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
+        self._times = SourceTimes(self.sensor.name, self._tell)
 
     @property
     def dropped(self) -> int:
@@ -284,6 +285,7 @@ class SensorThread:
             self._state, self._last_s, self._told = SensorState.RUNNING, self._clock(), ""
             self.returns += came_back
             self._first, self._first_told = True, False
+        self._times = SourceTimes(self.sensor.name, self._tell)
         self._retries.succeeded()
         if came_back:
             self._tell(f"{self.sensor.name} is back.")
@@ -292,8 +294,7 @@ class SensorThread:
     def _deliver(self, frame: SensorFrame) -> None:
         now_s = self._clock()
         came_ns = round(now_s * 1e9)
-        if frame.host_ns is None:
-            frame = replace(frame, host_ns=came_ns)
+        frame = self._times.timed(frame, came_ns)
         with self._lock:
             self._last_s, self._first = now_s, False
             self.received += 1

@@ -22,7 +22,7 @@ from typing import Literal
 
 from devices.capture.clock.host_clock import OutputTime
 from devices.capture.clock.incoming_stream import NEWEST_NS, PENDING, Arrived, IncomingStream
-from devices.frame_pairs import FramePair, PairingFigures
+from devices.frame_pairs import FramePair, PairingFigures, lone_side
 from devices.sensor import SensorFrame
 from fusion.skeleton import SkeletonPair
 
@@ -50,7 +50,7 @@ class LivePairing:
         self,
         interval_ns: int = 33_333_333,
         *,
-        max_lag_ns: int = 250_000_000,
+        max_lag_ns: int = 300_000_000,
         gone_after_ns: int = 500_000_000,
         sync_delay_ns: int | None = None,
     ) -> None:
@@ -83,6 +83,11 @@ class LivePairing:
         return replace(now, **self._counts)  # type: ignore[arg-type]
 
     @property
+    def resets(self) -> int:
+        """How often a sensor's clock was set or started anew, without being reopened."""
+        return self._counts["resets"]
+
+    @property
     def lag_ns(self) -> int:
         """How much later after their capture B's frames come than A's: median of one second, ns."""
         a, b = self._a.usual_lag_ns(), self._b.usual_lag_ns()
@@ -101,7 +106,7 @@ class LivePairing:
 
     def set_interval(self, interval_ns: int) -> None:
         """Changes the time between two frames of the faster sensor, and the patience that follows from it."""
-        self.interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2
+        self.interval_ns = interval_ns
         self.max_lag_ns = max(self._least_lag_ns, interval_ns)  # a tracker may take nearly an interval
         self._gone_after_ns = max(self._least_gone_ns, 4 * interval_ns)
 
@@ -156,14 +161,15 @@ class LivePairing:
         """Decides on the oldest frames: returns the resulting pairs, or None if it must wait."""
         a, b = self._a.waiting, self._b.waiting
         if a and b:
-            partner_ns = a[0].frame.time_ns + (self._offset_ns() or 0) + self._b.delay_ns
-            skews = [other.frame.time_ns - partner_ns for other in b]
-            nearest = min(range(len(b)), key=lambda index: abs(skews[index]))
-            paired = abs(skews[nearest]) <= self._tolerance_ns
-            earlier = nearest if paired else sum(skew < 0 for skew in skews)
-            if earlier:  # too early for this frame of A, and so for every later one
-                return self._alone(self._b, self._b.use(earlier))
-            return self._pair(skews[0]) if paired else self._alone(self._a, self._a.use(1))
+            ahead_ns = (self._offset_ns() or 0) + self._b.delay_ns
+            skew_ns = b[0].frame.time_ns - a[0].frame.time_ns - ahead_ns
+            lone = lone_side(skew_ns, self.interval_ns)
+            if not lone:
+                return self._pair(skew_ns)
+            stream, other = (self._a, self._b) if lone > 0 else (self._b, self._a)
+            if now_ns < other.overtakes_until_ns and not self._has_waited(stream, other, now_ns):
+                return None
+            return self._alone(stream, stream.use(1))
         for stream, other in ((self._a, self._b), (self._b, self._a)):
             gone = self._is_gone(other, now_ns)
             if stream.waiting and (gone or self._has_waited(stream, other, now_ns)):
@@ -244,7 +250,7 @@ class LivePairing:
             time_ns = self._time.of_sensor(a.frame.time_ns, a.moment_ns)
         elif b is not None:
             time_ns = self._time.of_host(b.moment_ns + self._b.delay_ns, b.frame.time_ns)
-        given_ns = self._time.forward(time_ns)
+        given_ns = self._time.forward(time_ns, self.interval_ns // 2, lone=not (a and b))
         if given_ns is None:
             self._counts["late"] += (a is not None) + (b is not None)
             return []
@@ -267,15 +273,15 @@ class LivePairing:
         machine does, delays the partner too, so the patience begins with the arrival at the earliest.
         """
         at_ns, due_ns, _ = stream.waiting[0]
-        patience_ns, next_ns = self.interval_ns, other.next_after(due_ns - self._tolerance_ns)
+        patience_ns, next_ns = self.interval_ns, other.next_after(due_ns - self.interval_ns // 2, now_ns)
         if next_ns is not None:
-            if next_ns > due_ns + self._tolerance_ns + PATIENCE_NS:
+            if next_ns > due_ns + self.interval_ns // 2 + PATIENCE_NS:
                 return True
             due_ns, patience_ns = max(due_ns, next_ns), PATIENCE_NS
         slowest_ns = max((at - moment for at, moment, _ in other.recent), default=self.max_lag_ns)
         until_ns = max(due_ns + min(slowest_ns, self.max_lag_ns), at_ns) + patience_ns
         longest_ns = at_ns + self.max_lag_ns + self.interval_ns
-        return now_ns >= min(until_ns, longest_ns) or len(stream.waiting) > PENDING
+        return now_ns >= min(until_ns, longest_ns)
 
     def _is_gone(self, stream: IncomingStream, now_ns: int) -> bool:
         silent_ns = 0 if stream.came_ns is None else now_ns - stream.came_ns

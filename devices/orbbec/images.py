@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.clock.moments import ImageJoiner, arrival_ns
+from devices.capture.clock.host_clock import arrival_ns
+from devices.capture.clock.moments import ImageJoiner
 from devices.sensor import ColorCamera, ColorImage
 
 

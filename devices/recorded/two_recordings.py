@@ -16,7 +16,6 @@ from devices.pairing import (
     Pairing,
     clock_by_cable,
     clock_by_motion,
-    median_interval,
     offset_by_arrival,
     pair_views,
 )
@@ -206,13 +205,10 @@ def read_two(
             times = read_a.person.time_ns, read_b.person.time_ns
             clock = by_arrival = clock_by_cable(by_arrival, delay_ns, *times)
         give_back()
-    # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
-    tolerance_ns = None if clock is None else median_interval(read_a.seen.time_ns)
     pairing = pair_views(
         body,
         read_a.person,
         read_b.person,
-        tolerance_ns,
         offset_ns=clock.at(read_b.person.time_ns) if clock is not None else offset_ns or 0,
         every_frame=every_frame,
     )
@@ -308,11 +304,10 @@ def _course_in_words(clock: ClockOffset) -> str:
 def clock_warnings(a: CableSync | None, b: CableSync | None, pairs: Iterable[FramePair]) -> list[str]:
     """Warnings about the two clocks; none for recordings without information about their origin.
 
-    On a sync cable the master's first pulse starts the subordinate's clock at the master's time, and device
-    times (start offset + time in the file) are of one clock, on which B lags A by the delay set: pairs are
-    then right as they are, and their skew is that delay. Firmware 1.6.107 and later may not restart the
-    clock: it then has a constant offset. The skew shows that there is one, but only arrivals show by how many
-    whole frames; without them, the function warns. Without a cable each clock starts with its sensor.
+    On a sync cable the master's first pulse starts the subordinate's clock at the master's time, so that the
+    skew of right pairs is the delay set. Firmware 1.6.107 and later may not restart the clock: the skew shows
+    that it has an offset, but only arrivals show by how many whole frames. Without a cable each clock starts
+    with its sensor.
     """
     if a is None or b is None:
         return []

@@ -40,6 +40,10 @@ _USUAL, _OWN, _SELDOM, _NO_TRACKER = 2.0, 4.0, -1.0, -5.0
 """Log priors: of the rate of a sensor, of the unit that the column names, of others, of another rate."""
 _CLEAR, _NONE = 3.5, -6.0
 _AGAIN = 0.5  # of the times after a step back that are before it, too
+_LONGEST_NS = 3_600_000_000_000  # a longer jump is no pause
+_PAUSE = 8  # usual intervals: frames after it may be of another clock
+_EVEN = 0.6  # of an interval: two runs that are sorted together have frames as near as half of one
+_MOST_STRAY = 0.2  # of the frames
 _CLOCK = re.compile(
     r"(?:^|[ T])(?:(\d+)\.)?(\d+):(\d\d):(\d\d(?:[.,]\d*)?)\s*(?:([AaPp])[Mm])?"
     r"(?:Z|[+-]\d\d:?\d\d)?$"
@@ -68,6 +72,7 @@ def capture_times(
     called: str = "",
     telling: NDArray[Any] | None = None,
     key: NDArray[Any] | None = None,
+    anonymous: bool = False,
 ) -> CaptureTimes:
     """The times of a file.
 
@@ -78,6 +83,7 @@ def capture_times(
         called: The column's name in the file, if another.
         telling: (T,) those by which the unit is found, different and ascending. None: all.
         key: (N,) which joint of which person a row is of. None: rows are frames.
+        anonymous: Whether people have no ids: times that begin again may be another one's.
 
     Raises:
         DeviceError: The interval is no body tracker's in any unit, or nanoseconds exceed 64 bits.
@@ -93,11 +99,8 @@ def capture_times(
         time_ns = times * ns
     else:
         time_ns = np.rint(times * us).astype(np.int64) * 1000
-    time_ns, back = _going_on(time_ns, np.zeros(len(times)) if key is None else key)
-    for frame_ns in back:
-        set_back = f"the clock went back by {frame_ns * 1e-9:.3f} s, as one that is set or past midnight"
-        told.append(f"{name}: {set_back}; from there, the times go on.")
-    return CaptureTimes(time_ns, clock, told)
+    time_ns, about_clock = _going_on(name, time_ns, key, anonymous)
+    return CaptureTimes(time_ns, clock, told + about_clock)
 
 
 def digest(xyz: NDArray[Any], point: NDArray[Any] | int, person: NDArray[Any] | int) -> NDArray[np.float64]:
@@ -196,25 +199,74 @@ def _numbered(column: str) -> str:
     return f"{column} as counted frames, 30 per second (a column time_s states times)"
 
 
-def _going_on(time_ns: NDArray[np.int64], key: NDArray[Any]) -> tuple[NDArray[np.int64], list[int]]:
-    """Times that go on where a clock is set back between two parts in order, and by how much it was.
+def _going_on(
+    name: object, time_ns: NDArray[np.int64], key: NDArray[Any] | None, anonymous: bool
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Times that go on where a clock is set between two parts in order, and lines about it.
 
-    Rows that are out of order here and there, and people one after the other, are left as they are.
+    A part begins where the times go back, or step over several frames. One that begins before the end of the
+    last one, or more than an hour after it, goes on after it; a pause remains. Few frames that fit neither
+    what is before nor what is after them are put between these. Frames that are out of order here and there,
+    and people one after the other, are left as they are: they can be sorted.
+
+    Raises:
+        DeviceError: Many frames fit no others.
     """
-    steps = np.diff(time_ns)
-    at = np.flatnonzero(steps < 0) + 1
-    frames = np.append(0, np.cumsum(steps != 0))
-    parts = np.diff([0, *frames[at], frames[-1] + 1])
-    if not len(at) or parts.min() < FEWEST or not all((key[:k] == key[k]).any() for k in at.tolist()):
+    rows = np.append(0, np.flatnonzero(np.diff(time_ns)) + 1)
+    times = time_ns[rows]
+    steps = np.diff(times)
+    back = np.flatnonzero(steps < 0) + 1
+    if not len(steps) or (len(back) == 0 and steps.max() <= _LONGEST_NS):
         return time_ns, []
-    if np.isin(time_ns[at[-1] :], time_ns[: at[0]]).mean() > _AGAIN:  # another person's, who has no id
+    if key is not None and not all((key[: rows[k]] == key[rows[k]]).any() for k in back.tolist()):
         return time_ns, []
-    interval = int(np.median(steps[steps > 0]))
-    back = interval - steps[at - 1]
-    time_ns = time_ns.copy()
-    for k, longer in zip(at.tolist(), back.tolist(), strict=True):
-        time_ns[k:] += longer
-    return time_ns, back.tolist()
+    begins_again = anonymous and len(back) and times[back[-1]] <= times[0]
+    if begins_again and np.isin(times[back[-1] :], times[: back[0]]).mean() > _AGAIN:
+        return time_ns, []  # of another person, who has no id
+    interval = int(np.median(steps[steps > 0])) if (steps > 0).any() else 0
+    order = np.argsort(times, kind="stable")
+    moved = np.abs(order - np.arange(len(order))).max()
+    if 0 < moved < FEWEST and np.diff(times[order]).min() > _EVEN * interval:
+        return time_ns, []
+    begins = np.append(0, np.flatnonzero((steps < 0) | (steps > _PAUSE * interval)) + 1).tolist()
+    parts = list(zip(begins, [*begins[1:], len(times)], strict=True))
+    if max(end - begin for begin, end in parts) < FEWEST:
+        return time_ns, []
+    going, fits, shift, last, moves = times.copy(), np.zeros(len(times), np.bool_), 0, None, list[str]()
+    for begin, end in parts:
+        gap = interval if last is None else int(times[begin]) + shift - last
+        forward = 0 < gap <= _LONGEST_NS
+        follows = last is not None and forward and (end == len(times) or times[end] > times[end - 1])
+        if end - begin < FEWEST and not follows:
+            continue
+        if not forward:
+            shift += interval - gap
+            moves.append(f"{'went back' if gap < 0 else 'jumped'} by {abs(interval - gap) * 1e-9:.3f} s")
+        going[begin:end], fits[begin:end] = times[begin:end] + shift, True
+        last = int(going[end - 1])
+    told, kept, stray = [], np.flatnonzero(fits), np.flatnonzero(~fits)
+    sizes = np.diff(np.append(rows, len(time_ns)))
+    if (2 * sizes[stray] < np.median(sizes)).any():  # rows that are repeated, no frames
+        return time_ns, []
+    if len(stray) > _MOST_STRAY * len(times):
+        what = (
+            f"the times of {len(stray)} of {len(times)} frames fit no others; they go back {len(back)} times"
+        )
+        raise DeviceError(
+            f"{name}: {what}. If frames are in order, a column `frame` that counts them is enough."
+        )
+    if len(stray):
+        ends = going[kept[0]] - interval * (kept[0] + 1), last + interval * (len(times) - kept[-1])
+        known = np.array([ends[0], *going[kept], ends[1]]) - ends[0]  # what a float holds exactly
+        going[stray] = ends[0] + np.interp(stray, [-1, *kept, len(times)], known).astype(np.int64)
+        count = "The time of 1 frame fits" if len(stray) == 1 else f"The times of {len(stray)} frames fit"
+        told.append(f"{name}: {count} no others; from their order, they are put between these.")
+    if moves:
+        said = ", ".join(moves[:3]) + ", …" * (len(moves) > 3)
+        told.append(
+            f"{name}: the clock {said}, as one that is set or past midnight; from there, the times go on."
+        )
+    return going[np.cumsum(np.append(0, np.diff(time_ns) != 0))], told
 
 
 def moments_of(texts: list[str]) -> NDArray[np.int64] | None:

@@ -210,9 +210,8 @@ def _window_of(sampling: Sampling) -> float:
 
 def _slices(times: Array, window_ns: float) -> Iterator[slice]:
     """The frames of each window since the first frame."""
-    number = (times - times[0]) // window_ns
-    ends = np.searchsorted(number, np.arange(number[-1] + 1.0), side="right").tolist()
-    return itertools.starmap(slice, itertools.pairwise([0, *ends]))
+    begins = np.flatnonzero(np.diff((times - times[0]) // window_ns)) + 1
+    return itertools.starmap(slice, itertools.pairwise([0, *begins.tolist(), len(times)]))
 
 
 def _residuals(

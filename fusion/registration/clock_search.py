@@ -58,7 +58,7 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     """
     if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
         return None
-    of_a, of_b = _usual_times(a.time_ns), _usual_times(b.time_ns)
+    of_a, of_b = a.time_ns, b.time_ns
     apart = of_b[0] > of_a[-1] or of_a[0] > of_b[-1]
     base = int(of_a[0] - of_b[0]) if apart else 0
     # the middle of what both saw is enough
@@ -147,13 +147,6 @@ def best_offsets(a: View, b: View, offsets: Sequence[int]) -> list[int]:
     # the views' errors may make a repetition certainly worse; one so near to the best offset is none
     equal = [k for k in near if not worse[k] or abs(offsets[k] - offsets[best]) > _APART * _GRID_NS]
     return sorted(equal, key=lambda k: (worse[k], frames[k] < enough, mean[k]))
-
-
-def _usual_times(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The times without those of another day: within four times the usual length of so many frames."""
-    usual = 4 * len(time_ns) * int(np.median(np.diff(time_ns)))
-    middle = int(time_ns[len(time_ns) // 2])  # a frame: the median may lie in a gap
-    return time_ns[np.abs(time_ns - middle) <= usual]
 
 
 def _near(a: View, b: View, offset: int) -> int:

@@ -1,18 +1,76 @@
-"""Estimates the offset between a sensor's clock and the host clock from arrival times."""
+"""A live source's own times, and the offset of its clock to the host's from arrival times."""
 
 from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
 
+from devices.sensor import SensorFrame
+
+_SAME_CLOCK_NS = 5_000_000_000
+_SHORTEST_NS, _SLOW = 3_000_000, 0.2  # of own time per frame, and as a share of that between arrivals
+_JUDGED_NS, _FEWEST = 250_000_000, 8  # for how long, and from how many frames on, that is judged
+_UNITS = {1_000_000: "milliseconds", 1_000: "microseconds", 100: "ticks of 100 ns"}
 _BLOCK_NS = 1_000_000_000
 _WINDOW_BLOCKS = 10
 _DRIFT_BLOCKS = 60
 _LATE_NS = 500_000_000
-_PASSED_NS = 50_000_000
 _EQUAL_NS, _APART_NS = 10_000_000, 20_000_000
 """Frames of a reset clock have offsets that are equal but for jitter, though they arrive one after the other.
 Frames that were held up arrive together, and the offset of each is an interval below that of the last one."""
+
+
+def arrival_ns(host_ns: int, now_ns: int) -> int:
+    """An arrival time if its clock is ``time.perf_counter_ns``, as of SDKs on Linux and Windows; else now."""
+    return host_ns if 0 <= now_ns - host_ns < _SAME_CLOCK_NS else now_ns
+
+
+class SourceTimes:
+    """The border for the times of a live source: nanoseconds, whatever unit its program gives.
+
+    No sensor gives 300 frames per second. Own times that say so, and that are far behind the arrivals,
+    are in another unit, which the arrivals tell, or are no times: then those of the arrivals are used. They
+    are used, too, until that is judged.
+
+    Args:
+        tell: Gets each line for the user once.
+    """
+
+    def __init__(self, name: str, tell: Callable[[str], None]) -> None:
+        self._name, self._tell_user, self._told = name, tell, set[str]()
+        self._first: tuple[int, int] | None = None  # own time and arrival
+        self._frames = 0
+        self._scale: int | None = None  # nanoseconds of its unit; 0: the arrivals count; None: not judged yet
+
+    def timed(self, frame: SensorFrame, now_ns: int) -> SensorFrame:
+        """A frame that came now, its times in nanoseconds and on this machine's clock."""
+        host_ns = now_ns if frame.host_ns is None else frame.host_ns
+        if abs(host_ns - now_ns) >= _SAME_CLOCK_NS:
+            host_ns = now_ns
+            self._tell("host_ns is not on time.perf_counter_ns; the arrivals here are used.")
+        first_ns, first_host_ns = self._first = self._first or (frame.time_ns, host_ns)
+        own_ns, elapsed_ns = frame.time_ns - first_ns, host_ns - first_host_ns
+        self._frames += 1
+        slow = 0 <= own_ns < min(self._frames * _SHORTEST_NS, _SLOW * elapsed_ns)
+        if self._scale is None and elapsed_ns >= _JUDGED_NS and self._frames >= _FEWEST:
+            self._scale = (
+                1 if not slow else next((u for u in _UNITS if 0.5 < own_ns * u / elapsed_ns < 2.0), 0)
+            )
+            if self._scale > 1:
+                self._tell(f"time_ns is in {_UNITS[self._scale]}; it must be in nanoseconds, and is read so.")
+            elif self._scale == 0:
+                grows = own_ns // (self._frames - 1)
+                self._tell(f"time_ns grows by {grows} per frame and is no time; the arrivals are used.")
+        if self._scale == 0 or (self._scale is None and slow and elapsed_ns >= _APART_NS):
+            own_ns = elapsed_ns
+        return replace(frame, time_ns=first_ns + own_ns * (self._scale or 1), host_ns=host_ns)
+
+    def _tell(self, text: str) -> None:
+        if text not in self._told:
+            self._told.add(text)
+            self._tell_user(f"{self._name}: its {text}")
 
 
 class Timing(Enum):
@@ -31,8 +89,8 @@ class HostClock:
     A frame arrives after its capture by the least delay there is plus some jitter, never earlier. So the
     offset is the least arrival − capture of the last ten seconds that have frames: jitter only adds and does
     not disturb it, and a clock that drifts by 50 ppm moves 0.5 ms in that time. Seconds that are a minute old
-    do not count. A jump by more than half a second is a reset; where it looks like lateness, only after a
-    second frame with the same offset.
+    do not count. A jump by more than half a second is a reset, and a smaller one of a frame whose time goes
+    back; where it looks like lateness, only after a second frame with the same offset.
 
     Attributes:
         offset_ns: Host time minus sensor time, least delay included; None before the first frame.
@@ -43,26 +101,31 @@ class HostClock:
         self._suspect: tuple[int, int] | None = None  # arrival and offset of a frame that looks late
         self.offset_ns: int | None = None
         self._rate: tuple[int, float] = (0, 0.0)
+        self._newest_ns: int | None = None  # by the sensor's clock
 
     def observe(self, sensor_ns: int, host_ns: int) -> Timing:
         """Adds a frame captured at ``sensor_ns`` that arrived at ``host_ns``."""
         offset_ns = host_ns - sensor_ns
         excess_ns = 0 if self.offset_ns is None else offset_ns - self.offset_ns
-        if abs(excess_ns) <= _LATE_NS:
+        goes_back = self._newest_ns is not None and sensor_ns <= self._newest_ns
+        late = excess_ns > _LATE_NS
+        reset = excess_ns < -_LATE_NS  # nothing arrives before it was captured
+        if late or (excess_ns > _APART_NS and (goes_back or self._suspect is not None)):
+            reset = self._is_confirmed(offset_ns, host_ns)
+        else:
             self._suspect = None
-            self._note(offset_ns, host_ns)
-            return Timing.IN_TIME
-        # Nothing arrives before it was captured.
-        if excess_ns > 0 and not self._is_confirmed(offset_ns, host_ns):
+        if reset:
+            self.restart()
+        elif late:
             return Timing.LATE
-        self.restart()
+        self._newest_ns = sensor_ns if self._newest_ns is None else max(sensor_ns, self._newest_ns)
         self._note(offset_ns, host_ns)
-        return Timing.RESET
+        return Timing.RESET if reset else Timing.IN_TIME
 
     def restart(self) -> None:
         """Forgets the offset: the next frame starts it anew."""
         self._minima.clear()
-        self.offset_ns, self._suspect, self._rate = None, None, (0, 0.0)
+        self.offset_ns, self._suspect, self._rate, self._newest_ns = None, None, (0, 0.0), None
 
     @property
     def drift_ppm(self) -> float:
@@ -133,10 +196,14 @@ class OutputTime(ContinuousTime):
         super().__init__()
         self._last_ns: int | None = None
 
-    def forward(self, time_ns: int) -> int | None:
-        """This time, or just after the last one given; None if it is more than 50 ms before that."""
-        given_ns = time_ns if self._last_ns is None else max(time_ns, self._last_ns + 1)
-        if given_ns - time_ns > _PASSED_NS:
+    def forward(self, time_ns: int, apart_ns: int, lone: bool) -> int | None:
+        """The time of the next pair, so far after the last one.
+
+        Returns:
+            None if it was before the last one, or is that of a lone frame of the last one's moment.
+        """
+        given_ns = time_ns if self._last_ns is None else max(time_ns, self._last_ns + apart_ns)
+        if given_ns - time_ns > (0 if lone else apart_ns):
             return None
         self._last_ns = given_ns
         return given_ns

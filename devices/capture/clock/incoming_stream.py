@@ -12,10 +12,12 @@ from devices.capture.clock.host_clock import HostClock, Timing
 from devices.sensor import SensorFrame
 
 PENDING = 8
-"""Frames that wait, at most, and that tell how a sensor's frames come, at least."""
+"""Frames that tell how a sensor's frames come, at least."""
 NEWEST_NS = 1_000_000_000
 """A sensor's usual lag is the median over the frames that arrived in this time."""
 _AGREE = 8  # newest frames of a sensor that tell whether both clocks are one
+_LOST = 1  # of the newest frames, of a stream that is regular all the same
+_NEVER_NS = -(1 << 63)
 _SLOWEST_NS = 10_000_000_000  # for how long the arrivals of frames are kept
 
 
@@ -41,6 +43,8 @@ class IncomingStream:
     used_ns: int | None = None
     came_ns: int | None = None  # when the last one arrived, or the first one of the other sensor
     gone: bool = False
+    overtakes_until_ns: int = _NEVER_NS
+    """Until then a frame may come although a later one has: one did within ten seconds."""
 
     def oddity(self, frame: SensorFrame, now_ns: int) -> str:
         """Feeds the clock with a frame, once, before :meth:`take`.
@@ -55,6 +59,8 @@ class IncomingStream:
         timing = self.clock.observe(frame.time_ns, now_ns if frame.host_ns is None else frame.host_ns)
         if timing is Timing.RESET:
             return "resets"
+        if frame.time_ns < max(times, default=frame.time_ns):
+            self.overtakes_until_ns = now_ns + _SLOWEST_NS
         if timing is Timing.LATE or (self.used_ns is not None and frame.time_ns <= self.used_ns):
             return "late"
         return "reordered" if frame.time_ns < max(times, default=frame.time_ns) else ""
@@ -87,6 +93,7 @@ class IncomingStream:
         waited, self.waiting, self.used_ns = self.waiting, [], None
         self.recent.clear()
         self.agree.clear()
+        self.overtakes_until_ns = _NEVER_NS
         return waited
 
     def set_clock(self, clock_ns: int) -> None:
@@ -106,10 +113,16 @@ class IncomingStream:
         since_ns = self.recent[-1][0] - NEWEST_NS
         return median_low(at - moment for at, moment, _ in self.recent if at >= since_ns) - self.delay_ns
 
-    def next_after(self, host_ns: int) -> int | None:
-        """The first moment from this time on, by the rate so far; None in the first second."""
-        if len(self.recent) < PENDING or self.recent[-1][0] - self.recent[0][0] < NEWEST_NS:
+    def next_after(self, host_ns: int, now_ns: int) -> int | None:
+        """The first moment from this time on, by the rate so far; None in the first second, and where frames
+        overtake each other. Where some are missing, it may be any."""
+        if now_ns < self.overtakes_until_ns or len(self.recent) < PENDING:
+            return None
+        if self.recent[-1][0] - self.recent[0][0] < NEWEST_NS:
             return None
         moments = sorted(moment for _, moment, _ in islice(reversed(self.recent), 2 * PENDING))
-        interval_ns = max(median_low(later - earlier for earlier, later in pairwise(moments)), 1)
+        steps = [later - earlier for earlier, later in pairwise(moments)]
+        interval_ns = max(median_low(steps), 1)
+        if sum(abs(step - interval_ns) > interval_ns // 4 for step in steps) > _LOST:
+            return max(host_ns, moments[-1])
         return moments[-1] + max(-((moments[-1] - host_ns) // interval_ns), 1) * interval_ns

@@ -11,7 +11,6 @@ from devices.sensor import SensorFrame
 
 _WAIT_NS = 180_000_000  # how long depth waits for another image: less than pairing waits for the other sensor
 _DEAD_NS = 2_000_000_000  # without an image for so long, depth no longer waits for it
-_SAME_CLOCK_NS = 5_000_000_000
 
 
 class Incomplete(Enum):
@@ -159,8 +158,3 @@ class ImageJoiner:
             if image is None:
                 moment.lacks = (*moment.lacks, name)
         self._ready.append(moment)
-
-
-def arrival_ns(host_ns: int, now_ns: int) -> int:
-    """An SDK's arrival time if its clock is ``time.perf_counter_ns``, as on Linux and Windows; else now."""
-    return host_ns if 0 <= now_ns - host_ns < _SAME_CLOCK_NS else now_ns

@@ -54,7 +54,9 @@ def read_csv(
     label = np.array([points.find(name) for name in labels], dtype=np.int64)[rows.label]
     joint = rows.person * len(points) + label
     called, telling = rows.columns.time_in_file, _times_of_new_frames(rows)
-    clock = capture_times(path, rows.clock, rows.time, called=called, telling=telling, key=joint)
+    clock = capture_times(
+        path, rows.clock, rows.time, called=called, telling=telling, key=joint, anonymous=not rows.has_body
+    )
     time_ns, clock_in_words, about_times = clock
     backward = _backward(rows, time_ns, joint)
     times, frame = np.unique(time_ns, return_inverse=True)

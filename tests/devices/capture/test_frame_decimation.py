@@ -258,11 +258,11 @@ def test_two_sensors_of_one_name_have_clocks_and_trackers_of_their_own():
 
 def test_pairing_is_as_patient_as_the_frames_are_few():
     pairing = LivePairing(PERIOD_NS)
-    assert (pairing.max_lag_ns, pairing._gone_after_ns) == (250 * MS, 500 * MS)
+    assert (pairing.max_lag_ns, pairing._gone_after_ns) == (300 * MS, 500 * MS)
     pairing.set_interval(300 * MS)
     assert (pairing.max_lag_ns, pairing._gone_after_ns) == (300 * MS, 1200 * MS)
     pairing.set_interval(PERIOD_NS)
-    assert (pairing.max_lag_ns, pairing._gone_after_ns) == (250 * MS, 500 * MS)
+    assert (pairing.max_lag_ns, pairing._gone_after_ns) == (300 * MS, 500 * MS)
 
 
 def test_sensors_are_given_as_long_as_a_tracker_of_seconds_takes(clock):

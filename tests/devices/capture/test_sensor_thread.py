@@ -80,10 +80,15 @@ def test_a_skeleton_of_another_body_ends_the_sensor_with_one_line(sensor, thread
 
 
 def test_frames_get_their_time_of_arrival(sensor):
+    """Those that have one keep it, unless it is of another clock."""
+    now_ns, own_ns = 42_500_000_000, 42_400_000_000
     with SensorThread(sensor, clock=lambda: 42.5) as thread:
-        sensor.put(frame_at(1), frame_at(2, host_ns=7))
+        sensor.put(frame_at(1), frame_at(2, host_ns=own_ns), frame_at(3, host_ns=time.time_ns()))
         _after(sensor)
-        assert [arrival.frame.host_ns for arrival in thread.take()] == [42_500_000_000, 7]
+        assert [arrival.frame.host_ns for arrival in thread.take()] == [now_ns, own_ns, now_ns]
+        assert [event.text for event in thread.events()] == [
+            f"{sensor.name}: its host_ns is not on time.perf_counter_ns; the arrivals here are used."
+        ]
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
@@ -322,7 +327,7 @@ class _Bench:
     def __init__(self, **settings):
         self.a, self.b = ScriptedSensor("000123"), ScriptedSensor("000456")
         self.two = TwoSensors(self.a, self.b, limits=TimeLimits(retry_s=0.05), **settings)
-        self.start = time.perf_counter_ns()
+        self.start = round(1e9 * settings.get("clock", time.perf_counter)())
         self.index = 0
         self.b_clock_ns = 0
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from devices.sensor import DeviceError
@@ -17,6 +17,7 @@ from devices.skeletons.meaning import MeaningError
 from devices.skeletons.name_tables import FilePoints
 from devices.skeletons.read_file import Bodies, found_of
 from devices.skeletons.stated_format import AXES, METRES, SIGNED, StatedFormat, called_axes
+from devices.skeletons.times import capture_times
 from fusion.body import BODIES, KINECT_V2
 from fusion.rigid import RigidTransform
 from fusion.skeleton import FARTHEST_JOINT as FARTHEST
@@ -341,3 +342,35 @@ def test_both_sensors_in_one_file_are_split(tmp_path):
                 read.people.skeletons.positions, expected.people.skeletons.positions
             )
         assert "has 2 sensors by the column device_index" in read.warnings[0]
+
+
+MOVES_S = st.one_of(st.floats(-60.0, -0.05), st.floats(3601.0, 1e8), st.floats(-1e8, -60.0))
+
+
+@given(
+    st.lists(st.tuples(st.integers(15, 200), MOVES_S), min_size=1, max_size=4),
+    st.sampled_from((5, 30, 120)),
+    st.floats(0.0, 0.1),
+    st.lists(st.tuples(st.integers(0, 899), st.floats(-1e6, 1e6)), max_size=3),
+)
+@example([(100, -1.0)], 30, 0.0, [])
+@example([(100, 31_536_000.0)], 30, 0.0, [])
+def test_times_go_on_where_a_clock_is_set_whenever_and_by_whatever(parts, rate, jitter, strays):
+    """To within a frame, and it is told in one line. Stray times count as those between their neighbours."""
+    random = np.random.default_rng(round(1e6 * jitter))
+    count = sum(frames for frames, _ in parts) + 30
+    true = np.arange(count) / rate + jitter / rate * random.uniform(-1.0, 1.0, count)
+    said, begins = true + 10.0, 0
+    for frames, moves_s in parts:
+        begins += frames
+        said[begins:] += moves_s
+    edges = [0, *np.cumsum([frames for frames, _ in parts]), count]
+    inner = [k % count for k, _ in strays if all(abs(k % count - edge) > 3 for edge in edges)]
+    said[inner] += [by_s for k, by_s in strays if all(abs(k % count - edge) > 3 for edge in edges)]
+    times = capture_times("a.csv", "time_us", np.rint(1e6 * said).astype(np.int64))
+    found = 1e-9 * (times.time_ns - times.time_ns[0])
+    assert (np.diff(times.time_ns) > 0).all()
+    each = len(parts) + len(set(inner))
+    assert np.abs(found - true + true[0]).max() <= (0.3 + each) / rate
+    assert sum("the times go on" in line for line in times.told) == 1
+    assert len(times.told) <= 3
