@@ -125,6 +125,7 @@ class Sensor:
         tracked_by: The body tracker that finds its people, as a session records it; else empty.
         link: How the messages of a sensor on another machine arrive; None for a local sensor.
         recorded: Whether it plays a recording. A failure then ends it, and is not blamed on cables or power.
+        simulated: Whether this machine makes its frames, so that only this machine can be too slow for them.
     """
 
     name: str
@@ -137,6 +138,7 @@ class Sensor:
     tracked_by: str = ""
     link: LinkFigures | None = None
     recorded: bool = False
+    simulated: bool = False
 
     @property
     def key(self) -> Hashable:
@@ -233,6 +235,7 @@ class SensorWrapper(Sensor):
     tracked_by = _of_source("tracked_by")
     link = _of_source("link")
     recorded = _of_source("recorded")
+    simulated = _of_source("simulated")
 
     @property
     def key(self) -> Hashable:

@@ -183,7 +183,7 @@ def _shortcomings(
         yield f"{session}: {session.damage}"
     if word is not None and found.word not in ("good", word):
         yield f"{session} is {found.word}; asked for was {word}."
-        yield from (f"  {each.word}: {each.reason}" for each in found.shortcomings)
+        yield from (f"  {each.word}: {each.reason}" for each in found.findings)
         poor = [each for each in session.quality_per_second if each.word != "good"]
         yield from (f"  {each.start:g} s {each.word}: {each.reason}" for each in poor[:_MOST_SECONDS])
         if len(poor) > _MOST_SECONDS:

@@ -4,8 +4,34 @@ The SDKs seldom give a reason. A message names the cause and the way out.
 """
 
 from enum import Enum
+from typing import Literal
 
-from devices.sensor import DeviceError
+from devices.sensor import DeviceError, Sensor
+
+Origin = Literal["sensor", "network", "recording", "simulation"]
+"""Where the frames of a sensor come from, and so what may be too slow."""
+SLOWER: dict[Origin, str] = {
+    "sensor": "Its USB controller, its colour camera (`color`) or its tracker is slower.",
+    "network": "Its network or its tracker is slower.",
+    "recording": "Its disk or this machine is too slow.",
+    "simulation": "This machine is too slow: close other programs, or use `depth=none`.",
+}
+"""Why frames come late, by their origin."""
+MORE_FRAMES: dict[Origin | Literal["tracker"], str] = {
+    "sensor": "give {who} its own USB controller, and light",
+    "network": "check the program and the network of {who}",
+    "recording": "close other programs: its disk or this machine is too slow",
+    "simulation": "close other programs, or use `depth=none`: this machine is too slow",
+    "tracker": "close other programs: its body tracker needs more of this machine",
+}
+"""What to do about too few frames of a sensor, by their origin, or where the body tracker leaves out some."""
+
+
+def origin_of(sensor: Sensor) -> Origin:
+    """Where a sensor's frames come from."""
+    if sensor.link is not None:
+        return "network"
+    return "simulation" if sensor.simulated else "recording" if sensor.recorded else "sensor"
 
 
 class Cause(Enum):
@@ -111,8 +137,8 @@ class Cause(Enum):
     )
     # Its frames come more than 0.1 s later after their capture than the other sensor's.
     LATE = (
-        "The frames of {label} come {late_ms:.0f} ms later than those of {other}, which wait for them. Its "
-        "network, its USB controller, its colour camera (`color`) or its tracker is slower."
+        "The frames of {label} come {late_ms:.0f} ms later than those of {other}, which wait for them. "
+        "{slower}"
     )
     # On a sync cable, its images come half a frame or more later than the other sensor's of the same pulse.
     LATE_ON_CABLE = (
@@ -121,8 +147,8 @@ class Cause(Enum):
     )
     # The same, by more than a frame waits for its partner.
     TOO_LATE = (
-        "The frames of {label} come {late_ms:.0f} ms later than those of {other}: too late for pairs. Its "
-        "network, its USB controller, its colour camera (`color`) or its tracker is slower."
+        "The frames of {label} come {late_ms:.0f} ms later than those of {other}: too late for pairs. "
+        "{slower}"
     )
     # The times of its frames jump, or go back.
     CLOCK_SET = "The clock of {label} was set, or started anew; its times go on."

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from devices.capture.causes import Cause
+from devices.capture.causes import SLOWER, Cause, origin_of
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_state import USUAL_LIMITS, Arrival, SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
@@ -204,7 +204,8 @@ class TwoSensors:
         self._late_told = True
         other, late = (self.a, self.b) if signed_ns > 0 else (self.b, self.a)
         cause = Cause.LATE if lag_ns <= self._pairing.max_lag_ns else Cause.TOO_LATE
-        self._say(cause.says(label=late.sensor.name, other=other.sensor.name, late_ms=lag_ns / 1e6))
+        names = {"label": late.sensor.name, "other": other.sensor.name}
+        self._say(cause.says(late_ms=lag_ns / 1e6, slower=SLOWER[origin_of(late.sensor)], **names))
 
     def _name_late_images(self) -> None:
         late_ns, least_ns = self._pairing.images_late_ns, self._pairing.interval_ns // 2

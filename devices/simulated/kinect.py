@@ -125,6 +125,8 @@ class SimulatedKinect(Sensor):
         images_left_out: Number of those that were dropped.
     """
 
+    simulated = True
+
     def __init__(
         self,
         scene: Scene,

@@ -106,7 +106,7 @@ class PacedSensor(SensorWrapper):
     @property
     def recorded(self) -> bool:  # type: ignore[override]
         """Whether it is no simulated sensor."""
-        return self._simulated is None
+        return not self.simulated
 
     @property
     def key(self) -> Hashable:

@@ -57,6 +57,18 @@ class Calibration:
         """Radians between the two optical axes."""
         return float(np.arccos(np.clip(self.a_from_b.rotation[2, 2], -1.0, 1.0)))
 
+    def angle_about(self, up: NDArray[np.float64]) -> float:
+        """Radians between the directions in which the sensors look, about the vertical.
+
+        The axes of tilted sensors have another angle: of two that face each other and look down by 20°, 140°.
+
+        Args:
+            up: (3,) unit vector against gravity, in K_A's frame.
+        """
+        floor = np.eye(3) - np.outer(up, up)
+        a, b = floor[:, 2], floor @ self.a_from_b.rotation[:, 2]
+        return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+
 
 def nominal_calibration(body: Body) -> Calibration:
     """A provisional calibration without data: K_B at K_A, an adult's proportions."""

@@ -1,28 +1,34 @@
 """The figures of a fusion, as ``report.json`` has them."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.body import Body
+from devices.findings.rules import farthest, nearest
 from fusion.calibration.calibration import Calibration
 from fusion.facing.evidence import upright_direction
 from fusion.facing.handedness import mirrored_share
+from fusion.facing.model import WHOLE
 from fusion.setup import FusionSetup
-from fusion.skeleton import NO_FRAME
+from fusion.skeleton import NO_FRAME, Skeleton, SkeletonPair
 from fusion.support.large_arrays import parts
 from recordings.calibration_file import is_loaded
 from recordings.data.session_arrays import SessionArrays, rate_without_pauses
 from recordings.data.session_data import SessionData, ViewsAgree
-from recordings.quality.doubtful_time import doubtful_seconds, seen_people
-from recordings.quality.limits import FARTHEST_PERSON, nearest
+from recordings.quality.doubtful_time import doubtful_seconds, expected_error, seen_people
 from recordings.quality.verdict import Figures as Figures
-from recordings.quality.verdict import Shortcoming, verdict
+from recordings.quality.verdict import verdict
+
+if TYPE_CHECKING:
+    from fusion.calibration.comparison import PlacementOff
 
 _SAMPLES = 100_000  # frames, from which a median distance is found
+_COMPARED = 1_000  # frames, from which B's own placement is found
 _STANDING = 10_000  # frames, from which the vertical is found
 
 
@@ -47,8 +53,9 @@ def report(session: SessionData) -> Figures:
 def with_verdict(figures: Figures) -> Figures:
     """The figures with the verdict on them: its word, the first reason and the remedy, empty if good."""
     found = verdict(figures)
-    first = found.shortcomings[0] if found.shortcomings else Shortcoming("good", "")
-    return figures | {"verdict": first._asdict()}
+    word, first = found.word, found.findings[0] if found.findings else None
+    reason, remedy = ("", "") if first is None else (first.reason, first.step)
+    return figures | {"verdict": {"word": word, "reason": reason, "remedy": remedy}}
 
 
 def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figures:
@@ -57,12 +64,15 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figur
     Args:
         first: The first frame at which the distance of the views counts.
     """
-    settings = setup.settings
+    settings, calibration = setup.settings, setup.calibration
+    up = upright_direction(rows.body, rows.fused[:: max(1, len(rows) // _STANDING)].astype(np.float64))
     empty_a, empty_b = ((states == 0).all(axis=1) for states in (rows.states_a, rows.states_b))
     gave_a, gave_b = (clock != NO_FRAME for clock in (rows.clock_a, rows.clock_b))
     seen, apart = seen_people(rows), rows[first:].disagreement
     agree = ViewsAgree.of(apart)
+    both = seen.all(axis=0) & (np.arange(len(rows)) >= first)
     return {
+        "body": rows.body.name,
         "stale": {"a": int(rows.stale_a.sum()), "b": int(rows.stale_b.sum())},
         "without_person": {
             "a": int((empty_a & gave_a).sum()),
@@ -71,34 +81,46 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figur
         },
         "settings": {name: getattr(settings, name) for name in ("method", "h", "weights", "smoothing")},
         "calibration": {
-            **calibration_figures(setup.calibration),
-            "angle_deg": _angle(setup.calibration.a_from_b.rotation, rows.body, rows.fused),
+            **calibration_figures(calibration),
+            "angle_deg": math.degrees(calibration.angle_about(up)),
         },
         "distance_m": _distances(setup, rows),
-        **method_figures(rows, setup.calibration),
+        **method_figures(rows, calibration),
         "views_agree_mm": {
             "median": known_or_none(agree.median * 1e3),
             "p95": known_or_none(agree.percentile_95 * 1e3),
         },
-        "seconds_of": doubtful_seconds(rows, apart, seen),
+        "placement": _placement(rows, calibration) if is_loaded(calibration) else None,
+        "expected_error_mm": of_finite(np.median, expected_error(rows)[both]),
+        "seconds_of": doubtful_seconds(rows, first, seen),
         "upside_down": {side: _upside_down(rows, side) for side in "ab"},
         "in_no_frame": np.array(rows.body.joints)[rows.never_seen].tolist(),
     }
 
 
-def _angle(rotation: NDArray[np.float64], body: Body, fused: NDArray[np.floating]) -> float:
-    """Degrees between the directions in which the sensors look, about the vertical.
+def _placement(rows: SessionArrays, calibration: Calibration) -> Figures | None:
+    """How far B's own placement is from the calibration's, by pairs from all over the session."""
+    from fusion.calibration.comparison import RecentPlacement  # only loaded ones need it
 
-    The axes of tilted sensors have another angle: two that face each other and look down by 20° have 140°.
+    recent = RecentPlacement(rows.body, 1e9)
+    for frame in range(0, len(rows), max(1, len(rows) // _COMPARED)):
+        time_ns = int(rows.time_ns[frame])
+        a, b = (
+            Skeleton.of(rows.body, positions[frame], states[frame], time_ns)
+            for positions, states in ((rows.positions_a, rows.states_a), (rows.positions_b, rows.states_b))
+        )
+        code_a, code_b = rows.filled("exchanged")[frame] & WHOLE
+        if rows.states_a[frame].any() and rows.states_b[frame].any():
+            recent.add(SkeletonPair(a, b, time_ns), (int(code_a), int(code_b)))
+    return placement_figures(recent.off(calibration.a_from_b))
 
-    Args:
-        rotation: (3, 3) K_A from K_B.
-        fused: (T, J, 3) of S*.
-    """
-    up = upright_direction(body, fused[:: max(1, len(fused) // _STANDING)].astype(np.float64))
-    floor = np.eye(3) - np.outer(up, up)
-    a, b = floor[:, 2], floor @ rotation[:, 2]
-    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
+def placement_figures(off: PlacementOff | None) -> Figures | None:
+    """How far B's own placement is from a calibration's, in degrees and millimetres."""
+    if off is None:
+        return None
+    turn, sd = math.degrees(off.turn), math.degrees(off.turn_sd)
+    return {"turn_deg": turn, "shift_mm": 1e3 * off.shift, "turn_sd_deg": sd}
 
 
 def _upside_down(rows: SessionArrays, side: str) -> float | None:
@@ -115,6 +137,7 @@ def calibration_figures(calibration: Calibration) -> Figures:
     fit = calibration.registration
     figures: Figures = {
         "how": calibration.how,
+        "loaded": is_loaded(calibration),
         "provisional": calibration.provisional,
         "residual_mm": None,
         "axes_angle_deg": math.degrees(calibration.axes_angle),
@@ -202,7 +225,7 @@ def known_or_none(figure: float) -> float | None:
 
 def _distances(setup: FusionSetup, rows: SessionArrays) -> Figures:
     """Median distance of the trunk from each sensor along its axis, and the sensor's range, metres."""
-    torso, far = list(rows.body.torso), FARTHEST_PERSON[rows.body.name]
+    torso = list(rows.body.torso)
     cameras = setup.intrinsics_a, setup.intrinsics_b
     every = max(1, len(rows) // _SAMPLES)
     depths = (
@@ -210,7 +233,11 @@ def _distances(setup: FusionSetup, rows: SessionArrays) -> Figures:
         for positions in (rows.positions_a, rows.positions_b)
     )
     return {
-        side: {"median": of_finite(np.median, z), "near": nearest(camera), "far": far}
+        side: {
+            "median": of_finite(np.median, z),
+            "near": nearest(camera),
+            "far": farthest(rows.body.name, camera),
+        }
         for side, z, camera in zip("ab", depths, cameras, strict=True)
     }
 

@@ -7,14 +7,23 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.findings.finding import Finding, followed, judge
+from devices.findings.rules import RULES, of_error, of_views
 from recordings.data.session_data import SessionData
-from recordings.quality.doubtful_time import LIMBS, UNCERTAIN, seen_people, time_of_frames, uncertain_limbs
-from recordings.quality.figures import calibration_figures
-from recordings.quality.limits import GOOD, USABLE, beside, graded
-from recordings.quality.verdict import DOUBTFUL, OFFSETS, not_trusted
+from recordings.quality.doubtful_time import (
+    DOUBTS,
+    LIMBS,
+    doubts_of,
+    expected_error,
+    seen_people,
+    time_of_frames,
+    uncertain_limbs,
+)
+from recordings.quality.figures import calibration_figures, of_finite
+from recordings.quality.verdict import DOUBT_WORDS, clocks_apart, untrusted
 
 Word = Literal["good", "usable", "poor"]
-_WORDS: tuple[Word, ...] = ("poor", "usable", "good")
+_ROUNDING = 1e-6  # seconds, by which sums of times may pass a whole second
 
 
 class SecondQuality(NamedTuple):
@@ -36,9 +45,9 @@ class Span(NamedTuple):
 
 
 def good_spans(session: SessionData, seconds: Sequence[SecondQuality]) -> tuple[Span, ...]:
-    """The good seconds, those that follow each other as one stretch; the last one ends with the session."""
+    """The good seconds, those that follow each other as one stretch; the last one ends with a frame."""
     spans: list[Span] = []
-    last = max(float(session.rows.time_ns[-1]) * 1e-9, seconds[-1].start)
+    last = float(session.rows.time_ns[-1]) * 1e-9 + float(time_of_frames(session.rows)[-1])
     for each in seconds:
         if each.word == "good":
             end = min(each.start + 1.0, last)
@@ -64,17 +73,17 @@ def good_frames(session: SessionData, seconds: Sequence[SecondQuality]) -> NDArr
 
 
 def quality_per_second(session: SessionData) -> tuple[SecondQuality, ...]:
-    """The quality of each second, by limits of the verdict; the last one may be shorter.
+    """The quality of each second, by the rules of the verdict; the last one may be shorter.
 
-    A second is judged by the share of it without frames or without a person, in which one view alone has the
-    person, and in which a wrist or ankle is uncertain; by the median distance of the views; and by the offset
-    of the clocks. Before the calibration, and with one that is provisional or of too few frames, it is poor.
-    Of equally bad reasons, it has the first of these.
+    A second is judged by the share of it without frames or without a person, and of doubt, by the medians of
+    the distance between the views and of the expected error of S*, and by the offset of the clocks. Before
+    the calibration, and with one that is provisional or of too few frames, it is poor. Of equally bad
+    reasons, it has the first in the table of rules.
     """
-    rows = session.rows
+    rows, first = session.rows, session.first_compared_frame
     lasts, starts = time_of_frames(rows), rows.time_ns * 1e-9
     end = starts[-1] + lasts[-1]
-    edges = np.append(np.arange(max(1.0, np.ceil(end))), max(end, 1e-9))
+    edges = np.append(np.arange(max(1.0, np.ceil(end - _ROUNDING))), max(end, 1e-9))
     length = np.diff(edges)
 
     def share(doubtful: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -84,38 +93,39 @@ def quality_per_second(session: SessionData) -> tuple[SecondQuality, ...]:
         total = np.stack((np.append(0.0, spent[:-1]), spent), axis=1).ravel()
         return np.asarray(np.diff(np.interp(edges, knots, total)) / length)
 
-    seen, uncertain = seen_people(rows), uncertain_limbs(rows)
-    without_frames = 1.0 - share(np.ones(len(rows), dtype=bool))
-    nobody, alone = share(np.asarray(~seen.any(axis=0))), share(seen[0] ^ seen[1])
-    of_limbs = np.stack([share(limb) for limb in (*uncertain.T, uncertain.any(axis=1))])
-    uncalibrated = share(np.arange(len(rows), dtype=np.int64) < session.first_compared_frame)
-    apart = 1e3 * rows.disagreement
+    seen = seen_people(rows)
+    doubts = doubts_of(rows, first, seen)
+    of_doubts = np.stack([share(each) for each in doubts.values()])
+    of_limbs = np.stack([share(limb) for limb in uncertain_limbs(rows).T])
+    nobody, doubtful = 1.0 - share(np.asarray(seen.any(axis=0))), share(np.any(list(doubts.values()), axis=0))
+    uncalibrated = share(np.arange(len(rows), dtype=np.int64) < first)
+    apart, error = 1e3 * rows.disagreement, expected_error(rows)
     frames = np.searchsorted(starts, edges)
-    clock, why = session.clock, not_trusted(calibration_figures(session.calibrations[-1][1]))
+    body = rows.body.name
+    millimetres = (("views", apart, of_views(body)), ("error", error, of_error(body)))
+    of_all = [*untrusted(calibration_figures(session.calibrations[-1][1])), *clocks_apart(session.clock)]
 
-    def reasons(k: int) -> Iterator[tuple[Word, str]]:
-        def doubt(part: float, words: str) -> tuple[Word, str]:
-            return graded(part, DOUBTFUL), f"{words} for {100.0 * part:.0f} % of it"
-
-        yield doubt(without_frames[k], "no frame")
-        yield doubt(nobody[k], "nobody in view")
-        yield ("poor" if uncalibrated[k] > DOUBTFUL[0] else "good"), "before the calibration"
-        yield ("poor" if why else "good"), why
-        yield doubt(alone[k], "one view alone has the person")
-        known = apart[frames[k] : frames[k + 1]]
-        known = known[np.isfinite(known)]
-        if len(known):
-            median = float(np.median(known))
-            yield graded(median, (GOOD, USABLE)), f"the views are {beside(median, GOOD, USABLE)} mm apart"
-        *limbs, any_limb = of_limbs[:, k]
-        limb = list(LIMBS)[int(np.argmax(limbs))]
-        yield doubt(any_limb, f"a limb, mostly the {limb}, is uncertain by more than {UNCERTAIN:.0f} mm")
-        if clock is not None:
-            certain = abs(clock["offset_ms"]) - 2.0 * clock["sd_ms"]
-            yield graded(certain, OFFSETS), f"the clocks are {clock['offset_ms']:+.0f} ms apart"
+    def findings(k: int) -> Iterator[Finding]:
+        yield from of_all
+        if 100.0 * uncalibrated[k] > RULES["doubtful"].limits.good[1]:
+            yield from judge("uncalibrated", 0, live=False, calibrated="before the calibration", calibrate="")
+        yield from judge("nobody", 100.0 * nobody[k], live=False, lasts=_of_it(nobody[k]))
+        limb = list(LIMBS)[int(np.argmax(of_limbs[:, k]))]
+        doubt = DOUBT_WORDS[DOUBTS[int(np.argmax(of_doubts[:, k]))]].format(limb=limb)
+        yield from judge("doubtful", 100.0 * doubtful[k], live=False, doubt=doubt, lasts=_of_it(doubtful[k]))
+        for name, values, limits in millimetres:
+            median = of_finite(np.median, values[frames[k] : frames[k + 1]])
+            yield from judge(name, median, live=False, limits=limits, calibrate="")
 
     def judged(k: int) -> SecondQuality:
-        word, reason = min(reasons(k), key=lambda each: _WORDS.index(each[0]))
-        return SecondQuality(float(edges[k]), word, "" if word == "good" else reason)
+        found = followed(findings(k))
+        if not found:
+            return SecondQuality(float(edges[k]), "good", "")
+        word = found[0].word
+        return SecondQuality(float(edges[k]), "poor" if word == "unknown" else word, found[0].what)
 
     return tuple(judged(k) for k in range(len(length)))
+
+
+def _of_it(share: float) -> str:
+    return f"{100.0 * share:.0f} % of it"

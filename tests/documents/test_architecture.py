@@ -107,8 +107,8 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
         ("from fusion import Fuser", 7_000, 0),
         ("from recordings import Session", 5_900, 6),
         ("from recordings import fuse", 16_400, 25),
-        (RUN_FUSE.format(pair=PAIR), 24_000, 39),
-        ("import viewer_app.commands.live", 32_480, 57),
+        (RUN_FUSE.format(pair=PAIR), 24_400, 40),
+        ("import viewer_app.commands.live", 32_800, 58),
     ],
 )
 def test_who_reads_one_thing_need_not_read_all(what, most_lines, most_of_devices):

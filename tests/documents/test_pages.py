@@ -1,5 +1,6 @@
 """The pages of the site: their links, their messages, their pictures."""
 
+import math
 import re
 import tomllib
 
@@ -7,9 +8,8 @@ import numpy as np
 import pytest
 from packaging.version import Version
 
-from fusion.calibration.calibration import CERTAIN_TURN_DEG
+from devices.findings.rules import RULES, of_error, of_views
 from fusion.setup import REVISIONS
-from recordings.quality import limits, verdict
 from tests.benchmarks import page as benchmarks_page
 from tests.benchmarks import results
 from tests.experiments.placement_picture import PERSON_AT, a_from_b, seen_by_both
@@ -35,16 +35,6 @@ def templates():
 def test_every_message_of_the_troubleshooting_page_is_one_of_the_program(message, templates):
     words = message.rstrip("…").rstrip()  # the rest may be a value
     assert any(words in plain(template) for template in templates)
-
-
-def test_every_message_of_the_page_on_placing_is_one_of_the_program(templates):
-    page = (ROOT / "docs" / "placing.md").read_text(encoding="utf-8").partition("| it says |")[2]
-    messages = {code for row in page.splitlines()[2:] for code in re.findall("`(.*?)`", row.split("|")[1])}
-    assert len(messages) > 10
-    said = [plain(template) for template in templates]
-    for message in messages:
-        words = re.compile(".*".join(re.escape(part) for part in message.split("…")))
-        assert any(words.search(template) for template in said), message
 
 
 def test_every_link_between_documents_leads_somewhere():
@@ -181,29 +171,31 @@ def test_each_table_of_benchmarks_is_of_the_methods_revision():
         assert re.search(r"Revision \d+, \d{4}-\d\d-\d\d\.$", above), above
 
 
-def test_the_start_page_has_the_limits_of_the_verdict():
-    page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
-    (low, high), (least, most) = limits.GOOD_ANGLES, verdict.USABLE_ANGLES
-    rows = (
-        f"| distance between the views, median | < {limits.GOOD:.0f} mm | < {limits.USABLE:.0f} mm |",
-        f"| rotation of B, one standard deviation | ≤ {CERTAIN_TURN_DEG:g}° | ≤ {2 * CERTAIN_TURN_DEG:g}° |",
-        f"about the vertical | {low:.0f}–{high:.0f}° | {least:.0f}–{most:.0f}° |",
-        "| clock offset minus two standard deviations | < {:.0f} ms | < {:.0f} ms |".format(*verdict.OFFSETS),
-        "one view alone | < {:.0%} | < {:.0%} |".format(*verdict.DOUBTFUL).replace("%", " %"),
-    )
-    assert [row for row in rows if row not in page] == []
-
-
-def test_a_run_that_is_called_good_is_good_by_the_limits():
-    """And the one that is called usable is not."""
-    page = (ROOT / "docs" / "placing.md").read_text(encoding="utf-8")
-    runs = [run for run in re.findall(r"```text\n(.*?)```", page, re.DOTALL) if "Verdict" in run]
-    assert [re.search(r"Verdict +(\w+)", run)[1] for run in runs] == ["good", "usable"]
-    for run in runs:
-        apart, turn = (
-            float(re.search(rf"{label} +\D*([\d.]+)", run)[1]) for label in ("agree", "Calibration")
+def limits_in_words(rule):
+    """The cells of a rule in the table of limits."""
+    for low, high in rule.limits:
+        value = f"{low:g}–{high:g}" if math.isfinite(low) and math.isfinite(high) else ""
+        value = value or (
+            f"≤ {high:g}" if math.isfinite(high) else f"≥ {low:g}" if math.isfinite(low) else ""
         )
-        assert (apart < limits.GOOD and turn <= CERTAIN_TURN_DEG) == ("Verdict      good" in run)
+        yield f"{value}{'' if rule.unit == '°' else ' '}{rule.unit}" if value else ""
+
+
+def test_the_start_page_has_the_table_of_rules():
+    """But what concerns only the moment, a family of trackers or a camera."""
+    page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
+    rows = [
+        " | ".join(["", rule.figure, *limits_in_words(rule), ""]).strip()
+        for name, rule in RULES.items()
+        if rule.files and rule.unit and name not in ("distance", "moved", "views", "error", "upside_down")
+    ]
+    rows += [
+        f"| {RULES[name].figure} | "
+        + ", ".join(f"{of(body).good[1]:.0f}" for body in ("azure_kinect", "kinect_v2", "blazepose"))
+        + " mm | half more |"
+        for name, of in (("views", of_views), ("error", of_error))
+    ]
+    assert [row for row in rows if row not in page] == []
 
 
 def test_related_work_compares_with_the_figures_of_the_files():

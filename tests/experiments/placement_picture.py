@@ -12,17 +12,17 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
+from devices.findings.rules import farthest, nearest
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from recordings.appearance.floor import CAMERA_HEIGHT
-from recordings.quality.limits import FARTHEST_PERSON as FARTHEST
-from recordings.quality.limits import nearest
 from viewer_app.coach.standing_spot import ARM, standing_spot
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "pictures" / "placement.svg"
 BODY = "azure_kinect"
 CAMERA = NOMINAL_INTRINSICS[BODY]
 COLORS = ("#d9822b", "#2b7bba")
+FARTHEST = farthest(BODY, CAMERA)
 PERSON_AT = np.array([0.0, 0.0, 2.6])
 
 
@@ -40,7 +40,7 @@ def seen_by_both(b, points):
 def _seen(points):
     across, away = points[..., 0], points[..., 2]
     half = away * CAMERA.width / 2.0 / CAMERA.fx - ARM
-    return (away >= nearest(CAMERA)) & (away <= FARTHEST[BODY]) & (np.abs(across) <= half)
+    return (away >= nearest(CAMERA)) & (away <= FARTHEST) & (np.abs(across) <= half)
 
 
 def draw(path, angle_deg=90.0):
@@ -51,8 +51,8 @@ def draw(path, angle_deg=90.0):
     x, z = np.meshgrid(np.arange(-1.6, 3.6, 0.01), np.arange(-0.6, 4.6, 0.01))
     both = seen_by_both(b, np.stack((x, np.zeros_like(x), z), axis=-1))
     axes.contourf(x, z, both, levels=[0.5, 1.5], colors=["#7fb3d9"])
-    edge = CAMERA.width / 2.0 / CAMERA.fx * FARTHEST[BODY]
-    corners = np.array([[-edge, 0.0, FARTHEST[BODY]], [0.0, 0.0, 0.0], [edge, 0.0, FARTHEST[BODY]]])
+    edge = CAMERA.width / 2.0 / CAMERA.fx * FARTHEST
+    corners = np.array([[-edge, 0.0, FARTHEST], [0.0, 0.0, 0.0], [edge, 0.0, FARTHEST]])
     for name, pose, color in zip("AB", (RigidTransform.identity(), b), COLORS, strict=True):
         cone = pose.apply(corners)
         axes.fill(cone[:, 0], cone[:, 2], color=color, alpha=0.12)
@@ -60,7 +60,7 @@ def draw(path, angle_deg=90.0):
         axes.annotate(
             f"sensor {name}", pose.apply(np.zeros(3))[[0, 2]], (10, -14), textcoords="offset points"
         )
-    spot = standing_spot(b, (CAMERA, CAMERA), FARTHEST[BODY], CAMERA_HEIGHT)
+    spot = standing_spot(b, (CAMERA, CAMERA), BODY, CAMERA_HEIGHT)
     axes.plot(spot.x, spot.z, "o", color="black", markersize=20, fillstyle="none", markeredgewidth=2)
     axes.annotate("stand here", (spot.x, spot.z), (14, 14), textcoords="offset points")
     axes.set(xlabel="x of sensor A (m)", ylabel="z of sensor A (m)", aspect="equal", ylim=(-0.6, 4.6))

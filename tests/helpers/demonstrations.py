@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+from devices.findings.rules import RULES
 from devices.simulated.demonstration import Demonstration, demonstrated, demonstration
 from devices.simulated.kinect import PERSON, Scene, simulated_pair
 from devices.simulated.tracking.tracker_errors import TrackerErrors
@@ -45,11 +46,11 @@ def fused_demonstration(body, seconds, motion="badminton"):
     return run
 
 
-def advice_over(rig, body, motion, seconds=24.0, fps=1.5):
-    """The first advice on each topic that the coach gives while a person moves before two sensors.
+def findings_over(rig, body, motion, seconds=24.0, fps=1.5):
+    """The coach's findings that are events, the first of each, while a person moves before two sensors.
 
-    Few frames per second are enough: no advice depends on single frames. The calibration is that of a
-    start-up pose seen without errors, and S* is that of the first frame: the coach looks at neither again.
+    Few frames per second are enough: nothing is found in single frames. The calibration is that of a
+    start-up pose seen without errors, and S* is that of the first frame: what compares the views is left out.
     """
     rig = replace(rig, frame_seconds=1.0 / fps, skew_seconds=0.0)
     a, b, _ = simulated_pair(motion=demonstrated(motion), body=body, seconds=seconds, rig=rig)
@@ -60,9 +61,10 @@ def advice_over(rig, body, motion, seconds=24.0, fps=1.5):
     for pair in pairs_of(a, b):
         first = first or fuse_one(Fuser(FusionSetup(calibration)), pair)
         frame = replace(first, pair=pair)
-        for advice in coach.watch(frame, Situation(calibration, final=True, held=0.0)):
-            said.setdefault(advice.topic, advice)
-    return said
+        for found in coach.watch(frame, Situation(calibration, final=True, held=0.0)):
+            if RULES[found.rule].is_event and found.rule not in ("views", "moved", "error"):
+                said.setdefault((found.rule, found.side), found)
+    return list(said.values())
 
 
 def _calibration(rig, body):

@@ -271,7 +271,7 @@ def test_the_verdict_is_that_of_the_reports(session):
     assert found.word in ("good", "usable", "poor", "unknown")
     assert report(session) == found.figures | {"verdict": report(session)["verdict"]}
     assert report(session)["verdict"]["word"] == found.word
-    assert len(found.reasons) == len(found.shortcomings)
+    assert len(found.reasons) == len(found.findings)
     assert (found.word == "good") == (not found.reasons)
     assert str(found).startswith(found.word)
 
@@ -291,7 +291,7 @@ def test_a_second_that_one_view_lacks_is_poor_and_says_so(begin, lasts, side):
     np.testing.assert_array_equal(changed_session.good_frames, of_frame)
     spans = np.array(changed_session.good_spans).reshape(-1, 2)
     assert (np.diff(spans.ravel()) > 0.0).all()  # in order, and none touches the next
-    within = (spans[:, :1] <= session.time) & (session.time < spans[:, 1:] + 1e-9)
+    within = (spans[:, :1] <= session.time) & (session.time < spans[:, 1:] - 1e-9)
     np.testing.assert_array_equal(within.any(axis=0), of_frame)
     assert [each.start for each in found] == list(range(len(found)))
     for each, before in zip(found, session.quality_per_second, strict=True):
@@ -310,7 +310,7 @@ def test_a_session_that_is_not_good_fails_with_its_reasons(session):
     assert far.verdict.word == "poor"
     with pytest.raises(SessionsDifferError, match=r"is poor; asked for was usable\.\n  poor: ") as found:
         assert_session(far, verdict="usable")
-    assert "\n  0 s poor: the views are" in str(found.value)
+    assert "\n  0 s poor: the views differ by" in str(found.value)
     assert found.value.sessions == (far,)
     fused = session.fused.copy()
     fused[30:60] = np.nan

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.findings.finding import Finding
+from devices.findings.rules import RULES, TALL
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.fused_frame import FusedFrame
@@ -16,8 +18,6 @@ from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage, Mark, Point
 from recordings.appearance.floor import ANKLE, CAMERA_HEIGHT
 from recordings.appearance.state_card import State
-from recordings.quality.limits import FARTHEST_PERSON, GOOD_ANGLES, TALL
-from viewer_app.coach.advice import Advice
 from viewer_app.coach.readiness import Headline, to_markdown
 from viewer_app.coach.setup_coach import HOLD, Situation
 from viewer_app.coach.standing_spot import StandingSpot, standing_spot
@@ -42,30 +42,32 @@ class CoachScene:
 
     def page(
         self,
-        advice: Sequence[Advice],
+        findings: Sequence[Finding],
         now: Situation,
         fused: FusedFrame | None = None,
         shown: Headline | None = None,
+        notes: Sequence[str] = (),
     ) -> CoachPage:
         """The page to show now.
 
         Args:
+            notes: What to know where nothing is wrong.
             shown: The headline of a set-up. The spot is drawn until it is ready; None: no spot is drawn.
             fused: The newest S*; its feet give the floor. None without a person.
         """
         person = None if fused is None else self._person(fused)
-        mirrored = any(each.kind == "mirrored" for each in advice)  # its registration means nothing
+        angle = any(each.rule == "angle" for each in findings)
         marks = {
             "spot": self._spot(now, person) if shown is not None and shown.state is not State.READY else None,
-            "sensor_a": self._sensor("A", advice, RigidTransform.identity()),
-            "sensor_b": self._sensor("B", advice, now.calibration.a_from_b),
-            "better_b": None if mirrored else self._better(now.calibration),
+            "sensor_a": self._sensor("A", findings, RigidTransform.identity()),
+            "sensor_b": self._sensor("B", findings, now.calibration.a_from_b),
+            "better_b": self._better(now.calibration) if angle else None,
         }
         drawn = tuple((name, mark) for name, mark in marks.items() if mark is not None)
         card = None if shown is None else (shown.state, shown.step)
-        if shown is not None and shown.kind == "pose" and now.held > 0.0:
+        if shown is not None and shown.kind == "uncalibrated" and now.held > 0.0:
             card = shown.state, f"Hold still: {math.ceil(max(0.0, HOLD - now.held))} s"
-        return CoachPage(to_markdown(advice, shown), drawn, card)
+        return CoachPage(to_markdown(findings, notes, shown), drawn, card)
 
     def _person(self, fused: FusedFrame) -> NDArray[np.float64] | None:
         """(2,) rounded x and z of the person's position."""
@@ -89,7 +91,7 @@ class CoachScene:
             spot = standing_spot(
                 calibration.a_from_b if known else None,
                 self._cameras,
-                FARTHEST_PERSON[self._body.name],
+                self._body.name,
                 floor,
             )
             self._found = calibration, floor, spot
@@ -120,16 +122,13 @@ class CoachScene:
         arrow = np.array([[x, floor, z] for x, z in flat])
         return Mark((*lines, _line(arrow)), "do", under)
 
-    def _sensor(self, side: str, advice: Sequence[Advice], in_a: RigidTransform) -> Mark | None:
-        if not any(each.level == "WARN" and side in each.sensors and each.label for each in advice):
+    def _sensor(self, side: str, findings: Sequence[Finding], in_a: RigidTransform) -> Mark | None:
+        if not any(each.side == side and RULES[each.rule].is_event for each in findings):
             return None
         return Mark(tuple(_frustum(self._cameras["AB".index(side)], in_a)), "mend")
 
-    def _better(self, calibration: Calibration) -> Mark | None:
+    def _better(self, calibration: Calibration) -> Mark:
         """The position of B if it moved around the person until the axes form a right angle."""
-        angle = math.degrees(calibration.axes_angle)
-        if calibration.registration is None or GOOD_ANGLES[0] <= angle <= GOOD_ANGLES[1]:
-            return None
         best = better_place(calibration.a_from_b, self._place(calibration))
         way = np.linspace(calibration.a_from_b.translation, best.translation, 9)
         lines = (*_frustum(self._cameras[1], best), _line(way))
@@ -155,9 +154,7 @@ def places(setup: FusionSetup) -> NDArray[np.float64]:
     """
     body, a_from_b = setup.body, setup.calibration.a_from_b
     known = bool(a_from_b.translation.any())
-    spot = standing_spot(
-        a_from_b if known else None, setup.intrinsics, FARTHEST_PERSON[body.name], CAMERA_HEIGHT
-    )
+    spot = standing_spot(a_from_b if known else None, setup.intrinsics, body.name, CAMERA_HEIGHT)
     best = better_place(a_from_b, spot).translation
     sensors = [np.zeros(3), a_from_b.translation if known else best, best]
     person = [[spot.x, y, spot.z] for y in (CAMERA_HEIGHT + _UNDER, CAMERA_HEIGHT - TALL)]

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.findings.rules import farthest, nearest
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
-from recordings.quality.limits import nearest
 
 ARM = 0.9
 """Metres from the trunk to a fingertip, arms out."""
@@ -27,7 +27,7 @@ class StandingSpot:
 
 
 def standing_spot(
-    a_from_b: RigidTransform | None, cameras: tuple[Intrinsics, Intrinsics], far: float, floor: float
+    a_from_b: RigidTransform | None, cameras: tuple[Intrinsics, Intrinsics], body: str, floor: float
 ) -> StandingSpot:
     """Finds the place with the largest margin.
 
@@ -36,15 +36,15 @@ def standing_spot(
 
     Args:
         a_from_b: Transform K_A ← K_B; None if it is unknown, then only K_A counts.
-        far: Measuring range of the sensors, metres.
+        body: The name of the sensors' body, on which their range depends.
         floor: y of the floor in K_A's frame.
     """
     x, z = np.meshgrid(np.arange(-4.0, 4.0, _STEP), np.arange(0.5, 6.0, _STEP))
     torso = np.stack((x, np.full_like(x, floor - _TORSO_HEIGHT), z), axis=-1)
-    room = _room(torso, cameras[0], far)
+    room = _room(torso, cameras[0], farthest(body, cameras[0]))
     if a_from_b is not None:
         in_b = a_from_b.inverse().apply(torso.reshape(-1, 3)).reshape(torso.shape)
-        room = np.minimum(room, _room(in_b, cameras[1], far))
+        room = np.minimum(room, _room(in_b, cameras[1], farthest(body, cameras[1])))
     best = np.unravel_index(int(np.argmax(room)), room.shape)
     return StandingSpot(float(x[best]), float(z[best]), float(room[best]))
 

@@ -122,7 +122,7 @@ class _Demo(Runner):
         self.active = "setup" if self.options.bad_setup else self.options.layout
         self.shown, self.person_at = shown, np.asarray(shown.truth.positions_at(0).mean(axis=0))
         self.setup = FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
-        self.coach = Coach(a.body, self.setup.intrinsics, simulated=True)
+        self.coach = Coach(a.body, self.setup.intrinsics, origins=("simulation", "simulation"))
         self.warm_ups = [compile_tracking, *([] if self.options.depth == "none" else [compile_images])]
         if pace is not None:
             self.console.print(

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from devices.azure.settings import check_modes
+from devices.capture.causes import origin_of
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import thinned_camera
@@ -106,9 +107,10 @@ class _Live(Runner):
             for each in sensors
         )
         self.setup = setup = FusionSetup(self.setup.calibration, self._settings, *cameras)
-        remote = "".join(side for side, each in zip("AB", sensors, strict=True) if each.link is not None)
-        rate = self.sensors.rate
-        self.coach = Coach(setup.body, setup.intrinsics, rate, warm_up=WARM_UP, remote=remote)
+        origins = origin_of(sensors[0]), origin_of(sensors[1])
+        self.coach = Coach(setup.body, setup.intrinsics, self.sensors.rate, origins)
+        if setup.body.name == "azure_kinect" and "sensor" in origins:
+            self.warm_up = WARM_UP
         return super().open_session(stack)
 
     def begin(self, stack: ExitStack) -> None:

@@ -1,17 +1,16 @@
 """The figures of a report in words: lines and tables that the terminal and the page share.
 
-How well the two views agree, how much of the data had to be repaired, and how fast S* comes: these lines
-lead. Further lines appear only where there is something to say. All other figures follow on request.
+The verdict with what to do, what S* is expected to be off, how well the two views agree, and how much of the
+data had to be repaired: these lines lead. All other figures follow on request.
 """
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from recordings.quality.doubtful_time import UNCERTAIN
+from devices.findings.finding import capital, in_words, spoken
 from recordings.quality.figures import Figures
-from recordings.quality.limits import USABLE, spoken
-from recordings.quality.verdict import doubt, in_words, verdict
+from recordings.quality.verdict import DOUBT_WORDS, doubt, verdict
 from viewer_app.flags import in_flags
 
 _PAUSED = 0.9  # of the time: with less there are pauses
@@ -43,31 +42,22 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
         word = found["word"]
         sentence = in_flags(in_words(**found))
         rest = sentence.removeprefix(f"{word}:").removeprefix(f"{word}.").strip()
-        yield Line("Verdict", sentence, word in ("poor", "unknown"), word, rest[:1].upper() + rest[1:])
+        yield Line("Verdict", sentence, word in ("poor", "unknown"), word, capital(rest))
+        yield _pace(figures)
         median, high = (in_mm(figures["views_agree_mm"][key]) for key in ("median", "p95"))
-        every = f"95 % {high}, over all frames since the calibration."
+        last_s = figures.get("of_the_last_s")
+        since = "since the calibration" if last_s is None else f"over the last {last_s:.0f} s"
+        every = f"95 % {high}, {since}."
         yield Line("Views agree", f"median {median}, {every}", figure=median, rest=f"Median; {every}")
         if doubts := [f"{words} {lasts}" for words, lasts in _doubts(figures)]:
             yield Line("Doubtful", f"{', '.join(doubts)}.")
         turn = figures["calibration"]["rotation_sd_deg"]
-        precision = f"{_precision_in_words(figures['calibration'])}."
+        precision = f"{precision_in_words(figures['calibration'])}."
         turn_text = "–" if turn is None else f"± {turn:.1f}°"
         rest = precision.removeprefix(f"{turn_text}, ")
-        yield Line("Calibration", precision, figure=turn_text, rest=rest[:1].upper() + rest[1:])
+        yield Line("Calibration", precision, figure=turn_text, rest=capital(rest))
         yield _repaired(figures["repaired"])
-        yield Line("S*", _pace(figures))
-        a, b, fused = (in_mm(figures["bone_error_mm"][key]["max"]) for key in ("a", "b", "fused"))
-        text = f"S* within {fused} of their lengths; S_A up to {a} off, S_B {b}."
-        yield Line("Bones", text)
-        if never := [spoken(name) for name in figures["in_no_frame"]]:
-            whence = {_LENGTH_FROM.get(bone["length_from"], "") for bone in figures["bones"].values()}
-            lengths = " or ".join(sorted(whence - {""}))
-            yield Line("Never seen", f"{', '.join(never)}: S* guesses them; their bones are {lengths}.")
-    if figures.get("others_seen"):
-        share = in_percent(figures["others_seen"])
-        of_frames = "of the frames; S* follows one person."
-        yield Line("Others", f"seen in {share} {of_frames}", figure=share, rest=f"O{of_frames[1:]}")
-    yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
+    yield from _frames(figures)
 
 
 def detail_lines(figures: Figures) -> Iterator[Line]:
@@ -78,6 +68,10 @@ def detail_lines(figures: Figures) -> Iterator[Line]:
             yield Line("" if k else "Also", in_flags(text))
         for k, text in enumerate(calibration_in_words(figures["calibration"])):
             yield Line("" if k else "Calibration", text)
+        if never := [spoken(name) for name in figures["in_no_frame"]]:
+            whence = {_LENGTH_FROM.get(bone["length_from"], "") for bone in figures["bones"].values()}
+            lengths = " or ".join(sorted(whence - {""}))
+            yield Line("Never seen", f"{', '.join(never)}: S* guesses them; their bones are {lengths}.")
         error, ms = figures["bone_error_mm"], figures["fuse_ms"]
         a, b, fused = (in_mm(error[key]["max"]) for key in ("a", "b", "fused"))
         yield Line("Largest bone error", f"S_A {a}, S_B {b}, S* {fused}.")
@@ -120,7 +114,7 @@ BONE_HEAD = ("bone", "target", "S_A", "S_B", "S*")
 """The columns of :func:`bone_rows`."""
 
 
-def _precision_in_words(calibration: Figures) -> str:
+def precision_in_words(calibration: Figures) -> str:
     """How certain a calibration is, in standard deviations, and from what."""
     turn, shift, frames = (calibration[key] for key in ("rotation_sd_deg", "translation_sd_mm", "frames"))
     if turn is None or not math.isfinite(turn):
@@ -133,13 +127,10 @@ def _precision_in_words(calibration: Figures) -> str:
 
 def _doubts(figures: Figures) -> Iterator[tuple[str, str]]:
     """What is doubtful for half a second or longer, and for how long."""
-    for name, words in (
-        ("views_apart", f"views more than {USABLE:.0f} mm apart"),
-        ("limb_uncertain", f"a limb uncertain by more than {UNCERTAIN:.0f} mm"),
-        ("one_view", "one view missing"),
-    ):
-        if (figures["seconds_of"][name] or 0.0) >= _SOME_TIME:
-            yield words, doubt(figures, name)[0]
+    of = figures["seconds_of"]
+    for name, words in DOUBT_WORDS.items():
+        if (of[name] or 0.0) >= _SOME_TIME:
+            yield words.format(limb=of["limb"]), doubt(of[name], of["seen"])[0]
 
 
 def _repaired(repaired: Figures) -> Line:
@@ -153,50 +144,55 @@ def _repaired(repaired: Figures) -> Line:
     return Line("Repaired", f"left and right: {a} of A, {b} of B; {filled_in}", figure=figure, rest=rest)
 
 
-def _pace(figures: Figures) -> str:
+def _pace(figures: Figures) -> Line:
+    """What S* is expected to be off, and how fast it comes."""
     frames, seconds, rate = figures["fused_frames"], figures["seconds"], figures["frames_per_second"]
-    latency_ms = figures.get("latency_ms", {})
+    latency_ms, off = figures.get("latency_ms", {}), figures["expected_error_mm"]
     paused = rate is not None and (frames - 1) / rate < _PAUSED * seconds
     each = "" if rate is None else f", {rate:.1f} per second" + " between pauses" * paused
-    if latency_ms.get("p50") is None:
-        counted = "1 frame" if frames == 1 else f"{frames} frames"
-        return f"{counted} in {seconds:.1f} s{each}."
-    late = f"{latency_ms['p50']:.0f} ms after the images (99 %: {latency_ms['p99']:.0f} ms)"
-    return f"{late}{each} over {seconds:.1f} s."
+    counted = "1 frame" if frames == 1 else f"{frames} frames"
+    text = f"{counted} in {seconds:.1f} s{each}"
+    if latency_ms.get("p50") is not None:
+        text += f", {latency_ms['p50']:.0f} ms after the images (99 %: {latency_ms['p99']:.0f} ms)"
+    if off is None:
+        return Line("S*", f"{text}.")
+    expected = "expected to be off"
+    return Line(
+        "S*", f"{expected} by {in_mm(off)}; {text}.", figure=in_mm(off), rest=f"{capital(expected)}; {text}."
+    )
 
 
-def _shortfalls(figures: Figures) -> Iterator[Line]:
-    """What recordings lack: partners and people."""
-    dropped, alone, absent = (figures[key] for key in ("dropped", "alone", "without_person"))
-    frames = figures["frames"]
-    if dropped["a"] or dropped["b"]:
-        of_a, of_b = (f"{dropped[key] or 0} of {frames[key]}" for key in ("a", "b"))
-        yield Line("Dropped", f"{of_a} frames of A and {of_b} of B have no partner.", warning=True)
-    if alone["a"] or alone["b"]:
-        of_a, of_b = (f"{alone[key]} of {frames[key]}" for key in ("a", "b"))
-        yield Line("One view", f"{of_a} frames of A and {of_b} of B: the other sensor has none at that time.")
-    if absent["a"] or absent["b"]:
-        yield Line("No person", f"Frames: {absent['a']} of A, {absent['b']} of B, {absent['both']} of both.")
-
-
-def _stream_trouble(figures: Figures) -> Iterator[Line]:
-    """What someone should fix: frames dropped, sensors and messages lost, clocks reset or not related."""
-    streams = figures["streams"]
-    slow, lost, back = (streams[key] for key in ("too_slow_for", "lost_on_usb", "lost_and_back"))
-    trouble = {
-        "frames of A dropped (too slow)": slow["a"],
-        "frames of B dropped (too slow)": slow["b"],
-        "frames of A lost on USB": lost["a"],
-        "frames of B lost on USB": lost["b"],
-        "reconnects of A": back["a"],
-        "reconnects of B": back["b"],
-        "clocks reset": streams["clock_resets"],
-    }
-    if any(trouble.values()):
-        yield Line("Streams", f"{_listed(trouble)}.", warning=True)
-    for side, link in figures.get("network", {}).items():
-        if link["lost"] or link["malformed"] or link["restarts"] or link["clock_bound_ns"] is None:
-            yield Line("Network", f"{side.upper()}: {_link(link)}.", warning=True)
+def _frames(figures: Figures) -> Iterator[Line]:
+    """In one line, what the frames lack."""
+    trouble: Figures = {}
+    rest: Figures = {}
+    network: list[str] = []
+    if "streams" in figures:
+        streams = figures["streams"]
+        for what, name in (
+            ("dropped (too slow)", "too_slow_for"),
+            ("lost on USB", "lost_on_usb"),
+            ("reconnects", "lost_and_back"),
+        ):
+            trouble |= {f"{what} {side.upper()}": streams[name][side] for side in "ab"}
+        sensors = {"sensor", "network"} & set(streams["origins"].values())
+        trouble["clocks reset" if sensors else "stalls of this machine"] = streams["clock_resets"]
+        for side, link in figures.get("network", {}).items():
+            if link["lost"] or link["malformed"] or link["restarts"] or link["clock_bound_ns"] is None:
+                network.append(f"{side.upper()}'s network: {_link(link)}")
+    else:
+        dropped, alone, absent = (figures[key] for key in ("dropped", "alone", "without_person"))
+        trouble = {f"without a partner {side.upper()}": dropped[side] for side in "ab"}
+        rest = {f"alone {side.upper()}": alone[side] for side in "ab"}
+        rest |= {f"without a person {side.upper()}": absent[side] for side in "ab"}
+        rest["of both"] = absent["both"]
+    told = [_listed(each) for each in (trouble, rest) if any(each.values())] + network
+    if figures.get("others_seen"):
+        told.append(f"others seen in {in_percent(figures['others_seen'])}; S* follows one person")
+    if told:
+        frames = figures["frames"]
+        text = f"{frames['a']} of A, {frames['b']} of B; {', '.join(told)}."
+        yield Line("Frames", text, warning=any(trouble.values()) or bool(network))
 
 
 def _counts(figures: Figures) -> Iterator[Line]:

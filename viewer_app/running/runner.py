@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from devices.capture.causes import origin_of
 from devices.capture.sensor_pair import TwoSensors
 from devices.recorded.files import images_of, recorded_at
 from devices.sensor import ImageRecording, Sensor
@@ -54,6 +55,7 @@ class Runner(SensorRun):
     coach: Coach
     active: Layout
     person_at: NDArray[np.float64]
+    warm_up = 0.0  # seconds until the sensors' distances are stable
     warm_ups: Sequence[WarmUp] = ()
     """What it needs besides what every live run does."""
 
@@ -128,7 +130,9 @@ class Runner(SensorRun):
         )
         self.viewing.announce(console)
         sounds = self._sounds(stack) if options.sound else None
-        return LiveDisplay(console, self.session, self.coach, options.quiet, options.verbose, sounds)
+        return LiveDisplay(
+            *(console, self.session, self.coach, options.quiet, options.verbose, sounds), warm_up=self.warm_up
+        )
 
     def _sounds(self, stack: ExitStack) -> Sounds | None:
         play = player()
@@ -179,12 +183,15 @@ class Runner(SensorRun):
         if self._outputs:
             figures["outputs"] = [output.figures() for output in self._outputs]
         figures |= {"latency_ms": latency_figures(frames), "others_seen": others_seen(frames)}
+        figures["of_the_last_s"] = None
         if session is not None:
             setup, rows, first = session.last_setup, session.rows, session.first_compared_frame
         elif frames:  # the newest only, which are seldom older than the calibration
             fixed = setup.calibration.bone_lengths
             lengths = [fixed if frame.bone_lengths is None else frame.bone_lengths for frame in frames]
             rows, first = SessionArrays.stack(setup.body, np.array(lengths), frames), 0
+            if len(frames) < self.sensors.figures.pairs:
+                figures["of_the_last_s"] = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
         else:
             return figures
         return with_verdict(figures | fusion_figures(setup, rows, first))
@@ -215,6 +222,7 @@ def stream_figures(sensors: TwoSensors) -> Figures:
             "repeated": counted.repeated,
             "out_of_order": counted.reordered,
             "clock_resets": counted.resets,
+            "origins": {"a": origin_of(a.sensor), "b": origin_of(b.sensor)},
             "lost_and_back": {"a": a.returns, "b": b.returns},
             "clock_offset_ms": None if counted.offset_ns is None else counted.offset_ns * 1e-6,
             "drift_ppm": counted.drift_ppm,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections import deque
 from collections.abc import Callable
@@ -14,11 +13,16 @@ from rich.markup import escape
 from rich.text import Text
 
 from devices.events import Event
+from devices.findings.finding import Finding, capital
+from devices.findings.rules import RULES
+from fusion.calibration.calibration import Calibration
 from recordings.appearance.coach_page import CoachPage
-from viewer_app.coach.advice import Advice
+from recordings.quality.figures import calibration_figures
 from viewer_app.coach.readiness import Readiness
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import Coach, Situation
+from viewer_app.flags import in_flags
+from viewer_app.report.words import precision_in_words
 from viewer_app.running.loop import Status
 from viewer_app.running.sounds import Sounds
 from viewer_app.sinks.live_session import LiveSession
@@ -37,6 +41,7 @@ class LiveDisplay:
         quiet: Print no status line and no advice, which the session keeps as events; what fails is printed.
         verbose: Keep every status line, with more figures.
         sounds: Plays the tones of the set-up; None: none.
+        warm_up: Seconds until the sensors' distances are stable.
     """
 
     def __init__(
@@ -48,11 +53,13 @@ class LiveDisplay:
         verbose: bool = False,
         sounds: Sounds | None = None,
         clock: Callable[[], float] = time.monotonic,
+        warm_up: float = 0.0,
     ) -> None:
         self._console, self._session, self._coach = console, session, coach
         self._quiet, self._verbose, self._sounds, self._clock = quiet, verbose, sounds, clock
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._shows = not quiet and not verbose and console.is_terminal
+        self._warm_up_min, self._began_ns = warm_up / 60.0, 0
         self._said: dict[str, tuple[str, int]] = {}  # by topic: what was said, and when it was last so
         self._printed: dict[str, int] = {}  # by topic: when, ns
         self._scene = CoachScene(coach.body, coach.intrinsics)
@@ -72,8 +79,9 @@ class LiveDisplay:
             self._live.stop()
 
     def __call__(self, status: Status) -> bool:
-        self._frames.append(status)
         newest = status.frame.pair.time_ns
+        self._began_ns = self._began_ns or newest
+        self._frames.append(status)
         while newest - self._frames[0].frame.pair.time_ns > _RATE_OVER * 1e9:
             self._frames.popleft()
         self._advise(status)
@@ -135,41 +143,46 @@ class LiveDisplay:
             (sensors.a.lost, sensors.b.lost),
             sensors.step,
         )
-        advice = self._coach.watch(status.frame, situation)
-        time = status.frame.pair.time_ns * 1e-9
-        shown = self._readiness.watch(time, advice, situation.calibration)
+        findings = self._coach.watch(status.frame, situation)
+        now_ns = status.frame.pair.time_ns
+        shown = self._readiness.watch(now_ns * 1e-9, findings, situation.calibration)
         if self._sounds is not None:
             self._sounds.tell(shown)
-        page = self._scene.page(self._readiness.advice, situation, status.frame.fused, shown)
+        found, fused = self._readiness.findings, status.frame.fused
+        page = self._scene.page(found, situation, fused, shown, self._notes(now_ns, situation.calibration))
         if page != self._page:
             self._page = page
             self._session.coach(page)
-        self._say(advice)
+        self._say([each for each in findings if RULES[each.rule].is_event], now_ns)
 
-    def _say(self, advice: list[Advice]) -> None:
-        """Logs an event when a problem begins or ends; the coach's page shows the rest.
+    def _notes(self, now_ns: int, calibration: Calibration) -> list[str]:
+        """What to know where nothing is wrong."""
+        notes = [f"Calibration: {precision_in_words(calibration_figures(calibration))}."]
+        minutes = (now_ns - self._began_ns) / 60e9
+        if minutes < self._warm_up_min:
+            notes.append(
+                f"The sensors have run for {minutes:.0f} min; for the first {self._warm_up_min:.0f} their "
+                "distances drift by millimetres. Calibrate again after that if you need them."
+            )
+        return notes
 
-        A figure about its threshold would begin and end many times a second: a problem has ended when it did
-        not occur for a while, and one that comes back soon is not printed again.
+    def _say(self, findings: list[Finding], now_ns: int) -> None:
+        """Logs a spell for each problem; the coach's page shows the rest.
+
+        A figure about its threshold would begin and end many times a second: a problem has ended when it was
+        not found for a while, and one that comes back soon is not printed again.
         """
-        now_ns = self._frames[-1].frame.pair.time_ns
-        for each in advice:
-            if each.level != "WARN":
-                continue
-            if each.topic not in self._said:
-                self._session.event(Event(each.text, "WARN"))
-                printed_ns = self._printed.get(each.topic, -_SAID_AGAIN_NS)
+        for each in findings:
+            topic = f"{each.rule}_{each.side}".lower().strip("_")
+            if topic not in self._said:
+                text = f"{capital(each.reason)}. {capital(each.step)}."
+                self._session.event(Event(text, "WARN", topic, "start"))
+                printed_ns = self._printed.get(topic, -_SAID_AGAIN_NS)
                 if not self._quiet and now_ns - printed_ns >= _SAID_AGAIN_NS:
-                    self._printed[each.topic] = now_ns
-                    self._console.print(each.text, style="yellow", markup=False, soft_wrap=True)
-            self._said[each.topic] = each.text, now_ns
-        for topic, (text, last_ns) in list(self._said.items()):
+                    self._printed[topic] = now_ns
+                    self._console.print(in_flags(text), style="yellow", markup=False, soft_wrap=True)
+            self._said[topic] = each.what, now_ns
+        for topic, (what, last_ns) in list(self._said.items()):
             if now_ns - last_ns >= _OVER_AFTER_NS:
                 del self._said[topic]
-                self._session.event(Event(f"no longer: {_clause(text)}"))
-
-
-def _clause(text: str) -> str:
-    """What is wrong, without the threshold and what to do."""
-    clause = re.split(r"[:;(]|\. ", text)[0].strip(" .")
-    return clause if clause[1:2].isupper() else clause[:1].lower() + clause[1:]
+                self._session.event(Event(f"no longer: {what}", topic=topic, phase="end"))

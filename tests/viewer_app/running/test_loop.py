@@ -20,6 +20,7 @@ from rich.console import Console
 
 from devices.depth import witness as depth_witness
 from devices.events import Event
+from devices.findings.finding import Finding
 from devices.frame_pairs import FramePair
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
@@ -35,7 +36,6 @@ from tests.experiments.soak import Soak, at_pace, soak
 from tests.helpers.frame_pairs import KnownSensors, frame_pairs
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
-from viewer_app.coach.advice import Advice
 from viewer_app.coach.readiness import Headline
 from viewer_app.running.loop import low_latency, run_live
 from viewer_app.running.runner import latency_figures
@@ -242,7 +242,8 @@ def test_growth_is_measured_from_the_end_of_the_first_minute():
 # --- The status line's fields, and a warning as one event and one when it is over.
 
 
-WARNING = Advice("A's view", "Sensor A sees no one: 0 of 25 joints", "WARN", sensors="A", label="no one")
+WARNING = Finding("unseen", "poor", "A sees no one", "0 of 25 joints", "step into its view", "A")
+TEXT = "A sees no one; 0 of 25 joints. Step into its view."
 
 
 @pytest.fixture
@@ -329,32 +330,32 @@ def test_a_warning_is_one_event_and_one_when_it_is_over(statuses, quiet):
     for status, advice in zip(statuses, advised, strict=True):
         shown.coach.watch.return_value = advice
         shown.display(status)
-    begins = Event(WARNING.text, "WARN")
+    begins = Event(TEXT, "WARN", "unseen_a", "start")
     assert shown.events() == [begins]  # 1.8 s without it
     for k in (6, 7):
         shown.display(later(statuses[-1], k))
-    assert shown.events() == [begins, Event("no longer: sensor A sees no one")]
-    assert shown.printed.getvalue() == ("" if quiet else f"{WARNING.text}\n")
+    assert shown.events() == [begins, Event("no longer: A sees no one", topic="unseen_a", phase="end")]
+    assert shown.printed.getvalue() == ("" if quiet else f"{TEXT}\n")
 
 
 def test_a_warning_about_its_threshold_is_not_repeated(statuses):
     shown = Shown()
     for k, status in enumerate(statuses):
-        text = f"Sensor A sees {k} of 25 joints"  # its figure changes, too
-        shown.coach.watch.return_value = [replace(WARNING, text=text)] if k % 3 else []
+        limit = f"{k} of 25 joints"  # its figure changes, too
+        shown.coach.watch.return_value = [replace(WARNING, limit=limit)] if k % 3 else []
         shown.display(status)
     assert len(shown.events()) == 1
     shown.coach.watch.return_value = []
     shown.display(later(statuses[-1], 90))
     shown.coach.watch.return_value = [WARNING]
     shown.display(later(statuses[-1], 91))
-    assert shown.events()[-1] == Event(WARNING.text, "WARN")  # it came back, which the session tells
-    assert shown.printed.getvalue() == "Sensor A sees 1 of 25 joints\n"
+    assert shown.events()[-1] == Event(TEXT, "WARN", "unseen_a", "start")
+    assert shown.printed.getvalue() == "A sees no one; 1 of 25 joints. Step into its view.\n"
     shown.coach.watch.return_value = []
     shown.display(later(statuses[-1], 2000))
     shown.coach.watch.return_value = [WARNING]
     shown.display(later(statuses[-1], 2001))
-    assert shown.printed.getvalue().endswith(f"\n{WARNING.text}\n")  # a minute later
+    assert shown.printed.getvalue().endswith(f"\n{TEXT}\n")  # a minute later
 
 
 def test_the_coach_knows_what_the_sensors_do(statuses):
@@ -371,8 +372,8 @@ HEADLINES = [
     Headline(State.NOT_YET, "step back 0.5 m", "distance"),
     Headline(State.NOT_YET, "step back 1.0 m", "distance"),
     Headline(State.NOT_YET, "move B", "angle"),
-    Headline(State.NOT_YET, "step into view of A", "person"),
-    Headline(State.ALMOST, "walk a few steps", "calibration"),
+    Headline(State.NOT_YET, "step into view of A", "unseen"),
+    Headline(State.ALMOST, "walk a few steps", "precision"),
     Headline(State.READY, "record now"),
 ]
 

@@ -15,6 +15,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
+from devices.findings.rules import of_views
 from devices.people.recorded_people import SeenPerson
 from devices.recorded.files import distinct_names
 from recordings.appearance.colors import MARK_COLORS, PROMINENT_BONES
@@ -22,7 +23,6 @@ from recordings.appearance.joint_trust import TrustColors
 from recordings.data.frame_noise import frame_noise_of
 from recordings.data.session_arrays import rate_without_pauses
 from recordings.quality.doubtful_time import UNCERTAIN
-from recordings.quality.limits import GOOD, USABLE
 from recordings.session import Session
 from viewer_app.report.events import (
     event_in_words,
@@ -61,7 +61,7 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         source_b=source_b,
         colors=page_colors(),
         tiles=[line for line in lead if line.figure],
-        lines=[line for line in lead if not line.figure and line.label != "S*"],  # it is in the first line
+        lines=[line for line in lead if not line.figure],
         details=detail_lines(figures),
         movement=movement_of(session),
         gait_head=GAIT_HEAD,
@@ -200,8 +200,9 @@ def _trust_plot(session: Session) -> Markup:
 def _disagreement_plot(session: Session) -> Markup:
     rows = session.rows
     lines = {"median joint": (rows.disagreement * 1e3, "fused")}
-    title = f"median joint; good is below {GOOD:.0f}, usable below {USABLE:.0f} mm"
-    levels = (GOOD, USABLE)
+    limits = of_views(session.body.name)
+    levels = limits.good[1], limits.usable[1]
+    title = "median joint; good is below {:.0f}, usable below {:.0f} mm".format(*levels)
     return Markup(line_plot(title, "mm", session.time, lines, levels, wide=True))
 
 

@@ -1,0 +1,87 @@
+"""Compares a calibration with the placement of the sensors that the last seconds show."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion.body import Body
+from fusion.errors import CalibrationError
+from fusion.registration.error_model import RobustFitSettings
+from fusion.registration.keyframes import KeyframeSet
+from fusion.registration.rigid_fit import fit_recording
+from fusion.registration.robust_fit import fit_robust, with_frontal_sd
+from fusion.rigid import RigidTransform
+from fusion.skeleton import SkeletonPair
+
+_FEWEST, _MOST = 8, 48  # keyframes, 0.2 s apart
+_EVERY_NS = 1_000_000_000  # between two fits
+_KEPT = 3  # fits, of which the median counts: one in twenty of a walk before Kinects v2 is off by 3°
+
+
+class PlacementOff(NamedTuple):
+    """How far B's own placement is from a calibration."""
+
+    turn: float
+    """Radians between the rotations."""
+    shift: float
+    """Metres between the places in which both put the person."""
+    turn_sd: float
+    """Radians, the standard deviation of this rotation, with the trackers' turn of the person."""
+
+
+class RecentPlacement:
+    """Registers the views of the last seconds by themselves, at most once a second.
+
+    Args:
+        seconds: How long a pair counts.
+    """
+
+    def __init__(self, body: Body, seconds: float = 6.0) -> None:
+        self._body, self._kept_ns = body, round(seconds * 1e9)
+        self._keyframes, self._settings = KeyframeSet(body, _MOST), RobustFitSettings()
+        self._fits: deque[tuple[RigidTransform, np.ndarray, float]] = deque(maxlen=_KEPT)
+        self._now_ns = self._next_ns = 0
+
+    def add(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> None:
+        """Takes a pair.
+
+        Args:
+            codes: Which sides of the views are exchanged; see :class:`fusion.fused_frame.FusedFrame`.
+        """
+        if self._keyframes.add(pair, codes):
+            self._keyframes.forget_before(pair.time_ns - self._kept_ns)
+        self._now_ns = pair.time_ns
+
+    def off(self, a_from_b: RigidTransform) -> PlacementOff | None:
+        """How far a calibration's R and t are off, by the median of the last fits; None with too few pairs.
+
+        Once a second, this takes as long as a few pairs of the fusion.
+        """
+        if len(self._keyframes) < _FEWEST:
+            self._fits.clear()
+        elif self._now_ns >= self._next_ns:
+            self._next_ns = self._now_ns + _EVERY_NS
+            self._fit()
+        if not self._fits:
+            return None
+        each = [
+            (fit.angle_to(a_from_b), float(np.linalg.norm(fit.apply(middle) - a_from_b.apply(middle))), sd)
+            for fit, middle, sd in self._fits
+        ]
+        return PlacementOff(*np.median(each, axis=0).tolist())
+
+    def _fit(self) -> None:
+        evidence, body = self._keyframes.evidence, self._body
+        known = evidence.weights[:, :, None] > 0.0
+        a, b = (np.where(known, view, np.nan) for view in (evidence.a, evidence.b))
+        try:
+            start = fit_recording(a, b)
+            fit = fit_robust(body, evidence, start, self._settings)
+            fit = with_frontal_sd(body, evidence, fit, self._settings)
+        except CalibrationError:
+            return
+        middle = np.nanmean(b.reshape(-1, 3), axis=0)
+        self._fits.append((fit.a_from_b, middle, fit.rotation_sd))
