@@ -13,7 +13,7 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import Retries, SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
-from devices.sensor import AbsentError, DeviceError, SensorFrame, SensorWrapper
+from devices.sensor import AbsentError, DeviceError, LinkFigures, SensorFrame, SensorWrapper
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.errors import BodyError
 from fusion.skeleton import Skeleton
@@ -422,10 +422,20 @@ def test_a_pause_of_the_reader_is_not_one_of_the_sensors():
 
 
 @pytest.mark.parametrize(("lag_ms", "words"), [(90, None), (150, "which wait for them"), (900, "too late")])
-@pytest.mark.parametrize("late", ["a", "b"])
-def test_a_sensor_whose_frames_come_late_is_named_once(late, lag_ms, words):
+@pytest.mark.parametrize(
+    ("late", "origin", "blamed"),
+    [
+        ("a", {}, "USB controller"),
+        ("b", {"link": LinkFigures()}, "network"),
+        ("a", {"simulated": True}, "This machine is too slow"),
+        ("b", {"recorded": True}, "disk or this machine"),
+    ],
+)
+def test_a_sensor_whose_frames_come_late_is_named_once(late, origin, blamed, lag_ms, words):
+    """And of what may be the cause, only what this sensor has; the other one is on USB."""
     pairing, told = LivePairing(INTERVAL_NS), []
     sensors = ScriptedSensor("000123"), ScriptedSensor("000456")
+    vars(sensors["ab".index(late)]).update(origin)
     two = TwoSensors(*sensors, pairing=pairing, tell=lambda event: told.append(event.text))
     for index in range(60):
         host_ns = index * INTERVAL_NS
@@ -436,7 +446,9 @@ def test_a_sensor_whose_frames_come_late_is_named_once(late, lag_ms, words):
     name, other = ("000123", "000456") if late == "a" else ("000456", "000123")
     expected = [] if words is None else [f"The frames of {name} come {lag_ms} ms later than those of {other}"]
     assert [text[: len(expected[0])] for text in told] == expected
-    assert words is None or words in told[0]
+    assert words is None or (words in told[0] and blamed in told[0])
+    causes = ("USB", "network", "disk", "too slow")
+    assert all(cause in blamed for text in told for cause in causes if cause in text)
 
 
 def test_a_sensor_that_does_not_open_closes_the_other(earlier_threads):
