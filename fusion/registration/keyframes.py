@@ -158,7 +158,9 @@ class KeyframeSet:
         both = (weight > 0.0) & (self._store.weights[newest] > 0.0)
         if not both.any():
             return True
-        moved = np.array(views)[:, both] - np.array((self._store.a[newest, both], self._store.b[newest, both]))
+        moved = np.array(views)[:, both] - np.array(
+            (self._store.a[newest, both], self._store.b[newest, both])
+        )
         return bool(np.sqrt((moved * moved).sum(axis=2)).mean() > _MOVED)
 
     def _heading(self, at: Array) -> float:

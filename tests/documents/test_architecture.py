@@ -105,9 +105,9 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
     ("what", "most_lines", "most_of_devices"),
     [
         ("from fusion import Fuser", 7_000, 0),
-        ("from recordings import Session", 5_900, 6),
+        ("from recordings import Session", 5_910, 6),
         ("from recordings import fuse", 16_400, 25),
-        (RUN_FUSE.format(pair=PAIR), 24_400, 40),
+        (RUN_FUSE.format(pair=PAIR), 24_400, 42),
         ("import viewer_app.commands.live", 32_800, 58),
     ],
 )
