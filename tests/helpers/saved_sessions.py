@@ -104,7 +104,6 @@ def reading(session):
         "revision": session.method_revision,
         "body": session.body.name,
         "frames": len(session),
-        "verdict": session.verdict.word,
         "events": [f"{event.frame}: {event.text}" for event in session.events],
         "arrays": {name: f"{zlib.crc32(np.ascontiguousarray(of)):08x}" for name, of in arrays.items()},
     }
