@@ -428,7 +428,7 @@ def test_a_pause_of_the_reader_is_not_one_of_the_sensors():
         ("a", {}, "USB controller"),
         ("b", {"link": LinkFigures()}, "network"),
         ("a", {"simulated": True}, "This machine is too slow"),
-        ("b", {"recorded": True}, "disk or this machine"),
+        ("b", {"recorded": True}, "disk or this machine is too slow"),
     ],
 )
 def test_a_sensor_whose_frames_come_late_is_named_once(late, origin, blamed, lag_ms, words):
