@@ -124,8 +124,8 @@ RULES: dict[str, Rule] = {
         what="B captures {offset} ± {sd} ms off its time stamps",
         files="compare with `offset_ms={offset}`, which corrects it"),
     "upside_down": Rule(
-        "frames with the head below the feet", "%", below(90.0, 100.0), what="{who} upside down",
-        live="turn the sensor round", files="{righted}"),
+        "frames with the head below the feet", "%", below(90.0, 100.0), what="{who} is upside down",
+        live="turn the sensor round", files="state its `axes`, or its `orientation`"),
     "lacking": Rule(
         "joints in no frame of either view", "", below(0.0, inf), what="no view has {which} in any frame",
         limit="S* predicts what is not measured"),

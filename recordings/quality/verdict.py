@@ -140,13 +140,8 @@ def _has_another_part(figures: Figures) -> bool:
 
 def _missing(figures: Figures, live: bool) -> Iterator[Finding]:
     """Views that are upside down, and joints that neither has."""
-    limit = RULES["upside_down"].limits.good[1]
-    down = [side.upper() for side, share in figures["upside_down"].items() if 100.0 * (share or 0.0) > limit]
-    # one file alone has no other axes than its partner, and S* needs no turning
-    both = "if they are .csv files with the axes of the Kinect SDK, state `axes=kinect`"
-    who = f"{' and '.join(down)} {'is' if len(down) == 1 else 'are'}"
-    righted = both if len(down) == len(figures["upside_down"]) else ""
-    yield from judge("upside_down", 100.0 * bool(down), live=live, who=who, righted=righted)
+    for side, share in figures["upside_down"].items():
+        yield from judge("upside_down", 100.0 * (share or 0.0), side.upper(), live=live)
     lacking = [spoken(name) for name in figures["in_no_frame"]]
     more = f" and {len(lacking) - _NAMED} more" if len(lacking) > _NAMED else ""
     if figures["views_agree_mm"]["median"] is not None:

@@ -62,7 +62,7 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
 
 def detail_lines(figures: Figures) -> Iterator[Line]:
     """All other figures but those of each bone."""
-    yield from _counts(figures)
+    yield from _frames(figures, every=True)
     if "calibration" in figures:
         for k, text in enumerate(verdict(figures).sentences[1:]):
             yield Line("" if k else "Also", in_flags(text))
@@ -162,78 +162,53 @@ def _pace(figures: Figures) -> Line:
     )
 
 
-def _frames(figures: Figures) -> Iterator[Line]:
-    """In one line, what the frames lack."""
-    trouble: Figures = {}
-    rest: Figures = {}
-    network: list[str] = []
-    if "streams" in figures:
-        streams = figures["streams"]
-        for what, name in (
-            ("dropped (too slow)", "too_slow_for"),
-            ("lost on USB", "lost_on_usb"),
-            ("reconnects", "lost_and_back"),
-        ):
-            trouble |= {f"{what} {side.upper()}": streams[name][side] for side in "ab"}
+_COUNTS = {
+    "too slow for": "too_slow_for",
+    "lost on USB": "lost_on_usb",
+    "reconnects": "lost_and_back",
+    "without a partner": "dropped",
+    "alone": "alone",
+    "without a person": "without_person",
+    "repeated": "stale",
+}
+"""Of each sensor: what is counted, by its name in a report or in its ``streams``."""
+_ACTED_ON = ("too slow for", "lost on USB", "reconnects", "without a partner", "clocks reset")
+
+
+def _frames(figures: Figures, every: bool = False) -> Iterator[Line]:
+    """What the frames lack: what someone might act on, or `every` count."""
+    streams, frames = figures.get("streams", {}), figures["frames"]
+    links = figures.get("network", {})
+    live = bool(streams)
+    counts: Figures = {}
+    for what, name in _COUNTS.items():
+        if every or live == (name in streams):
+            counts |= {f"{what} {side.upper()}": (streams | figures).get(name, {}).get(side) for side in "ab"}
+    if live:
         sensors = {"sensor", "network"} & set(streams["origins"].values())
-        trouble["clocks reset" if sensors else "stalls of this machine"] = streams["clock_resets"]
-        for side, link in figures.get("network", {}).items():
-            if link["lost"] or link["malformed"] or link["restarts"] or link["clock_bound_ns"] is None:
-                network.append(f"{side.upper()}'s network: {_link(link)}")
-    else:
-        dropped, alone, absent = (figures[key] for key in ("dropped", "alone", "without_person"))
-        trouble = {f"without a partner {side.upper()}": dropped[side] for side in "ab"}
-        rest = {f"alone {side.upper()}": alone[side] for side in "ab"}
-        rest |= {f"without a person {side.upper()}": absent[side] for side in "ab"}
-        rest["of both"] = absent["both"]
-    told = [_listed(each) for each in (trouble, rest) if any(each.values())] + network
+        counts["clocks reset" if sensors else "stalls of this machine"] = streams["clock_resets"]
+    if every:
+        counts |= {what: streams.get(what.replace(" ", "_")) for what in ("late", "repeated", "out of order")}
+    told = [f"{what} {count}" for what, count in counts.items() if count]
+    warning = any(each.startswith(_ACTED_ON) for each in told)
+    for side, link in links.items():
+        bad = link["lost"] or link["malformed"] or link["restarts"] or link["clock_bound_ns"] is None
+        told += [f"{side.upper()}'s network: {_link(link)}"] * bool(every or bad)
+        warning |= bool(bad)
+    if every and streams.get("clock_offset_ms") is not None:
+        offset, drift = streams["clock_offset_ms"], streams["drift_ppm"]
+        told.append(f"B's clock less A's {offset:.1f} ms, drifting {drift:.0f} ppm")
     if figures.get("others_seen"):
         told.append(f"others seen in {in_percent(figures['others_seen'])}; S* follows one person")
-    if told:
-        frames = figures["frames"]
-        text = f"{frames['a']} of A, {frames['b']} of B; {', '.join(told)}."
-        yield Line("Frames", text, warning=any(trouble.values()) or bool(network))
-
-
-def _counts(figures: Figures) -> Iterator[Line]:
-    """How many frames were received, paired, dropped and late."""
-    frames, alone, dropped = figures["frames"], figures["alone"], figures["dropped"]
-    paired = f"{figures['paired']} frames of {frames['a']} (A) and {frames['b']} (B)"
-    if "streams" not in figures:
-        stale = figures["stale"]
-        yield Line(
-            "Paired",
-            f"{paired}; dropped {_count(dropped['a'])} and {_count(dropped['b'])}; "
-            f"repeated by the sensor {stale['a']} and {stale['b']}.",
-        )
-        return
-    streams = figures["streams"]
-    yield Line(
-        "Paired",
-        f"{paired}; alone {alone['a']} and {alone['b']}; "
-        f"of B {streams['unmatched_b']} that A has no frame for.",
-    )
-    put_right = {
-        "frames late": streams["late"],
-        "repeated": streams["repeated"],
-        "out of order": streams["out_of_order"],
-    }
-    if any(put_right.values()):
-        yield Line("", f"{_listed(put_right)}.")
-    for side, link in figures.get("network", {}).items():
-        yield Line("Network", f"{side.upper()}: {_link(link)}.")
-    if streams["clock_offset_ms"] is not None:
-        offset, drift = streams["clock_offset_ms"], streams["drift_ppm"]
-        yield Line("Clocks", f"B's clock less A's: {offset:.1f} ms, drifting {drift:.0f} ppm.")
-
-
-def _count(count: int | None) -> str:
-    return "an unknown number" if count is None else str(count)
+    if told or every:
+        paired = f"{figures['paired']} pairs of {frames['a']} (A) and {frames['b']} (B)"
+        yield Line("Frames", f"{', '.join([paired, *told])}.", warning=warning)
 
 
 def _link(link: Figures) -> str:
     counts = {"lost": link["lost"], "damaged messages": link["malformed"], "restarts": link["restarts"]}
-    text = f"frames arrived: {link['received']}, {_listed(counts) or 'none lost'}"
+    bad = ", ".join(f"{what} {count}" for what, count in counts.items() if count)
+    text = f"frames arrived: {link['received']}, {bad or 'none lost'}"
     if link["round_trip_ns"] is None or link["clock_bound_ns"] is None:
         return f"{text}; the clocks of the two PCs could not be related"
     trip_ms, bound_ms = link["round_trip_ns"] * 1e-6, link["clock_bound_ns"] * 1e-6
@@ -271,10 +246,6 @@ def _without_truth(figures: Figures) -> Iterator[Line]:
 def _times(ms: Figures, digits: int, unit: str) -> str:
     median, high, most = (f"{ms[key]:.{digits}f}" for key in ("p50", "p99", "max"))
     return f"{median} {unit} (median), 99 % {high} ms, max {most} ms"
-
-
-def _listed(counts: Figures) -> str:
-    return ", ".join(f"{what} {count}" for what, count in counts.items() if count)
 
 
 def in_mm(value: float | None, unit: str = " mm") -> str:

@@ -447,8 +447,8 @@ def test_a_sensor_whose_frames_come_late_is_named_once(late, origin, blamed, lag
     expected = [] if words is None else [f"The frames of {name} come {lag_ms} ms later than those of {other}"]
     assert [text[: len(expected[0])] for text in told] == expected
     assert words is None or (words in told[0] and blamed in told[0])
-    causes = ("USB", "network", "disk", "too slow")
-    assert all(cause in blamed for text in told for cause in causes if cause in text)
+    for cause in ("USB", "network", "disk", "too slow"):
+        assert cause in blamed or cause not in str(told)
 
 
 def test_a_sensor_that_does_not_open_closes_the_other(earlier_threads):

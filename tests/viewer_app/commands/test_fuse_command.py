@@ -54,7 +54,7 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(recordings, tmp_
     options = "--method", "paper", "--no-viewer", "--save", session, "--report", report, "--verbose"
     assert duplex("fuse", *recordings, *options) == 0
     said = " ".join(capsys.readouterr().out.split())
-    words = ("Paired 70 frames", "start-up pose", "axes are 85° apart", "Largest bone error", "ms per frame")
+    words = ("Frames 70 pairs", "start-up pose", "axes are 85° apart", "Largest bone error", "ms per frame")
     assert [each for each in words if each not in said] == []
     figures = figures_of(report)
     assert figures["paired"] == 70

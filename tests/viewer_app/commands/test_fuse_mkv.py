@@ -53,7 +53,7 @@ def test_recordings_with_skeletons_become_a_session_with_depth(recorded, given, 
     saved = tmp_path / "s.rrd"
     assert fuse(recorded, "--save", saved, "--verbose", *given) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert f"Paired {FRAMES} frames of {FRAMES} (A) and {FRAMES} (B)" in said
+    assert f"{FRAMES} pairs of {FRAMES} (A) and {FRAMES} (B)" in said
     assert "axes are 85° apart" in said
     assert "clock" not in said, "one clock by the cable: nothing to warn of"
     session = Session.open(saved)

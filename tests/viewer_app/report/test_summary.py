@@ -232,12 +232,10 @@ def test_views_that_are_upside_down_and_joints_that_none_has_are_named(session):
     )
     turned = replace(rows, positions_a=turned_a)
     figures = with_views(report(replace(session, rows=turned)), 30.0)
-    assert str(verdict(figures)) == "usable: A is upside down."
+    assert str(verdict(figures)) == "usable: A is upside down. State its `axes`, or its `orientation`."
     turned = replace(turned, positions_b=turned_b)
-    assert str(verdict(with_views(report(replace(session, rows=turned)), 30.0))) == (
-        "usable: A and B are upside down. If they are .csv files with the axes of the Kinect SDK, "
-        "state `axes=kinect`."
-    )
+    both = verdict(with_views(report(replace(session, rows=turned)), 30.0))
+    assert [each.side for each in both.findings] == ["A", "B"]
     lacking = [KINECT_V2.joint(name) for name in ("SpineBase", "ShoulderLeft")]
     states_a, states_b = rows.states_a.copy(), rows.states_b.copy()
     states_a[:, lacking] = 0
@@ -328,7 +326,7 @@ def test_a_sensor_without_a_frame_is_not_a_frame_without_a_person(session):
     assert figures["without_person"] == {"a": 3, "b": 1, "both": 2}
     assert figures["alone"] == {"a": 30, "b": 0}
     text = " ".join(said(figures, width=200).split())
-    assert "60 of A, 30 of B; alone A 30, without a person A 3, without a person B 1, of both 2." in text
+    assert "30 pairs of 60 (A) and 30 (B), alone A 30, without a person A 3, without a person B 1." in text
     assert "alone" not in said(report(session))
 
 
