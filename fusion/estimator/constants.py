@@ -116,8 +116,8 @@ class Constants(NamedTuple):
     scale_seconds: float = 0.6  # how long a scale lasts
     bone_sd: float = 0.03  # standard deviation of one bone's relative length within a view
     spread: float = 0.95
-    """Factor of all reported standard deviations, of the body's tracker; chosen so that 93 % of the
-    joints lie within two of them from the truth under every condition of ``tests.benchmarks.coverage``."""
+    """Factor of all reported standard deviations, of the body's tracker. ``tests.benchmarks.coverage`` shows
+    how many joints lie within them."""
     bones: bool = True
     """Whether the bones are held. An ablation only: S* always has its bones."""
     heading: bool = True
