@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from devices.pairing import median_interval, offset_by_arrival
+from devices.pairing import median_interval, nearest_of, offset_by_arrival
 from devices.people.placement import Placement, moments, placement_of
 from devices.people.recorded_people import Follow, OneRecording, RecordedPeople, SeenPerson
-from devices.people.room import FAR_M, NOBODY, Person, Room, Seen
+from devices.people.room import FAR_M, HOLD_NS, NOBODY, Person, Room, Seen
 from devices.people.tracks import Index, Tracks
 from fusion.rigid import RigidTransform
 from fusion.support.large_arrays import give_back
@@ -25,18 +25,37 @@ class _Someone:
     """Somebody in two recordings."""
 
     rows: tuple[Index, Index]  # their skeletons in either, numbers of rows
-    moments: Index
+    times: tuple[Index, Index]  # of these
     together: int  # moments at which both see them in one place
 
     @property
     def count(self) -> int:
         return len(self.rows[0]) + len(self.rows[1])
 
+    @property
+    def sights(self) -> Index:
+        return np.unique(np.concatenate(self.times))
+
     def then(self, other: _Someone) -> _Someone:
         """Who is this person, or the other one."""
-        rows = [np.sort(np.concatenate(both)) for both in zip(self.rows, other.rows, strict=True)]
-        at = np.concatenate((self.moments, other.moments))
-        return _Someone((rows[0], rows[1]), at, self.together + other.together)
+        rows, times = (
+            tuple(
+                np.concatenate(both) for both in zip(getattr(self, name), getattr(other, name), strict=True)
+            )
+            for name in ("rows", "times")
+        )
+        return _Someone((rows[0], rows[1]), (times[0], times[1]), self.together + other.together)
+
+    def long_after(self, sights: Index) -> _Someone:
+        """Who is seen only when somebody is out of sight for so long that another one is followed."""
+        away = [
+            np.abs(times - sights[nearest_of(times, sights)]) > HOLD_NS if len(times) else times == 0
+            for times in self.times
+        ]
+        rows, times = (
+            [of[kept] for of, kept in zip(each, away, strict=True)] for each in (self.rows, self.times)
+        )
+        return _Someone((rows[0], rows[1]), (times[0], times[1]), self.together)
 
 
 def follow_one_person(
@@ -117,10 +136,10 @@ def _followed(
     person = everyone.pop(int(np.argmin(np.where(seen >= _SEEN_FOR[follow] * seen.max(), angle, np.inf))))
     others = []
     for other in everyone:  # who is seen longest comes first
-        if np.isin(other.moments, person.moments).any():
+        if np.isin(other.sights, person.sights).any():
             others.append(other)
         else:
-            person = person.then(other)
+            person = person.then(other.long_after(person.sights))
     return [person, *others]
 
 
@@ -132,26 +151,23 @@ def _everyone(a: Tracks, b: Tracks, placed: Placement) -> list[_Someone]:
     index, times = index[order], times[order]
     if not (a.people.crowded or b.people.crowded) and _in_one_place(a, b, index, placed.a_from_b):
         rows = [np.flatnonzero(of.track >= 0) for of in (a, b)]
-        return [_Someone((rows[0], rows[1]), np.arange(len(index)), len(index))]
-    room, found = Room(a.people.body), dict[Person, tuple[list[int], list[int], list[int]]]()
+        at = a.people.time_ns[a.people.frame[rows[0]]], placed.time_b[b.people.frame[rows[1]]]
+        return [_Someone((rows[0], rows[1]), at, len(index))]
+    room, found = Room(a.people.body), dict[Person, list[tuple[int, int, int]]]()
     views = [_frames(of, numbers) for of, numbers in zip((a, b), index.T, strict=True)]
-    for n, (time_ns, *seen) in enumerate(zip(times.tolist(), *views, strict=True)):
+    for time_ns, *seen in zip(times.tolist(), *views, strict=True):
         room.observe(time_ns, seen, placed.a_from_b)
         for person in room.people:
-            if person.now == (None, None):
-                continue
-            of = found.setdefault(person, ([], [], []))
             for view, k in enumerate(person.now):
                 if k is not None:
-                    of[view].append(seen[view].names[k])
-            of[2].append(n)
+                    found.setdefault(person, []).append((view, seen[view].names[k], time_ns))
     people: dict[Person, _Someone] = {}
-    for person, of in found.items():
+    for person, bodies in found.items():
+        view, row, at = np.array(bodies, dtype=np.int64).T
+        in_a = view == 0
+        now = _Someone((row[in_a], row[~in_a]), (at[in_a], at[~in_a]), person.together)
         while person.into is not None:
             person = person.into
-        now = _Someone(
-            (np.array(of[0], np.int64), np.array(of[1], np.int64)), np.array(of[2]), person.together
-        )
         people[person] = people[person].then(now) if person in people else now
     return sorted(people.values(), key=lambda each: -each.count)
 

@@ -219,13 +219,14 @@ class Room:
         return math.dist(self._at[1 - view][other], self._at[view][k]) <= self._limit()
 
     def _cost(self, person: Person, view: int, k: int) -> float:
-        """How unlike somebody a body is; infinite for another person."""
+        """How unlike somebody a body is; infinite for another person. Who was seen long is likelier."""
+        known = math.log(person.measured + 1)
         other, place = person.now[1 - view], self._at[view][k]
         if other is not None and self._a_from_b is not None:
             far = math.dist(self._at[1 - view][other], place)
             if far > self._limit():
                 return np.inf
-            return 0.5 * (far / _PLACE_SD_M) ** 2 + 2.0 * math.log(_PLACE_SD_M)
+            return 0.5 * (far / _PLACE_SD_M) ** 2 + 2.0 * math.log(_PLACE_SD_M) - known
         own, by = person.sights[view], view
         if self._a_from_b is not None and person.seen_ns > own.seen_ns:
             by = 1 - view
@@ -244,7 +245,7 @@ class Room:
             bones = bones if np.isnan(differing) else differing
         sd = min(_RETURN_M + _WALK_M_S * seconds, _ROOM_M)
         # errors of the bones, and of a place on the floor
-        return 0.5 * (bones / _BONE_ERROR) ** 2 + 0.5 * (far / sd) ** 2 + 2.0 * math.log(sd)
+        return 0.5 * (bones / _BONE_ERROR) ** 2 + 0.5 * (far / sd) ** 2 + 2.0 * math.log(sd) - known
 
     def _bones(self, joints: Joints) -> Array:
         """(J,) metres; NaN of those not seen."""
