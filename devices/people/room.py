@@ -219,8 +219,8 @@ class Room:
         return math.dist(self._at[1 - view][other], self._at[view][k]) <= self._limit()
 
     def _cost(self, person: Person, view: int, k: int) -> float:
-        """How unlike somebody a body is; infinite for another person. Who was seen long is likelier."""
-        known = math.log(person.measured + 1)
+        """How unlike somebody a body is; infinite for another one. Who was seen briefly is unlikelier."""
+        known = math.log(min(person.measured, _BONES_EVERY) + 1)
         other, place = person.now[1 - view], self._at[view][k]
         if other is not None and self._a_from_b is not None:
             far = math.dist(self._at[1 - view][other], place)
@@ -308,15 +308,13 @@ class Room:
             return
         person.apart_ns = self._time_ns if person.apart_ns is None else person.apart_ns
         later = int(person.sights[1].since_ns >= person.sights[0].since_ns)
-        place, earlier = (self._at[0][a], self._at[1][b])[later], 1 - later
-        if apart > FAR_M or (
-            self._time_ns - person.apart_ns >= _SURE_NS
-            and any(
-                math.dist(self._at[earlier][k], place) < _SAME_PLACE_M
-                for of in self.people
-                if of is not person and (k := of.now[earlier]) is not None
-            )
-        ):
+        others = [
+            math.dist(self._at[view][k], place) < _SAME_PLACE_M
+            for view, place in enumerate((self._at[1][b], self._at[0][a]))
+            for k in range(len(self._at[view]))
+            if k != (a, b)[view]
+        ]  # whether either view has another one where the other view has the person
+        if apart > FAR_M or (self._time_ns - person.apart_ns >= _SURE_NS and any(others)):
             person.apart_ns = None
             person.sights[later].now = person.sights[later].track = None
 
@@ -354,7 +352,8 @@ class Room:
                 return
             changed = away_ns > WAIT_NS
             if not changed:
-                here = [person for person in here if not person.beside and self._is_like(person, followed)]
+                alone = len(here) == 1  # another person, if their bones differ
+                here = [of for of in here if not of.beside and (alone or self._is_like(of, followed))]
         if not here:
             return
         if self._follow == "longest":

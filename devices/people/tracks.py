@@ -176,7 +176,8 @@ def _number(  # type: ignore[no-untyped-def]
         for r in range(here):
             if number[s] >= 0:
                 apart = _apart(positions[r], held[s], mirror)
-                if apart <= _REACH_M + SPEED_M_S * 1e-9 * waited:
+                # who was hidden is found by the room, that knows the other view
+                if apart <= _REACH_M + SPEED_M_S * 1e-9 * min(waited, hold_ns / _HOLD):
                     cost[r, s] = apart
     for _ in range(here):
         least, row, slot = np.inf, -1, -1
