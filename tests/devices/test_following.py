@@ -176,15 +176,6 @@ def test_a_stranger_is_not_taken_while_the_person_is_out_of_sight(a_from_b):
     assert names(at_rate(*frames), a_from_b)[0] == ["1", *[None] * 100, "7"]
 
 
-@KNOWN
-def test_after_ten_seconds_another_one_is_followed_and_an_event_says_so(a_from_b):
-    stranger = {"2": still(2.5)}
-    chosen, events = names(at_rate({"1": still(0.0), **stranger}, *[stranger] * 310), a_from_b)
-    assert chosen[:300] == ["1", *[None] * 299]
-    assert chosen[-5:] == ["2"] * 5
-    assert sum("another one is followed" in event.text for event in events) == 1
-
-
 @pytest.mark.parametrize(("follow", "next_one"), [("middle", "3"), ("longest", "2")])
 def test_when_the_person_is_gone_the_one_in_the_middle_or_seen_longest_is_next(follow, next_one):
     one, two, three = {"1": still(0.0)}, {"2": still(2.5)}, {"3": still(0.8, 3.0)}
@@ -222,14 +213,6 @@ def test_nobody_and_bodies_without_a_position_are_no_choice(people):
     assert names(at_rate(people))[0] == [None]
     both = {**people, "2": still(0.0), "3": still(1.0)}
     assert names(at_rate(both, people))[0] == ["2", None]
-
-
-def test_others_are_told_once_by_an_event_and_their_end_by_another():
-    crowd, alone = {"1": still(0.0), "2": still(1.5)}, {"1": still(0.0)}
-    _, events = names(at_rate(*[alone] * 5, *[crowd] * 60, *[alone] * 90))
-    assert [(event.topic, event.phase) for event in events] == [("others", "start"), ("others", "end")]
-    assert "'1' of A" in events[0].text
-    assert names(at_rate(*[alone] * 5, *[crowd] * 5, *[alone] * 90))[1] == []
 
 
 def test_a_sensor_that_was_moved_splits_nobody():

@@ -214,3 +214,14 @@ def test_a_mirror_image_is_not_followed_in_a_recording():
     seen = recorded(frames)
     called = [({"1": 1, "77": 77}, {"1": 1})] * len(frames)
     assert set(who_is(frames, seen, called)) == {(1, 1), (None, 1)}
+
+
+def test_a_child_who_comes_alone_after_a_helper_is_followed_after_two_seconds():
+    child = walker(0).mean(axis=0)
+    frames = list(map(both, range(60)))
+    frames += [tuple(frame_of(k, side, []) for side in (0, 1)) for k in range(60, 90)]
+    small = [child + 0.65 * (walker(k) - child) for k in range(90, 160)]
+    frames += [tuple(frame_of(k, v, [("2", at)]) for v in (0, 1)) for k, at in enumerate(small, 90)]
+    seen, _ = live(frames)
+    assert all(a is None for a, _ in seen[90:120])
+    assert all(a is not None and b is not None for a, b in seen[125:])
