@@ -13,13 +13,17 @@ from fusion.body import Body
 from fusion.pair_arrays import Pairs, View
 from fusion.registration.clock_course import find_clock_course
 from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.clock_search import find_clock_offset
+from fusion.registration.clock_search import agreement, candidates, find_clock_offset, is_better
 from fusion.support.large_arrays import stored
 
 ONE_RUN_NS = 60_000_000_000
 """Two sensors whose first frames arrived at most so far apart were recorded by one run of the program."""
 _SECOND_NS, _STEADY_SECONDS = 1_000_000_000, 10  # from so many on, arrivals show a drift
-_CERTAIN = 4.0  # standard deviations of the growth of an offset that is corrected
+_BETTER, _ALIKE, _NAMED = 0.8, 1.1, 3  # of the distances of views at offsets that are named, and how many
+_JUMP, _MOST_JUMPS = 2.5, 8  # frame intervals, and jumps
+_CERTAIN, _FEWEST_NEW, _AS_WELL = 2.0, 12, 1.25  # standard errors, frames, and mean penalties
+_NEIGHBOURS, _RHYTHM = 2, 0.25  # frames, and the scatter of their skews compared with others
+_COUNTED, _ENOUGH = 3000, 0.995  # frames, and their share
 _GAP = 1.5
 """Frame intervals: if the nearest frame of the other recording is farther away, the other recording has a
 gap."""
@@ -155,11 +159,86 @@ def clock_by_motion(body: Body, a: View, b: View) -> ClockOffset | None:
     if found is None or found.sd_ns > 2.0 * interval:
         found = ClockOffset(0.0, float("inf"))
     found = find_clock_course(a, b, found)
-    if not abs(found.skew_ppm) > _CERTAIN * found.skew_sd_ppm:
-        found = replace(found, skew_ppm=0.0)
     most = np.abs(found.at(b.time_ns)).max()
     changes = found.skew_ppm != 0.0 or bool(found.steps)
-    return found if most >= 2 * interval / 3 and (changes or found.significant) else None
+    if most < 2 * interval / 3 or not (changes or found.significant):
+        return None
+    return replace(
+        found, offset_ns=found.offset_ns + _with_partners(a.time_ns, b.time_ns + found.at(b.time_ns))
+    )
+
+
+def clock_in_question(body: Body, a: View, b: View) -> str:
+    """A line with the offsets that may be right, where the motion does not tell; empty where none is."""
+    before, offered = candidates(body, a, b)
+    limit = np.inf if np.isnan(before) else _BETTER * before
+    best = [(ns, metres) for ns, metres in offered if metres < limit and metres < _ALIKE * offered[0][1]]
+    if not best or (abs(best[0][0]) < median_interval(a.time_ns) and not np.isnan(before)):
+        return ""
+    places = " or ".join(f"{ns * 1e-9:+.2f} s ({1e3 * metres:.0f} mm)" for ns, metres in best[:_NAMED])
+    instead = "" if np.isnan(before) else f", instead of {1e3 * before:.0f} mm as they are"
+    return (
+        f"The views agree best with B's clock at {places}{instead}; they are too short, or too alike, to be "
+        f"sure: `offset_ms={best[0][0] * 1e-6:.0f}` takes the first."
+    )
+
+
+def jumps_closed(body: Body, a: View, b: View) -> tuple[View, View]:
+    """The person in all frames of two recordings, with times that go on where one clock jumps ahead.
+
+    A jump may be a pause, or a clock that was set. Where only one recording has it, the motion tells which.
+    """
+    views, jumps = [a, b], []
+    for side, (view, other) in enumerate(((a, b), (b, a))):
+        steps, usual = np.diff(view.time_ns), median_interval(view.time_ns)
+        for k in np.flatnonzero(steps > _JUMP * usual).tolist():
+            first, end = np.searchsorted(other.time_ns, view.time_ns[k : k + 2])
+            if end - first > _JUMP:
+                jumps.append((int(steps[k]) - usual, side, int(k) + 1))
+    least = agreement(body, a, b) if jumps else np.zeros(0)
+    for longer_ns, side, k in sorted(jumps, reverse=True)[:_MOST_JUMPS]:
+        tried = list(views)
+        later = np.arange(len(views[side].time_ns)) >= k
+        tried[side] = views[side]._replace(time_ns=views[side].time_ns - longer_ns * later)
+        costs = agreement(body, *tried)
+        if _agrees(costs, least):
+            views, least = tried, costs
+    return views[0], views[1]
+
+
+def _agrees(costs: NDArray[np.float64], before: NDArray[np.float64]) -> bool:
+    """Whether views agree better than before, or in more frames as well."""
+    more = int(np.isfinite(costs).sum() - np.isfinite(before).sum())
+    as_well = np.nanmean(costs) < _AS_WELL * np.nanmean(before)
+    return is_better(costs, before, _CERTAIN) or bool(more > _FEWEST_NEW and as_well)
+
+
+def _with_partners(a_ns: NDArray[np.int64], b_ns: NDArray[np.int64]) -> float:
+    """What to add to B's times, up to some frames' certainty right, so that its frames have partners.
+
+    Where both have one rhythm, as of one computer that took their frames in turns, it tells the frames that
+    belong together. Else it is the least with which hardly a frame loses its partner.
+    """
+    interval = median_interval(a_ns)
+    nearest = nearest_of(b_ns, a_ns)
+    skews = [
+        b_ns - a_ns[np.clip(nearest + k, 0, len(a_ns) - 1)] for k in range(-_NEIGHBOURS, _NEIGHBOURS + 1)
+    ]
+    middles = [float(np.median(skew)) for skew in skews]
+    scatter = [float(np.median(np.abs(skew - middle))) for skew, middle in zip(skews, middles, strict=True)]
+    first, second = np.argsort(scatter, kind="stable")[:2].tolist()
+    if scatter[first] < _RHYTHM * scatter[second]:
+        return float(-middles[first])
+    some = slice(max(len(b_ns) - _COUNTED, 0) // 2, None)
+    b_ns = b_ns[some][:_COUNTED]
+    shifts = interval // 16 * np.arange(-8, 9)
+    counts = []
+    for shift in shifts.tolist():
+        near = nearest_of(b_ns + shift, a_ns)
+        paired = np.abs(a_ns[near] - b_ns - shift) <= interval // 2
+        counts.append(len(np.unique(near[paired])))
+    enough = shifts[np.array(counts) >= _ENOUGH * max(counts)]
+    return float(min(enough, key=abs))
 
 
 def clock_by_cable(

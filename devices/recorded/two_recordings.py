@@ -16,6 +16,8 @@ from devices.pairing import (
     Pairing,
     clock_by_cable,
     clock_by_motion,
+    clock_in_question,
+    jumps_closed,
     offset_by_arrival,
     pair_views,
 )
@@ -61,6 +63,7 @@ class TwoRecordings:
         stated: What was stated about the files.
         others: The people who are not followed, of each recording; None if there are none.
         people: If several are seen, those who are seen for some time; the one followed comes first.
+        question: Where the motion does not tell the clocks' offset, those that may be right, a line.
         orientations: Of both sensors; intrinsics, skeletons and depth images are of the upright sensors.
     """
 
@@ -75,6 +78,7 @@ class TwoRecordings:
     orientations: tuple[Orientation, Orientation] = (0, 0)
     others: tuple[RecordedPeople | None, RecordedPeople | None] = (None, None)
     people: tuple[SeenPerson, ...] = ()
+    question: str = ""
 
     @property
     def others_seen(self) -> float:
@@ -196,22 +200,25 @@ def read_two(
         for source, read in ((a, read_a), (b, read_b))
     )
     clock = by_arrival = None
+    question = ""
     if offset_ns is None:
         clock = by_arrival = offset_by_arrival(read_a.arrivals, read_b.arrivals)
         delay_ns = cable_delay_ns(read_a.sync, read_b.sync)
         if by_arrival is None:
+            if not (has_images(choice_a.path) or has_images(choice_b.path)):
+                going_on = jumps_closed(body, read_a.person, read_b.person)
+                read_a, read_b = map(_going_on, (read_a, read_b), going_on)
             clock = clock_by_motion(body, read_a.seen, read_b.seen)
+            question = "" if clock else clock_in_question(body, read_a.seen, read_b.seen)
         elif delay_ns is not None:
             times = read_a.person.time_ns, read_b.person.time_ns
             clock = by_arrival = clock_by_cable(by_arrival, delay_ns, *times)
         give_back()
-    pairing = pair_views(
-        body,
-        read_a.person,
-        read_b.person,
-        offset_ns=clock.at(read_b.person.time_ns) if clock is not None else offset_ns or 0,
-        every_frame=every_frame,
-    )
+    added_ns = clock.at(read_b.person.time_ns) if clock is not None else offset_ns or 0
+    try:
+        pairing = pair_views(body, read_a.person, read_b.person, offset_ns=added_ns, every_frame=every_frame)
+    except DeviceError as fault:
+        raise DeviceError(" ".join(filter(None, (str(fault), question)))) from None
     about_clocks = clock_warnings(read_a.sync, read_b.sync, pairing.pairs)
     if by_arrival is not None:
         about_clocks = [
@@ -223,14 +230,26 @@ def read_two(
             f"{_course_in_words(clock)} were added to B's times, so that both views show one motion. "
             "`offset_ms=MS` sets another correction."
         ]
-    warnings = *read_a.warnings, *read_b.warnings, *about_body, *about_clocks
+    questions = [question] if question else []
+    warnings = *read_a.warnings, *read_b.warnings, *about_body, *about_clocks, *questions
     path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
     name = tracker.full_name if tracked and tracker is not None else ""
     cameras, paths = (read_a.intrinsics, read_b.intrinsics), (path_a, path_b)
     turned = read_a.orientation, read_b.orientation
     others = read_a.others, read_b.others
     return TwoRecordings(
-        body, pairing, cameras, warnings, paths, name, clock, choice_a.stated, turned, others, people
+        body,
+        pairing,
+        cameras,
+        warnings,
+        paths,
+        name,
+        clock,
+        choice_a.stated,
+        turned,
+        others,
+        people,
+        question,
     )
 
 
@@ -292,6 +311,14 @@ def _as_body(view: View, body: Body, other: Body) -> View:
         return View(view.time_ns[rows], at, states)
 
     return joined_views(block(rows) for rows in parts(len(view.time_ns)))
+
+
+def _going_on(read: OneRecording, person: View) -> OneRecording:
+    """The same with other times of its frames, and a line where they are others."""
+    by_ns = int(read.person.time_ns[-1] - person.time_ns[-1])
+    jumped = f"{read.name}: by the movement, the clock jumped by {by_ns * 1e-9:.3f} s, as one that is set; "
+    told = [jumped + "from there, the times go on."] if by_ns else []
+    return replace(read, person=person, warnings=[*read.warnings, *told])
 
 
 def _course_in_words(clock: ClockOffset) -> str:

@@ -15,16 +15,20 @@ import numpy as np
 
 from fusion.pair_arrays import View
 from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.clock_search import frame_costs, refined_offset
+from fusion.registration.clock_search import frame_costs, is_better, refined_offset
 from fusion.support.types import Array
 
-_SHORTEST_NS = 20_000_000_000  # of what both recordings have in common
+_SHORTEST_NS = 10_000_000_000  # of what both recordings have in common
 _WINDOW_NS, _LONGEST_NS, _WINDOWS = 4_000_000_000, 60_000_000_000, 12
 _FEWEST = 4
+_CERTAIN = 2.0  # standard errors by which the views must agree better
 _CERTAIN_NS = 20_000_000  # standard deviation of the offset in a window that counts
 _OUTLIER = 3.0  # standard deviations: a window that is farther off counts no more
-_PRICE_OF_SLOPE, _PRICE_OF_STEP = 9.0, 8.0  # of the sum of squares in standard deviations
+_PRICE_OF_STEP = 8.0  # of the sum of squares in standard deviations
 _MOST_STEPS = 4
+_STEADY = 2.0  # usual intervals in which the offsets of a steady clock lie
+_MIDDLE_NS, _REACH_NS = 40_000_000_000, 1_000_000_000  # of what both saw, in which growth is searched
+_FASTEST_PPM, _APART_NS, _OFFSETS = 20_000, 33_333_333, 5  # the search's reach and its steps
 _LEAST_STEP, _OFF_STEP = 0.6, 0.4  # usual intervals: a step is some whole ones
 _SEARCH_STEPS = 8
 
@@ -45,40 +49,74 @@ def find_clock_course(a: View, b: View, middle: ClockOffset) -> ClockOffset:
         middle: Its result, or an offset of 0.
 
     Returns:
-        The same offset where the recordings overlap for less than 20 s, or where it is constant.
+        The same offset where the recordings overlap for less than 10 s, or where it is constant.
     """
     shifted = b._replace(time_ns=b.time_ns + round(middle.offset_ns))
     first, last = max(a.time_ns[0], shifted.time_ns[0]), min(a.time_ns[-1], shifted.time_ns[-1])
     if last - first < _SHORTEST_NS:
         return middle
-    windows = _measured(a, shifted, int(first), int(last))
-    if len(windows.time_ns) < _FEWEST:
+    centre = int(first + (last - first) // 2)
+    interval = float(np.median(np.diff(b.time_ns)))
+    windows, grown = _measured(a, shifted, int(first), int(last)), ClockOffset(0.0, np.inf)
+    untilted = windows
+    if len(windows.time_ns) < _FEWEST or np.ptp(windows.offset_ns) > _STEADY * interval:
+        grown = _grown(a, shifted, centre, int(last - first))
+        tilted = shifted._replace(time_ns=shifted.time_ns + grown.at(shifted.time_ns))
+        windows = _measured(a, tilted, int(first), int(last)) if grown.skew_ppm else untilted
+    if len(windows.time_ns) < (2 if grown.skew_ppm else _FEWEST):
         return middle
-    centre = first + (last - first) // 2
     lever = windows.time_ns - float(centre)
     sd = np.maximum(windows.sd_ns, _scatter(windows))
     constant, slope, slope_sd = _line(lever, windows.offset_ns, sd)
-    flat = _price(windows.offset_ns, float(np.median(windows.offset_ns)), sd)
-    grown = _price(windows.offset_ns, constant + slope * lever, sd) + _PRICE_OF_SLOPE
-    interval = float(np.median(np.diff(b.time_ns)))
-    stepped, breaks = _steps(windows.offset_ns, sd, interval)
-    known = replace(middle, sd_ns=min(middle.sd_ns, float(np.median(sd)) / len(sd) ** 0.5))
-    courses: list[ClockOffset] = []
-    if grown < flat:
-        growth = replace(known, skew_ppm=1e6 * slope, skew_sd_ppm=1e6 * slope_sd)
-        at = float(centre - round(middle.offset_ns))
-        courses.append(replace(growth, offset_ns=middle.offset_ns + constant, middle_ns=at))
-    if stepped < flat:
-        courses.append(_with_steps(a, shifted, windows, breaks, interval, known))
-    if not courses:
-        return replace(middle, skew_sd_ppm=1e6 * slope_sd)
-    # some windows tell steps from growth badly; all frames tell them well
+    at = float(centre - round(middle.offset_ns))
+    known = replace(
+        middle, sd_ns=min(middle.sd_ns, float(np.median(sd)) / len(sd) ** 0.5), skew_sd_ppm=1e6 * slope_sd
+    )
+    growth = replace(
+        known,
+        offset_ns=middle.offset_ns + grown.offset_ns,
+        skew_ppm=grown.skew_ppm,
+        middle_ns=at - grown.offset_ns,
+    )
+    finer = replace(growth, offset_ns=growth.offset_ns + constant, skew_ppm=grown.skew_ppm + 1e6 * slope)
+    courses = [growth, finer]
+    if len(untilted.time_ns) >= _FEWEST:
+        spread = np.maximum(untilted.sd_ns, _scatter(untilted))
+        flat = _price(untilted.offset_ns, float(np.median(untilted.offset_ns)), spread)
+        stepped, breaks = _steps(untilted.offset_ns, spread, interval)
+        if stepped < flat:
+            courses.append(_with_steps(a, shifted, untilted, breaks, interval, known))
     before = frame_costs(a, shifted, (0,))[0]
     timed = [b._replace(time_ns=b.time_ns + one.at(b.time_ns)) for one in courses]
-    gains = [before - frame_costs(a, view, (0,))[0] for view in timed]
-    means = [float(np.mean(gain[np.isfinite(gain)])) for gain in gains]
-    best = int(np.argmax(means))
-    return courses[best] if means[best] > 0.0 else middle
+    costs = [frame_costs(a, view, (0,))[0] for view in timed]
+    best = int(np.argmin([float(np.nanmean(cost)) for cost in costs]))
+    if is_better(costs[best], before, _CERTAIN):
+        return courses[best]
+    return replace(middle, skew_sd_ppm=1e6 * slope_sd)
+
+
+def _grown(a: View, b: View, centre: int, span: int) -> ClockOffset:
+    """The offset and its growth with which the middle of two registered views agrees best; 0 where no growth
+    is certainly better than none."""
+    half = min(span, _MIDDLE_NS) // 2
+    seen = a.chosen(np.flatnonzero(np.abs(a.time_ns - centre) <= half))
+    near = b.chosen(np.flatnonzero(np.abs(b.time_ns - centre) <= half + _REACH_NS))
+    best = ClockOffset(0.0, np.inf, middle_ns=float(centre))
+    if min(len(seen.time_ns), len(near.time_ns)) < 2:
+        return best
+    flat = least = frame_costs(seen, near, (0,))[0]
+    apart, step = _APART_NS, 1e6 * _APART_NS / half
+    for rates in (round(_FASTEST_PPM / step), 2, 2):
+        middle = best
+        for rate in (middle.skew_ppm + step * np.arange(-rates, rates + 1)).tolist():
+            offsets = (round(middle.offset_ns) + apart * np.arange(-_OFFSETS, _OFFSETS + 1)).tolist()
+            tilted = replace(best, offset_ns=0.0, skew_ppm=rate).at(near.time_ns)
+            costs = frame_costs(seen, near._replace(time_ns=near.time_ns + tilted), offsets)
+            k = int(np.argmin(np.nanmean(costs, axis=1)))
+            if np.nanmean(costs[k]) < np.nanmean(least):
+                least, best = costs[k], replace(best, offset_ns=float(offsets[k]), skew_ppm=rate)
+        apart, step = apart // 2, 0.5 * step
+    return best if is_better(least, flat, _CERTAIN) else replace(best, offset_ns=0.0, skew_ppm=0.0)
 
 
 def _measured(a: View, b: View, first: int, last: int) -> _Windows:

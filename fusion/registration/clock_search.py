@@ -81,7 +81,7 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     best = int(np.argmin(means))
     least_ns = 0.0
     for other in np.flatnonzero(known):
-        if other == best or _better(costs[best], costs[other]):
+        if other == best or is_better(costs[best], costs[other]):
             continue
         mismatch = [1.0 - peaks[k][1] for k in (other, best)]
         if abs(offsets[other] - offsets[best]) < _APART * _GRID_NS:  # both lead to one minimum
@@ -100,6 +100,35 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     if (elsewhere or apart) and found.sd_ns > _MOST_SD * max(every_a, every_b, _GRID_NS):
         return None
     return found
+
+
+def agreement(body: Body, a: View, b: View) -> Array:
+    """(_COMPARED,) penalties of the frames at the offset at which the registered views agree best."""
+    a, b = (view.chosen(np.flatnonzero(view.states.any(axis=1))) for view in (a, b))
+    if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
+        return np.full(_COMPARED, np.nan)
+    costs = frame_costs(a, b, [_near(a, b, offset) for offset, _ in _peaks(body, a, b, (0,))])
+    frames = np.isfinite(costs).sum(axis=1)
+    return np.asarray(costs[int(np.argmin(np.where(2 * frames >= frames.max(), _means(costs), np.inf)))])
+
+
+def candidates(body: Body, a: View, b: View) -> tuple[float, list[tuple[int, float]]]:
+    """How far apart the registered views are, metres, as they are, and at each offset, ns, at which they may
+    be nearer, the best one first: where the motion does not tell."""
+    if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
+        return np.nan, []
+    apart = b.time_ns[0] > a.time_ns[-1] or a.time_ns[0] > b.time_ns[-1]
+    base = int(a.time_ns[0] - b.time_ns[0]) if apart else 0
+    shifted = b._replace(time_ns=b.time_ns + base)
+    offsets = [_near(a, shifted, offset) for offset, _ in _peaks(body, a, shifted, (0,))]
+    squared = _squared(a, shifted, [-base, *offsets])
+    metres = [
+        float(np.sqrt(np.median(each[np.isfinite(each)]))) if np.isfinite(each).any() else np.nan
+        for each in squared
+    ]
+    enough = np.isfinite(squared).any(axis=2).sum(axis=1) >= _FEWEST
+    found = [(base + o, m) for o, m, known in zip(offsets, metres[1:], enough[1:], strict=True) if known]
+    return metres[0], sorted(found, key=lambda one: one[1])
 
 
 def part_offsets(body: Body, a: View, b: View) -> list[int]:
@@ -142,7 +171,7 @@ def best_offsets(a: View, b: View, offsets: Sequence[int]) -> list[int]:
     mean = _means(costs)
     best = min(known, key=mean.__getitem__)
     near = [k for k in known if mean[k] < _EQUAL * mean[best]]
-    worse = {k: k != best and _better(costs[best], costs[k]) for k in near}
+    worse = {k: k != best and is_better(costs[best], costs[k]) for k in near}
     enough = _AS_MANY * max(frames[k] for k in near if not worse[k])
     # the views' errors may make a repetition certainly worse; one so near to the best offset is none
     equal = [k for k in near if not worse[k] or abs(offsets[k] - offsets[best]) > _APART * _GRID_NS]
@@ -282,19 +311,24 @@ def _speed(time_ns: NDArray[np.int64], at: Array, sampling: Sampling) -> Array:
 def frame_costs(a: View, b: View, offsets_ns: Sequence[int]) -> Array:
     """(K, _COMPARED) mean robust penalty of the joints of registered views at K offsets, by frames of A; NaN
     without B."""
-    if not offsets_ns:
-        return np.zeros((0, _COMPARED))
-    chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
-    p = _tracked(a, chosen)
-    q = _at_times(b, a.time_ns[chosen] - np.array(offsets_ns, dtype=np.int64)[:, None])
-    seen = np.isfinite(sum_of_coordinates(p + q)).sum(axis=2) >= _FEWEST_JOINTS
-    q[~seen] = np.nan
-    R, t = robust_fits(p.reshape(1, -1, 3), q.reshape(len(q), -1, 3))
-    penalty = np.log1p(sum_of_coordinates((p - (q @ R[:, None].mT + t[:, None, None])) ** 2) / _FAR**2)
+    penalty = np.log1p(_squared(a, b, offsets_ns) / _FAR**2)
     known = np.isfinite(penalty)
     count = known.sum(axis=2)
     sums = np.where(known, penalty, 0.0).sum(axis=2)
     return np.asarray(np.where(count > 0, sums / np.maximum(count, 1), np.nan))
+
+
+def _squared(a: View, b: View, offsets_ns: Sequence[int]) -> Array:
+    """(K, _COMPARED, J) squared distances of the joints of registered views at K offsets."""
+    chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
+    p = _tracked(a, chosen)
+    if not offsets_ns:
+        return np.zeros((0, *p.shape[:2]))
+    q = _at_times(b, a.time_ns[chosen] - np.array(offsets_ns, dtype=np.int64)[:, None])
+    seen = np.isfinite(sum_of_coordinates(p + q)).sum(axis=2) >= _FEWEST_JOINTS
+    q[~seen] = np.nan
+    R, t = robust_fits(p.reshape(1, -1, 3), q.reshape(len(q), -1, 3))
+    return np.asarray(sum_of_coordinates((p - (q @ R[:, None].mT + t[:, None, None])) ** 2))
 
 
 def _tracked(view: View, index: NDArray[np.int64]) -> Array:
@@ -319,11 +353,11 @@ def _means(costs: Array) -> Array:
     return np.array([np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else np.inf for row in costs])
 
 
-def _better(one: Array, other: Array) -> bool:
-    """Whether one candidate's costs are certainly smaller than another's."""
+def is_better(one: Array, other: Array, certain: float = _CERTAIN) -> bool:
+    """Whether one candidate's costs are smaller than another's, by so many standard errors."""
     both = np.isfinite(one) & np.isfinite(other)
     if both.sum() < _FEWEST:  # the other one has hardly a frame in common with it
         return True
     gain = other[both] - one[both]
     error = _CORRELATED * float(gain.std()) / np.sqrt(len(gain))
-    return bool(gain.mean() > _CERTAIN * max(error, 1e-6))
+    return bool(gain.mean() > certain * max(error, 1e-6))

@@ -186,7 +186,7 @@ def check_related(
     raise CalibrationError(
         f"{a} and {b} cannot be of one person at the same time: the views differ by "
         f"{1e3 * plan.views_differ:.0f} mm after the best registration. Check that they belong together, and "
-        "their clocks; `force` fuses them all the same."
+        f"their clocks; `force` fuses them all the same. {read.question}"
     )
 
 

@@ -65,6 +65,12 @@ def test_case_4_a_clock_that_is_set_back(case):
     assert apart_mm(session) < 60.0
 
 
+def test_case_6_a_clock_one_percent_fast(case):
+    session = fuse(*case(6))
+    (ppm,) = re.findall(r"growing by ([-+.\d]+) millionths of the time", said(session))
+    assert float(ppm) == pytest.approx(-9_901, abs=2_200)  # 33 ms in the 15 s from the middle
+
+
 def test_case_7_a_csv_of_nuitrack(case):
     session = fuse(*case(7))
     assert said(session).count("the names of nuitrack; the axes unity") == 2

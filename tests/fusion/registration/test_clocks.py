@@ -196,7 +196,7 @@ def test_the_growth_of_an_offset_is_found():
         np.testing.assert_allclose(
             fast.time_ns + found.at(fast.time_ns) - far_ns, b.time_ns, atol=FRAME_NS / 5
         )
-        assert find_clock_course(a, fast.chosen(np.arange(500)), found) is found, "too short"
+        assert find_clock_course(a, fast.chosen(np.arange(250)), found) is found, "too short"
 
 
 @pytest.mark.parametrize("lost", [[300], [200, 201, 900]])
