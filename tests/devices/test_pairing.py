@@ -29,19 +29,21 @@ def frames_at(times_ns, person="0"):
     return [SensorFrame(t, {person: skeleton}) for t in times_ns]
 
 
-def test_frames_pair_with_the_nearest_within_half_a_frame():
-    a = frames_at([t * FRAME_NS for t in range(100)])
-    b = frames_at([t * FRAME_NS + 5_000_000 for t in range(100) if t not in (10, 11, 50)])
-    pairing = paired(a, b)
-    assert len(pairing.pairs) == 97
-    assert (pairing.dropped_a, pairing.dropped_b) == (3, 0)
-    assert {pair.skew_ns for pair in pairing.pairs} == {5_000_000}
+EVERY = frames_at([t * FRAME_NS for t in range(100)])
+
+
+@pytest.mark.parametrize("off", [5_000_000, 15_000_000])
+def test_frames_pair_with_the_nearest_within_half_a_frame(off):
+    """Also where they are logged in twos: every second one is stamped too late, and the others too early."""
+    b = frames_at([t * FRAME_NS + (-1) ** t * off for t in range(100) if t not in (10, 11, 50)])
+    pairing = paired(EVERY, b, every_frame=True)
+    assert (pairing.alone_a, pairing.dropped_a, pairing.dropped_b) == (3, 0, 0)
+    assert {abs(pair.skew_ns) for pair in pairing.pairs if pair.b} == {off}
 
 
 def test_frames_in_a_gap_of_the_other_recording_are_given_alone():
-    a = frames_at([t * FRAME_NS for t in range(100)])
     b = frames_at([t * FRAME_NS for t in range(10, 90) if not 40 <= t < 60])
-    pairing = paired(a, b)
+    pairing = paired(EVERY, b)
     alone = [pair.time_ns // FRAME_NS for pair in pairing.pairs if pair.b is None]
     assert alone == list(range(41, 59))  # the gap's edges are within 1.5 frames of a frame of B
     assert (pairing.alone_a, pairing.dropped_a) == (18, 22)
@@ -66,9 +68,8 @@ def test_every_frame_is_kept_for_a_method_that_takes_single_views():
 
 
 def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a():
-    a = frames_at([t * FRAME_NS for t in range(100)])
     b = frames_at([t * FRAME_NS + 7_000_000_000 for t in range(100)])
-    pairing = paired(a, b, offset_ns=-6_990_000_000)
+    pairing = paired(EVERY, b, offset_ns=-6_990_000_000)
     assert len(pairing.pairs) == 100
     assert {pair.skew_ns for pair in pairing.pairs} == {10_000_000}
     assert pairing.pairs[5].b.time_ns == 5 * FRAME_NS + 7_000_000_000  # on its own clock
@@ -188,8 +189,6 @@ def test_what_needs_too_much_memory_is_refused():
 
 LIMITED = """
 import resource
-from devices.capture.stream_pairing import LivePairing
-from devices.pairing import _least_interval, _moments
 from devices.recorded.apart import items_of
 from tests.helpers.unreliable import counts
 resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30))
@@ -210,8 +209,6 @@ def test_the_standard_input_is_empty():
 
 PRESSED = """
 import os, signal, threading
-from devices.capture.stream_pairing import LivePairing
-from devices.pairing import _least_interval, _moments
 from devices.recorded.apart import items_of
 from tests.helpers.unreliable import counts
 
@@ -246,8 +243,6 @@ def test_who_stops_reading_ends_the_process():
 
 ENDS_AT_ONCE = """
 import os
-from devices.capture.stream_pairing import LivePairing
-from devices.pairing import _least_interval, _moments
 from devices.recorded.apart import items_of
 from tests.helpers.unreliable import tells_its_process
 print(next(items_of(tells_its_process, seconds=60.0, memory=4 << 30)), flush=True)
