@@ -259,7 +259,7 @@ class LivePairing:
         return [FramePair(a and a.frame, b and b.frame, pair)]
 
     def _has_waited(self, stream: IncomingStream, other: IncomingStream, now_ns: int) -> bool:
-        """Whether the partner of a stream's oldest frame would have come by now, or too many frames wait.
+        """Whether the partner of a stream's oldest frame would have come by now.
 
         =============================== ============================================================
         the other sensor                a frame waits, after its arrival, until

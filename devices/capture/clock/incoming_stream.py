@@ -59,11 +59,12 @@ class IncomingStream:
         timing = self.clock.observe(frame.time_ns, now_ns if frame.host_ns is None else frame.host_ns)
         if timing is Timing.RESET:
             return "resets"
-        if frame.time_ns < max(times, default=frame.time_ns):
+        overtaken = frame.time_ns < max(times, default=frame.time_ns)
+        if overtaken:
             self.overtakes_until_ns = now_ns + _SLOWEST_NS
         if timing is Timing.LATE or (self.used_ns is not None and frame.time_ns <= self.used_ns):
             return "late"
-        return "reordered" if frame.time_ns < max(times, default=frame.time_ns) else ""
+        return "reordered" if overtaken else ""
 
     def take(self, frame: SensorFrame, now_ns: int, clock_ns: int | None) -> None:
         """Gives a frame its moment and its place among those that wait.
