@@ -73,6 +73,7 @@ class LivePairing:
         self._one_clock = False  # whether the master on the cable has set the subordinate's clock
         self._counts: Counter[str] = Counter()
         self._time = OutputTime()
+        self._given_ns = [-(1 << 63), -(1 << 63)]  # own times of the newest frames of A and of B
         self._skew_ns: int | None = None
 
     @property
@@ -250,7 +251,13 @@ class LivePairing:
             time_ns = self._time.of_sensor(a.frame.time_ns, a.moment_ns)
         elif b is not None:
             time_ns = self._time.of_host(b.moment_ns + self._b.delay_ns, b.frame.time_ns)
-        given_ns = self._time.forward(time_ns, self.interval_ns // 2, lone=not (a and b))
+        apart_ns = self.interval_ns
+        for k, taken in enumerate((a, b)):
+            if taken is not None:
+                step_ns = taken.frame.time_ns - self._given_ns[k]
+                apart_ns = min(apart_ns, step_ns) if step_ns > 0 else apart_ns  # it may be faster than it says
+                self._given_ns[k] = taken.frame.time_ns
+        given_ns = self._time.forward(time_ns, apart_ns // 2, lone=not (a and b))
         if given_ns is None:
             self._counts["late"] += (a is not None) + (b is not None)
             return []

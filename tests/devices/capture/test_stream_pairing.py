@@ -295,6 +295,14 @@ def test_fifteen_pairs_on_a_cable_tell_the_offset_of_two_clocks(count):
     assert pairing.figures.offset_ns == ahead_ns - (6 * MILLISECOND_NS if count < 15 else 0)
 
 
+@pytest.mark.parametrize("sides", ["a", "ab"])
+def test_no_frame_is_late_of_a_sensor_that_is_faster_than_it_says(sides):
+    seen = [shots(side, 2, fps=90.0) for side in sides]
+    right, found = (LivePairing(ns, sync_delay_ns=0) for ns in (INTERVAL_NS // 3, INTERVAL_NS))
+    run(right, *seen), run(found, *seen)
+    assert found.figures.late <= right.figures.late
+
+
 @given(st.lists(st.tuples(st.integers(0, 10**9), st.booleans()), min_size=1), st.integers(1, 10**8))
 @example([(0, False), (0, False)], 2)
 @example([(10, False), (9, False)], 2)
