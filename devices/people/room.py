@@ -99,6 +99,9 @@ class Room:
     def __init__(self, body: Body, follow: Follow = "middle") -> None:
         self._body, self._follow = body, follow
         self._met: dict[tuple[Person, Person], int] = {}  # since when two people are in one place
+        self._far: dict[
+            tuple[int | None, int | None], int
+        ] = {}  # since when tracks of A and B are in two places
         self._pairs: dict[tuple[Person, Person], deque[tuple[int, Joints, Joints]]] = {}
         self._given: RigidTransform | None = None
         self._a_from_b: list[list[float]] | None = None  # (3, 4)
@@ -144,6 +147,7 @@ class Room:
             self._look_for_a_move(self.followed)
 
     def _put(self, a_from_b: RigidTransform | None) -> None:
+        self._far = {}
         self._a_from_b = None if a_from_b is None else _rows_of(a_from_b)
 
     def _own(self, person: Person, view: int, k: int) -> None:
@@ -267,6 +271,13 @@ class Room:
 
     def _compare(self) -> None:
         """Separates what two views have of different people, and joins what they have of one."""
+        here = [zip(of.tracks, at, strict=True) for of, at in zip(self._seen, self._at, strict=True)]
+        far: dict[tuple[int | None, int | None], int] = {}
+        for (a_track, at), (b_track, b_at) in product(*here) if self._a_from_b is not None else ():
+            since = self._far.get((a_track, b_track), self._time_ns)
+            if self._time_ns - since >= _SURE_NS or math.dist(at, b_at) > 2.0 * FAR_M:
+                far[a_track, b_track] = since
+        self._far = far
         only: tuple[list[Person], list[Person]] = [], []
         for person in self.people:
             in_a, in_b = person.now
@@ -283,7 +294,7 @@ class Room:
             if self._a_from_b is None:
                 if self._are_alone() and self._is_gone(a.sights[1]) and self._is_gone(b.sights[0]):
                     self._join(a, b)
-            elif apart <= _SAME_PLACE_M:
+            elif apart <= _SAME_PLACE_M and not self._are_two(a, b):
                 near.append((apart, a, b))
         met: dict[tuple[Person, Person], int] = {}
         for _, a, b in sorted(near, key=lambda each: each[0]):
@@ -292,6 +303,11 @@ class Room:
                 if self._time_ns - met[a, b] >= _SURE_NS:
                     self._join(a, b)
         self._met = met
+
+    def _are_two(self, a: Person, b: Person) -> bool:
+        """Whether the tracks were in two places before they came together."""
+        since = self._far.get((a.sights[0].track, b.sights[1].track))
+        return since is not None and self._time_ns - since >= _SURE_NS
 
     def _separate(self, person: Person, a: int, b: int) -> None:
         """Whether both views have one person; the later one is somebody else otherwise."""
