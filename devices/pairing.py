@@ -64,8 +64,8 @@ def pair_views(
     Args:
         a, b: The person in all frames of each recording.
         offset_ns: Added to the times of B, one or (T,), so that both are on A's clock.
-        every_frame: Whether all other lone frames are given, too, but those within half an interval of
-            another moment. The paper's methods fuse pairs.
+        every_frame: Whether all other lone frames are given, too, but those within half an interval of an
+            earlier moment. The paper's methods fuse pairs.
 
     Raises:
         DeviceError: A recording is empty, or the two never overlap in time.

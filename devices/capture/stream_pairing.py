@@ -255,9 +255,8 @@ class LivePairing:
         for k, taken in enumerate((a, b)):
             if taken is not None:
                 step_ns = taken.frame.time_ns - self._given_ns[k]
-                apart_ns = (
-                    min(apart_ns, step_ns) if step_ns > 0 else apart_ns
-                )  # it may be faster than it says
+                if step_ns > 0:  # it may be faster than it says
+                    apart_ns = min(apart_ns, step_ns)
                 self._given_ns[k] = taken.frame.time_ns
         given_ns = self._time.forward(time_ns, apart_ns // 2, lone=not (a and b))
         if given_ns is None:

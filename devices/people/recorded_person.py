@@ -120,7 +120,7 @@ def _followed(
     """Everybody in two recordings, the person to follow first; None if both ids are not of one person."""
     everyone = _everyone(*tracks, placed)
     if ids != (None, None):
-        named = set()
+        named, alone = set(), []
         for view, (of, name) in enumerate(zip(tracks, ids, strict=True)):
             if name is not None:
                 rows = of.people.rows_of([name])
@@ -128,7 +128,11 @@ def _followed(
         if len(named) > 1:
             return None
         person = everyone.pop(named.pop())
-        return [person, *everyone]
+        for of, name, rows, times in zip(tracks, ids, person.rows, person.times, strict=True):
+            own = np.isin(rows, of.people.rows_of([name])) if name is not None else np.ones(len(rows), bool)
+            alone.append((rows[own], times[own]) if not of.people.crowded else (rows, times))
+        rows, times = zip(*alone, strict=True)
+        return [_Someone(rows, times, person.together), *everyone]
     seen = np.array([each.together for each in everyone])
     if not seen.any():
         return None

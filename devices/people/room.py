@@ -99,9 +99,7 @@ class Room:
     def __init__(self, body: Body, follow: Follow = "middle") -> None:
         self._body, self._follow = body, follow
         self._met: dict[tuple[Person, Person], int] = {}  # since when two people are in one place
-        self._far: dict[
-            tuple[int | None, int | None], int
-        ] = {}  # since when tracks of A and B are in two places
+        self._far: dict[tuple[int | None, int | None], int] = {}  # since when tracks are in two places
         self._pairs: dict[tuple[Person, Person], deque[tuple[int, Joints, Joints]]] = {}
         self._given: RigidTransform | None = None
         self._a_from_b: list[list[float]] | None = None  # (3, 4)

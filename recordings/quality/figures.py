@@ -77,7 +77,7 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figur
         "without_person": {
             "a": int((empty_a & gave_a).sum()),
             "b": int((empty_b & gave_b).sum()),
-            "both": int((~seen.any(axis=0)).sum()),
+            "both": int((empty_a & gave_a & empty_b & gave_b).sum()),
         },
         "settings": {name: getattr(settings, name) for name in ("method", "h", "weights", "smoothing")},
         "calibration": {

@@ -111,7 +111,7 @@ def compared(off: Figures | None, loaded: bool, live: bool = True) -> Iterator[F
     if off is not None:
         turn, shift = off["turn_deg"], off["shift_mm"]
         allowed = 0.0 if loaded and turn_sd <= RULES["unconfirmed"].limits.good[1] else 2.0 * turn_sd
-        value = max((turn - allowed) / _TURNED_DEG, shift / _SHIFTED_MM)
+        value = 0.0 if turn < allowed else max((turn - allowed) / _TURNED_DEG, shift / _SHIFTED_MM)
         again = "restart without the calibration file" if loaded else "walk a few steps"
         yield from judge(
             "moved",

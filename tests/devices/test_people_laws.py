@@ -203,6 +203,19 @@ def test_a_skeleton_that_is_repeated_for_more_than_a_second_is_nobody(begin, rep
         assert [a is None for a, _ in seen] == [not one_view and of for of in stale]
 
 
+def test_two_people_who_hide_each_other_for_half_a_second_stay_two():
+    """Seen apart for 3 s; then each view sees only one of them, both in nearly one place."""
+    frames, names = [], []
+    for k in range(200):
+        away = max(0.2, 1.5 - 0.015 * max(0, k - 15))
+        people = [("0", walker(k)), ("1", walker(k) + (away, 0.0, 0.0))]
+        hide = 100 <= k < 115
+        frames.append((frame_of(k, 0, people[:1] if hide else people), frame_of(k, 1, people[hide:])))
+        names.append(({"0": 0, "1": 1},) * 2)
+    for seen in (live(frames)[0], recorded(frames)):
+        assert len({who for pair in who_is(frames, seen, names) for who in pair} - {None}) == 1
+
+
 def test_a_mirror_image_is_not_followed_in_a_recording():
     """It is seen by A alone, all the time; the person for less."""
     frames = []
