@@ -108,9 +108,10 @@ class Coach:
         time = frame.pair.time_ns * 1e-9
         self._began = time if self._began is None else self._began
         if now.calibration is not self._calibration:
+            if self._calibration is None or self._calibration.provisional:
+                # distances under a guess say nothing; a refinement changes them by little, and comes often
+                self._moments = deque(each._replace(apart=math.nan, error=math.nan) for each in self._moments)
             self._calibration, self._room = now.calibration, self._best_room(now.calibration)
-            # distances under another calibration say nothing of this one
-            self._moments = deque(each._replace(apart=math.nan, error=math.nan) for each in self._moments)
         self._remember(frame, now, time)
         return followed((*self._views(frame, now, time), *self._placement(frame, now)))
 

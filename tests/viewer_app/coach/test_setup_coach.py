@@ -121,8 +121,9 @@ def watched(
     b_other=False,
     origins=("sensor", "sensor"),
     frames=None,
+    refined=False,
 ):
-    """The coach's findings after some seconds of unchanged frames."""
+    """The coach's findings after some seconds of unchanged frames; ``refined``: the calibration, each second."""
     now = now or Situation(KNOWN, final=True, held=0.0)
     coach = Coach(BODY, (CAMERA, CAMERA), origins=origins)
     fuser, fused_first = Fuser(FusionSetup(now.calibration)), None
@@ -142,6 +143,8 @@ def watched(
         pair = frame_pair(SensorFrame(time_ns, people[0]), from_b, "1", time_ns)
         if b_other:  # B's only person is not the one followed
             pair = replace(pair, skeletons=replace(pair.skeletons, b=None))
+        if refined and k % 30 == 0:
+            now = replace(now, calibration=replace(now.calibration))
         drops = replace(now, dropped=(k * dropping, 0), lost=(0, k * losing))
         fused_first = fused_first or fuse_one(fuser, pair)  # nobody moves
         frame = replace(fused_first, pair=pair)
@@ -207,6 +210,12 @@ def test_coach_and_verdict_have_the_same_word_for_the_same_frames(angle, away, l
         for of in (found, told)
     ]
     assert both[0] == both[1]
+
+
+@pytest.mark.parametrize("refined", [False, True])
+def test_views_that_differ_are_told_while_the_calibration_is_refined(refined):
+    moved = replace(A_FROM_B, translation=A_FROM_B.translation + (0.1, 0.0, 0.0))
+    assert "views" in {each.rule for each in watched(really=moved, refined=refined)}
 
 
 def test_a_tall_person_fits_into_the_image_at_the_nearest_distance():
