@@ -123,7 +123,7 @@ def watched(
     frames=None,
     refined=False,
 ):
-    """The coach's findings after some seconds of unchanged frames; ``refined``: the calibration, each second."""
+    """The findings after some seconds of unchanged frames; ``refined``: the calibration is, each second."""
     now = now or Situation(KNOWN, final=True, held=0.0)
     coach = Coach(BODY, (CAMERA, CAMERA), origins=origins)
     fuser, fused_first = Fuser(FusionSetup(now.calibration)), None

@@ -61,7 +61,7 @@ def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_fo
     assert duplex("fuse", *paths, "--no-viewer", "--tracker", "blazepose", "--save", saved, "--verbose") == 0
     said = " ".join(capsys.readouterr().out.split())
     frames = round(SECONDS / (INTERVAL_US * 1e-6))
-    assert f"Paired {frames} frames of {frames} (A) and {frames} (B)" in said
+    assert f"{frames} pairs of {frames} (A) and {frames} (B)" in said
 
     session = Session.open(saved)
     assert session.damage is None
