@@ -125,16 +125,6 @@ class Cause(Enum):
         "install pyk4a built on the same SDK as libk4abt, not pyk4a-bundle."
     )
     # --- Frames are missing
-    # A gap in the sensor's times, though this program emptied the SDK's queue in time.
-    LOST_ON_USB = (
-        "{count} frames of {label} were lost on USB in {seconds:g} s (limit {most}). Give it a USB "
-        "controller of its own."
-    )
-    # The SDK's queue was full, or the reader's.
-    TOO_FAST = (
-        "{count} frames of {label} came too fast for this machine in {seconds:g} s (limit {most}). Close "
-        "other programs."
-    )
     # Its frames come more than 0.1 s later after their capture than the other sensor's.
     LATE = (
         "The frames of {label} come {late_ms:.0f} ms later than those of {other}, which wait for them. "
@@ -150,8 +140,6 @@ class Cause(Enum):
         "The frames of {label} come {late_ms:.0f} ms later than those of {other}: too late for pairs. "
         "{slower}"
     )
-    # The times of its frames jump, or go back.
-    CLOCK_SET = "The clock of {label} was set, or started anew; its times go on."
     # --- Closing
     # Closing takes long, and it is known what it waits for.
     CLOSES_LATER = "{label} does not close yet: it waits for {waits_for}. It closes by itself after that."

@@ -156,11 +156,7 @@ class TwoSensors:
             if arrival.opening != self._openings[side]:
                 self._openings[side] = arrival.opening
                 pairs += self._pairing.restart(side)
-            resets = self._pairing.resets
             pairs += self._pairing.add(side, arrival.frame, arrival.at_ns)
-            sensor = dict(self._sides)[side].sensor
-            if self._pairing.resets > resets and origin_of(sensor) in ("sensor", "network"):
-                self._say(Cause.CLOCK_SET.says(label=sensor.name))
         for side, thread in self._sides:
             if thread.gone:
                 self._pairing.set_gone(side, True)

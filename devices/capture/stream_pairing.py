@@ -84,11 +84,6 @@ class LivePairing:
         return replace(now, **self._counts)  # type: ignore[arg-type]
 
     @property
-    def resets(self) -> int:
-        """How often a sensor's clock was set or started anew, without being reopened."""
-        return self._counts["resets"]
-
-    @property
     def lag_ns(self) -> int:
         """How much later after their capture B's frames come than A's: median of one second, ns."""
         a, b = self._a.usual_lag_ns(), self._b.usual_lag_ns()

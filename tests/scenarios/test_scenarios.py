@@ -29,7 +29,7 @@ def _pattern(text):
 
 
 _PATTERNS = {cause: re.compile(_pattern(in_flags(cause.value))) for cause in Cause}
-_SLOW_MACHINE = {Cause.TOO_FAST, Cause.LOST_ON_USB, Cause.LATE, Cause.TOO_LATE}
+_SLOW_MACHINE = {Cause.LATE, Cause.TOO_LATE}
 """Told rightly on a busy machine, the rig's bus included."""
 _ELSEWHERE = {
     Cause.NO_MORE_RECORDED: "tests/devices/capture/test_sensor_thread.py: of played recordings",
@@ -42,7 +42,6 @@ _ELSEWHERE = {
     Cause.FEW_IMAGES: "tests/devices/test_vendor_contract.py: the rig has no dark room",
     Cause.LATE_IMAGES: "tests/devices/test_vendor_contract.py: in virtual time",
     Cause.TOO_LATE: "tests/devices/capture/test_device_faults.py: in injected time",
-    Cause.TOO_FAST: "tests/viewer_app/coach/test_setup_coach.py: the machine must be too slow",
     Cause.LEFT_BEHIND: "tests/devices/capture/test_device_faults.py: a driver that never returns",
 }
 """Causes that no scenario shows: where they are tested, and why."""

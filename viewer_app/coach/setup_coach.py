@@ -212,6 +212,8 @@ class Coach:
         if self._began is None or time - self._began < _RATE_WINDOW:
             return
         last = [each for each in self._moments if time - each.time <= _RATE_WINDOW]
+        if time - last[0].time < _RATE_WINDOW - _GONE:  # both were gone until now
+            return
         came = [each.time for each in last if each.views[k].came]
         dropped, lost = last[-1].dropped[k] - last[0].dropped[k], last[-1].lost[k] - last[0].lost[k]
         yield from judge("slow", 100.0 * dropped / max(1, dropped + len(came)), side)

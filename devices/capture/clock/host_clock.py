@@ -9,7 +9,7 @@ import numpy as np
 
 from devices.sensor import SensorFrame
 
-_SAME_CLOCK_NS = 5_000_000_000
+_SAME_CLOCK_NS = 60_000_000_000  # a frame may be held up for some seconds by its tracker
 _SHORTEST_NS, _SLOW = 3_000_000, 0.2  # of own time per frame, and as a share of that between arrivals
 _JUDGED_NS, _FEWEST = 250_000_000, 8  # for how long, and from how many frames on, that is judged
 _UNITS = {1_000_000: "milliseconds", 1_000: "microseconds", 100: "ticks of 100 ns"}

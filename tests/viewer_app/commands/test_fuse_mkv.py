@@ -154,5 +154,5 @@ def test_the_body_tracker_runs_over_both_recordings(standin, tmp_path, capsys):
         *("--k4abt", tmp_path / "libk4abt.so", "--calibrate", "seconds:5", "--verbose"),
     )
     assert code == 0
-    assert "Paired 40 frames" in " ".join(capsys.readouterr().out.split())
+    assert "40 pairs of 40" in " ".join(capsys.readouterr().out.split())
     assert rows_of(saved, "/fused/skeleton") == 40
