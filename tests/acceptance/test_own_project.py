@@ -35,5 +35,5 @@ def test_five_lines_verify_a_session(walk, tmp_path, home):
     assert codes == [0, 0, 0, 1], said
     failed = said[-1][1]
     assert "walk.rrd is poor; asked for was usable." in failed
-    assert re.search(r"\d s poor: the views are \d+ mm apart", failed)
+    assert re.search(r"\d s poor: B captures -4\d\d ± \d+ ms off its time stamps", failed)
     assert "to see it:    duplex review walk.rrd" in failed

@@ -85,7 +85,7 @@ def test_a_bad_set_up_is_told_while_the_sensors_are_placed(screen, seen, tmp_pat
         assert eventually(told, _DRAWN_WITHIN, every=0.5), demonstration.said
         seen(pictures[0], "-setup")
         demonstration.end()
-    assert "Move them further apart round the person." in demonstration.said
+    assert "Move B away from A, round you, to 90°." in demonstration.said, demonstration.said
 
 
 @pytest.fixture(scope="module")
