@@ -107,12 +107,16 @@ def _moments(
         for side, (own, other) in enumerate((times, times[::-1])):
             kept[np.isin(frames[:, side], _in_gaps(own, other))] = True
     order = np.flatnonzero(kept)[np.argsort(time_ns[kept], kind="stable")]
-    moments, lone, crowded = time_ns[order].tolist(), ~paired[order], set[int]()
-    for k in (np.flatnonzero(np.diff(moments) < interval_ns // 2) + 1).tolist():
-        before = next(m for m in range(k - 1, -1, -1) if m not in crowded)
-        if lone[k] and moments[k] - moments[before] < interval_ns // 2:
-            crowded.add(k)  # it is of a moment that is there
-    order = np.delete(order, sorted(crowded))
+    crowded, last_ns = [], int(time_ns[order[0]]) - interval_ns
+    if np.diff(time_ns[order]).min(initial=interval_ns) < interval_ns // 2:
+        for k, (own_ns, is_pair) in enumerate(
+            zip(time_ns[order].tolist(), paired[order].tolist(), strict=True)
+        ):
+            if is_pair or own_ns - last_ns >= interval_ns // 2:
+                last_ns = own_ns
+            else:
+                crowded.append(k)  # it is of a moment that is there
+    order = np.delete(order, crowded)
     return frames[order], time_ns[order], np.where(paired, at_b - at_a, 0)[order]
 
 

@@ -276,9 +276,10 @@ class LivePairing:
         machine does, delays the partner too, so the patience begins with the arrival at the earliest.
         """
         at_ns, due_ns, _ = stream.waiting[0]
-        patience_ns, next_ns = self.interval_ns, other.next_after(due_ns - self.interval_ns // 2, now_ns)
+        patience_ns, half_ns = self.interval_ns, self.interval_ns // 2
+        next_ns = other.next_near(due_ns, half_ns, now_ns)
         if next_ns is not None:
-            if next_ns > due_ns + self.interval_ns // 2 + PATIENCE_NS:
+            if next_ns > due_ns + half_ns + PATIENCE_NS:
                 return True
             due_ns, patience_ns = max(due_ns, next_ns), PATIENCE_NS
         slowest_ns = max((at - moment for at, moment, _ in other.recent), default=self.max_lag_ns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from fusion.body import Body
 from fusion.errors import CalibrationError
 from fusion.registration.error_model import RobustFitSettings
 from fusion.registration.keyframes import KeyframeSet
-from fusion.registration.rigid_fit import fit_recording
+from fusion.registration.rigid_fit import fit_rigid
 from fusion.registration.robust_fit import fit_robust, with_frontal_sd
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
@@ -37,13 +38,17 @@ class RecentPlacement:
 
     Args:
         seconds: How long a pair counts.
+        in_steps: Whether a fit is computed in two steps, one with each call of :meth:`off`, as a live loop
+            needs it.
     """
 
-    def __init__(self, body: Body, seconds: float = 6.0) -> None:
+    def __init__(self, body: Body, seconds: float = 6.0, *, in_steps: bool = False) -> None:
         self._body, self._kept_ns = body, round(seconds * 1e9)
         self._keyframes, self._settings = KeyframeSet(body, _MOST), RobustFitSettings()
         self._fits: deque[tuple[RigidTransform, np.ndarray, float]] = deque(maxlen=_KEPT)
         self._now_ns = self._next_ns = 0
+        self._in_steps = in_steps
+        self._fitting: Iterator[None] = iter(())
 
     def add(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> None:
         """Takes a pair.
@@ -56,15 +61,15 @@ class RecentPlacement:
         self._now_ns = pair.time_ns
 
     def off(self, a_from_b: RigidTransform) -> PlacementOff | None:
-        """How far a calibration's R and t are off, by the median of the last fits; None with too few pairs.
-
-        Once a second, this takes as long as a few pairs of the fusion.
-        """
+        """How far a calibration's R and t are off, by the median of the last fits; None of few pairs."""
         if len(self._keyframes) < _FEWEST:
             self._fits.clear()
         elif self._now_ns >= self._next_ns:
             self._next_ns = self._now_ns + _EVERY_NS
-            self._fit()
+            self._fitting = self._fit()
+        for _ in self._fitting:
+            if self._in_steps:
+                break
         if not self._fits:
             return None
         each = [
@@ -73,15 +78,14 @@ class RecentPlacement:
         ]
         return PlacementOff(*np.median(each, axis=0).tolist())
 
-    def _fit(self) -> None:
-        evidence, body = self._keyframes.evidence, self._body
-        known = evidence.weights[:, :, None] > 0.0
-        a, b = (np.where(known, view, np.nan) for view in (evidence.a, evidence.b))
+    def _fit(self) -> Iterator[None]:
+        evidence, body = self._keyframes.evidence.copy(), self._body
+        known = evidence.weights == 1.0
         try:
-            start = fit_recording(a, b)
+            start = fit_rigid(evidence.a[known], evidence.b[known])
             fit = fit_robust(body, evidence, start, self._settings)
+            yield
             fit = with_frontal_sd(body, evidence, fit, self._settings)
         except CalibrationError:
             return
-        middle = np.nanmean(b.reshape(-1, 3), axis=0)
-        self._fits.append((fit.a_from_b, middle, fit.rotation_sd))
+        self._fits.append((fit.a_from_b, evidence.b[evidence.weights > 0.0].mean(axis=0), fit.rotation_sd))

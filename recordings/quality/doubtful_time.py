@@ -44,8 +44,9 @@ def uncertain_limbs(rows: SessionArrays) -> NDArray[np.bool_]:
 
 
 def expected_error(rows: SessionArrays) -> NDArray[np.float64]:
-    """(T,) millimetres, the mean standard deviation of the joints of S*; NaN where there is none."""
-    return np.asarray(1e3 * rows.filled("sigma").mean(axis=1))
+    """(T,) millimetres, the mean standard deviation of the joints that were ever seen; NaN without S*."""
+    seen = ~rows.never_seen
+    return np.asarray(1e3 * rows.filled("sigma").mean(axis=1, where=seen if seen.any() else True))
 
 
 def doubts_of(rows: SessionArrays, first: int, seen: NDArray[np.bool_]) -> dict[str, NDArray[np.bool_]]:

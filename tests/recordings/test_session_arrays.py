@@ -280,7 +280,7 @@ RATES = st.sampled_from((5.0, 8.0, 10.0, 15.0, 25.0, 30.0, 50.0)).map(lambda rat
 def test_a_second_is_as_good_as_the_worst_share_of_its_frames(capture, without_feet):
     """Of nobody, of frames before the calibration and of one view alone; the first of the worst is told.
 
-    A limb that nobody ever saw is not uncertain.
+    A limb that nobody ever saw is not uncertain, and counts for no expected error.
     """
     session, rate = capture.session(), int(capture.rates[0])
     if without_feet:

@@ -97,11 +97,12 @@ class Coach:
         self._rate, self._origins = rate, origins
         self._feet = np.array([body.joint("ANKLE_LEFT"), body.joint("ANKLE_RIGHT")])
         self._moments: deque[_Moment] = deque()
+        self._seen = np.zeros(len(body), dtype=np.bool_)  # joints that were ever seen
         self._seen_at, self._came_at = [-math.inf, -math.inf], [-math.inf, -math.inf]
         self._began: float | None = None
         self._calibration: Calibration | None = None
         self._room = math.inf
-        self._recent = RecentPlacement(body)
+        self._recent = RecentPlacement(body, in_steps=True)
 
     def watch(self, frame: SessionFrame, now: Situation) -> list[Finding]:
         """All current findings with the next frame, in the order in which to follow them."""
@@ -136,7 +137,9 @@ class Coach:
             )
             each = np.linalg.norm(now.calibration.a_from_b.apply(b) - a, axis=1)
             apart = 1e3 * float(np.median(each[np.isfinite(each)])) if np.isfinite(each).any() else math.nan
-            error = math.nan if frame.fused.sigma is None else 1e3 * float(frame.fused.sigma.mean())
+            self._seen |= (skeletons.a.states != 0) | (skeletons.b.states != 0)
+            if frame.fused.sigma is not None:
+                error = 1e3 * float(frame.fused.sigma[self._seen].mean())
         self._moments.append(
             _Moment(time, (views[0], views[1]), apart, error, now.dropped, now.lost, now.step)
         )

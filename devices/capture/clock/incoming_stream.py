@@ -114,9 +114,14 @@ class IncomingStream:
         since_ns = self.recent[-1][0] - NEWEST_NS
         return median_low(at - moment for at, moment, _ in self.recent if at >= since_ns) - self.delay_ns
 
-    def next_after(self, host_ns: int, now_ns: int) -> int | None:
-        """The first moment from this time on, by the rate so far; None in the first second, and where frames
-        overtake each other. Where some are missing, it may be any."""
+    def next_near(self, due_ns: int, half_ns: int, now_ns: int) -> int | None:
+        """The first moment from ``due_ns - half_ns`` on, by the rate so far.
+
+        Where some frames are missing, it may be any: then it is the last one within ``half_ns``.
+
+        Returns:
+            None in the first second, and where frames overtake each other.
+        """
         if now_ns < self.overtakes_until_ns or len(self.recent) < PENDING:
             return None
         if self.recent[-1][0] - self.recent[0][0] < NEWEST_NS:
@@ -125,5 +130,5 @@ class IncomingStream:
         steps = [later - earlier for earlier, later in pairwise(moments)]
         interval_ns = max(median_low(steps), 1)
         if sum(abs(step - interval_ns) > interval_ns // 4 for step in steps) > _LOST:
-            return max(host_ns, moments[-1])
-        return moments[-1] + max(-((moments[-1] - host_ns) // interval_ns), 1) * interval_ns
+            return max(due_ns + half_ns, moments[-1])
+        return moments[-1] + max(-((moments[-1] - due_ns + half_ns) // interval_ns), 1) * interval_ns

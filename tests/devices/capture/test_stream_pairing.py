@@ -77,13 +77,15 @@ def test_frames_of_one_moment_pair_at_any_rates_lags_losses_and_clocks(
     assert (np.abs(told - skews)[settled] <= slack_ns).all()
     if not (a and b):
         return
-    apart = np.abs(np.subtract.outer(*([shot.true_ns for shot in side] for side in (a, b))))
+    moments = [np.array([shot.true_ns for shot in side]) for side in (a, b)]
+    there = [np.diff(each, prepend=each[0]) < 450 * MILLISECOND_NS for each in moments]  # else it is gone
     found = {(id(pair.a), id(pair.b)) for pair in both}
-    near = apart <= pairing.interval_ns / 2 - slack_ns
+    near = np.abs(np.subtract.outer(*moments)) <= pairing.interval_ns / 2 - slack_ns
     wanted = [
         (id(a[j].frame), id(b[k].frame))
         for j, k in zip(*np.nonzero(near), strict=True)
         if near[j].sum() == near[:, k].sum() == 1 and a[j].true_ns > 8 * SECOND_NS
+        if there[0][j] and there[1][k]
     ]
     assert sum(pair in found for pair in wanted) >= 0.99 * len(wanted) - 1
 
@@ -327,6 +329,7 @@ def test_times_of_pairs_are_apart_and_those_of_the_past_are_left_out(times, apar
     epoch=st.booleans(),
     seed=st.integers(0, 99),
 )
+@example(unit=100, fps=30, begins_ns=0, late_ms=0, epoch=False, seed=92)
 def test_times_of_a_live_source_are_in_nanoseconds_whatever_its_program_gives(
     unit, fps, begins_ns, late_ms, epoch, seed
 ):

@@ -6,8 +6,10 @@ from numba.core import event
 from scipy.spatial.transform import Rotation
 
 from fusion.body import AZURE_KINECT as BODY
+from fusion.calibration import comparison
 from fusion.calibration.bone_lengths import bone_lengths_of, robust_bone_lengths
 from fusion.calibration.calibration import Calibration
+from fusion.calibration.comparison import RecentPlacement
 from fusion.calibration.offline import learn_from_recording
 from fusion.calibration.online import CalibrationLearner, LearnerSettings
 from fusion.compiling.kernels import kernel
@@ -196,3 +198,20 @@ def test_a_refinement_in_steps_is_the_same_two_pairs_later(monkeypatch):
     np.testing.assert_array_equal(
         stepwise[0].calibration.a_from_b.translation, at_once[0].calibration.a_from_b.translation
     )
+
+
+def test_the_placement_of_the_last_seconds_is_found_with_one_fit_per_pair(monkeypatch):
+    fits, most = [], 0
+    for name in ("fit_robust", "with_frontal_sd"):
+        fit = getattr(comparison, name)
+        monkeypatch.setattr(comparison, name, lambda *of, _fit=fit: (fits.append(1), _fit(*of))[1])
+    recent, at_once = RecentPlacement(BODY, in_steps=True), RecentPlacement(BODY)
+    for pair in walk(120):
+        recent.add(pair)
+        at_once.add(pair)
+        before = len(fits)
+        off = recent.off(OFF)
+        most = max(most, len(fits) - before)
+    assert most == 1
+    np.testing.assert_allclose(off.turn, A_FROM_B.angle_to(OFF), atol=np.radians(0.5))
+    np.testing.assert_allclose(at_once.off(OFF).turn, off.turn, atol=np.radians(0.5))
