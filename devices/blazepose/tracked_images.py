@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
+from devices.capture.newest import newest
 from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import Skeleton
@@ -47,21 +48,28 @@ class TrackedImages(SensorWrapper):
         """Stores the source without opening it.
 
         Args:
-            registered: Gives the (h, w, 3) RGB image of a frame without infrared, on the depth's pixels.
-                None: the frame's colour image, where its camera is the depth camera.
+            registered: Gives the (h, w, 3) RGB image of the source's last frame, if it has no infrared, on
+                the depth's pixels. None: the frame's colour image, where its camera is the depth camera.
             pace: For live sensors, shared by both: it gets the tracker's times and says which network to
-                use. The source leaves out the frames that it does not keep. None: every frame, one network.
+                use. The source, which leaves out the frames that it does not keep, runs on a thread of its
+                own, and the newest frame is tracked. None: every frame, one network.
         """
         # OpenCV changes the environment when it is imported; importing this package must not.
         from devices.blazepose.blazepose import BlazePose
 
         super().__init__(source)
         self.tracker: BlazePose = BlazePose(settings)
-        self._registered = registered or registered_color
+        self._registered = registered
         self._took, self._pace, self._clock = took, pace, clock
         self._person = ""  # id of the person seen last
         self._changes: list[int] = []  # times at which another one was followed, ns since the first frame
         self._news: deque[str] = deque()
+        self._skipped = 0
+
+    @property
+    def missed(self) -> int:  # type: ignore[override]
+        """The source's, and frames of which a newer one came before the tracker was free."""
+        return self.source.missed + self._skipped
 
     @property
     def tracked_by(self) -> str:  # type: ignore[override]
@@ -101,7 +109,10 @@ class TrackedImages(SensorWrapper):
     def frames(self) -> Iterator[SensorFrame]:
         """The source's frames with the person in them."""
         first_ns: int | None = None
-        for frame in self.source.frames():
+        images: Iterator[tuple[SensorFrame, NDArray[np.uint8] | None]] = self._images()
+        if self._pace is not None:
+            images = newest(images, f"images of {self.name}", drop=self._skip, interrupt=self.interrupt)
+        for frame, registered in images:
             first_ns = frame.time_ns if first_ns is None else first_ns
             if frame.depth is None:
                 yield replace(frame, people={})
@@ -112,7 +123,7 @@ class TrackedImages(SensorWrapper):
                 except DeviceError as fault:  # a damaged file must not end the session
                     self._pace.stay(self.tracker.settings.network, fault)
             begun_ns = self._clock()
-            people = self._people(frame)
+            people = self._people(frame, registered)
             spent_ns = self._clock() - begun_ns
             self._took(spent_ns)
             if self._pace is not None:
@@ -125,11 +136,21 @@ class TrackedImages(SensorWrapper):
                 self._person = person
             yield replace(frame, people=people)
 
-    def _people(self, frame: SensorFrame) -> dict[str, Skeleton]:
+    def _images(self) -> Iterator[tuple[SensorFrame, NDArray[np.uint8] | None]]:
+        """The source's frames, each with its registered image while the source has it."""
+        for frame in self.source.frames():
+            yield frame, None if self._registered is None else self._registered(frame)
+
+    def _skip(self) -> None:
+        self._skipped += 1
+
+    def _people(self, frame: SensorFrame, registered: NDArray[np.uint8] | None) -> dict[str, Skeleton]:
         camera = self.source.intrinsics
         if camera is None:
             raise DeviceError(f"{self.name} does not know its depth camera, which the body tracker needs.")
-        image = frame.ir if frame.ir is not None else self._registered(frame)
+        image = frame.ir if frame.ir is not None else registered
+        if image is None and self._registered is None:
+            image = registered_color(frame)
         assert frame.depth is not None
         if image is None or image.shape[:2] != frame.depth.shape:
             return {}

@@ -7,7 +7,6 @@ import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from devices.capture.causes import Cause, in_brackets
 from devices.capture.clock.moments import ImageJoiner, Incomplete, Moment
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
-from devices.capture.stream_health import ImageHealth, Losses, RecordingTime, Silence
+from devices.capture.stream_health import ImageHealth, Losses, Silence
 from devices.sensor import AbsentError, ColorCamera, DeviceError, Sensor, SensorFrame
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
@@ -52,7 +51,6 @@ class CaptureStream(ABC):
         self._health = [ImageHealth(label, image, settings, image == wanted[0]) for image in wanted]
         self._held: deque[Moment] = deque()
         self._polled_ns = 0  # end of the last poll
-        self._time = RecordingTime(_LONGEST_NS)
 
     @abstractmethod
     def receive(self, timeout_ms: int) -> bool:
@@ -99,7 +97,7 @@ class CaptureStream(ABC):
             keeps = sensor.decimation.keeps(number)
             wanted += [moment] * keeps
             if sensor.on_capture is not None:
-                losses.drop(not (self._time.spend(sensor.clock, partial(sensor.made, moment)) or keeps))
+                sensor.made(moment)
         kept = wanted[-2:] if len(wanted) > 1 and wanted[-2].held and wanted[-2].lacks else wanted[-1:]
         losses.drop(len(wanted) - len(kept))
         losses.gave = losses.gave or bool(kept)
@@ -151,8 +149,7 @@ class LiveSensor(Sensor):
         decimation: Which moments are given. Those skipped on purpose do not count as missed.
         registered: Gives the RGB image on the depth's pixels of the frame given last, for sensors whose
             frames have no infrared; else None.
-        on_capture: Gets for a recording, with all images, every frame given and, while there is time
-            (``RecordingTime``), also the others of the SDK's queue.
+        on_capture: Gets for a recording, with all images, every frame of the SDK's queue.
         color_camera: The camera of the frames' colour images, once it is open; None if they have none.
         calibration_json: What an Azure Kinect stores, once it is open; empty for other sensors.
         awaits: What opening, the body tracker or closing waits for, if that may take long; else empty.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from devices.capture.causes import Cause
 from devices.capture.clock.moments import Incomplete, Moment
@@ -101,27 +101,6 @@ class Losses:
             self._counts.lost += gap
         else:
             self._counts.missed += self._decimation.kept_before(number, gap)
-
-
-class RecordingTime:
-    """The time for recording moments that may not be wanted: half of all, and so much at once.
-
-    A recording that is slower than the camera must not keep the newest frame away.
-    """
-
-    def __init__(self, most_ns: int) -> None:
-        self._spare_ns, self._most_ns, self._at_ns = most_ns, most_ns, 0
-
-    def spend(self, clock: Callable[[], int], record: Callable[[], object]) -> bool:
-        """Calls ``record`` if there is time; returns whether it did."""
-        begun_ns = clock()
-        self._spare_ns = min(self._most_ns, self._spare_ns + (begun_ns - self._at_ns) // 2)
-        self._at_ns = begun_ns
-        if self._spare_ns <= 0:
-            return False
-        record()
-        self._spare_ns -= clock() - begun_ns
-        return True
 
 
 class ImageHealth:

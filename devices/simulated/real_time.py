@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import replace
 from typing import Any, Literal
@@ -74,15 +73,12 @@ class PacedSensor(SensorWrapper):
     Args:
         sensor: The sensor. A simulated one leaves out images while it is slower than real time.
         decimation: Which moments a body tracker that works on the images wants; shared by the sensors. Frames
-            of other moments and frames without an image are not given, nor those of a recording that a
-            slow tracker has a newer one for. None: every frame.
+            of other moments and frames without an image are not given. None: every frame.
 
     Attributes:
-        missed: Frames that the tracker was too late for.
-        on_capture: Gets every frame for a recording, while the tracker works on an earlier one, too.
+        on_capture: Gets every frame for a recording.
     """
 
-    missed = 0
     on_capture: Callable[[SensorFrame], object] | None = None
 
     def __init__(
@@ -125,54 +121,14 @@ class PacedSensor(SensorWrapper):
     def frames(self) -> Iterator[SensorFrame]:
         if self._decimation is not None:
             self._decimation.restart(self.key)
-            if self.on_capture is not None:
-                yield from self._beside_a_recording(self.on_capture)
-                return
-        for frame, late_s in self._paced():
+        for frame in self._paced():
             if self.on_capture is not None:
                 self.on_capture(frame)
-            if self._is_wanted(frame, late_s):
+            if self._is_wanted(frame):
                 yield frame
 
-    def _beside_a_recording(self, record: Callable[[SensorFrame], object]) -> Iterator[SensorFrame]:
-        """The newest frame that the tracker wants, each time; all are recorded on another thread."""
-        newest: deque[SensorFrame] = deque(maxlen=1)
-        ended, fault, came = False, None, threading.Condition()
-
-        def run() -> None:
-            nonlocal ended, fault
-            try:
-                for frame, _ in self._paced():
-                    record(frame)
-                    if self._is_wanted(frame, 0.0):
-                        with came:
-                            self.missed += len(newest)
-                            newest.append(frame)
-                            came.notify()
-            except BaseException as raised:
-                fault = raised
-            with came:
-                ended = True
-                came.notify()
-
-        thread = threading.Thread(target=run, name=f"images of {self.name}")
-        thread.start()
-        try:
-            while True:
-                with came:
-                    came.wait_for(lambda: newest or ended)
-                    frame = newest.pop() if newest else None
-                if frame is None:
-                    break
-                yield frame
-        finally:
-            self._stopping.set()
-            thread.join()
-        if fault is not None:
-            raise fault
-
-    def _paced(self) -> Iterator[tuple[SensorFrame, float]]:
-        """Every frame when it is due, and by how much it is late, seconds."""
+    def _paced(self) -> Iterator[SensorFrame]:
+        """Every frame when it is due."""
         begun, longest, start_ns, simulated = None, 0.0, 0, self._simulated
         frames = self.source.frames()
         while True:
@@ -190,29 +146,23 @@ class PacedSensor(SensorWrapper):
                 if simulated is None:
                     start_ns = moment_ns if self._beat.common is None else self._beat.first_ns or 0
             due = begun + (moment_ns - start_ns) * 1e-9
-            late_s = self._clock() - due
             if simulated is not None:
-                simulated.skips_depth = late_s > _FRAME
+                simulated.skips_depth = self._clock() - due > _FRAME
             if self._stops_before(due):
                 return
             came_s = due if simulated is None else self._clock()
-            frame = replace(frame, host_ns=round(came_s * 1e9))
-            yield frame, late_s
+            yield replace(frame, host_ns=round(came_s * 1e9))
             if self._stops_before(due + _FRAME - max(_FRAME / 2.0, _MARGIN * longest)):
                 return
 
-    def _is_wanted(self, frame: SensorFrame, late_s: float) -> bool:
+    def _is_wanted(self, frame: SensorFrame) -> bool:
         """Whether a tracker wants the frame; the next one then has images only if it wants that."""
         if self._decimation is None or frame.host_ns is None:
             return True
         moment = self._decimation.moment(self.key, frame.time_ns, frame.host_ns)
-        kept = self._decimation.keeps(moment) and frame.depth is not None
         if self._simulated is not None:
             self._simulated.imaging = self.on_capture is not None or self._decimation.keeps(moment + 1)
-        elif kept and late_s > self._decimation.interval_ns * 1e-9:  # a newer one has come
-            self.missed += 1
-            return False
-        return kept
+        return self._decimation.keeps(moment) and frame.depth is not None
 
     def _stops_before(self, moment: float) -> bool:
         """Waits until a time; returns whether the wait was interrupted."""

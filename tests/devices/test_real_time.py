@@ -134,40 +134,17 @@ class Listed(Recording):
         return iter(self._frames)
 
 
-def test_a_recording_leaves_out_what_a_slow_tracker_is_too_late_for(clock):
-    """As a live sensor does: else the sensors of two slow trackers drift apart, and nothing is paired."""
-    sensor, begun, taken = paced(Recording(), clock, FrameDecimation(30.0)), clock.now, []
-    for frame in sensor.frames():
-        taken.append(frame)
-        due = begun + (frame.time_ns - 7) * 1e-9
-        assert frame.host_ns == round(due * 1e9), "it arrived in time; the tracker is late"
-        assert clock.now - due < 1.0 / 30.0 + 1e-9
-        clock.now += 0.09
-    assert len(taken) + sensor.missed == 60
-    assert len(taken) == pytest.approx(2.0 / 0.09, abs=2)
-
-
 @pytest.mark.parametrize("step", [1, 3])
 @pytest.mark.parametrize("source", [Recording, lambda: simulated(2.0, depth="half", infrared=True)])
 def test_every_image_is_recorded_and_only_the_tracker_skips(clock, source, step):
-    decimation, captured, whole = FrameDecimation(30.0), [], threading.Event()
+    decimation, captured = FrameDecimation(30.0), []
     decimation.choice.step = step
     sensor = paced(source(), clock, decimation)
-
-    def record(frame):
-        captured.append(frame)
-        if len(captured) == 60:
-            whole.set()
-
-    sensor.on_capture = record
-    frames = sensor.frames()
-    tracked = [next(frames)]
-    assert whole.wait(60.0), "the tracker works on the first frame all the time"
-    tracked += frames
+    sensor.on_capture = captured.append
+    tracked = list(sensor.frames())
     assert all(frame.depth is not None for frame in captured)
     assert len(captured) == 60
-    assert len(tracked) + sensor.missed == pytest.approx(60 / step, abs=1)
-    assert len(tracked) < 60 / step
+    assert len(tracked) == pytest.approx(60 / step, abs=1)
 
 
 @pytest.mark.parametrize("common", ["capture", "arrival", None])

@@ -174,6 +174,7 @@ def test_a_reader_that_stops_for_half_a_second_costs_no_more_than_that(driver):
 @EVERY
 @pytest.mark.parametrize("cost_s", [0.02, 0.04, 0.1])
 def test_a_recording_slower_than_the_camera_holds_up_neither_frames_nor_the_end(driver, cost_s):
+    """Images come first: then the SDK's queue is full, and the newest frame is as old as it is long."""
     recorded = []
     with driver.sensor() as sensor:
         frame_of = sensor.frame_of
@@ -190,9 +191,10 @@ def test_a_recording_slower_than_the_camera_holds_up_neither_frames_nor_the_end(
         assert len(list(frames)) <= 2
         assert driver.time.now_ns() - asked_ns < 1_000_000_000
     assert recorded == sorted(set(recorded)), "each is made once"
-    settled = len(seen.ages) // 2  # the first half second of work is allowed at once
-    assert len(seen.numbers) > 10.0 / (0.034 + 2.5 * cost_s)
-    assert max(seen.ages[settled:]) < 0.08 + 2 * cost_s
+    settled = len(seen.ages) // 2
+    assert len(seen.numbers) > 10.0 / (0.55 + cost_s), "the queue is emptied for half a second at most"
+    assert len(recorded) > 0.9 * 10.0 / max(cost_s, 1.0 / 30.0), "all that there is time for"
+    assert max(seen.ages[settled:]) < (0.08 + 2 * cost_s if cost_s < 1.0 / 30.0 else 0.7)
     assert sensor.missed == seen.numbers[-1] - seen.numbers[0] + 1 - len(seen.numbers)
     assert sensor.lost == 0
 

@@ -63,7 +63,7 @@ class SourceTimes:
             elif self._scale == 0:
                 grows = own_ns // (self._frames - 1)
                 self._tell(f"time_ns grows by {grows} per frame and is no time; the arrivals are used.")
-        if self._scale == 0 or (self._scale is None and slow):
+        if self._scale == 0 or (self._scale is None and slow and elapsed_ns >= _APART_NS):
             own_ns = elapsed_ns
         return replace(frame, time_ns=first_ns + own_ns * (self._scale or 1), host_ns=host_ns)
 

@@ -1,6 +1,7 @@
 """The own tracker on the images of sensors and of any depth camera."""
 
 import itertools
+import threading
 from dataclasses import replace
 from itertools import pairwise
 
@@ -333,16 +334,18 @@ def simulated(seconds):
 
 
 class Source(Sensor):
-    """A sensor with images, whose making takes a third of the time."""
+    """A sensor with images, whose making takes a third of the time; each comes when one is read."""
 
     name, body, making_ns = "s", BLAZEPOSE, 10 * MS
 
     def __init__(self, frames):
-        self._frames = frames
+        self._frames, self.read = frames, threading.Semaphore(1)
         self.intrinsics = simulated(0.1).intrinsics
 
     def frames(self):
-        yield from self._frames
+        for frame in self._frames:
+            assert self.read.acquire(timeout=60.0)
+            yield frame
 
 
 def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(networks, monkeypatch):
@@ -359,8 +362,9 @@ def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(networks
         tracked.tracker.settings = replace(tracked.tracker.settings, network=network)
 
     monkeypatch.setattr(tracked.tracker, "use", use)
-    given = list(tracked.frames())
-    assert len(given) == len(frames)
+    given = [tracked.source.read.release() or frame for frame in tracked.frames()]
+    assert [frame.time_ns for frame in given] == [frame.time_ns for frame in frames]
+    assert tracked.missed == 0
     assert told == [40 * MS] * 79, "an image took one tick; a frame without one is not tracked"
     assert pace.choice.slowest_s == pytest.approx(0.050), "with the time that making the image took"
     assert used == ["lite"], "once"
@@ -374,6 +378,6 @@ def test_a_damaged_lighter_network_does_not_end_the_session(tmp_path):
     work(pace, 60, 50)
     assert pace.network == "lite"
     with TrackedImages(simulated(0.1), pace.settings, pace=pace) as sensor:
-        assert len(list(sensor.frames())) == 3
+        assert len(list(sensor.frames())) + sensor.missed == 3
     assert pace.network == "full"
     assert "continues with its network full" in pace.take_news()[-1]

@@ -344,7 +344,9 @@ def test_times_of_a_live_source_are_in_nanoseconds_whatever_its_program_gives(
         out.append(times.timed(own, now_ns))
     for frame, shot in zip(out, stream, strict=True):
         off_ns = (frame.time_ns - out[0].time_ns) - (shot.true_ns - stream[0].true_ns)
-        assert abs(off_ns) <= 30 * MILLISECOND_NS  # the arrivals' jitter
+        assert (
+            abs(off_ns) <= 50 * MILLISECOND_NS
+        )  # the arrivals' jitter, and 20 ms in which the own times count
         assert 0 <= shot.arrives_ns + late_ms * MILLISECOND_NS - frame.host_ns <= late_ms * MILLISECOND_NS
     assert len(told) == (unit > 1) + epoch
     assert all(line.startswith("mine: its ") for line in told)
