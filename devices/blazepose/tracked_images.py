@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
-from devices.capture.newest import newest
+from devices.capture.frame_decimation import newest
 from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import Skeleton

@@ -1,4 +1,4 @@
-"""Frame decimation: selects the moments for the body trackers if a tracker is slower than the cameras.
+"""Selects the moments for the body trackers if a tracker is slower than the cameras.
 
 Without it each sensor keeps the frame that arrives when its own tracker is free. The two sensors then keep
 different moments, and few pairs form. Here both count moments on a common grid and keep every n-th.
@@ -6,10 +6,14 @@ different moments, and few pairs form. Here both count moments on a common grid 
 
 import threading
 import time
-from collections.abc import Callable, Hashable
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator
+from typing import TypeVar
 
 from devices.capture.clock.moment_grid import MomentGrid
 from devices.capture.step_choice import StepChoice
+
+Item = TypeVar("Item")
 
 
 class FrameDecimation:
@@ -76,3 +80,52 @@ class FrameDecimation:
 
     def _chosen(self, now_ns: int) -> None:
         """What else follows from a choice; called with the lock."""
+
+
+def newest(
+    items: Iterator[Item], name: str, *, drop: Callable[[], object], interrupt: Callable[[], object]
+) -> Iterator[Item]:
+    """The newest item each time; the iterator runs on its own thread, whatever the reader does meanwhile.
+
+    Args:
+        name: Of the thread.
+        drop: Called for each item that the reader did not get, because a newer one came.
+        interrupt: Makes ``items`` end soon; called when the reader ends first.
+
+    Raises:
+        Exception: What ``items`` raised, after the item before it.
+    """
+    waiting: deque[Item] = deque(maxlen=1)
+    ended, fault, came = False, None, threading.Condition()
+
+    def run() -> None:
+        nonlocal ended, fault
+        try:
+            for item in items:
+                with came:
+                    if waiting:
+                        drop()
+                    waiting.append(item)
+                    came.notify()
+        except BaseException as raised:
+            fault = raised
+        with came:
+            ended = True
+            came.notify()
+
+    thread = threading.Thread(target=run, name=name, daemon=True)  # a driver may hang
+    thread.start()
+    try:
+        while True:
+            with came:
+                came.wait_for(lambda: waiting or ended)
+                item = waiting.pop() if waiting else None
+            if item is None:
+                break
+            yield item
+    finally:
+        if not ended:
+            interrupt()
+            thread.join()
+    if fault is not None:
+        raise fault

@@ -15,14 +15,14 @@ Point = tuple[float, float, float]
 Meaning = Literal["do", "mend", "better"]
 
 _MANY = 3  # paragraphs
-_WORDS = {"spot": "stand here", "better_b": "better for B"}
+WORDS = {"spot": "stand here", "better_b": "better for B"}
 """Of marks: never others, see :func:`entity_styles.words_at`."""
 _LINE_RADIUS = rr.components.Radius.ui_points(2.0)
 
 
 @dataclass(frozen=True)
 class Mark:
-    """Lines in the scene, and where the words of :data:`_WORDS` stand, if the mark has words."""
+    """Lines in the scene, and where the words of :data:`WORDS` stand, if the mark has words."""
 
     lines: tuple[tuple[Point, ...], ...]  # polylines in K_A's frame, metres
     meaning: Meaning  # what the colour means
@@ -61,10 +61,10 @@ class CoachPage:
             else:
                 color = MARK_COLORS[mark.meaning]
                 yield layout.coach_mark(name), [rr.LineStrips3D(mark.lines, colors=color, radii=_LINE_RADIUS)]
-            if name in _WORDS:
+            if name in WORDS:
                 at = None if mark is None else mark.words_at
                 words = (
-                    entity_styles.words_at(_WORDS[name], at, layout.ROOT)
+                    entity_styles.words_at(WORDS[name], at, layout.ROOT)
                     if at
                     else [rr.Clear(recursive=False)]
                 )

@@ -1,12 +1,14 @@
 """S* as JSON: schema ``duplex-kinects/skeleton``, version 2. ``docs/protocols.md`` documents it.
 
-Three kinds of messages, told apart by ``type``: ``hello`` (body, joints, units; first, and again when the
-calibration changes), ``frame`` and ``event``. A later version of the schema keeps the meaning of a field or
-drops it.
+Messages are told apart by ``type``: ``hello`` (body, joints, sensors, units; first, and again when the
+calibration changes), ``coach`` (what the set-up lacks), ``frame`` and ``event``. A later version of the
+schema keeps the meaning of a field or drops it.
 """
 
 import json
 import math
+import time
+from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from devices.events import Event
 from fusion.movement.angles import ANGLES
 from fusion.movement.joint_rotations import JointRotations
 from fusion.setup import FusionSetup
+from recordings.appearance.coach_page import WORDS, CoachPage
 from viewer_app.outputs.live_movement import LiveMovement
 from viewer_app.outputs.output import confidence
 from viewer_app.sinks.item_queue import QueuedFrame
@@ -33,6 +36,7 @@ class SkeletonJson:
     def hello(self, setup: FusionSetup) -> str:
         """The message that describes the others."""
         body, calibration = setup.body, setup.calibration
+        b = calibration.a_from_b.translation
         return json.dumps(
             {
                 "type": "hello",
@@ -45,9 +49,19 @@ class SkeletonJson:
                 "bone_lengths": calibration.bone_lengths.round(5).tolist(),
                 "axes": "x right, y down, z forward, of the first sensor; right-handed",
                 "angles": ANGLES,
+                "sensors": [[0.0, 0.0, 0.0], b.round(4).tolist() if b.any() else None],
                 "units": "metres, seconds, degrees",
             }
         )
+
+    def coach(self, page: CoachPage) -> str:
+        """The state of a set-up and the next step, null where it is none; and what to draw in the scene."""
+        state, step = (None, None) if page.card is None else (page.card[0].value, page.card[1])
+        marks = {
+            name: {**asdict(mark), "words": WORDS[name] if mark.words_at else ""} for name, mark in page.marks
+        }
+        said = {"type": "coach", "version": VERSION, "state": state, "step": step, "marks": marks}
+        return json.dumps(said)
 
     def frame(self, timed: QueuedFrame, unix_ns: int | None) -> str:
         """A frame: positions and velocities (J, 3), rotations (J, 4) x, y, z, w, confidence (J,), sigma (J,),
@@ -59,6 +73,8 @@ class SkeletonJson:
         fused, sigma = timed.fused, timed.fused.sigma
         self._first_unix_ns = None if unix_ns is None else unix_ns - timed.time_ns
         angles, angle_sigma = self._movement.angles(timed)
+        latency_ns = timed.frame.latency_ns
+        age_ns = None if latency_ns is None else time.perf_counter_ns() - timed.written_ns + latency_ns
         names = "positions", "velocities", "rotations", "confidence", "sigma", "covariances"
         person: dict[str, object] = dict.fromkeys((*names, "angles", "angle_sigma"))
         if fused.has_person:
@@ -79,6 +95,7 @@ class SkeletonJson:
                 "version": VERSION,
                 "number": timed.number,
                 **self._times(timed.time_ns),
+                "age_s": None if age_ns is None else round(age_ns * 1e-9, 4),
                 "person": fused.has_person,
                 **person,
             },

@@ -1,14 +1,16 @@
 """A WebSocket server: the JSON of :mod:`viewer_app.outputs.skeleton_json` for browsers and scripts.
 
-The same port serves a page that draws the skeleton. Each client has a slot for the newest frame, and a ping
-follows each frame: a slow client skips frames, because no more may be unanswered than it takes within 0.3 s,
-and a blocked one is disconnected. Messages of clients are counted and ignored.
+The same port serves a page that shows the skeleton and what the set-up lacks, large enough to be read on a
+phone from where the person stands. Each client has a slot for the newest frame, and a ping follows each
+frame: a slow client skips frames, because no more may be unanswered than it takes within 0.3 s, and a blocked
+one is disconnected. Messages of clients are counted and ignored.
 """
 
 from __future__ import annotations
 
 import asyncio
 import ipaddress
+import json
 import logging
 import sys
 import threading
@@ -22,11 +24,15 @@ from urllib.parse import urlsplit
 
 from devices.events import Event
 from fusion.setup import FusionSetup
+from recordings.appearance.coach_page import CoachPage
+from recordings.appearance.colors import MARK_COLORS, PREDICTED_COLOR, SKELETON_COLORS
+from recordings.appearance.state_card import LOOKS
 from recordings.data.session_arrays import SessionFrame
 from viewer_app.addresses import LOOPBACK, in_url, is_loopback, reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LATE_NS, LiveOutput
 from viewer_app.outputs.skeleton_json import SkeletonJson
+from viewer_app.running.sounds import TONES
 from viewer_app.sinks.item_queue import QueuedFrame
 
 if TYPE_CHECKING:
@@ -49,10 +55,10 @@ _SECURITY = (
 
 
 class _Client:
-    """What waits for one client: the newest description, the newest frame and when it was made, events."""
+    """What waits for one client: what is new of what holds, the newest frame and when it was made, events."""
 
-    def __init__(self) -> None:
-        self.hello: str | None = None
+    def __init__(self, holds: dict[str, str]) -> None:
+        self.news = dict(holds)
         self.frame: tuple[str, int] | None = None
         self.events: deque[tuple[Event, int]] = deque()
         self.more = asyncio.Event()
@@ -92,8 +98,8 @@ class WebSocketOutput(LiveOutput):
         if not is_loopback(self.host):
             self.note = f"Anyone who can reach {self.host}:{port} can read the skeleton, without a password."
         self._json = SkeletonJson(setup)
-        self._hello = self._json.hello(setup)
-        self._page = resources.files("viewer_app.outputs").joinpath("templates/skeleton.html").read_bytes()
+        self._holds = {"hello": self._json.hello(setup)}  # messages by their type
+        self._page = _page()
         self._clients: set[_Client] = set()
         self._open: dict[ServerConnection, None] = {}  # in order
         self._most_open = _most_open()
@@ -138,23 +144,30 @@ class WebSocketOutput(LiveOutput):
 
     def send_setup(self, setup: FusionSetup) -> None:
         """Sends the description again."""
-        self._hello = self._json.hello(setup)
-        self._publish(self._hello)
+        self._loop.call_soon_threadsafe(self._change, "hello", self._json.hello(setup))
+
+    def coach(self, page: CoachPage) -> None:
+        """Sends the state of the set-up and the next step."""
+        self._loop.call_soon_threadsafe(self._change, "coach", self._json.coach(page))
 
     def shut(self) -> None:
         with suppress(TimeoutError):
             asyncio.run_coroutine_threadsafe(self._stop(), self._loop).result(2.0)
         self._end_loop()
 
-    def _publish(self, said: str | Event, written_ns: int | None = None) -> None:
+    def _publish(self, said: str | Event, written_ns: int = 0) -> None:
         self._loop.call_soon_threadsafe(self._offer, said, written_ns)
 
-    def _offer(self, said: str | Event, written_ns: int | None) -> None:
+    def _change(self, kind: str, said: str) -> None:
+        self._holds[kind] = said
+        for client in self._clients:
+            client.news[kind] = said
+            client.more.set()
+
+    def _offer(self, said: str | Event, written_ns: int) -> None:
         for client in self._clients:
             if isinstance(said, Event):
                 client.add(said)
-            elif written_ns is None:
-                client.hello = said
             else:
                 if client.frame is not None:
                     self._unsent(1)
@@ -267,7 +280,7 @@ class WebSocketOutput(LiveOutput):
     async def _attend(self, connection: ServerConnection) -> None:
         from websockets.exceptions import ConnectionClosed
 
-        client = _Client()
+        client = _Client(self._holds)
         self._clients.add(client)
         sending = asyncio.create_task(self._feed(connection, client))
         try:
@@ -285,16 +298,14 @@ class WebSocketOutput(LiveOutput):
         unanswered: deque[tuple[int, Awaitable[float]]] = deque()
         most = 1
         with suppress(ConnectionClosed):
-            await connection.send(self._hello)
+            await _send_news(connection, client)
             while True:
                 await client.more.wait()
                 while len(unanswered) >= most:
                     sent, answered = unanswered.popleft()
                     most = most_on_the_way(sent, await answered)
                 client.more.clear()
-                if client.hello is not None:
-                    hello, client.hello = client.hello, None
-                    await connection.send(hello)
+                await _send_news(connection, client)
                 while client.events:
                     await connection.send(self._json.event(*client.events.popleft()))
                 if client.frame is not None:
@@ -313,6 +324,22 @@ class WebSocketOutput(LiveOutput):
         self._serving.join(2.0)
         if not self._serving.is_alive():
             self._loop.close()
+
+
+async def _send_news(connection: ServerConnection, client: _Client) -> None:
+    while client.news:
+        await connection.send(client.news.pop(next(iter(client.news))))
+
+
+def _page() -> bytes:
+    """The page, with the colours and sounds of the program."""
+    template = resources.files("viewer_app.outputs").joinpath("templates/skeleton.html")
+    colors = {**SKELETON_COLORS, **MARK_COLORS, "unsure": PREDICTED_COLOR}
+    for state, look in LOOKS.items():
+        colors |= {state.name: look.ground, f"{state.name}_ink": look.ink}
+    variables = " ".join(f"--{name}: rgb{color};" for name, color in colors.items())
+    text = template.read_text(encoding="utf-8")
+    return text.replace("COLORS", variables).replace("SOUNDS", json.dumps(TONES)).encode()
 
 
 def _is_worth_a_line(record: logging.LogRecord) -> bool:

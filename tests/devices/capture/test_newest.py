@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.capture.newest import newest
+from devices.capture.frame_decimation import newest
 
 
 class Source:

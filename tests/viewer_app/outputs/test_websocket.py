@@ -20,6 +20,8 @@ from websockets.sync.client import connect
 
 from devices.events import Event
 from fusion.body import KINECT_V2
+from recordings.appearance.coach_page import CoachPage, Mark
+from recordings.appearance.state_card import LOOKS, State
 from tests.helpers.live_frames import frames
 from tests.helpers.machine import need_browser
 from tests.helpers.network import free_port
@@ -30,6 +32,7 @@ from viewer_app.outputs import websocket
 from viewer_app.outputs.output import confidence
 from viewer_app.outputs.skeleton_json import SkeletonJson
 from viewer_app.outputs.websocket import UNANSWERED, WebSocketOutput, most_on_the_way
+from viewer_app.running.sounds import TONES
 from viewer_app.sinks.item_queue import QueuedFrame
 
 
@@ -350,6 +353,29 @@ def test_text_that_clients_send_is_counted_and_ignored(server):
     assert server.figures()["ignored_messages"] == 51
 
 
+RING = Mark((((0.0, 1.0, 2.3), (0.3, 1.0, 2.6), (0.0, 1.0, 2.9)),), "do", (0.0, 1.5, 2.6))
+
+
+def test_what_a_set_up_lacks_holds_for_later_clients_until_it_changes(server):
+    for page in (
+        CoachPage("text", (("spot", RING),), (State.NOT_YET, "stand in the ring")),
+        CoachPage("text", (), (State.READY, "begin")),
+        CoachPage("text"),  # no set-up
+    ):
+        server.coach(page)
+        assert eventually(lambda page=page: server._holds.get("coach") == server._json.coach(page))
+        with client_of(server) as client:
+            hello, said = read(client), read(client)
+        assert hello["sensors"][0] == [0.0, 0.0, 0.0]
+        assert (said["type"], said["version"]) == ("coach", 2)
+        state, step = page.card or (None, None)
+        assert (said["state"], said["step"]) == (state and state.value, step)
+        assert set(said["marks"]) == {name for name, _ in page.marks}
+        for mark in said["marks"].values():
+            assert (mark["words"], mark["meaning"]) == ("stand here", "do")
+            np.testing.assert_allclose(mark["lines"], RING.lines)
+
+
 def test_a_page_in_a_browser_draws_the_skeleton(server, fuser, tmp_path):
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
     chromium = need_browser()
@@ -360,6 +386,7 @@ def test_a_page_in_a_browser_draws_the_skeleton(server, fuser, tmp_path):
             tab = browser.new_page(
                 viewport={"width": 800, "height": 800}, color_scheme="light", bypass_csp=True
             )
+            tab.add_init_script(_TONES_PLAYED)
             wrong = []
             tab.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
             tab.on("pageerror", lambda error: wrong.append(str(error)))
@@ -377,6 +404,20 @@ def test_a_page_in_a_browser_draws_the_skeleton(server, fuser, tmp_path):
             assert "kinect_v2" in status
             boxes = tab.evaluate(_INK)
             tab.screenshot(path=str(tmp_path / "page.png"))
+            assert not tab.locator("#coach").is_visible()
+            tab.locator("#sound").click()
+            for state in State:
+                server.coach(CoachPage("", (("spot", RING),), (state, f"step of {state.value}")))
+                tab.wait_for_function(f"document.getElementById('state').textContent === '{state.value}'")
+                assert tab.locator("#step").inner_text() == f"step of {state.value}"
+                ground = tab.evaluate("getComputedStyle(document.getElementById('coach')).backgroundColor")
+                assert ground == f"rgb{LOOKS[state].ground}"
+            tones = [hertz for name in ("not yet", "ready") for hertz, _ in TONES[name]]
+            assert tab.evaluate("hertz") == tones, "each new state once"
+            server.coach(CoachPage(""))
+            tab.wait_for_function("document.getElementById('coach').hidden")
+            tab.wait_for_function("document.getElementById('age').textContent.endsWith(' s old')")
+            tab.wait_for_function("document.getElementById('age').className === 'late'")
             server.event(Event("sensor B lost", "WARN"))
             tab.wait_for_function("document.getElementById('event').textContent.includes('sensor B lost')")
             server.write(without_person(frames(fuser, 1)[0]))
@@ -386,12 +427,21 @@ def test_a_page_in_a_browser_draws_the_skeleton(server, fuser, tmp_path):
             assert [line for line in wrong if "favicon" not in line and "404" not in line] == []
         finally:
             browser.close()
-    # 1.75 m at 333 pixels per metre is 580 pixels high; arms 50 degrees apart are at least 200 wide
-    assert boxes["height"] == pytest.approx(560, abs=80)
+    # 1.75 m seen from 20 degrees above, at 290 pixels per metre; arms 50 degrees apart are at least 200 wide
+    assert boxes["height"] == pytest.approx(480, abs=80)
     assert 200 < boxes["width"] < 500
     assert 2000 < boxes["count"] < 60_000
 
 
+_TONES_PLAYED = """
+  window.hertz = [];
+  const original = AudioContext.prototype.createOscillator;
+  AudioContext.prototype.createOscillator = function () {
+    const tone = original.call(this), start = tone.start.bind(tone);
+    tone.start = when => { hertz.push(tone.frequency.value); start(when); };
+    return tone;
+  };
+"""
 _INK = """() => {
   const canvas = document.getElementById("view");
   const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
