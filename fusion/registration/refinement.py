@@ -25,21 +25,25 @@ class RefinementSettings:
     fewest: int = 16  # keyframes that a proposal needs
     gain: float = 3.0
     """By how much the log-likelihood of held-out pairs must rise; 3 is a likelihood ratio of 20."""
+    surer: float = 0.7
+    """A fit whose standard deviation of R is below this share of that in force needs no such gain: fits of
+    half of the pairs explain the other half worse than a calibration that is right by luck."""
     smallest_turn: float = 0.0015  # radians and metres; a smaller change is not proposed
     smallest_shift: float = 0.003
     half_life_ns: int = 600_000_000_000  # age at which the weight of a keyframe is one half
     fit: RobustFitSettings = field(default_factory=RobustFitSettings)  # what the fit assumes
     in_steps: bool = False
-    """Whether a proposal is computed in three steps, one with each pair, as a live loop needs it: the whole
-    takes a third of a frame's time. It then takes effect two pairs later."""
+    """Whether a proposal is computed in steps of one fit, one with each pair, as a live loop needs it: the
+    whole takes a third of a frame's time. It then takes effect some pairs later."""
 
 
 class Refinement:
     """Collects keyframes and proposes a better transform about once a second.
 
-    The test is cross-validation. One fit on the even two-second blocks is judged on the odd ones, and
-    vice versa. The transform in force is judged on both. The fit on all keyframes is accepted if the
-    two held-out fits together explain the pairs better than the transform in force.
+    A fit on all keyframes that is clearly more certain than the transform in force is accepted. Else the test
+    is cross-validation. One fit on the even two-second blocks is judged on the odd ones, and vice versa. The
+    transform in force is judged on both. The fit on all keyframes is accepted if the two held-out fits
+    together explain the pairs better than the transform in force.
 
     Args:
         prior: Knowledge of the transform besides the keyframes.
@@ -54,13 +58,12 @@ class Refinement:
     ) -> None:
         self._body, self._settings = body, settings or RefinementSettings()
         self.keyframes = KeyframeSet(body)
-        self._in_force, self.prior = a_from_b, prior
         self._noise_sd = 0.02
         self._biases: NDArray[np.float64] | None = None
         self._next_ns: int | None = None
-        self._seen = 0
+        self._seen = self._proposed_ns = 0
         self._proposal: Generator[None, None, RobustFit | None] | None = None
-        self._proposed_ns = 0
+        self.adopt(a_from_b, prior)
 
     def restart(self, a_from_b: RigidTransform, keep_from_ns: int, prior: Prior | None = None) -> None:
         """Puts another transform in force and forgets the keyframes before a time."""
@@ -71,6 +74,7 @@ class Refinement:
     def adopt(self, a_from_b: RigidTransform, prior: Prior | None = None) -> None:
         """Puts another transform in force and keeps the evidence."""
         self._in_force, self.prior, self._proposal = a_from_b, prior, None
+        self._rotation_sd = 0.0 if prior is None else prior.rotation_sd
 
     def observe(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> RobustFit | None:
         """Takes a pair that is neither stale nor one-sided; returns a fit that is in force from now on."""
@@ -113,21 +117,27 @@ class Refinement:
                 iterations=3, noise_sd=self._noise_sd, biases=self._biases, prior=self.prior,
             )  # fmt: skip
             self._biases, self._noise_sd = candidate.biases, candidate.noise_sd
-            if not self._worth_it(candidate.a_from_b, candidate.centre):
-                return None
-            gain = 0.0
-            for fold in (0, 1):
+            frontal, surer_sd = None, settings.surer * self._rotation_sd
+            if candidate.rotation_sd < surer_sd:
                 yield
-                gain += _fold_gain(
-                    fold, self._body, evidence, self._in_force, candidate, settings.fit, self.prior
-                )
-            if gain < settings.gain:
-                return None
-            candidate = with_frontal_sd(self._body, evidence, candidate, settings.fit, self.prior)
+                frontal = with_frontal_sd(self._body, evidence, candidate, settings.fit, self.prior)
+            if frontal is None or frontal.rotation_sd >= surer_sd:
+                if not self._worth_it(candidate.a_from_b, candidate.centre):
+                    return None
+                gain = 0.0
+                for fold in (0, 1):
+                    yield
+                    gain += _fold_gain(
+                        fold, self._body, evidence, self._in_force, candidate, settings.fit, self.prior
+                    )
+                if gain < settings.gain:
+                    return None
+            if frontal is None:
+                frontal = with_frontal_sd(self._body, evidence, candidate, settings.fit, self.prior)
         except CalibrationError:
             return None
-        self._in_force = candidate.a_from_b
-        return candidate
+        self._in_force, self._rotation_sd = frontal.a_from_b, frontal.rotation_sd
+        return frontal
 
     def _worth_it(self, proposed: RigidTransform, centre: NDArray[np.float64]) -> bool:
         shift = proposed.apply(self._in_force.inverse().apply(centre)) - centre

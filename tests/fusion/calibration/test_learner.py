@@ -19,6 +19,7 @@ from fusion.registration.error_model import RobustFitSettings
 from fusion.registration.keyframes import evidence_of
 from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import RefinementSettings
+from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -175,29 +176,49 @@ def test_a_learner_compiles_nothing_after_the_fuser_is_warm(monkeypatch):
     assert len(fresh.signatures) == 1  # a kernel found on disk here would have to be compiled elsewhere
 
 
-def test_a_refinement_in_steps_is_the_same_two_pairs_later(monkeypatch):
+@pytest.mark.parametrize(("surer", "later"), [(0.7, 1), (0.0, 2)])
+def test_a_refinement_in_steps_is_the_same_some_pairs_later(monkeypatch, surer, later):
     fits = []
     fit = refinement.fit_robust
     monkeypatch.setattr(refinement, "fit_robust", lambda *of, **more: (fits.append(1), fit(*of, **more))[1])
     pairs = walk(180)
-    in_steps = LearnerSettings(refinement=RefinementSettings(in_steps=True))
-    learner = CalibrationLearner(BODY, Calibration(BODY, OFF, BODY.nominal_lengths, "start"), in_steps)
-    each, stepwise = [], []
+    start = Calibration(BODY, OFF, BODY.nominal_lengths, "start")
+    in_steps, whole = (
+        CalibrationLearner(
+            BODY, start, LearnerSettings(refinement=RefinementSettings(in_steps=how, surer=surer))
+        )
+        for how in (True, False)
+    )
+    each, stepwise, at_once = [], [], []
     for pair in pairs:
         before = len(fits)
-        stepwise += [change for change in learner.observe(pair) if change.kind == "refined"]
+        stepwise += [change for change in in_steps.observe(pair) if change.kind == "refined"]
         each.append(len(fits) - before)
         if stepwise:
             break
     assert max(each) == 1, "one fit of the three with each pair"
-    at_once = [change for change in learned(pairs, OFF)[1] if change.kind == "refined"]
-    assert stepwise[0].time_ns - at_once[0].time_ns == 2 * FRAME_NS
+    for pair in pairs:
+        at_once += [change for change in whole.observe(pair) if change.kind == "refined"]
+    assert stepwise[0].time_ns - at_once[0].time_ns == later * FRAME_NS
     np.testing.assert_array_equal(
         stepwise[0].calibration.a_from_b.rotation, at_once[0].calibration.a_from_b.rotation
     )
     np.testing.assert_array_equal(
         stepwise[0].calibration.a_from_b.translation, at_once[0].calibration.a_from_b.translation
     )
+
+
+def test_a_walk_makes_a_right_calibration_certain_though_no_fit_of_half_of_it_is_better():
+    """Else "walk a few steps" is said to somebody who walks."""
+    unknown = np.full(len(BODY), np.nan)
+    uncertain = Registration(A_FROM_B, 0.03, 0.03, unknown, np.radians(2.2), 60, BODY, 0.03, np.zeros(3))
+    start = Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "start-up pose", uncertain)
+    learner = CalibrationLearner(BODY, start)
+    for pair in walk(180):
+        learner.observe(pair)
+    found = learner.calibration
+    assert found.registration.rotation_sd < 0.5 * uncertain.rotation_sd
+    assert found.a_from_b.angle_to(A_FROM_B) < 2.5 * found.registration.rotation_sd
 
 
 def test_the_placement_of_the_last_seconds_is_found_with_one_fit_per_pair(monkeypatch):
