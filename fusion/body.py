@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.errors import BodyError, FusionError
+from fusion.support.read_only import ReadOnlyArrays, cached_array, read_only
 
 # Directions in a sensor frame (x right, y down, z forward) of a person who faces the sensor:
 # the person's left is then on the sensor's right.
@@ -27,7 +28,7 @@ _REST_DIRECTIONS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class Body(ReadOnlyArrays):
     """The joints of one body tracker and the bones between them.
 
     Attributes:
@@ -65,7 +66,7 @@ class Body:
         """The joint without a parent."""
         return self.parents.index(-1)
 
-    @cached_property
+    @cached_array
     def order(self) -> NDArray[np.int64]:
         """(J,) joints sorted so that every parent precedes its children."""
         order = [self.root]
@@ -73,17 +74,17 @@ class Body:
             order.extend(child for child, parent in enumerate(self.parents) if parent == joint)
         return np.array(order, dtype=np.int64)
 
-    @cached_property
+    @cached_array
     def parent_indices(self) -> NDArray[np.int64]:
         """(J,) ``parents`` as an array."""
         return np.array(self.parents, dtype=np.int64)
 
-    @cached_property
+    @cached_array
     def bone_joints(self) -> NDArray[np.int64]:
         """(J-1,) the joints that end a bone: all but the root, in joint order."""
         return np.array([j for j, parent in enumerate(self.parents) if parent >= 0], dtype=np.int64)
 
-    @cached_property
+    @cached_array
     def linked(self) -> NDArray[np.bool_]:
         """(J, J) whether two joints are the same or share a bone; such a joint cannot mislead (sec. 3)."""
         linked = np.eye(len(self), dtype=bool)
@@ -92,13 +93,13 @@ class Body:
             linked[child, parent] = linked[parent, child] = True
         return linked
 
-    @cached_property
+    @cached_array
     def mirror(self) -> NDArray[np.int64]:
         """(J,) the joint on the other side of the body; a joint on the midline is its own mirror."""
         index = {name: j for j, name in enumerate(self.joints)}
         return np.array([index[_other_side(name)] for name in self.joints], dtype=np.int64)
 
-    @cached_property
+    @cached_array
     def sided(self) -> NDArray[np.bool_]:
         """(J,) whether a joint has a counterpart on the other side of the body."""
         return np.asarray(self.mirror != np.arange(len(self)))
@@ -109,8 +110,8 @@ class Body:
 
         On the midline both are the same joint; otherwise they are a joint and its mirror.
         """
-        own = np.flatnonzero(np.arange(len(self)) <= self.mirror)
-        return own, self.mirror[own]
+        own = read_only(np.flatnonzero(np.arange(len(self)) <= self.mirror))
+        return own, read_only(self.mirror[own])
 
     def joint(self, name: str) -> int:
         """The index of a joint by name, in any spelling: ``ElbowLeft``, ``ELBOW_LEFT``, ``elbow left``.

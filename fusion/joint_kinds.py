@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.support.read_only import read_only
 
 T = TypeVar("T")
 
@@ -79,5 +80,4 @@ def limbs(body: Body) -> NDArray[np.int64]:
     hips = ["hip" in joint.lower() for joint in body.joints]
     legs = of_kind(body, "knee", "ankle", "foot") | hips
     limb = np.where(body.sided, np.where(legs, LEG, ARM), 0).astype(np.int64)
-    limb.flags.writeable = False  # all callers share it
-    return limb
+    return read_only(limb)  # all callers share it

@@ -16,6 +16,7 @@ from fusion.compiling.kernels import inner_kernel
 from fusion.facing.labels import Labels
 from fusion.skeleton import NO_FRAME, Skeleton, SkeletonPair, nobody
 from fusion.support.large_arrays import PART, GrowingArray, parts
+from fusion.support.read_only import read_only
 
 
 class PairArrays(NamedTuple):
@@ -188,7 +189,8 @@ class Pairs(Sequence[SkeletonPair]):
             np.array(self.time_ns),
             np.array(self.skew_ns),
             Labels.unknown(len(self)) if labels is None else labels.of_pairs(len(self)),
-            *(_read_only(values) for values in (a.positions, b.positions, a.states, b.states)),
+            *(read_only(a.positions), read_only(b.positions)),
+            *(read_only(a.states), read_only(b.states)),
             *(_no_images(*v.states.shape) if v.witness is None else v.witness for v in (a, b)),
         )
 
@@ -227,11 +229,6 @@ class PairStacker:
         if skeleton.witness is None:
             return self._no_image
         return np.array(skeleton.witness, dtype=np.float32)  # of one type, whoever made it
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    array.flags.writeable = False  # as the arrays of a skeleton are
-    return array
 
 
 @inner_kernel

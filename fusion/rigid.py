@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.errors import FusionError
+from fusion.support.read_only import ReadOnlyArrays, read_only
 
-NOWHERE = np.full(3, np.nan)
+NOWHERE = read_only(np.full(3, np.nan))
 """An unknown point."""
 
 
 @dataclass(frozen=True, eq=False)
-class RigidTransform:
+class RigidTransform(ReadOnlyArrays):
     """Transforms points from a source frame to a target frame: q' = R q + t.
 
     Name an instance ``target_from_source``; adjacent names cancel: ``a_from_b.apply(points_b)``.
@@ -42,8 +43,7 @@ class RigidTransform:
             )
         if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
             raise FusionError("R is not a rotation: it is not orthonormal, or it is a reflection.")
-        R.flags.writeable = t.flags.writeable = False
-        return RigidTransform(R, t)
+        return RigidTransform(read_only(R), read_only(t))
 
     @staticmethod
     def identity() -> RigidTransform:

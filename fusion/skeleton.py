@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fusion.body import Body
 from fusion.errors import BodyError, FusionError
 from fusion.support.large_arrays import parts
+from fusion.support.read_only import read_only
 
 
 class TrackingState(IntEnum):
@@ -156,8 +157,7 @@ def checked_joints(
         state = given.astype(np.uint8)
     state[~((np.abs(at) < FARTHEST_JOINT).all(axis=-1) & (at[..., 2] > 0.0))] = TrackingState.NOT_TRACKED
     at[state == TrackingState.NOT_TRACKED] = np.nan
-    at.flags.writeable = state.flags.writeable = False
-    return at, state
+    return read_only(at), read_only(state)
 
 
 def _read_only(array: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
@@ -165,9 +165,7 @@ def _read_only(array: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
     flags = array.flags
     if array.dtype == dtype and flags.c_contiguous and not flags.writeable:
         return array
-    copy = np.array(array, dtype=dtype, order="C")
-    copy.flags.writeable = False
-    return copy
+    return read_only(np.array(array, dtype=dtype, order="C"))
 
 
 @dataclass(frozen=True, slots=True)

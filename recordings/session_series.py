@@ -13,9 +13,10 @@ from devices.events import Spell, spells_of
 from fusion.calibration.calibration import Calibration
 from fusion.facing.evidence import upright_direction
 from fusion.movement.angles import ANGLES, angle_sigma, joint_angles
+from fusion.support.read_only import read_only
 from recordings.data.interpolation import nanoseconds, positions_at, sigma_at
 from recordings.data.series import AngleSeries, QualitySeries, RotationSeries, SkeletonSeries
-from recordings.data.session_data import SessionData, read_only
+from recordings.data.session_data import SessionData
 from recordings.data.session_parts import part_of
 
 if TYPE_CHECKING:  # what one reads who opens a session is this module; the rest is imported when asked for

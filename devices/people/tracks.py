@@ -39,7 +39,7 @@ class Tracks:
         track = np.full(len(people.frame), -1, dtype=np.int64)
         doubtful = np.zeros(len(track), dtype=np.bool_)
         hold_ns = np.int64(max(_HOLD_NS, int(_HOLD * median_interval(people.time_ns))))
-        mirror = np.ascontiguousarray(people.body.mirror)
+        mirror = people.body.mirror.copy()
         _number_all(
             people.frame, people.time_ns, people.skeletons.positions, mirror, hold_ns,
             *_held(len(people.body)), track, doubtful,
@@ -76,7 +76,7 @@ class TracksAhead:
     """The tracks of one view, frame by frame."""
 
     def __init__(self, body: Body) -> None:
-        self._mirror, self._torso = np.ascontiguousarray(body.mirror), np.array(body.torso, dtype=np.int64)
+        self._mirror, self._torso = body.mirror.copy(), np.array(body.torso, dtype=np.int64)
         self._held = _held(len(body))
         self._last_ns: int | None = None
         self._interval_ns = _HOLD_NS / _HOLD

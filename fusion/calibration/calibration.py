@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
+from fusion.support.read_only import ReadOnlyArrays
 
 if TYPE_CHECKING:
     from fusion.registration.rigid_fit import Registration
@@ -32,7 +33,7 @@ one must beat the others."""
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(ReadOnlyArrays):
     """R, t and the bone lengths.
 
     Attributes:

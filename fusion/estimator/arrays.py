@@ -178,11 +178,11 @@ def new_model(
     """The model of one body and calibration."""
     errors = JointErrors.of(body)
     return Model(
-        parents=body.parent_indices,
-        order=body.order,
-        rest=np.ascontiguousarray(body.rest),
-        linked=body.linked,
-        mirror=np.ascontiguousarray(body.mirror, dtype=np.int64),
+        parents=body.parent_indices.copy(),
+        order=body.order.copy(),
+        rest=np.array(body.rest),
+        linked=body.linked.copy(),
+        mirror=np.array(body.mirror, dtype=np.int64),
         limb=of_kind(body, "elbow", "wrist", "hand", "tip", "thumb", "knee", "ankle", "foot"),
         slow=by_joint(body, errors.slow),
         fast=by_joint(body, errors.fast),
@@ -191,7 +191,7 @@ def new_model(
         rotation=np.array(a_from_b.rotation, dtype=np.float64, order="C"),
         translation=np.array(a_from_b.translation, dtype=np.float64),
         registration_variances=np.array(registration_variances, dtype=np.float64),
-        registration_centre=registration_centre,
+        registration_centre=np.array(registration_centre, dtype=np.float64),
         rotations=np.array((np.eye(3), a_from_b.rotation), dtype=np.float64),
         translations=np.array((np.zeros(3), a_from_b.translation), dtype=np.float64),
         witness=new_witness_model(body),

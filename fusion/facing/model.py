@@ -248,7 +248,7 @@ def new_facing_model(body: Body, constants: FacingConstants | None = None) -> Fa
     return FacingModel(
         pairs=np.array(pairs, dtype=np.int64),
         head=np.array([body.joint("Head"), body.joint("ShoulderCenter") if base is None else base]),
-        mirror=body.mirror,
+        mirror=body.mirror.copy(),
         limb=limbs(body).copy(),
         girdle=of_kind(body, "girdle") & body.sided,
         face=of_kind(body, "face") & body.sided,

@@ -77,11 +77,11 @@ def new_model(setup: FusionSetup) -> Model:
     """The model of one body, calibration and choice of settings."""
     body, calibration, (a, b) = setup.body, setup.calibration, setup.intrinsics
     return Model(
-        parents=body.parent_indices,
-        order=body.order,
-        rest=np.ascontiguousarray(body.rest),
+        parents=body.parent_indices.copy(),
+        order=body.order.copy(),
+        rest=np.array(body.rest),
         torso=np.array(body.torso, dtype=np.int64),
-        linked=body.linked,
+        linked=body.linked.copy(),
         bone_lengths=np.array(calibration.bone_lengths, dtype=np.float64),
         rotation=np.array(calibration.a_from_b.rotation, dtype=np.float64, order="C"),
         focal_a=np.array([a.fx, a.fy]),

@@ -22,6 +22,7 @@ from fusion.registration.keyframes import Evidence
 from fusion.registration.lasting_errors import COMMON_SD
 from fusion.rigid import RigidTransform
 from fusion.support.array_fields import new_arrays
+from fusion.support.read_only import read_only
 from fusion.support.types import Array
 
 DEGREES_OF_FREEDOM = 4.0  # of Student's t distribution
@@ -59,8 +60,7 @@ class RobustFitSettings:
 def relative_noise(body: Body) -> Array:
     """(J,) standard deviation of a joint's frame-to-frame error, relative to the spine's."""
     noise = by_joint(body, _RELATIVE_NOISE)
-    noise.flags.writeable = False  # all callers share it
-    return noise
+    return read_only(noise)  # all callers share it
 
 
 class Observations(NamedTuple):

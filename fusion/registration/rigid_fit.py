@@ -22,6 +22,7 @@ from fusion.registration.lasting_errors import (
 )
 from fusion.rigid import NOWHERE, RigidTransform, through_quaternion
 from fusion.skeleton import SkeletonPair
+from fusion.support.read_only import ReadOnlyArrays
 from fusion.support.types import Array
 
 LARGEST_RESIDUAL = 0.300
@@ -170,7 +171,7 @@ def _weighted_sums(p, q, apart, scale, sums):  # type: ignore[no-untyped-def]
 
 
 @dataclass(frozen=True, eq=False)
-class Registration:
+class Registration(ReadOnlyArrays):
     """A transform between the sensors and its uncertainty."""
 
     a_from_b: RigidTransform  # R and t

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.errors import FusionError
+from fusion.support.read_only import read_only
 
 Item = TypeVar("Item")
 PART = 4096
@@ -73,9 +74,7 @@ class GrowingArray:
     def _whole(self, mapped: mmap.mmap | None, begin: int) -> NDArray[Any]:
         """All rows; those of a file from a byte of the mapped one."""
         if self._file is None or mapped is None:
-            rows = np.concatenate(self._parts)
-            rows.flags.writeable = False
-            return rows
+            return read_only(np.concatenate(self._parts))
         kind = self._parts[0]
         values = np.frombuffer(mapped, kind.dtype, self._size // kind.itemsize, begin)
         return values.reshape(-1, *kind.shape[1:])

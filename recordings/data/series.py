@@ -4,31 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from recordings.data.session_data import read_only
+from fusion.support.read_only import ReadOnlyArrays
 from recordings.errors import UnknownNameError
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 
-class _Series:
-    """Arrays over the frames of a session; they are read-only."""
-
-    def __post_init__(self) -> None:
-        for values in vars(self).values():
-            if isinstance(values, np.ndarray):
-                read_only(values)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy's arrays are read-only, too; also after pickling."""
-        self.__dict__.update(state)
-        self.__post_init__()
+class _Series(ReadOnlyArrays):
+    """Arrays over the frames of a session."""
 
     def __repr__(self) -> str:
         names = (each.name for each in fields(self))  # type: ignore[arg-type]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +23,11 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
 from fusion.setup import FuserSettings, FusionSetup
+from fusion.support.read_only import read_only
 from recordings.data import layout
 from recordings.data.images import NO_IMAGES, Images, SessionImages
 from recordings.data.session_arrays import SessionArrays
 from recordings.errors import RecordingError
-
-Scalar = TypeVar("Scalar", bound=np.generic)
-
-
-def read_only(values: NDArray[Scalar]) -> NDArray[Scalar]:
-    """The same array, which can no longer be written."""
-    values.flags.writeable = False
-    return values
 
 
 class ViewsAgree(NamedTuple):
@@ -92,7 +86,7 @@ class SessionData:
     intrinsics_a: Intrinsics
     intrinsics_b: Intrinsics
     sources: tuple[str, str]
-    about: dict[str, dict[str, list[Any]]]
+    about: Mapping[str, Mapping[str, Sequence[Any]]]
     events: tuple[Event, ...]
     fused_checksums: NDArray[np.uint32]
     joint_digests: NDArray[np.uint8]
@@ -102,16 +96,21 @@ class SessionData:
 
     def __post_init__(self) -> None:
         rows = self.rows
-        for values in (rows.bone_lengths, rows.frame, rows.time_ns, *(of for _, _, of in rows.figures())):
+        figures = (values for _, _, values in rows.figures())
+        own = rows.bone_lengths, rows.frame, rows.time_ns, self.fused_checksums, self.joint_digests
+        for values in (*own, *figures):
             read_only(values)  # an edit would keep the checksums of what was recorded
+        about = {group: _unchangeable(values) for group, values in self.about.items()}
+        vars(self)["about"] = MappingProxyType(about)
 
     def __getstate__(self) -> dict[str, Any]:
         """The data alone: what was computed from it is computed again."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        about = {group: dict(values) for group, values in self.about.items()}
+        return {each.name: getattr(self, each.name) for each in fields(self)} | {"about": about}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """A copy's arrays are read-only, too; also after pickling."""
-        self.__dict__.update(state)
+        vars(self).update(state)
         self.__post_init__()
 
     def __len__(self) -> int:
@@ -140,9 +139,7 @@ class SessionData:
         """(T,) the numbers of the frames in the original capture."""
         runs = json.loads(self.about["session"].get("frames", ["[]"])[0])
         known = [np.arange(*run) for run in runs] or [self.first_frame + np.arange(len(self))]
-        numbers = np.concatenate(known)[: len(self)]
-        numbers.setflags(write=False)
-        return numbers
+        return read_only(np.concatenate(known)[: len(self)])
 
     @property
     def left_out(self) -> int:
@@ -289,6 +286,10 @@ class SessionData:
         if not 0 <= first <= stop:
             raise RecordingError(f"There are no frames from {first} to {stop}.")
         return range(first, min(stop, len(self)))
+
+
+def _unchangeable(values: Mapping[str, Sequence[Any]]) -> Mapping[str, tuple[Any, ...]]:
+    return MappingProxyType({name: tuple(of) for name, of in values.items()})
 
 
 def _checked_side(side: str) -> str:

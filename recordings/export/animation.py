@@ -90,7 +90,7 @@ class Animation:
                 f"up to {1e3 * error:.0f} mm off"
             )
         self._rest_from_t_pose = Rotation.from_quat(rest_from_t_pose(body))
-        offsets = y_up(self._rest_from_t_pose.inv().apply(body.rest))
+        offsets = y_up(self._rest_from_t_pose.inv().apply(body.rest.copy()))
         offsets *= session.calibration.bone_lengths[:, None]
         self.rest = np.zeros((len(body), 3))
         for joint in body.order[1:]:

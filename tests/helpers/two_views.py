@@ -44,7 +44,7 @@ def standing(body, lengths=None, arms_out=50.0, legs_out=14.0):
         elif bone.startswith(("thigh", "shin")):
             angle = legs_out
         side = -1.0 if bone.endswith("left") else 1.0
-        turned = Rotation.from_euler("z", side * angle, degrees=True).apply(direction)
+        turned = Rotation.from_euler("z", side * angle, degrees=True).apply(direction.copy())
         joints[joint] = joints[body.parents[joint]] + lengths[joint] * turned
     return Rotation.from_euler("y", 45.0, degrees=True).apply(joints) + np.array([0.1, 0.05, 2.6])
 

@@ -3,7 +3,7 @@
 import copy
 import pickle
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
 
@@ -62,18 +62,22 @@ def session():
     return walk()
 
 
-def arrays_in(value):
-    """Every array of a session: its data, and what is computed from it."""
+def arrays_in(value, path="session", seen=None):
+    """Every array that a session leads to, by its path: data, what is computed from it, and its body."""
+    seen = {} if seen is None else seen
     if isinstance(value, np.ndarray):
-        yield value
-    elif isinstance(value, Session):
-        names = [name for name in dir(Session) if not name.startswith("_")]
-        for name in {*names, "rows"}:
-            if not callable(getattr(Session, name, None)) and name not in ("recorded_pairs", "last_setup"):
-                yield from arrays_in(getattr(value, name))
-    elif is_dataclass(value) and type(value).__module__.startswith("recordings"):
-        for each in fields(value):
-            yield from arrays_in(getattr(value, each.name))
+        yield path, value
+    elif id(value) not in seen:
+        seen[id(value)] = value  # kept, so that no other value gets its id
+        if isinstance(value, tuple):
+            for k, item in enumerate(value):
+                yield from arrays_in(item, f"{path}[{k}]", seen)
+        elif type(value).__module__.partition(".")[0] in ("fusion", "devices", "recordings"):
+            named = {*dir(type(value)), *vars(value)} if hasattr(value, "__dict__") else ()
+            for name in sorted(named):
+                public = not name.startswith("_") and not callable(getattr(type(value), name, None))
+                if public and (found := getattr(value, name)) is getattr(value, name):  # not made anew
+                    yield from arrays_in(found, f"{path}.{name}", seen)
 
 
 # What a researcher writes
@@ -221,11 +225,14 @@ def test_arrays_survive_a_file_and_a_process(name, frames, lost, tmp_path):
 def test_every_array_is_read_only_and_computed_once(session, tmp_path):
     session.save(tmp_path / "s.rrd")
     for each in (session, Session.open(tmp_path / "s.rrd"), pickle.loads(pickle.dumps(session))):
-        found = list(arrays_in(each))
-        assert len(found) > 40
-        assert [values for values in found if values.flags.writeable] == []
+        found = dict(arrays_in(each))
+        assert len(found) > 70
+        assert {"session.body.mirror", "session.calibration.bone_lengths", "session.fused"} <= {*found}
+        assert [path for path, values in found.items() if values.flags.writeable] == []
         with pytest.raises(ValueError, match="read-only"):
             each.fused[0] = 0.0
+        with pytest.raises(TypeError, match="item assignment"):
+            each.about["session"]["tracker"] = ["another"]
         for name in ("angles", "gait", "rotations", "quality", "verdict", "quality_per_second", "b_in_a"):
             assert getattr(each, name) is getattr(each, name)
 

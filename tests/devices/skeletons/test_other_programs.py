@@ -149,7 +149,7 @@ def test_files_of_another_program_are_fused_and_replayed(own_pair, tmp_path, cap
     assert json.loads(session.about["session"]["joint_names"][0]) == recorded
     assert duplex("replay", save, "--verify") == 0
     assert duplex("replay", save, "--no-viewer", "--save", tmp_path / "again.rrd") == 0
-    assert Session.open(tmp_path / "again.rrd").about["session"]["axes"] == ["x,-y,z"]
+    assert Session.open(tmp_path / "again.rrd").about["session"]["axes"] == ("x,-y,z",)
     out = tmp_path / "out"
     for axes, code in (("x,-y,z", 0), ("x,-y,z", 0), ("unity", 2)):
         assert duplex("batch", folder, "--out", out, "--axes", axes, "--names", names) == code

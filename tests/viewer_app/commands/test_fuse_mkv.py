@@ -59,7 +59,7 @@ def test_recordings_with_skeletons_become_a_session_with_depth(recorded, given, 
     session = Session.open(saved)
     assert session.damage is None
     with MkvRecording(recorded["a"]) as recording:
-        assert session.about["session"]["recorded"] == [recording.info.recorded]
+        assert session.about["session"]["recorded"] == (recording.info.recorded,)
     assert len(session) == FRAMES
     for side, camera in (("a", session.intrinsics_a), ("b", session.intrinsics_b)):
         images = list(session.depth(side))

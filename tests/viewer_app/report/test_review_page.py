@@ -398,7 +398,8 @@ def test_an_event_of_the_list_leads_to_its_moment(fused_run, tmp_path):
 def test_a_click_in_the_list_of_people_copies_the_options_that_follow_one(fused_run, tmp_path):
     people = [(["1", "2"], [3.0, 0.5]), ([None, "a <b"], [0.1, 2.0]), (["3", None], [2.0, 0.0])]
     session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
-    session.about["session"]["people"] = [json.dumps([{"ids": i, "seconds": s} for i, s in people])]
+    told = {"people": [json.dumps([{"ids": i, "seconds": s} for i, s in people])]}
+    session = replace(session, about={**session.about, "session": session.about["session"] | told})
     path = tmp_path / "page.html"
     path.write_text(review_page(session, report(session) | {"without_truth": truth_free_figures(session)}))
     options = ["--person-a 1 --person-b 2", "--person-b 'a <b'"]
@@ -476,9 +477,10 @@ def test_a_tile_says_its_figure_once_and_the_page_what_was_recorded(session):
 @pytest.mark.usefixtures("titles")
 def test_what_a_session_says_is_text_and_never_markup(fused_run):
     session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
-    session.about["settings"]["note"] = ["<script>alert(1)</script>"]
+    settings = session.about["settings"] | {"note": ["<script>alert(1)</script>"]}
     hostile = replace(session.events[0], text="<img src=x onerror=alert(1)> & more")
-    session = replace(session, events=(*session.events, hostile))
+    about = {**session.about, "settings": settings}
+    session = replace(session, events=(*session.events, hostile), about=about)
     text = review_page(session, report(session) | {"without_truth": truth_free_figures(session)})
     assert "Roughness" in text
     assert text.count("<script") == 1

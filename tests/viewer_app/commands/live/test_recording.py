@@ -155,7 +155,7 @@ def test_recordings_give_the_same_s_as_live_did(live, standin, tmp_path):
     assert duplex("fuse", *files, *given, tmp_path / "f.rrd") == 0
     for name in "lf":
         now = Session.open(tmp_path / f"{name}.rrd")
-        assert now.about["session"]["recorded"] == [recorded_at(files[0])]
+        assert now.about["session"]["recorded"] == (recorded_at(files[0]),)
         assert now.tracker == was.tracker == "k4abt"
         for side in "ab":
             _, i, j = np.intersect1d(
