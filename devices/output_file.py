@@ -18,6 +18,8 @@ from itertools import chain, count
 from pathlib import Path
 from zlib import crc32
 
+from fusion.errors import DuplexError
+
 if sys.platform != "win32":
     import fcntl
 
@@ -28,7 +30,14 @@ _numbers = count()
 _held: set[Path] = set()
 
 
-class KeptError(OSError):
+class OutputError(DuplexError, OSError):
+    """A file could not be written; made with the attributes of an OSError."""
+
+    def __str__(self) -> str:
+        return f"{self.filename} could not be written: {self.strerror}."
+
+
+class KeptError(OutputError):
     """A file could not get its name; `kept` is where it is instead, which the message says."""
 
     def __init__(self, fault: OSError, path: Path, kept: Path) -> None:
@@ -139,22 +148,30 @@ def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
 
     Raises:
         KeptError: It could not get its name, as where the file exists and `overwrite` is not set.
-        OSError: It could not be written.
+        OutputError: It could not be written.
     """
-    path = real_path(path)
-    if path in _held:  # the block of another whole_file
-        yield path
-        return
-    hidden = Hidden(path)
     try:
-        yield hidden.path
-        os.fsync(hidden.descriptor)
+        real = real_path(path)
+        if real in _held:  # the block of another whole_file
+            yield real
+            return
+        if real.exists() and not real.is_file():
+            raise OSError(errno.EINVAL, "it is not a regular file")
+        hidden = Hidden(real)
         try:
-            hidden.place(path, overwrite)
-        except OSError as fault:
-            raise hidden.keep(path, fault) from None
-    finally:
-        hidden.remove()
+            yield hidden.path
+            os.fsync(hidden.descriptor)
+            try:
+                hidden.place(real, overwrite)
+            except OSError as fault:
+                raise hidden.keep(path, fault) from None
+        finally:
+            hidden.remove()
+    except OSError as fault:
+        if isinstance(fault, KeptError):
+            raise
+        why = (fault.strerror or str(fault)).removesuffix(".")
+        raise OutputError(fault.errno, why, str(path)) from fault
 
 
 class GrowingOutput:

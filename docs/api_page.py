@@ -11,7 +11,7 @@ _TOPICS: tuple[tuple[str, str, str, str], ...] = (
         "What `fuse`, `Session.open` and `Session.of_arrays` return, and what a session gives.",
         "recordings",
         "Session SkeletonSeries QualitySeries AngleSeries RotationSeries Gait Step Turn Verdict "
-        "SecondQuality TruthComparison Event SessionArrays SessionFrame",
+        "SecondQuality Comparison TruthComparison Event SessionArrays SessionFrame",
     ),
     (
         "Fusing",
@@ -46,7 +46,8 @@ _TOPICS: tuple[tuple[str, str, str, str], ...] = (
         "",
         "fusion.DuplexError fusion.FusionError fusion.BodyError fusion.CalibrationError "
         "devices.DeviceError devices.MissingRecordingError recordings.RecordingError "
-        "recordings.MissingFileError recordings.UnknownNameError recordings.testing.SessionsDifferError",
+        "devices.output_file.OutputError recordings.MissingFileError recordings.UnknownNameError "
+        "recordings.testing.SessionsDifferError",
     ),
     (
         "Names with a module of their own",

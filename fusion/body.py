@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.errors import BodyError, FusionError
+from fusion.errors import BodyError, FusionError, UnknownNameError
 from fusion.support.read_only import ReadOnlyArrays, cached_array, read_only
 
 # Directions in a sensor frame (x right, y down, z forward) of a person who faces the sensor:
@@ -117,14 +117,12 @@ class Body(ReadOnlyArrays):
         """The index of a joint by name, in any spelling: ``ElbowLeft``, ``ELBOW_LEFT``, ``elbow left``.
 
         Raises:
-            FusionError: The body has no such joint.
+            UnknownNameError: The body has no such joint.
         """
-        try:
-            return self._index_by_plain_name[_plain(name)]
-        except KeyError:
-            raise FusionError(
-                f"{self.name} has no joint {name!r}. Its joints: {', '.join(self.joints)}."
-            ) from None
+        found = self.find(name)
+        if found is None:
+            raise UnknownNameError(f"{self.name} joint", name, self.joints)
+        return found
 
     def find(self, name: str) -> int | None:
         """Like :meth:`joint`, but returns None if the body has no such joint."""
@@ -134,13 +132,11 @@ class Body(ReadOnlyArrays):
         """The joint at the far end of a bone, by the bone's name.
 
         Raises:
-            FusionError: The body has no such bone.
+            UnknownNameError: The body has no such bone.
         """
         if name and name in self.bones:
             return self.bones.index(name)
-        raise FusionError(
-            f"{self.name} has no bone {name!r}. Its bones: {', '.join(filter(None, self.bones))}."
-        )
+        raise UnknownNameError(f"{self.name} bone", name, filter(None, self.bones))
 
     def require(self, other: "Body", whose: str = "A skeleton") -> None:
         """Checks that another object has these joints, because kernels take their arrays' lengths from here.

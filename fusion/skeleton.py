@@ -160,6 +160,18 @@ def checked_joints(
     return read_only(at), read_only(state)
 
 
+def impossible(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(...) which positions (..., 3), in metres, no sensor can report.
+
+    They are infinite, farther away than any sensor sees, or not before the sensor. A position of zeros and
+    one with a NaN is a joint that was not seen.
+    """
+    x, y, z = np.moveaxis(xyz, -1, 0)
+    stated = ~(np.isnan(x) | np.isnan(y) | np.isnan(z)) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
+    near = (np.abs(x) < FARTHEST_JOINT) & (np.abs(y) < FARTHEST_JOINT) & (z < FARTHEST_JOINT) & (z > 0.0)
+    return np.asarray(stated & ~near)
+
+
 def _read_only(array: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
     """The array itself, if it has the type and cannot be written; otherwise a copy like that."""
     flags = array.flags

@@ -1,7 +1,6 @@
 """The errors of sessions."""
 
-from collections.abc import Sequence
-
+from fusion import errors
 from fusion.errors import DuplexError
 
 
@@ -14,10 +13,5 @@ class MissingFileError(RecordingError, FileNotFoundError):
     """There is no such file."""
 
 
-class UnknownNameError(RecordingError, KeyError):
+class UnknownNameError(RecordingError, errors.UnknownNameError):
     """Nothing has this name; the message lists the existing names."""
-
-    def __init__(self, what: str, name: object, known: Sequence[str]) -> None:
-        super().__init__(f"There is no {what} {name!r}. Choose one of {', '.join(known)}.")
-
-    __str__ = Exception.__str__  # a KeyError's shows the message in quotes

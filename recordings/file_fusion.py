@@ -76,7 +76,8 @@ def fuse(
         offset_ms: Added to the times of ``b``. None: found from the motion, for the method ``duplex``.
         follow: Which of several people to follow, if no id is given: the one seen longest by both sensors or,
             with ``middle``, the one nearest the middle of the views among those seen a third as long.
-        force: Whether to fuse recordings that cannot be of one capture; see :func:`check_related`.
+        force: Whether to fuse recordings that cannot be of one capture; see
+            :func:`recordings.fusing.two_views.fuse_views`.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, the bodies differ, or they never overlap in time.

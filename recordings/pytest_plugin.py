@@ -91,6 +91,8 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
             return
         for name, path in kept.items():
             error.add_note(f"{name + ':':9} {_seen_from(begun, path)}")
+        for name, session in zip(_NAMES, error.sessions, strict=False):
+            error.add_note(f"{name} is {session}")
         sessions = [_seen_from(begun, kept[name]) for name in _NAMES if name in kept]
         for command in _commands(error.sessions, sessions):
             error.add_note(f"to see it:    {shlex.join(command)}")
@@ -108,7 +110,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def _kept(item: pytest.Item, sessions: Sequence[Session]) -> dict[str, Path]:
-    """The files of the sessions, written without images where they are none yet, and a picture of two."""
+    """The files of the sessions, without images, and a picture of two."""
     from recordings.comparing.session_differences import write_worst_moment
     from recordings.data.images import NO_IMAGES
 
@@ -118,11 +120,8 @@ def _kept(item: pytest.Item, sessions: Sequence[Session]) -> dict[str, Path]:
     folder.mkdir(exist_ok=True)
     kept: dict[str, Path] = {}
     for name, session in zip(_NAMES, sessions, strict=False):
-        if session.path is not None and (name == "expected" or len(sessions) == 1):
-            kept[name] = session.path
-        else:
-            kept[name] = folder / f"{name}.rrd"
-            replace(session, images=NO_IMAGES).save(kept[name])
+        kept[name] = folder / f"{name}.rrd"
+        replace(session, images=NO_IMAGES).save(kept[name])
     picture = folder / "worst.png"
     if len(sessions) > 1 and write_worst_moment(sessions[0], sessions[1], picture):
         kept["picture"] = picture

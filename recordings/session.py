@@ -18,22 +18,18 @@ frame.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from devices.events import Event
-from devices.frame_pairs import FramePair, RecordedPairs
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.pair_arrays import Pairs, View
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.support.large_arrays import GrowingArray
-from recordings.data import layout
 from recordings.data.images import NO_IMAGES, SessionImages
 from recordings.data.session_arrays import SessionArrays, SessionFrame, SessionFrames
 from recordings.errors import RecordingError
@@ -42,6 +38,7 @@ from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
 
 if TYPE_CHECKING:
+    from recordings.comparing.session_comparison import Comparison
     from recordings.comparing.truth_comparison import TruthComparison
     from recordings.export import Feet, Names, Table
 
@@ -149,7 +146,7 @@ class Session(SessionSeries):
             RecordingError: There is no such body, or an array has another shape, unit or order.
             FusionError: The views cannot be calibrated, or cannot be of one person at one time.
         """
-        from recordings.fusing.files import fuse_arrays  # an opened session needs no method
+        from recordings.fusing.two_views import fuse_arrays  # an opened session needs no method
 
         views = (positions_a, states_a), (positions_b, states_b)
         return Session.of(*fuse_arrays(body, time, views, sources, settings, calibration))
@@ -162,6 +159,7 @@ class Session(SessionSeries):
         table: Table = "long",
         names: Names = "body",
         feet: Feet = "planted",
+        sigma: bool = False,
     ) -> str:
         """Writes S* for another program, as ``duplex export`` does; an existing file is replaced.
 
@@ -172,6 +170,7 @@ class Session(SessionSeries):
             table: Of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
             names: Of the bones in a ``.bvh`` or ``.glb``: those of the body, ``humanoid`` or ``mixamo``.
             feet: In a ``.bvh`` or ``.glb``: ``planted`` where they stand, or as in S* (``free``).
+            sigma: Whether a ``.csv`` or ``.parquet`` has one standard deviation of each value of S*.
 
         Returns:
             A description of what was written.
@@ -179,44 +178,63 @@ class Session(SessionSeries):
         Raises:
             RecordingError: There is no such format, or it does not support an argument, or the package that
                 writes it is not installed.
-            OSError: The file could not be written completely. An existing file is then unchanged.
+            OutputError: The file could not be written completely. An existing file is then unchanged.
         """
         from devices.output_file import whole_file
         from recordings.export import writer_for
 
-        write = writer_for(Path(path), table, rate, names, feet)
+        write = writer_for(Path(path), table, rate, names, feet, sigma)
         with whole_file(Path(path), overwrite=True) as hidden:
             return write(self, hidden)
 
+    @overload
     def compare_with(
-        self, path: str | Path, *, names: str | Path | None = None, offset: float | None = None
-    ) -> TruthComparison:
-        """Compares S_A, S_B and S* with motion capture of the same movement, as ``duplex compare`` does.
+        self, other: str | Path, *, names: str | Path | None = None, offset: float | None = None
+    ) -> TruthComparison: ...
+    @overload
+    def compare_with(self, other: Session, *, any_capture: bool = False) -> Comparison: ...
+    def compare_with(
+        self,
+        other: str | Path | Session,
+        *,
+        names: str | Path | None = None,
+        offset: float | None = None,
+        any_capture: bool = False,
+    ) -> TruthComparison | Comparison:
+        """Compares S_A, S_B and S* with motion capture of the same movement, or S* with that of another
+        session of this capture, as ``duplex compare`` does.
 
         Args:
-            path: A ``.c3d``, ``.trc`` or ``.csv``.
+            other: A ``.c3d``, ``.trc`` or ``.csv``, or a session.
             names: Which of its points are joints: a TOML file, or ``mixamo``, ``plug-in-gait`` or
                 ``gait2392``; None: the one of these that finds most.
             offset: Seconds to add to its times; None: found from the motion.
+            any_capture: Whether the session may be of another capture, too.
 
         Raises:
-            RecordingError: The file cannot be read, or does not show the same movement.
+            RecordingError: The file cannot be read, or it or the session is of another movement.
             DeviceError: There is no such table of names.
         """
         from devices.skeletons.name_tables import name_table
+        from recordings.comparing.session_comparison import Comparison
         from recordings.comparing.truth_comparison import TruthComparison
         from recordings.comparing.truth_files import read_truth
 
+        if isinstance(other, Session):
+            for name, given in (("names", names), ("offset", offset)):
+                if given is not None:
+                    raise RecordingError(f"`{name}` is for motion capture; {other} is a session.")
+            return Comparison.of(self, other, any_capture)
         table = None if names is None else name_table(names)
-        return TruthComparison.of(self, read_truth(Path(path)), table, offset)
+        return TruthComparison.of(self, read_truth(Path(other)), table, offset)
 
-    def to_arrow(self, table: Table = "wide") -> Any:
-        """The ``pyarrow.Table`` of :meth:`export`; a column's metadata has its ``unit``."""
+    def to_arrow(self, table: Table = "wide", *, sigma: bool = False) -> Any:
+        """The ``pyarrow.Table`` of ``export``; a column's metadata has its ``unit``."""
         from recordings.export.tables import arrow_table
 
-        return arrow_table(self, table)
+        return arrow_table(self, table, sigma)
 
-    def to_pandas(self, table: Table = "wide") -> Any:
+    def to_pandas(self, table: Table = "wide", *, sigma: bool = False) -> Any:
         """The table of :meth:`to_arrow` as a ``pandas.DataFrame``; ``.attrs["units"]`` has units by column.
 
         Raises:
@@ -224,7 +242,7 @@ class Session(SessionSeries):
         """
         from recordings.export.tables import arrow_table, units_of
 
-        made = arrow_table(self, table)
+        made = arrow_table(self, table, sigma)
         try:
             frame = made.to_pandas()
         except ImportError:
@@ -239,7 +257,7 @@ class Session(SessionSeries):
             blueprint: The layout of the viewer; None: the viewer's default.
 
         Raises:
-            OSError: The file could not be written completely.
+            OutputError: The file could not be written completely. An existing file is then unchanged.
         """
         # the writer imports OpenCV, which changes the environment of the process
         from recordings.file.session_writer import write_session
@@ -260,29 +278,6 @@ class Session(SessionSeries):
         from recordings.file.session_reader import read_session  # a fused session needs no reader
 
         return Session(**vars(read_session(Path(path))))
-
-    @property
-    def recorded_pairs(self) -> RecordedPairs:
-        """The pairs as given by the sensors, without images, so that a session can serve as a source."""
-        rows, number = self.rows, np.arange(len(self))
-        clocks = rows.clock_a, rows.clock_b
-        views = (
-            View(rows.clock_a, rows.positions_a, rows.states_a, rows.witness_a),
-            View(rows.clock_b, rows.positions_b, rows.states_b, rows.witness_b),
-        )
-        frames = np.stack([np.where(clock == layout.NO_FRAME, -1, number) for clock in clocks], axis=1)
-        return RecordedPairs(Pairs(rows.body, views, rows.time_ns, rows.skew_ns, frames))
-
-    def pairs(self, depth: bool = False) -> Iterator[FramePair]:
-        """The pairs as given by the sensors, one by one."""
-        images = {side: iter(self.depth(side) if depth else ()) for side in layout.VIEWS}
-        ahead = {side: next(images[side], None) for side in layout.VIEWS}
-        for t, pair in enumerate(self.recorded_pairs):
-            for side, image in ahead.items():
-                if image is not None and image[0] == t:
-                    pair = replace(pair, **{side: replace(getattr(pair, side), depth=image[1])})
-                    ahead[side] = next(images[side], None)
-            yield pair
 
 
 def _blocks(frames: Iterable[SessionFrame | SessionFrames]) -> Iterator[Sequence[SessionFrame]]:

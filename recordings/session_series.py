@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from datetime import timedelta
 from functools import cached_property
 from typing import TYPE_CHECKING, Self
 
@@ -10,14 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from devices.events import Spell, spells_of
+from devices.frame_pairs import FramePair, RecordedPairs
 from fusion.calibration.calibration import Calibration
 from fusion.facing.evidence import upright_direction
 from fusion.movement.angles import ANGLES, angle_sigma, joint_angles
+from fusion.pair_arrays import Pairs, View
 from fusion.support.read_only import read_only
+from recordings.data import layout
 from recordings.data.interpolation import nanoseconds, positions_at, sigma_at
 from recordings.data.series import AngleSeries, QualitySeries, RotationSeries, SkeletonSeries
 from recordings.data.session_data import SessionData
-from recordings.data.session_parts import part_of
 
 if TYPE_CHECKING:  # what one reads who opens a session is this module; the rest is imported when asked for
     from recordings.gait import Gait
@@ -80,12 +84,12 @@ class SessionSeries(SessionData):
         """(T, J, 3) metres, the true joints in K_A's frame; None unless the sensors are simulated."""
         return self.rows.truth
 
-    def at(self, time: ArrayLike) -> NDArray[np.float64]:
+    def at(self, time: ArrayLike | timedelta) -> NDArray[np.float64]:
         """S* at any times, with bones of constant length; see
         :func:`recordings.data.interpolation.positions_at`.
 
         Args:
-            time: One or (N,) seconds since the first frame, or numpy's durations (``timedelta64``).
+            time: One or (N,) seconds since the first frame, or durations, as of numpy or pandas.
 
         Returns:
             (N, J, 3) metres in K_A's frame; NaN where the session has no S*, as before and after it.
@@ -95,7 +99,7 @@ class SessionSeries(SessionData):
         """
         return positions_at(self.rows, nanoseconds(self.rows, time))
 
-    def sigma_at(self, time: ArrayLike) -> NDArray[np.float64]:
+    def sigma_at(self, time: ArrayLike | timedelta) -> NDArray[np.float64]:
         """(N, J) metres, the uncertainty of :meth:`at`; see
         :func:`recordings.data.interpolation.sigma_at`."""
         return sigma_at(self.rows, nanoseconds(self.rows, time))
@@ -152,6 +156,29 @@ class SessionSeries(SessionData):
 
         found = find_gait(self.body, self.time_ns, self.rows.seen, self.up, self.rows.sigma)
         return replace(found, time=self.time, angles=self.angles)
+
+    @property
+    def recorded_pairs(self) -> RecordedPairs:
+        """The pairs as given by the sensors, without images, so that a session can serve as a source."""
+        rows, number = self.rows, np.arange(len(self))
+        clocks = rows.clock_a, rows.clock_b
+        views = (
+            View(rows.clock_a, rows.positions_a, rows.states_a, rows.witness_a),
+            View(rows.clock_b, rows.positions_b, rows.states_b, rows.witness_b),
+        )
+        frames = np.stack([np.where(clock == layout.NO_FRAME, -1, number) for clock in clocks], axis=1)
+        return RecordedPairs(Pairs(rows.body, views, rows.time_ns, rows.skew_ns, frames))
+
+    def pairs(self, depth: bool = False) -> Iterator[FramePair]:
+        """The pairs as given by the sensors, one by one."""
+        images = {side: iter(self.depth(side) if depth else ()) for side in layout.VIEWS}
+        ahead = {side: next(images[side], None) for side in layout.VIEWS}
+        for t, pair in enumerate(self.recorded_pairs):
+            for side, image in ahead.items():
+                if image is not None and image[0] == t:
+                    pair = replace(pair, **{side: replace(getattr(pair, side), depth=image[1])})
+                    ahead[side] = next(images[side], None)
+            yield pair
 
     @property
     def bone_lengths(self) -> NDArray[np.float64]:
@@ -212,6 +239,8 @@ class SessionSeries(SessionData):
         Raises:
             RecordingError: There are none, or the session does not have them in this order.
         """
+        from recordings.data.session_parts import part_of
+
         return part_of(self, frames)
 
     @cached_property

@@ -10,6 +10,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from fusion.errors import DuplexError
+from recordings.errors import RecordingError, UnknownNameError
+
 if TYPE_CHECKING:
     from devices.simulated.kinect import Movement
     from fusion.compiling.first_run import Progress
@@ -26,7 +29,7 @@ written: list[Path] = []
 """The expected files that were written."""
 
 
-class SessionsDifferError(AssertionError):
+class SessionsDifferError(DuplexError, AssertionError):
     """Two sessions differ, there is no expected one, or a session is not as good as it should be.
 
     Attributes:
@@ -62,8 +65,8 @@ def assert_sessions_match(
     Raises:
         SessionsDifferError: An AssertionError. The body, the number of frames, the times or states differ;
             a skeleton is missing in one session; a joint exceeds the tolerance; or there is no expected file.
-        RecordingError: A file cannot be read, or a name in `joints_mm` is not a joint's.
-        ValueError: A tolerance is negative or not a number.
+        RecordingError: A file cannot be read, a name in `joints_mm` is not a joint's, or a tolerance is
+            negative or not a number.
     """
     __tracebackhide__ = True
     from recordings.comparing.session_differences import differences
@@ -72,7 +75,7 @@ def assert_sessions_match(
     joints_mm = joints_mm or {}
     for name, mm in {"position_mm": position_mm, **joints_mm}.items():
         if not 0.0 <= mm < float("inf"):
-            raise ValueError(f"{name} is {mm}; it must be 0 or more millimetres")
+            raise RecordingError(f"{name} is {mm}; it must be 0 or more millimetres.")
     one = actual if isinstance(actual, Session) else _opened(actual)
     if not isinstance(expected, Session):
         if update_expected:
@@ -103,14 +106,13 @@ def assert_session(
 
     Raises:
         SessionsDifferError: An AssertionError. The session is not as asked for, or its file is damaged.
-        RecordingError: The file cannot be read.
-        ValueError: `verdict` is not one of those words.
+        RecordingError: The file cannot be read, or `verdict` is not one of those words.
     """
     __tracebackhide__ = True
     from recordings.session import Session
 
     if verdict not in ("good", "usable", None):
-        raise ValueError(f"verdict is {verdict!r}; it must be 'good', 'usable' or None")
+        raise UnknownNameError("verdict", verdict, ("good", "usable"))
     one = session if isinstance(session, Session) else _opened(session)
     if found := "\n".join(_shortcomings(one, verdict, bones_mm, gap_s)):
         raise SessionsDifferError(found, one)
@@ -202,7 +204,6 @@ def _shortcomings(
 def _opened(path: str | Path) -> Session:
     """The session of a file; an error shows no frames of this package."""
     __tracebackhide__ = True
-    from recordings.errors import RecordingError
     from recordings.session import Session
 
     try:

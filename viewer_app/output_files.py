@@ -140,24 +140,9 @@ def claim(path: Path) -> None:
         raise UsageError(f"{path} could not be written: {error.strerror or error}.") from None
 
 
-@contextmanager
-def output_file(path: Path, force: bool) -> Iterator[Path]:
-    """:func:`~devices.output_file.whole_file` of a command.
-
-    Raises:
-        UsageError: The file could not be written, or it exists by now and `force` is not set: the message
-            says where it is instead.
-    """
-    try:
-        with whole_file(path, overwrite=force) as hidden:
-            yield hidden
-    except OSError as error:
-        raise UsageError(f"{path} could not be written: {error.strerror or error}.") from error
-
-
 def write_text(path: Path, text: str, force: bool) -> None:
     """Writes a text file that is either complete or absent."""
-    with output_file(path, force) as hidden:
+    with whole_file(path, overwrite=force) as hidden:
         hidden.write_text(text, encoding="utf-8")
 
 

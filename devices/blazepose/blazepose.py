@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.blazepose.grey_image import compressed, evened
 from devices.blazepose.joints import joints_of
 from devices.blazepose.landmark_kinds import TRUNK
 from devices.blazepose.lifting import BodyLandmarks, lift
@@ -27,6 +26,7 @@ from devices.blazepose.networks.inference import (
 from devices.blazepose.regions import Region, transformed, whole_image
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
 from devices.depth.camera import project
+from devices.depth.grey_image import compressed, evened
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics

@@ -19,7 +19,7 @@ from devices.skeletons.stated_format import UNSTATED, StatedFormat, Unit
 from devices.skeletons.times import FEWEST
 from fusion.body import Body
 from fusion.pair_arrays import View, joined_views
-from fusion.skeleton import FARTHEST_JOINT, checked_joints
+from fusion.skeleton import FARTHEST_JOINT, checked_joints, impossible
 from fusion.support.large_arrays import parts
 
 _SAMPLES = 300
@@ -147,18 +147,6 @@ def _possible(look: Look, rows: NDArray[np.int64], meaning: Meaning) -> tuple[Vi
     k, point, place = first
     where = found.where(k, point) if found.where else f"in frame {found.frame[k]}"
     return skeletons, [impossible_in_words(look.path, count, where, place)]
-
-
-def impossible(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(...) which positions (..., 3), in metres, no sensor can report.
-
-    They are infinite, farther away than any sensor sees, or not before the sensor. A position of zeros and
-    one with a NaN is a joint that was not seen.
-    """
-    x, y, z = np.moveaxis(xyz, -1, 0)
-    stated = ~(np.isnan(x) | np.isnan(y) | np.isnan(z)) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
-    near = (np.abs(x) < FARTHEST_JOINT) & (np.abs(y) < FARTHEST_JOINT) & (z < FARTHEST_JOINT) & (z > 0.0)
-    return np.asarray(stated & ~near)
 
 
 def impossible_in_words(name: object, count: int, where: str, value: NDArray[np.float64]) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from recordings.appearance.colors import SKELETON_COLORS
+from recordings.data.session_data import runs_of
 from recordings.errors import UnknownNameError
 from recordings.session_series import SessionSeries
 
@@ -54,10 +55,11 @@ def differences(
         limits[_joint(one.body, joint)], allowed = limit, "a joint's tolerance"
     beyond = {name: mm > limits for name, mm in apart.items()}
     for name, differ in beyond.items():
-        for t in np.flatnonzero(differ.any(axis=1))[:1]:
+        frames = np.flatnonzero(differ.any(axis=1))
+        for t in frames[:1]:
             yield (
-                f"{name} differs by more than {allowed} in {differ.any(axis=1).sum()} of {len(one)} "
-                f"frames, first in frame {t}, {one.body.joints[int(differ[t].argmax())]}"
+                f"{name} differs by more than {allowed} in {len(frames)} of {len(one)} frames "
+                f"({runs_of(frames)}), first at {one.body.joints[int(differ[t].argmax())]}"
                 + ("" if name == "S*" else "; the sessions are of different captures")
             )
     if any(differ.any() for differ in beyond.values()):

@@ -1,5 +1,7 @@
 """S* between the moments of a session, with bones as long as in its frames."""
 
+from datetime import timedelta
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -84,16 +86,16 @@ def _bone_lengths(rows: SessionArrays, frames: Ints) -> Array:
     return np.where(np.abs(own - wanted) > _SAME_M, own, wanted)
 
 
-def nanoseconds(rows: SessionArrays, time: ArrayLike) -> Ints:
+def nanoseconds(rows: SessionArrays, time: ArrayLike | timedelta) -> Ints:
     """(N,) nanoseconds since the first frame; times that are NaN become one before every session.
 
     Args:
-        time: One or (N,) seconds, or numpy's durations.
+        time: One or (N,) seconds, or durations of numpy, pandas or ``datetime``.
 
     Raises:
         RecordingError: They are neither, have more than one dimension, or are a day or more from the session.
     """
-    given = np.asarray(time)
+    given = np.asarray(np.timedelta64(time) if isinstance(time, timedelta) else time)
     if given.dtype.kind == "m":
         wanted = np.where(np.isnat(given), np.nan, given / np.timedelta64(1, "ns"))
     elif given.dtype.kind in "iuf":

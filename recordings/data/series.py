@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,10 +67,11 @@ class QualitySeries(_Series):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AngleSeries(_Series, Mapping[str, NDArray[np.float64]]):
+class AngleSeries(_Series, dict[str, NDArray[np.float64]]):
     """Joint angles of S* over T frames; see :mod:`fusion.movement.angles` for their definitions.
 
-    A mapping: ``angles["knee_flexion_left"]`` is (T,) degrees. Another name raises
+    A dictionary that cannot be changed, as pandas and polars take it: ``pandas.DataFrame(session.angles)``.
+    ``angles["knee_flexion_left"]`` is (T,) degrees. Another name raises
     :class:`recordings.errors.UnknownNameError`, which lists all names.
 
     Attributes:
@@ -83,16 +84,21 @@ class AngleSeries(_Series, Mapping[str, NDArray[np.float64]]):
     degrees: NDArray[np.float64]
     sigma: NDArray[np.float64]
 
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        if name not in self.names:
-            raise UnknownNameError("angle", name, self.names)
-        return np.asarray(self.degrees[:, self.names.index(name)])
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        dict.update(self, zip(self.names, self.degrees.T, strict=True))
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.names)
+    def __missing__(self, name: object) -> NoReturn:
+        raise UnknownNameError("angle", name, self.names)
 
-    def __len__(self) -> int:
-        return len(self.names)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return AngleSeries, (self.names, self.degrees, self.sigma)
+
+    def _refused(self, *_: Any, **__: Any) -> NoReturn:
+        raise TypeError("The angles of a session are read-only; `dict(angles)` is not.")
+
+    __setitem__ = __delitem__ = __ior__ = _refused
+    clear = pop = popitem = setdefault = update = _refused
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -27,7 +27,7 @@ from fusion.support.read_only import read_only
 from recordings.data import layout
 from recordings.data.images import NO_IMAGES, Images, SessionImages
 from recordings.data.session_arrays import SessionArrays
-from recordings.errors import RecordingError
+from recordings.errors import RecordingError, UnknownNameError
 
 
 class ViewsAgree(NamedTuple):
@@ -97,11 +97,11 @@ class SessionData:
     def __post_init__(self) -> None:
         rows = self.rows
         figures = (values for _, _, values in rows.figures())
-        own = rows.bone_lengths, rows.frame, rows.time_ns, self.fused_checksums, self.joint_digests
-        for values in (*own, *figures):
+        checks: tuple[NDArray[Any], ...] = self.fused_checksums, self.joint_digests
+        for values in (rows.bone_lengths, rows.frame, rows.time_ns, *figures, *checks):
             read_only(values)  # an edit would keep the checksums of what was recorded
-        about = {group: _unchangeable(values) for group, values in self.about.items()}
-        vars(self)["about"] = MappingProxyType(about)
+        every = {group: {name: tuple(of) for name, of in own.items()} for group, own in self.about.items()}
+        vars(self)["about"] = MappingProxyType({group: MappingProxyType(own) for group, own in every.items()})
 
     def __getstate__(self) -> dict[str, Any]:
         """The data alone: what was computed from it is computed again."""
@@ -109,7 +109,6 @@ class SessionData:
         return {each.name: getattr(self, each.name) for each in fields(self)} | {"about": about}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy's arrays are read-only, too; also after pickling."""
         vars(self).update(state)
         self.__post_init__()
 
@@ -117,7 +116,10 @@ class SessionData:
         return len(self.rows)
 
     def __str__(self) -> str:
-        return "the session in memory" if self.path is None else str(self.path)
+        if self.path is not None:
+            return str(self.path)
+        is_part = "frames" in self.about["session"]
+        return f"frames {runs_of(self.numbers)} of a capture" if is_part else "the session in memory"
 
     @property
     def name(self) -> str:
@@ -179,8 +181,8 @@ class SessionData:
     @property
     def origin(self) -> dict[str, str | float]:
         """What the session keeps of the capture that it was made of, for a session made of this one."""
-        known = self.about["session"]
-        return {name: values[0] for name, values in known.items() if name not in _WRITTEN_ANEW}
+        own = self.about["session"].items()
+        return {name: values[0] for name, values in own if name not in _WRITTEN_ANEW}
 
     @property
     def method_revision(self) -> int:
@@ -190,8 +192,7 @@ class SessionData:
     @property
     def dropped(self) -> tuple[int | None, int | None]:
         """Frames of A and B that were left out before saving; None if not recorded, as by 1.0."""
-        known = self.about["session"]
-        a, b = (known.get(f"dropped_{side}", [None])[0] for side in "ab")
+        a, b = (self.about["session"].get(f"dropped_{side}", [None])[0] for side in "ab")
         return a, b
 
     @property
@@ -219,10 +220,9 @@ class SessionData:
     @property
     def clock(self) -> dict[str, float] | None:
         """How much later B captures than it says, ``offset_ms`` and ``sd_ms``; None if unknown."""
-        known = self.about["session"]
-        if "clock_offset_ms" not in known:
-            return None
-        return {"offset_ms": known["clock_offset_ms"][0], "sd_ms": known["clock_sd_ms"][0]}
+        of = self.about["session"]
+        known = {name: of[f"clock_{name}"][0] for name in ("offset_ms", "sd_ms") if f"clock_{name}" in of}
+        return known or None
 
     @property
     def first_calibrated_frame(self) -> int | None:
@@ -240,10 +240,9 @@ class SessionData:
 
         If all calibrations are provisional, that of the first one that has data.
         """
+        with_data = (n for n, one in self.calibrations if one.registration is not None)
         first = self.first_calibrated_frame
-        if first is None:
-            first = next((n for n, one in self.calibrations if one.registration is not None), len(self))
-        return first
+        return next(with_data, len(self)) if first is None else first
 
     @property
     def last_setup(self) -> FusionSetup:
@@ -288,11 +287,14 @@ class SessionData:
         return range(first, min(stop, len(self)))
 
 
-def _unchangeable(values: Mapping[str, Sequence[Any]]) -> Mapping[str, tuple[Any, ...]]:
-    return MappingProxyType({name: tuple(of) for name, of in values.items()})
+def runs_of(numbers: NDArray[np.int64], most: int = 5) -> str:
+    """Increasing numbers in words, such as ``3, 10–14``; the first runs of them if there are more."""
+    runs = np.split(numbers, 1 + np.flatnonzero(np.diff(numbers) > 1))
+    words = [f"{run[0]}–{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs[:most]]
+    return ", ".join([*words, "…"] if len(runs) > most else words)
 
 
 def _checked_side(side: str) -> str:
     if side not in layout.VIEWS:
-        raise RecordingError(f"A sensor is named {' or '.join(layout.VIEWS)}; got {side!r}.")
+        raise UnknownNameError("sensor", side, layout.VIEWS)
     return side

@@ -39,6 +39,7 @@ _OPTIONS = {
     "names": ("body", (".bvh", ".glb"), "has the names of the joints"),
     "feet": ("planted", (".bvh", ".glb"), "has those of S*"),
     "table": ("long", (".csv", ".parquet"), "has one layout"),
+    "sigma": (False, (".csv", ".parquet"), "has no such columns"),
 }
 """Of some writers: the default, the formats that have it, and why others do not."""
 
@@ -49,6 +50,7 @@ def writer_for(
     rate: float | None = None,
     names: Names = "body",
     feet: Feet = "planted",
+    sigma: bool = False,
 ) -> Writer:
     """Returns the writer for the suffix of a file.
 
@@ -57,6 +59,7 @@ def writer_for(
         rate: Frames per second. None: that of the recording.
         names: Names of the bones of a ``.bvh`` or ``.glb``: the body's, of Unity's humanoid, or Mixamo's.
         feet: Of a ``.bvh`` or ``.glb``: ``planted`` where they stand, or as in S* (``free``).
+        sigma: Whether a ``.csv`` or ``.parquet`` has one standard deviation of each value of S*.
 
     Raises:
         RecordingError: No format has this suffix, it needs a package that is not installed, or an option is
@@ -68,7 +71,7 @@ def writer_for(
             f"{path}: {path.suffix or 'no ending'} is no format to export to. Known: {', '.join(_MODULES)}."
         )
     options: dict[str, Any] = {}
-    for name, given in zip(_OPTIONS, (rate, names, feet, table), strict=True):
+    for name, given in zip(_OPTIONS, (rate, names, feet, table, sigma), strict=True):
         default, formats, otherwise = _OPTIONS[name]
         if given != default:
             if suffix not in formats:

@@ -23,23 +23,23 @@ _STATES = np.array(["not_tracked", "inferred", "tracked"])
 _FUSED_STATES = np.array(["fused", "predicted", "never_seen"])
 
 
-def write_csv(session: SessionSeries, path: Path, table: Table = "long") -> str:
+def write_csv(session: SessionSeries, path: Path, table: Table = "long", sigma: bool = False) -> str:
     """Writes :func:`arrow_table`; cells are empty if a joint has no position."""
     with path.open("wb") as file:  # whose errors are the system's; pyarrow's own have its words before them
-        pyarrow.csv.write_csv(arrow_table(session, table), file)
+        pyarrow.csv.write_csv(arrow_table(session, table, sigma), file)
     return _frames(session)
 
 
-def write_parquet(session: SessionSeries, path: Path, table: Table = "long") -> str:
+def write_parquet(session: SessionSeries, path: Path, table: Table = "long", sigma: bool = False) -> str:
     """Writes :func:`arrow_table`; null if a joint has no position."""
     import pyarrow.parquet
 
     with path.open("wb") as file:
-        pyarrow.parquet.write_table(arrow_table(session, table), file)
+        pyarrow.parquet.write_table(arrow_table(session, table, sigma), file)
     return _frames(session)
 
 
-def arrow_table(session: SessionSeries, layout: Table) -> pa.Table:
+def arrow_table(session: SessionSeries, layout: Table, sigma: bool) -> pa.Table:
     """:func:`long_table` or :func:`wide_table`, whose metadata has frame, body and rate, and each column's
     ``unit``: ``m``, ``s``, ``deg``; 1 for a weight or probability.
 
@@ -48,15 +48,15 @@ def arrow_table(session: SessionSeries, layout: Table) -> pa.Table:
     """
     if layout not in _LAYOUTS:
         raise UnknownNameError("table", layout, tuple(_LAYOUTS))
-    table = _LAYOUTS[layout](session)
+    table = _LAYOUTS[layout](session, sigma)
     units = {
         "time_s": "s",
         "weight": "1",
-        **dict.fromkeys("xyz", "m"),
-        **dict.fromkeys(ANGLES, "deg"),
+        **dict.fromkeys((*"xyz", "sigma"), "m"),
+        **dict.fromkeys((*ANGLES, *map(_sigma, ANGLES)), "deg"),
     }
     units |= {f"contact_{side}": "1" for side in SIDES}
-    units |= {f"{joint}_{axis}": "m" for joint in session.body.joints for axis in "xyz"}
+    units |= {f"{joint}_{axis}": "m" for joint in session.body.joints for axis in (*"xyz", "sigma")}
     fields = (
         field.with_metadata({"unit": units[field.name]}) if field.name in units else field
         for field in table.schema
@@ -103,13 +103,19 @@ def _frames(session: SessionSeries) -> str:
     return f"{len(session)} frames"
 
 
-def long_table(session: SessionSeries) -> pa.Table:
-    """``frame, time_s, skeleton (a, b, fused), joint, x, y, z, state, weight``; S_B in K_A's frame."""
+def long_table(session: SessionSeries, sigma: bool = False) -> pa.Table:
+    """``frame, time_s, skeleton (a, b, fused), joint, x, y, z, state, weight``; S_B in K_A's frame.
+
+    Args:
+        sigma: Whether a column ``sigma`` has one standard deviation of a joint of S*.
+    """
     rows = session.rows
     T, J = rows.predicted.shape
     parts = []
     for name, positions, states, weights in _skeletons(rows):
         points = positions.reshape(-1, 3)
+        known = _joint_sigma(session) if name == "fused" else np.full((T, J), np.nan)
+        last = {"sigma": pa.array(known.ravel(), from_pandas=True)} if sigma else {}
         parts.append(
             pa.table(
                 {
@@ -120,24 +126,33 @@ def long_table(session: SessionSeries) -> pa.Table:
                     **{axis: pa.array(points[:, k], from_pandas=True) for k, axis in enumerate("xyz")},
                     "state": states.ravel(),
                     "weight": pa.array(weights.astype(np.float64).ravel(), from_pandas=True),
+                    **last,
                 }
             )
         )
     return pa.concat_tables(parts)
 
 
-def wide_table(session: SessionSeries) -> pa.Table:
+def wide_table(session: SessionSeries, sigma: bool = False) -> pa.Table:
     """One row per frame: ``frame, time_s, <joint>_x, <joint>_y, <joint>_z, …`` of S*, its angles in degrees,
     ``contact_left`` and ``contact_right``: the probability that the foot is on the floor while the person
-    walks, and ``gait``: the events nearest to the frame, such as ``heel_strike_left``."""
+    walks, and ``gait``: the events nearest to the frame, such as ``heel_strike_left``.
+
+    Args:
+        sigma: Whether ``<joint>_sigma`` and ``<angle>_sigma`` follow, one standard deviation each.
+    """
     rows, angles = session.rows, session.angles
     columns: dict[str, pa.Array] = {"frame": pa.array(rows.frame), "time_s": pa.array(rows.time_ns * 1e-9)}
     positions = rows.seen
     for j, joint in enumerate(rows.body.joints):
         for axis in range(3):
             columns[f"{joint}_{'xyz'[axis]}"] = pa.array(positions[:, j, axis], from_pandas=True)
-    for name in angles.names:
+        if sigma:
+            columns[_sigma(joint)] = pa.array(_joint_sigma(session)[:, j], from_pandas=True)
+    for k, name in enumerate(angles.names):
         columns[name] = pa.array(angles[name], from_pandas=True)
+        if sigma:
+            columns[_sigma(name)] = pa.array(angles.sigma[:, k], from_pandas=True)
     gait = session.gait
     for side in SIDES:
         contact = gait.contact(side, rows.time_ns * 1e-9)
@@ -147,6 +162,15 @@ def wide_table(session: SessionSeries) -> pa.Table:
         k = int(np.abs(rows.time_ns - 1e9 * seconds).argmin())
         happened[k] = " ".join(filter(None, (happened[k], event)))
     return pa.table({**columns, "gait": pa.array(happened, pa.string())})
+
+
+def _sigma(name: str) -> str:
+    return f"{name}_sigma"
+
+
+def _joint_sigma(session: SessionSeries) -> NDArray[np.float64]:
+    """(T, J) metres; NaN where S* has no position."""
+    return np.where(np.isnan(session.rows.seen[..., 0]), np.nan, session.sigma)
 
 
 def _skeletons(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.support.types import Array
-from recordings.errors import RecordingError
+from recordings.errors import RecordingError, UnknownNameError
 
 SIDES = ("left", "right")
 _LASTING = 0.5  # of the pelvis' errors on the loops of simulated walks
@@ -156,8 +156,8 @@ class Gait:
 
     def of_side(self, side: str) -> list[Step]:
         """The steps of a foot, ``left`` or ``right``."""
-        if side not in ("left", "right"):
-            raise RecordingError(f"A foot is left or right, not {side!r}.")
+        if side not in SIDES:
+            raise UnknownNameError("`side`", side, SIDES)
         return [step for step in self.steps if step.side == side]
 
     def cycles(self, side: str) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from devices.blazepose.grey_image import compressed
+from devices.depth.grey_image import compressed
 from devices.depth.image_thinning import has_image
 from devices.depth.point_cloud import depth_to_points, ray_table
 from devices.depth.rvl import MEDIA_TYPE, encode_depth

@@ -3,7 +3,9 @@
 import re
 import subprocess
 import sys
+import tomllib
 
+import grimp
 import pytest
 
 from tests.helpers.documents import PACKAGES, ROOT, documents
@@ -90,6 +92,18 @@ def test_no_folder_has_more_than_twelve_modules():
                 assert len(modules) <= 12, folder
 
 
+def test_a_session_leads_to_no_sensor_no_tracker_and_not_to_everything():
+    """Imports within functions count."""
+    graph = grimp.build_graph(*PACKAGES, exclude_type_checking_imports=True)
+    reached = graph.find_upstream_modules("recordings.session")
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    apart = next(each["modules"] for each in contracts if each["type"] == "independence")
+    own = [name for name in apart if name != "devices.skeletons"] + ["devices.capture", "devices.live"]
+    assert {"recordings.session_series", "fusion.fuser", "recordings.export.tables"} <= reached
+    assert [name for name in reached if name.startswith((*own, "viewer_app"))] == []
+    assert len(reached) <= 153
+
+
 READ = """
 import sys
 {what}
@@ -105,7 +119,7 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
     ("what", "most_lines", "most_of_devices"),
     [
         ("from fusion import Fuser", 7_000, 0),
-        ("from recordings import Session", 5_910, 6),
+        ("from recordings import Session", 5_790, 5),
         ("from recordings import fuse", 16_400, 25),
         (RUN_FUSE.format(pair=PAIR), 24_500, 42),
         ("import viewer_app.commands.live", 32_800, 58),

@@ -13,8 +13,9 @@ import pyarrow.parquet as pq
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
+from devices.output_file import whole_file
 from viewer_app.batch.jobs import Job, Record
-from viewer_app.output_files import output_file, write_text
+from viewer_app.output_files import write_text
 
 State = Literal["failed", "fused", "pending"]
 
@@ -126,7 +127,7 @@ def write_parquet(rows: Sequence[Row], path: Path) -> None:
         values = [row.figures.get(name) for row in rows]
         text = any(isinstance(value, str) for value in values)
         columns[name] = pa.array(values, pa.string() if text else pa.float64())
-    with output_file(path, force=True) as hidden:
+    with whole_file(path, overwrite=True) as hidden:
         pq.write_table(pa.table(columns), hidden)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
+from devices.output_file import whole_file
 from devices.recorded.files import not_of_libk4a
 from devices.recorded.two_recordings import RecordingChoice, TwoRecordings
 from fusion.body import Body
@@ -27,7 +28,7 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sensing import FuseOptions, recording_settings
 from viewer_app.options.shared import calibration_source
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, output_file, write_text
+from viewer_app.output_files import check_outputs, write_text
 from viewer_app.report import save_session_report
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.compilation import warm_up
@@ -75,7 +76,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
 
     def export_it() -> None:
         if options.to is not None and export is not None:
-            with output_file(options.to, options.force) as hidden:
+            with whole_file(options.to, overwrite=options.force) as hidden:
                 written = export(kept, hidden)
             console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)
 

@@ -1,11 +1,12 @@
 """``duplex trim``: saves a time range of a session as a new session."""
 
+from devices.output_file import whole_file
 from recordings.quality.figures import report
 from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import TrimOptions
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, output_file
+from viewer_app.output_files import check_outputs
 from viewer_app.report.pages.good_part import good_frames_of
 from viewer_app.report.pages.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images
@@ -30,7 +31,7 @@ def run(options: TrimOptions) -> None:
     if options.good:
         kept &= good_frames_of(session, console)
     part = session.part(kept)
-    with output_file(options.save, options.force) as hidden:
+    with whole_file(options.save, overwrite=options.force) as hidden:
         about = f"These figures are of {session}, of which this session is a part."
         damaged = write_for_viewer(part, hidden, session_page(part.last_setup, report(session), about))
     console.print(f"Saved {options.save}: {len(part)} of {len(session)} frames.", markup=False)

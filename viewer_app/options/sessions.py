@@ -149,6 +149,8 @@ class ExportOptions(GoodOptions):
     table: Literal["long", "wide"] = "long"
     """Layout of a .csv or .parquet: one row per joint and skeleton, or one row per frame with S* and its
     angles."""
+    sigma: bool = False
+    """Add one standard deviation of each value of S* to a .csv or .parquet."""
     rate: float | None = None
     """Frames per second of a .bvh, .c3d, .glb, .mot or .trc. If not given, that of the recording."""
     names: Literal["body", "humanoid", "mixamo"] = "body"

@@ -20,11 +20,11 @@ from devices.capture.usb import usb_kinects
 from devices.check import Check, installed_version
 from devices.live.checks import log_libraries_to
 from devices.live.sensors import connected_sensors
-from devices.output_file import Hidden, real_path
+from devices.output_file import Hidden, real_path, whole_file
 from devices.sensor import DeviceError
 from viewer_app.errors import UsageError
 from viewer_app.flags import in_flags
-from viewer_app.output_files import check_outputs, output_file
+from viewer_app.output_files import check_outputs
 from viewer_app.sensors.anonymity import Anonymity
 
 SECONDS = 10.0
@@ -76,7 +76,7 @@ class Bundle:
         findings = [self._hidden(check) for check in checks]
         data = json.dumps({"versions": _versions(self._hide), "checks": findings}, indent=1)
         with (
-            output_file(self._path, self._force) as hidden,
+            whole_file(self._path, overwrite=self._force) as hidden,
             zipfile.ZipFile(hidden, "w", zipfile.ZIP_DEFLATED) as file,
         ):
             logs = [f"== recording\n{self._log}"]

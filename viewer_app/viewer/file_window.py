@@ -10,13 +10,13 @@ from typing import TypeVar
 
 import numpy as np
 
+from devices.output_file import whole_file
 from fusion.support.progress import Progress, quietly
 from recordings.appearance.coach_page import CoachPage
 from recordings.data import layout
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from viewer_app.addresses import LOOPBACK
-from viewer_app.output_files import output_file
 from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.hub import Hub
 from viewer_app.viewer.rerun_process import stop
@@ -70,7 +70,7 @@ def written_and_shown(
         return
     with ExitStack() as stack:
         file = save or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "session.rrd"
-        with output_file(file, force) as hidden:
+        with whole_file(file, overwrite=force) as hidden:
             written = write(hidden)
         yield file, written
         if window:

@@ -21,6 +21,7 @@ from devices.blazepose.networks.files import (
     files_of,
 )
 from devices.blazepose.settings import NetworkName
+from devices.output_file import whole_file
 from devices.sensor import DeviceError
 
 LICENCE, NOTICE = "LICENSE-mediapipe.txt", "NOTICE.txt"
@@ -64,10 +65,11 @@ def fetch(network: NetworkName, folder: Path) -> list[Path]:
                 for file in wanted:
                     if file.package == package:
                         _check(file, contents[file.member])
-                _place(folder / NOTICE, _notice().encode())
-                for name, member in members.items():
-                    _place(folder / name, contents[member])
-                    fetched.append(folder / name)
+                placed = {name: contents[member] for name, member in members.items()}
+                for name, content in {NOTICE: _notice().encode(), **placed}.items():
+                    with whole_file(folder / name, overwrite=True) as hidden:
+                        hidden.write_bytes(content)
+                fetched += [folder / name for name in placed]
     except OSError as fault:
         raise DeviceError(
             f"The tracker's networks cannot be kept in {folder}: {fault.strerror or fault}."
@@ -151,16 +153,6 @@ def _members(archive: Path, names: Sequence[str]) -> dict[str, bytes]:
 def _check(file: NetworkFile, content: bytes) -> None:
     if hashlib.sha256(content).hexdigest() != file.sha256:
         raise DeviceError(f"{file.name} of {file.package} has another SHA-256 than expected; it is not used.")
-
-
-def _place(path: Path, content: bytes) -> None:
-    """Writes a file that is whole at every moment at which it exists."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        part.write_bytes(content)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _notice() -> str:

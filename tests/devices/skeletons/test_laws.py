@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from devices.sensor import DeviceError
 from devices.simulated.kinect import simulated_pair
-from devices.skeletons.border import impossible
 from devices.skeletons.csv_files.reader import read_csv
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.meaning import MeaningError
@@ -21,6 +20,7 @@ from devices.skeletons.times import capture_times
 from fusion.body import BODIES, KINECT_V2
 from fusion.rigid import RigidTransform
 from fusion.skeleton import FARTHEST_JOINT as FARTHEST
+from fusion.skeleton import impossible
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.exercises import POSES, UP, posed
 from tests.helpers.skeleton_files import NAMES, TIMES, read_found, write_meaning

@@ -150,8 +150,10 @@ def test_a_difference_is_exit_code_1_with_frame_and_joint(session, capsys, monke
     true_setups = Session.setups
 
     def biased(self, *arguments):
-        self.calibration.bone_lengths[KINECT_V2.joint("WristLeft")] *= 1.001
-        return true_setups(self, *arguments)
+        longer = self.calibration.bone_lengths.copy()
+        longer[KINECT_V2.joint("WristLeft")] *= 1.001
+        for setup, frames in true_setups(self, *arguments):
+            yield replace(setup, calibration=replace(setup.calibration, bone_lengths=longer)), frames
 
     monkeypatch.setattr(Session, "setups", biased)
     assert duplex("replay", session, "--verify") == 1
