@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.body import Body
 from recordings.appearance.colors import SKELETON_COLORS
 from recordings.data.session_data import runs_of
-from recordings.errors import UnknownNameError
 from recordings.session_series import SessionSeries
 
 _CAPTURED = {
@@ -52,7 +50,7 @@ def differences(
     }
     limits, allowed = np.full(len(one.body), position_mm), f"{position_mm:g} mm"
     for joint, limit in joints_mm.items():
-        limits[_joint(one.body, joint)], allowed = limit, "a joint's tolerance"
+        limits[one.body.joint(joint)], allowed = limit, "a joint's tolerance"
     beyond = {name: mm > limits for name, mm in apart.items()}
     for name, differ in beyond.items():
         frames = np.flatnonzero(differ.any(axis=1))
@@ -103,13 +101,6 @@ def _rows(name: str, joints: tuple[str, ...], mm: NDArray[Any], beyond: NDArray[
         yield _TABLE.format(name, label, len(frames), missing or "", *figures, frames[0])
     if len(of_joints) > len(shown):
         yield f"{name:8}  and {len(of_joints) - len(shown)} more joints"
-
-
-def _joint(body: Body, name: str) -> int:
-    joint = body.find(name)
-    if joint is None:
-        raise UnknownNameError("joint", name, body.joints)
-    return joint
 
 
 def write_worst_moment(one: SessionSeries, two: SessionSeries, path: Path) -> bool:

@@ -107,8 +107,7 @@ class RotationSeries(_Series, Mapping[str, "Rotation"]):
 
     A mapping: ``rotations["KneeRight"]`` is the scipy ``Rotation`` (T,) of the bone that ends in this joint,
     from rest, where the person stands upright with hanging arms and faces the sensor. Joints are named in any
-    spelling of :meth:`fusion.body.Body.joint`; another name raises
-    :class:`recordings.errors.UnknownNameError`.
+    spelling of :meth:`fusion.body.Body.joint`; another name raises :class:`fusion.errors.UnknownNameError`.
 
     Attributes:
         of_body: The body.
@@ -125,10 +124,7 @@ class RotationSeries(_Series, Mapping[str, "Rotation"]):
         return _rotation(self.quaternions[:, self.of_body.root])
 
     def __getitem__(self, joint: str) -> Rotation:
-        found = self.of_body.find(joint)
-        if found is None:
-            raise UnknownNameError("joint", joint, self.of_body.joints)
-        return _rotation(self.quaternions[:, found])
+        return _rotation(self.quaternions[:, self.of_body.joint(joint)])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.of_body.joints)
