@@ -102,10 +102,6 @@ def test_all_are_closed_although_one_fails():
     assert one.calls == two.calls == three.calls == [("close", ())]
 
 
-def test_a_sink_without_methods_takes_everything():
-    use(Sink())
-
-
 # --- The file behind a queue: whatever the disk does, each frame is written, or counted as lost and said.
 
 
