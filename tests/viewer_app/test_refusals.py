@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.output_file import Hidden
+from devices.output_file import Hidden, KeptError
 from fusion.body import KINECT_V1, KINECT_V2
 from tests.helpers.command_line import duplex, one_line, parsed
 from tests.helpers.documents import ROOT
@@ -145,7 +145,7 @@ def test_of_two_processes_on_one_output_the_second_is_refused(tmp_path):
 def test_what_was_made_meanwhile_is_told_in_one_line(tmp_path):
     path = tmp_path / "s.json"
     path.write_text("theirs")
-    with pytest.raises(UsageError, match=r"another program made it meanwhile.*s-2\.json"):
+    with pytest.raises(KeptError, match=r"another program made it meanwhile.*s-2\.json"):
         write_text(path, "ours", force=False)
     assert path.read_text() == "theirs"
     write_text(path, "ours", force=True)
