@@ -127,20 +127,22 @@ def test_processes_of_xdist_share_the_option_and_the_expected_files(run, pyteste
     assert_sessions_match(actual, walks[7], position_mm=0.0)
 
 
-def test_sessions_in_memory_are_kept_without_a_cache(run, pytester, walks):
+def test_parts_in_memory_are_kept_without_a_cache_and_named(run, pytester, walks):
     pytester.makepyfile("""
         from recordings.testing import assert_sessions_match
 
         def test_two(simulated_session):
             pair = [simulated_session(seconds=1.0, seed=seed) for seed in (7, 8)]
             assert pair[0] is simulated_session(seconds=1.0, seed=7) is simulated_session("walk", 1.0, 7)
-            assert_sessions_match(*pair)
+            assert_sessions_match(*(each.part(slice(5, 25)) for each in pair))
     """)
     said, _, failed = run("-p", "no:cacheprovider")
     assert failed == 1
     kept = [re.search(rf"^E +{name}: +(.*)$", said, re.MULTILINE)[1] for name in ("actual", "expected")]
     for path, seed in zip(kept, walks, strict=True):
-        assert_sessions_match(path, walks[seed], position_mm=0.0)
+        assert_sessions_match(path, walks[seed].part(slice(5, 25)), position_mm=0.0)
+    for name in ("actual", "expected"):
+        assert f"{name} is frames 5–24 of a capture" in said
     assert "to accept it" not in said, "there is no file to write"
 
 

@@ -717,6 +717,15 @@ def made_once():
     return made(0.5, False, {}, (), (), moved=7)
 
 
+def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path):
+    made_once().save(tmp_path / "s.rrd")
+    session = Session.open(tmp_path / "s.rrd")
+    np.testing.assert_array_equal(session.bone_lengths, made_once().bone_lengths)
+    assert (session.bone_lengths[6] != session.bone_lengths[7]).any()
+    # S* is kept in float32: at 4 m its ends are within half of 2⁻²² m on each axis
+    assert session.quality.bone_error.max() < 2 * np.sqrt(3) * 2.0**-23
+
+
 def test_an_image_of_another_frame_is_a_damaged_one(tmp_path):
     session = made(0.5, False, {}, (), ())
     count = session.depth("a").count()
