@@ -168,7 +168,8 @@ def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
         finally:
             hidden.remove()
     except OSError as fault:
-        if isinstance(fault, KeptError):
+        own: Exception = fault
+        if isinstance(own, DuplexError) and type(own) is not OutputError:  # as of a file that is read
             raise
         why = (fault.strerror or str(fault)).removesuffix(".")
         raise OutputError(fault.errno, why, str(path)) from fault

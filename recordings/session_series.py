@@ -130,7 +130,7 @@ class SessionSeries(SessionData):
             own = np.flatnonzero(of.ravel() == k) if len(verticals) > 1 else slice(None)
             degrees[own] = joint_angles(self.body, seen[own], up)
             deviations[own] = angle_sigma(self.body, seen[own], sigma[own], up)
-        return AngleSeries(ANGLES, degrees, deviations)
+        return AngleSeries(ANGLES, read_only(degrees), read_only(deviations))
 
     @property
     def up_of_frames(self) -> NDArray[np.float64]:
@@ -147,7 +147,8 @@ class SessionSeries(SessionData):
         """Rotations of the bones of S*, and of the body."""
         from fusion.movement.joint_rotations import rotations_of
 
-        return RotationSeries(self.body, rotations_of(self.body, self.rows.fused, self.rows.time_ns))
+        turned = rotations_of(self.body, self.rows.fused, self.rows.time_ns)
+        return RotationSeries(self.body, read_only(turned))
 
     @cached_property
     def gait(self) -> Gait:

@@ -143,12 +143,12 @@ def wide_table(session: SessionSeries, sigma: bool = False) -> pa.Table:
     """
     rows, angles = session.rows, session.angles
     columns: dict[str, pa.Array] = {"frame": pa.array(rows.frame), "time_s": pa.array(rows.time_ns * 1e-9)}
-    positions = rows.seen
+    positions, deviations = rows.seen, _joint_sigma(session) if sigma else None
     for j, joint in enumerate(rows.body.joints):
         for axis in range(3):
             columns[f"{joint}_{'xyz'[axis]}"] = pa.array(positions[:, j, axis], from_pandas=True)
-        if sigma:
-            columns[_sigma(joint)] = pa.array(_joint_sigma(session)[:, j], from_pandas=True)
+        if deviations is not None:
+            columns[_sigma(joint)] = pa.array(deviations[:, j], from_pandas=True)
     for k, name in enumerate(angles.names):
         columns[name] = pa.array(angles[name], from_pandas=True)
         if sigma:

@@ -16,7 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices import output_file
-from devices.output_file import GrowingOutput, Hidden, KeptError, free_name, whole_file
+from devices.output_file import GrowingOutput, Hidden, KeptError, OutputError, free_name, whole_file
+from fusion import DuplexError
+from recordings import MissingFileError
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX files")
 KILLED = """
@@ -44,6 +46,27 @@ def test_a_file_that_is_there_is_left_alone(tmp_path):
         hidden.write_text("ours")
     assert (path.read_text(), taken.value.kept.read_text()) == ("theirs", "ours")
     assert names(tmp_path) == ["s-2.rrd", "s.rrd"]
+
+
+def test_an_error_names_the_file_that_was_asked_for_and_is_of_the_program(tmp_path):
+    wanted, full = tmp_path / "s.rrd", OSError(errno.ENOSPC, "No space left on device", "hidden")
+    with (
+        pytest.raises(OutputError) as told,
+        whole_file(wanted, overwrite=True) as hidden,
+        whole_file(hidden, overwrite=True),
+    ):
+        raise full
+    assert str(told.value) == f"{wanted} could not be written: No space left on device."
+    assert isinstance(told.value, OSError)
+    for place, why in (
+        (tmp_path, "it is not a regular file"),
+        (tmp_path / "none" / "s.rrd", "No such file or"),
+    ):
+        with pytest.raises(DuplexError, match=why), whole_file(place, overwrite=True):
+            pass
+    with pytest.raises(MissingFileError, match="No file a"), whole_file(wanted, overwrite=True):
+        raise MissingFileError("No file a.rrd.")
+    assert names(tmp_path) == []
 
 
 def test_a_file_is_replaced_when_all_went_well(tmp_path):
