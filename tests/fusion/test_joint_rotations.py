@@ -24,7 +24,7 @@ def test_forward_kinematics_reproduces_every_joint(body):
     for j in body.bone_joints:
         bones = joints[:, j] - joints[:, body.parents[j]]
         length = np.linalg.norm(bones, axis=1, keepdims=True)
-        made = Rotation.from_quat(rotations[:, j]).apply(body.rest[j]) * length
+        made = Rotation.from_quat(rotations[:, j]).apply(body.rest[j].copy()) * length
         np.testing.assert_allclose(made, bones, atol=ROUNDING)
 
 

@@ -24,7 +24,7 @@ class Solution:
 
 
 def _floats(values):
-    return np.ascontiguousarray(values, dtype=np.float64)
+    return np.array(values, dtype=np.float64, order="C")  # of one type, whoever may write it
 
 
 class TreeSolver:

@@ -48,7 +48,7 @@ def random_views(rng, body):
     for pixels, states in ((pixels_a, states_a), (pixels_b, states_b)):
         hole = rng.random(len(body)) < rng.choice([0.0, 0.2, 0.9])
         pixels[hole], states[hole] = np.nan, 0
-    return pixels_a, pixels_b, states_a, states_b, body.linked
+    return pixels_a, pixels_b, states_a, states_b, body.linked.copy()
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
@@ -71,7 +71,7 @@ def test_a_joint_hidden_behind_another_in_one_view_is_taken_from_the_other():
     pixels_a[elbow] = pixels_a[hip] + 0.5
     tracked = np.full(len(KINECT_V2), 2, np.uint8)
     weights_a, weights_b, misleading = reliability_weights(
-        pixels_a, pixels_b, tracked, tracked, KINECT_V2.linked
+        pixels_a, pixels_b, tracked, tracked, KINECT_V2.linked.copy()
     )
     assert misleading[elbow] == hip
     assert weights_a[elbow] < 1e-4
@@ -81,6 +81,6 @@ def test_a_joint_hidden_behind_another_in_one_view_is_taken_from_the_other():
 def test_joints_on_one_spot_in_both_views_share_equally():
     pixels = np.full((len(KINECT_V2), 2), 100.0)
     tracked = np.full(len(KINECT_V2), 2, np.uint8)
-    weights_a, weights_b, _ = reliability_weights(pixels, pixels, tracked, tracked, KINECT_V2.linked)
+    weights_a, weights_b, _ = reliability_weights(pixels, pixels, tracked, tracked, KINECT_V2.linked.copy())
     np.testing.assert_array_equal(weights_a, 0.5)
     np.testing.assert_array_equal(weights_b, 0.5)
