@@ -5,8 +5,9 @@ Its log likelihood adds up what a body that moves before a sensor tells:
 
 * **size**: bones are as long as a person's;
 * **place**: the person is in the image, 0.5 to 6 m away;
-* **posture**: trunk, legs and head point up in some frames at least; or the person lies, which is seldom:
-  flat, below the sensor, mostly on the back, and staying in one place;
+* **posture**: trunk, legs and head point up in some frames at least; or the person lies: level, flat, below
+  the sensor, rather on the back, and staying in one place. In one file of who lies, a sensor on its side and
+  somebody who stands fit alike;
 * **side**: toes, face, knees and hands are in front of the plane that the names of left and right span, the
   person looks at the sensor and walks forward. Only this distinguishes a person from the mirror image.
 
@@ -28,9 +29,8 @@ _STATURE, _SIZES = 1.4, 0.17  # metres, the middle of all people, with children;
 _WIDE, _HIGH = 0.5, 0.35  # the person's usual place in the image, as tangents
 _NEAR, _FAR, _BEYOND = 0.5, 6.0, 0.25
 _LEANING = 0.35  # radians from the vertical, of people and sensors
-_UPRIGHT, LIES, _ON_SIDE = 0.002, 0.25, 0.15
-"""Shares: of frames, that counts as none; of recordings of people who lie; and of these on their side."""
-_FLAT, _STILL, _BELOW = 0.15, 0.12, 0.1  # statures; of who lies, the last one below the sensor
+_UPRIGHT, _ENOUGH = 0.002, 0.1  # of the frames: counts as none, and as all
+_FLAT, _STILL, _BELOW = 0.35, 0.5, (0.25, 0.1)  # statures; of who lies, the last one below the sensor
 _LEAST = -12.0  # log likelihood of what cannot be
 _FEWEST_BONES = 3
 _ADULT = 1.75  # metres, of Body.nominal_lengths
@@ -97,14 +97,18 @@ def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float
         place = -0.5 * ((centre @ right.T / away / _WIDE) ** 2 + (centre @ down.T / away / _HIGH) ** 2)
         place = np.where(away > 0.0, np.maximum(place, _LEAST), _LEAST).mean(axis=0)
         gravity = np.stack([up @ down.T, _HANDED * (front @ down.T), _unit(across)[known] @ down.T])
-        stands = np.log(np.mean(_along(-gravity[0]), axis=0) + _UPRIGHT)
-        on_back = np.nanmean(_along(-gravity[1]), axis=0)
+        upright = np.mean(_along(-gravity[0]), axis=0)
+        stands = np.log(np.minimum(upright, _ENOUGH) / _ENOUGH + _UPRIGHT)
+        on_back = np.nan_to_num(np.nanmean(_along(-gravity[1]), axis=0))
+        level = np.mean(_along(np.sqrt(1.0 - np.minimum(gravity[0] ** 2, 1.0))), axis=0)
         below = np.median(centre @ down.T, axis=0)
         flat = 3.0 * np.median(np.nanmedian(np.abs(extent @ down.T), axis=1), axis=0)
         of_body = np.nan_to_num(np.nanmean(gravity, axis=1)).T
     moves = 2.0 * np.linalg.norm(np.std(centre, axis=0))
-    lies = np.log(LIES * (np.nan_to_num(on_back) + _ON_SIDE)) - np.logaddexp(0.0, -below / _BELOW)
-    lies -= 0.5 * ((flat / _FLAT) ** 2 + (moves / _STILL) ** 2)
+    lies = np.log(level * (2.0 + on_back) / 3.0 + _UPRIGHT) - np.logaddexp(
+        0.0, (_BELOW[0] - below) / _BELOW[1]
+    )
+    lies -= np.log1p((flat / _FLAT) ** 2) + np.log1p((moves / _STILL) ** 2)
     mirrored = np.maximum(0.0, -np.nansum(shares) * _HANDED)
     distance = (stature or np.nan) * float(np.median(np.linalg.norm(centre, axis=1)))
     return stature, distance, place + np.maximum([stands, lies], _LEAST) - mirrored, of_body

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from devices.sensor import DeviceError
-from devices.skeletons.likelihood import LIES, place_likelihood, size_likelihood
+from devices.skeletons.likelihood import place_likelihood, size_likelihood
 from devices.skeletons.stated_format import (
     METRES,
     OWN_AXES,
@@ -29,7 +29,7 @@ from devices.skeletons.stated_format import (
 from fusion.support.types import Array
 
 _PRIOR = MappingProxyType(
-    {OWN_AXES: 1.5, "kinect": 1.0, "unity": 0.5, "opengl": 0.5, "ros": 0.5, "-y,x,z": -1.0, "y,-x,z": -1.0}
+    {OWN_AXES: 1.0, "kinect": 0.8, "unity": 0.5, "opengl": 0.5, "ros": 0.5, "-y,x,z": -1.0, "y,-x,z": -1.0}
 )
 _OTHER = -1.0, -0.5  # log priors of a second file in other axes than the first, at most; and of two programs
 _OWN_UNIT = 2.0
@@ -154,8 +154,7 @@ def _together(scores: Sequence[Array], prior: Array) -> list[Array]:
     """
     if len(scores) < 2:
         return [np.logaddexp.reduce(scores[0], axis=0)]
-    once = np.log([1.0, LIES])[: len(scores[0]), None, None]
-    both = np.logaddexp.reduce(scores[0][:, :, None] + scores[1][:, None] - once, axis=0) + prior
+    both = np.logaddexp.reduce(scores[0][:, :, None] + scores[1][:, None], axis=0) + prior
     return [both.max(axis=1), both.max(axis=0)]
 
 

@@ -263,7 +263,8 @@ def test_whole_bodies_are_read_right_in_any_meaning(tmp_path, motion, body, unit
         assert_right(read, BODIES[body], *truth)
 
 
-SCENES = st.tuples(st.just(1.75), st.sampled_from([pose for pose in POSES if pose.startswith("on the")]))
+LYING = st.sampled_from([pose for pose in POSES if pose.startswith("on the")])
+SCENES = st.tuples(st.just(1.75), LYING)
 SCENES |= st.tuples(st.sampled_from([1.0, 1.2, 1.75]), st.just("stand"))
 
 
@@ -285,6 +286,22 @@ def test_parts_of_bodies_and_who_lies_are_read_right_or_refused_with_the_options
         options = [option for option, behind in refused.table["axes"] if behind > -6.0]
         assert called_axes(axes["b.csv" in str(refused)]) in options
         assert "`axes_" in str(refused) or "`unit_" in str(refused)
+
+
+UNROLLED = [axes for axes in SIGNED if axes not in ("-y,x,z", "y,-x,z")]
+
+
+@given(motion=MEANINGS["motion"], pose=LYING, axes=st.sampled_from(UNROLLED), side=st.sampled_from([0, 1]))
+def test_one_file_of_who_lies_is_read_right_or_refused_with_the_options(tmp_path, motion, pose, axes, side):
+    """But for a sensor on its side: in its image who lies is like who stands before a sensor that stands."""
+    path, *truth = written(tmp_path, motion, "kinect_v2", "nothing", (axes, axes), (1.75, pose))[side]
+    refused = ""
+    try:
+        with SkeletonRecording(path) as recording:
+            assert_right(recording.content, BODIES["kinect_v2"], *truth)
+    except MeaningError as error:
+        refused = str(error)
+    assert not refused or f"`axes={called_axes(axes)}`" in refused
 
 
 @pytest.mark.parametrize("axes", SIGNED[::7])
