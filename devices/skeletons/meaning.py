@@ -39,7 +39,7 @@ CLEAR = 2.5
 """How much more likely, as a logarithm, an option is than the next one to be taken."""
 _NONE = -9.0
 """The log likelihood below which no option fits."""
-_WITHIN = 0.35  # metres from the origin: no sensor sees a person from inside
+_WITHIN = 0.2  # statures from the origin: no sensor sees a person from inside
 
 
 Likelihoods = Mapping[str, Sequence[tuple[str, float]]]
@@ -162,13 +162,13 @@ def _meaning(of: Evidence, units: Array, axes: Array) -> Meaning:
     by_unit, by_axes = _ranked(list(METRES), units), _ranked(SIGNED, axes)
     table = {"unit": by_unit, "axes": [(called_axes(one), score) for one, score in by_axes]}
     try:
-        unit, told = _unit(of, by_unit)
-        if of.away * METRES[unit][0] < _WITHIN:
+        if of.stature and of.away < _WITHIN * of.stature:
             raise DeviceError(
                 f"{of.name}: the positions are relative to the person, whose middle is {of.away:.2g} from "
                 "0, 0, 0 in all frames, as in MediaPipe's world landmarks. Fusion needs positions in the "
                 "sensor's frame, as a depth image gives them."
             )
+        unit, told = _unit(of, by_unit)
         wanted = of.stated.signed_axes or ("" if of.free else OWN_AXES)
         if np.ptp(of.axes) < CLEAR:  # nobody is seen
             return Meaning(unit, wanted or OWN_AXES, table, told)

@@ -13,6 +13,7 @@ from devices.input_file import check_recording, open_input, reading
 from devices.recorded.files import has_images, open_images, recorded_at
 from devices.sensor import DeviceError
 from devices.skeletons.border import ReadFile
+from devices.skeletons.csv_files.text import has_several_sensors
 from devices.skeletons.file_sensor import READERS, SkeletonRecording
 from devices.skeletons.meaning import MeaningError
 from devices.skeletons.name_tables import listed, name_table
@@ -141,7 +142,9 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
         yield "ignored", f"columns {listed(read.ignored)}"
     for k, line in enumerate(read.warnings):
         yield "" if k else "note", line.removeprefix(f"{path}: ")
-    yield "fuse it", f"duplex fuse {path} OTHER{path.suffix}{_options(read, stated)} --save s.rrd"
+    both = path.suffix.lower() == ".csv" and has_several_sensors(path)
+    other = path if both else f"OTHER{path.suffix}"
+    yield "fuse it", f"duplex fuse {path} {other}{_options(read, stated)} --save s.rrd"
 
 
 def _options(read: ReadFile, stated: StatedFormat) -> str:

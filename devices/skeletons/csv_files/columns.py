@@ -20,18 +20,17 @@ _LONGEST_HEADER = 65_536  # bytes
 _FEWEST = 5  # points; fewer may be those of another table
 _SEPARATORS = (",", ";", "\t")
 _SPACE, _LENGTH = r"(?:joint|position|pos|camera|world)*", r"(?:m|cm|mm|metres?|meters?)?"
-_AXES = {axis: rf"(?:{_SPACE}|p){axis}{_LENGTH}" for axis in "xyz"}
 _POINT = re.compile(rf"(.+?)({_SPACE})([xyz])({_LENGTH})")
 _NO_POINT = re.compile(r"q|quat|quaternion|rot|rotation|orientation|o|v|vel|velocity|a|acc")
 _SPELLED = {
     "body": r"(?:body|person|user|player|subject)(?:id|idx|index|number|nr)?|trackingid|id",
     "joint": r"(?:joint|bodypart|part|landmark|keypoint|bone)(?:type|name|id|index|number)?",
-    **_AXES,
 }
 _DEVICE = re.compile(r"(?:device|sensor|camera|kinect)(?:id|idx|index|number|nr|serial)?")
+NO_DEVICE = "device"
 _CLOCK = (
-    r"(?:device|capture|sensor|system|host|relative|frame|file|unix|elapsed|body)*"
-    r"(?:timestamp|timeofday|time|datetime|clock|ts|t)"
+    r"(?:device|capture|sensor|system|host|relative|frame|file|unix|elapsed|body|header)*"
+    r"(?:timestamp|timeofday|time|datetime|clock|stamp|ts|t)"
 )
 _CLOCKS = {
     "time": _CLOCK,
@@ -133,7 +132,7 @@ class Columns(NamedTuple):
     begin: int  # lines before the first row
     wide: Wide | None = None  # if a row has all joints
     others: tuple[str, ...] = ()  # in the file of a wide table, and used for nothing
-    device: str = ""  # the column that says which sensor a row is of
+    device: str = NO_DEVICE  # the column that says which sensor a row is of; may be none
 
     @property
     def joints_per_line(self) -> int:
@@ -160,8 +159,10 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
     names = list(columns)
     if not set(required) <= set(columns) or not TIME_COLUMNS.keys() & set(columns):
         columns = [name.lower() for name in columns]  # X beside x is a column of its own
-    for wanted in required:
+    for wanted in set(_SPELLED) & set(required):
         _spell(columns, wanted, _SPELLED[wanted])
+    if required and "joint" in columns:
+        _spell_axes(columns)
     time = next((name for name in TIME_COLUMNS if name in columns), "")
     in_file = list(columns)
     for wanted, spelled in _CLOCKS.items():
@@ -188,7 +189,7 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
     used = {number for of in wide.numbers.values() for number in of} if wide else set(range(len(names)))
     used |= {columns.index(name) for name in (time, "body", "") if name in columns}
     others = tuple(name for k, name in enumerate(names) if k not in used)
-    device = next((name for name in columns if _DEVICE.fullmatch(plain(name))), "")
+    device = next((name for name in columns if _DEVICE.fullmatch(plain(name))), NO_DEVICE)
     return Columns(columns, separator, time, in_file[columns.index(time)], at + 1, wide, others, device)
 
 
@@ -199,6 +200,17 @@ def header_of(lines: list[str]) -> int:
     first = (plainly or there or [0])[0]
     before = [k for k in there if k < first]
     return before[-1] if before and re.match(r"\s*[-+\d]", lines[first]) else first
+
+
+def _spell_axes(columns: list[str]) -> None:
+    """Renames the columns of a place, whatever stands before x, y and z: of several the shortest words."""
+    found: dict[tuple[str, str], dict[str, int]] = {}
+    for k, name in enumerate(columns):
+        if match := re.fullmatch(rf"(.*?)([xyz])({_LENGTH})", plain(name)):
+            found.setdefault((match[1], match[3]), {}).setdefault(match[2], k)
+    of = [words for words, axes in found.items() if len(axes) == 3 and not _NO_POINT.fullmatch(words[0])]
+    for axis, k in found[min(of, key=lambda words: len(words[0]))].items() if of else ():
+        columns[k] = axis
 
 
 def _spell(columns: list[str], wanted: str, spelled: str) -> bool:

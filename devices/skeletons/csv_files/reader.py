@@ -6,6 +6,7 @@ joints; see :mod:`.columns`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -189,10 +190,13 @@ def _points(
     path: Path, stated: StatedFormat, labels: list[str]
 ) -> tuple[FilePoints, list[str], str, str, list[str]]:
     """What the points of a file are, their names, how and by which table they were found, and lines."""
-    if all(label.isdecimal() for label in labels) and not stated.names:
-        body = next((body for body in BODIES.values() if len(body) == 1 + max(map(int, labels))), None)
+    ends = [re.fullmatch(r"(.*?)(\d+)", label) for label in labels]
+    same = len({end and end[1] for end in ends}) == 1
+    numbers = [int(end[2]) for end in ends if end and same]
+    if numbers and not stated.names:
+        body = next((body for body in BODIES.values() if len(body) == 1 + max(numbers)), None)
         if body is not None:
-            labels = [body.joints[int(label)] for label in labels]
+            labels = [body.joints[number] for number in numbers]
             words = f"the numbers of joints as those of {body.name}, from 0 on"
             return points_of(path, labels)[0], labels, words, "", []
     points, table = points_of(path, labels, stated.names)

@@ -263,5 +263,6 @@ def has_several_sensors(path: Path) -> bool:
     """Whether a column says that the rows of a file are of several sensors."""
     with suppress(DeviceError, OSError):
         rows = next(text_rows(path, _FIRST, required=()))
-        return bool(rows.columns.device) and len(codes(rows.table, rows.columns.device)[0]) > 1
+        named = rows.columns.device in rows.table.column_names
+        return named and len(codes(rows.table, rows.columns.device)[0]) > 1
     return False
