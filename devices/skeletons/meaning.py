@@ -31,7 +31,7 @@ from fusion.support.types import Array
 _PRIOR = MappingProxyType(
     {OWN_AXES: 1.0, "kinect": 0.8, "unity": 0.5, "opengl": 0.5, "ros": 0.5, "-y,x,z": -1.0, "y,-x,z": -1.0}
 )
-_OTHER = -1.0, -0.5  # log priors of a second file in other axes than the first, at most; and of two programs
+_OTHER = -1.0, -1.5  # log priors of a second file in other axes than the first, at most; and of two programs
 _OWN_UNIT = 2.0
 _POSTURE = 0.4  # deviation of the direction of gravity in one body, by two files
 _ONE_PERSON = 0.2  # deviation of the logarithm of one person's size in two files

@@ -182,6 +182,26 @@ def points_of(name: object, labels: Sequence[str], table: str = "") -> tuple[Fil
     return points, "" if table else best.name
 
 
+def named_points(
+    path: Path, labels: Sequence[str], stated: str
+) -> tuple[FilePoints, Sequence[str], str, str, list[str]]:
+    """What the points of a file are, their names, how and by which table they were found, and lines."""
+    ends = [re.fullmatch(r"(.*?)(\d+)", label) for label in labels]
+    same = len({end and end[1] for end in ends}) == 1
+    numbers = [int(end[2]) for end in ends if end and same]
+    if numbers and not stated:
+        body = next((body for body in BODIES.values() if len(body) == 1 + max(numbers)), None)
+        if body is not None:
+            labels = [body.joints[number] for number in numbers]
+            words = f"the numbers of joints as those of {body.name}, from 0 on"
+            return points_of(path, labels)[0], labels, words, "", []
+    points, table = points_of(path, labels, stated)
+    told = []
+    if left_out := points.left_out:
+        told.append(f"{path}: by {stated or table} these points are no joints: {listed(left_out)}.")
+    return points, labels, f"the names of {table}" if table else "", table, told
+
+
 def _count(table: NameTable, labels: Sequence[str]) -> int:
     return max(len(table.points_of(body, labels)) for body in BODIES.values())
 

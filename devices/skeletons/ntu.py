@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from devices.sensor import DeviceError
-from devices.skeletons.name_tables import FilePoints
-from devices.skeletons.read_file import Bodies, FoundPoints, found_of, text_bytes
+from devices.skeletons.read_file import FoundPoints, JointRows, found_of, text_bytes
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from fusion.body import KINECT_V2
 from fusion.support.progress import Progress, quietly
@@ -28,24 +27,30 @@ def read_skeleton(path: Path, stated: StatedFormat = UNSTATED, progress: Progres
     del progress
     lines = _Lines(path)
     stated_count = lines.whole_number("frame count")
-    frames: list[Bodies] = []
-    while len(frames) < stated_count or lines.more:
-        people = []
+    people: dict[str, int] = {}
+    frame, person, rows = [], [], []
+    count = 0
+    while count < stated_count or lines.more:
         for _ in range(lines.whole_number("body count")):
-            person = lines.take("body").split()[0]
+            frame.append(count)
+            person.append(people.setdefault(lines.take("body").split()[0], len(people)))
             joints = lines.whole_number("joint count")
             if joints != len(KINECT_V2):
                 raise DeviceError(
                     f"{lines.here}: a body has {joints} joints; Kinect v2 has {len(KINECT_V2)}."
                 )
-            rows = np.array([lines.joint() for _ in range(joints)])
-            people.append((person, rows[:, :3] * _SENSOR_FROM_CAMERA_SPACE, rows[:, 3].astype(np.uint8)))
-        frames.append(Bodies(len(frames) * FRAME_NS, people))
-    told = (f"{path}: it states {stated_count} frames and has {len(frames)}; all were read.",)
-    return found_of(path, _POINTS, "time_ns", frames, warnings=told if len(frames) > stated_count else ())
-
-
-_POINTS = FilePoints(KINECT_V2, {name: k for k, name in enumerate(KINECT_V2.joints)})
+            rows += [lines.joint() for _ in range(joints)]
+        count += 1
+    values = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    each = np.repeat(np.array(frame, dtype=np.int64), len(KINECT_V2))
+    told = (f"{path}: it states {stated_count} frames and has {count}; all were read.",)
+    found = JointRows(
+        path, "time_ns", np.arange(count) * FRAME_NS, each, list(people),
+        np.repeat(np.array(person, dtype=np.int64), len(KINECT_V2)), KINECT_V2.joints,
+        np.tile(np.arange(len(KINECT_V2)), len(frame)), values[:, :3] * _SENSOR_FROM_CAMERA_SPACE,
+        values[:, 3].astype(np.uint8), lambda row: f"in frame {each[row]}",
+    )  # fmt: skip
+    return found_of(found, told=told if count > stated_count else ())
 
 
 class _Lines:

@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
-from devices.skeletons.name_tables import points_of
-from devices.skeletons.read_file import Bodies, FoundPoints, found_of, text_bytes
+from devices.skeletons.read_file import FoundPoints, JointRows, found_of, text_bytes
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
+from fusion.skeleton import TrackingState
 from fusion.support.progress import Progress, quietly
 
 
@@ -38,22 +39,33 @@ def read_json(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = 
         if not isinstance(document, dict):
             raise TypeError(f"it holds a {type(document).__name__}, not an object")
         names = [str(name) for name in document["joint_names"]]
-        points, _ = points_of(path, names)
-        joint = np.array([points.find(name) for name in names], dtype=np.int64)
-        if len(names) == 0 or len(set(joint.tolist())) < len(names):
+        if not names or len(set(names)) < len(names):
             raise DeviceError(f"{path}: joint_names is empty or names a joint twice.")
-        frames: list[Bodies] = []
+        times, frames, people, places = [], [], [], []
         told: tuple[str, ...] = ()
         for number, frame in enumerate(document["frames"]):
             where = f"frame {number}"
-            frames.append(_frame(frame, len(points), joint))
+            times.append(_time(frame["timestamp_usec"]))
+            for person in frame["bodies"]:
+                frames.append(number)
+                people.append(str(person["body_id"]))
+                places.append(_places(person["joint_positions"], len(names)))
             count = frame.get("num_bodies", len(frame["bodies"]))
             if count != len(frame["bodies"]) and not told:
                 told = (f"{path}: {where} states {count} bodies and has {len(frame['bodies'])}.",)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise DeviceError(f"{path}, {where}: not as offline_processor writes it ({what}).") from None
-    return found_of(path, points, "time_us", frames, "timestamp_usec", unit="mm", warnings=told)
+    ids, person = np.unique(people, return_inverse=True)
+    order = np.argsort(np.unique(people, return_index=True)[1])  # in that of the file
+    each = np.repeat(np.array(frames, dtype=np.int64), len(names))
+    rows = JointRows(
+        path, "time_us", np.array(times, dtype=np.int64), each, ids[order].tolist(),
+        np.repeat(np.argsort(order)[person], len(names)), names, np.tile(np.arange(len(names)), len(frames)),
+        np.array(places).reshape(-1, 3), np.full(len(each), TrackingState.TRACKED, dtype=np.uint8),
+        lambda row: f"in frame {each[row]}", "timestamp_usec",
+    )  # fmt: skip
+    return found_of(rows, told=told, unit="mm")
 
 
 _NOT_WRITTEN_SO = (
@@ -62,21 +74,19 @@ _NOT_WRITTEN_SO = (
 )
 
 
-def _frame(frame: dict[str, Any], count: int, joint: np.ndarray[Any, np.dtype[np.int64]]) -> Bodies:
-    time_us = frame["timestamp_usec"]
+def _time(time_us: Any) -> int:
     if isinstance(time_us, bool) or not isinstance(time_us, int):
         raise ValueError(f"timestamp_usec must be a whole number; it is {time_us!r}")
     if abs(time_us) > np.iinfo(np.int64).max:
         raise ValueError(f"timestamp_usec {time_us} has more than 64 bits")
-    people = []
-    for person in frame["bodies"]:
-        try:
-            given = np.array(person["joint_positions"], dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ValueError("joint_positions must be numbers, three per joint") from None
-        if given.shape != (len(joint), 3):
-            raise ValueError(f"joint_positions has shape {given.shape}, not ({len(joint)}, 3)")
-        positions = np.full((count, 3), np.nan)
-        positions[joint] = given
-        people.append((str(person["body_id"]), positions, None))
-    return Bodies(time_us, people)
+    return time_us
+
+
+def _places(given: Any, count: int) -> NDArray[np.float64]:
+    try:
+        places = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError("joint_positions must be numbers, three per joint") from None
+    if places.shape != (count, 3):
+        raise ValueError(f"joint_positions has shape {places.shape}, not ({count}, 3)")
+    return places

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from devices.input_file import open_input
 from devices.sensor import DeviceError
-from devices.skeletons.name_tables import FilePoints
+from devices.skeletons.name_tables import FilePoints, named_points
 from devices.skeletons.stated_format import Unit
-from devices.skeletons.times import capture_times, digest, times_of_new_frames
+from devices.skeletons.times import FEWEST, LOGGED_TWICE, capture_times, digest
 from fusion.pair_arrays import View, joined_views
-from fusion.skeleton import TrackingState
+from fusion.support.large_arrays import parts
 
 _KINDS = (
     (b"RRF", "a session or another Rerun recording; look at it with duplex review"),
@@ -25,6 +25,7 @@ _KINDS = (
     (b"\xfe\xff", "UTF-16; save it as UTF-8"),
 )
 """First bytes of files that are often taken for a skeleton file, and what to say about them."""
+_MOST, _FEWEST_TIMES = 0.7, 3  # the share of rows, or the number of times, at which digits are certainly lost
 _FEWEST_NULS = 8  # bytes in a row that a power cut leaves; a single one may be a flipped bit
 
 
@@ -64,59 +65,154 @@ class FoundPoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
-    """The people of one frame: their points (P, 3) and states (P,) by id."""
+class JointRows:
+    """Joints of people as a file has them.
 
-    time: int  # in the unit of the file's column
-    people: Sequence[tuple[str, NDArray[np.float64], NDArray[np.uint8] | None]]
+    Attributes:
+        path: The file.
+        column: The unit of its times, of :data:`devices.skeletons.times.TIME_COLUMNS`.
+        time: (M,) times, of frames or of rows.
+        frame: (N,) which of them each row has; None: rows have their own.
+        people: Ids of the people.
+        person: (N,) index of each row's.
+        labels: Names of the joints.
+        label: (N,) index of each row's.
+        xyz: (N, 3) positions.
+        state: (N,) states.
+        where: The place of a row in the file, in words.
+        called: What the file calls the times, if not as their unit.
+        has_body: Whether people have ids.
+    """
+
+    path: Path
+    column: str
+    time: NDArray[Any]
+    frame: NDArray[np.int64] | None
+    people: Sequence[str]
+    person: NDArray[np.integer]
+    labels: Sequence[str]
+    label: NDArray[np.integer]
+    xyz: NDArray[np.float64]
+    state: NDArray[np.uint8]
+    where: Callable[[int], str]
+    called: str = ""
+    has_body: bool = True
+
+    def times_of_new_frames(self) -> NDArray[Any]:
+        """Different times; where a program logged many frames again, those of the tracker's own frames."""
+        times, of_frame = np.unique(self.time, return_inverse=True)
+        frame = of_frame if self.frame is None else of_frame[self.frame]
+        digests = np.bincount(frame, digest(self.xyz, self.label, self.person), minlength=len(times))
+        new = np.append(True, np.diff(digests) != 0.0)
+        return times[new] if new.sum() >= FEWEST and new.mean() < 1.0 - LOGGED_TWICE else times
 
 
-def found_of(
-    path: Path, points: FilePoints, column: str, frames: Sequence[Bodies], called: str = "", **about: Any
-) -> FoundPoints:
-    """The points of frames, sorted by time.
+def found_of(rows: JointRows, table: str = "", told: Sequence[str] = (), **about: Any) -> FoundPoints:
+    """The points of a file, frame by frame.
 
     Args:
-        column: The unit of their times, of :data:`devices.skeletons.times.TIME_COLUMNS`.
-        called: What the file calls them.
+        table: The stated table of names, if any.
+        told: Lines about the file.
         about: Further attributes of the result.
 
     Raises:
-        DeviceError: There is no frame, two frames have one time, or two people of a frame one id.
+        DeviceError: There is no frame, a name is no joint's, a joint is there twice in a frame, or the unit
+            of the times is unclear.
     """
-    if not frames:
-        raise DeviceError(f"{path} has no frames.")
-    moments = np.array([frame.time for frame in frames], dtype=np.int64)
-    each, first = np.unique(moments, return_index=True)
-    places = [frames[k].people for k in first.tolist()]
-    digests = [
-        sum(digest(at, np.arange(len(at)), i).sum() for i, (_, at, _) in enumerate(of)) for of in places
-    ]
-    telling = times_of_new_frames(each, np.array(digests, dtype=np.float64))
-    times, clock, told = capture_times(path, column, moments, called=called, telling=telling)
-    back = np.flatnonzero(np.diff(times) < 0)
-    if len(back):
-        told.append(f"{path}: the time goes back at frame {back[0] + 1}; the frames were sorted by time.")
-    order = np.argsort(times, kind="stable")
-    for time_ns in times[order][1:][np.diff(times[order]) == 0][:1]:
-        raise DeviceError(f"{path}: two frames have the same time, {time_ns // 1000} µs.")
-    numbers: dict[str, int] = {}
-    index: list[tuple[int, int]] = []
-    rows: list[tuple[NDArray[np.float64], NDArray[np.uint8]]] = []
-    for number, k in enumerate(order):
-        names = [name for name, _, _ in frames[k].people]
-        if again := [name for name in names if names.count(name) > 1]:
-            raise DeviceError(f"{path}: frame {k} has two people of one id, {again[0]}.")
-        for name, at, states in frames[k].people:
-            index.append((number, numbers.setdefault(name, len(numbers))))
-            rows.append((at, np.full(len(at), TrackingState.TRACKED) if states is None else states))
-    frame, person = np.array(index, dtype=np.int64).reshape(-1, 2).T
-    at = np.array([xyz for xyz, _ in rows], dtype=np.float64).reshape(-1, len(points), 3)
-    states = np.array([state for _, state in rows], dtype=np.uint8).reshape(-1, len(points))
-    view = joined_views([View(times[order][frame], at, states)])  # type: ignore[arg-type]
-    warnings = (*about.pop("warnings", ()), *told)
+    if not len(rows.time):
+        raise DeviceError(f"{rows.path} has no frames.")
+    points, labels, names, found_table, about_points = named_points(rows.path, rows.labels, table)
+    label = np.array([points.find(name) for name in labels], dtype=np.int64)[rows.label]
+    joint = rows.person * len(points) + label
+    key = joint if rows.frame is None else None
+    clock = capture_times(
+        rows.path, rows.column, rows.time, called=rows.called, telling=rows.times_of_new_frames(), key=key,
+        anonymous=not rows.has_body,
+    )  # fmt: skip
+    times, frame = np.unique(clock.time_ns, return_inverse=True)
+    frame = frame if rows.frame is None else frame[rows.frame]
+    backward = _backward(rows, frame, joint)
+    skeletons, skeleton = np.unique(frame * len(rows.people) + rows.person, return_inverse=True)
+    slot = skeleton * len(points) + label
+    order, repeated = _once(rows, points, slot, len(times), bool(backward))
+    by = slot[order]
+
+    def blocks() -> Iterator[View]:
+        for part in parts(len(skeletons)):
+            first, end = np.searchsorted(by, (part.start * len(points), part.stop * len(points)))
+            of, count = order[first:end], part.stop - part.start
+            at = np.full((count * len(points), 3), np.nan)
+            state = np.zeros(count * len(points), dtype=np.uint8)
+            here = by[first:end] - part.start * len(points)
+            at[here], state[here] = rows.xyz[of], rows.state[of]
+            time = times[skeletons[part] // len(rows.people)]
+            yield View(time, at.reshape(count, -1, 3), state.reshape(count, -1))
+        if not len(skeletons):  # nobody is seen
+            yield View(
+                np.zeros(0, np.int64),
+                np.zeros((0, len(points), 3), np.float32),
+                np.zeros((0, len(points)), np.uint8),
+            )
+
+    def where(k: int, point: int) -> str:
+        return rows.where(int(order[np.searchsorted(by, k * len(points) + point)]))
+
     return FoundPoints(
-        points, times[order], list(numbers), frame, person, view, clock=clock, warnings=warnings, **about
+        points, times, rows.people, skeletons // max(1, len(rows.people)),
+        skeletons % max(1, len(rows.people)), joined_views(blocks()), names=names, clock=clock.clock,
+        table=found_table, warnings=(*told, *about_points, *clock.told, *backward, *repeated), where=where,
+        **about,
+    )  # fmt: skip
+
+
+def _backward(rows: JointRows, frame: NDArray[np.int64], joint: NDArray[np.int64]) -> list[str]:
+    """A warning if the time of a joint goes back from one row to its next."""
+    if (np.diff(frame) >= 0).all():
+        return []
+    order = np.argsort(joint, kind="stable")
+    back = order[1:][(np.diff(frame[order]) < 0) & (np.diff(joint[order]) == 0)]
+    if not len(back):
+        return []
+    return [f"{rows.path}: the time goes back {rows.where(int(back.min()))}; the frames were sorted by time."]
+
+
+def _once(
+    rows: JointRows, points: FilePoints, slot: NDArray[np.int64], frames: int, backward: bool
+) -> tuple[NDArray[np.int64], list[str]]:
+    """The rows in the order of their slots, each slot once, and a line where many rows were repeated.
+
+    Raises:
+        DeviceError: Two different rows are of one joint of a person in a frame, or some rows are twice.
+    """
+    order = np.argsort(slot, kind="stable")
+    if not (np.diff(slot[order]) == 0).any():
+        return order, []
+    # Programs write zeros for bodies that are not tracked, and often give all of these the same id.
+    order = order[(np.nan_to_num(rows.xyz[order]) != 0.0).any(axis=1)]
+    again = np.append(False, np.diff(slot[order]) == 0)
+    if not again.any():
+        return order, []
+    share = float(again.mean())
+    later, earlier = order[again], order[np.flatnonzero(again) - 1]
+    row = int(later.min())
+    if share > LOGGED_TWICE:
+        if np.array_equal(rows.xyz[later], rows.xyz[earlier], equal_nan=True):
+            return order[~again], [
+                f"{rows.path}: {100.0 * share:.0f} % of the rows repeat another one of the same time, and "
+                "are left out."
+            ]
+        if frames < _FEWEST_TIMES or share > _MOST:
+            there = "one time" if frames == 1 else f"{frames} different times"
+            raise DeviceError(
+                f"{rows.path}: the times lost their digits: {len(slot)} rows have {there}. Write them with "
+                "all digits, or, if frames came at a constant rate, a column frame that counts them."
+            )
+    why = " Are two recordings in one file?" if backward else ""
+    why = why or " Have two people one id, or did the times lose digits?" * (share > LOGGED_TWICE)
+    why = why if rows.has_body else " There is no column body: name the one that distinguishes people so."
+    raise DeviceError(
+        f"{rows.path}: joint {points.named(int(slot[row]) % len(points))} of one person has two rows in one "
+        f"frame, the second {rows.where(row)}.{why}"
     )
 
 

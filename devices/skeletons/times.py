@@ -109,17 +109,6 @@ def digest(xyz: NDArray[Any], point: NDArray[Any] | int, person: NDArray[Any] | 
     return np.asarray(place * (1 + point + 97 * person))
 
 
-def times_of_new_frames(times: NDArray[Any], digests: NDArray[Any]) -> NDArray[Any]:
-    """The times; where a program logged many frames again, those of the tracker's own frames.
-
-    Args:
-        times: (T,) different and ascending.
-        digests: (T,) of the frames.
-    """
-    new = np.append(True, np.diff(digests) != 0.0)
-    return times[new] if new.sum() >= FEWEST and new.mean() < 1.0 - LOGGED_TWICE else times
-
-
 def find_time_unit(
     name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0], called: str = ""
 ) -> tuple[float, str, list[str]]:

@@ -106,12 +106,12 @@ def as_json(at=1e3 * TRUE, twice=-1, **changes):
     return json.dumps({"joint_names": JOINTS, "frames": frames})
 
 
-def as_skeleton(at=TRUE, count=FRAMES, people=1):
+def as_skeleton(at=TRUE, count=FRAMES):
     """As NTU RGB+D has it."""
     lines = [count]
     for frame in at:
         joints = [f"{-x:.7f} {-y:.7f} {z:.7f} 0 0 0 0 0 0 0 0 2" for x, y, z in frame]
-        lines += [people, *(["7 0 1 1 1 1 0 0.02 0.01 2", 25, *joints] * people)]
+        lines += [1, "7 0 1 1 1 1 0 0.02 0.01 2", 25, *joints]
     return "\n".join(map(str, lines))
 
 
@@ -210,8 +210,7 @@ REFUSED = {
     "cut off": (WHOLE_MM[:-3], "seems to be cut off in its last line"),
     "gone": ("sep=,\n# by hand\n\n" + text(table()).replace("tracked", "gone", 7).replace("gone", "tracked", 6), "line 11: state 'gone'"),
     "no body": (text(TWO[0]) + text(TWO[1]).partition("\n")[2], "There is no column body: name the one that distinguishes"),
-    "an id twice.json": (as_json(twice=4), "frame 4 has two people of one id, 1"),
-    "an id twice.skeleton": (as_skeleton(people=2), "frame 0 has two people of one id, 7"),
+    "an id twice.json": (as_json(twice=4), "two rows in one frame, the second in frame 4"),
     "pyKinectAzure.json": (PYK, r"bodies of pyKinectAzure, which have no times; .* Write a \.csv"),
     "documents.json": (f"{PYK}\n{PYK}", r"holds several JSON documents; .* Write a \.csv"),
 }  # fmt: skip

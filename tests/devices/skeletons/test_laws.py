@@ -14,7 +14,7 @@ from devices.skeletons.csv_files.reader import read_csv
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.meaning import MeaningError
 from devices.skeletons.name_tables import FilePoints
-from devices.skeletons.read_file import Bodies, found_of
+from devices.skeletons.read_file import JointRows, found_of
 from devices.skeletons.stated_format import AXES, METRES, SIGNED, StatedFormat, called_axes
 from devices.skeletons.times import capture_times
 from fusion.body import BODIES, KINECT_V2
@@ -143,12 +143,13 @@ def test_a_position_behind_the_sensor_is_impossible(xy, z):
 
 def recorded(*people):
     """The recording of (T, J, 3) people."""
-    points = FilePoints(BODY, {name: k for k, name in enumerate(BODY.joints)})
-    frames = [
-        Bodies(t * FRAME_NS, [(str(k), at, None) for k, at in enumerate(each)])
-        for t, each in enumerate(zip(*people, strict=True))
-    ]
-    return found_of(Path("a.json"), points, "time_ns", frames)
+    at = np.array(people).transpose(1, 0, 2, 3)  # of frames, people, joints
+    t, person, joint = (index.ravel() for index in np.indices(at.shape[:3]))
+    rows = JointRows(
+        Path("a.json"), "time_ns", np.arange(len(at)) * FRAME_NS, t, list("012"[: len(people)]), person,
+        BODY.joints, joint, at.reshape(-1, 3), np.full(len(t), 2, np.uint8), str,
+    )  # fmt: skip
+    return found_of(rows)
 
 
 @given(still=st.lists(st.booleans(), min_size=1, max_size=3), share=st.floats(0, 1))

@@ -177,13 +177,11 @@ def _json(path, times_us):
 
 def test_times_of_json_that_go_back_or_repeat(tmp_path):
     with SkeletonRecording(_json(tmp_path / "a.json", [0, 66_666, 33_333])) as read:
-        assert "the time goes back at frame 2" in read.warnings[0]
+        assert "the time goes back in frame 2" in read.warnings[0]
         assert [frame.time_ns for frame in read.frames()] == [0, 33_333_000, 66_666_000]
-    with (
-        pytest.raises(DeviceError, match="two frames have the same time, 33333 µs"),
-        SkeletonRecording(_json(tmp_path / "b.json", [0, 33_333, 33_333])),
-    ):
-        pass
+    with SkeletonRecording(_json(tmp_path / "b.json", [0, 33_333, 33_333])) as read:
+        assert "33 % of the rows repeat another one of the same time" in read.warnings[0]
+        assert len(read.people) == 2
 
 
 def test_one_recording_twice_is_refused(tmp_path):
