@@ -305,16 +305,25 @@ def test_one_file_of_who_lies_is_read_right_or_refused_with_the_options(tmp_path
     assert not refused or f"`axes={called_axes(axes)}`" in refused
 
 
-@pytest.mark.parametrize("axes", SIGNED[::7])
-def test_what_info_proposes_works(tmp_path, axes, capsys):
+@given(
+    axes=MEANINGS["axes"], unit=MEANINGS["unit"], names=st.sampled_from(NAMES), time=MEANINGS["time"],
+    without=st.sampled_from(list(WITHOUT)),
+)  # fmt: skip
+def test_what_info_proposes_works(tmp_path, capsys, axes, unit, names, time, without):
+    """And where nothing is clear, it proposes nothing."""
     (a, *_), (b, *_) = written(
-        tmp_path, "walk", "kinect_v2", "nothing", (axes, "x,y,z"), unit="mm", time="time"
+        tmp_path, "walk", "kinect_v2", without, axes, unit=unit, time=time, names=names
     )
-    assert duplex("info", a) == 0
-    (command,) = [line for line in capsys.readouterr().out.splitlines() if "duplex fuse" in line]
-    words = command.replace("OTHER.csv", str(b)).replace("s.rrd", str(tmp_path / "s.rrd")).split()
-    assert ("--axes-a" in words) == (axes != "x,y,z")
-    assert duplex(*words[words.index("duplex") + 1 :], "--no-viewer") == 0
+    capsys.readouterr()
+    code = duplex("info", a)
+    out = capsys.readouterr().out
+    commands = [line.split() for line in out.splitlines() if "duplex fuse" in line]
+    assert len(commands) == (code == 0)
+    assert "likely axes" in out
+    assert "likely unit" in out
+    for words in commands:
+        words = [{"OTHER.csv": b, "s.rrd": tmp_path / "s.rrd"}.get(word, word) for word in words]
+        assert duplex(*words[words.index("duplex") + 1 :], "--no-viewer", "--force") == 0
 
 
 def test_stated_axes_are_tested_by_the_same_likelihood(tmp_path, capsys):
