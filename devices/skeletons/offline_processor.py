@@ -28,16 +28,14 @@ def read_json(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = 
     except (ValueError, RecursionError) as error:  # a number may have too many digits
         if not text.lstrip().startswith(("{", "[")):
             raise DeviceError(f"{path} is not JSON: it begins with {text[:40]!r}.") from None
-        if "Extra data" in str(error):
-            raise DeviceError(f"{path} holds several JSON documents; {_NOT_WRITTEN_SO}") from None
-        hint = " Was it cut off?" if isinstance(error, json.JSONDecodeError) else ""
-        raise DeviceError(f"{path} is not complete JSON: {error}.{hint}") from None
-    if isinstance(document, list) and "confidence_level" in text:
-        raise DeviceError(f"{path} holds bodies of pyKinectAzure, which have no times; {_NOT_WRITTEN_SO}")
+        if "Extra data" not in str(error):
+            hint = " Was it cut off?" if isinstance(error, json.JSONDecodeError) else ""
+            raise DeviceError(f"{path} is not complete JSON: {error}.{hint}") from None
+        document = None
     where = "the top level"
     try:
         if not isinstance(document, dict):
-            raise TypeError(f"it holds a {type(document).__name__}, not an object")
+            raise TypeError("it does not hold one object")
         names = [str(name) for name in document["joint_names"]]
         if not names or len(set(names)) < len(names):
             raise DeviceError(f"{path}: joint_names is empty or names a joint twice.")
@@ -55,7 +53,10 @@ def read_json(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = 
                 told = (f"{path}: {where} states {count} bodies and has {len(frame['bodies'])}.",)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise DeviceError(f"{path}, {where}: not as offline_processor writes it ({what}).") from None
+        raise DeviceError(
+            f"{path}, {where}: not as offline_processor writes it ({what}). Of another program, write a .csv "
+            "with a row for each joint and frame: time_us,body,joint,x,y,z,confidence."
+        ) from None
     ids, person = np.unique(people, return_inverse=True)
     order = np.argsort(np.unique(people, return_index=True)[1])  # in that of the file
     each = np.repeat(np.array(frames, dtype=np.int64), len(names))
@@ -66,12 +67,6 @@ def read_json(path: Path, stated: StatedFormat = UNSTATED, progress: Progress = 
         lambda row: f"in frame {each[row]}", "timestamp_usec",
     )  # fmt: skip
     return found_of(rows, told=told, unit="mm")
-
-
-_NOT_WRITTEN_SO = (
-    "offline_processor's .json has joint_names and frames. Write a .csv with a row for each joint and frame: "
-    "time_us,body,joint,x,y,z,confidence."
-)
 
 
 def _time(time_us: Any) -> int:

@@ -25,7 +25,7 @@ _KINDS = (
     (b"\xfe\xff", "UTF-16; save it as UTF-8"),
 )
 """First bytes of files that are often taken for a skeleton file, and what to say about them."""
-_MOST, _FEWEST_TIMES = 0.7, 3  # the share of rows, or the number of times, at which digits are certainly lost
+_MOST = 0.7  # of the rows: more are twice where times lost their digits, not of two people
 _FEWEST_NULS = 8  # bytes in a row that a power cut leaves; a single one may be a flipped bit
 
 
@@ -134,7 +134,7 @@ def found_of(rows: JointRows, table: str = "", told: Sequence[str] = (), **about
     backward = _backward(rows, frame, joint)
     skeletons, skeleton = np.unique(frame * len(rows.people) + rows.person, return_inverse=True)
     slot = skeleton * len(points) + label
-    order, repeated = _once(rows, points, slot, len(times), bool(backward))
+    order, repeated = _once(rows, points, slot, bool(backward))
     by = slot[order]
 
     def blocks() -> Iterator[View]:
@@ -177,7 +177,7 @@ def _backward(rows: JointRows, frame: NDArray[np.int64], joint: NDArray[np.int64
 
 
 def _once(
-    rows: JointRows, points: FilePoints, slot: NDArray[np.int64], frames: int, backward: bool
+    rows: JointRows, points: FilePoints, slot: NDArray[np.int64], backward: bool
 ) -> tuple[NDArray[np.int64], list[str]]:
     """The rows in the order of their slots, each slot once, and a line where many rows were repeated.
 
@@ -195,24 +195,20 @@ def _once(
     share = float(again.mean())
     later, earlier = order[again], order[np.flatnonzero(again) - 1]
     row = int(later.min())
-    if share > LOGGED_TWICE:
-        if np.array_equal(rows.xyz[later], rows.xyz[earlier], equal_nan=True):
-            return order[~again], [
-                f"{rows.path}: {100.0 * share:.0f} % of the rows repeat another one of the same time, and "
-                "are left out."
-            ]
-        if frames < _FEWEST_TIMES or share > _MOST:
-            there = "one time" if frames == 1 else f"{frames} different times"
-            raise DeviceError(
-                f"{rows.path}: the times lost their digits: {len(slot)} rows have {there}. Write them with "
-                "all digits, or, if frames came at a constant rate, a column frame that counts them."
-            )
-    why = " Are two recordings in one file?" if backward else ""
-    why = why or " Have two people one id, or did the times lose digits?" * (share > LOGGED_TWICE)
-    why = why if rows.has_body else " There is no column body: name the one that distinguishes people so."
+    if share > LOGGED_TWICE and np.array_equal(rows.xyz[later], rows.xyz[earlier], equal_nan=True):
+        return order[~again], [
+            f"{rows.path}: {100.0 * share:.0f} % of the rows repeat another one of the same time, and are left "
+            "out."
+        ]
+    if not rows.has_body and share < _MOST:
+        why = "There is no column body: name the one that distinguishes people so."
+    elif backward:
+        why = "Are two recordings in one file?"
+    else:
+        why = "Have two people one id, or did the times lose their digits? A column frame may count frames."
     raise DeviceError(
         f"{rows.path}: joint {points.named(int(slot[row]) % len(points))} of one person has two rows in one "
-        f"frame, the second {rows.where(row)}.{why}"
+        f"frame, the second {rows.where(row)}. {why}"
     )
 
 

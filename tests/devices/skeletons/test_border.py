@@ -211,8 +211,8 @@ REFUSED = {
     "gone": ("sep=,\n# by hand\n\n" + text(table()).replace("tracked", "gone", 7).replace("gone", "tracked", 6), "line 11: state 'gone'"),
     "no body": (text(TWO[0]) + text(TWO[1]).partition("\n")[2], "There is no column body: name the one that distinguishes"),
     "an id twice.json": (as_json(twice=4), "two rows in one frame, the second in frame 4"),
-    "pyKinectAzure.json": (PYK, r"bodies of pyKinectAzure, which have no times; .* Write a \.csv"),
-    "documents.json": (f"{PYK}\n{PYK}", r"holds several JSON documents; .* Write a \.csv"),
+    "pyKinectAzure.json": (PYK, r"does not hold one object\). .* write a \.csv"),
+    "documents.json": (f"{PYK}\n{PYK}", r"does not hold one object\). .* write a \.csv"),
 }  # fmt: skip
 
 
