@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from devices.people.recorded_people import RecordedPeople
 from devices.sensor import DeviceError
-from devices.skeletons.likelihood import axes_likelihood
+from devices.skeletons.likelihood import axes_likelihood, is_relative
 from devices.skeletons.meaning import Evidence, Meaning, said
 from devices.skeletons.read_file import FoundPoints
 from devices.skeletons.repetition import ALMOST_ALWAYS, kept_places, logged_again, repeats_of
@@ -83,7 +83,9 @@ def look(path: Path, found: FoundPoints, stated: StatedFormat = UNSTATED) -> Loo
     body = found.points.body
     at, _ = found.points.joints(_seen(found.view, keeps, rows), found.view.states[rows])
     seconds = np.asarray(found.time_ns[found.frame[rows]] * 1e-9, dtype=np.float64)
-    evidence = Evidence(path, stated, found.unit, found.free_axes, *axes_likelihood(body, seconds, at))
+    evidence = Evidence(
+        path, stated, found.unit, found.free_axes, *axes_likelihood(body, seconds, at), is_relative(body, at)
+    )
     return Look(path, found, evidence, drop, keeps, (*told, *about_places))
 
 

@@ -31,6 +31,7 @@ _NEAR, _FAR, _BEYOND = 0.5, 6.0, 0.25
 _LEANING = 0.35  # radians from the vertical, of people and sensors
 _UPRIGHT, _ENOUGH = 0.002, 0.1  # of the frames: counts as none, and as all
 _FLAT, _STILL, _BELOW = 0.35, 0.5, (0.25, 0.1)  # statures; of who lies, the last one below the sensor
+_ALL, _NOTHING = 0.95, 0.002  # of the frames; statures
 _LEAST = -12.0  # log likelihood of what cannot be
 _FEWEST_BONES = 3
 _ADULT = 1.75  # metres, of Body.nominal_lengths
@@ -49,6 +50,15 @@ _IN_FRONT = (
 """Joints, those in front of them, how far (statures), and the weight of it, as log odds."""
 _BENDS = (("hip", "knee", "ankle", 1.0), ("shoulder", "elbow", "wrist", -1.0))
 _BENT, _FACES, _WALKS = (0.02, 1.5), (0.3, 2.0), (0.3, 4.0)
+
+
+def is_relative(body: Body, positions: Array) -> bool:
+    """Whether a coordinate of the person's hips is 0 in all frames (T, J, 3)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        hips = np.abs(np.nanmean(_both(body, positions, "hip"), axis=1))
+        usual = np.nanquantile(hips, _ALL, axis=0) / (stature_of(body, positions) or np.nan)
+    return bool((usual < _NOTHING).any())
 
 
 def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float | None, float, Array, Array]:

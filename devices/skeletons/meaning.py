@@ -67,6 +67,7 @@ class Evidence:
         away: How far the person is from the origin, in the file's unit.
         axes: (2, 48) log likelihoods of the axes, if the person stands and if it lies.
         down: (48, 3) the direction of gravity in the body's frame by these axes; the same in both views.
+        relative: Whether a coordinate of the hips is 0 in all frames.
     """
 
     name: object
@@ -77,6 +78,7 @@ class Evidence:
     away: float
     axes: Array
     down: Array
+    relative: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,11 +164,11 @@ def _meaning(of: Evidence, units: Array, axes: Array) -> Meaning:
     by_unit, by_axes = _ranked(list(METRES), units), _ranked(SIGNED, axes)
     table = {"unit": by_unit, "axes": [(called_axes(one), score) for one, score in by_axes]}
     try:
-        if of.stature and of.away < _WITHIN * of.stature:
+        if of.stature and (of.relative or of.away < _WITHIN * of.stature):
             raise DeviceError(
-                f"{of.name}: the positions are relative to the person, whose middle is {of.away:.2g} from "
-                "0, 0, 0 in all frames, as in MediaPipe's world landmarks. Fusion needs positions in the "
-                "sensor's frame, as a depth image gives them."
+                f"{of.name}: the positions are relative to the person, whose middle is at 0 in all frames, as"
+                " MediaPipe's world landmarks are. Fusion needs positions in the sensor's frame, as a depth "
+                "image gives them."
             )
         unit, told = _unit(of, by_unit)
         wanted = of.stated.signed_axes or ("" if of.free else OWN_AXES)

@@ -186,6 +186,10 @@ def named_points(
     path: Path, labels: Sequence[str], stated: str
 ) -> tuple[FilePoints, Sequence[str], str, str, list[str]]:
     """What the points of a file are, their names, how and by which table they were found, and lines."""
+    first, last = min(labels), max(labels)
+    common = next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), 0)
+    before = re.match(r"(?:.*[^A-Za-z0-9])?", first[:common])  # a subject's name, or Body0_
+    labels = [label[before.end() :] for label in labels] if before else labels
     ends = [re.fullmatch(r"(.*?)(\d+)", label) for label in labels]
     same = len({end and end[1] for end in ends}) == 1
     numbers = [int(end[2]) for end in ends if end and same]

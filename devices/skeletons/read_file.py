@@ -196,10 +196,8 @@ def _once(
     later, earlier = order[again], order[np.flatnonzero(again) - 1]
     row = int(later.min())
     if share > LOGGED_TWICE and np.array_equal(rows.xyz[later], rows.xyz[earlier], equal_nan=True):
-        return order[~again], [
-            f"{rows.path}: {100.0 * share:.0f} % of the rows repeat another one of the same time, and are left "
-            "out."
-        ]
+        repeated = f"{100.0 * share:.0f} % of the rows repeat another one of the same time"
+        return order[~again], [f"{rows.path}: {repeated}, and are left out."]
     if not rows.has_body and share < _MOST:
         why = "There is no column body: name the one that distinguishes people so."
     elif backward:

@@ -45,7 +45,7 @@ _PAUSE = 8  # usual intervals: frames after it may be of another clock
 _EVEN = 0.6  # of an interval: two runs that are sorted together have frames as near as half of one
 _MOST_STRAY = 0.2  # of the frames
 _CLOCK = re.compile(
-    r"(?:^|[ T])(?:(\d+)\.)?(\d+):(\d\d):(\d\d(?:[.,]\d*)?)\s*(?:([AaPp])[Mm])?"
+    r"(?:^|[ T])(?:(\d+)\.)?(\d+):(\d\d):(\d\d(?:[.,:]\d*)?)\s*(?:([AaPp])[Mm])?"
     r"(?:Z|[+-]\d\d:?\d\d)?$"
 )
 
@@ -276,7 +276,7 @@ def _moment(text: str) -> int | None:
     if clock is None:
         return None
     days, hours, minutes, seconds, half = clock.groups()
-    whole, _, decimals = seconds.replace(",", ".").partition(".")
+    whole, _, decimals = re.sub("[,:]", ".", seconds).partition(".")
     hour = int(hours) % 12 + 12 * (half.lower() == "p") if half else int(hours)
     of_day = (int(days or 0) * 24 + hour) * 3600 + int(minutes) * 60 + int(whole)
     if moment is not None:

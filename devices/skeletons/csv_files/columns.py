@@ -19,6 +19,7 @@ _EITHER = f"{','.join(COLUMNS)} (or HEAD_x,HEAD_y,HEAD_z and so on)"
 _LONGEST_HEADER = 65_536  # bytes
 _FEWEST = 5  # points; fewer may be those of another table
 _SEPARATORS = (",", ";", "\t")
+_MOST_TITLES = 20  # lines
 _SPACE, _LENGTH = r"(?:joint|position|pos|camera|world)*", r"(?:m|cm|mm|metres?|meters?)?"
 _POINT = re.compile(rf"(.+?)({_SPACE})([xyz])({_LENGTH})")
 _NO_POINT = re.compile(r"q|quat|quaternion|rot|rotation|orientation|o|v|vel|velocity|a|acc")
@@ -194,9 +195,11 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
 
 
 def header_of(lines: list[str]) -> int:
-    """The line of the header: after empty ones, Excel's sep=, and comments."""
+    """The line of the header: after empty ones, Excel's sep=, comments, and titles of few columns."""
     there = [k for k, line in enumerate(lines) if line.strip() and not re.match(r"\s*sep=.\s*$", line)]
     plainly = [k for k in there if not lines[k].startswith("#")]
+    cells = [max(map(lines[k].count, _SEPARATORS)) for k in plainly[:_MOST_TITLES]]
+    plainly = [k for k, count in zip(plainly, cells, strict=False) if 2 * count >= max(cells)] or plainly
     first = (plainly or there or [0])[0]
     before = [k for k in there if k < first]
     return before[-1] if before and re.match(r"\s*[-+\d]", lines[first]) else first
