@@ -156,7 +156,8 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
     at = header_of(lines)
     header = lines[at].lstrip("# ")
     separator = max(_SEPARATORS, key=header.count)
-    columns = [name.strip() for name in next(csv.reader([header], delimiter=separator), [])]
+    cells = next(csv.reader([header], delimiter=separator), [])
+    columns = [name.strip() or " " * k for k, name in enumerate(cells)]  # each unnamed one another
     names = list(columns)
     if not set(required) <= set(columns) or not TIME_COLUMNS.keys() & set(columns):
         columns = [name.lower() for name in columns]  # X beside x is a column of its own
@@ -181,15 +182,14 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
             + " If frames came at a constant rate, a column frame that counts them is enough." * bool(wide)
             + " This looks like JSON: name it .json." * header.lstrip().startswith(("{", "["))
         )
-    if len(set(columns)) < len(columns):
-        twice = next(name for name in columns if columns.count(name) > 1)
+    if twice := next((name for name in columns if columns.count(name) > 1), ""):
         raise DeviceError(f"{path}: {header[:80]!r} repeats a column name: {twice!r}.")
     row = next(csv.reader(lines[at + 1 : at + 2], delimiter=separator), [])
     if len(row) == len(columns) + 1 and not row[-1].strip():
-        columns.append("")  # a separator ends every row
+        columns.append(" " * len(columns))  # a separator ends every row
     used = {number for of in wide.numbers.values() for number in of} if wide else set(range(len(names)))
-    used |= {columns.index(name) for name in (time, "body", "") if name in columns}
-    others = tuple(name for k, name in enumerate(names) if k not in used)
+    used |= {columns.index(name) for name in (time, "body") if name in columns}
+    others = tuple(name for k, name in enumerate(names) if k not in used and name.strip())
     device = next((name for name in columns if _DEVICE.fullmatch(plain(name))), NO_DEVICE)
     return Columns(columns, separator, time, in_file[columns.index(time)], at + 1, wide, others, device)
 

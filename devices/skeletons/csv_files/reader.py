@@ -100,7 +100,9 @@ def _rows(path: Path, block: int, progress: Progress) -> _Rows:
             numbers = [known.setdefault(value, len(known)) for value in values]
             rows.append(np.array(numbers, dtype=np.int32)[code])
         if len(times) == 1:
-            names = [name for name in table.column_names if name not in (*COLUMNS, text.columns.time, "")]
+            names = [
+                name for name in table.column_names if name not in (*COLUMNS, text.columns.time, "", " ")
+            ]
             states = [StateColumn(name) for name in names if StateColumn.is_like(name)]
         for column_of_states in states:
             column_of_states.append(*codes(table, column_of_states.name))

@@ -52,28 +52,6 @@ def test_a_broken_csv_says_what_is_wrong(tmp_path, broken, message):
         read(write_csv(tmp_path / "a.csv", rows, header[0]))
 
 
-def test_a_csv_cut_off_anywhere_in_its_last_row_is_refused(tmp_path):
-    path = write_csv(tmp_path / "a.csv", csv_rows()[:-5])
-    whole = path.read_bytes()
-    for end in range(whole[:-1].rindex(b"\n") + 3, len(whole)):
-        path.write_bytes(whole[:end])
-        with pytest.raises(DeviceError, match=r"cut off|none of tracked"):
-            read(path)
-
-
-@pytest.mark.parametrize("cut", range(1, 25))
-def test_a_csv_without_states_cut_off_in_its_last_row_is_refused(tmp_path, cut):
-    rows = [row.rsplit(",", 1)[0] for row in csv_rows()]
-    rows[-1] = rows[-1].rsplit(",", 1)[0] + ",2.42715"
-    rows[3] = rows[3].rsplit(",", 1)[0] + ",2.42715"
-    path = write_csv(tmp_path / "a.csv", rows, HEADER.rsplit(",", 1)[0])
-    path.write_bytes(path.read_bytes().rstrip(b"\n"))
-    read(path)  # whole, but for the newline, which some writers leave out
-    path.write_bytes(path.read_bytes()[:-cut])
-    with pytest.raises(DeviceError, match=r"cut off|number|unknown"):
-        read(path)
-
-
 def offline_processor(body):
     person = {
         "body_id": 7,
