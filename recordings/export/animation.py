@@ -25,11 +25,10 @@ from fusion.movement.joint_rotations import JointRotations, joint_bones
 from fusion.support.large_arrays import PART
 from fusion.support.types import Array
 from recordings.appearance.floor import floor_under
-from recordings.data.interpolation import positions_at
+from recordings.data.interpolation import positions_at, sigma_at
 from recordings.errors import RecordingError
 from recordings.export import Feet, Names
 from recordings.export.even_frames import even_moments, y_up, y_up_rotations
-from recordings.gait.events import find_gait
 from recordings.planted_feet import planted_feet
 from recordings.session_series import SessionSeries
 
@@ -99,8 +98,8 @@ class Animation:
         if feet == "planted":
             positions = np.concatenate([self._at(part) for part in self._parts()])
             positions = _with_lengths(body, positions, session.calibration.bone_lengths)
-            gait = find_gait(body, session.time_ns, session.rows.seen, session.up, session.rows.sigma)
-            self._planted = planted_feet(body, 1e-9 * self._time_ns.astype(np.float64), positions, gait)
+            sigma = sigma_at(self._rows, self._time_ns)
+            self._planted = planted_feet(body, self._time_ns, positions, sigma)
 
     def __len__(self) -> int:
         return len(self._time_ns)

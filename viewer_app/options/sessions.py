@@ -156,6 +156,6 @@ class ExportOptions(GoodOptions):
     names: Literal["body", "humanoid", "mixamo"] = "body"
     """Bone names in a .bvh or .glb: those of the joints, of Unity's humanoid, or of Mixamo."""
     feet: Literal["planted", "free"] = "planted"
-    """Feet in a .bvh or .glb: planted where they stand, so that they neither slide nor sink, or as in S*."""
+    """Feet in a .bvh or .glb: planted, so that they hardly slide where they stand, or as in S*."""
     force: bool = False
     """Overwrite an existing file."""

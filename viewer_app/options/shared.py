@@ -270,8 +270,7 @@ class LiveOutputOptions(ZenohOptions):
     vrchat: Annotated[str | None, OUTPUTS] = None
     """HOST:PORT of VRChat's OSC trackers. The usual port is 9000."""
     feet: Annotated[Literal["planted", "free"], OUTPUTS] = "planted"
-    """Feet sent with --vmc or --vrchat: planted where they stand, so that they neither slide nor sink, or as
-    in S*."""
+    """Feet sent with --vmc or --vrchat: planted, so that they hardly slide where they stand, or as in S*."""
     lsl: Annotated[str | None, OUTPUTS] = None
     """Name of a Lab Streaming Layer stream. Needs the extra lsl."""
     websocket: Annotated[int | None, OUTPUTS, WHOLE_NUMBER] = None

@@ -13,8 +13,7 @@ from fusion.setup import FusionSetup
 from recordings.gait.events import find_gait
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
-from viewer_app.outputs.avatars.live_feet import LiveFeet
-from viewer_app.outputs.avatars.osc import Address, Encode, OscOutput, looked_up
+from viewer_app.outputs.avatars.osc import Address, OscOutput, looked_up
 from viewer_app.outputs.avatars.vmc import VmcEncoder
 from viewer_app.outputs.avatars.vrchat import VRChatEncoder
 from viewer_app.outputs.avatars.vrm import Avatar, read_avatar
@@ -51,7 +50,6 @@ class OutputPlan:
                 joints[joint] = joints[body.parents[joint]] + body.nominal_lengths[joint] * body.rest[joint]
             skeleton = UnitySkeleton(body)
             skeleton.update(joints, 0)  # each kernel is compiled for one set of types
-            LiveFeet(body).update(joints, 0)
 
     @contextmanager
     def opened(
@@ -76,13 +74,13 @@ class OutputPlan:
 
     def _open(self, setup: FusionSetup, rate: float) -> Iterator[LiveOutput]:
         options, body = self.options, setup.body
+        feet_of = body if options.feet == "planted" else None
         if self.vmc is not None:
-            encode = self._on_floor(body, VmcEncoder(body, self.avatar).encode)
-            yield OscOutput(f"VMC to {self.vmc}", self.vmc, "--vmc", encode)
+            vmc = VmcEncoder(body, self.avatar).encode
+            yield OscOutput(f"VMC to {self.vmc}", self.vmc, "--vmc", vmc, feet_of)
         if self.vrchat is not None:
-            at = f"VRChat at {self.vrchat}"
-            encode = self._on_floor(body, VRChatEncoder(body).encode)
-            yield OscOutput(at, self.vrchat, "--vrchat", encode)
+            vrchat = VRChatEncoder(body).encode
+            yield OscOutput(f"VRChat at {self.vrchat}", self.vrchat, "--vrchat", vrchat, feet_of)
         if options.lsl is not None:
             from viewer_app.outputs.lab_streaming import LabStreamingOutput
 
@@ -101,13 +99,6 @@ class OutputPlan:
             from viewer_app.outputs.mcap_file import McapOutput
 
             yield McapOutput(options.save_mcap, setup, self.overwrite)
-
-    def _on_floor(self, body: Body, encode: Encode) -> Encode:
-        """An encoder of an avatar that gets S* with its feet on the floor, if that is wanted."""
-        if self.options.feet == "free":
-            return encode
-        feet = LiveFeet(body)
-        return lambda positions, time_ns: encode(feet.update(positions, time_ns), time_ns)
 
 
 def _any(options: LiveOutputOptions) -> bool:

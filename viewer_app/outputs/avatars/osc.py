@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import build_msg
 
+from fusion.body import Body
+from recordings.planted_feet import PlantedFeet
 from viewer_app.addresses import LOOPBACK, in_url
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LiveOutput
@@ -80,11 +82,15 @@ class OscOutput(LiveOutput):
     Args:
         option: The command's option, for messages.
         encode: Of a frame.
+        feet_of: The body whose feet stay where they stand; None: they are those of S*.
     """
 
-    def __init__(self, name: str, address: Address, option: str, encode: Encode) -> None:
+    def __init__(
+        self, name: str, address: Address, option: str, encode: Encode, feet_of: Body | None = None
+    ) -> None:
         super().__init__(name)
         self._encode = encode
+        self._feet = None if feet_of is None else PlantedFeet(feet_of)
         self._nobody: NDArray[np.float64] | None = None  # (J, 3) NaN, once a frame was sent
         family, self._to = looked_up(address, option)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
@@ -93,8 +99,11 @@ class OscOutput(LiveOutput):
 
     def send_frame(self, frame: QueuedFrame) -> int | None:
         """Sends the datagrams of a frame; None if it has none."""
-        self._nobody = np.full(frame.fused.positions.shape, np.nan)
-        datagrams = self._encode(frame.fused.positions, frame.time_ns)
+        positions = frame.fused.positions
+        self._nobody = np.full(positions.shape, np.nan)
+        if self._feet is not None:
+            positions = self._feet.update(positions, frame.fused.sigma, frame.time_ns)
+        datagrams = self._encode(positions, frame.time_ns)
         for datagram in datagrams:
             self._socket.sendto(datagram, self._to)
         return 1 if datagrams else None
