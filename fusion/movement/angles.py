@@ -2,7 +2,8 @@
 
 Every angle describes a direction in a frame with x forward, y along the trunk and z to a side, as the joint
 coordinate systems of the International Society of Biomechanics do (Wu et al. 2002, hip; 2005, shoulder and
-elbow). Axial rotations are missing, because positions do not determine them.
+elbow). Axial rotations are missing: positions determine only those of bent limbs, which
+:mod:`fusion.movement.joint_rotations` has.
 
 * **Knee, elbow**: between the two bones of the limb; 0 is straight, never negative.
 * **Hip**: the thigh in the frame of the trunk, by the sequence Z-X-Y: flexion about the lateral axis, then

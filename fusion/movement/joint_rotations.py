@@ -25,7 +25,9 @@ from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel, kernel
 
 _FRAME, _SWING, _LIMB = 0, 1, 2
-_STRAIGHT, _BENT = math.sin(math.radians(10.0)), math.sin(math.radians(30.0))
+STRAIGHT = 10.0
+"""Degrees of flexion, below which a limb has no twist of its own."""
+_STRAIGHT, _BENT = math.sin(math.radians(STRAIGHT)), math.sin(math.radians(30.0))
 """Below the first sine of a joint's angle its plane is noise; above the second the plane alone counts."""
 _TWIST_SPEED = 20.0
 """rad/s. A faster twist is a jump of a plane or past a half turn; motions other than throws are slower."""

@@ -12,7 +12,7 @@ from typing import get_args
 import numpy as np
 import pyarrow.csv
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -37,6 +37,7 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import GAP, record_fused, record_with_a_gap
 from tests.helpers.machine import lacks
 from tests.helpers.motion_capture import captured
+from tests.helpers.poses import posed
 from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.two_views import calibration_of
 
@@ -240,14 +241,7 @@ def test_mot_has_the_coordinates_of_opensim_s_model(session):
     )
     np.testing.assert_allclose(table.knee_angle_r, angles["knee_flexion_right"], atol=1e-4)
     np.testing.assert_allclose(table.hip_adduction_l, -angles["hip_abduction_left"], atol=1e-4)
-    # the model turns an arm about its lateral axis first, then about the axis that points forwards
-    arm = Rotation.from_euler("ZX", table[["arm_flex_r", "arm_add_r"]].to_numpy(), degrees=True)
-    flexion, abduction = (angles[f"shoulder_{of}_right"] for of in ("flexion", "abduction"))
-    elevation = np.hypot(flexion, abduction)
-    ahead, out = (np.sin(np.radians(elevation)) * of / elevation for of in (flexion, abduction))
-    expected = np.stack([ahead, -np.cos(np.radians(elevation)), out], axis=1)
-    np.testing.assert_allclose(arm.apply([0.0, -1.0, 0.0]), expected, atol=1e-5)
-    # and its pelvis about z, x and y; the hips are where the model's are, and the trunk is its long axis
+    # the pelvis turns about z, x and y; the hips are where the model's are, and the trunk is its long axis
     turned = Rotation.from_euler(
         "ZXY", table[["pelvis_tilt", "pelvis_list", "pelvis_rotation"]].to_numpy(), degrees=True
     )
@@ -264,6 +258,62 @@ def test_mot_has_the_coordinates_of_opensim_s_model(session):
     lateral = turned.inv().apply((hips + shoulders)[:, 1] - (hips + shoulders)[:, 0])
     assert (lateral[:, 2] > 0.0).all()  # z is the person's right
     np.testing.assert_allclose(lateral[:, 0], 0.0, atol=1e-5)
+
+
+_ELBOW = np.array([0.226047, 0.022269, 0.973863])
+_FOREARM = np.array([-0.015524, -0.248848, 0.039693])
+"""Of Rajagopal's model as published: the axis of the right elbow, and from there to the wrist, metres."""
+
+
+def _limb(row, names, side):
+    """The upper bone and the frame of a limb of the model, in the ground."""
+    outwards = [1.0, -1.0, -1.0] if side == "l" else [1.0, 1.0, 1.0]
+    pelvis = Rotation.from_euler("ZXY", row[["pelvis_tilt", "pelvis_list", "pelvis_rotation"]], degrees=True)
+    own = [row[f"{name}_{side}"] for name in names]
+    limb = pelvis * Rotation.from_euler("ZXY", own * np.array(outwards), degrees=True)
+    return limb, limb.apply([0.0, -1.0, 0.0])
+
+
+def _apart(a, b):
+    return np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1.0, 1.0)))
+
+
+@given(data=st.data())
+def test_a_mot_puts_bent_limbs_where_s_has_them(data, tmp_path_factory):
+    """By forward kinematics of the published model, at whose wrists the elbow's axis is inclined."""
+    walk, direction = _walk(), st.tuples(st.floats(-0.9, 0.9), st.floats(0.2, 1.0), st.floats(-0.9, 0.9))
+    limbs = {}
+    for upper, lower in (("Knee", "Ankle"), ("Elbow", "Wrist")):
+        for side in SIDES:
+            first = np.array(data.draw(direction, f"{upper} {side}"))
+            aside = np.cross(first, data.draw(direction, f"axis of {upper} {side}"))
+            assume(np.linalg.norm(aside) > 0.1)
+            bend = np.radians(data.draw(st.floats(31.0, 110.0), f"bend of {upper} {side}"))
+            turn = Rotation.from_rotvec(bend * aside / np.linalg.norm(aside))
+            first = first / np.linalg.norm(first)
+            limbs |= {f"{upper}{side.title()}": first, f"{lower}{side.title()}": turn.apply(first)}
+    pose = np.broadcast_to(posed(walk.body, limbs), walk.fused.shape)
+    session = replace(walk, rows=replace(walk.rows, fused=np.array(pose)))
+    path = tmp_path_factory.mktemp("s") / "s.mot"
+    session.export(path)
+    row = read_mot(path)[1].iloc[0]
+    at = on_floor(session, pose[0])[:, [2, 1, 0]] * [1.0, 1.0, -1.0]
+    for side in SIDES:
+        hip, knee, ankle, shoulder, elbow, wrist = (
+            at[session.body.joint(f"{part} {side}")]
+            for part in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+        )
+        leg, thigh = _limb(row, ("hip_flexion", "hip_adduction", "hip_rotation"), side[0])
+        shin = leg.apply(
+            Rotation.from_euler("z", -row[f"knee_angle_{side[0]}"], degrees=True).apply([0, -1, 0])
+        )
+        arm, upper_arm = _limb(row, ("arm_flex", "arm_add", "arm_rot"), side[0])
+        mirror = np.array([1.0, 1.0, -1.0 if side == "left" else 1.0])
+        bent = Rotation.from_rotvec(np.radians(row[f"elbow_flex_{side[0]}"]) * _ELBOW)
+        forearm = arm.apply(mirror * bent.apply(_FOREARM))
+        assert max(_apart(thigh, knee - hip), _apart(upper_arm, elbow - shoulder)) < 0.01
+        assert _apart(shin, ankle - knee) < 0.01
+        assert _apart(forearm, wrist - elbow) < 6.0
 
 
 @given(data=st.data())
@@ -304,9 +354,9 @@ def _walk():
 @pytest.mark.parametrize(
     ("joint", "gone"),
     [
-        ("ankle left", {"knee_angle_l"}),
-        ("wrist right", {"elbow_flex_r"}),
-        ("knee right", {"knee_angle_r", "hip_flexion_r", "hip_adduction_r"}),
+        ("ankle left", {"knee_angle_l", "hip_rotation_l"}),
+        ("wrist right", {"elbow_flex_r", "arm_rot_r"}),
+        ("knee right", {"knee_angle_r", "hip_flexion_r", "hip_adduction_r", "hip_rotation_r"}),
     ],
 )
 def test_mot_has_no_column_of_an_angle_that_needs_a_joint_that_was_never_seen(session, joint, gone):
