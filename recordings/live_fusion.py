@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
+from devices.capture.clock.capture_time import CaptureTime
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import rvl
 from devices.depth import witness as depth_witness
@@ -80,9 +81,12 @@ class LiveFusion:
         Args:
             clock: Nanoseconds, of the frames' ``host_ns``.
         """
+        capture = CaptureTime()
         for pair in sensors.pairs(every_frame=self.setup.settings.method == "duplex"):
-            frame = self.fuse(self.chosen(with_depth(pair, depth)))
-            yield replace(frame, streams=sensors.figures, latency_ns=_latency_ns(pair, clock()))
+            frame, now_ns = self.fuse(self.chosen(with_depth(pair, depth))), clock()
+            latency_ns = _latency_ns(pair, now_ns)
+            unix_ns = capture.unix_ns(pair.time_ns, now_ns - (latency_ns or 0))
+            yield replace(frame, streams=sensors.figures, latency_ns=latency_ns, unix_ns=unix_ns)
 
     def chosen(self, pair: FramePair) -> FramePair:
         """Returns the pair with the followed person chosen."""

@@ -89,7 +89,7 @@ class Replay:
             about=of.origin | {"first_frame": of.first_frame, "replay_of": of.name},
         )
         in_order = tuple(sorted(events, key=lambda event: event.frame))
-        rows = replace(replayed.rows, up=of.rows.up)
+        rows = replace(replayed.rows, up=of.rows.up, unix_ns=of.rows.unix_ns)
         return replace(replayed, rows=rows, events=in_order, damage=of.damage, frames_lost=of.frames_lost)
 
 

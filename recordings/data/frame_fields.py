@@ -173,6 +173,7 @@ _TABLE = (
     FrameField("side_doubt", _u1, (2,), _QUALITY, "side_doubt", _u1, optional=True),
     FrameField("heading", _f4, (3,), _QUALITY, "heading", _f2, optional=True, step=1.0 / HEADING_STEPS),
     FrameField("up", _f4, (3,), _QUALITY, "up", _f4, optional=True),
+    FrameField("unix_ns", _i8, (), _QUALITY, "unix_ns", _i8, absent=_NO_FRAME, optional=True),
 )
 FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType({each.name: each for each in _TABLE})
 """The figures by name."""

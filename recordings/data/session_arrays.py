@@ -36,6 +36,7 @@ class SessionFrame:
         latency_ns: From the arrival of the pair's first images to S*; live sensors only. It is not recorded.
         bone_lengths: (J,) metres, with which S* was fused; None: those of the calibration. Not recorded.
         floor: K_A ← floor, found from earlier frames; live sensors only. Its vertical is recorded.
+        unix_ns: When it was captured, since 1970 UTC; None where that is not known.
     """
 
     pair: FramePair
@@ -46,6 +47,7 @@ class SessionFrame:
     latency_ns: int | None = None
     bone_lengths: NDArray[np.float64] | None = None
     floor: RigidTransform | None = None
+    unix_ns: int | None = None
 
 
 class PairBlock(NamedTuple):
@@ -66,7 +68,7 @@ class SessionFrames(Rows[SessionFrame]):
     fuse_ns: int
     pairs: Sequence[FramePair]
     first: int  # number of the first of them among the pairs
-    truth = floor = None
+    truth = floor = unix_ns = None
 
     def __len__(self) -> int:
         return len(self.fused)
@@ -114,6 +116,8 @@ class SessionArrays:
             shoulders, in K_A's frame; its length, from 0 to 1, is the confidence. Before revision 13 of
             ``duplex`` it was horizontal.
         up: (T, 3) against gravity in K_A's frame, as live outputs used it; sessions of live sensors only.
+        unix_ns: (T,) when frames were captured, since 1970 UTC, as live outputs had it; sessions of live
+            sensors only.
     """
 
     body: Body
@@ -146,6 +150,7 @@ class SessionArrays:
     side_doubt: NDArray[np.uint8] | None = None
     heading: NDArray[np.float32] | None = None
     up: NDArray[np.float32] | None = None
+    unix_ns: NDArray[np.int64] | None = None
 
     @staticmethod
     def stack(
@@ -334,4 +339,5 @@ def _figures_of(frame: SessionFrame | SessionFrames) -> dict[str, Any]:
         "side_doubt": doubt,
         "heading": fused.heading,
         "up": None if frame.floor is None else -frame.floor.rotation[:, 1],
+        "unix_ns": frame.unix_ns,
     }

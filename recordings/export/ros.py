@@ -40,18 +40,18 @@ def write_mcap(session: SessionSeries, path: Path) -> str:
     Raises:
         RecordingError: No frame has an S*.
     """
-    rows, seen, start_ns = session.rows, ~session.rows.never_seen, session.first_unix_ns
+    rows, seen, unix_ns = session.rows, ~session.rows.never_seen, session.unix_ns
     if not np.isfinite(rows.fused[:, session.body.root]).any():
         raise RecordingError(f"{session} has no frame with an S*; there is nothing to export.")
     floor, events, at = floor_under(rows), session.events, 0
-    rotations, begun_ns = session.rotations.quaternions, start_ns or 0
+    rotations, stamps = session.rotations.quaternions, rows.time_ns if unix_ns is None else unix_ns
     placed = np.zeros(len(rows), dtype=bool)
     for setup, own in session.setups():
         placed[own] = is_placed(setup)
     angles = np.stack([session.angles[name] for name in session.angles], axis=1)
     with path.open("wb") as file:
         mcap = McapFile(file, session.body)
-        for k, time_ns in enumerate((begun_ns + rows.time_ns).tolist()):
+        for k, time_ns in enumerate(stamps.tolist()):
             covariance = None if rows.sigma is None else even_covariance(rows.sigma[k])
             a_from_b = RigidTransform(rows.rotation[k], rows.translation[k]) if placed[k] else None
             mcap.write(
@@ -59,10 +59,10 @@ def write_mcap(session: SessionSeries, path: Path) -> str:
             )
             # those of frames that are lost, at the end of a damaged file, come last
             while at < len(events) and (events[at].frame <= k or k == len(rows) - 1):
-                mcap.event(begun_ns + max(events[at].time_ns, 0), events[at])
+                mcap.event(max(time_ns + events[at].time_ns - int(rows.time_ns[k]), 0), events[at])
                 at += 1
         mcap.finish()
-    since = "" if start_ns is not None else ", since the first frame: the session does not say when it was"
+    since = "" if unix_ns is not None else ", since the first frame: the session does not say when it was"
     return f"{len(rows)} frames at their recorded times{since}"
 
 

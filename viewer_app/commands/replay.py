@@ -23,7 +23,6 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReplayOptions
 from viewer_app.output_console import output_console
 from viewer_app.output_files import check_outputs
-from viewer_app.outputs.capture_time import RecordedTime
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, check_kept, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report import save_session_report
@@ -64,8 +63,7 @@ def run(options: ReplayOptions) -> None:
             f"`duplex fuse --method {settings.method}` leaves such moments out, a replay does not."
         )
     replay = Replay.of(session, settings)
-    recorded = RecordedTime(session.first_unix_ns)
-    with planned.opened(replay.segments[0][0], session.frame_rate, recorded) as outputs:
+    with planned.opened(replay.segments[0][0], session.frame_rate) as outputs:
         announce_outputs(console, outputs)
         blocks = _fused(options, replay, outputs, console)
         replayed = replay.fused(blocks, images=options.save is not None)
@@ -108,7 +106,7 @@ def _fused(
     warm_up(console, Fuser.warm_ups(replay.segments[0][0].settings.method))
     setups = {own.start: setup for setup, own in replay.segments}
     fused = list(shown)
-    frames = with_floors(chain.from_iterable(fused), replay.session)
+    frames = as_recorded(chain.from_iterable(fused), replay.session)
     for _ in played(frames, FanOut(outputs), setups, replay.session.events):
         pass
     yield from fused
@@ -128,12 +126,14 @@ def _planned(options: ReplayOptions) -> OutputPlan:
     return plan
 
 
-def with_floors(frames: Iterable[SessionFrame], session: Session) -> Iterator[SessionFrame]:
-    """The frames of a replay with the floor of the session, whose vertical is that of its angles."""
+def as_recorded(frames: Iterable[SessionFrame], session: Session) -> Iterator[SessionFrame]:
+    """The frames of a replay with the times of the session and its floor, whose vertical is that of its
+    angles."""
     under = floor_under(session.rows)
     height = float(under.translation @ under.rotation[:, 1])  # negative of a person who stands higher
-    for frame, up in zip(frames, session.up_of_frames, strict=True):
-        yield replace(frame, floor=floor_frame(up, height))
+    stamps = [None] * len(session) if session.unix_ns is None else session.unix_ns.tolist()
+    for frame, up, unix_ns in zip(frames, session.up_of_frames, stamps, strict=True):
+        yield replace(frame, floor=floor_frame(up, height), unix_ns=unix_ns)
 
 
 def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bool:

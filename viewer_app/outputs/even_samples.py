@@ -1,5 +1,6 @@
 """S* at a constant rate, predicted from the newest frame."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -29,7 +30,7 @@ class EvenSamples:
 
     def wait_s(self, now_ns: int) -> float | None:
         """Seconds until the next moment is due; None: for a frame."""
-        if self._newest is None or self._too_far(self._next):
+        if self._next > self._last:
             return None
         return max(self._due_ns(self._next) - now_ns, 0) * 1e-9
 
@@ -42,23 +43,29 @@ class EvenSamples:
                 self._newest = item
             else:
                 samples.append(item)
-        while (
-            self._newest is not None and not self._too_far(self._next) and self._due_ns(self._next) <= now_ns
-        ):
-            if now_ns - self._due_ns(self._next) <= _FARTHEST_NS:
+        if self._newest is not None:
+            # moments that are too far behind are left out without counting them: a pause may last for hours
+            due = math.ceil((now_ns - _FARTHEST_NS - self._due_ns(0)) / self._period_ns)
+            self._next = max(self._next, min(due, self._last + 1))
+            while self._next <= self._last and self._due_ns(self._next) <= now_ns:
                 samples.append(self._sample(self._newest))
-            self._next += 1
+                self._next += 1
         return samples
 
     def _sample(self, newest: QueuedFrame) -> QueuedFrame:
         time_ns = round(self._next * self._period_ns)
-        fused = newest.fused.predicted_for(self._body, 1e-9 * (time_ns - newest.time_ns))
-        return QueuedFrame(
-            self._next, replace(newest.frame, fused=fused), time_ns, round(self._due_ns(self._next))
+        later_ns, unix_ns = time_ns - newest.time_ns, newest.frame.unix_ns
+        frame = replace(
+            newest.frame,
+            fused=newest.fused.predicted_for(self._body, 1e-9 * later_ns),
+            unix_ns=None if unix_ns is None else unix_ns + later_ns,
         )
+        return QueuedFrame(self._next, frame, time_ns, round(self._due_ns(self._next)))
 
-    def _too_far(self, number: int) -> bool:
-        return self._newest is None or number * self._period_ns > self._newest.time_ns + _FARTHEST_NS
+    @property
+    def _last(self) -> int:
+        """The last moment that is predicted from the newest frame."""
+        return -1 if self._newest is None else int((self._newest.time_ns + _FARTHEST_NS) / self._period_ns)
 
     def _due_ns(self, number: int) -> float:
         return number * self._period_ns + (self._clock.offset_ns or 0)

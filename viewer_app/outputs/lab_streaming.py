@@ -11,7 +11,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.clock.host_clock import HostClock
+from devices.capture.clock.capture_time import UNIX_NS
 from devices.check import extra_command
 from devices.events import Event
 from fusion.body import Body
@@ -23,6 +23,7 @@ from viewer_app.outputs.output import LiveOutput, confidence
 from viewer_app.sinks.item_queue import QueuedFrame
 
 _KEEP = 64  # frames; a recorder wants all of them
+_LIVE_NS = 10_000_000_000  # from capture to sending, if it is no replay
 _THIS_MACHINE = """
 [multicast]
 ResolveScope = machine
@@ -46,8 +47,8 @@ def sample(fused: FusedFrame) -> NDArray[np.float32]:
 class LabStreamingOutput(LiveOutput):
     """Three outlets: ``NAME``, ``NAME-angles`` and ``NAME-events``.
 
-    A sample has the time of its capture plus the least delay of the last frames, on liblsl's clock. So the
-    stamps are as regular as the sensor.
+    A sample has the time of its capture on liblsl's clock, as other outputs have it. In a replay the first
+    sample has the time at which it is sent.
 
     Args:
         others: Whether other machines may find the stream. If not, discovery is limited to this machine.
@@ -74,15 +75,18 @@ class LabStreamingOutput(LiveOutput):
         self._samples, self._events, self._angles = map(pylsl.StreamOutlet, (info, events, of_angles))
         self._movement = LiveMovement(body)
         self._clock_offset = pylsl.local_clock() - time.perf_counter()
-        self._host_clock = HostClock()
+        self._later_ns: int | None = None  # by which a replay sends its frames after their capture
         self._stamp = -np.inf
         self.start()
 
     def send_frame(self, frame: QueuedFrame) -> int:
         """Pushes a sample of each stream; liblsl buffers them for each receiver."""
-        self._host_clock.observe(frame.time_ns, frame.written_ns)
-        offset_ns = self._host_clock.offset_ns
-        host_ns = frame.written_ns if offset_ns is None else frame.time_ns + offset_ns
+        unix_ns = frame.frame.unix_ns
+        captured_ns = (frame.time_ns if unix_ns is None else unix_ns) - UNIX_NS
+        if self._later_ns is None:
+            ago_ns = frame.written_ns - captured_ns
+            self._later_ns = 0 if ago_ns < _LIVE_NS else ago_ns
+        host_ns = captured_ns + self._later_ns
         self._stamp = max(host_ns * 1e-9 + self._clock_offset, self._stamp + 1e-6)
         self._samples.push_sample(sample(frame.fused), self._stamp)
         degrees_and_sigma = np.stack(self._movement.angles(frame), axis=1).astype(np.float32)

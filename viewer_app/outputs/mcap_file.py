@@ -41,7 +41,7 @@ class McapOutput(LiveOutput):
 
     def send_frame(self, frame: QueuedFrame) -> int:
         """Adds a frame, and once in a while writes what was added."""
-        unix_ns, fused, body = self.unix(frame), frame.fused, self._setup.body
+        unix_ns, fused, body = frame.frame.unix_ns, frame.fused, self._setup.body
         self._unix_ns = None if unix_ns is None else unix_ns - frame.time_ns
         angles, _ = self._movement.angles(frame)
         rotations = np.full((len(body), 4), np.nan)

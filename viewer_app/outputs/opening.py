@@ -17,7 +17,6 @@ from viewer_app.outputs.avatars.osc import Address, OscOutput, looked_up
 from viewer_app.outputs.avatars.vmc import VmcEncoder
 from viewer_app.outputs.avatars.vrchat import VRChatEncoder
 from viewer_app.outputs.avatars.vrm import Avatar, read_avatar
-from viewer_app.outputs.capture_time import CaptureTime
 from viewer_app.outputs.even_samples import EvenSamples
 from viewer_app.outputs.output import LiveOutput
 
@@ -52,21 +51,13 @@ class OutputPlan:
             skeleton.update(joints, 0)  # each kernel is compiled for one set of types
 
     @contextmanager
-    def opened(
-        self, setup: FusionSetup, rate: float, recorded: CaptureTime | None = None
-    ) -> Iterator[Sequence[LiveOutput]]:
-        """Opens the outputs; closes them at the end of the block.
-
-        Args:
-            recorded: Tells when the frames were captured; None: they are captured now.
-        """
+    def opened(self, setup: FusionSetup, rate: float) -> Iterator[Sequence[LiveOutput]]:
+        """Opens the outputs; closes them at the end of the block."""
         self.warm_up(setup.body)
         with ExitStack() as stack:
             outputs = []
             for output in self._open(setup, self.options.rate or rate):
                 stack.callback(output.close)
-                if recorded is not None:
-                    output.unix = recorded
                 if self.options.rate is not None:
                     output.even = EvenSamples(setup.body, self.options.rate)
                 outputs.append(output)

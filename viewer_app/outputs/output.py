@@ -14,7 +14,6 @@ from fusion.fused_frame import FusedFrame
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from viewer_app.errors import UsageError
-from viewer_app.outputs.capture_time import CaptureTime
 from viewer_app.outputs.even_samples import EvenSamples
 from viewer_app.sinks.item_queue import DropOldest, Item, ItemQueue, QueuedFrame
 from viewer_app.sinks.queued_sink import QueuedSink
@@ -69,7 +68,6 @@ class LiveOutput(QueuedSink):
         note: What the user should know about it before it starts.
         warning: What the user should know about it at the end.
         even: Sends S* at a constant rate; None: once per frame. Set it before the first frame.
-        unix: Tells when a frame was captured. Set it before the first frame.
         keeps: Whether it is a file, so that the command fails where it does.
         closes_within: Seconds in which it sends what is queued at its end; None: as long as that takes.
     """
@@ -86,7 +84,6 @@ class LiveOutput(QueuedSink):
         self.name = name
         self.failure: str | None = None
         self.page = self.note = self.warning = ""
-        self.unix = CaptureTime()
         self._closed = False
         self._sent = self._late = self._not_sent = 0
         self._presence = _Presence()

@@ -63,14 +63,10 @@ class SkeletonJson:
         said = {"type": "coach", "version": VERSION, "state": state, "step": step, "marks": marks}
         return json.dumps(said)
 
-    def frame(self, timed: QueuedFrame, unix_ns: int | None) -> str:
+    def frame(self, timed: QueuedFrame) -> str:
         """A frame: positions and velocities (J, 3), rotations (J, 4) x, y, z, w, confidence (J,), sigma (J,),
-        covariances (J, 3, 3), angles and their sigma (K,); null where the method does not know them.
-
-        Args:
-            unix_ns: When it was captured, since 1970 UTC; None where that is not known.
-        """
-        fused, sigma = timed.fused, timed.fused.sigma
+        covariances (J, 3, 3), angles and their sigma (K,); null where the method does not know them."""
+        fused, sigma, unix_ns = timed.fused, timed.fused.sigma, timed.frame.unix_ns
         self._first_unix_ns = None if unix_ns is None else unix_ns - timed.time_ns
         angles, angle_sigma = self._movement.angles(timed)
         latency_ns = timed.frame.latency_ns

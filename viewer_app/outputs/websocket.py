@@ -134,7 +134,7 @@ class WebSocketOutput(LiveOutput):
     def send_frame(self, frame: QueuedFrame) -> int | None:
         """Encodes a frame, if there is a client, and hands it to the server's thread."""
         if self._clients:
-            self._publish(self._json.frame(frame, self.unix(frame)), frame.written_ns)
+            self._publish(self._json.frame(frame), frame.written_ns)
             for event in self._json.gait_events():
                 self._publish(event)
         return None  # the server's thread counts

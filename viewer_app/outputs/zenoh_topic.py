@@ -33,7 +33,7 @@ class ZenohOutput(LiveOutput):
         if frame.time_ns >= self._hello_ns:
             self._hello_ns = frame.time_ns + _HELLO_EVERY_NS
             self.send_setup(self._setup)
-        self._put("frame", self._json.frame(frame, self.unix(frame)))
+        self._put("frame", self._json.frame(frame))
         for event in self._json.gait_events():
             self.send_event(event)
         return 1

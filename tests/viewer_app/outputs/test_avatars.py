@@ -42,7 +42,7 @@ from tests.helpers.poses import (
 )
 from tests.helpers.three_vrm import avatar_page
 from tests.helpers.two_views import FRAME_NS, moving
-from viewer_app.commands.replay import with_floors
+from viewer_app.commands.replay import as_recorded
 from viewer_app.errors import UsageError
 from viewer_app.outputs.avatars import vrm as vrm_module
 from viewer_app.outputs.avatars.osc import Address, OscOutput, bundled
@@ -514,12 +514,12 @@ def test_json_has_the_angles_and_their_uncertainty_and_null_where_unknown(walk):
     encoder = SkeletonJson(SETUP)
     assert json.loads(encoder.hello(SETUP))["angles"] == list(ANGLES)
     frame = walk[0]
-    said = json.loads(encoder.frame(frame, None))
+    said = json.loads(encoder.frame(frame))
     expected = joint_angles(AZURE_KINECT, frame.fused.positions)
     np.testing.assert_allclose(said["angles"][:-2], expected[:-2], atol=0.006)
     assert all(0.0 < sigma < 180.0 for sigma in said["angle_sigma"])
     frame.fused.positions[AZURE_KINECT.joint("WRIST_LEFT")] = np.nan
-    said = json.loads(encoder.frame(frame, None))
+    said = json.loads(encoder.frame(frame))
     assert said["angles"][ANGLES.index("elbow_flexion_left")] is None
 
 
@@ -538,7 +538,7 @@ def sent(frames):
     for k, frame in enumerate(frames):
         start_ns = frame.pair.time_ns if start_ns is None else start_ns
         queued = QueuedFrame(k, frame, frame.pair.time_ns - start_ns, 0)
-        yield json.loads(encoder.frame(queued, None))["angles"] or [None] * len(ANGLES)
+        yield json.loads(encoder.frame(queued))["angles"] or [None] * len(ANGLES)
 
 
 # rounded to 0.01; S* in the file to 1e-7 m, of bones of 0.1 m
@@ -560,7 +560,7 @@ def test_angles_sent_by_a_replay_are_those_of_its_session(live_run, live):
         session = replace(session, rows=replace(session.rows, up=None))
     replay = Replay.of(session)
     blocks = list(replay.blocks())
-    found = np.array(list(sent(with_floors(chain.from_iterable(blocks), session))), dtype=float)
+    found = np.array(list(sent(as_recorded(chain.from_iterable(blocks), session))), dtype=float)
     again = replay.fused(iter(blocks))
     for each in (session, again):
         np.testing.assert_allclose(found, each.angles.degrees, atol=NEAR)
@@ -571,7 +571,7 @@ def test_the_floor_of_a_replay_is_that_of_its_session_also_above_the_sensors(liv
     some, session = live_run
     fused = session.fused + higher * session.up
     session = replace(session, rows=replace(session.rows, fused=fused, up=None))
-    floor = next(with_floors(some, session)).floor
+    floor = next(as_recorded(some, session)).floor
     np.testing.assert_allclose(floor.translation, floor_under(session.rows).translation, atol=1e-9)
     assert (floor.translation @ session.up > 0.0) == (higher > 0.0)
 

@@ -204,36 +204,6 @@ def test_an_inlet_reads_joints_confidences_times_and_events(fuser):
     assert info.desc().child("acquisition").child_value("manufacturer") == "duplex-kinects"
 
 
-@given(
-    delays_ms=st.lists(st.one_of(st.integers(5, 40), st.integers(5, 450)), min_size=2, max_size=60),
-    interval_ms=st.sampled_from([1, 11, 33, 200]),
-)
-def test_lsl_stamps_go_forward_and_are_not_ahead_of_the_frames(fuser, monkeypatch, delays_ms, interval_ms):
-    """A frame that took less time than all before it moves what is known of the clocks back."""
-    stamps = []
-
-    class Outlet:
-        def __init__(self, info):
-            self.records = info.name() == "x"
-
-        def push_sample(self, _, stamp):
-            if self.records:
-                stamps.append(stamp)
-
-    pylsl = lsl()
-    monkeypatch.setattr(pylsl, "StreamOutlet", Outlet)
-    ahead_s = pylsl.local_clock() - time.perf_counter()
-    output, (frame,) = LabStreamingOutput("x", KINECT_V2, 30.0), frames(fuser, 1)
-    written_s = []
-    for number, delay_ms in enumerate(delays_ms):
-        time_ms = number * interval_ms
-        written_s.append(max((time_ms + delay_ms) * 1e-3, *written_s[-1:], 0.0))
-        output.send_frame(QueuedFrame(number, frame, time_ms * 1_000_000, round(written_s[-1] * 1e9)))
-    output.close()
-    assert (np.diff(stamps) > 0.0).all()
-    assert (np.array(stamps) - ahead_s <= np.array(written_s) + 1e-3).all()
-
-
 def test_a_second_session_reads_the_description_frames_and_events(fuser):
     pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
     address = free_address()
@@ -330,6 +300,18 @@ def test_samples_are_even_and_predicted_whatever_the_frames_do(fuser):
     for sample in samples:
         lengths = [bone_lengths_of(body, at.positions) for at in (sample.fused, given[0].fused)]
         np.testing.assert_allclose(*lengths, atol=1e-9)
+
+
+@given(pause_s=st.floats(1.0, 1e6), rate=st.sampled_from([1.0, 50.0, 240.0]))
+def test_what_a_pause_leaves_out_is_not_counted_moment_by_moment(fuser, pause_s, rate):
+    even, back_ms = EvenSamples(fuser.setup.body, rate), round(1e3 * pause_s)
+    before, after = queued(fuser, (0, back_ms), (0, 0))
+    even.passed_on([before], 0)
+    begun = time.process_time()
+    samples = even.passed_on([after], back_ms * MS)
+    assert time.process_time() - begun < 0.5
+    assert all(0 <= back_ms * MS - sample.time_ns <= 300 * MS for sample in samples)
+    assert len(samples) >= int(0.3 * rate)
 
 
 def test_nothing_is_sent_long_after_the_last_frame(fuser):

@@ -99,7 +99,7 @@ def test_a_client_reads_the_description_then_frames_and_events(server, fuser):
 def test_what_a_method_or_a_session_does_not_know_is_null(fuser):
     encoder, frame = SkeletonJson(fuser.setup), frames(fuser, 1)[0]
     paper = replace(frame.fused, sigma=None, covariance=None, velocities=None)
-    said = json.loads(encoder.frame(QueuedFrame(0, replace(frame, fused=paper), 0, 0), None))
+    said = json.loads(encoder.frame(QueuedFrame(0, replace(frame, fused=paper), 0, 0)))
     for name in ("velocities", "covariances", "sigma", "unix_time_s"):
         assert said[name] is None
     assert said["positions"] is not None
