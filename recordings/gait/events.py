@@ -32,6 +32,7 @@ _LONGEST_STEP = 2.0  # seconds
 _LONGEST_SWING = 2.0  # of the walk's median; that of a first step which is longer is not known
 _FLIGHT = 0.1  # seconds: no toe-off of a walk lies farther before the other foot's strike
 _FEWEST = 3  # strikes in turn
+_MOVES_BY = 0.5  # of the lengths of the steps, for which the pelvis does on a floor that stands
 _AROUND = 0.1  # seconds: errors of S* that count for an event
 _DEFINITION_SD = 0.02  # seconds, between contact and what shows it
 _OF_A_FRAME = 0.25  # of the time between frames, by which interpolation errs
@@ -189,8 +190,9 @@ def _walks(strikes: Sequence[Step]) -> Iterator[list[Step]]:
 
 
 def _of_steps(walk: Sequence[Step]) -> Iterator[list[Step]]:
-    """A walk with what its steps took, if they are enough."""
-    if len(walk) >= _FEWEST:
+    """A walk with what its steps took, if they are enough and the person moves by them: no treadmill."""
+    lengths = sum(step.length for step in walk[1:])
+    if len(walk) >= _FEWEST and walk[-1].progress - walk[0].progress > _MOVES_BY * lengths:
         first = walk[0]._replace(progress=math.nan, turned=math.nan)
         swings = [step.strike - step.toe_off for step in walk if math.isfinite(step.toe_off)]
         if swings and first.strike - first.toe_off > _LONGEST_SWING * float(np.median(swings)):

@@ -99,6 +99,13 @@ def test_a_march_on_the_spot_has_no_steps():
     assert find_gait(AZURE_KINECT, TIMES, in_place(truth_of("walk")), UP).steps == ()
 
 
+@given(speed=st.floats(0.5, 1.5), moves=st.floats(0.0, 0.4))
+def test_a_treadmill_has_no_steps_whoever_drifts_on_it(speed, moves):
+    times, joints = walker(12.0, RATE, speed=speed)
+    joints[..., 2] -= ((1.0 - moves) * speed * 1e-9 * times)[:, None]
+    assert find_gait(AZURE_KINECT, times, joints, UP).steps == ()
+
+
 def test_a_gap_divides_a_walk_and_nothing_is_invented_in_it():
     joints = truth_of("walk")
     whole = find_gait(AZURE_KINECT, TIMES, joints, UP)

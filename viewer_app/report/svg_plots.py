@@ -74,25 +74,15 @@ def line_plot(
     return _svg(figure, f"{title}, {unit}, over time", wide)
 
 
-def cycle_plot(
-    title: str,
-    curves: Mapping[str, NDArray[Any]],
-    toe_offs: Mapping[str, float],
-    healthy: tuple[NDArray[Any], float] | None = None,
-) -> str:
+def cycle_plot(title: str, curves: Mapping[str, NDArray[Any]], toe_offs: Mapping[str, float]) -> str:
     """Plots degrees over the gait cycle, from heel strike to heel strike: mean and standard deviation.
 
     Args:
         curves: (C, 101) by side.
         toe_offs: Share of the cycle at which the foot leaves the floor, by side; a dotted line.
-        healthy: (101,) of healthy people, and their standard deviation; a grey band.
     """
     figure, axes = _figure(4.0, 2.6)
     percent = np.arange(101)
-    if healthy is not None:
-        mean, deviation = healthy
-        band = mean - deviation, mean + deviation
-        axes.fill_between(percent, *band, color=_INK, alpha=0.15, linewidth=0, label="healthy")
     for side, each in curves.items():
         known = each[np.isfinite(each).all(axis=1)]
         if not len(known):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from recordings.data.series import AngleSeries
 from recordings.gait import SIDES, Gait, Measured
@@ -18,15 +18,7 @@ from viewer_app.report.svg_plots import cycle_plot, line_plot
 _OF_A_SIDE = ("hip_flexion", "knee_flexion", "hip_abduction", "shoulder_flexion", "elbow_flexion")
 _FEWEST_CYCLES = 2  # of a side, for a mean
 _MOTION = 3.0  # seconds, of which it is said that they have no steps
-GAIT_HEAD = ("mean ± standard deviation", "left", "right", "asymmetry (%)", "healthy")
-_STEP_LENGTH, _STRIDE_TIME, _STANCE = "0.53 to 0.93", "0.87 to 1.32", "about 60"
-"""Of adults of 18 to 49 years at their own pace, 95 % (Levine, Richards, Whittle 2012).
-These and the next two were written from memory and not checked against the books."""
-_PHASES = 0, 12, 31, 50, 62, 75, 87, 100
-"""Percent of the gait cycle at which its phases end (Perry, Burnfield 2010)."""
-_HEALTHY = {"hip_flexion": (20, 20, 0, -20, -10, 15, 25, 20), "knee_flexion": (5, 15, 5, 10, 40, 60, 25, 5)}
-"""Degrees then, of the thigh against the vertical and of the knee, of healthy adults (same source)."""
-_HEALTHY_SD = 6.0  # degrees, between persons; that of Schwartz et al. (2008) at most moments
+GAIT_HEAD = ("mean ± standard deviation", "left", "right", "asymmetry (%)")
 
 
 class MovementSection(NamedTuple):
@@ -74,18 +66,9 @@ def _over_cycles(gait: Gait) -> Iterator[str]:
     toe_offs = {side: _median(gait.stance(side)) for side in SIDES}
     for name in _OF_A_SIDE:
         curves = {side: gait.curves(f"{name}_{side}") for side in SIDES}
-        yield cycle_plot(name.replace("_", " "), curves, toe_offs, _healthy(name))
+        yield cycle_plot(name.replace("_", " "), curves, toe_offs)
     trunk = {side: gait.curves("trunk_flexion", side) for side in SIDES}
     yield cycle_plot("trunk flexion", trunk, toe_offs)
-
-
-def _healthy(name: str) -> tuple[NDArray[np.float64], float] | None:
-    """(101,) degrees of an angle of healthy adults over the gait cycle, and their standard deviation."""
-    from scipy.interpolate import PchipInterpolator
-
-    if name not in _HEALTHY:
-        return None
-    return PchipInterpolator(_PHASES, _HEALTHY[name])(np.arange(101)), _HEALTHY_SD
 
 
 def _summary(gait: Gait) -> str:
@@ -160,18 +143,18 @@ def _gait_rows(gait: Gait) -> Iterator[tuple[str, ...]]:
         return
     figures = gait_figures(gait)
     uneven = {name: _told(each, "value", "sigma", 0) for name, each in figures["asymmetry_percent"].items()}
-    for title, name, digits, healthy in (
-        ("steps", "steps", None, ""),
-        ("step length (m)", "step_length_m", 2, _STEP_LENGTH),
-        ("step width (m)", "step_width_m", 2, ""),
-        ("step time (s)", "step_time_s", 2, ""),
-        ("gait cycles", "gait_cycles", None, ""),
-        ("stride time (s)", "stride_time_s", 2, _STRIDE_TIME),
-        ("stance (% of the cycle)", "stance_percent", 0, _STANCE),
+    for title, name, digits in (
+        ("steps", "steps", None),
+        ("step length (m)", "step_length_m", 2),
+        ("step width (m)", "step_width_m", 2),
+        ("step time (s)", "step_time_s", 2),
+        ("gait cycles", "gait_cycles", None),
+        ("stride time (s)", "stride_time_s", 2),
+        ("stance (% of the cycle)", "stance_percent", 0),
     ):
         of_sides = (figures[side][name] for side in SIDES)
         sides = [str(each) if digits is None else _told(each, "mean", "sd", digits) for each in of_sides]
-        yield (title, *sides, uneven.get(name.rpartition("_")[0], ""), healthy)
+        yield (title, *sides, uneven.get(name.rpartition("_")[0], ""))
 
 
 def _scatter(values: ArrayLike) -> Figures:
