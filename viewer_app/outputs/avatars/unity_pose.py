@@ -5,13 +5,13 @@ Where K_A's p is −p in Unity, all three axes are reversed: a rotation matrix, 
 same. A person who faces the sensor then faces +z. Unity's T-pose has no rotation anywhere.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
+from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.movement.humanoid import human_bones, rest_from_t_pose
 from fusion.movement.joint_rotations import JointRotations
 from fusion.support.types import Array
@@ -27,7 +27,8 @@ class UnityPose:
 
     positions: Array  # (N, 3) metres, where each bone begins
     rotations: Array  # (N, 4) x, y, z, w, of each bone from the T-pose
-    local: Array  # (N, 7) position and rotation of each bone relative to its parent; of Hips to the floor
+    local: Array  # (N, 7) position and rotation of each bone relative to its parent; of Hips to the floor.
+    # Positions are those of the T-pose: they change with the lengths of the person's bones alone
     leg: float  # metres from hip to sole
 
 
@@ -50,16 +51,19 @@ class UnitySkeleton:
         self.parents = np.array([-1 if b.parent is None else self.names.index(b.parent) for b in bones])
         self.begins = np.array([bone.begin for bone in bones])
         self.bones = np.array([bone.bone for bone in bones])
-        self._unturned = Rotation.from_quat(rest_from_t_pose(body)[self.bones])
+        rest_turns = Rotation.from_quat(rest_from_t_pose(body))
+        self._unturned = rest_turns[self.bones]
         rest = self._unturned.inv().apply(-body.rest[self.bones])
         self.rest = np.where(self.parents[:, None] < 0, 0.0, rest)
         feet = [body.find(j + s) for j in ("Foot", "Ankle", "Heel") for s in ("Left", "Right")]
         self._feet = [j for j in feet if j is not None]
-        self._leg = [
-            (body.joint(above + side), body.joint(below + side))
-            for above, below in (("Hip", "Knee"), ("Knee", "Ankle"))
-            for side in ("Left", "Right")
-        ]
+        self._leg = [body.joint(below + side) for below in ("Knee", "Ankle") for side in ("Left", "Right")]
+        directions = -rest_turns.inv().apply(body.rest)
+        ways = np.eye(len(body))  # of which bones the way to each joint consists
+        for joint in body.order[1:]:
+            ways[joint] += ways[body.parents[joint]]
+        begins = ways[self.begins] - np.where(self.parents[:, None] < 0, 0.0, ways[self.begins[self.parents]])
+        self._offsets = begins[..., None] * directions  # (N, J, 3), in bones' lengths
         self._origin: Array | None = None
         self._time_ns = 0
 
@@ -81,7 +85,7 @@ class UnitySkeleton:
         begins, turns = self._origin - positions[self.begins], turned.as_quat()
         topmost = self.parents[:, None] < 0
         back = Rotation.from_quat(np.where(topmost, (0.0, 0.0, 0.0, 1.0), turns[self.parents])).inv()
-        offsets = back.apply(begins - np.where(topmost, 0.0, begins[self.parents]))
+        lengths = np.nan_to_num(bone_lengths_of(self.body, positions))
+        offsets = np.where(topmost, begins, np.einsum("njc,j->nc", self._offsets, lengths))
         local = np.concatenate((offsets, (back * turned).as_quat()), axis=1)
-        legs = sum(math.dist(positions[i], positions[j]) for i, j in self._leg)
-        return UnityPose(begins, turns, local, 0.5 * legs + ANKLE)
+        return UnityPose(begins, turns, local, 0.5 * float(lengths[self._leg].sum()) + ANKLE)

@@ -20,8 +20,9 @@ _ROOT = ["root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 class VmcEncoder:
     """Frames of S* as datagrams.
 
-    Without an avatar the positions are those of S*, so a receiver that applies them shows S* itself. With an
-    avatar they are the avatar's own; Hips alone move, scaled by the leg lengths of both.
+    Without an avatar the positions are those of the person's T-pose, so a receiver that applies them shows
+    the person's proportions. With an avatar they are the avatar's own. Hips alone move, scaled by the leg
+    lengths of both.
     """
 
     def __init__(self, body: Body, avatar: Avatar | None = None) -> None:
