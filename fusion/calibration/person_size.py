@@ -15,7 +15,7 @@ from fusion.support.types import Array
 
 _WINDOW_NS, _SHORTEST_NS, _FEWEST = 2_500_000_000, 2_000_000_000, 10
 """Time and number of the pairs that are compared: a tracker's scale changes within a second."""
-_ANOTHER = 0.055
+ANOTHER = 0.055
 """Logarithm of the scale at which a person is another one. Both views of one person are at most 4.4 % too
 large, or too small, together for 3 s in 21 real pairs of recordings."""
 _SAME = 0.03  # the same, of somebody who was there before
@@ -90,7 +90,7 @@ class PersonSize:
         if not self._differ(views.tolist()):
             return False
         early, late = (float(np.median(half.mean(axis=1))) for half in np.array_split(sizes, 2))
-        if abs(late - early) > _ANOTHER:  # the person came within these
+        if abs(late - early) > ANOTHER:  # the person came within these
             return False
         size = float(views.mean())
         nearest = int(np.argmin(np.abs(np.array(self.people) - size)))
@@ -105,4 +105,4 @@ class PersonSize:
     def _differ(self, views: Sequence[float]) -> bool:
         """Whether both views are too large, or too small, for the person present."""
         a, b = (size - self.people[self.present] for size in views)
-        return a * b > 0.0 and min(abs(a), abs(b)) >= _ANOTHER
+        return a * b > 0.0 and min(abs(a), abs(b)) >= ANOTHER

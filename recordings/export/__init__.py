@@ -34,6 +34,8 @@ _PACKAGES = {
     ".mcap": (("rosbags.typesys", "mcap.writer"), "ros"),
 }
 """What some formats need, and the extra that has it."""
+_AS_RECORDED = ".csv", ".mcap", ".npz", ".parquet"
+"""Formats with the bones of each frame; others have one skeleton."""
 _OPTIONS = {
     "rate": (None, (".bvh", ".c3d", ".glb", ".mot", ".trc"), "keeps the recorded times"),
     "names": ("body", (".bvh", ".glb"), "has the names of the joints"),
@@ -85,8 +87,23 @@ def writer_for(
     if feet not in get_args(Feet):
         raise UnknownNameError("way of feet", feet, get_args(Feet))
     check_packages(suffix)
-    writer: Writer = getattr(import_module(f"recordings.export.{_MODULES[suffix]}"), f"write_{suffix[1:]}")
-    return partial(writer, **options)
+    writer = getattr(import_module(f"recordings.export.{_MODULES[suffix]}"), f"write_{suffix[1:]}")
+    return partial(_written, partial(writer, **options), suffix not in _AS_RECORDED)
+
+
+def _written(writer: Writer, one_skeleton: bool, session: SessionSeries, path: Path) -> str:
+    """Writes a file, and says what of its bones is not that of S*, or changes."""
+    from recordings.export.bones import check_one_person, other_lengths
+
+    if one_skeleton:
+        check_one_person(session)
+    said = writer(session, path)
+    others, error = other_lengths(session)
+    if not others:
+        return said
+    off = f"their joints are up to {1e3 * error:.0f} mm off"
+    whose = f"the file's: {off}" if one_skeleton else f"the last ones, by which {off}"
+    return f"{said}; bones of {others} recorded frames have other lengths than {whose}"
 
 
 def check_packages(suffix: str) -> None:

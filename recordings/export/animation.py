@@ -1,9 +1,7 @@
 """S* as an animation: a tree of nodes in the T-pose, and a rotation per node at a constant rate.
 
-Bones of constant length are represented exactly by rotations. A file has one length per bone: that of the
-session's last calibration. Frames with others, before a new calibration or of method ``published``, are shown
-with these: their bones have the directions of S*, and their joints are off by what is reported. Rotations are
-those of :mod:`fusion.movement.joint_rotations`. If several bones leave a joint, their angles vary and one
+Bones of constant length, see :mod:`recordings.export.bones`, are represented exactly by rotations. Rotations
+are those of :mod:`fusion.movement.joint_rotations`. If several bones leave a joint, their angles vary and one
 rotation cannot represent all of them. The node of the joint then turns with the pelvis, trunk, head, hand or
 foot, and each other bone gets a node of its own at the same position.
 
@@ -19,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
-from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.movement.humanoid import human_bones, mixamo_name, rest_from_t_pose
 from fusion.movement.joint_rotations import JointRotations, joint_bones
 from fusion.support.large_arrays import PART
@@ -28,11 +25,10 @@ from recordings.appearance.floor import floor_under
 from recordings.data.interpolation import positions_at, sigma_at
 from recordings.errors import RecordingError
 from recordings.export import Feet, Names
+from recordings.export.bones import with_lengths
 from recordings.export.even_frames import even_moments, y_up, y_up_rotations
 from recordings.planted_feet import planted_feet
 from recordings.session_series import SessionSeries
-
-_SAME_M = 1e-4  # metres: differences by rounding, added up along the bones
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +78,6 @@ class Animation:
         self.in_words = even.in_words
         if not present.all():
             self.in_words += f"; {np.count_nonzero(~present)} of them hold the pose before, for lack of an S*"
-        others, error = _other_lengths(session)
-        if others:
-            self.in_words += (
-                f"; bones of {others} recorded frames have other lengths than the file's: their joints are "
-                f"up to {1e3 * error:.0f} mm off"
-            )
         self._rest_from_t_pose = Rotation.from_quat(rest_from_t_pose(body))
         offsets = y_up(self._rest_from_t_pose.inv().apply(body.rest.copy()))
         offsets *= session.calibration.bone_lengths[:, None]
@@ -97,7 +87,7 @@ class Animation:
         self.nodes = tuple(_nodes(body, offsets, _labels(body, names)))
         if feet == "planted":
             positions = np.concatenate([self._at(part) for part in self._parts()])
-            positions = _with_lengths(body, positions, session.calibration.bone_lengths)
+            positions = with_lengths(body, positions, session.calibration.bone_lengths)
             sigma = sigma_at(self._rows, self._time_ns)
             self._planted = planted_feet(body, self._time_ns, positions, sigma)
 
@@ -147,34 +137,6 @@ class Animation:
     def _parts(self) -> Iterator[NDArray[np.int64]]:
         """The indices of the frames."""
         return (np.arange(k, min(k + PART, len(self))) for k in range(0, len(self), PART))
-
-
-def _other_lengths(session: SessionSeries) -> tuple[int, float]:
-    """The number of frames with other bone lengths than the last calibration's, and how far off, in metres,
-    these can make a joint in them: the sum of the differences from the root on.
-    """
-    body, last = session.body, session.calibration.bone_lengths
-    count, largest = 0, 0.0
-    for rows in session.rows.parts():
-        off = np.abs(bone_lengths_of(body, rows.fused) - last)
-        off[:, body.root] = 0.0
-        for joint in body.order[1:]:
-            off[:, joint] += off[:, body.parents[joint]]
-        worst = off.max(axis=1)
-        others = worst[worst > _SAME_M]
-        count, largest = count + len(others), max(largest, float(others.max(initial=0.0)))
-    return count, largest
-
-
-def _with_lengths(body: Body, positions: Array, lengths: Array) -> Array:
-    """(T, J, 3) with the directions of bones, and with (J,) other lengths."""
-    found = positions.copy()
-    for joint in body.order[1:]:
-        parent = body.parents[joint]
-        bone = positions[:, joint] - positions[:, parent]
-        length = np.linalg.norm(bone, axis=1, keepdims=True)
-        found[:, joint] = found[:, parent] + lengths[joint] / np.maximum(length, 1e-9) * bone
-    return found
 
 
 def _labels(body: Body, names: Names) -> dict[tuple[int, int], str]:

@@ -16,6 +16,7 @@ from recordings.appearance.floor import floor_under
 from recordings.data.interpolation import positions_at
 from recordings.data.session_arrays import SessionArrays
 from recordings.errors import RecordingError
+from recordings.export.bones import other_lengths, with_lengths
 from recordings.export.even_frames import EvenPositions, even_moments, with_fused
 from recordings.session_series import SessionSeries
 
@@ -42,7 +43,10 @@ def write_c3d(session: SessionSeries, path: Path, rate: float | None = None) -> 
             "`duplex trim`, or as .trc."
         )
     floor_from_a = floor_under(session.rows).inverse()
-    positions = floor_from_a.apply(positions_at(session.rows, even.time_ns)) * 1e3  # (N, J, 3)
+    at = positions_at(session.rows, even.time_ns)
+    if other_lengths(session)[0]:
+        at = with_lengths(session.body, at, session.calibration.bone_lengths)
+    positions = floor_from_a.apply(at) * 1e3  # (N, J, 3)
     positions[:, session.rows.never_seen] = np.nan
     N, J = positions.shape[:2]
     points = np.full((4, J, N), np.nan)

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V2
+from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.movement.angles import ANGLES, joint_angles
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, Method
@@ -466,20 +467,48 @@ def test_a_bvh_has_an_order_of_axes_in_which_a_bone_turns_steadily():
     assert np.degrees((between.inv() * half).magnitude()).max() < 1.0  # of Z, X, Y: 2.3°
 
 
-def test_frames_before_a_calibration_keep_their_directions_and_get_the_last_lengths(tmp_path):
+def grown(path, factor):
+    """A session whose bones are longer from frame 12 on; another view is moved at frame 20."""
     first = calibration_of(KINECT_V2)
-    other = replace(first, bone_lengths=first.bone_lengths * 1.1)
+    other = replace(first, bone_lengths=first.bone_lengths * factor)
     moved = replace(other, a_from_b=RigidTransform.of(first.a_from_b.rotation, [2.3, 0.1, 2.6]))
-    session = record_recalibrated(
-        tmp_path / "s.rrd", frame_pairs(KINECT_V2, 30), [(0, first), (12, other), (20, moved)]
-    )
+    return record_recalibrated(path, frame_pairs(KINECT_V2, 30), [(0, first), (12, other), (20, moved)])
+
+
+def test_a_file_with_a_skeleton_holds_one_person(tmp_path):
+    session = grown(tmp_path / "s.rrd", 1.1)
+    for suffix in (".bvh", ".mot", ".trc"):
+        with pytest.raises(RecordingError, match=r"shows another person from 0\.4 s on.*duplex trim"):
+            session.export(tmp_path / f"s{suffix}")
+        assert not (tmp_path / f"s{suffix}").exists()
+    assert "bones of 12 recorded frames" in session.export(tmp_path / "s.csv")
+
+
+@pytest.mark.parametrize("suffix", [".c3d", ".trc"])
+def test_bones_of_markers_keep_the_last_lengths(tmp_path, suffix):
+    session, path = grown(tmp_path / "s.rrd", 1.04), tmp_path / f"s{suffix}"
+    if suffix == ".c3d":
+        ezc3d = pytest.importorskip("ezc3d")
+    said = session.export(path)
+    assert "bones of 12 recorded frames have other lengths than the file's" in said
+    if suffix == ".c3d":
+        at = 1e-3 * ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0)
+    else:
+        at = 1e-3 * np.loadtxt(path, skiprows=6)[:, 2:].reshape(30, -1, 3)
+    lengths = bone_lengths_of(KINECT_V2, at)[:, KINECT_V2.bone_joints]
+    last = session.calibration.bone_lengths[KINECT_V2.bone_joints]
+    np.testing.assert_allclose(lengths, np.broadcast_to(last, lengths.shape), atol=1e-5)
+
+
+def test_frames_before_a_calibration_keep_their_directions_and_get_the_last_lengths(tmp_path):
+    session = grown(tmp_path / "s.rrd", 1.04)
     path = tmp_path / "s.bvh"
     said = writer_for(path, feet="free")(session, path)
     expected, found = on_floor(session, session.rows.fused), bvh_joints(path, KINECT_V2)
     np.testing.assert_allclose(found[12:], expected[12:], atol=1e-4)
     root = [KINECT_V2.root]
     np.testing.assert_allclose(
-        found[:12] - found[:12, root], 1.1 * (expected[:12] - expected[:12, root]), atol=1e-4
+        found[:12] - found[:12, root], 1.04 * (expected[:12] - expected[:12, root]), atol=1e-4
     )
     off = np.linalg.norm(found - expected, axis=2).max()
     (most,) = re.findall(r"bones of 12 recorded frames .* up to (\d+) mm off$", said)

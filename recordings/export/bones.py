@@ -1,0 +1,59 @@
+"""Bones of constant length: a file with a skeleton holds one person, with the last calibration's lengths.
+
+Frames with others, before a new calibration or of method ``published``, are shown with these: their bones
+have the directions of S*.
+"""
+
+import numpy as np
+
+from fusion.body import Body
+from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.calibration.person_size import ANOTHER
+from fusion.support.types import Array
+from recordings.errors import RecordingError
+from recordings.session_series import SessionSeries
+
+_SAME_M = 1e-4  # metres: differences by rounding, added up along the bones
+
+
+def other_lengths(session: SessionSeries) -> tuple[int, float]:
+    """The number of frames with other bone lengths than the last calibration's, and how far off, in metres,
+    these can make a joint in them: the sum of the differences from the root on.
+    """
+    body, last = session.body, session.calibration.bone_lengths
+    count, largest = 0, 0.0
+    for rows in session.rows.parts():
+        off = np.abs(bone_lengths_of(body, rows.fused) - last)
+        off[:, body.root] = 0.0
+        for joint in body.order[1:]:
+            off[:, joint] += off[:, body.parents[joint]]
+        worst = off.max(axis=1)
+        others = worst[worst > _SAME_M]
+        count, largest = count + len(others), max(largest, float(others.max(initial=0.0)))
+    return count, largest
+
+
+def check_one_person(session: SessionSeries) -> None:
+    """Raises RecordingError where calibrations are of people of two sizes."""
+    bones, known = (
+        session.body.bone_joints,
+        [each for each in session.calibrations if not each[1].provisional],
+    )
+    for first, one in known[1:]:
+        change = np.log(one.bone_lengths[bones] / known[0][1].bone_lengths[bones])
+        if abs(float(np.median(change))) > ANOTHER:
+            raise RecordingError(
+                f"{session} shows another person from {session.time[first]:.1f} s on, and this format has "
+                "one skeleton. Export the parts that `duplex trim` makes, or a table."
+            )
+
+
+def with_lengths(body: Body, positions: Array, lengths: Array) -> Array:
+    """(T, J, 3) with the directions of bones, and with (J,) other lengths."""
+    found = positions.copy()
+    for joint in body.order[1:]:
+        parent = body.parents[joint]
+        bone = positions[:, joint] - positions[:, parent]
+        length = np.linalg.norm(bone, axis=1, keepdims=True)
+        found[:, joint] = found[:, parent] + lengths[joint] / np.maximum(length, 1e-9) * bone
+    return found
