@@ -40,6 +40,7 @@ _HALF_SPAN = 0.1  # seconds before and after, between which a displacement is me
 _STEPS, _STEPS_OF_SPEED = 5, 20
 _SMALL = np.array([1e-5, 1e-6])  # a last step of δ, seconds, and of f
 _FITTED = 250  # frames that the rotation is fitted to
+_MOST = 4000  # displacements of each joint, evenly over the session
 _PARTS = 8  # of the session, for the jackknife
 _LEAST_CORRELATION = 0.8  # of displacements; other movements reach 0.7, seldom 0.85; right ones 0.97
 _FASTEST = 0.04  # f: a faster truth is another movement
@@ -215,15 +216,17 @@ def _displacements(
     true_times = offset.truth_times(view.seconds)
     inside = (true_times >= truth.seconds[0]) & (true_times <= truth.seconds[-1])
     times, at, true_times = view.seconds[inside], view.positions[inside], true_times[inside]
-    true = truth.at(true_times)
-    common = np.flatnonzero(np.isfinite(at + true).any(axis=(1, 2)))
+    last = max(len(times) - 2 * step, 0)
+    early = np.arange(0, last, last // _MOST + 1)
+    late = early + 2 * step
+    before, after = truth.at(true_times[early]), truth.at(true_times[late])
+    common = np.flatnonzero(np.isfinite(at[early] + before).any(axis=(1, 2)))
     chosen = common[:: max(1, len(common) // _FITTED)]
-    rotation = fit_recording(at[chosen], true[chosen]).rotation
-    early, late = slice(None, max(len(times) - 2 * step, 0)), slice(2 * step, None)
-    expected = (true[late] - true[early]) @ rotation.T
-    velocity = truth.at(true_times, 1) @ rotation.T
-    grown = (times - middle)[:, None, None] * velocity
-    slopes = np.stack([velocity[early] - velocity[late], grown[late] - grown[early]], axis=2)
+    rotation = fit_recording(at[early[chosen]], before[chosen]).rotation
+    expected = (after - before) @ rotation.T
+    slow, fast = (truth.at(true_times[ends], 1) @ rotation.T for ends in (early, late))
+    grown = [(times[ends] - middle)[:, None, None] * of for ends, of in ((early, slow), (late, fast))]
+    slopes = np.stack([slow - fast, grown[1] - grown[0]], axis=2)
     moved = at[late] - at[early]
     known = np.isfinite(moved + expected).all(axis=2)
     known &= (times[late] - times[early] < 6.0 * _HALF_SPAN)[:, None]
