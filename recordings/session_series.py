@@ -20,7 +20,6 @@ from fusion.pair_arrays import Pairs, View
 from fusion.support.read_only import read_only
 from recordings.data import layout
 from recordings.data.interpolation import nanoseconds, positions_at, sigma_at
-from recordings.data.layout import NO_FRAME
 from recordings.data.series import AngleSeries, QualitySeries, RotationSeries, SkeletonSeries
 from recordings.data.session_data import SessionData
 
@@ -52,16 +51,6 @@ class SessionSeries(SessionData):
     def time(self) -> NDArray[np.float64]:
         """(T,) seconds since the first frame."""
         return read_only(np.asarray(self.rows.time_ns * 1e-9))
-
-    @property
-    def unix_ns(self) -> NDArray[np.int64] | None:
-        """(T,) when the frames were captured, nanoseconds since 1970 UTC; None if that is not known.
-
-        Of live sensors these are the times that live outputs had, else :attr:`first_unix_ns` and later.
-        """
-        if self.rows.unix_ns is not None and (self.rows.unix_ns != NO_FRAME).all():
-            return self.rows.unix_ns
-        return None if self.first_unix_ns is None else read_only(self.first_unix_ns + self.time_ns)
 
     @cached_property
     def skeleton_a(self) -> SkeletonSeries:
@@ -111,8 +100,7 @@ class SessionSeries(SessionData):
         return positions_at(self.rows, nanoseconds(self.rows, time))
 
     def sigma_at(self, time: ArrayLike | timedelta) -> NDArray[np.float64]:
-        """(N, J) metres, the uncertainty of :meth:`at`; see
-        :func:`recordings.data.interpolation.sigma_at`."""
+        """(N, J) metres, one standard deviation of :meth:`at`."""
         return sigma_at(self.rows, nanoseconds(self.rows, time))
 
     @cached_property

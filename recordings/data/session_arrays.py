@@ -116,8 +116,7 @@ class SessionArrays:
             shoulders, in K_A's frame; its length, from 0 to 1, is the confidence. Before revision 13 of
             ``duplex`` it was horizontal.
         up: (T, 3) against gravity in K_A's frame, as live outputs used it; sessions of live sensors only.
-        unix_ns: (T,) when frames were captured, since 1970 UTC, as live outputs had it; sessions of live
-            sensors only.
+        unix_ns: (T,) times of capture since 1970 UTC, those of live outputs; sessions of live sensors only.
     """
 
     body: Body

@@ -88,22 +88,9 @@ def writer_for(
         raise UnknownNameError("way of feet", feet, get_args(Feet))
     check_packages(suffix)
     writer = getattr(import_module(f"recordings.export.{_MODULES[suffix]}"), f"write_{suffix[1:]}")
-    return partial(_written, partial(writer, **options), suffix not in _AS_RECORDED)
+    from recordings.export.bones import written
 
-
-def _written(writer: Writer, one_skeleton: bool, session: SessionSeries, path: Path) -> str:
-    """Writes a file, and says what of its bones is not that of S*, or changes."""
-    from recordings.export.bones import check_one_person, other_lengths
-
-    if one_skeleton:
-        check_one_person(session)
-    said = writer(session, path)
-    others, error = other_lengths(session)
-    if not others:
-        return said
-    off = f"their joints are up to {1e3 * error:.0f} mm off"
-    whose = f"the file's: {off}" if one_skeleton else f"the last ones, by which {off}"
-    return f"{said}; bones of {others} recorded frames have other lengths than {whose}"
+    return partial(written, partial(writer, **options), suffix not in _AS_RECORDED)
 
 
 def check_packages(suffix: str) -> None:

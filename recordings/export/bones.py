@@ -4,6 +4,8 @@ Frames with others, before a new calibration or of method ``published``, are sho
 have the directions of S*.
 """
 
+from pathlib import Path
+
 import numpy as np
 
 from fusion.body import Body
@@ -11,9 +13,27 @@ from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.calibration.person_size import ANOTHER
 from fusion.support.types import Array
 from recordings.errors import RecordingError
+from recordings.export import Writer
 from recordings.session_series import SessionSeries
 
 _SAME_M = 1e-4  # metres: differences by rounding, added up along the bones
+
+
+def written(writer: Writer, one_skeleton: bool, session: SessionSeries, path: Path) -> str:
+    """Writes a file, and says which of its bones are not those of S*, or change.
+
+    Raises:
+        RecordingError: It has one skeleton, and there are two people.
+    """
+    if one_skeleton:
+        check_one_person(session)
+    said = writer(session, path)
+    others, error = other_lengths(session)
+    if not others:
+        return said
+    off = f"their joints are up to {1e3 * error:.0f} mm off"
+    whose = f"the file's: {off}" if one_skeleton else f"the last ones, by which {off}"
+    return f"{said}; bones of {others} recorded frames have other lengths than {whose}"
 
 
 def other_lengths(session: SessionSeries) -> tuple[int, float]:

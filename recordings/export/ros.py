@@ -15,6 +15,7 @@ from fusion.body import Body
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings.appearance.floor import floor_under
+from recordings.data.layout import NO_FRAME
 from recordings.errors import RecordingError
 from recordings.export.ros_messages import TOPICS, RosFrame, RosMessages, definition
 from recordings.session_series import SessionSeries
@@ -40,7 +41,7 @@ def write_mcap(session: SessionSeries, path: Path) -> str:
     Raises:
         RecordingError: No frame has an S*.
     """
-    rows, seen, unix_ns = session.rows, ~session.rows.never_seen, session.unix_ns
+    rows, seen, unix_ns = session.rows, ~session.rows.never_seen, capture_times(session)
     if not np.isfinite(rows.fused[:, session.body.root]).any():
         raise RecordingError(f"{session} has no frame with an S*; there is nothing to export.")
     floor, events, at = floor_under(rows), session.events, 0
@@ -64,6 +65,17 @@ def write_mcap(session: SessionSeries, path: Path) -> str:
         mcap.finish()
     since = "" if unix_ns is not None else ", since the first frame: the session does not say when it was"
     return f"{len(rows)} frames at their recorded times{since}"
+
+
+def capture_times(session: SessionSeries) -> NDArray[np.int64] | None:
+    """(T,) when the frames were captured, nanoseconds since 1970 UTC; None if that is not known.
+
+    Of live sensors these are the times that live outputs had.
+    """
+    told = session.rows.filled("unix_ns")
+    if (told != NO_FRAME).all():
+        return told
+    return None if session.first_unix_ns is None else session.first_unix_ns + session.time_ns
 
 
 def is_placed(setup: FusionSetup) -> bool:

@@ -16,6 +16,7 @@ from fusion.fuser import Fuser
 from fusion.setup import REVISIONS
 from recordings.appearance.floor import floor_frame, floor_under
 from recordings.data.session_arrays import SessionFrame, SessionFrames
+from recordings.export.ros import capture_times
 from recordings.quality.figures import report
 from recordings.replaying import CUT_WITHIN, SHARE_AGREEING, Agreement, Replay
 from recordings.session import Session
@@ -131,7 +132,8 @@ def as_recorded(frames: Iterable[SessionFrame], session: Session) -> Iterator[Se
     angles."""
     under = floor_under(session.rows)
     height = float(under.translation @ under.rotation[:, 1])  # negative of a person who stands higher
-    stamps = [None] * len(session) if session.unix_ns is None else session.unix_ns.tolist()
+    known = capture_times(session)
+    stamps = [None] * len(session) if known is None else known.tolist()
     for frame, up, unix_ns in zip(frames, session.up_of_frames, stamps, strict=True):
         yield replace(frame, floor=floor_frame(up, height), unix_ns=unix_ns)
 
