@@ -41,6 +41,7 @@ _MOST_FITTED = 3000  # frames that the transform is fitted to
 _LARGEST_RESIDUAL = 0.12  # metres, the median of S*; others whose displacements correlate are 0.17 apart
 _NAMED = 0.9  # correlation at which a variant of a truth is said to be the right one
 _MIRROR = np.array([-1.0, 1.0, 1.0])
+_OWN_FRAME = 0.3  # metres that a fit moves a truth that is in K_A's frame
 _MIRRORED = 0.6  # of the residual: a mirror image that fits so much better is right
 
 
@@ -152,6 +153,17 @@ class TruthComparison:
     def distance(self) -> dict[str, Array]:
         """(T, J) of each skeleton to the truth, metres; NaN where either is unknown."""
         return {key: _length(self.found[key] - self.truth[key]) for key in SKELETONS}
+
+    @property
+    def distance_as_filed(self) -> float | None:
+        """Metres between S* and the truth without the fit, the mean; None if the file is not in K_A's frame.
+
+        It is if the fit moves the truth by 0.3 m at most. So much of the error of S* may be in the fit.
+        """
+        filed = self.a_from_truth.inverse().apply(self.truth["fused"])
+        if np.nanmedian(_length(filed - self.truth["fused"])) > _OWN_FRAME:
+            return None
+        return float(np.nanmean(_length(filed - self.found["fused"])))
 
     def mean_distance(self, key: str) -> Array:
         """(T,) of a skeleton to the truth, mean over the joints that both have, metres; NaN without any."""

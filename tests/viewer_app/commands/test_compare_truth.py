@@ -34,6 +34,28 @@ def walk(tmp_path_factory):
     return folder
 
 
+def test_s_in_k_a_s_frame_and_after_the_fit_stand_side_by_side(walk, tmp_path, capsys):
+    session, true = Session.open(walk / "walk.rrd"), true_positions(KINECT_V2, "walk")
+    times = np.arange(1000) / 100.0
+    write_trc(tmp_path / "a.trc", list(KINECT_V2.joints), times, true(times))
+    report = tmp_path / "c.json"
+    how = ("--no-viewer", "--report", report, "--offset", 0)
+    assert duplex("compare", walk / "walk.rrd", tmp_path / "a.trc", *how) == 0
+    said, figures = " ".join(capsys.readouterr().out.split()), json.loads(report.read_text())
+    within = session.time <= times[-1]
+    off = np.nanmean(np.linalg.norm((session.fused - true(session.time))[within], axis=2))
+    assert figures["as_filed_mm"] == pytest.approx(1e3 * off, rel=0.01)
+    fitted = figures["all_joints"]["fused"]["mean_mm"]
+    assert fitted < figures["as_filed_mm"]
+    assert (
+        f"{figures['as_filed_mm']:.0f} mm off (mean) in K_A's frame, which the file has; {fitted:.0f} mm"
+        in said
+    )
+    assert duplex("compare", walk / "walk.rrd", walk / "walk.c3d", *how[:-2], "--force") == 0
+    assert json.loads(report.read_text())["as_filed_mm"] is None
+    assert "K_A's frame" not in capsys.readouterr().out
+
+
 def test_markers_of_a_laboratory_are_compared_without_a_table(walk, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     page, report, scene = (tmp_path / name for name in ("c.html", "c.json", "c.rrd"))

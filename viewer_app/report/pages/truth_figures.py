@@ -26,6 +26,7 @@ STEP_HEAD = ("step", *AGREEMENT_HEAD[1:], "steps")
 _RANGE = 1.0, 99.0  # percentiles that a range of motion lies between
 _LEAST_RANGE = 1.0  # degrees: the correlation of an angle that moves less says nothing
 _FEWEST = 10  # frames
+_NAMED = 5  # offsets that match as well
 _BLOCK_S = 2.0  # seconds of frames whose errors may be alike: about two strides
 
 
@@ -47,6 +48,7 @@ def truth_figures(comparison: TruthComparison) -> Figures:
         "clock_fast_sd_percent": known_or_none(1e2 * offset.fast_sd),
         "correlation": known_or_none(offset.correlation),
         "residual_mm": 1e3 * comparison.residual,
+        "as_filed_mm": None if (filed := comparison.distance_as_filed) is None else 1e3 * filed,
         "a_from_truth": {
             "rotation": transform.rotation.tolist(),
             "translation_m": transform.translation.tolist(),
@@ -77,7 +79,8 @@ def truth_lines(figures: Figures) -> Iterator[Line]:
         text = f"The truth's clock is {how} by {abs(fast):.3f} ± {sd:.3f} %, which is corrected."
         yield Line("Clock", text, True)
     if others:
-        equal = ", ".join(f"{other:.2f} s" for other in others)
+        equal = ", ".join(f"{other:.2f} s" for other in others[:_NAMED])
+        equal += f" and {more} more" if (more := len(others) - _NAMED) > 0 else ""
         yield Line(
             "", f"The movement repeats itself: {equal} match about as well. State one with --offset.", True
         )
@@ -85,6 +88,12 @@ def truth_lines(figures: Figures) -> Iterator[Line]:
         yield Line("Lag", f"S* is {abs(lag):.1f} ms {'behind' if lag >= 0.0 else 'ahead of'} the two views.")
     apart = f"{in_mm(figures['residual_mm'])} (median) after the fit"
     yield Line("Match", f"Displacements correlate at {_digits(figures['correlation'], 2)}; {apart}.")
+    if (filed := figures["as_filed_mm"]) is not None:
+        fitted = in_mm(figures["all_joints"]["fused"]["mean_mm"])
+        yield Line(
+            "In K_A",
+            f"S* is {in_mm(filed)} off (mean) in K_A's frame, which the file has; {fitted} after the fit.",
+        )
 
 
 _OF_ALL = {
