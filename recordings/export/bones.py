@@ -4,6 +4,8 @@ Frames with others, before a new calibration or of method ``published``, are sho
 have the directions of S*.
 """
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +68,13 @@ def check_one_person(session: SessionSeries) -> None:
                 f"{session} shows another person from {session.time[first]:.1f} s on, and this format has "
                 "one skeleton. Export the parts that `duplex trim` makes, or a table."
             )
+
+
+def lasting(session: SessionSeries) -> Callable[[Array], Array]:
+    """Gives (T, J, 3) positions of S* the last lengths, where not all frames have them."""
+    if not other_lengths(session)[0]:
+        return lambda positions: positions
+    return partial(with_lengths, session.body, lengths=session.calibration.bone_lengths)
 
 
 def with_lengths(body: Body, positions: Array, lengths: Array) -> Array:

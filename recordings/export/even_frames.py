@@ -11,7 +11,7 @@ from fusion.support.large_arrays import parts
 from recordings.data.interpolation import positions_at
 from recordings.data.session_arrays import SessionArrays
 from recordings.errors import RecordingError
-from recordings.export.bones import other_lengths, with_lengths
+from recordings.export.bones import lasting
 from recordings.session_series import SessionSeries
 
 _LONGEST_GAP = 0.25  # seconds without S* that are interpolated
@@ -69,7 +69,7 @@ class EvenPositions:
         self._even = even_moments(rows, rate)
         self.rate, self.time_ns = self._even.rate, self._even.time_ns
         self._filled = self._left = 0
-        self._lengths = session.calibration.bone_lengths if other_lengths(session)[0] else None
+        self._lasting = lasting(session)
 
     def parts(self) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.bool_]]]:
         """Which moments; S*, (N, J, 3) metres in K_A's frame; and (N,) whether there is one.
@@ -87,8 +87,7 @@ class EvenPositions:
                 first, last = np.searchsorted(times, [wanted[0] - reach, wanted[-1] + reach])
                 near = first + np.flatnonzero(np.isfinite(fused[first:last]).all(axis=(1, 2)))
                 at[gap] = positions_at(self._rows[near], wanted[gap], _LONGEST_GAP)
-            if self._lengths is not None:
-                at = with_lengths(self._rows.body, at, self._lengths)
+            at = self._lasting(at)
             known = np.isfinite(at[:, self._rows.body.root, 0])
             left = int(np.count_nonzero(~known))
             self._left, self._filled = self._left + left, self._filled + len(gap) - left

@@ -16,7 +16,7 @@ from recordings.appearance.floor import floor_under
 from recordings.data.interpolation import positions_at
 from recordings.data.session_arrays import SessionArrays
 from recordings.errors import RecordingError
-from recordings.export.bones import other_lengths, with_lengths
+from recordings.export.bones import lasting
 from recordings.export.even_frames import EvenPositions, even_moments, with_fused
 from recordings.session_series import SessionSeries
 
@@ -27,7 +27,7 @@ _MOST_FRAMES = 65_535
 def write_c3d(session: SessionSeries, path: Path, rate: float | None = None) -> str:
     """Writes S* as points labelled with the joint names: x right, y forward, z up, as seen from K_A.
 
-    The origin lies on the floor, below K_A.
+    The origin lies on the floor, below K_A. Strikes and toe-offs are events, seconds after the first frame.
 
     Raises:
         RecordingError: No frame has an S*, or the session is too long for the format.
@@ -43,9 +43,7 @@ def write_c3d(session: SessionSeries, path: Path, rate: float | None = None) -> 
             "`duplex trim`, or as .trc."
         )
     floor_from_a = floor_under(session.rows).inverse()
-    at = positions_at(session.rows, even.time_ns)
-    if other_lengths(session)[0]:
-        at = with_lengths(session.body, at, session.calibration.bone_lengths)
+    at = lasting(session)(positions_at(session.rows, even.time_ns))
     positions = floor_from_a.apply(at) * 1e3  # (N, J, 3)
     positions[:, session.rows.never_seen] = np.nan
     N, J = positions.shape[:2]
@@ -63,6 +61,10 @@ def write_c3d(session: SessionSeries, path: Path, rate: float | None = None) -> 
     file["data"]["meta_points"]["residuals"] = np.where(gap, -1.0, 0.0)[None]
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, J, N), dtype=bool)
     file["data"]["analogs"] = np.zeros((1, 0, N))
+    for seconds, name in session.gait.events:
+        label, icon = ("Foot Strike", 1) if "strike" in name else ("Foot Off", 2)
+        side = name.rpartition("_")[2].title()
+        file.add_event((int(seconds // 60.0), seconds % 60.0), side, label, icon_id=icon)
     file.write(str(path))
     with path.open("rb") as written:  # ezc3d does not notice a full disk
         begin = 512 * (int.from_bytes(written.read(18)[16:], "little") - 1)

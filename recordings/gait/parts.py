@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -126,15 +126,11 @@ def _smoothed(values: Array, window: float = _WINDOW) -> Array:
     return np.asarray(gaussian_filter1d(values, window * RATE, axis=0, mode="nearest"))
 
 
-def spans_of(mask: NDArray[np.bool_], t: Any = (), pause: float = 0.0) -> list[list[int]]:
-    """From which sample to before which one a mask holds. Pauses in it that are shorter count.
-
-    Args:
-        t: (T,) of the samples, in the unit of the pause.
-    """
+def spans_of(mask: NDArray[np.bool_], pause: float) -> list[list[int]]:
+    """From which sample to before which one a mask holds. Pauses in it of fewer samples count."""
     spans: list[list[int]] = []
     for begin, end in np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist():
-        if pause and spans and t[begin] - t[spans[-1][1] - 1] < pause:
+        if spans and begin - spans[-1][1] < pause:
             spans[-1][1] = end
         else:
             spans.append([begin, end])

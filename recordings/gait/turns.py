@@ -21,7 +21,7 @@ def turns_of(part: Part) -> Iterator[Turn]:
     bend = np.maximum(np.abs(np.gradient(rate, 1.0 / RATE)), 1e-9)
     error = part.facing_error / np.maximum(np.linalg.norm(part.facing, axis=1), 1e-9)
     for sign in (1.0, -1.0):
-        for begin, end in spans_of(sign * rate > _TURNING, np.arange(len(rate)), _PAUSE * RATE + 1.0):
+        for begin, end in spans_of(sign * rate > _TURNING, _PAUSE * RATE):
             angle, seconds = float(facing[end - 1] - facing[begin]), (end - begin) / RATE
             if begin and end < len(rate) and abs(angle) > _LEAST and _SECONDS[0] <= seconds <= _SECONDS[1]:
                 ends = [begin, end]

@@ -218,6 +218,23 @@ def test_a_walk_s_steps_are_in_the_wide_tables_and_in_npz(tmp_path):
         np.testing.assert_array_equal(arrays["steps"]["strike"], [step.strike for step in session.gait.steps])
 
 
+def test_strikes_and_toe_offs_are_events_of_a_c3d(tmp_path):
+    c3d = pytest.importorskip("c3d")
+    pytest.importorskip("ezc3d")
+    session = walking_session(tmp_path / "s.rrd")
+    with exported(session, "s.c3d").open("rb") as file:
+        group = c3d.Reader(file).get("EVENT")
+        minutes, seconds = np.ravel(group.get("TIMES").float_array).reshape(-1, 2).T
+        labels, sides = (
+            [str(each).strip() for each in group.get(name).string_array] for name in ("LABELS", "CONTEXTS")
+        )
+    names = {"Foot Strike": "heel_strike", "Foot Off": "toe_off"}
+    told = [f"{names[label]}_{side.lower()}" for label, side in zip(labels, sides, strict=True)]
+    assert told == [name for _, name in session.gait.events]
+    expected = [at for at, _ in session.gait.events]
+    np.testing.assert_allclose(60.0 * minutes + seconds, expected, atol=1e-4)
+
+
 def read_mot(path):
     """The head of a .mot and its table."""
     lines = path.read_text(encoding="utf-8").split("\n")

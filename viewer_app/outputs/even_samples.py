@@ -8,9 +8,8 @@ from devices.capture.clock.host_clock import HostClock
 from fusion.body import Body
 from viewer_app.sinks.item_queue import Item, QueuedFrame
 
-_FARTHEST_NS = (
-    300_000_000  # S* is not predicted farther ahead, and moments that are farther behind are left out
-)
+_FARTHEST_NS = 300_000_000
+"""S* is not predicted farther ahead, and moments that are farther behind are left out."""
 
 
 class EvenSamples:

@@ -86,8 +86,7 @@ class LabStreamingOutput(LiveOutput):
         if self._later_ns is None:
             ago_ns = frame.written_ns - captured_ns
             self._later_ns = 0 if ago_ns < _LIVE_NS else ago_ns
-        host_ns = captured_ns + self._later_ns
-        self._stamp = max(host_ns * 1e-9 + self._clock_offset, self._stamp + 1e-6)
+        self._stamp = max(1e-9 * (captured_ns + self._later_ns) + self._clock_offset, self._stamp + 1e-6)
         self._samples.push_sample(sample(frame.fused), self._stamp)
         degrees_and_sigma = np.stack(self._movement.angles(frame), axis=1).astype(np.float32)
         self._angles.push_sample(degrees_and_sigma.ravel(), self._stamp)

@@ -31,7 +31,7 @@ class McapOutput(LiveOutput):
         super().__init__(f"ROS 2 recording {path}", keep=_KEEP)
         self._path = path
         self._setup, self._written, self._due_ns = setup, 0, 0
-        self._unix_ns: int | None = None  # of the first frame
+        self._begun_ns = 0  # since 1970, where that is known
         self._early: list[Event] = []
         self._movement, self._rotations = LiveMovement(setup.body), JointRotations(setup.body)
         self._waiting = _Waiting()
@@ -41,18 +41,15 @@ class McapOutput(LiveOutput):
 
     def send_frame(self, frame: QueuedFrame) -> int:
         """Adds a frame, and once in a while writes what was added."""
-        unix_ns, fused, body = frame.frame.unix_ns, frame.fused, self._setup.body
-        self._unix_ns = None if unix_ns is None else unix_ns - frame.time_ns
+        unix_ns, fused = frame.frame.unix_ns, frame.fused
+        self._begun_ns = 0 if unix_ns is None else unix_ns - frame.time_ns
         angles, _ = self._movement.angles(frame)
-        rotations = np.full((len(body), 4), np.nan)
-        if fused.has_person:
-            rotations = self._rotations.update(fused.positions, frame.time_ns)
         self._mcap.write(
             RosFrame(
                 self._at(frame.time_ns),
                 fused.positions,
-                rotations,
-                np.ones(len(body), dtype=bool),
+                self._rotations.update(fused.positions, frame.time_ns),
+                np.ones(len(self._setup.body), dtype=bool),
                 fused.covariance,
                 angles,
                 fused.a_from_b if is_placed(self._setup) else None,
@@ -95,7 +92,7 @@ class McapOutput(LiveOutput):
             self.failure = self.failure or f"{self._path} could not be written: {fault.strerror}."
 
     def _at(self, time_ns: int) -> int:
-        return max(time_ns + (self._unix_ns or 0), 0)
+        return max(time_ns + self._begun_ns, 0)
 
     def _write(self) -> None:
         self._due_ns = self._clock() + _EVERY_NS

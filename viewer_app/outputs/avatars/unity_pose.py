@@ -40,7 +40,6 @@ class UnitySkeleton:
     Attributes:
         names: N names of ``HumanBodyBones``; a parent precedes its children.
         parents: (N,) index of each bone's parent; -1 for Hips.
-        rest: (N, 3) direction of each bone in the T-pose, in Unity's axes; zero for Hips.
     """
 
     def __init__(self, body: Body) -> None:
@@ -53,8 +52,6 @@ class UnitySkeleton:
         self.bones = np.array([bone.bone for bone in bones])
         rest_turns = Rotation.from_quat(rest_from_t_pose(body))
         self._unturned = rest_turns[self.bones]
-        rest = self._unturned.inv().apply(-body.rest[self.bones])
-        self.rest = np.where(self.parents[:, None] < 0, 0.0, rest)
         feet = [body.find(j + s) for j in ("Foot", "Ankle", "Heel") for s in ("Left", "Right")]
         self._feet = [j for j in feet if j is not None]
         self._leg = [body.joint(below + side) for below in ("Knee", "Ankle") for side in ("Left", "Right")]
