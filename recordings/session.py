@@ -168,7 +168,7 @@ class Session(SessionSeries):
                 ``.npz``, ``.parquet`` or ``.trc``.
             rate: Frames per second. None: that of the recording, or in a table the recorded times.
             table: Of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
-            names: Of the bones in a ``.bvh`` or ``.glb``: those of the body, ``humanoid`` or ``mixamo``.
+            names: Of the bones in a ``.bvh`` or ``.glb``: see :func:`.export.writer_for`.
             feet: In a ``.bvh`` or ``.glb``: ``planted`` where they stand, or as in S* (``free``).
             sigma: Whether a ``.csv`` or ``.parquet`` has one standard deviation of each value of S*.
 

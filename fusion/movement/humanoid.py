@@ -31,16 +31,26 @@ _LIMBS = (
     ("Foot", "LowerLeg", "Foot"),
 )
 """Unity's name, its parent, the joint where the bone ends; each without its side."""
-_MIXAMO = {
-    "Chest": "Spine2",
-    "UpperArm": "Arm",
-    "LowerArm": "ForeArm",
-    "UpperLeg": "UpLeg",
-    "LowerLeg": "Leg",
-    "Toes": "ToeBase",
-    "MiddleProximal": "HandMiddle1",
+_PROGRAMS = {
+    "humanoid": (
+        "{0} {1}{0} Hips Spine Chest Neck Head "
+        "Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes MiddleProximal"
+    ),
+    "mixamo": (
+        "mixamorig:{0} mixamorig:{1}{0} Hips Spine Spine2 Neck Head "
+        "Shoulder Arm ForeArm Hand UpLeg Leg Foot ToeBase HandMiddle1"
+    ),
+    "ue5": (
+        "{0} {0}_{2} pelvis spine_01 spine_05 neck_01 head "
+        "clavicle upperarm lowerarm hand thigh calf foot ball middle_01"
+    ),
+    "rigify": (
+        "{0} {0}.{3} spine spine.001 spine.003 spine.004 spine.006 "
+        "shoulder upper_arm forearm hand thigh shin foot toe f_middle.01"
+    ),
 }
-"""Bones that Mixamo names otherwise, without their side."""
+"""How bones are named in the middle and at a side, and their names: of Unity, Mixamo, Unreal's Manny and
+MetaHumans, and Rigify's human in Blender."""
 
 
 class HumanBone(NamedTuple):
@@ -73,11 +83,12 @@ def human_bones(body: Body) -> tuple[HumanBone, ...]:
     return tuple(bones)
 
 
-def mixamo_name(bone: str) -> str:
-    """Mixamo's name of a bone of Unity's humanoid, without the prefix ``mixamorig:``."""
+def name_in(program: str, bone: str) -> str:
+    """The name of a bone of Unity's humanoid in ``humanoid``, ``mixamo``, ``ue5`` or ``rigify``."""
     side = next((side for side in _SIDES if bone.startswith(side)), "")
-    name = bone.removeprefix(side)
-    return side + _MIXAMO.get(name, name)
+    middle, sided, *names = _PROGRAMS[program].split()
+    name = names[_PROGRAMS["humanoid"].split()[2:].index(bone.removeprefix(side))]
+    return (sided if side else middle).format(name, side, side[:1].lower(), side[:1])
 
 
 def rest_from_t_pose(body: Body) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from recordings.session_series import SessionSeries
 
 Table = Literal["long", "wide"]
 """One row per joint, skeleton and frame, or one per frame."""
-Names = Literal["body", "humanoid", "mixamo"]
+Names = Literal["body", "humanoid", "mixamo", "ue5", "rigify"]
 Feet = Literal["planted", "free"]
 """Kept on the floor, see :mod:`recordings.planted_feet`, or as in S*."""
 Writer = Callable[[SessionSeries, Path], str]
@@ -59,7 +59,8 @@ def writer_for(
     Args:
         table: Layout of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
         rate: Frames per second. None: that of the recording.
-        names: Names of the bones of a ``.bvh`` or ``.glb``: the body's, of Unity's humanoid, or Mixamo's.
+        names: Names of the bones of a ``.bvh`` or ``.glb``: the body's, or those of Unity's humanoid,
+            Mixamo, Unreal (``ue5``) or Blender's Rigify.
         feet: Of a ``.bvh`` or ``.glb``: ``planted`` where they stand, or as in S* (``free``).
         sigma: Whether a ``.csv`` or ``.parquet`` has one standard deviation of each value of S*.
 

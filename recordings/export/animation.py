@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
-from fusion.movement.humanoid import human_bones, mixamo_name, rest_from_t_pose
+from fusion.movement.humanoid import human_bones, name_in, rest_from_t_pose
 from fusion.movement.joint_rotations import JointRotations, joint_bones
 from fusion.support.large_arrays import PART
 from fusion.support.types import Array
@@ -148,7 +148,7 @@ def _labels(body: Body, names: Names) -> dict[tuple[int, int], str]:
     for side in ("Left", "Right"):
         hand = body.joint("Hand" + side)
         bones.append(((hand, int(shown[hand])), f"{side}MiddleProximal"))
-    return {key: name if names == "humanoid" else f"mixamorig:{mixamo_name(name)}" for key, name in bones}
+    return {key: name_in(names, name) for key, name in bones}
 
 
 def _nodes(body: Body, offsets: Array, labels: dict[tuple[int, int], str]) -> Iterator[Node]:

@@ -3,6 +3,7 @@
 import re
 import sys
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -138,6 +139,38 @@ def test_names_are_those_of_mixamo_and_in_its_order(session):
         name = session.body.joints[joint]
         if name != "SpineShoulder":  # Mixamo's neck begins there, Kinect's above it
             np.testing.assert_allclose(places[0][list(file.nodes)[label]], places[1][name], err_msg=name)
+
+
+def chains(*texts):
+    """Bones and above each the bone before it, by chains."""
+    ways = [text.split() for text in texts]
+    return {ways[0][0]: None} | {bone: above for way in ways for above, bone in pairwise(way)}
+
+
+RIGIFY = chains(
+    "spine spine.001 spine.003 spine.004 spine.006",
+    "spine.003 shoulder upper_arm forearm hand f_middle.01",
+    "spine thigh shin foot toe",
+)
+"""Of Blender 5.0's human meta-rig, without palms and inner vertebrae."""
+UE5 = chains(
+    "pelvis spine_01 spine_05 neck_01 head",
+    "spine_05 clavicle upperarm lowerarm hand middle_01",
+    "pelvis thigh calf foot ball",
+)
+
+
+@pytest.mark.parametrize(("names", "bones", "sided"), [("rigify", RIGIFY, ".L"), ("ue5", UE5, "_l")])
+def test_names_are_those_of_other_programs_and_in_their_order(session, names, bones, sided):
+    file = Glb(exported(session, "s.glb", names=names))
+    of_sides = list(bones)[5:]
+    for bone, parent in bones.items():
+        name, above = (each and each + sided * (each in of_sides) for each in (bone, parent))
+        found = file.above.get(name)
+        while found is not None and found.removesuffix(sided) not in bones:
+            found = file.above.get(found)
+        assert name in file.above or name in file.nodes
+        assert found == above
 
 
 def heights(path, body):

@@ -153,8 +153,9 @@ class ExportOptions(GoodOptions):
     """Add one standard deviation of each value of S* to a .csv or .parquet."""
     rate: float | None = None
     """Frames per second of a .bvh, .c3d, .glb, .mot or .trc. If not given, that of the recording."""
-    names: Literal["body", "humanoid", "mixamo"] = "body"
-    """Bone names in a .bvh or .glb: those of the joints, of Unity's humanoid, or of Mixamo."""
+    names: Literal["body", "humanoid", "mixamo", "ue5", "rigify"] = "body"
+    """Bone names in a .bvh or .glb: those of the joints, of Unity's humanoid, of Mixamo, of Unreal Engine 5
+    and MetaHumans, or of Blender's Rigify."""
     feet: Literal["planted", "free"] = "planted"
     """Feet in a .bvh or .glb: planted, so that they hardly slide where they stand, or as in S*."""
     force: bool = False
