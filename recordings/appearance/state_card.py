@@ -1,8 +1,9 @@
-"""A picture that says in a word, a shape and a colour how far a set-up is, and what to do next.
+"""A picture, and tones, that say how far a set-up is, and what to do next.
 
 A viewer draws a picture as large as its view. Its own text has one size.
 """
 
+from collections.abc import Sequence
 from enum import Enum
 from functools import lru_cache
 from typing import NamedTuple
@@ -43,6 +44,12 @@ LOOKS = {
     State.READY: Look((0, 104, 78), (255, 255, 255)),
 }
 """Red, amber and green, of different brightness."""
+TONES: dict[str, Sequence[tuple[float, float]]] = {
+    "not yet": ((440.0, 0.25),),
+    "ready": ((523.0, 0.12), (659.0, 0.12), (784.0, 0.3)),
+    "lost": ((392.0, 0.15), (0.0, 0.08), (392.0, 0.15), (0.0, 0.08), (392.0, 0.15)),
+}
+"""Of each sound, hertz and seconds one after another; 0 Hz is silence. A laptop plays little below 300 Hz."""
 
 
 @lru_cache(maxsize=16)

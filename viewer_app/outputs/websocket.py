@@ -26,13 +26,12 @@ from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.colors import MARK_COLORS, PREDICTED_COLOR, SKELETON_COLORS
-from recordings.appearance.state_card import LOOKS
+from recordings.appearance.state_card import LOOKS, TONES
 from recordings.data.session_arrays import SessionFrame
 from viewer_app.addresses import LOOPBACK, in_url, is_loopback, reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LATE_NS, LiveOutput
 from viewer_app.outputs.skeleton_json import SkeletonJson
-from viewer_app.running.sounds import TONES
 from viewer_app.sinks.item_queue import QueuedFrame
 
 if TYPE_CHECKING:

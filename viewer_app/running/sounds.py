@@ -14,15 +14,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.appearance.state_card import State
+from recordings.appearance.state_card import TONES, State
 from viewer_app.coach.readiness import Headline
 
-TONES: dict[str, Sequence[tuple[float, float]]] = {
-    "not yet": ((440.0, 0.25),),
-    "ready": ((523.0, 0.12), (659.0, 0.12), (784.0, 0.3)),
-    "lost": ((392.0, 0.15), (0.0, 0.08), (392.0, 0.15), (0.0, 0.08), (392.0, 0.15)),
-}
-"""Of each sound, hertz and seconds one after another; 0 Hz is silence. A laptop plays little below 300 Hz."""
 RATE = 44_100
 _PLAYERS = (("paplay",), ("pw-play",), ("aplay", "-q"), ("afplay",))
 """Programs of Linux and macOS that play a file."""

@@ -21,7 +21,7 @@ from websockets.sync.client import connect
 from devices.events import Event
 from fusion.body import KINECT_V2
 from recordings.appearance.coach_page import CoachPage, Mark
-from recordings.appearance.state_card import LOOKS, State
+from recordings.appearance.state_card import LOOKS, TONES, State
 from tests.helpers.live_frames import frames
 from tests.helpers.machine import need_browser
 from tests.helpers.network import free_port
@@ -32,7 +32,6 @@ from viewer_app.outputs import websocket
 from viewer_app.outputs.output import confidence
 from viewer_app.outputs.skeleton_json import SkeletonJson
 from viewer_app.outputs.websocket import UNANSWERED, WebSocketOutput, most_on_the_way
-from viewer_app.running.sounds import TONES
 from viewer_app.sinks.item_queue import QueuedFrame
 
 

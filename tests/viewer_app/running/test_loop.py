@@ -30,7 +30,7 @@ from fusion.fuser import Fuser
 from fusion.registration import refinement
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
-from recordings.appearance.state_card import State
+from recordings.appearance.state_card import TONES, State
 from recordings.live_fusion import LiveFusion
 from tests.experiments.soak import Soak, at_pace, soak
 from tests.helpers.frame_pairs import KnownSensors, frame_pairs
@@ -39,7 +39,7 @@ from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
 from viewer_app.coach.readiness import Headline
 from viewer_app.running.loop import low_latency, run_live
 from viewer_app.running.runner import latency_figures
-from viewer_app.running.sounds import RATE, TONES, Sounds, player, sound_of
+from viewer_app.running.sounds import RATE, Sounds, player, sound_of
 from viewer_app.running.status import LiveDisplay
 from viewer_app.sinks.sink import FanOut, Sink
 
