@@ -16,6 +16,7 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import (
     LearnedCalibration,
+    Surfaces,
     fresh_pairs,
     learn_from_recording,
     spaced,
@@ -64,6 +65,7 @@ def plan_recording(
     calibration: Calibration | None = None,
     refine: bool = True,
     progress: Progress = quietly,
+    surfaces: Surfaces | None = None,
 ) -> RecordingPlan:
     """Finds the calibrations and labels of a recording.
 
@@ -74,6 +76,7 @@ def plan_recording(
         calibration: An earlier calibration; that of the start-up pose where None.
         refine: Whether the method ``duplex`` refines it over the whole recording. The bones of people of
             another size are learned all the same.
+        surfaces: Gives the depth images of a recording that has them.
 
     Raises:
         CalibrationError: None is given, and none can be found.
@@ -89,7 +92,7 @@ def plan_recording(
         codes = _labels(few, ((start, slice(0, len(few))),), progress).codes & WHOLE if refine else None
         with suppress(CalibrationError):  # nothing to learn from: the start-up pose's calibration remains
             learned = learn_from_recording(
-                body, few, codes, start, LearnerSettings().if_learned(refine), progress, pairs
+                body, few, codes, start, LearnerSettings().if_learned(refine), progress, pairs, surfaces
             )
     if learned is not None:
         segments = _segments(learned, pairs.time_ns)

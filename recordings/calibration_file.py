@@ -15,6 +15,7 @@ from recordings.errors import MissingFileError, RecordingError
 
 _LOADED = "loaded from"
 _LONGEST = 1.5  # metres; longer than any human bone
+_LARGEST_ERROR = 0.2  # metres, of a view along its rays
 
 
 def calibration_to_json(calibration: Calibration) -> str:
@@ -28,6 +29,7 @@ def calibration_to_json(calibration: Calibration) -> str:
             "translation_m": calibration.a_from_b.translation.tolist(),
         },
         "bone_lengths_m": {body.bones[j]: float(calibration.bone_lengths[j]) for j in body.bone_joints},
+        **({"depth_errors_m": calibration.depth_errors.tolist()} if calibration.depth_errors.any() else {}),
     }
     return json.dumps(document, indent=2) + "\n"
 
@@ -56,12 +58,16 @@ def read_calibration(path: Path, body: Body | None = None) -> Calibration:
             lengths[joint] = document["bone_lengths_m"][body.bones[joint]]
         if not all(SHORTEST <= length <= _LONGEST for length in lengths[body.bone_joints]):
             raise ValueError(f"bone lengths must lie between {SHORTEST} and {_LONGEST} m")
+        errors = np.array(document.get("depth_errors_m", (0.0, 0.0)), dtype=np.float64)
+        if errors.shape != (2,) or not (np.abs(errors) <= _LARGEST_ERROR).all():
+            raise ValueError(f"depth errors are two numbers of at most {_LARGEST_ERROR} m")
         transform = document["a_from_b"]
         return Calibration(
             body,
             RigidTransform.of(transform["rotation"], transform["translation_m"]),
             lengths,
             f"{_LOADED} {path} ({document['how']})",
+            depth_errors=errors,
         )
     except (FusionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)

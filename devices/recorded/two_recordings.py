@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth, thinned, thinned_camera
+from devices.depth.surface import shared_surface
 from devices.frame_pairs import FramePair
 from devices.pairing import (
     Pairing,
@@ -37,10 +38,12 @@ from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import BODIES, Body
 from fusion.intrinsics import Intrinsics
-from fusion.pair_arrays import View, joined_views
+from fusion.pair_arrays import Pairs, View, joined_views
 from fusion.registration.clock_offset import ClockOffset
+from fusion.registration.surface_fit import SharedSurface
 from fusion.support.large_arrays import give_back, parts
 from fusion.support.progress import Progress, quietly
+from fusion.support.types import Array
 
 _CLOCKS_AGREE_NS = 1_000_000
 """Tolerance between the measured and the configured sync delay; the sensors are accurate to 0.1 ms."""
@@ -103,18 +106,55 @@ class TwoRecordings:
         One image is in memory at a time, however long the recordings are.
         """
         pairs = self.pairing.pairs
+        if depth == "none":
+            return
+        frames = enumerate(getattr(pair, side) for pair in pairs)
+        number = {frame.time_ns: k for k, frame in frames if frame is not None}
+        for k, image in self._images_of(side, number, progress):
+            yield k, thinned(image, depth)
+
+    def shared_surface(self, moments: Pairs, progress: Progress = quietly) -> SharedSurface | None:
+        """What the depth images of some pairs show to both sensors; None without them.
+
+        Images are read in a separate pass over the files, up to the last of these pairs.
+        """
+        a, b = self.intrinsics
+        if a is None or b is None or None in self.images:
+            return None
+        images, others = [], []
+        for k, side in enumerate("ab"):
+            frames = moments.frames[:, k].tolist()
+            times = moments.views[k].time_ns[frames].tolist()
+            number = dict(zip(times, frames, strict=True))
+            images.append(dict(self._images_of(side, number, progress)))
+            others.append({frame: self._others_in(k, frame) for frame in frames})
+        return shared_surface(moments, images, (a, b), others)
+
+    def _others_in(self, side: int, frame: int) -> list[Array]:
+        """(J, 3) of each person in a frame who is not followed."""
+        people = self.others[side]
+        if people is None:
+            return []
+        first, end = np.searchsorted(people.frame, (frame, frame + 1)).tolist()
+        return [at.astype(np.float64) for at in people.skeletons.positions[first:end]]
+
+    def _images_of(
+        self, side: str, number: dict[int, int], progress: Progress
+    ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
+        """The upright depth images at these times, with their numbers, up to the last."""
         path, orientation = self.images["ab".index(side)], self.orientations["ab".index(side)]
-        if path is None or depth == "none":
+        if path is None or not number:
             return
         from devices.upright import turned_image
 
-        frames = enumerate(getattr(pair, side) for pair in pairs)
-        number = {frame.time_ns: k for k, frame in frames if frame is not None}
+        last_ns = max(number)
         with open_images(path) as recording:
-            for frame in progress(recording.frames(), f"depth of {recording.name}", len(pairs)):
+            for frame in progress(recording.frames(), f"depth of {recording.name}", len(self.pairing.pairs)):
                 k = number.get(frame.time_ns)
                 if k is not None and frame.depth is not None:
-                    yield k, thinned(turned_image(frame.depth, orientation), depth)
+                    yield k, turned_image(frame.depth, orientation)
+                if frame.time_ns >= last_ns:
+                    return
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,6 +44,8 @@ class Calibration(ReadOnlyArrays):
         registration: How well the two views agreed; None if the calibration was loaded without it.
         provisional: Whether it only serves until the start-up pose. It then has no data, or a few frames of
             any pose.
+        depth_errors: (2,) metres, by how much A's and B's views show the person too far away along their
+            rays, where depth images show it. ``duplex`` subtracts them.
     """
 
     body: Body
@@ -52,6 +54,7 @@ class Calibration(ReadOnlyArrays):
     how: str
     registration: Registration | None = None
     provisional: bool = False
+    depth_errors: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
 
     @property
     def axes_angle(self) -> float:

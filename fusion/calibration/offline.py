@@ -1,6 +1,6 @@
 """The calibration of a whole recording in two passes: knocks first, then R, t and bones between them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -23,9 +23,11 @@ from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import label_free_fit
 from fusion.registration.robust_fit import RobustFit, fit_robust, registration_of, with_frontal_sd
 from fusion.registration.starts import better_fit
+from fusion.registration.surface_fit import SharedSurface, depth_errors, fit_surface, without_depth_errors
 from fusion.rigid import RigidTransform
 from fusion.skeleton import NO_FRAME, SkeletonPair, stale_frames
 from fusion.support.large_arrays import PART, give_back, parts
+from fusion.support.medians import median_of_known
 from fusion.support.progress import Progress, quietly
 from fusion.support.types import Array
 
@@ -38,6 +40,12 @@ _SPACING_NS, _PROPOSED_NS = 95_000_000, 3_000_000_000
 """Pairs and refinements of the first pass, which only has to find when a sensor was moved."""
 _PROPOSALS = 200  # at most; in recordings longer than ten minutes the refinements are farther apart
 _OTHER_START = "fit of the first half minute"
+_MOMENTS, _APART_NS, _IMAGES_NS = 12, 500_000_000, 60_000_000_000
+"""Moments of which depth images are taken, the least time between them, and the time that they are from."""
+_TOO_LITTLE = "; the depth images show too little of the surface to both sensors"
+
+Surfaces = Callable[[Pairs], SharedSurface | None]
+"""What the depth images of some pairs show to both sensors; None without images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +97,7 @@ def learn_from_recording(
     settings: LearnerSettings | None = None,
     progress: Progress = quietly,
     timed: Sequence[SkeletonPair] | None = None,
+    surfaces: Surfaces | None = None,
 ) -> LearnedCalibration:
     """Learns one calibration from a recording, or one for each span between knocks and of each person.
 
@@ -100,6 +109,7 @@ def learn_from_recording(
         codes: (T, 2) exchange codes of A and B: bit 0 arms, bit 1 legs; 0 where None.
         start: The initial calibration; that of the recording's start-up pose where None.
         timed: All pairs, for the offset of the clocks, where ``pairs`` are some of them.
+        surfaces: Gives the depth images of a recording that has them.
 
     Raises:
         CalibrationError: No frame shows a person to both sensors, or too few joints.
@@ -133,9 +143,11 @@ def learn_from_recording(
     starts = [start, *(change.calibration for change in knocks)]
     spans = []
     for begin_ns, end_ns, first in zip(begins, [*begins[1:], None], starts, strict=True):
-        calibration = (
-            _refit(body, seen.keyframes(begin_ns, end_ns), first, settings) if settings.refine else first
-        )
+        calibration = first
+        if settings.refine:
+            still_ns = begin_ns + settings.knock.moving_ns * (first is not start)
+            shared = None if surfaces is None else surfaces(seen.still(still_ns, end_ns))
+            calibration = _refit(body, seen.keyframes(begin_ns, end_ns), first, settings, shared)
         spans.append(CalibrationSpan(begin_ns, calibration))
     came = [change for change in changes if change.kind == "person"]
     measured = next((k for k, of in zip(chosen, sizes, strict=True) if not np.isnan(sum(of))), 0)
@@ -175,6 +187,22 @@ class _Fresh(NamedTuple):
         times = self.pairs.time_ns
         end = len(times) if end_ns is None else int(np.searchsorted(times, end_ns))
         return slice(int(np.searchsorted(times, begin_ns)), end)
+
+    def still(self, begin_ns: int, end_ns: int | None) -> Pairs:
+        """The stillest pair of each twelfth of a span's first minute, or of each half second of it."""
+        within = self.within(begin_ns, end_ns)
+        pairs = self.pairs[within]
+        pairs = pairs[: int(np.searchsorted(pairs.time_ns, pairs.time_ns[:1].sum() + _IMAGES_NS))]
+        if len(pairs) < 3:
+            return pairs[:0]
+        of, times = pairs.arrays(), pairs.time_ns
+        seconds = 1e-9 * np.maximum(times[2:] - times[:-2], 1)
+        moved = (np.linalg.norm(at[2:] - at[:-2], axis=2) for at in (of.a, of.b))
+        speed = np.maximum(*(median_of_known(by) for by in moved)) / seconds
+        speed = np.where(np.isfinite(speed) & (seconds < 1e-9 * _APART_NS), speed, np.inf)
+        part = (times[1:-1] - times[0]) // max(_APART_NS, int(times[-1] - times[0]) // _MOMENTS + 1)
+        best = [np.flatnonzero(part == of)[np.argmin(speed[part == of])] for of in np.unique(part)]
+        return pairs[1 + np.array([k for k in best if np.isfinite(speed[k])], dtype=np.int64)]
 
     def keyframes(self, begin_ns: int, end_ns: int | None) -> Evidence:
         """The keyframes of the pairs within these times."""
@@ -266,8 +294,14 @@ def _best_start(seen: _Fresh, start: Calibration, settings: LearnerSettings) -> 
     return replace(start, a_from_b=fit.a_from_b, how=_OTHER_START, registration=registration)
 
 
-def _refit(body: Body, evidence: Evidence, start: Calibration, settings: LearnerSettings) -> Calibration:
-    """R and t from all keyframes of a span, if they explain held-out ones better."""
+def _refit(
+    body: Body,
+    evidence: Evidence,
+    start: Calibration,
+    settings: LearnerSettings,
+    shared: SharedSurface | None,
+) -> Calibration:
+    """R and t from all keyframes of a span, if they explain held-out ones better, or with the surface."""
     fit_settings = settings.refinement.fit
     if len(evidence.a) < _FEWEST:
         return start
@@ -284,13 +318,22 @@ def _refit(body: Body, evidence: Evidence, start: Calibration, settings: Learner
         fit = with_frontal_sd(body, evidence, fit, fit_settings, prior)
     except CalibrationError:
         return start
-    if gain < settings.refinement.gain and start.how != _OTHER_START:
-        return start
+    how, errors = f"robust fit of {len(evidence.a)} keyframes of the recording", start.depth_errors
+    found = None if shared is None else fit_surface(shared, fit)
+    if found is not None and found.certain:
+        fit, errors = found.fit, depth_errors(evidence, found.fit.a_from_b)
+        evidence = without_depth_errors(evidence, errors)
+        how += f", of the surface in {found.moments} moments{' and of the floor' * found.floor}"
+    elif gain < settings.refinement.gain and start.how != _OTHER_START:
+        return start if found is None else replace(start, how=start.how + _TOO_LITTLE)
+    elif found is not None:
+        how += _TOO_LITTLE
     return replace(
         start,
         a_from_b=fit.a_from_b,
-        how=f"robust fit of {len(evidence.a)} keyframes of the recording",
+        how=how,
         registration=registration_of(body, evidence, fit),
+        depth_errors=errors,
     )
 
 

@@ -118,6 +118,7 @@ class DuplexFusion:
             smooth: Whether these pairs are a whole recording, to be smoothed over all of it.
         """
         frames, joints = pairs.a.shape[:2]
+        pairs = pairs.nearer(self._setup.calibration.depth_errors)
         output = new_arrays(Output, T=frames, J=joints)
         trace = by_reference(new_arrays(Trace, T=frames, J=joints)) if smooth else self._no_trace
         estimate_pairs(self._reference, trace, pairs, output)

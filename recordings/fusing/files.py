@@ -58,6 +58,7 @@ def fuse_read(
         question=read.question,
         force=force,
         progress=progress,
+        surfaces=read.shared_surface if None not in read.images else None,
     )
     images = RecordingImages(read, depth, progress)
     return FusedRecordings(frames, names, events, images, _about(read, plan))

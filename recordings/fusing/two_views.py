@@ -13,6 +13,7 @@ from devices.events import Event
 from devices.pairing import Pairing, pair_views
 from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
+from fusion.calibration.offline import Surfaces
 from fusion.errors import CalibrationError
 from fusion.facing.handedness import mirrored_share
 from fusion.intrinsics import Intrinsics
@@ -100,6 +101,7 @@ def fuse_views(
     question: str = "",
     force: bool = False,
     progress: Progress = quietly,
+    surfaces: Surfaces | None = None,
 ) -> tuple[RecordingPlan, Fused, Sequence[Event]]:
     """Plans the fusion of paired views; they are fused while the frames are taken.
 
@@ -110,6 +112,7 @@ def fuse_views(
         warnings: About the recordings, one line each.
         question: Where the motion does not tell the clocks' offset, those that may be right.
         force: Whether to fuse views that cannot be of one person at one time.
+        surfaces: Gives the depth images of recordings that have them.
 
     Returns:
         The plan, what :meth:`recordings.session.Session.of` takes, and its events.
@@ -120,7 +123,7 @@ def fuse_views(
             people by 248 mm and more.
     """
     skeletons = pairing.pairs.skeletons
-    plan = plan_recording(body, skeletons, settings, calibration, refine, progress)
+    plan = plan_recording(body, skeletons, settings, calibration, refine, progress, surfaces)
     if plan.views_differ > _UNRELATED and not force:
         raise CalibrationError(_why_unrelated(body, pairing, plan, names, calibration is not None, question))
     segments = setups_of(plan, settings, cameras)
