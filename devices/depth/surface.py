@@ -14,10 +14,9 @@ from fusion.pair_arrays import Pairs, View
 from fusion.registration.surface_fit import SharedSurface, Surface
 from fusion.support.types import Array
 
-_ALIKE = 0.03  # metres: neighbours farther apart in depth are not averaged
-_FEWEST = 5  # of nine
-_STEP = 2  # pixels, to each side, of the differences that give the normal
-_EDGE = 0.02  # metres: a pixel that is farther from the middle of its neighbours lies at an edge
+_HALF = 1  # pixels, to each side, of the window whose plane is a point's
+_LARGEST_RANGE = 0.15  # metres, of depth in a window: more is an edge
+_EDGE = 0.02  # metres, root mean square distance of the readings from the plane: more is an edge
 _LEAST_COSINE = 0.17  # between the normal and the ray
 _AROUND = 0.2  # metres about the joints
 _REACH = 0.18  # metres: a point farther from all bones is not of the person
@@ -46,30 +45,29 @@ def shared_surface(
         others: By number of the view's frame, (J, 3) of each person who is not followed.
         offsets: Expected of the cameras, metres.
     """
-    body, floors, surfaces = moments.body, [], []
-    both = [k for k, of in enumerate(moments.frames.tolist()) if of[0] in images[0] and of[1] in images[1]]
-    for side, view in enumerate(moments.views):
-        rays, frames = ray_table(cameras[side]), moments.frames[both, side].tolist()
-        at = view.positions[frames].astype(np.float64)
-        floor = floor_plane((images[side][k] for k in frames), rays, *upwards(body, at)) if frames else None
-        half_skews = (0.5e-9 if side == 0 else -0.5e-9) * moments.skew_ns[both]
-        surfaces.append(
-            [
-                person_surface(
-                    images[side][k],
-                    rays,
-                    skeleton,
-                    body,
-                    floor,
-                    others[side].get(k, ()),
-                    skew * velocities(view, k),
-                )
-                for k, skeleton, skew in zip(frames, at, half_skews.tolist(), strict=True)
-            ]
+    rays = [ray_table(camera) for camera in cameras]
+    whole = [
+        all(
+            k in seen and seen[k].shape == ray.shape[:2]
+            for k, seen, ray in zip(of, images, rays, strict=True)
         )
+        for of in moments.frames.tolist()
+    ]
+    moments = moments[np.flatnonzero(whole)]
+    body, floors, surfaces = moments.body, [], []
+    for side, (view, seen, ray) in enumerate(zip(moments.views, images, rays, strict=True)):
+        own = moments.frames[:, side].tolist()
+        at = view.positions[own].astype(np.float64)
+        floor = floor_plane([seen[k] for k in own], ray, body, at, offsets[side])
+        seconds = (0.5e-9, -0.5e-9)[side] * moments.skew_ns
+        moves = (of * velocities(view, k) for k, of in zip(own, seconds.tolist(), strict=True))
+        surfaces.append([
+            person_surface(seen[k], ray, skeleton, body, floor, others[side].get(k, ()), move, offsets[side])
+            for k, skeleton, move in zip(own, at, moves, strict=True)
+        ])  # fmt: skip
         floors.append(floor)
-    pairs = [each for each in zip(*surfaces, strict=True) if min(len(of.points) for of in each) > 0]
-    return SharedSurface(pairs, (floors[0], floors[1]), offsets)
+    pairs = [each for each in zip(*surfaces, strict=True) if all(len(of.points) for of in each)]
+    return SharedSurface(pairs, (floors[0], floors[1]))
 
 
 def person_surface(
@@ -80,6 +78,7 @@ def person_surface(
     floor: Array | None = None,
     others: Sequence[Array] = (),
     move: Array | None = None,
+    offset: float = 0.0,
 ) -> Surface:
     """The points of a depth image that are near a person's bones, with normals.
 
@@ -90,13 +89,14 @@ def person_surface(
         floor: (4,) the plane of the floor, if known: n, h.
         others: (J, 3) of other people; a point that is nearer to one of them is not the person's.
         move: (J, 3) metres by which each joint moves until the moment of the surface; 0 if None.
+        offset: Metres by which the camera shows all things too far away.
     """
     known = np.isfinite(skeleton[:, 0])
     if known.sum() < _NEAREST:
         return Surface(np.zeros((0, 3)), np.zeros((0, 3)))
     low, high = skeleton[known].min(axis=0) - _AROUND, skeleton[known].max(axis=0) + _AROUND
     rows, columns = _part(rays, low, high)
-    points, normals = _normals(_smoothed(depth[rows, columns]), rays[rows, columns], _STEP)
+    points, normals = _planes(depth[rows, columns], rays[rows, columns], offset)
     inside = np.isfinite(normals[..., 0]) & (points > low).all(axis=-1) & (points < high).all(axis=-1)
     points, normals = points[inside].astype(np.float64), normals[inside].astype(np.float64)
     if floor is not None:
@@ -115,50 +115,45 @@ def person_surface(
 
 
 def floor_plane(
-    images: Iterable[NDArray[np.uint16]], rays: NDArray[np.float32], up: Array, height: float
+    images: Iterable[NDArray[np.uint16]],
+    rays: NDArray[np.float32],
+    body: Body,
+    skeletons: Array,
+    offset: float = 0.0,
 ) -> Array | None:
-    """(4,) n and h of the floor n · x = h in the sensor's frame; None where too little of it is seen.
+    """(4,) n and h of the floor n · x = h in the sensor's frame, by a robust fit; None where little is seen.
 
     Args:
-        up: (3,) the person's direction upwards.
-        height: Metres along it, of the person's ankles.
+        skeletons: (T, J, 3) of the person, who stands on it: its normal is nearly upwards, at the ankles.
     """
-    coarse = rays[::_COARSE, ::_COARSE]
-    seen = []
-    for image in images:
-        z = np.where(image > 0, image * np.float32(0.001), np.float32(np.nan))[::_COARSE, ::_COARSE]
-        points, normals = _normals(z, coarse, 1)
-        at = normals @ up.astype(np.float32) > _UPWARDS
-        at &= np.abs(points @ up.astype(np.float32) - height) < _HEIGHT
-        seen.append(points[at].astype(np.float64))
-    points = np.concatenate([np.zeros((0, 3)), *seen])
-    if len(points) < _LEAST_FLOOR:
+    of = [body.joint(f"{name}_{side}") for name in ("SHOULDER", "ANKLE") for side in ("LEFT", "RIGHT")]
+    at = skeletons[:, of]
+    at = at[np.isfinite(at).all(axis=(1, 2))]
+    if not len(at):
         return None
-    n, h = up, float(np.median(points @ up))
+    n = (at[:, :2] - at[:, 2:]).mean(axis=(0, 1))
+    n = np.asarray(n / np.linalg.norm(n), dtype=np.float64)
+    height, upwards = float(np.median(at[:, 2:] @ n)), n.astype(np.float32)
+    coarse, seen = rays[::_COARSE, ::_COARSE], [np.zeros((0, 3))]
+    for image in images:
+        points, normals = _planes(np.ascontiguousarray(image[::_COARSE, ::_COARSE]), coarse, offset)
+        floor = (normals @ upwards > _UPWARDS) & (np.abs(points @ upwards - height) < _HEIGHT)
+        seen.append(points[floor].astype(np.float64))
+    points = np.concatenate(seen)
+    h = float(np.median(points @ n)) if len(points) else 0.0
     for _ in range(12):
-        off = points @ n - h
-        scale = max(1.48 * float(np.median(np.abs(off))), 0.003)
-        near = np.abs(off) < max(_FLOOR_ALIKE, 4.0 * scale)
+        off = np.abs(points @ n - h)
+        scale = max(1.48 * float(np.median(off)), 0.003) if len(off) else 0.003
+        near = off < max(_FLOOR_ALIKE, 4.0 * scale)
         if near.sum() < _LEAST_FLOOR:
             return None
         weights = 1.0 / (1.0 + (off[near] / (2.0 * scale)) ** 2)
         middle = np.average(points[near], axis=0, weights=weights)
         spread = (points[near] - middle) * np.sqrt(weights)[:, None]
-        n = np.linalg.eigh(spread.T @ spread)[1][:, 0]
-        n = n * np.sign(n @ up)
+        normal = np.linalg.eigh(spread.T @ spread)[1][:, 0]
+        n = normal * np.sign(normal @ n)
         h = float(middle @ n)
-    return np.append(n, h)
-
-
-def upwards(body: Body, positions: Array) -> tuple[Array, float]:
-    """(3,) the mean direction from ankles to shoulders, and the ankles' height along it, of (T, J, 3)."""
-    shoulders, ankles = (
-        [body.joint(f"{name}_{side}") for side in ("LEFT", "RIGHT")] for name in ("SHOULDER", "ANKLE")
-    )
-    top, bottom = (np.nanmean(positions[:, of], axis=1) for of in (shoulders, ankles))
-    up = np.nanmean(top - bottom, axis=0)
-    up = np.asarray(up / np.linalg.norm(up), dtype=np.float64)
-    return up, float(np.nanmedian(bottom @ up))
+    return np.asarray(np.append(n, h), dtype=np.float64)
 
 
 def velocities(view: View, k: int) -> Array:
@@ -166,7 +161,7 @@ def velocities(view: View, k: int) -> Array:
     first, last = max(k - _MOMENT, 0), min(k + _MOMENT, len(view.time_ns) - 1)
     seconds = 1e-9 * float(view.time_ns[last] - view.time_ns[first])
     moved = view.positions[last].astype(np.float64) - view.positions[first]
-    return np.nan_to_num(moved / max(seconds, 1e-3))
+    return np.asarray(np.nan_to_num(moved / max(seconds, 1e-3)), dtype=np.float64)
 
 
 def _part(rays: NDArray[np.float32], low: Array, high: Array) -> tuple[slice, slice]:
@@ -177,45 +172,52 @@ def _part(rays: NDArray[np.float32], low: Array, high: Array) -> tuple[slice, sl
     for axis, ray in zip((1, 0), middle[::-1], strict=True):
         bounds = [bound / depth for bound in (low[axis], high[axis]) for depth in (z, float(high[2]))]
         seen = np.flatnonzero((ray > min(bounds)) & (ray < max(bounds)))
-        found.append(slice(max(seen[0] - _STEP - 1, 0), seen[-1] + _STEP + 2) if len(seen) else slice(0, 0))
+        found.append(slice(max(seen[0] - _HALF - 1, 0), seen[-1] + _HALF + 2) if len(seen) else slice(0, 0))
     return found[0], found[1]
 
 
-def _smoothed(depth: NDArray[np.uint16]) -> NDArray[np.float32]:
-    """Metres: the mean of the 3 × 3 readings that are near the middle one; NaN where there are few."""
-    z = np.where(depth > 0, depth * np.float32(0.001), np.float32(np.nan))
-    padded = np.pad(z, 1, constant_values=np.nan)
-    total, count = np.zeros_like(z), np.zeros(z.shape, dtype=np.float32)
-    for dv in range(3):
-        for du in range(3):
-            other = padded[dv : dv + z.shape[0], du : du + z.shape[1]]
-            near = np.abs(other - z) < _ALIKE
-            total += np.where(near, other, np.float32(0.0))
-            count += near
-    return np.where(count >= _FEWEST, total / np.maximum(count, 1.0), np.float32(np.nan))
-
-
-def _normals(
-    z: NDArray[np.float32], rays: NDArray[np.float32], step: int
+def _planes(
+    depth: NDArray[np.uint16], rays: NDArray[np.float32], offset: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(h, w, 3) points and unit normals towards the sensor; NaN at edges and where grazed."""
-    points = rays * z[..., None]
-    normals = np.full_like(points, np.nan)
-    if min(z.shape) <= 2 * step:
-        return points, normals
-    here = slice(step, -step)
-    right, left = points[here, 2 * step :], points[here, : -2 * step]
-    below, above = points[2 * step :, here], points[: -2 * step, here]
-    middle = points[here, here]
-    n = np.cross(below - above, right - left)  # towards the sensor: y is down, z forward
-    with np.errstate(invalid="ignore", divide="ignore"):
-        n /= np.sqrt((n * n).sum(axis=-1, keepdims=True))
-        cosine = -(n * middle).sum(axis=-1) / np.sqrt((middle * middle).sum(axis=-1))
-    edge = (np.abs(0.5 * (right + left) - middle)[..., 2] > _EDGE) | (
-        np.abs(0.5 * (below + above) - middle)[..., 2] > _EDGE
+    """(h, w, 3) the plane through the readings about each pixel: its point, and its normal to the sensor.
+
+    A plane is linear in 1 / z, so that its fit is a mean and two slopes, without a bias where it is slanted.
+    NaN at edges, and where a reading is missing.
+
+    Args:
+        offset: Metres that are subtracted along each ray.
+    """
+    import cv2  # it changes the environment; importing this package must not
+
+    z = depth * np.float32(0.001)
+    inverse = np.divide(np.float32(1.0), z, out=np.zeros_like(z), where=depth > 0)
+    size = 2 * _HALF + 1
+    box, ramp = np.ones((size, 1), dtype=np.float32), np.arange(-_HALF, _HALF + 1, dtype=np.float32)[:, None]
+    square = float((ramp**2).mean())
+    mean = cv2.boxFilter(inverse, -1, (size, size))
+    along_u, along_v = (
+        cv2.sepFilter2D(inverse, -1, x, y) / np.float32(size * size * square)
+        for x, y in ((ramp, box), (box, ramp))
     )
-    n[edge | ~(cosine > _LEAST_COSINE)] = np.nan
-    normals[here, here] = n
+    window = np.ones((size, size), dtype=np.uint8)
+    nearest, farthest = cv2.erode(z, window), cv2.dilate(z, window)
+    left = cv2.boxFilter(inverse * inverse, -1, (size, size)) - mean**2 - square * (along_u**2 + along_v**2)
+    whole = (nearest > 0.0) & (farthest - nearest < _LARGEST_RANGE) & (left < (_EDGE * mean**2) ** 2)
+    whole[:_HALF], whole[-_HALF:], whole[:, :_HALF], whole[:, -_HALF:] = False, False, False, False
+    points: NDArray[np.float32] = rays / np.where(whole, mean, np.float32(np.nan))[..., None]
+    steps = (
+        step * mean[..., None] - rays * slope[..., None]
+        for step, slope in zip(np.gradient(rays, axis=(0, 1)), (along_v, along_u), strict=True)
+    )
+    normals: NDArray[np.float32] = np.asarray(
+        np.cross(*steps), dtype=np.float32
+    )  # down × right: y is down and z forward, so to the sensor
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normals /= np.sqrt((normals * normals).sum(axis=-1, keepdims=True))
+        cosine = -(normals * points).sum(axis=-1) / np.sqrt((points * points).sum(axis=-1))
+    normals[~(cosine > _LEAST_COSINE)] = np.nan
+    if offset:
+        points *= 1.0 - np.float32(offset) / np.sqrt((points * points).sum(axis=-1, keepdims=True))
     return points, normals
 
 

@@ -24,6 +24,7 @@ from devices.pairing import (
 )
 from devices.people.recorded_people import Follow, OneRecording, RecordedPeople, SeenPerson
 from devices.recorded.files import (
+    depth_offset,
     frame_count,
     has_images,
     images_of,
@@ -128,12 +129,13 @@ class TwoRecordings:
             number = dict(zip(times, frames, strict=True))
             images.append(dict(self._images_of(side, number, progress)))
             others.append({frame: self._others_in(k, frame) for frame in frames})
-        return shared_surface(moments, images, (a, b), others)
+        offsets = [depth_offset(path) for path in self.images if path is not None]
+        return shared_surface(moments, images, (a, b), others, (offsets[0], offsets[1]))
 
     def _others_in(self, side: int, frame: int) -> list[Array]:
         """(J, 3) of each person in a frame who is not followed."""
         people = self.others[side]
-        if people is None:
+        if people is None or people.body is not self.body:
             return []
         first, end = np.searchsorted(people.frame, (frame, frame + 1)).tolist()
         return [at.astype(np.float64) for at in people.skeletons.positions[first:end]]

@@ -323,7 +323,8 @@ def _refit(
     if found is not None and found.certain:
         fit, errors = found.fit, depth_errors(evidence, found.fit.a_from_b)
         evidence = without_depth_errors(evidence, errors)
-        how += f", of the surface in {found.moments} moments{' and of the floor' * found.floor}"
+        how += f", of the surface in {found.moments} moments ({1e3 * found.rms:.0f} mm apart)"
+        how += " and of the floor" * found.floor
     elif gain < settings.refinement.gain and start.how != _OTHER_START:
         return start if found is None else replace(start, how=start.how + _TOO_LITTLE)
     elif found is not None:

@@ -3,11 +3,11 @@
 A tracker shifts all joints along its sensor's ray. A fit of joints puts that into t. The skin or the cloth
 that both depth images show is one surface, whatever the trackers say:
 
-    e = n · [(p − δ_A u_A) − (R (q − δ_B u_B) + t)]
+    e = n · [(p − δ u_A) − (R (q + δ u_B) + t)]
 
 p and q are the nearest points of the two images, n is the mean of their normals, u_A and u_B are the rays to
-them. δ_A and δ_B are the offsets of the depth cameras, with a prior. Only points that face both sensors
-count. An offset δ that both cameras share does not show: it stays in t as δ |u_A − u_B|.
+them. δ is half the difference of the depth cameras' offsets. Only points that face both sensors count. An
+offset that both cameras share does not show: it stays in t as offset · (u_A − u_B).
 """
 
 from __future__ import annotations
@@ -36,11 +36,14 @@ _FLOOR_TURN, _FLOOR_HEIGHT = np.radians(0.5), 0.004  # radians; metres at the pe
 _ACROSS_SD, _DEPTH_SD = 0.012, 0.028
 """Metres, error of the joints' t: across the rays; along each ray, of which t contains u_A − u_B."""
 _LEAST_TURN = np.radians(1.0)  # standard deviation of the joints' R: whole limbs are off at once
+_LASTING = np.diag([0.002**2] * 3 + [np.radians(0.25) ** 2] * 3)
+"""Of the surface itself, metres and radians: of material, of grazed and of moved surfaces."""
 _SAME_JOINT, _NOISE_SD, _ERROR_SD, _INDEPENDENT = 0.2, 0.03, 0.03, 40.0
 """Of the views' depth errors: metres between one joint's places, of their noise, of the errors; for how many
 observations a recording counts."""
-OFFSET_SD = 0.010
-"""Metres, of a depth camera's offset. Known offsets of one kind of camera are 5 to 10 mm apart."""
+_OFFSET_SD, _OWN_OFFSET_SD = 0.010, 0.004
+"""Metres: of an offset that both cameras share, as those of one kind are 5 to 10 mm apart; of half the
+difference of two."""
 
 
 class Surface(NamedTuple):
@@ -55,7 +58,6 @@ class SharedSurface(NamedTuple):
 
     moments: list[tuple[Surface, Surface]]  # A's and B's
     floors: tuple[Array | None, Array | None]  # (4,) n, h of the floor n · x = h in each frame, n upwards
-    offsets: tuple[float, float] = (0.0, 0.0)  # expected offsets of the depth cameras, metres
 
 
 class SurfaceFit(NamedTuple):
@@ -82,7 +84,7 @@ class SurfaceFit(NamedTuple):
 
 
 def fit_surface(shared: SharedSurface, joints: RobustFit) -> SurfaceFit:
-    """The fit of joints, surface and floor: Gauss-Newton on (dt, θ, δ_A, δ_B) with iterated weights.
+    """The fit of joints, surface and floor: Gauss-Newton on (dt, θ, δ) with iterated weights.
 
     Args:
         joints: The fit of the joints. Its shift is taken as uncertain along u_A − u_B.
@@ -93,43 +95,43 @@ def fit_surface(shared: SharedSurface, joints: RobustFit) -> SurfaceFit:
     known, c = joints.a_from_b, joints.centre
     in_b = known.inverse().apply(c)
     covariance = _of_joints(joints)
-    of_joints, offsets = np.linalg.inv(covariance), np.array(shared.offsets)
-    R, t, delta = known.rotation, known.translation, offsets.copy()
-    information, matched = np.eye(8), [np.zeros((0, 3))]
-    residuals = np.zeros(0)
+    of_joints, R, t, delta = np.linalg.inv(covariance), known.rotation, known.translation, 0.0
+    residuals, matched, information = np.zeros(0), [np.zeros((0, 3))], np.eye(7)
     for step in range(_STEPS):
         reach = max(_NEAR, _FAR + (_NEAR - _FAR) * step / _NARROWING)
         found = [
             _matches(*moment, *of, R, t, delta, reach)
             for moment, of in zip(shared.moments, trees, strict=True)
         ]
-        residuals, normals, at, u_a, u_b = (np.concatenate(each) for each in zip(*found, strict=True))
         matched = [each[2] for each in found]
-        jacobian = np.column_stack(
-            (normals, np.cross(at - c, normals), _dot(normals, u_a), -_dot(normals, u_b))
-        )
+        none = np.zeros(0), *(np.zeros((0, 3)) for _ in range(4))
+        residuals, normals, at, u_a, u_b = (np.concatenate(each) for each in zip(none, *found, strict=True))
+        jacobian = np.column_stack((normals, np.cross(at - c, normals), _dot(normals, u_a + u_b)))
         weights = 1.0 / (1.0 + (residuals / _TUNING) ** 2) / (_SURFACE_SD**2 * _TEMPERING)
         information, gradient = (jacobian.T * weights) @ jacobian, (jacobian.T * weights) @ residuals
         off = np.append(known.apply(in_b) - (R @ in_b + t), rotation_vector(known.rotation @ R.T))
         information[:6, :6] += of_joints
         gradient[:6] += of_joints @ off
-        information[[6, 7], [6, 7]] += OFFSET_SD**-2
-        gradient[6:] += (offsets - delta) * OFFSET_SD**-2
+        information[6, 6] += _OWN_OFFSET_SD**-2
+        gradient[6] -= delta * _OWN_OFFSET_SD**-2
         _add_floor(information, gradient, shared.floors, R, t, c)
         move = np.linalg.solve(information, gradient)
         turn = rotation_of(move[3:6])
-        R, t, delta = turn @ R, c + move[:3] + turn @ (t - c), delta + move[6:]
+        R, t, delta = turn @ R, c + move[:3] + turn @ (t - c), delta + float(move[6])
         if step > _NARROWING and np.abs(move).max() < 1e-6:
             break
     U, _, Vt = np.linalg.svd(R)
     a_from_b = RigidTransform.of(U @ Vt, t)
+    covariance = np.linalg.inv(information)[:6, :6] + _LASTING
+    along = _rays_apart(a_from_b, c)
+    covariance[:3, :3] += _OFFSET_SD**2 * np.outer(along, along)
     moved = np.append(a_from_b.apply(in_b) - c, rotation_vector(a_from_b.rotation @ known.rotation.T))
     large = [len(at) >= FEWEST_MATCHES // FEWEST_MOMENTS // 2 for at in matched]
     extents = [
         np.sqrt(np.linalg.eigvalsh(np.cov(at.T))[-1]) for at, of in zip(matched, large, strict=True) if of
     ]
     return SurfaceFit(
-        replace(joints, a_from_b=a_from_b, covariance=np.array(np.linalg.inv(information)[:6, :6])),
+        replace(joints, a_from_b=a_from_b, covariance=covariance),
         len(residuals) // 2,
         sum(large),
         float(np.sqrt(np.mean(residuals**2))) if len(residuals) else float("nan"),
@@ -169,10 +171,7 @@ def without_depth_errors(evidence: Evidence, errors: Array) -> Evidence:
 
 def _of_joints(joints: RobustFit) -> Array:
     """(6, 6) covariance of the joints' fit, whose common error lies along u_A − u_B."""
-    towards_a, towards_b = (
-        to / np.linalg.norm(to) for to in (-joints.centre, joints.a_from_b.translation - joints.centre)
-    )
-    along = towards_a - towards_b
+    along = _rays_apart(joints.a_from_b, joints.centre)
     covariance = joints.covariance.copy()
     covariance[:3, :3] += _ACROSS_SD**2 * np.eye(3) + _DEPTH_SD**2 * np.outer(along, along)
     covariance[:3, :3] -= common_variance(joints.a_from_b, joints.centre) * np.eye(3)
@@ -180,8 +179,13 @@ def _of_joints(joints: RobustFit) -> Array:
     return covariance
 
 
+def _rays_apart(a_from_b: RigidTransform, at: Array) -> Array:
+    """(3,) u_A − u_B of the rays from both sensors to a point."""
+    return _unit(at) - _unit(at - a_from_b.translation)
+
+
 def _matches(
-    a: Surface, b: Surface, tree_a: Any, tree_b: Any, R: Array, t: Array, delta: Array, reach: float
+    a: Surface, b: Surface, tree_a: Any, tree_b: Any, R: Array, t: Array, delta: float, reach: float
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Points of both views that are nearest to one of the other view, face both sensors and are alike.
 
@@ -201,8 +205,8 @@ def _matches(
     i, j = i[alike], j[alike]
     u_a, u_b = _unit(a.points[i]), _unit(b.points[j]) @ R.T
     n = _unit(a.normals[i] + normals_b[j])
-    at = from_b[j] - delta[1] * u_b
-    return _dot(n, a.points[i] - delta[0] * u_a - at), n, at, u_a, u_b
+    at = from_b[j] + delta * u_b
+    return _dot(n, a.points[i] - delta * u_a - at), n, at, u_a, u_b
 
 
 def _add_floor(

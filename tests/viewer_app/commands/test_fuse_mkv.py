@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 
+import recordings
 from devices.azure.mkv import MkvRecording
 from devices.azure.mkv_writer import MkvWriter
 from devices.capture.settings import CaptureSettings
 from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import SensorFrame
+from devices.simulated.kinect import PERSON, simulated_pair
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT
+from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.session import Session
 from tests.helpers.command_line import duplex
-from tests.helpers.mkv_writer import depth_image, lens_of, write_mkv
+from tests.helpers.mkv_writer import INTERVAL_US, depth_image, lens_of, write_mkv
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.session_text import events_of, rows_of
 from tests.helpers.two_views import A_FROM_B, moving
@@ -156,3 +159,39 @@ def test_the_body_tracker_runs_over_both_recordings(standin, tmp_path, capsys):
     assert code == 0
     assert "40 pairs of 40" in " ".join(capsys.readouterr().out.split())
     assert rows_of(saved, "/fused/skeleton") == 40
+
+
+def test_the_surface_that_both_sensors_see_corrects_the_registration(tmp_path):
+    """S* is where the person is, and the calibration, the session and a replay keep that."""
+    sensors = simulated_pair(motion="walk", seed=9, seconds=6.5, depth="half", infrared=True, angle_deg=60.0)
+    truth, paths, skeletons = sensors[2], [], []
+    for side, sensor, sync in zip("ab", sensors[:2], ("MASTER", "SUBORDINATE"), strict=True):
+        frames = list(sensor.frames())
+        images = [(frame.depth, frame.ir) for frame in frames]
+        start_ns = 336_277_000 + 1000 * DELAY_US * (side == "b")
+        given = {"sync": sync, "images": images, "lens": sensor.intrinsics, "serial": sensor.name}
+        paths.append(write_mkv(tmp_path / f"{side}.mkv", len(frames), start_offset_ns=start_ns, **given))
+        at = [frame.people[PERSON].positions for frame in frames]
+        skeletons.append(
+            write_view(tmp_path / f"{side}.csv", AZURE_KINECT, at, start_ns // 1000, INTERVAL_US)
+        )
+    with_images = recordings.fuse(*paths, skeletons_a=skeletons[0], skeletons_b=skeletons[1], depth="none")
+    without = recordings.fuse(*skeletons)
+    person, off = truth.positions_at(0)[AZURE_KINECT.root], []
+    for session in (with_images, without):
+        there = session.calibration.a_from_b.apply(truth.a_from_b.inverse().apply(person))
+        off.append(np.linalg.norm(there - person))
+    assert off[0] < min(off[1], 0.01)
+    assert "of the surface in" in with_images.calibration.how
+    assert not without.calibration.depth_errors.any()
+    errors = with_images.calibration.depth_errors
+    assert (np.abs(errors) > 1e-4).all()
+
+    saved, kept = tmp_path / "s.rrd", tmp_path / "c.json"
+    with_images.save(saved)
+    np.testing.assert_array_equal(Session.open(saved).calibration.depth_errors, errors)
+    assert duplex("replay", saved, "--verify", "--no-viewer") == 0
+    kept.write_text(calibration_to_json(with_images.calibration), encoding="utf-8")
+    np.testing.assert_array_equal(read_calibration(kept).depth_errors, errors)
+    kept.write_text(kept.read_text().replace("depth_errors_m", "depth_errors"), encoding="utf-8")
+    assert not read_calibration(kept).depth_errors.any()  # as of an older version

@@ -1,0 +1,190 @@
+"""Registration by the surface that both sensors see: laws on a person of ellipsoids."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from devices.simulated.rig import Rig
+from fusion.body import AZURE_KINECT
+from fusion.calibration.offline import learn_from_recording
+from fusion.registration.keyframes import Evidence
+from fusion.registration.lasting_errors import common_variance
+from fusion.registration.robust_fit import RobustFit
+from fusion.registration.surface_fit import (
+    SharedSurface,
+    Surface,
+    depth_errors,
+    fit_surface,
+    without_depth_errors,
+)
+from fusion.rigid import RigidTransform, rotation_of
+from tests.helpers.laws import COSTLY, pairs_at
+from tests.helpers.two_views import FRAME_NS, moving
+
+SEEDS = st.integers(0, 2**32 - 1)
+ANGLES = st.floats(40.0, 110.0)
+PARTS = np.array([
+    (0.0, -1.65, 0.0, 0.09, 0.12, 0.10),
+    (0.0, -1.2, 0.0, 0.19, 0.32, 0.12), (0.0, -0.9, 0.0, 0.17, 0.15, 0.13),
+    (0.28, -1.2, 0.05, 0.05, 0.3, 0.05), (-0.28, -1.2, -0.05, 0.05, 0.3, 0.05),
+    (0.12, -0.45, 0.04, 0.07, 0.42, 0.08), (-0.12, -0.45, -0.04, 0.07, 0.42, 0.08),
+])  # fmt: skip
+"""Centres and half axes of ellipsoids, metres; y is down."""
+
+
+def surface_of(parts, seed):
+    """(N, 3) points of the ellipsoids, and their normals."""
+    rng = np.random.default_rng(seed)
+    points, normals = [], []
+    for x, y, z, *axes in parts:
+        around = rng.normal(size=(700, 3))
+        around /= np.linalg.norm(around, axis=1, keepdims=True)
+        points.append((x, y, z) + around * axes)
+        out = around / axes
+        normals.append(out / np.linalg.norm(out, axis=1, keepdims=True))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+def scene(seed, angle, parts=PARTS, moments=5, offset=0.0, floor=True):
+    """What both sensors see of a person who turns, and the truth; ``offset`` along each ray."""
+    rng, rig = np.random.default_rng(seed), Rig(angle_deg=angle)
+    seen = []
+    for k in range(moments):
+        turn = Rotation.from_euler("y", rng.uniform(-40, 40), degrees=True).as_matrix()
+        views = []
+        for which in (0, 1):
+            points, normals = surface_of(parts, (seed, k, which))
+            from_world = rig.world_from_sensor(which).inverse()
+            at = from_world.apply(points @ turn.T + np.array((0.2, 0.0, 0.1)) * k)
+            n = normals @ turn.T @ from_world.rotation.T
+            rays = at / np.linalg.norm(at, axis=1, keepdims=True)
+            front = (n * rays).sum(axis=1) < -0.17
+            views.append(Surface((at + offset * rays)[front], n[front]))
+        seen.append(tuple(views))
+    floors = []  # y = 0 of the world
+    for which in (0, 1):
+        place = rig.world_from_sensor(which)
+        floors.append(np.append(-place.rotation[1], place.translation[1]))
+    shared = SharedSurface(seen, tuple(floors) if floor else (None, None))
+    return shared, rig.a_from_b
+
+
+def joints_of(truth, seed, shift=0.02, turn_deg=1.0):
+    """A fit of joints that is off: by a turn, and along u_A − u_B."""
+    rng = np.random.default_rng(seed)
+    centre = np.array((0.0, 0.1, 2.6))
+    towards = [to / np.linalg.norm(to) for to in (-centre, truth.translation - centre)]
+    axis = rng.normal(size=3)
+    R = rotation_of(np.radians(turn_deg) * axis / np.linalg.norm(axis))
+    off = RigidTransform.of(R, centre - R @ centre + shift * (towards[0] - towards[1])) @ truth
+    covariance = np.diag([0.01**2] * 3 + [np.radians(0.5) ** 2] * 3)
+    covariance[:3, :3] += common_variance(off, centre) * np.eye(3)
+    return RobustFit(off, covariance, centre, np.zeros((3, 32, 3)), 0.02), towards[0] - towards[1]
+
+
+def exchanged(shared, joints):
+    """The same with A and B exchanged."""
+    R, turned = joints.a_from_b.rotation, np.zeros((6, 6))
+    turned[:3, :3] = turned[3:, 3:] = R
+    inverse = joints.a_from_b.inverse()
+    return (
+        SharedSurface([(b, a) for a, b in shared.moments], shared.floors[::-1]),
+        replace(
+            joints, a_from_b=inverse, centre=inverse.apply(joints.centre),
+            covariance=turned.T @ joints.covariance @ turned,
+        ),
+    )  # fmt: skip
+
+
+def errors(a_from_b, truth, centre):
+    """Degrees, and metres at the person."""
+    there = a_from_b.apply(truth.inverse().apply(centre)) - centre
+    return np.degrees(a_from_b.angle_to(truth)), there
+
+
+@COSTLY
+@given(SEEDS, ANGLES, st.floats(-0.03, 0.03), st.booleans())
+def test_the_surface_takes_away_the_joints_error_along_the_rays(seed, angle, shift, floor):
+    shared, truth = scene(seed, angle, floor=floor)
+    joints, _ = joints_of(truth, seed, shift)
+    found = fit_surface(shared, joints)
+    assert found.certain
+    assert found.floor == floor
+    turn, there = errors(found.fit.a_from_b, truth, joints.centre)
+    # 3,000 points a view are 15 mm apart: chords of a limb of radius 50 mm lie 0.6 mm inside it
+    assert turn < 0.4
+    assert np.linalg.norm(there) < 0.004
+    assert found.fit.translation_sd < joints.translation_sd
+
+
+@COSTLY
+@given(SEEDS, ANGLES, st.floats(-0.03, 0.03))
+def test_exchanging_the_sensors_gives_the_inverse(seed, angle, shift):
+    shared, truth = scene(seed, angle)
+    joints, _ = joints_of(truth, seed, shift)
+    one, other = fit_surface(shared, joints), fit_surface(*exchanged(shared, joints))
+    turn, there = errors(other.fit.a_from_b.inverse(), one.fit.a_from_b, joints.centre)
+    assert turn < 0.01
+    assert np.linalg.norm(there) < 2e-4
+    assert one.certain == other.certain
+
+
+@COSTLY
+@given(SEEDS, st.floats(55.0, 110.0), st.floats(-0.025, 0.025))
+def test_an_offset_of_both_cameras_stays_in_t_and_in_its_stated_error(seed, angle, offset):
+    shared, truth = scene(seed, angle, offset=offset)
+    joints, apart = joints_of(truth, seed, 0.0, 0.2)
+    fit = fit_surface(shared, joints).fit
+    there = errors(fit.a_from_b, truth, joints.centre)[1]
+    # 28 mm of the joints against a surface of mm: they take little; the place below the centre is not seen
+    np.testing.assert_allclose(there, -offset * apart, atol=0.006)
+    assert fit.translation_sd > 0.010 * np.linalg.norm(apart)
+
+
+@COSTLY
+@given(SEEDS, ANGLES, st.sampled_from(["nothing", "one limb", "few moments", "another place"]))
+def test_too_little_of_the_surface_is_not_trusted(seed, angle, what):
+    parts = PARTS[3:4] * (1, 1, 1, 1, 0.3, 1) if what == "one limb" else PARTS
+    shared, truth = scene(seed, angle, parts, moments=3 if what == "few moments" else 5)
+    if what == "nothing":
+        shared = shared._replace(moments=[])
+    if what == "another place":  # B's images are of another time
+        shared = shared._replace(
+            moments=[(a, b._replace(points=b.points + (0.5, 0.0, 0.3))) for a, b in shared.moments]
+        )
+    assert not fit_surface(shared, joints_of(truth, seed)[0]).certain
+
+
+@given(SEEDS, ANGLES, st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))
+def test_depth_errors_of_the_views_are_found_and_taken_away(seed, angle, of_a, of_b):
+    rng, truth = np.random.default_rng(seed), Rig(angle_deg=angle).a_from_b
+    at = np.array((0.0, 0.0, 2.6)) + rng.normal(0.0, 0.4, (40, 32, 3))
+    views = []
+    for by, own in ((of_a, at), (of_b, truth.inverse().apply(at))):
+        views.append(own * (1.0 + by / np.linalg.norm(own, axis=2, keepdims=True)))
+    evidence = Evidence(*views, np.ones((40, 32)), np.ones((40, 3)), np.arange(40))
+    found = depth_errors(evidence, truth)
+    # the prior of 30 mm takes a little of them
+    np.testing.assert_allclose(found, (of_a, of_b), atol=0.005)
+    without = without_depth_errors(evidence, np.array((of_a, of_b)))
+    np.testing.assert_allclose(without.a, truth.apply(without.b), atol=1e-9)
+
+
+def test_a_recording_without_images_has_the_same_bits():
+    times = np.arange(120) * FRAME_NS
+    pairs = pairs_at(times, moving(AZURE_KINECT, 120), AZURE_KINECT)
+    asked = []
+
+    def nothing(moments):
+        asked.append(moments)
+
+    one, other = (learn_from_recording(AZURE_KINECT, pairs, surfaces=of).spans[0] for of in (None, nothing))
+    np.testing.assert_array_equal(one.calibration.a_from_b.rotation, other.calibration.a_from_b.rotation)
+    np.testing.assert_array_equal(one.calibration.bone_lengths, other.calibration.bone_lengths)
+    assert one.calibration.how == other.calibration.how
+    (moments,) = asked
+    assert 4 <= len(moments) <= 12
+    assert np.diff(moments.time_ns).min() > 0
