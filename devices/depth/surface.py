@@ -204,14 +204,13 @@ def _planes(
     left = cv2.boxFilter(inverse * inverse, -1, (size, size)) - mean**2 - square * (along_u**2 + along_v**2)
     whole = (nearest > 0.0) & (farthest - nearest < _LARGEST_RANGE) & (left < (_EDGE * mean**2) ** 2)
     whole[:_HALF], whole[-_HALF:], whole[:, :_HALF], whole[:, -_HALF:] = False, False, False, False
-    points: NDArray[np.float32] = rays / np.where(whole, mean, np.float32(np.nan))[..., None]
+    points = np.asarray(rays / np.where(whole, mean, np.float32(np.nan))[..., None], dtype=np.float32)
     steps = (
         step * mean[..., None] - rays * slope[..., None]
         for step, slope in zip(np.gradient(rays, axis=(0, 1)), (along_v, along_u), strict=True)
     )
-    normals: NDArray[np.float32] = np.asarray(
-        np.cross(*steps), dtype=np.float32
-    )  # down × right: y is down and z forward, so to the sensor
+    # Down × right is towards the sensor: y is down, z forward.
+    normals: NDArray[np.float32] = np.asarray(np.cross(*steps), dtype=np.float32)
     with np.errstate(invalid="ignore", divide="ignore"):
         normals /= np.sqrt((normals * normals).sum(axis=-1, keepdims=True))
         cosine = -(normals * points).sum(axis=-1) / np.sqrt((points * points).sum(axis=-1))

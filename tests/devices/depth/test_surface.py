@@ -9,6 +9,7 @@ from devices.depth.point_cloud import ray_table
 from devices.depth.surface import floor_plane, person_surface, shared_surface
 from devices.pairing import pair_views
 from devices.people.recorded_people import RecordedPeople
+from devices.simulated.imaging.rendering import DepthErrors
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker_errors import TrackerErrors
@@ -65,7 +66,9 @@ def test_points_of_another_person_are_left_out():
 def test_what_moves_between_the_captures_is_moved_back(angle):
     """A person walks at 1 m/s; B captures 16 ms later."""
     rig = Rig(angle_deg=angle, skew_seconds=0.016)
-    pairs, images, cameras, truth = recorded(5.0, 100, motion="walk", rig=rig)  # who stands for three seconds
+    pairs, images, cameras, truth = recorded(  # who stands for three seconds
+        5.0, 100, motion="walk", rig=rig, depth_errors=DepthErrors.none()
+    )
     moments = pairs[np.arange(100, 144, 7)]
     joints, _ = joints_of(truth.a_from_b, 1)
     off = []
