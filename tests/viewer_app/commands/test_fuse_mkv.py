@@ -9,7 +9,7 @@ from devices.azure.mkv_writer import MkvWriter
 from devices.capture.settings import CaptureSettings
 from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import SensorFrame
-from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.kinect import movement, simulated_pair
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT
 from recordings.calibration_file import calibration_to_json, read_calibration
@@ -162,8 +162,16 @@ def test_the_body_tracker_runs_over_both_recordings(standin, tmp_path, capsys):
 
 
 def test_the_surface_that_both_sensors_see_corrects_the_registration(tmp_path):
-    """S* is where the person is, and the calibration, the session and a replay keep that."""
-    sensors = simulated_pair(motion="walk", seed=9, seconds=6.5, depth="half", infrared=True, angle_deg=60.0)
+    """S* is where the person is, and the calibration, the session and a replay keep that. Somebody is near."""
+    sensors = simulated_pair(
+        motion="walk",
+        seed=9,
+        seconds=6.5,
+        depth="half",
+        infrared=True,
+        angle_deg=60.0,
+        other=movement("still"),
+    )
     truth, paths, skeletons = sensors[2], [], []
     for side, sensor, sync in zip("ab", sensors[:2], ("MASTER", "SUBORDINATE"), strict=True):
         frames = list(sensor.frames())
@@ -171,10 +179,15 @@ def test_the_surface_that_both_sensors_see_corrects_the_registration(tmp_path):
         start_ns = 336_277_000 + 1000 * DELAY_US * (side == "b")
         given = {"sync": sync, "images": images, "lens": sensor.intrinsics, "serial": sensor.name}
         paths.append(write_mkv(tmp_path / f"{side}.mkv", len(frames), start_offset_ns=start_ns, **given))
-        at = [frame.people[PERSON].positions for frame in frames]
-        skeletons.append(
-            write_view(tmp_path / f"{side}.csv", AZURE_KINECT, at, start_ns // 1000, INTERVAL_US)
-        )
+        rows = []
+        for name in frames[0].people:
+            nobody = np.full((len(AZURE_KINECT), 3), np.nan)
+            at = [frame.people[name].positions if name in frame.people else nobody for frame in frames]
+            path = write_view(tmp_path / f"{side}.csv", AZURE_KINECT, at, start_ns // 1000, INTERVAL_US)
+            head, *own = path.read_text().splitlines()
+            rows += [row.replace(",0,", f",{name},", 1) for row in own if "nan" not in row]
+        path.write_text("\n".join([head, *sorted(rows, key=lambda row: int(row.split(",")[0]))]) + "\n")
+        skeletons.append(path)
     with_images = recordings.fuse(*paths, skeletons_a=skeletons[0], skeletons_b=skeletons[1], depth="none")
     without = recordings.fuse(*skeletons)
     person, off = truth.positions_at(0)[AZURE_KINECT.root], []
