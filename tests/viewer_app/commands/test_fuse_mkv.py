@@ -162,7 +162,7 @@ def test_the_body_tracker_runs_over_both_recordings(standin, tmp_path, capsys):
 
 
 def test_the_surface_that_both_sensors_see_corrects_the_registration(tmp_path):
-    """S* is where the person is, and the calibration, the session and a replay keep that. Somebody is near."""
+    """S* is where the person is; calibration, session and replay keep that. Somebody else is near."""
     sensors = simulated_pair(
         motion="walk",
         seed=9,
