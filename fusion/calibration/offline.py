@@ -40,9 +40,8 @@ _SPACING_NS, _PROPOSED_NS = 95_000_000, 3_000_000_000
 """Pairs and refinements of the first pass, which only has to find when a sensor was moved."""
 _PROPOSALS = 200  # at most; in recordings longer than ten minutes the refinements are farther apart
 _OTHER_START = "fit of the first half minute"
-_MOMENTS, _APART_NS, _IMAGES_NS = 12, 500_000_000, 60_000_000_000
+_MOMENTS, _APART_NS, _IMAGES_NS = 12, 500_000_000, 20_000_000_000
 """Moments of which depth images are taken, the least time between them, and the time that they are from."""
-_TOO_LITTLE = "; the depth images show too little of the surface to both sensors"
 
 Surfaces = Callable[[Pairs], SharedSurface | None]
 """What the depth images of some pairs show to both sensors; None without images."""
@@ -145,9 +144,11 @@ def learn_from_recording(
     for begin_ns, end_ns, first in zip(begins, [*begins[1:], None], starts, strict=True):
         calibration = first
         if settings.refine:
+            evidence = seen.keyframes(begin_ns, end_ns)
+            calibration, fit = _refit(body, evidence, first, settings)
             still_ns = begin_ns + settings.knock.moving_ns * (first is not start)
             shared = None if surfaces is None else surfaces(seen.still(still_ns, end_ns))
-            calibration = _refit(body, seen.keyframes(begin_ns, end_ns), first, settings, shared)
+            calibration = _with_surface(body, evidence, calibration, fit, shared)
         spans.append(CalibrationSpan(begin_ns, calibration))
     came = [change for change in changes if change.kind == "person"]
     measured = next((k for k, of in zip(chosen, sizes, strict=True) if not np.isnan(sum(of))), 0)
@@ -189,7 +190,7 @@ class _Fresh(NamedTuple):
         return slice(int(np.searchsorted(times, begin_ns)), end)
 
     def still(self, begin_ns: int, end_ns: int | None) -> Pairs:
-        """The stillest pair of each twelfth of a span's first minute, or of each half second of it."""
+        """The stillest pair of each twelfth of a span's first 20 s, or of each half second of it."""
         within = self.within(begin_ns, end_ns)
         pairs = self.pairs[within]
         pairs = pairs[: int(np.searchsorted(pairs.time_ns, pairs.time_ns[:1].sum() + _IMAGES_NS))]
@@ -295,16 +296,12 @@ def _best_start(seen: _Fresh, start: Calibration, settings: LearnerSettings) -> 
 
 
 def _refit(
-    body: Body,
-    evidence: Evidence,
-    start: Calibration,
-    settings: LearnerSettings,
-    shared: SharedSurface | None,
-) -> Calibration:
-    """R and t from all keyframes of a span, if they explain held-out ones better, or with the surface."""
+    body: Body, evidence: Evidence, start: Calibration, settings: LearnerSettings
+) -> tuple[Calibration, RobustFit | None]:
+    """R and t from all keyframes of a span, if they explain held-out ones better; and their fit."""
     fit_settings = settings.refinement.fit
     if len(evidence.a) < _FEWEST:
-        return start
+        return start, None
     prior = None if start.how == _OTHER_START else prior_of(start)
     try:
         match_sides(body, evidence, start.a_from_b)
@@ -317,23 +314,49 @@ def _refit(
         gain = held_out_gain(body, evidence, start.a_from_b, fit, fit_settings, prior)
         fit = with_frontal_sd(body, evidence, fit, fit_settings, prior)
     except CalibrationError:
-        return start
-    how, errors = f"robust fit of {len(evidence.a)} keyframes of the recording", start.depth_errors
-    found = None if shared is None else fit_surface(shared, fit)
-    if found is not None and found.certain:
-        fit, errors = found.fit, depth_errors(evidence, found.fit.a_from_b)
-        evidence = without_depth_errors(evidence, errors)
-        how += f", of the surface in {found.moments} moments ({1e3 * found.rms:.0f} mm apart)"
-        how += " and of the floor" * found.floor
-    elif gain < settings.refinement.gain and start.how != _OTHER_START:
-        return start if found is None else replace(start, how=start.how + _TOO_LITTLE)
-    elif found is not None:
-        how += _TOO_LITTLE
+        return start, None
+    if gain < settings.refinement.gain and start.how != _OTHER_START:
+        return start, fit
+    how = f"robust fit of {len(evidence.a)} keyframes of the recording"
+    registration = registration_of(body, evidence, fit)
+    return replace(start, a_from_b=fit.a_from_b, how=how, registration=registration), fit
+
+
+def _with_surface(
+    body: Body,
+    evidence: Evidence,
+    fitted: Calibration,
+    joints: RobustFit | None,
+    shared: SharedSurface | None,
+) -> Calibration:
+    """A calibration with R and t by the surface that both sensors see, if they see enough of it.
+
+    Args:
+        joints: The fit of the keyframes; what the calibration states if None.
+    """
+    if shared is None or fitted.registration is None or not (evidence.weights > 0.5).any():
+        return fitted
+    if joints is None:
+        known = fitted.registration
+        variances = np.repeat(np.square((known.translation_sd, known.rotation_sd)), 3)
+        joints = RobustFit(
+            fitted.a_from_b, np.diag(variances), known.centre, np.zeros((3, len(body), 3)), 0.02
+        )
+    found = fit_surface(shared, joints)
+    if not found.certain:
+        return replace(fitted, how=f"{fitted.how}; both sensors see too little of one surface")
+    fit = found.fit
+    match_sides(body, evidence, fit.a_from_b)
+    errors = depth_errors(evidence, fit.a_from_b)
+    floor = " and the floor" if found.floor else ""
     return replace(
-        start,
+        fitted,
         a_from_b=fit.a_from_b,
-        how=how,
-        registration=registration_of(body, evidence, fit),
+        how=(
+            f"fit of joints in {len(evidence.a)} keyframes, of the surface in {found.moments} moments "
+            f"({1e3 * found.rms:.0f} mm apart){floor}"
+        ),
+        registration=registration_of(body, without_depth_errors(evidence, errors), fit),
         depth_errors=errors,
     )
 
