@@ -39,7 +39,7 @@ class PairArrays(NamedTuple):
         moved: list[NDArray[np.float32]] = []
         for metres, at in zip(by, (self.a, self.b), strict=True):
             ray = at / np.linalg.norm(at, axis=2, keepdims=True)
-            moved.append(_read_only((at - metres * ray).astype(np.float32)))
+            moved.append(read_only((at - metres * ray).astype(np.float32)))
         gaps = [np.where(np.arange(4) == 0, np.float32(metres), np.float32(0.0)) for metres in by]
         return self._replace(
             a=moved[0], b=moved[1], witness_a=self.witness_a + gaps[0], witness_b=self.witness_b + gaps[1]
