@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth, thinned, thinned_camera
-from devices.depth.surface import shared_surface
 from devices.frame_pairs import FramePair
 from devices.pairing import (
     Pairing,
@@ -129,6 +128,8 @@ class TwoRecordings:
             number = dict(zip(times, frames, strict=True))
             images.append(dict(self._images_of(side, number, progress)))
             others.append({frame: self._others_in(k, frame) for frame in frames})
+        from devices.depth.surface import shared_surface  # few recordings have images
+
         offsets = [depth_offset(path) for path in self.images if path is not None]
         return shared_surface(moments, images, (a, b), others, (offsets[0], offsets[1]))
 

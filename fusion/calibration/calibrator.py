@@ -35,8 +35,7 @@ from fusion.registration.error_model import RobustFitSettings
 from fusion.registration.keyframes import Evidence, KeyframeSet
 from fusion.registration.lasting_errors import FrontalTurn, common_variance
 from fusion.registration.rigid_fit import label_free_fit
-from fusion.registration.robust_fit import RobustFit, registration_of, with_frontal_sd
-from fusion.registration.starts import Found, fits_from
+from fusion.registration.robust_fit import Found, RobustFit, fits_from, registration_of, with_frontal_sd
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 

@@ -21,8 +21,7 @@ from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, ma
 from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import label_free_fit
-from fusion.registration.robust_fit import RobustFit, fit_robust, registration_of, with_frontal_sd
-from fusion.registration.starts import better_fit
+from fusion.registration.robust_fit import RobustFit, better_fit, fit_robust, registration_of, with_frontal_sd
 from fusion.registration.surface_fit import SharedSurface, depth_errors, fit_surface, without_depth_errors
 from fusion.rigid import RigidTransform
 from fusion.skeleton import NO_FRAME, SkeletonPair, stale_frames
