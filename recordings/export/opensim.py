@@ -61,7 +61,7 @@ def write_mot(session: SessionSeries, path: Path, rate: float | None = None) -> 
     columns = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
     if not len(columns["time"]):
         raise RecordingError(f"{session} has no S* at an even rate; there is nothing to export.")
-    for name in columns.keys() - {"time"}:
+    for name in ("pelvis_tilt", "pelvis_list", "pelvis_rotation"):
         columns[name] = np.unwrap(columns[name], period=360.0)
     columns = {name: _without_gaps(values) for name, values in columns.items() if np.isfinite(values).any()}
     rows = np.stack(list(columns.values()), axis=1)
