@@ -55,7 +55,7 @@ class UnitySkeleton:
         feet = [body.find(j + s) for j in ("Foot", "Ankle", "Heel") for s in ("Left", "Right")]
         self._feet = [j for j in feet if j is not None]
         self._leg = [body.joint(below + side) for below in ("Knee", "Ankle") for side in ("Left", "Right")]
-        directions = -rest_turns.inv().apply(body.rest)
+        directions = rest_turns.inv().apply(-body.rest)
         ways = np.eye(len(body))  # of which bones the way to each joint consists
         for joint in body.order[1:]:
             ways[joint] += ways[body.parents[joint]]
