@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from devices.skeletons.name_tables import NameTable, fitting_table, listed
+from devices.skeletons.name_tables import NameTable, fitting_table
 from devices.skeletons.stated_format import METRES
 from fusion.body import Body
 from fusion.errors import CalibrationError
@@ -34,7 +34,6 @@ from recordings.session_series import SessionSeries
 
 SKELETONS = ("a", "b", "fused")
 """S_A, S_B and S*, as in :data:`recordings.data.layout.SKELETON_NAMES`."""
-_FEWEST_JOINTS = 5
 _FEWEST_FRAMES = 24
 _SIZE_WITHIN = 1.4  # factor between the sizes of the person in both files
 _MOST_FITTED = 3000  # frames that the transform is fitted to
@@ -100,7 +99,7 @@ class TruthComparison:
         if not np.isfinite(rows.fused).any():
             raise RecordingError(f"{session} has no S*: no frame shows a person after a calibration.")
         table = table or fitting_table(body, truth.labels)
-        joints = _joints_of(body, truth, table)
+        joints = truth.joints(body, table)
         metres, unit = _unit_of(rows.fused, joints, session, truth)
         seconds, skew = np.asarray(1e-9 * rows.time_ns), np.asarray(1e-9 * rows.skew_ns)
         found = {
@@ -210,21 +209,6 @@ class TruthComparison:
     def rest(self) -> dict[str, Array]:
         """(T, J) distance of each skeleton to the truth without the constant part, metres."""
         return {key: rest for key, (_, rest) in self._rest.items()}
-
-
-def _joints_of(body: Body, truth: TruthFile, table: NameTable) -> Array:
-    """(N, J, 3) the joints of a file; NaN where it has none."""
-    joints = np.full((len(truth.seconds), len(body), 3), np.nan)
-    for joint, points in table.points_of(body, truth.labels).items():
-        joints[:, joint] = truth.points[:, points].mean(axis=1)
-    count = int(np.isfinite(joints).any(axis=(0, 2)).sum())
-    if count < _FEWEST_JOINTS:
-        raise RecordingError(
-            f"{truth.name}: {count} of the joints of {body.name} are found by the table {table.name}, and "
-            f"{_FEWEST_JOINTS} are needed. The file has {listed(truth.labels)}. Name its points in a table "
-            "with `names=TABLE.toml`."
-        )
-    return joints
 
 
 def _unit_of(fused: Array, joints: Array, session: SessionSeries, truth: TruthFile) -> tuple[float, str]:

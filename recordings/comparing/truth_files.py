@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from devices.input_file import input_text, open_input, reading
 from devices.sensor import DeviceError
 from devices.skeletons.csv_files.text import codes, refuse_cut_off, text_rows
+from devices.skeletons.name_tables import NameTable, listed
 from devices.skeletons.times import capture_times
+from fusion.body import Body
 from fusion.support.medians import median_of_known
 from recordings.comparing.c3d_file import read_c3d
 from recordings.comparing.vendor_text import is_vendor_text, read_vendor_text
@@ -20,6 +22,7 @@ from recordings.errors import MissingFileError, RecordingError
 
 SUFFIXES = (".c3d", ".trc", ".csv", ".tsv")
 """Suffixes of files of motion capture."""
+_FEWEST_JOINTS = 5
 _TRC_HEAD = 5  # lines before the first frame; an empty one may follow
 _LARGEST = 2 << 30  # bytes of a .trc or .c3d; a .trc of 50 points at 120 Hz takes 600 MB an hour
 
@@ -41,6 +44,24 @@ class TruthFile:
     seconds: NDArray[np.float64]
     points: NDArray[np.float64]
     warning: str = ""
+
+    def joints(self, body: Body, table: NameTable) -> NDArray[np.float64]:
+        """(N, J, 3) the joints of a body, by a table of names; NaN where the file has none.
+
+        Raises:
+            RecordingError: It has fewer than five.
+        """
+        joints = np.full((len(self.seconds), len(body), 3), np.nan)
+        for joint, points in table.points_of(body, self.labels).items():
+            joints[:, joint] = self.points[:, points].mean(axis=1)
+        count = int(np.isfinite(joints).any(axis=(0, 2)).sum())
+        if count < _FEWEST_JOINTS:
+            raise RecordingError(
+                f"{self.name}: {count} of the joints of {body.name} are found by the table {table.name}, and "
+                f"{_FEWEST_JOINTS} are needed. The file has {listed(self.labels)}. Name its points in a "
+                "table with `names=TABLE.toml`."
+            )
+        return joints
 
 
 def read_truth(path: Path) -> TruthFile:
