@@ -32,19 +32,6 @@ class PairArrays(NamedTuple):
     witness_a: NDArray[np.float32]  # (T, J, 4) of depth images (fusion.witness); NaN without
     witness_b: NDArray[np.float32]
 
-    def nearer(self, by: NDArray[np.float64]) -> PairArrays:
-        """The pairs with all joints of A and of B nearer to their sensor by (2,) metres along the ray."""
-        if not by.any():
-            return self
-        moved: list[NDArray[np.float32]] = []
-        for metres, at in zip(by, (self.a, self.b), strict=True):
-            ray = at / np.linalg.norm(at, axis=2, keepdims=True)
-            moved.append(read_only((at - metres * ray).astype(np.float32)))
-        gaps = [np.where(np.arange(4) == 0, np.float32(metres), np.float32(0.0)) for metres in by]
-        return self._replace(
-            a=moved[0], b=moved[1], witness_a=self.witness_a + gaps[0], witness_b=self.witness_b + gaps[1]
-        )
-
 
 class View(NamedTuple):
     """One person in T frames of a sensor; a recording's may lie in a file

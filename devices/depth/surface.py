@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from devices.depth.point_cloud import ray_table
 from fusion.body import Body
+from fusion.calibration.surface_fit import SharedSurface, Surface
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import Pairs, View
-from fusion.registration.surface_fit import SharedSurface, Surface
 from fusion.support.types import Array
 
 _HALF = 1  # pixels, to each side, of the window whose plane is a point's

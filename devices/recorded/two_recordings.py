@@ -6,6 +6,7 @@ import filecmp
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +41,12 @@ from fusion.body import BODIES, Body
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import Pairs, View, joined_views
 from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.surface_fit import SharedSurface
 from fusion.support.large_arrays import give_back, parts
 from fusion.support.progress import Progress, quietly
 from fusion.support.types import Array
+
+if TYPE_CHECKING:
+    from fusion.calibration.surface_fit import SharedSurface
 
 _CLOCKS_AGREE_NS = 1_000_000
 """Tolerance between the measured and the configured sync delay; the sensors are accurate to 0.1 ms."""
@@ -121,6 +124,8 @@ class TwoRecordings:
         a, b = self.intrinsics
         if a is None or b is None or None in self.images:
             return None
+        from devices.depth.surface import shared_surface
+
         images, others = [], []
         for k, side in enumerate("ab"):
             frames = moments.frames[:, k].tolist()
@@ -128,8 +133,6 @@ class TwoRecordings:
             number = dict(zip(times, frames, strict=True))
             images.append(dict(self._images_of(side, number, progress)))
             others.append({frame: self._others_in(k, frame) for frame in frames})
-        from devices.depth.surface import shared_surface  # few recordings have images
-
         offsets = [depth_offset(path) for path in self.images if path is not None]
         return shared_surface(moments, images, (a, b), others, (offsets[0], offsets[1]))
 

@@ -44,8 +44,7 @@ class Calibration(ReadOnlyArrays):
         registration: How well the two views agreed; None if the calibration was loaded without it.
         provisional: Whether it only serves until the start-up pose. It then has no data, or a few frames of
             any pose.
-        depth_errors: (2,) metres, by how much A's and B's views show the person too far away along their
-            rays, where depth images show it. ``duplex`` subtracts them.
+        depth_errors: (2,) metres, by how much A and B show joints too far away; ``duplex`` subtracts them.
     """
 
     body: Body

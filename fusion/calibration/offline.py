@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,15 @@ from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import label_free_fit
 from fusion.registration.robust_fit import RobustFit, better_fit, fit_robust, registration_of, with_frontal_sd
-from fusion.registration.surface_fit import SharedSurface, depth_errors, fit_surface, without_depth_errors
 from fusion.rigid import RigidTransform
 from fusion.skeleton import NO_FRAME, SkeletonPair, stale_frames
 from fusion.support.large_arrays import PART, give_back, parts
 from fusion.support.medians import median_of_known
 from fusion.support.progress import Progress, quietly
 from fusion.support.types import Array
+
+if TYPE_CHECKING:
+    from fusion.calibration.surface_fit import SharedSurface
 
 _KEYFRAMES = 128  # per span; the tempering of the fit was chosen for this number
 _BONE_PAIRS = 256
@@ -42,7 +44,7 @@ _OTHER_START = "fit of the first half minute"
 _MOMENTS, _APART_NS, _IMAGES_NS = 12, 500_000_000, 20_000_000_000
 """Moments of which depth images are taken, the least time between them, and the time that they are from."""
 
-Surfaces = Callable[[Pairs], SharedSurface | None]
+Surfaces = Callable[[Pairs], "SharedSurface | None"]
 """What the depth images of some pairs show to both sensors; None without images."""
 
 
@@ -145,9 +147,12 @@ def learn_from_recording(
         if settings.refine:
             evidence = seen.keyframes(begin_ns, end_ns)
             calibration, fit = _refit(body, evidence, first, settings)
-            still_ns = begin_ns + settings.knock.moving_ns * (first is not start)
-            shared = None if surfaces is None else surfaces(seen.still(still_ns, end_ns))
-            calibration = _with_surface(body, evidence, calibration, fit, shared)
+            if surfaces is not None:
+                from fusion.calibration.surface_fit import with_surface  # where there are images
+
+                still_ns = begin_ns + settings.knock.moving_ns * (first is not start)
+                shared = surfaces(seen.still(still_ns, end_ns))
+                calibration = with_surface(body, evidence, calibration, fit, shared)
         spans.append(CalibrationSpan(begin_ns, calibration))
     came = [change for change in changes if change.kind == "person"]
     measured = next((k for k, of in zip(chosen, sizes, strict=True) if not np.isnan(sum(of))), 0)
@@ -319,45 +324,6 @@ def _refit(
     how = f"robust fit of {len(evidence.a)} keyframes of the recording"
     registration = registration_of(body, evidence, fit)
     return replace(start, a_from_b=fit.a_from_b, how=how, registration=registration), fit
-
-
-def _with_surface(
-    body: Body,
-    evidence: Evidence,
-    fitted: Calibration,
-    joints: RobustFit | None,
-    shared: SharedSurface | None,
-) -> Calibration:
-    """A calibration with R and t by the surface that both sensors see, if they see enough of it.
-
-    Args:
-        joints: The fit of the keyframes; what the calibration states if None.
-    """
-    if shared is None or fitted.registration is None or not (evidence.weights > 0.5).any():
-        return fitted
-    if joints is None:
-        known = fitted.registration
-        variances = np.repeat(np.square((known.translation_sd, known.rotation_sd)), 3)
-        joints = RobustFit(
-            fitted.a_from_b, np.diag(variances), known.centre, np.zeros((3, len(body), 3)), 0.02
-        )
-    found = fit_surface(shared, joints)
-    if not found.certain:
-        return replace(fitted, how=f"{fitted.how}; both sensors see too little of one surface")
-    fit = found.fit
-    match_sides(body, evidence, fit.a_from_b)
-    errors = depth_errors(evidence, fit.a_from_b)
-    floor = " and the floor" if found.floor else ""
-    return replace(
-        fitted,
-        a_from_b=fit.a_from_b,
-        how=(
-            f"fit of joints in {len(evidence.a)} keyframes, of the surface in {found.moments} moments "
-            f"({1e3 * found.rms:.0f} mm apart){floor}"
-        ),
-        registration=registration_of(body, without_depth_errors(evidence, errors), fit),
-        depth_errors=errors,
-    )
 
 
 def _with_bones(

@@ -35,6 +35,8 @@ from fusion.rigid import NOWHERE
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from fusion.support.array_fields import new_arrays
+from fusion.support.read_only import read_only
+from fusion.support.types import Array
 
 _UNSTATED = 0.035, 0.05
 """Standard deviations where a calibration states none: radians, and metres at the person."""
@@ -118,13 +120,24 @@ class DuplexFusion:
             smooth: Whether these pairs are a whole recording, to be smoothed over all of it.
         """
         frames, joints = pairs.a.shape[:2]
-        pairs = pairs.nearer(self._setup.calibration.depth_errors)
+        if (errors := self._setup.calibration.depth_errors).any():
+            pairs = _nearer(pairs, errors)
         output = new_arrays(Output, T=frames, J=joints)
         trace = by_reference(new_arrays(Trace, T=frames, J=joints)) if smooth else self._no_trace
         estimate_pairs(self._reference, trace, pairs, output)
         if smooth:
             smooth_pairs(self._reference, trace, output)
         return FusedFrames(output, self._setup.calibration.a_from_b, pairs.time_ns)
+
+
+def _nearer(pairs: PairArrays, by: Array) -> PairArrays:
+    """The pairs with all joints of A and of B nearer to their sensor by (2,) metres along the ray."""
+    a, b = (
+        read_only((at * (1.0 - metres / np.linalg.norm(at, axis=2, keepdims=True))).astype(np.float32))
+        for metres, at in zip(by, (pairs.a, pairs.b), strict=True)
+    )
+    gap_a, gap_b = (np.float32(metres) * (np.arange(4) == 0) for metres in by)
+    return pairs._replace(a=a, b=b, witness_a=pairs.witness_a + gap_a, witness_b=pairs.witness_b + gap_b)
 
 
 def _registration_variances(calibration: Calibration) -> tuple[float, float]:

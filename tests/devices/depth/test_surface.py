@@ -14,8 +14,8 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT
-from fusion.registration.surface_fit import fit_surface
-from tests.fusion.registration.test_surface_fit import errors, joints_of
+from fusion.calibration.surface_fit import fit_surface
+from tests.fusion.calibration.test_surface_fit import errors, joints_of
 
 
 def recorded(seconds, begin=0, **settings):

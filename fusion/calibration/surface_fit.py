@@ -17,9 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion.registration.keyframes import Evidence
+from fusion.body import Body
+from fusion.calibration.calibration import Calibration
+from fusion.registration.keyframes import Evidence, match_sides
 from fusion.registration.lasting_errors import common_variance
-from fusion.registration.robust_fit import RobustFit
+from fusion.registration.robust_fit import RobustFit, registration_of
 from fusion.rigid import RigidTransform, rotation_of, rotation_vector
 from fusion.support.types import Array
 
@@ -81,6 +83,45 @@ class SurfaceFit(NamedTuple):
             and self.extent > _EXTENT
             and self.change < _LARGEST_CHANGE
         )
+
+
+def with_surface(
+    body: Body,
+    evidence: Evidence,
+    fitted: Calibration,
+    joints: RobustFit | None,
+    shared: SharedSurface | None,
+) -> Calibration:
+    """A calibration with R and t by the surface that both sensors see, if they see enough of it.
+
+    Args:
+        joints: The fit of the keyframes; what the calibration states if None.
+    """
+    if shared is None or fitted.registration is None or not (evidence.weights > 0.5).any():
+        return fitted
+    if joints is None:
+        known = fitted.registration
+        variances = np.repeat(np.square((known.translation_sd, known.rotation_sd)), 3)
+        joints = RobustFit(
+            fitted.a_from_b, np.diag(variances), known.centre, np.zeros((3, len(body), 3)), 0.02
+        )
+    found = fit_surface(shared, joints)
+    if not found.certain:
+        return replace(fitted, how=f"{fitted.how}; both sensors see too little of one surface")
+    fit = found.fit
+    match_sides(body, evidence, fit.a_from_b)
+    errors = depth_errors(evidence, fit.a_from_b)
+    floor = " and the floor" if found.floor else ""
+    return replace(
+        fitted,
+        a_from_b=fit.a_from_b,
+        how=(
+            f"fit of joints in {len(evidence.a)} keyframes, of the surface in {found.moments} moments "
+            f"({1e3 * found.rms:.0f} mm apart){floor}"
+        ),
+        registration=registration_of(body, without_depth_errors(evidence, errors), fit),
+        depth_errors=errors,
+    )
 
 
 def fit_surface(shared: SharedSurface, joints: RobustFit) -> SurfaceFit:

@@ -10,16 +10,16 @@ from scipy.spatial.transform import Rotation
 from devices.simulated.rig import Rig
 from fusion.body import AZURE_KINECT
 from fusion.calibration.offline import learn_from_recording
-from fusion.registration.keyframes import Evidence
-from fusion.registration.lasting_errors import common_variance
-from fusion.registration.robust_fit import RobustFit
-from fusion.registration.surface_fit import (
+from fusion.calibration.surface_fit import (
     SharedSurface,
     Surface,
     depth_errors,
     fit_surface,
     without_depth_errors,
 )
+from fusion.registration.keyframes import Evidence
+from fusion.registration.lasting_errors import common_variance
+from fusion.registration.robust_fit import RobustFit
 from fusion.rigid import RigidTransform, rotation_of
 from tests.helpers.laws import COSTLY, pairs_at
 from tests.helpers.two_views import FRAME_NS, moving
