@@ -20,6 +20,7 @@ _WIDE, _FARTHEST_WIDE = 1.5, 2.9
 NFOV: 1.3); its range then, binned, metres."""
 _VIEWS_MM = {"kinect_v1": 80.0, "kinect_v2": 80.0, "azure_kinect": 60.0, "blazepose": 90.0}
 _ERROR_MM = {"kinect_v1": 60.0, "kinect_v2": 60.0, "azure_kinect": 60.0, "blazepose": 90.0}
+WALK = "walk a few steps back and forth"
 _USABLE = 1.5
 _OUT_OF_RANGE = 0.25
 
@@ -145,7 +146,7 @@ RULES: dict[str, Rule] = {
     "unconfirmed": Rule(
         "the views' own placement of B beside a loaded calibration, one standard deviation", "°",
         below(2.0, inf), what="the loaded calibration is not confirmed",
-        live="walk a few steps back and forth", files="record with the person walking about",
+        live=WALK, files="record with the person walking about",
         told_by=frozenset({"mirrored", "two_people"}), is_event=False),
     "distance": Rule(
         "distance of the person from a sensor", "m", Limits((0.0, inf), (0.0, inf)),
@@ -173,17 +174,17 @@ RULES: dict[str, Rule] = {
     "precision": Rule(
         "rotation of B, one standard deviation", "°", below(2.0, 4.0),
         what="B's rotation is certain to {value}° only", limit="good is {high}°",
-        live="walk a few steps back and forth", files="record with the person walking about", digits=1,
+        live=WALK, files="record with the person walking about", digits=1,
         told_by=frozenset({"mirrored", "moved", "unconfirmed", "uncalibrated"}), is_event=False),
     "error": Rule(
         "expected error of S*: its median standard deviation", "mm", below(60.0, 90.0),
         what="S* is expected to be off by {value} mm", limit="good is below {high}",
-        live="walk a few steps back and forth", files="record with both sensors nearer, and 90° apart",
+        live=WALK, files="record with both sensors nearer, and 90° apart",
         told_by=_VIEWS | {"distance", "angle", "precision"}),
     "views": Rule(
         "distance between the views, median", "mm", below(60.0, 90.0),
         what="the views differ by {value} mm", limit="good is below {high}",
-        live="walk a few steps back and forth", files="check that both show one moment, or {calibrate}",
+        live=WALK, files="check that both show one moment, or {calibrate}",
         told_by=_VIEWS),
     "hidden": Rule(
         "time for which a view hides the person, now", "s", below(1.0, inf),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.findings.finding import Finding
-from devices.findings.rules import RULES, TALL
+from devices.findings.rules import RULES, TALL, WALK
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.fused_frame import FusedFrame
@@ -52,13 +52,16 @@ class CoachScene:
 
         Args:
             notes: What to know where nothing is wrong.
-            shown: The headline of a set-up. The spot is drawn until it is ready; None: no spot is drawn.
+            shown: The headline of a set-up. The spot is drawn until it is ready, unless it says to walk.
+                None: no spot is drawn.
             fused: The newest S*; its feet give the floor. None without a person.
         """
         person = None if fused is None else self._person(fused)
         angle = any(each.rule == "angle" for each in findings)
+        walks = shown is not None and shown.kind in RULES and RULES[shown.kind].live == WALK
+        stands = shown is not None and shown.state is not State.READY and not walks
         marks = {
-            "spot": self._spot(now, person) if shown is not None and shown.state is not State.READY else None,
+            "spot": self._spot(now, person) if stands else None,
             "sensor_a": self._sensor("A", findings, RigidTransform.identity()),
             "sensor_b": self._sensor("B", findings, now.calibration.a_from_b),
             "better_b": self._better(now.calibration) if angle else None,

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from devices.depth.camera import project
 from devices.findings.finding import Finding, followed, judge
-from devices.findings.rules import RULES, farthest, nearest
+from devices.findings.rules import RULES, WALK, farthest, nearest
 from devices.sensor import SensorFrame
 from devices.simulated.demonstration import demonstrated, good_rig, therapist
 from devices.simulated.kinect import Scene, SimulatedKinect
@@ -352,7 +352,7 @@ def test_a_good_set_up_is_ready_after_some_steps_and_its_deviation_is_true():
             first_ready = moment
             break
         assert moment.headline.kind in ("", "uncalibrated", "precision")
-        assert "spot" in dict(moment.page.marks)
+        assert ("spot" in dict(moment.page.marks)) == (moment.headline.kind != "precision"), "or walk about"
     assert first_ready is not None
     assert "spot" not in dict(first_ready.page.marks)
     calibration = first_ready.setup.calibration
@@ -434,6 +434,8 @@ def test_the_pose_is_counted_down_on_the_card_and_the_circle_stays_until_ready()
     for shown in (None, now, replace(now, final=True, held=0.0)):
         assert len(marks(shown, there)["spot"].lines) == 2  # no arrow
     assert "spot" not in marks(now, there, state=State.READY)
+    for kind, rule in RULES.items():
+        assert ("spot" in marks(now, there, kind=kind)) == (rule.live != WALK)
 
 
 def test_before_the_first_person_a_circle_is_shown_in_front_of_a():
