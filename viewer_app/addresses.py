@@ -4,7 +4,10 @@ import ipaddress
 import socket
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import TextIO, cast
 from urllib.parse import urlsplit
+
+from rich.console import Console
 
 LOOPBACK = "127.0.0.1"
 """Reaches this machine, and only from itself."""
@@ -39,6 +42,14 @@ def reached_at(listening: str) -> str:
         way.connect((_FAR[listening], 9))  # chooses the way; UDP sends nothing yet
         return in_url(way.getsockname()[0])
     return socket.gethostname()
+
+
+def print_code(address: str, console: Console) -> None:
+    """Prints an address for the camera of a phone or tablet, where the terminal can show it."""
+    if console.is_terminal and console.encoding.startswith("utf"):
+        import segno
+
+        segno.make(address).terminal(cast(TextIO, console.file), compact=True)
 
 
 def zenoh_warning(listening: Sequence[str]) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from urllib.parse import urlsplit
 
 import numpy as np
 from rich.console import Console
@@ -11,6 +12,7 @@ from fusion.body import Body
 from fusion.movement.angles import UP
 from fusion.setup import FusionSetup
 from recordings.gait.events import find_gait
+from viewer_app.addresses import is_loopback, print_code
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
 from viewer_app.outputs.avatars.osc import Address, OscOutput, looked_up
@@ -156,6 +158,8 @@ def announce_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
         console.print(f"Sending: {where}", markup=False, soft_wrap=True)
         if output.note:
             console.print(output.note, style="yellow", markup=False, soft_wrap=True)
+        if output.page and not is_loopback(urlsplit(output.page).hostname):
+            print_code(output.page, console)
 
 
 def print_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:

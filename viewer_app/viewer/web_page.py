@@ -2,11 +2,10 @@
 
 import subprocess
 import sys
-from typing import TextIO, cast
 
 from rich.console import Console
 
-from viewer_app.addresses import is_loopback
+from viewer_app.addresses import is_loopback, print_code
 from viewer_app.viewer.display import environment_of_window, has_display
 from viewer_app.viewer.hub import DATA_PORT, PAGE_PORT, Hub
 
@@ -27,11 +26,8 @@ def announce_page(hub: Hub, console: Console, live: bool = False) -> None:
             f"{hub.port} and {hub.web_port} sees the session, video included, without a password."
         )
     console.print(f"[bold]Viewer[/]: {hub.page}", soft_wrap=True)
-    if others and console.is_terminal and console.encoding.startswith("utf"):
-        import segno
-
-        file = cast(TextIO, console.file)
-        segno.make(hub.page).terminal(file, compact=True)  # for the camera of a phone or tablet
+    if others:
+        print_code(hub.page, console)
     console.print(
         "Rerun's page requests a font and news from its makers' servers; it also works without a network."
     )

@@ -28,9 +28,10 @@ from tests.helpers.live_frames import frames, session
 from tests.helpers.machine import lacks, need_viewer
 from tests.helpers.recorded_pairs import write_pair
 from tests.helpers.waiting import eventually
-from viewer_app.addresses import LOOPBACK
+from viewer_app.addresses import LOOPBACK, reached_at
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import ViewerOptions
+from viewer_app.outputs.opening import announce_outputs
 from viewer_app.viewer import file_window, window
 from viewer_app.viewer import hub as hub_module
 from viewer_app.viewer.blueprint import SCENE
@@ -118,20 +119,32 @@ def test_listening_to_others_is_warned_of(monkeypatch):
     assert said(NoViewer(), monkeypatch) == ""
 
 
-def test_a_terminal_shows_the_address_for_a_camera(monkeypatch):
+def announced_session(address, console):
+    hub = Hub(DATA_PORT, PAGE_PORT, address)
+    WebPage(hub=hub).announce(console)
+    return hub.page
+
+
+def announced_output(address, console):
+    page = f"http://{reached_at(address)}:8765"
+    announce_outputs(console, [SimpleNamespace(name="WebSocket", page=page, note="")])
+    return page
+
+
+@pytest.mark.parametrize("announced", [announced_session, announced_output])
+def test_a_terminal_shows_the_address_for_a_camera(monkeypatch, announced):
     monkeypatch.setattr("viewer_app.viewer.web_page.has_display", lambda: False)
-    printed = {}
+    printed, pages = {}, {}
     for address in (LOOPBACK, "0.0.0.0"):
-        hub = Hub(DATA_PORT, PAGE_PORT, address)
         out = io.StringIO()
-        WebPage(hub=hub).announce(Console(file=out, width=300, force_terminal=True))
+        pages[address] = announced(address, Console(file=out, width=300, force_terminal=True))
         printed[address] = [line for line in out.getvalue().splitlines() if set(line) & set("▀▄█")]
     assert printed[LOOPBACK] == []
     light = {"█": (1, 1), "▀": (1, 0), "▄": (0, 1), " ": (0, 0)}  # upper and lower half of a character
     halves = np.array([[light[each] for each in line] for line in printed["0.0.0.0"]], dtype=np.uint8)
     modules = halves.transpose(0, 2, 1).reshape(-1, halves.shape[1])
     picture = cv2.resize(255 * modules, None, fx=8, fy=8, interpolation=cv2.INTER_NEAREST)
-    assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == hub.page
+    assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == pages["0.0.0.0"]
 
 
 @pytest.fixture
