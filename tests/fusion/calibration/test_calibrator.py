@@ -6,7 +6,7 @@ import pytest
 from devices.simulated.kinect import simulated_pair
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2
 from fusion.calibration.calibrator import Calibrator
-from fusion.registration import robust_fit, starts
+from fusion.registration import robust_fit
 from fusion.skeleton import SkeletonPair
 from tests.helpers.frame_pairs import paired
 from tests.helpers.two_views import FRAME_NS, calibration_of, moving, pair_of
@@ -82,7 +82,7 @@ def test_a_person_who_shows_too_little_leaves_the_calibration_provisional():
 def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch):
     """All starts together take longer than a frame; each is a rough fit and a better one."""
     fits, of_pairs = [0], []
-    fit, watch = starts.fit_robust, Calibrator.watch
+    fit, watch = robust_fit.fit_robust, Calibrator.watch
 
     def counted(*given, **more):
         fits[0] += 1
@@ -94,7 +94,6 @@ def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch):
         of_pairs.append(fits[0])
         return found
 
-    monkeypatch.setattr(starts, "fit_robust", counted)
     monkeypatch.setattr(robust_fit, "fit_robust", counted)
     monkeypatch.setattr(Calibrator, "watch", watched_closely)
     watched(KINECT_V2, "walk", 90.0, 12.0, from_second=5.0)
