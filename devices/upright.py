@@ -95,11 +95,6 @@ class UprightSensor(SensorWrapper):
         camera = self.source.intrinsics
         return None if camera is None else turned_camera(camera, self.orientation)
 
-    @property
-    def making_ns(self) -> int:
-        """How long a simulated source took for its last frame."""
-        return int(getattr(self.source, "making_ns", 0))
-
     def frames(self) -> Iterator[SensorFrame]:
         for frame in self.source.frames():
             yield replace(

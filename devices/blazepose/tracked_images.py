@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
-from devices.capture.frame_decimation import newest
+from devices.capture.frame_decimation import Newest
 from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import Skeleton
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 
 _OR = "or the same one after a second out of sight"
+_Images = tuple[SensorFrame, "NDArray[np.uint8] | None"]
 _NAMED = 5  # changes whose times a warning names
 
 
@@ -65,6 +66,7 @@ class TrackedImages(SensorWrapper):
         self._changes: list[int] = []  # times at which another one was followed, ns since the first frame
         self._news: deque[str] = deque()
         self._skipped = 0
+        self._newest: Newest[_Images] | None = None  # of live images, while frames are taken
 
     @property
     def missed(self) -> int:  # type: ignore[override]
@@ -103,15 +105,26 @@ class TrackedImages(SensorWrapper):
         return self
 
     def __exit__(self, *exc_info: object) -> None:
+        if self._newest is not None:
+            self._newest.close()
         self.source.__exit__(*exc_info)
         self.tracker.__exit__(*exc_info)
 
     def frames(self) -> Iterator[SensorFrame]:
         """The source's frames with the person in them."""
+        images: Iterator[_Images] = self._images()
+        if self._pace is None:
+            yield from self._tracked(images)
+            return
+        name = f"images of {self.name}"
+        self._newest = Newest(images, name, drop=self._skip, interrupt=self.interrupt)
+        try:
+            yield from self._tracked(self._newest)
+        finally:
+            self._newest.close()
+
+    def _tracked(self, images: Iterator[_Images]) -> Iterator[SensorFrame]:
         first_ns: int | None = None
-        images: Iterator[tuple[SensorFrame, NDArray[np.uint8] | None]] = self._images()
-        if self._pace is not None:
-            images = newest(images, f"images of {self.name}", drop=self._skip, interrupt=self.interrupt)
         for frame, registered in images:
             first_ns = frame.time_ns if first_ns is None else first_ns
             if frame.depth is None:
@@ -127,8 +140,7 @@ class TrackedImages(SensorWrapper):
             spent_ns = self._clock() - begun_ns
             self._took(spent_ns)
             if self._pace is not None:
-                # A simulated sensor makes its images on this thread, within the same budget.
-                self._pace.tracked(self.key, spent_ns + int(getattr(self.source, "making_ns", 0)))
+                self._pace.tracked(self.key, spent_ns)
             for person in people:
                 if person != self._person and self._person:
                     self._changes.append(frame.time_ns - first_ns)
@@ -136,7 +148,7 @@ class TrackedImages(SensorWrapper):
                 self._person = person
             yield replace(frame, people=people)
 
-    def _images(self) -> Iterator[tuple[SensorFrame, NDArray[np.uint8] | None]]:
+    def _images(self) -> Iterator[_Images]:
         """The source's frames, each with its registered image while the source has it."""
         for frame in self.source.frames():
             yield frame, None if self._registered is None else self._registered(frame)

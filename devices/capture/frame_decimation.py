@@ -82,50 +82,54 @@ class FrameDecimation:
         """What else follows from a choice; called with the lock."""
 
 
-def newest(
-    items: Iterator[Item], name: str, *, drop: Callable[[], object], interrupt: Callable[[], object]
-) -> Iterator[Item]:
-    """The newest item each time; the iterator runs on its own thread, whatever the reader does meanwhile.
+class Newest(Iterator[Item]):
+    """The newest item each time, of an iterator that runs on a thread of its own, whatever the reader does.
+
+    What the iterator raises is raised after the item before it.
 
     Args:
         name: Of the thread.
         drop: Called for each item that the reader did not get, because a newer one came.
-        interrupt: Makes ``items`` end soon; called when the reader ends first.
-
-    Raises:
-        Exception: What ``items`` raised, after the item before it.
+        interrupt: Makes ``items`` end soon.
     """
-    waiting: deque[Item] = deque(maxlen=1)
-    ended, fault, came = False, None, threading.Condition()
 
-    def run() -> None:
-        nonlocal ended, fault
+    def __init__(
+        self, items: Iterator[Item], name: str, *, drop: Callable[[], object], interrupt: Callable[[], object]
+    ) -> None:
+        self._items, self._drop, self._interrupt = items, drop, interrupt
+        self._waiting: deque[Item] = deque(maxlen=1)
+        self._ended, self._came = False, threading.Condition()
+        self._fault: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)  # a driver may hang
+        self._thread.start()
+
+    def __next__(self) -> Item:
+        with self._came:
+            self._came.wait_for(lambda: self._waiting or self._ended)
+            if self._waiting:
+                return self._waiting.pop()
+        self.close()
+        fault, self._fault = self._fault, None
+        if fault is not None:
+            raise fault
+        raise StopIteration
+
+    def close(self) -> None:
+        """Ends the thread. What gives the items may be closed afterwards, not before."""
+        if not self._ended:
+            self._interrupt()
+        self._thread.join()
+
+    def _run(self) -> None:
         try:
-            for item in items:
-                with came:
-                    if waiting:
-                        drop()
-                    waiting.append(item)
-                    came.notify()
+            for item in self._items:
+                with self._came:
+                    if self._waiting:
+                        self._drop()
+                    self._waiting.append(item)
+                    self._came.notify()
         except BaseException as raised:
-            fault = raised
-        with came:
-            ended = True
-            came.notify()
-
-    thread = threading.Thread(target=run, name=name, daemon=True)  # a driver may hang
-    thread.start()
-    try:
-        while True:
-            with came:
-                came.wait_for(lambda: waiting or ended)
-                item = waiting.pop() if waiting else None
-            if item is None:
-                break
-            yield item
-    finally:
-        if not ended:
-            interrupt()
-            thread.join()
-    if fault is not None:
-        raise fault
+            self._fault = raised
+        with self._came:
+            self._ended = True
+            self._came.notify()

@@ -96,6 +96,8 @@ def person_surface(
         return Surface(np.zeros((0, 3)), np.zeros((0, 3)))
     low, high = skeleton[known].min(axis=0) - _AROUND, skeleton[known].max(axis=0) + _AROUND
     rows, columns = _part(rays, low, high)
+    if not depth[rows, columns].size:
+        return Surface(np.zeros((0, 3)), np.zeros((0, 3)))
     points, normals = _planes(depth[rows, columns], rays[rows, columns], offset)
     inside = np.isfinite(normals[..., 0]) & (points > low).all(axis=-1) & (points < high).all(axis=-1)
     points, normals = points[inside].astype(np.float64), normals[inside].astype(np.float64)

@@ -96,8 +96,6 @@ class PacedSensor(SensorWrapper):
         self._decimation = decimation
         self._clock, self._wait = clock, wait
         self._stopping = threading.Event()
-        self.making_ns = 0
-        """How long making the last frame took."""
 
     @property
     def recorded(self) -> bool:  # type: ignore[override]
@@ -137,7 +135,7 @@ class PacedSensor(SensorWrapper):
             if frame is None:
                 return
             took = self._clock() - started
-            longest, self.making_ns = max(took, _FORGETTING * longest), round(took * 1e9)
+            longest = max(took, _FORGETTING * longest)
             moment_ns = frame.time_ns
             if frame.host_ns is not None and self._beat.common != "capture":
                 moment_ns = frame.host_ns

@@ -191,7 +191,7 @@ def named_points(
     before = re.match(r"(?:.*[^A-Za-z0-9])?", first[:common])  # a subject's name, or Body0_
     labels = [label[before.end() :] for label in labels] if before else labels
     ends = [re.fullmatch(r"(.*?)(\d+)", label) for label in labels]
-    same = len({end and end[1] for end in ends}) == 1
+    same = len({end and end[1] for end in ends}) == 1 and not re.match(r"keypoint|landmark", first, re.I)
     numbers = [int(end[2]) for end in ends if end and same]
     if numbers and not stated:
         body = next((body for body in BODIES.values() if len(body) == 1 + max(numbers)), None)

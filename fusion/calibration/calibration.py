@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,6 +54,11 @@ class Calibration(ReadOnlyArrays):
     registration: Registration | None = None
     provisional: bool = False
     depth_errors: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+
+    def by_joints(self, a_from_b: RigidTransform, how: str, registration: Registration) -> Calibration:
+        """The calibration with R and t of a fit of joints, which contain the views' depth errors."""
+        found = replace(self, a_from_b=a_from_b, how=how, registration=registration)
+        return replace(found, depth_errors=np.zeros(2)) if self.depth_errors.any() else found
 
     @property
     def axes_angle(self) -> float:

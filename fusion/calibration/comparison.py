@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.body import Body
+from fusion.calibration.calibration import Calibration
+from fusion.calibration.surface_fit import without_depth_errors
 from fusion.errors import CalibrationError
 from fusion.registration.error_model import RobustFitSettings
 from fusion.registration.keyframes import KeyframeSet
@@ -16,6 +18,7 @@ from fusion.registration.rigid_fit import fit_rigid
 from fusion.registration.robust_fit import fit_robust, with_frontal_sd
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
+from fusion.support.types import Array
 
 _FEWEST, _MOST = 8, 48  # keyframes, 0.2 s apart
 _EVERY_NS = 1_000_000_000  # between two fits
@@ -60,26 +63,27 @@ class RecentPlacement:
             self._keyframes.forget_before(pair.time_ns - self._kept_ns)
         self._now_ns = pair.time_ns
 
-    def off(self, a_from_b: RigidTransform) -> PlacementOff | None:
-        """How far a calibration's R and t are off, by the median of the last fits; None of few pairs."""
+    def off(self, calibration: Calibration) -> PlacementOff | None:
+        """How far R and t of a calibration are off, by the median of the last fits; None of few pairs."""
         if len(self._keyframes) < _FEWEST:
             self._fits.clear()
         elif self._now_ns >= self._next_ns:
             self._next_ns = self._now_ns + _EVERY_NS
-            self._fitting = self._fit()
+            self._fitting = self._fit(calibration.depth_errors)
         for _ in self._fitting:
             if self._in_steps:
                 break
         if not self._fits:
             return None
+        a_from_b = calibration.a_from_b
         each = [
             (fit.angle_to(a_from_b), float(np.linalg.norm(fit.apply(middle) - a_from_b.apply(middle))), sd)
             for fit, middle, sd in self._fits
         ]
         return PlacementOff(*np.median(each, axis=0).tolist())
 
-    def _fit(self) -> Iterator[None]:
-        evidence, body = self._keyframes.evidence.copy(), self._body
+    def _fit(self, depth_errors: Array) -> Iterator[None]:
+        evidence, body = without_depth_errors(self._keyframes.evidence, depth_errors).copy(), self._body
         known = evidence.weights == 1.0
         try:
             start = fit_rigid(evidence.a[known], evidence.b[known])

@@ -296,7 +296,7 @@ def _best_start(seen: _Fresh, start: Calibration, settings: LearnerSettings) -> 
         return start
     fit = with_frontal_sd(body, best.evidence, best.fit, fit_settings)
     registration = registration_of(body, best.evidence, fit)
-    return replace(start, a_from_b=fit.a_from_b, how=_OTHER_START, registration=registration)
+    return start.by_joints(fit.a_from_b, _OTHER_START, registration)
 
 
 def _refit(
@@ -323,7 +323,7 @@ def _refit(
         return start, fit
     how = f"robust fit of {len(evidence.a)} keyframes of the recording"
     registration = registration_of(body, evidence, fit)
-    return replace(start, a_from_b=fit.a_from_b, how=how, registration=registration), fit
+    return start.by_joints(fit.a_from_b, how, registration), fit
 
 
 def _with_bones(

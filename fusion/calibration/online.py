@@ -272,12 +272,8 @@ class CalibrationLearner:
         return [CalibrationChange("bones", event, now_ns, self.calibration)]
 
     def _replace(self, fit: RobustFit, evidence: Evidence, how: str) -> None:
-        self.calibration = replace(
-            self.calibration,
-            a_from_b=fit.a_from_b,
-            how=how,
-            registration=registration_of(self._body, evidence, fit),
-        )
+        registration = registration_of(self._body, evidence, fit)
+        self.calibration = self.calibration.by_joints(fit.a_from_b, how, registration)
 
 
 def person_event(change: float) -> str:

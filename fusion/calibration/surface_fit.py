@@ -97,11 +97,12 @@ def with_surface(
     Args:
         joints: The fit of the keyframes; what the calibration states if None.
     """
-    if shared is None or fitted.registration is None or not (evidence.weights > 0.5).any():
+    known = fitted.registration
+    if shared is None or known is None or not (evidence.weights > 0.5).any():
         return fitted
+    rests = f"fit of joints in {len(evidence.a)} keyframes"
     if joints is None:
-        known = fitted.registration
-        variances = np.repeat(np.square((known.translation_sd, known.rotation_sd)), 3)
+        rests, variances = fitted.how, np.repeat(np.square((known.translation_sd, known.rotation_sd)), 3)
         joints = RobustFit(
             fitted.a_from_b, np.diag(variances), known.centre, np.zeros((3, len(body), 3)), 0.02
         )
@@ -111,15 +112,13 @@ def with_surface(
     fit = found.fit
     match_sides(body, evidence, fit.a_from_b)
     errors = depth_errors(evidence, fit.a_from_b)
+    registration = registration_of(body, without_depth_errors(evidence, errors), fit)
     floor = " and the floor" if found.floor else ""
     return replace(
         fitted,
         a_from_b=fit.a_from_b,
-        how=(
-            f"fit of joints in {len(evidence.a)} keyframes, of the surface in {found.moments} moments "
-            f"({1e3 * found.rms:.0f} mm apart){floor}"
-        ),
-        registration=registration_of(body, without_depth_errors(evidence, errors), fit),
+        how=f"{rests}, of the surface in {found.moments} moments ({1e3 * found.rms:.0f} mm apart){floor}",
+        registration=replace(registration, frames=max(registration.frames, known.frames)),
         depth_errors=errors,
     )
 

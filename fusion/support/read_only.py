@@ -18,12 +18,12 @@ def read_only(values: NDArray[Scalar]) -> NDArray[Scalar]:
 class ReadOnlyArrays:
     """The base of a dataclass whose arrays cannot be written, also after copying and pickling.
 
-    An array that can be written is copied, because its owner may go on with it.
+    An array that can be written, or is a view of another one, is copied: its owner may go on with it.
     """
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if isinstance(value, np.ndarray) and value.flags.writeable:
+            if isinstance(value, np.ndarray) and (value.flags.writeable or not value.flags.owndata):
                 vars(self)[name] = read_only(value.copy(order="K"))
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -95,7 +95,9 @@ def nanoseconds(rows: SessionArrays, time: ArrayLike | timedelta) -> Ints:
     Raises:
         RecordingError: They are neither, have more than one dimension, or are a day or more from the session.
     """
-    given = np.asarray(np.timedelta64(time) if isinstance(time, timedelta) else time)
+    given = np.asarray(time)
+    if given.dtype.kind == "O" and all(isinstance(each, timedelta) for each in given.ravel()):
+        given = given.astype("timedelta64[ns]")
     if given.dtype.kind == "m":
         wanted = np.where(np.isnat(given), np.nan, given / np.timedelta64(1, "ns"))
     elif given.dtype.kind in "iuf":

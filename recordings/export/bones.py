@@ -4,6 +4,7 @@ Frames with others, before a new calibration or of method ``published``, are sho
 have the directions of S*.
 """
 
+import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,7 @@ from recordings.errors import RecordingError
 from recordings.export import Writer
 from recordings.session_series import SessionSeries
 
+_KNOWN_S = 3.0  # so long it takes at most to recognize somebody
 _SAME_M = 1e-4  # metres: differences by rounding, added up along the bones
 
 
@@ -56,18 +58,30 @@ def other_lengths(session: SessionSeries) -> tuple[int, float]:
 
 
 def check_one_person(session: SessionSeries) -> None:
-    """Raises RecordingError where calibrations are of people of two sizes."""
-    bones, known = (
-        session.body.bone_joints,
-        [each for each in session.calibrations if not each[1].provisional],
-    )
-    for first, one in known[1:]:
-        change = np.log(one.bone_lengths[bones] / known[0][1].bone_lengths[bones])
-        if abs(float(np.median(change))) > ANOTHER:
+    """Raises RecordingError where calibrations are of people of two sizes.
+
+    One that holds for less than three seconds is of nobody: so long it takes at most to recognize that a
+    calibration from a file is not of the person present.
+    """
+    people: list[tuple[int, Array]] = []  # since when, and the logarithms of their lengths
+    for first, one in session.calibrations:
+        size = np.log(one.bone_lengths[session.body.bone_joints])
+        if not one.provisional and (not people or _is_another(size, people[-1][1])):
+            people.append((first, size))
+    ends = [*(session.time[first] for first, _ in people[1:]), math.inf]
+    lasting = [
+        each for each, end in zip(people, ends, strict=False) if end - session.time[each[0]] >= _KNOWN_S
+    ]
+    for first, size in lasting[1:]:
+        if _is_another(size, lasting[0][1]):
             raise RecordingError(
                 f"{session} shows another person from {session.time[first]:.1f} s on, and this format has "
                 "one skeleton. Export the parts that `duplex trim` makes, or a table."
             )
+
+
+def _is_another(size: Array, other: Array) -> bool:
+    return abs(float(np.median(size - other))) > ANOTHER
 
 
 def lasting(session: SessionSeries) -> Callable[[Array], Array]:

@@ -112,7 +112,7 @@ def _placement(rows: SessionArrays, calibration: Calibration) -> Figures | None:
         code_a, code_b = rows.filled("exchanged")[frame] & WHOLE
         if rows.states_a[frame].any() and rows.states_b[frame].any():
             recent.add(SkeletonPair(a, b, time_ns), (int(code_a), int(code_b)))
-    return placement_figures(recent.off(calibration.a_from_b))
+    return placement_figures(recent.off(calibration))
 
 
 def placement_figures(off: PlacementOff | None) -> Figures | None:

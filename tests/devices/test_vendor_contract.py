@@ -195,8 +195,8 @@ def test_a_recording_slower_than_the_camera_holds_up_neither_frames_nor_the_end(
     assert len(seen.numbers) > 10.0 / (0.55 + cost_s), "the queue is emptied for half a second at most"
     assert len(recorded) > 0.9 * 10.0 / max(cost_s, 1.0 / 30.0), "all that there is time for"
     assert max(seen.ages[settled:]) < (0.08 + 2 * cost_s if cost_s < 1.0 / 30.0 else 0.7)
-    assert sensor.missed == seen.numbers[-1] - seen.numbers[0] + 1 - len(seen.numbers)
-    assert sensor.lost == 0
+    assert sensor.missed + sensor.lost == seen.numbers[-1] - seen.numbers[0] + 1 - len(seen.numbers)
+    assert sensor.lost == 0 or cost_s > 1.0 / 30.0  # librealsense does not tell how long a frame waited
 
 
 @EVERY

@@ -4,6 +4,7 @@ import copy
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from datetime import timedelta
 from functools import cache
 from multiprocessing import get_context
 
@@ -190,6 +191,8 @@ def test_s_star_at_any_time_within_is_there_and_at_a_frame_is_that_of_the_frame(
     assert np.isfinite(session.sigma_at(times)).all()
     exact = np.rint(1e9 * times).astype("timedelta64[ns]")
     np.testing.assert_array_equal(session.at(exact), found)
+    whole = [timedelta(microseconds=round(1e6 * each)) for each in times.tolist()]
+    np.testing.assert_array_equal(session.at(whole), session.at(np.array(whole, dtype="timedelta64[us]")))
     frames = np.searchsorted(session.time, times)
     np.testing.assert_array_equal(session.at(session.time[frames]), session.fused[frames])
     for one, of_list in zip(times, found, strict=True):

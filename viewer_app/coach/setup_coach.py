@@ -251,7 +251,7 @@ class Coach:
         angle = math.degrees(calibration.angle_about(up))
         yield from judge("angle", angle, uncertain=2.0 * turn_sd)
         yield from judge("precision", turn_sd)
-        off = placement_figures(self._recent.off(calibration.a_from_b))
+        off = placement_figures(self._recent.off(calibration))
         yield from compared(off, is_loaded(calibration))
         error = self._lately(_LATELY, lambda each: each.error)
         yield from judge("error", median_of(error), limits=of_error(self.body.name))

@@ -30,7 +30,7 @@ class CaptureTime:
         """
         self._clock.observe(time_ns, arrived_ns)
         offset_ns = self._clock.offset_ns
-        captured_ns = UNIX_NS + (arrived_ns if offset_ns is None else time_ns + offset_ns)
+        captured_ns = UNIX_NS + (arrived_ns if offset_ns is None else min(time_ns + offset_ns, arrived_ns))
         if self._last is not None:
             before_ns, captured_before_ns = self._last
             captured_ns = max(captured_ns, captured_before_ns + max((time_ns - before_ns) // 2, 1))

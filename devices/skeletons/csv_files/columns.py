@@ -164,7 +164,7 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
     for wanted in set(_SPELLED) & set(required):
         _spell(columns, wanted, _SPELLED[wanted])
     if required and "joint" in columns:
-        _spell_axes(columns)
+        _spell_axes(path, columns)
     time = next((name for name in TIME_COLUMNS if name in columns), "")
     in_file = list(columns)
     for wanted, spelled in _CLOCKS.items():
@@ -205,14 +205,25 @@ def header_of(lines: list[str]) -> int:
     return before[-1] if before and re.match(r"\s*[-+\d]", lines[first]) else first
 
 
-def _spell_axes(columns: list[str]) -> None:
-    """Renames the columns of a place, whatever stands before x, y and z: of several the shortest words."""
+def _spell_axes(path: Path, columns: list[str]) -> None:
+    """Renames the columns of a place: of usual words before x, y and z the shortest, else the only ones.
+
+    Raises:
+        DeviceError: Several may be a place.
+    """
     found: dict[tuple[str, str], dict[str, int]] = {}
     for k, name in enumerate(columns):
         if match := re.fullmatch(rf"(.*?)([xyz])({_LENGTH})", plain(name)):
             found.setdefault((match[1], match[3]), {}).setdefault(match[2], k)
     of = [words for words, axes in found.items() if len(axes) == 3 and not _NO_POINT.fullmatch(words[0])]
-    for axis, k in found[min(of, key=lambda words: len(words[0]))].items() if of else ():
+    usual = [words for words in of if re.fullmatch(rf"{_SPACE}|p", words[0])]
+    if not usual and len(of) > 1:
+        places = " or ".join(columns[found[words]["x"]] for words in of)
+        raise DeviceError(f"{path}: the place of a joint may be {places}; name its columns x, y and z.")
+    chosen = min(usual or of, key=lambda words: len(words[0]), default=None)
+    for axis, k in found[chosen].items() if chosen else ():
+        if plain(columns[k]) != axis and axis in columns:  # of another kind, as pixels
+            columns[columns.index(axis)] = f"{axis} "
         columns[k] = axis
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.capture.frame_decimation import newest
+from devices.capture.frame_decimation import Newest
 
 
 class Source:
@@ -42,7 +42,7 @@ class Source:
         self.dropped += 1
 
     def newest(self):
-        return newest(self.items(), "numbers", drop=self.drop, interrupt=self.interrupt)
+        return Newest(self.items(), "numbers", drop=self.drop, interrupt=self.interrupt)
 
 
 @given(st.lists(st.integers(1, 5), min_size=1, max_size=8))
@@ -77,3 +77,4 @@ def test_a_reader_that_ends_first_ends_the_thread():
     reader.close()
     assert source.interrupted.is_set()
     assert "numbers" not in {thread.name for thread in threading.enumerate()}
+    reader.close()

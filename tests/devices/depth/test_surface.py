@@ -59,7 +59,9 @@ def test_points_of_another_person_are_left_out():
     )
     assert 0.2 * len(alone.points) < len(points) < 0.9 * len(alone.points)
     assert np.isin(points.view("f8,f8,f8"), alone.points.view("f8,f8,f8")).all()
-    assert len(person_surface(images[0][0], rays, np.full((32, 3), np.nan), AZURE_KINECT).points) == 0
+    outside = (np.nan, (9.0, 0.0, 0.0), (0.0, 9.0, 0.0), (0.0, 0.0, -9.0))
+    for aside in outside:
+        assert len(person_surface(images[0][0], rays, at + aside, AZURE_KINECT).points) == 0
 
 
 @pytest.mark.parametrize("angle", [60.0, 90.0])

@@ -40,6 +40,40 @@ def with_commas(text):
     return text.replace(".", ",")
 
 
+@pytest.mark.parametrize("before", [True, False])
+@pytest.mark.parametrize("place", ["", "p", "position_", "Camera", "pos_"])
+@pytest.mark.parametrize("other", ["r", "euler_", "w", "dir.", "angle_", ("x", "y")])
+def test_columns_beside_a_place_are_not_taken_for_it(good, tmp_path, before, place, other):
+    """Angles, axes and directions; x and y alone are pixels."""
+    header, *rows = good.read_text().splitlines()
+    names, of_place = header.split(","), [f"{place}{axis}" for axis in "xyz"]
+    more = list(other) if isinstance(other, tuple) else [f"{other}{axis}" for axis in "xyz"]
+    if set(more) & set(of_place):
+        pytest.skip("a column twice")
+    lines = []
+    for k, row in enumerate([",".join(names), *rows]):
+        cells = row.split(",")
+        given = of_place if k == 0 else cells[3:6]
+        values = more if k == 0 else ["77.5"] * len(more)
+        middle = values + given if before else given + values
+        lines.append(",".join(cells[:3] + middle + cells[6:]))
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines) + "\n")
+    with SkeletonRecording(path) as read, SkeletonRecording(good) as wanted:
+        for one, other_frame in zip(read.frames(), wanted.frames(), strict=True):
+            ((_, a),), ((_, b),) = one.people.items(), other_frame.people.items()
+            np.testing.assert_array_equal(a.positions, b.positions)
+
+
+def test_two_places_that_may_be_the_joints_are_named(good, tmp_path):
+    header, *rows = good.read_text().splitlines()
+    names = header.replace("x,y,z", "local_x,local_y,local_z,eye_x,eye_y,eye_z")
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([names, *(",".join([*c[:6], *c[3:]]) for c in (r.split(",") for r in rows))]))
+    with pytest.raises(DeviceError, match="may be local_x or eye_x; name its columns x, y and z"):
+        read_two(RecordingChoice(path), RecordingChoice(good))
+
+
 REFUSED = {
     "empty": (lambda _: "", "is empty"),
     "blank": (lambda _: "\n \n", "is empty"),

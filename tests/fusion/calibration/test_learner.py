@@ -1,5 +1,7 @@
 """The calibration learner: refinements, bones, and that the calibration does not get worse."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numba.core import event
@@ -221,18 +223,38 @@ def test_a_walk_makes_a_right_calibration_certain_though_no_fit_of_half_of_it_is
     assert found.a_from_b.angle_to(A_FROM_B) < 2.5 * found.registration.rotation_sd
 
 
+def test_depth_errors_that_a_calibration_knows_are_no_wrong_placement():
+    """A fit of joints puts them into t."""
+    far, known = np.array((0.03, 0.03)), Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "by surfaces")
+    found = []
+    for errors in (np.zeros(2), far):
+        recent = RecentPlacement(BODY)
+        for pair in walk(120):
+            views = (
+                Skeleton.of(
+                    BODY, at * (1.0 + by / np.linalg.norm(at, axis=1, keepdims=True)), None, pair.time_ns
+                )
+                for at, by in zip((pair.a.positions, pair.b.positions), far, strict=True)
+            )
+            recent.add(SkeletonPair(*views, pair.time_ns))
+        found.append(recent.off(replace(known, depth_errors=errors)).shift)
+    assert found[0] > 0.02
+    assert found[1] < 0.005
+
+
 def test_the_placement_of_the_last_seconds_is_found_with_one_fit_per_pair(monkeypatch):
     fits, most = [], 0
     for name in ("fit_robust", "with_frontal_sd"):
         fit = getattr(comparison, name)
         monkeypatch.setattr(comparison, name, lambda *of, _fit=fit: (fits.append(1), _fit(*of))[1])
     recent, at_once = RecentPlacement(BODY, in_steps=True), RecentPlacement(BODY)
+    off_by = Calibration(BODY, OFF, BODY.nominal_lengths, "off")
     for pair in walk(120):
         recent.add(pair)
         at_once.add(pair)
         before = len(fits)
-        off = recent.off(OFF)
+        off = recent.off(off_by)
         most = max(most, len(fits) - before)
     assert most == 1
     np.testing.assert_allclose(off.turn, A_FROM_B.angle_to(OFF), atol=np.radians(0.5))
-    np.testing.assert_allclose(at_once.off(OFF).turn, off.turn, atol=np.radians(0.5))
+    np.testing.assert_allclose(at_once.off(off_by).turn, off.turn, atol=np.radians(0.5))

@@ -9,16 +9,19 @@ from scipy.spatial.transform import Rotation
 
 from devices.simulated.rig import Rig
 from fusion.body import AZURE_KINECT
+from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import learn_from_recording
 from fusion.calibration.surface_fit import (
     SharedSurface,
     Surface,
     depth_errors,
     fit_surface,
+    with_surface,
     without_depth_errors,
 )
 from fusion.registration.keyframes import Evidence
 from fusion.registration.lasting_errors import common_variance
+from fusion.registration.rigid_fit import Registration
 from fusion.registration.robust_fit import RobustFit
 from fusion.rigid import RigidTransform, rotation_of
 from tests.helpers.laws import COSTLY, pairs_at
@@ -171,6 +174,23 @@ def test_depth_errors_of_the_views_are_found_and_taken_away(seed, angle, of_a, o
     np.testing.assert_allclose(found, (of_a, of_b), atol=0.005)
     without = without_depth_errors(evidence, np.array((of_a, of_b)))
     np.testing.assert_allclose(without.a, truth.apply(without.b), atol=1e-9)
+
+
+def test_a_start_up_pose_of_a_short_recording_is_still_what_the_calibration_rests_on():
+    """Two keyframes alone would be "calibrated on 2 frames"."""
+    (shared, truth), of = scene(3, 80.0), np.full(32, np.nan)
+    joints, _ = joints_of(truth, 3)
+    sd = joints.rotation_sd, 61, AZURE_KINECT, joints.translation_sd, joints.centre
+    pose = Registration(joints.a_from_b, 0.02, 0.02, of, *sd)
+    fitted = Calibration(AZURE_KINECT, joints.a_from_b, AZURE_KINECT.nominal_lengths, "start-up pose", pose)
+    at = joints.centre + np.random.default_rng(3).normal(0.0, 0.4, (2, 32, 3))
+    evidence = Evidence(at, truth.inverse().apply(at), np.ones((2, 32)), np.ones((2, 3)), np.arange(2))
+    found = with_surface(AZURE_KINECT, evidence, fitted, None, shared)
+    assert found.how.startswith("start-up pose, of the surface in 5 moments")
+    assert found.registration.frames == 61
+    assert found.a_from_b.angle_to(truth) < 0.5 * joints.a_from_b.angle_to(truth)
+    by_joints = found.by_joints(joints.a_from_b, "refined", pose)
+    assert not by_joints.depth_errors.any(), "a fit of joints contains them"
 
 
 def test_a_recording_without_images_has_the_same_bits():
