@@ -2,6 +2,8 @@
 
 import itertools
 import threading
+import time
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
 
@@ -368,6 +370,45 @@ def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(networks
     assert told == [40 * MS] * 79, "an image took one tick; a frame without one is not tracked"
     assert pace.choice.slowest_s == pytest.approx(0.040)
     assert used == ["lite"], "once"
+
+
+class Endless(Source):
+    """A sensor that gives images until it is interrupted; it notes when that ends and when it closes."""
+
+    def __init__(self):
+        super().__init__(())
+        self.stopping, self.log = threading.Event(), []
+
+    def frames(self):
+        image = np.ones((288, 320), np.uint16)
+        while not self.stopping.wait(0.001):
+            yield SensorFrame(time.perf_counter_ns(), depth=image, ir=image)
+        self.log.append("frames ended")
+
+    def interrupt(self):
+        self.stopping.set()
+
+    def __exit__(self, *_):
+        self.log.append("closed")
+
+
+@pytest.mark.parametrize("fails", [True, False])
+def test_a_sensor_closes_after_its_images_ended(networks, monkeypatch, fails):
+    """Though the tracker fails, or nobody closes the frames; an SDK may crash."""
+    source = Endless()
+    tracked = TrackedImages(source, networks, pace=TrackingPace(30.0, networks))
+
+    def track(*_):
+        if fails:
+            raise RuntimeError("the network is broken")
+        return {}
+
+    monkeypatch.setattr(tracked.tracker, "track", track)
+    monkeypatch.setattr(tracked.tracker, "__enter__", lambda: None)
+    with pytest.raises(RuntimeError, match="broken") if fails else nullcontext(), tracked:
+        frames = tracked.frames()
+        next(frames)
+    assert source.log == ["frames ended", "closed"]
 
 
 def test_a_damaged_lighter_network_does_not_end_the_session(tmp_path):
