@@ -62,8 +62,8 @@ _TOPICS: tuple[tuple[str, str, str, str], ...] = (
         "These are documented for reading. Do not import them: their modules may change.",
         "",
         "recordings.data.session_data.ViewsAgree devices.findings.finding.Finding "
-        "recordings.quality.per_second.Span recordings.data.images.Images devices.events.Spell "
-        "devices.people.recorded_people.SeenPerson devices.frame_pairs.RecordedPairs "
+        "recordings.data.series.PersonSpan recordings.quality.per_second.Span recordings.data.images.Images "
+        "devices.events.Spell devices.people.recorded_people.SeenPerson devices.frame_pairs.RecordedPairs "
         "fusion.registration.rigid_fit.Registration",
     ),
 )

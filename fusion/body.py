@@ -27,6 +27,9 @@ _REST_DIRECTIONS = {
 }
 
 
+ADULT_HEIGHT = 1.75  # metres
+
+
 @dataclass(frozen=True, eq=False)
 class Body(ReadOnlyArrays):
     """The joints of one body tracker and the bones between them.
@@ -38,8 +41,8 @@ class Body(ReadOnlyArrays):
         bones: (J,) name of the bone that ends in the joint; empty for the root.
         torso: Joints of the main body, whose centre carries t from frame to frame (sec. 4).
         rest: (J, 3) unit direction parent → joint at rest, facing the sensor; zero for the root.
-        nominal_lengths: (J,) metres, the bones of an adult 1.75 m tall, for bones that were never seen; zero
-            for the root.
+        nominal_lengths: (J,) metres, the bones of an adult of ADULT_HEIGHT, for bones that were never seen;
+            zero for the root.
     """
 
     name: str

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property
+from itertools import groupby
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from devices.events import Spell, spells_of
 from devices.frame_pairs import FramePair, RecordedPairs
+from fusion.body import ADULT_HEIGHT
 from fusion.calibration.calibration import Calibration
 from fusion.facing.evidence import upright_direction
 from fusion.movement.angles import ANGLES, angle_sigma, joint_angles
@@ -20,7 +22,7 @@ from fusion.pair_arrays import Pairs, View
 from fusion.support.read_only import read_only
 from recordings.data import layout
 from recordings.data.interpolation import nanoseconds, positions_at, sigma_at
-from recordings.data.series import AngleSeries, QualitySeries, RotationSeries, SkeletonSeries
+from recordings.data.series import AngleSeries, PersonSpan, QualitySeries, RotationSeries, SkeletonSeries
 from recordings.data.session_data import SessionData
 
 if TYPE_CHECKING:  # what one reads who opens a session is this module; the rest is imported when asked for
@@ -184,6 +186,18 @@ class SessionSeries(SessionData):
     def bone_lengths(self) -> NDArray[np.float64]:
         """(T, J) target lengths of the bones of S*, metres, indexed by the child joint; 0 at the root."""
         return self.rows.bone_lengths
+
+    @cached_property
+    def people(self) -> tuple[PersonSpan, ...]:
+        """Whose bones S* has, and when. People of one size are one person."""
+        spans, bones = [], self.body.bone_joints
+        for person, of in groupby(self.setups(), key=lambda each: each[0].calibration.person):
+            setups, frames = zip(*of, strict=True)
+            first, end, lengths = frames[0].start, frames[-1].stop, setups[-1].calibration.bone_lengths
+            height = ADULT_HEIGHT * float(np.median(lengths[bones] / self.body.nominal_lengths[bones]))
+            seconds = float(self.time[first]), float(self.time[end - 1])
+            spans.append(PersonSpan(person, first, end, seconds, height, lengths))
+        return tuple(spans)
 
     @property
     def rotation(self) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ import warnings
 import numpy as np
 
 from devices.skeletons.stated_format import MATRICES, SIGNED
-from fusion.body import Body
+from fusion.body import ADULT_HEIGHT, Body
 from fusion.support.types import Array
 
 _HANDED = np.rint(np.linalg.det(MATRICES))
@@ -34,7 +34,6 @@ _FLAT, _STILL, _BELOW = 0.35, 0.5, (0.25, 0.1)  # statures; of who lies, the las
 _ALL, _NOTHING = 0.95, 0.0005  # of the frames; statures: rounding to millimetres, and no sway of who stands
 _LEAST = -12.0  # log likelihood of what cannot be
 _FEWEST_BONES = 3
-_ADULT = 1.75  # metres, of Body.nominal_lengths
 _LARGEST = 1e9  # in any unit; a larger number is an error
 _PARTS = re.findall(r"\w+", "shoulder hip knee ankle foot elbow wrist thumb head eye ear nose")
 _UP = (
@@ -152,7 +151,7 @@ def stature_of(body: Body, positions: Array) -> float | None:
     ratio = np.nanmedian(length[:, seen], axis=0) / nominal
     order = np.argsort(ratio)
     middle = np.searchsorted(np.cumsum(nominal[order]), 0.5 * nominal.sum())
-    return _ADULT * float(ratio[order[middle]])
+    return ADULT_HEIGHT * float(ratio[order[middle]])
 
 
 def _both(body: Body, at: Array, part: str) -> Array:

@@ -45,6 +45,7 @@ class Calibration(ReadOnlyArrays):
         provisional: Whether it only serves until the start-up pose. It then has no data, or a few frames of
             any pose.
         depth_errors: (2,) metres, by how much A and B show joints too far away; ``duplex`` subtracts them.
+        person: Whose bones they are: 0 who was calibrated, then 1, 2, … of those who came later.
     """
 
     body: Body
@@ -54,6 +55,7 @@ class Calibration(ReadOnlyArrays):
     registration: Registration | None = None
     provisional: bool = False
     depth_errors: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    person: int = 0
 
     def by_joints(self, a_from_b: RigidTransform, how: str, registration: Registration) -> Calibration:
         """The calibration with R and t of a fit of joints, which contain the views' depth errors."""

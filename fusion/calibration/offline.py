@@ -365,6 +365,6 @@ def _with_bones(
                     bones = robust_bone_lengths(body, evidence, calibration.a_from_b, bones)
         lengths[person] = bones
     return [
-        CalibrationSpan(begin_ns, replace(calibration, bone_lengths=lengths[person]))
+        CalibrationSpan(begin_ns, replace(calibration, bone_lengths=lengths[person], person=person))
         for begin_ns, calibration, person in pieces
     ]

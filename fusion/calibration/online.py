@@ -96,6 +96,7 @@ class CalibrationLearner:
     def _meet(self, calibration: Calibration) -> None:
         """Begins with the person of a calibration."""
         self._size, self._bones = PersonSize(), [_Bones(calibration.bone_lengths)]
+        self._first_person = calibration.person
 
     @property
     def person(self) -> int:
@@ -239,7 +240,8 @@ class CalibrationLearner:
             return []
         if size.present == len(self._bones):
             self._bones.append(_Bones(self._bones[0].first * np.exp(size.people[-1])))
-        self.calibration = replace(self.calibration, bone_lengths=self._bones[size.present].lengths)
+        lengths, person = self._bones[size.present].lengths, self._first_person + size.present
+        self.calibration = replace(self.calibration, bone_lengths=lengths, person=person)
         event = person_event(size.people[size.present] - size.people[before])
         return [CalibrationChange("person", event, pair.time_ns, self.calibration, size.since_ns)]
 

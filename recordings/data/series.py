@@ -101,6 +101,26 @@ class AngleSeries(_Series, dict[str, NDArray[np.float64]]):
     clear = pop = popitem = setdefault = update = _refused
 
 
+@dataclass(frozen=True, eq=False)
+class PersonSpan(ReadOnlyArrays):
+    """Some frames in a row in which S* has the bones of one person.
+
+    Attributes:
+        person: The number of the person; who returns has the one of before.
+        first, end: The frames, `end` exclusive.
+        seconds: Times of the first and the last of them since the first frame.
+        height: Metres, from the bones: that of an adult times the median ratio of the lengths.
+        bone_lengths: (J,) metres, as they are in the last of these frames.
+    """
+
+    person: int
+    first: int
+    end: int
+    seconds: tuple[float, float]
+    height: float
+    bone_lengths: NDArray[np.float64]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class RotationSeries(_Series, Mapping[str, "Rotation"]):
     """Rotations of the bones of S* over T frames, in K_A's frame; see :mod:`fusion.movement.joint_rotations`.

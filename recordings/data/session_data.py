@@ -173,7 +173,7 @@ class SessionData:
         return round(1e3 * (self.recorded.timestamp() + later)) * 1_000_000
 
     @property
-    def people(self) -> tuple[SeenPerson, ...]:
+    def seen_people(self) -> tuple[SeenPerson, ...]:
         """Those whom the recordings show, the one followed first; empty if they show one person."""
         told = json.loads(self.about["session"].get("people", ["[]"])[0])
         return tuple(SeenPerson(tuple(each["ids"]), tuple(each["seconds"])) for each in told)

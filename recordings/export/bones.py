@@ -13,7 +13,6 @@ import numpy as np
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
-from fusion.calibration.person_size import ANOTHER
 from fusion.support.types import Array
 from recordings.errors import RecordingError
 from recordings.export import Writer
@@ -58,30 +57,22 @@ def other_lengths(session: SessionSeries) -> tuple[int, float]:
 
 
 def check_one_person(session: SessionSeries) -> None:
-    """Raises RecordingError where calibrations are of people of two sizes.
+    """Raises RecordingError where S* has the bones of two people.
 
-    One that holds for less than three seconds is of nobody: so long it takes at most to recognize that a
+    One who is there for less than three seconds is nobody: so long it takes at most to recognize that a
     calibration from a file is not of the person present.
     """
-    people: list[tuple[int, Array]] = []  # since when, and the logarithms of their lengths
-    for first, one in session.calibrations:
-        size = np.log(one.bone_lengths[session.body.bone_joints])
-        if not one.provisional and (not people or _is_another(size, people[-1][1])):
-            people.append((first, size))
-    ends = [*(session.time[first] for first, _ in people[1:]), math.inf]
-    lasting = [
-        each for each, end in zip(people, ends, strict=False) if end - session.time[each[0]] >= _KNOWN_S
-    ]
-    for first, size in lasting[1:]:
-        if _is_another(size, lasting[0][1]):
+    known, people = session.first_calibrated_frame or 0, session.people
+    ends = [*(each.seconds[0] for each in people[1:]), math.inf]
+    begins = [session.time[max(each.first, known)] for each in people]
+    times = zip(people, begins, ends, strict=True)
+    lasting = [each for each, begin, end in times if end - begin >= _KNOWN_S]
+    for each in lasting[1:]:
+        if each.person != lasting[0].person:
             raise RecordingError(
-                f"{session} shows another person from {session.time[first]:.1f} s on, and this format has "
+                f"{session} shows another person from {each.seconds[0]:.1f} s on, and this format has "
                 "one skeleton. Export the parts that `duplex trim` makes, or a table."
             )
-
-
-def _is_another(size: Array, other: Array) -> bool:
-    return abs(float(np.median(size - other))) > ANOTHER
 
 
 def lasting(session: SessionSeries) -> Callable[[Array], Array]:

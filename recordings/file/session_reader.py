@@ -140,7 +140,8 @@ def _calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, 
         how = str(of["how"][0])
         provisional = of.get("provisional", [how.startswith(_PROVISIONAL)])[0]
         errors = np.array(of.get("depth_errors", (0.0, 0.0)))
-        at[frame] = Calibration(body, a_from_b, lengths, how, registration, bool(provisional), errors)
+        person = int(of.get("person", [0])[0])
+        at[frame] = Calibration(body, a_from_b, lengths, how, registration, bool(provisional), errors, person)
     if 0 not in at:
         raise RecordingError(
             f"{path}: its calibration is missing" + (f"; {found.damage}." if found.damage else ".")

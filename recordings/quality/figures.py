@@ -44,7 +44,7 @@ def report(session: SessionData) -> Figures:
             "dropped": dict(zip("ab", session.dropped, strict=True)),
             "clock": session.clock,
             "others_seen": session.about["session"].get("others_seen", [0.0])[0],
-            "people": [asdict(person) for person in session.people],
+            "people": [asdict(person) for person in session.seen_people],
             **fusion_figures(session.last_setup, session.rows, session.first_compared_frame),
         }
     )

@@ -484,17 +484,17 @@ def test_a_bvh_has_an_order_of_axes_in_which_a_bone_turns_steadily():
     assert np.degrees((between.inv() * half).magnitude()).max() < 1.0  # of Z, X, Y: 2.3°
 
 
-def grown(path, factor, frame=12):
+def grown(path, factor, frame=12, person=0):
     """A session whose bones are longer from a frame on; another view is moved 8 frames later."""
     first = calibration_of(KINECT_V2)
-    other = replace(first, bone_lengths=first.bone_lengths * factor)
+    other = replace(first, bone_lengths=first.bone_lengths * factor, person=person)
     moved = replace(other, a_from_b=RigidTransform.of(first.a_from_b.rotation, [2.3, 0.1, 2.6]))
     parts = [(0, first), (frame, other), (frame + 8, moved)]
     return record_recalibrated(path, frame_pairs(KINECT_V2, frame + 18), parts)
 
 
 def test_a_file_with_a_skeleton_holds_one_person(tmp_path):
-    session = grown(tmp_path / "s.rrd", 1.1, 100)
+    session = grown(tmp_path / "s.rrd", 1.1, 100, 1)
     for suffix in (".bvh", ".mot", ".trc"):
         with pytest.raises(RecordingError, match=r"shows another person from 3\.3 s on.*duplex trim"):
             session.export(tmp_path / f"s{suffix}")
@@ -504,7 +504,7 @@ def test_a_file_with_a_skeleton_holds_one_person(tmp_path):
 
 def test_who_is_not_the_person_of_a_loaded_calibration_is_one_person(tmp_path):
     """Their own bones are in force as soon as they are recognized."""
-    session = grown(tmp_path / "s.rrd", 1.1, 66)
+    session = grown(tmp_path / "s.rrd", 1.1, 66, 1)
     assert "bones of 66 recorded frames" in session.export(tmp_path / "s.bvh")
 
 

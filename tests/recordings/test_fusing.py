@@ -298,13 +298,13 @@ def test_the_others_are_those_of_the_files(fused):
 def test_people_and_the_time_of_the_others_are_told(fused, tmp_path):
     session, _ = fused
     share = (END - FIRST) / FRAMES
-    assert [person.ids for person in session.people] == [("0", "0"), ("1", "1")]
+    assert [person.ids for person in session.seen_people] == [("0", "0"), ("1", "1")]
     assert report(session)["others_seen"] == pytest.approx(share)
     lines = {line.label: line.text for line in lead_lines(report(session))}
     assert "others seen in 42 %" in lines["Frames"]
     part = tmp_path / "part.rrd"
     write_session(session.part(range(10, FRAMES)), part)
-    assert Session.open(part).people == session.people  # those of the recordings
+    assert Session.open(part).seen_people == session.seen_people  # those of the recordings
     assert report(Session.open(part))["others_seen"] == 0.0  # nobody counted
 
 
@@ -322,7 +322,7 @@ def test_the_command_follows_the_one_seen_longest_or_in_the_middle(options, ids,
     paths, _ = two_files(tmp_path, aside=(-1.5, 0.0, 0.0))
     saved = tmp_path / "s.rrd"
     assert duplex("fuse", *paths, *options, "--no-viewer", "--force", "--save", saved) == 0
-    assert Session.open(saved).people[0].ids == (ids, ids)
+    assert Session.open(saved).seen_people[0].ids == (ids, ids)
 
 
 @pytest.mark.parametrize(("first", "end"), [(0, FRAMES), (10, 40), (30, FRAMES), (END, FRAMES), (50, FRAMES)])

@@ -22,6 +22,7 @@ from fusion.movement.humanoid import human_bones
 from fusion.movement.joint_rotations import rotations_of
 from recordings import RecordingError, Session, UnknownNameError, fuse
 from recordings.quality.figures import report
+from recordings.replaying import Replay
 from recordings.testing import SessionsDifferError, assert_session, assert_sessions_match, simulated_session
 from tests.helpers.recorded_pairs import write_recordings
 
@@ -176,6 +177,32 @@ def test_arrays_become_a_session():
     ):
         with pytest.raises(RecordingError, match=said):
             Session.of_arrays(*wrong)
+
+
+def test_people_are_those_whose_bones_s_star_has(session, tmp_path):
+    """Somebody of 0.7 times the size is there from the middle on, after a pause of two seconds.
+
+    Sizes are looked at every 0.1 s: three frames.
+    """
+    views, half = [session.skeleton_a.positions, session.skeleton_b.positions], len(session) // 2
+    of_two = []
+    for at in views:
+        root = at[half:, session.body.root, None]
+        nobody = np.full_like(at[half - 60 : half], np.nan)
+        of_two.append(np.concatenate((at[: half - 60], nobody, root + 0.7 * (at[half:] - root))))
+    made = Session.of_arrays(session.body, session.time, *of_two)
+    made.save(tmp_path / "s.rrd")
+    again = Replay.of(Session.open(tmp_path / "s.rrd")).fused()
+    for each in (made, again, again.part(slice(half // 2, None))):
+        one, other = each.people
+        assert (one.person, one.first, one.end, other.person, other.end) == (0, 0, other.first, 1, len(each))
+        assert abs(other.first - (half - len(made) + len(each))) <= 3
+        assert other.height / one.height == pytest.approx(0.7, abs=0.02)
+        np.testing.assert_array_equal(each.bone_lengths[-1], other.bone_lengths)
+    (alone,) = made.part(slice(-5, None)).people
+    np.testing.assert_array_equal(alone.bone_lengths, other.bone_lengths)
+    (one,) = session.people
+    assert one.seconds == (0.0, session.time[-1])
 
 
 # Laws

@@ -216,6 +216,8 @@ def _of_session(session: Session, path: Path) -> Rows:
         yield "body tracker", session.tracker
     rate = f"the faster sensor gives {session.frame_rate:.3g} per second"
     yield "frames", f"{len(session)} in {seconds:.2f} s; {rate}"
+    if len(people := session.people) > 1:
+        yield "people", ", ".join(f"{of.height:.2f} m from {of.seconds[0]:.1f} s" for of in people)
     yield "without S*", int(rows.predicted.all(axis=1).sum())
     yield "settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items())
     for k, line in enumerate(session.verdict.sentences):

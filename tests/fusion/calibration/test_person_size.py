@@ -51,6 +51,7 @@ def test_another_persons_bones_are_theirs_after_3_s(scale, away_s, kept, before_
     event = next(change for change in changes if change.kind == "person")
     assert event.since_ns == second[0].time_ns or away_s <= 1.0
     assert ("smaller" if scale < 1.0 else "larger") in event.event
+    assert learner.calibration.person == START.person + 1
 
 
 @given(scales, st.floats(2.0, 60.0))
@@ -61,6 +62,7 @@ def test_who_comes_back_has_the_bones_of_before(scale, away_s):
     learner, changes = learned(pairs)
     assert [change.kind for change in changes].count("person") == 2
     assert learner.calibration.bone_lengths is START.bone_lengths
+    assert learner.calibration.person == START.person
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.035), st.floats(0.3, 1.0), st.floats(-0.02, 0.02))
@@ -99,6 +101,7 @@ def test_a_recording_has_the_bones_of_each_person(scale, before_s, after_s):
     ] == [1.0, 1.0]
     assert found.spans[0].calibration.bone_lengths is START.bone_lengths
     assert [change.kind for change in found.events] == ["person"]
+    assert [span.calibration.person for span in found.spans] == [0, 1]
 
 
 def test_one_person_is_one_span_whatever_the_calibration_was():

@@ -73,7 +73,7 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         disagreement_plot=_disagreement_plot(session),
         timing_plots=_timing_plots(session),
         people_head=("", "seen by A", "seen by B", "follow with"),
-        people=[_seen(person, followed=not k) for k, person in enumerate(session.people)],
+        people=[_seen(person, followed=not k) for k, person in enumerate(session.seen_people)],
         events=[
             {
                 "number": each.number,
