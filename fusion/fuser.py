@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from fusion.compiling.kernels import WarmUp
 from fusion.errors import FusionError
 from fusion.estimator.constants import Constants
@@ -12,9 +14,10 @@ from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.facing.labels import Labels
 from fusion.fused_frame import FusedFrame as FusedFrame
 from fusion.fused_frame import FusedFrames
-from fusion.pair_arrays import Pairs, PairStacker
+from fusion.pair_arrays import PairArrays, Pairs, PairStacker
 from fusion.setup import FusionSetup, Method
 from fusion.skeleton import SkeletonPair
+from fusion.support.read_only import read_only
 
 if TYPE_CHECKING:
     from fusion.paper.paper_fusion import PaperFusion
@@ -86,7 +89,7 @@ class Fuser:
         Raises:
             BodyError: A skeleton is of another body.
         """
-        return self._fusion.run(self._stacker.of_pair(pair, labels))[0]
+        return self._fusion.run(self._placed(self._stacker.of_pair(pair, labels)))[0]
 
     def fuse_sequence(self, pairs: Sequence[SkeletonPair], labels: Labels | None = None) -> FusedFrames:
         """Fuses the next pairs in one compiled loop, with the same bits as :meth:`update` pair by pair.
@@ -95,7 +98,7 @@ class Fuser:
             pairs: In time order.
             labels: Of each pair; found pair by pair if None.
         """
-        return self._fusion.run(Pairs.of(self.setup.body, pairs).arrays(labels))
+        return self._fusion.run(self._placed(Pairs.of(self.setup.body, pairs).arrays(labels)))
 
     def smooth_sequence(self, pairs: Sequence[SkeletonPair], labels: Labels | None = None) -> FusedFrames:
         """Fuses a whole recording, using the pairs before and after each pair: smoother, without lag.
@@ -110,4 +113,12 @@ class Fuser:
             raise FusionError(
                 f"Only the method duplex can smooth a recording; this is {self.setup.settings.method}."
             )
-        return self._fusion.run(Pairs.of(self.setup.body, pairs).arrays(labels), smooth=True)
+        return self._fusion.run(self._placed(Pairs.of(self.setup.body, pairs).arrays(labels)), smooth=True)
+
+    def _placed(self, pairs: PairArrays) -> PairArrays:
+        """The pairs; without B while its place is unknown."""
+        if self.setup.calibration.placed:
+            return pairs
+        b, witness = (np.full_like(of, np.nan) for of in (pairs.b, pairs.witness_b))
+        unseen = np.zeros_like(pairs.states_b)
+        return pairs._replace(b=read_only(b), states_b=read_only(unseen), witness_b=witness)

@@ -46,6 +46,7 @@ class Calibration(ReadOnlyArrays):
             any pose.
         depth_errors: (2,) metres, by how much A and B show joints too far away; ``duplex`` subtracts them.
         person: Whose bones they are: 0 who was calibrated, then 1, 2, … of those who came later.
+        placed: Whether the place of B is known, however roughly; where it is not, S* is of A alone.
     """
 
     body: Body
@@ -56,10 +57,11 @@ class Calibration(ReadOnlyArrays):
     provisional: bool = False
     depth_errors: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
     person: int = 0
+    placed: bool = True
 
     def by_joints(self, a_from_b: RigidTransform, how: str, registration: Registration) -> Calibration:
         """The calibration with R and t of a fit of joints, which contain the views' depth errors."""
-        found = replace(self, a_from_b=a_from_b, how=how, registration=registration)
+        found = replace(self, a_from_b=a_from_b, how=how, registration=registration, placed=True)
         return replace(found, depth_errors=np.zeros(2)) if self.depth_errors.any() else found
 
     @property
@@ -83,7 +85,8 @@ class Calibration(ReadOnlyArrays):
 def nominal_calibration(body: Body) -> Calibration:
     """A provisional calibration without data: K_B at K_A, an adult's proportions."""
     how = "none yet: an adult's proportions"
-    return Calibration(body, RigidTransform.identity(), body.nominal_lengths, how, provisional=True)
+    nowhere = RigidTransform.identity()
+    return Calibration(body, nowhere, body.nominal_lengths, how, provisional=True, placed=False)
 
 
 def calibrate(body: Body, pairs: Sequence[SkeletonPair], how: str, *, frontal: bool = False) -> Calibration:

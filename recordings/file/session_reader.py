@@ -141,7 +141,10 @@ def _calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, 
         provisional = of.get("provisional", [how.startswith(_PROVISIONAL)])[0]
         errors = np.array(of.get("depth_errors", (0.0, 0.0)))
         person = int(of.get("person", [0])[0])
-        at[frame] = Calibration(body, a_from_b, lengths, how, registration, bool(provisional), errors, person)
+        placed = bool(of.get("placed", [True])[0])  # sessions of earlier versions used B all the same
+        at[frame] = Calibration(
+            body, a_from_b, lengths, how, registration, bool(provisional), errors, person, placed
+        )
     if 0 not in at:
         raise RecordingError(
             f"{path}: its calibration is missing" + (f"; {found.damage}." if found.damage else ".")

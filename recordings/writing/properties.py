@@ -51,6 +51,7 @@ def calibration_values(calibration: Calibration) -> dict[str, Any]:
         "bone_lengths": calibration.bone_lengths,
         **({"depth_errors": calibration.depth_errors} if calibration.depth_errors.any() else {}),
         **({"person": calibration.person} if calibration.person else {}),
+        **({} if calibration.placed else {"placed": False}),
         "pairs": 0 if registration is None else registration.frames,
         **{name: getattr(registration, name, np.nan) for name in _RESIDUALS},
         "joint_residuals": getattr(registration, "joint_residuals", no_joint),

@@ -405,7 +405,7 @@ smoothings = st.sampled_from([0, 1, 0.25])
 values = st.one_of(st.integers(-9, 9), st.floats(-9.0, 9.0), st.booleans(), st.sampled_from(["P01", "3", ""]))
 
 
-def made(smoothing, integers, about, no_a, no_b, method="duplex", moved=None):
+def made(smoothing, integers, about, no_a, no_b, method="duplex", moved=None, placed=True):
     """A session in memory, with images, a spell, a warning and perhaps a second calibration."""
     camera = Intrinsics(*((64, 48, 50, 50, 32, 24) if integers else (64, 48, 50.5, 50.5, 31.5, 23.5)))
     settings = FuserSettings(method, smoothing=smoothing)
@@ -416,7 +416,7 @@ def made(smoothing, integers, about, no_a, no_b, method="duplex", moved=None):
         number = len(parts)
         calibration = replace(
             calibration_of(KINECT_V1),
-            bone_lengths=lengths, how=f"number {number}", person=number,
+            bone_lengths=lengths, how=f"number {number}", person=number, placed=placed or number > 0,
         )  # fmt: skip
         setup = FusionSetup(calibration, settings, camera, replace(camera, cx=camera.cx + 1))
         if fuser is None or method != "duplex":
@@ -446,7 +446,9 @@ class Model:
         rows = session.rows
         self.rows = {name: getattr(rows, name).copy() for name in _KEYS if getattr(rows, name) is not None}
         self.fused, self.time_ns = session.fused.copy(), session.time_ns.copy()
-        self.calibrations = [(first, (one.how, one.person)) for first, one in session.calibrations]
+        self.calibrations = [
+            (first, (one.how, one.person, one.placed)) for first, one in session.calibrations
+        ]
         self.images = {side: list(session.depth(side)) for side in layout.VIEWS}
         self.about = {name: session.about["session"].get(name) for name in _ABOUT}
         self.settings, self.cameras = session.settings, (session.intrinsics_a, session.intrinsics_b)
@@ -551,13 +553,16 @@ class Saving(RuleBasedStateMachine):
         smoothing=smoothings,
         method=methods,
         moved=st.none() | st.integers(1, _FRAMES - 1),
+        placed=st.booleans(),
         integers=st.booleans(),
         about=st.dictionaries(st.sampled_from(_ABOUT), values),
         no_a=st.sets(st.integers(2, _FRAMES - 1), max_size=4),
         no_b=st.sets(st.integers(2, _FRAMES - 1), max_size=4),
     )
-    def start(self, smoothing, method, moved, integers, about, no_a, no_b):
-        self.session = made(smoothing, integers, about, tuple(no_a - no_b), tuple(no_b), method, moved)
+    def start(self, smoothing, method, moved, placed, integers, about, no_a, no_b):
+        self.session = made(
+            smoothing, integers, about, tuple(no_a - no_b), tuple(no_b), method, moved, placed
+        )
         self.original, self.model = self.session, Model(self.session)
 
     @rule(
@@ -663,8 +668,10 @@ class Saving(RuleBasedStateMachine):
                 np.testing.assert_allclose(stored, values, rtol=1e-3 if name == "sigma" else 0.0)
         np.testing.assert_allclose(session.fused, of.fused, atol=2e-7)
         np.testing.assert_array_equal(session.time_ns, of.time_ns)
-        assert [(first, (one.how, one.person)) for first, one in session.calibrations] == of.calibrations
-        present = [next(p for n, (_, p) in of.calibrations[::-1] if n <= k) for k in range(len(session))]
+        assert [
+            (first, (one.how, one.person, one.placed)) for first, one in session.calibrations
+        ] == of.calibrations
+        present = [next(p for n, (_, p, _) in of.calibrations[::-1] if n <= k) for k in range(len(session))]
         assert [each.person for each in session.people for _ in range(each.first, each.end)] == present
         for each in session.people:
             np.testing.assert_array_equal(session.bone_lengths[each.end - 1], each.bone_lengths)

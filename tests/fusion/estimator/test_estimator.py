@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V2
@@ -236,12 +238,31 @@ def test_a_smoothed_recording_is_nearer_to_the_truth_and_has_exact_bones():
 
 
 def test_what_b_sees_alone_is_as_uncertain_as_its_place():
-    """Before a calibration, K_B is taken to be K_A; a calibration may be loaded without its deviation."""
+    """Earlier versions took K_B to be K_A before a calibration; one may be loaded without its deviation."""
     pairs = [replace(pair, a=None) for pair in recording(np.tile(standing(BODY), (10, 1, 1)))]
     sides = Labels.with_sides(np.zeros((len(pairs), 2)))
-    for calibration, least in ((nominal_calibration(BODY), 1.0), (calibration_of(BODY), 0.05)):
+    earlier = replace(nominal_calibration(BODY), placed=True)
+    for calibration, least in ((earlier, 1.0), (calibration_of(BODY), 0.05)):
         frame = fuser(calibration=calibration).fuse_sequence(pairs, sides)[-1]
         assert frame.sigma.min() > least
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=30))
+@pytest.mark.parametrize("method", ["duplex", "paper", "published"])
+def test_s_star_is_of_a_alone_while_the_place_of_b_is_unknown(method, seen):
+    pairs = [
+        replace(pair, a=pair.a if a else None, b=pair.b if b else None)
+        for pair, (a, b) in zip(recording(moving(BODY, len(seen))), seen, strict=True)
+    ]
+    alone = [replace(pair, b=None) for pair in pairs]
+    setup = FusionSetup(nominal_calibration(BODY), FuserSettings(method))
+    whole, of_a = (Fuser(setup).fuse_sequence(each) for each in (pairs, alone))
+    one_by_one = Fuser(setup)
+    for frame, expected, pair in zip(whole, of_a, pairs, strict=True):
+        np.testing.assert_array_equal(frame.positions, expected.positions)
+        np.testing.assert_array_equal(one_by_one.update(pair).positions, expected.positions)
+    if not any(a for a, _ in seen):
+        assert not any(frame.has_person for frame in whole)
 
 
 def test_the_reported_deviation_holds_the_truth():

@@ -92,6 +92,13 @@ def test_both_sensors_follow_one_person_once_they_know_each_others_place(known, 
         assert pair.skeletons.b is (None if b_follows is None else pair.b.people[b_follows])
 
 
+def test_b_alone_has_no_s_star_before_its_place_is_known():
+    pairs = frame_pairs(KINECT_V1, 20, no_a=range(10))
+    _, frames = run_live(KnownSensors(pairs), NOMINAL, Sink())
+    assert [frame.fused.has_person for frame in frames] == 10 * [False] + 10 * [True]
+    assert all(frame.pair.skeletons.b is not None for frame in frames)
+
+
 def test_latency_counts_from_the_images_that_arrived_first():
     """Its figures are milliseconds of the frames that have it."""
     arrived = ((100, 140), (300, 290), (None, 500), (None, None))
