@@ -351,6 +351,16 @@ def test_info_says_what_is_in_it_and_what_is_missing(session, tmp_path, capsys):
     assert "cut off" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("person", [0, 1])
+def test_info_says_from_when_several_people_are_there(person, tmp_path, capsys):
+    first = replace(calibration_of(KINECT_V2), bone_lengths=KINECT_V2.nominal_lengths)
+    other = replace(first, bone_lengths=0.8 * first.bone_lengths, person=person)
+    path = tmp_path / "s.rrd"
+    record_recalibrated(path, frame_pairs(KINECT_V2, 30), [(0, first), (12, other)])
+    assert duplex("info", path) == 0
+    assert ("1.75 m from 0.0 s, 1.40 m from 0.4 s" in capsys.readouterr().out) is bool(person)
+
+
 @pytest.mark.usefixtures("without_plots")
 @pytest.mark.parametrize("lost", [0, 5])
 def test_info_summary_and_page_say_what_is_lost_if_anything_is(session, lost, tmp_path, capsys, monkeypatch):
