@@ -165,7 +165,7 @@ class Session(SessionSeries):
 
         Args:
             path: Its ending chooses the format: ``.bvh``, ``.c3d``, ``.csv``, ``.glb``, ``.mcap``, ``.mot``,
-                ``.npz``, ``.parquet`` or ``.trc``.
+                ``.npz``, ``.parquet`` or ``.trc``. A name without one is a folder, for OpenSim.
             rate: Frames per second. None: that of the recording, or in a table the recorded times.
             table: Of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
             names: Of the bones in a ``.bvh`` or ``.glb``: see :func:`.export.writer_for`.
@@ -180,12 +180,10 @@ class Session(SessionSeries):
                 writes it is not installed.
             OutputError: The file could not be written completely. An existing file is then unchanged.
         """
-        from devices.output_file import whole_file
-        from recordings.export import writer_for
+        from recordings.export import export, writer_for
 
         write = writer_for(Path(path), table, rate, names, feet, sigma)
-        with whole_file(Path(path), overwrite=True) as hidden:
-            return write(self, hidden)
+        return export(self, Path(path), write, overwrite=True)
 
     @overload
     def compare_with(

@@ -91,6 +91,16 @@ def check_outputs(
         claim(path)
 
 
+def export_files(path: Path) -> list[Path]:
+    """The files that an export to a path writes, after :func:`make_folder` where they are in one."""
+    from recordings.export import files_of
+
+    files = files_of(path)
+    if path not in files:
+        make_folder(path)
+    return files
+
+
 @contextmanager
 def outputs_of_one_run() -> Iterator[None]:
     """Within the block, :func:`check_outputs` keeps other processes from writing the same files.

@@ -1,6 +1,7 @@
 """Exports S* for other programs: chosen by the file's suffix."""
 
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -14,8 +15,11 @@ Table = Literal["long", "wide"]
 Names = Literal["body", "humanoid", "mixamo", "ue5", "rigify"]
 Feet = Literal["planted", "free"]
 """Kept on the floor, see :mod:`recordings.planted_feet`, or as in S*."""
-Writer = Callable[[SessionSeries, Path], str]
-"""Writes a session to a file and returns a description of what was written."""
+Writer = Callable[..., str]
+"""Writes a session to the files of :func:`files_of`, and returns a description of what was written."""
+FILES = "fused.trc", "fused.mot", "markers.xml", "scale.xml", "inverse_kinematics.xml"
+"""Of a folder for OpenSim."""
+_FOLDER = "a folder"
 
 _MODULES = {  # with ``write_…``; imported when one is asked for
     ".bvh": "bvh",
@@ -27,6 +31,7 @@ _MODULES = {  # with ``write_…``; imported when one is asked for
     ".npz": "tables",
     ".parquet": "tables",
     ".trc": "markers",
+    _FOLDER: "opensim_setup",
 }
 _PACKAGES = {
     ".c3d": (("ezc3d",), "export"),
@@ -37,7 +42,7 @@ _PACKAGES = {
 _AS_RECORDED = ".csv", ".mcap", ".npz", ".parquet"
 """Formats with the bones of each frame; others have one skeleton."""
 _OPTIONS = {
-    "rate": (None, (".bvh", ".c3d", ".glb", ".mot", ".trc"), "keeps the recorded times"),
+    "rate": (None, (".bvh", ".c3d", ".glb", ".mot", ".trc", _FOLDER), "keeps the recorded times"),
     "names": ("body", (".bvh", ".glb"), "has the names of the joints"),
     "feet": ("planted", (".bvh", ".glb"), "has those of S*"),
     "table": ("long", (".csv", ".parquet"), "has one layout"),
@@ -54,7 +59,7 @@ def writer_for(
     feet: Feet = "planted",
     sigma: bool = False,
 ) -> Writer:
-    """Returns the writer for the suffix of a file.
+    """Returns the writer for the suffix of a file, or for a folder, whose name has none.
 
     Args:
         table: Layout of a ``.csv`` or ``.parquet``: one row per joint (``long``) or per frame (``wide``).
@@ -68,10 +73,10 @@ def writer_for(
         RecordingError: No format has this suffix, it needs a package that is not installed, or an option is
             given for one that has no use for it.
     """
-    suffix = path.suffix.lower()
+    suffix = path.suffix.lower() or _FOLDER
     if suffix not in _MODULES:
         raise RecordingError(
-            f"{path}: {path.suffix or 'no ending'} is no format to export to. Known: {', '.join(_MODULES)}."
+            f"{path}: {path.suffix} is no format to export to. Known: {', '.join(_MODULES)} (for OpenSim)."
         )
     options: dict[str, Any] = {}
     for name, given in zip(_OPTIONS, (rate, names, feet, table, sigma), strict=True):
@@ -79,7 +84,7 @@ def writer_for(
         if given != default:
             if suffix not in formats:
                 known = f"{', '.join(formats[:-1])} and {formats[-1]}"
-                raise RecordingError(f"`{name}` is for {known}; {path.suffix} {otherwise}.")
+                raise RecordingError(f"`{name}` is for {known}; {path.suffix or _FOLDER} {otherwise}.")
             options[name] = given
     if not 1.0 <= options.get("rate", 1.0) <= 1000.0:
         raise RecordingError(f"`rate` is {rate:g}; a rate is 1 to 1000 frames per second.")
@@ -88,10 +93,32 @@ def writer_for(
     if feet not in get_args(Feet):
         raise UnknownNameError("way of feet", feet, get_args(Feet))
     check_packages(suffix)
-    writer = getattr(import_module(f"recordings.export.{_MODULES[suffix]}"), f"write_{suffix[1:]}")
+    name = f"write_{suffix.split()[-1].strip('.')}"
+    writer = getattr(import_module(f"recordings.export.{_MODULES[suffix]}"), name)
     from recordings.export.bones import written
 
     return partial(written, partial(writer, **options), suffix not in _AS_RECORDED)
+
+
+def files_of(path: Path) -> list[Path]:
+    """The files that an export to a path writes: this one, or those in a folder."""
+    return [path] if path.suffix else [path / name for name in FILES]
+
+
+def export(session: SessionSeries, path: Path, write: Writer, overwrite: bool) -> str:
+    """Writes the files of :func:`files_of`, none if the writer fails, and returns its description.
+
+    Raises:
+        OutputError: They could not be written, or one exists and `overwrite` is not set.
+    """
+    from devices.output_file import whole_file
+
+    files = files_of(path)
+    if path not in files:
+        with suppress(OSError):  # whole_file says why there is no folder
+            path.mkdir()
+    with ExitStack() as whole:
+        return write(session, *[whole.enter_context(whole_file(file, overwrite=overwrite)) for file in files])
 
 
 def check_packages(suffix: str) -> None:

@@ -22,15 +22,15 @@ _KNOWN_S = 3.0  # so long it takes at most to recognize somebody
 _SAME_M = 1e-4  # metres: differences by rounding, added up along the bones
 
 
-def written(writer: Writer, one_skeleton: bool, session: SessionSeries, path: Path) -> str:
-    """Writes a file, and says which of its bones are not those of S*, or change.
+def written(writer: Writer, one_skeleton: bool, session: SessionSeries, *paths: Path) -> str:
+    """Writes files, and says which of its bones are not those of S*, or change.
 
     Raises:
         RecordingError: It has one skeleton, and there are two people.
     """
     if one_skeleton:
         check_one_person(session)
-    said = writer(session, path)
+    said = writer(session, *paths)
     others, error = other_lengths(session)
     if not others:
         return said

@@ -12,7 +12,6 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from devices.output_file import whole_file
 from devices.recorded.files import not_of_libk4a
 from devices.recorded.two_recordings import RecordingChoice, TwoRecordings
 from fusion.body import Body
@@ -20,7 +19,7 @@ from fusion.calibration.calibration import Calibration, calibrate
 from fusion.pair_arrays import Pairs
 from fusion.setup import FuserSettings
 from recordings.calibration_file import calibration_to_json, read_calibration
-from recordings.export import writer_for
+from recordings.export import export, writer_for
 from recordings.fusing.files import fuse_read, read_for, recording_warm_ups
 from recordings.quality.figures import Figures, report
 from recordings.session import Session
@@ -28,7 +27,7 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sensing import FuseOptions, recording_settings
 from viewer_app.options.shared import calibration_source
 from viewer_app.output_console import output_console
-from viewer_app.output_files import check_outputs, write_text
+from viewer_app.output_files import check_outputs, export_files, write_text
 from viewer_app.report import save_session_report
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.compilation import warm_up
@@ -48,8 +47,10 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
         if not any(choice.is_tracked for choice in _choices(options)):
             _read(options, FuserSettings(), console)  # a file that cannot be read is the greater fault
         raise
-    outputs = (options.report, options.save_calibration, options.to)
-    export = None if options.to is None else writer_for(options.to)
+    outputs: list[Path | None] = [options.report, options.save_calibration]
+    writer = None if options.to is None else writer_for(options.to)
+    if options.to is not None:
+        outputs += export_files(options.to)
     check_outputs(outputs, [*_recordings(options), Path(options.calibrate)], options.force, options.save)
     settings = recording_settings(options)
     read = _read(options, settings, console)
@@ -75,9 +76,8 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
         about = "These figures are of the whole recordings, of which this session has the good seconds."
 
     def export_it() -> None:
-        if options.to is not None and export is not None:
-            with whole_file(options.to, overwrite=options.force) as hidden:
-                written = export(kept, hidden)
+        if options.to is not None and writer is not None:
+            written = export(kept, options.to, writer, options.force)
             console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)
 
     hub, window = viewing.hub, isinstance(viewing, FileWindow)

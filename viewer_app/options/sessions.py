@@ -140,19 +140,19 @@ class ReviewOptions(WebOptions, SummaryOptions):
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(GoodOptions):
     """Write S* for another program. The file's ending chooses the format: .bvh, .c3d, .csv, .glb, .mcap (ROS
-    2), .mot, .npz, .parquet or .trc."""
+    2), .mot, .npz, .parquet or .trc. A name without one is a folder for OpenSim, with set-ups."""
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to export."""
     to: Path
-    """The file to write."""
+    """The file to write, or the folder."""
     table: Literal["long", "wide"] = "long"
     """Layout of a .csv or .parquet: one row per joint and skeleton, or one row per frame with S* and its
     angles."""
     sigma: bool = False
     """Add one standard deviation of each value of S* to a .csv or .parquet."""
     rate: float | None = None
-    """Frames per second of a .bvh, .c3d, .glb, .mot or .trc. If not given, that of the recording."""
+    """Frames per second of a .bvh, .c3d, .glb, .mot, .trc or folder. If not given, that of the recording."""
     names: Literal["body", "humanoid", "mixamo", "ue5", "rigify"] = "body"
     """Bone names in a .bvh or .glb: those of the joints, of Unity's humanoid, of Mixamo, of Unreal Engine 5
     and MetaHumans, or of Blender's Rigify."""

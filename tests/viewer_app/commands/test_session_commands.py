@@ -18,6 +18,7 @@ from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from recordings.calibration_file import calibration_to_json
 from recordings.data import layout
+from recordings.export import FILES
 from recordings.file.session_writer import write_session
 from recordings.quality.figures import fusion_figures, report
 from recordings.quality.per_second import SecondQuality
@@ -384,6 +385,26 @@ def test_export_writes_by_the_files_ending(session, tmp_path, capsys):
         assert (tmp_path / name).stat().st_size > 1000
         assert f"{name}: 90 frames" in capsys.readouterr().out
     assert sorted(p.name for p in tmp_path.iterdir() if p.suffix != ".rrd") == names
+
+
+def test_files_in_a_folder_of_opensim_are_replaced_all_with_force_only(session, tmp_path, capsys):
+    folder = tmp_path / "opensim"
+    assert duplex("export", session, "--to", folder) == 0
+    assert "opensim: 90 frames" in capsys.readouterr().out
+    assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
+    sizes = {path.name: path.stat().st_size for path in folder.iterdir()}
+    for file in folder.iterdir():
+        file.write_text("mine")
+    (folder / FILES[0]).unlink()
+    assert duplex("export", session, "--to", folder) == 2
+    assert f"{FILES[1]} exists already" in one_line(capsys)
+    assert {path.read_text() for path in folder.iterdir()} == {"mine"}
+    assert duplex("export", session, "--to", folder, "--force") == 0
+    assert {path.name: path.stat().st_size for path in folder.iterdir()} == sizes
+    (tmp_path / "file").touch()
+    capsys.readouterr()
+    assert duplex("export", session, "--to", tmp_path / "file") == 2
+    assert "the name of a file" in one_line(capsys)
 
 
 def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(tmp_path, capsys):
