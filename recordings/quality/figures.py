@@ -70,7 +70,7 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figur
     gave_a, gave_b = (clock != NO_FRAME for clock in (rows.clock_a, rows.clock_b))
     seen, apart = seen_people(rows), rows[first:].disagreement
     agree = ViewsAgree.of(apart)
-    both = seen.all(axis=0) & (np.arange(len(rows)) >= first)
+    there = seen.any(axis=0) & (np.arange(len(rows)) >= first)
     return {
         "body": rows.body.name,
         "stale": {"a": int(rows.stale_a.sum()), "b": int(rows.stale_b.sum())},
@@ -91,7 +91,7 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figur
             "p95": known_or_none(agree.percentile_95 * 1e3),
         },
         "placement": _placement(rows, calibration) if is_loaded(calibration) else None,
-        "expected_error_mm": of_finite(np.median, expected_error(rows)[both]),
+        "expected_error_mm": of_finite(np.median, expected_error(rows)[there]),
         "seconds_of": doubtful_seconds(rows, first, seen),
         "upside_down": {side: _upside_down(rows, side) for side in "ab"},
         "in_no_frame": np.array(rows.body.joints)[rows.never_seen].tolist(),

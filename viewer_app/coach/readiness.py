@@ -12,6 +12,7 @@ from viewer_app.flags import in_flags
 
 LASTS = 2.0
 """Seconds for which a headline stays, and for which a problem counts after it was found last."""
+_DONE_AT_ONCE = "uncalibrated"  # a calibration is there at once; a figure swings about its limit
 _STATES = {"usable": State.ALMOST, "unknown": State.ALMOST, "poor": State.NOT_YET}
 
 
@@ -30,7 +31,7 @@ class Headline:
 
 
 class Readiness:
-    """Watches all findings. Its headline changes at most every two seconds, or as a view is lost.
+    """Watches all findings. Its headline lasts for two seconds, unless a view is lost, or B is placed.
 
     Attributes:
         findings: Those of the last two seconds, and the headline's.
@@ -44,11 +45,16 @@ class Readiness:
 
     def watch(self, time: float, findings: Sequence[Finding], calibration: Calibration) -> Headline:
         """The headline at a time in seconds, which never falls, given all current findings."""
-        lately = {key: (at, each) for key, (at, each) in self._found.items() if time - at < LASTS}
-        self._found = lately | {(each.rule, each.side): (time, each) for each in findings}
+        now = {(each.rule, each.side): (time, each) for each in findings}
+        self._found = {
+            key: (at, each)
+            for key, (at, each) in (self._found | now).items()
+            if time - at < LASTS and (key in now or key[0] != _DONE_AT_ONCE)
+        }
         counts = followed(each for _, each in self._found.values())
         wanted = headline(counts, calibration, self._shown.kind)
-        at_once = wanted.lost and not self._shown.lost
+        done = self._shown.kind == _DONE_AT_ONCE != wanted.kind
+        at_once = done or (wanted.lost and not self._shown.lost)
         if wanted != self._shown and (at_once or time - self._since >= LASTS):
             self._shown, self._since = wanted, time
         kind = self._shown.kind

@@ -137,9 +137,10 @@ class Coach:
             )
             each = np.linalg.norm(now.calibration.a_from_b.apply(b) - a, axis=1)
             apart = 1e3 * float(np.median(each[np.isfinite(each)])) if np.isfinite(each).any() else math.nan
-            self._seen |= (skeletons.a.states != 0) | (skeletons.b.states != 0)
-            if frame.fused.sigma is not None:
-                error = 1e3 * float(frame.fused.sigma[self._seen].mean())
+        for skeleton in filter(None, (skeletons.a, skeletons.b)):
+            self._seen |= skeleton.states != 0
+        if frame.fused.sigma is not None and frame.fused.has_person and self._seen.any():
+            error = 1e3 * float(frame.fused.sigma[self._seen].mean())
         self._moments.append(
             _Moment(time, (views[0], views[1]), apart, error, now.dropped, now.lost, now.step)
         )

@@ -64,9 +64,10 @@ class QueuedFile(Generic[Item]):
         """What the file lacks, in sentences; a failure says its reason."""
         if not self._came and self.failure is None:
             return [f"{self.path} was not written: no frame arrived."]
+        slow, thinned = "the disk" if self.waited else "this machine", self.without_images
         losses = (
             (self.lost, "not saved" if self.failure else "not saved: the disk was too slow"),
-            (self.without_images, f"saved without {self.thinned}: this machine was too slow"),
+            (0 if self.failure else thinned, f"saved without {self.thinned}: {slow} was too slow"),
         )
         return [
             f"{self.path}: {count} frame{' is' if count == 1 else 's are'} {what}."

@@ -103,7 +103,8 @@ def choose_viewing(options: WebOptions, save: Path | None, *, live: bool, served
             none of this machine's.
     """
     if options.listen is not None and not (options.web or served):
-        raise UsageError(f"--listen {options.listen} is the address of --web; give both.")
+        also = ", --websocket and --lsl; give one of them." if live else "; give both."
+        raise UsageError(f"--listen {options.listen} is the address of --web{also}")
     if options.no_viewer:
         if options.web:
             raise UsageError("--web and --no-viewer contradict each other.")
