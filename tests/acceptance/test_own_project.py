@@ -36,4 +36,5 @@ def test_five_lines_verify_a_session(walk, tmp_path, home):
     failed = said[-1][1]
     assert "walk.rrd is poor; asked for was usable." in failed
     assert re.search(r"\d s poor: B captures -4\d\d ± \d+ ms off its time stamps", failed)
-    assert "to see it:    duplex review walk.rrd" in failed
+    assert "actual is walk.rrd" in failed
+    assert re.search(r"to see it:    duplex review \S+actual\.rrd", failed)
