@@ -189,7 +189,7 @@ class SessionSeries(SessionData):
 
     @cached_property
     def people(self) -> tuple[PersonSpan, ...]:
-        """Whose bones S* has, and when. People of one size are one person."""
+        """The people whose bones S* has, in time order. People of equal size count as one person."""
         spans, bones = [], self.body.bone_joints
         for person, of in groupby(self.setups(), key=lambda each: each[0].calibration.person):
             setups, frames = zip(*of, strict=True)

@@ -149,7 +149,7 @@ class TrackedImages(SensorWrapper):
             yield replace(frame, people=people)
 
     def _images(self) -> Iterator[_Images]:
-        """The source's frames, each with its registered image while the source has it."""
+        """The source's frames with their registered images; the source keeps that of its last frame only."""
         for frame in self.source.frames():
             yield frame, None if self._registered is None else self._registered(frame)
 

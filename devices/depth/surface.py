@@ -12,6 +12,7 @@ from fusion.body import Body
 from fusion.calibration.surface_fit import SharedSurface, Surface
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import Pairs, View
+from fusion.skeleton import nearer
 from fusion.support.types import Array
 
 _HALF = 1  # pixels, to each side, of the window whose plane is a point's
@@ -217,9 +218,7 @@ def _planes(
         normals /= np.sqrt((normals * normals).sum(axis=-1, keepdims=True))
         cosine = -(normals * points).sum(axis=-1) / np.sqrt((points * points).sum(axis=-1))
     normals[~(cosine > _LEAST_COSINE)] = np.nan
-    if offset:
-        points *= 1.0 - np.float32(offset) / np.sqrt((points * points).sum(axis=-1, keepdims=True))
-    return points, normals
+    return (nearer(points, offset) if offset else points), normals
 
 
 def _to_bones(points: Array, skeleton: Array, body: Body) -> Array:

@@ -60,7 +60,7 @@ class Calibration(ReadOnlyArrays):
     placed: bool = True
 
     def by_joints(self, a_from_b: RigidTransform, how: str, registration: Registration) -> Calibration:
-        """The calibration with R and t of a fit of joints, which contain the views' depth errors."""
+        """The calibration with R and t of another fit to joints. t then contains the views' depth errors."""
         found = replace(self, a_from_b=a_from_b, how=how, registration=registration, placed=True)
         return replace(found, depth_errors=np.zeros(2)) if self.depth_errors.any() else found
 

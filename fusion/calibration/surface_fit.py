@@ -23,6 +23,7 @@ from fusion.registration.keyframes import Evidence, match_sides
 from fusion.registration.lasting_errors import common_variance
 from fusion.registration.robust_fit import RobustFit, registration_of
 from fusion.rigid import RigidTransform, rotation_of, rotation_vector
+from fusion.skeleton import nearer
 from fusion.support.types import Array
 
 FEWEST_MATCHES, FEWEST_MOMENTS = 300, 4
@@ -40,12 +41,13 @@ _ACROSS_SD, _DEPTH_SD = 0.012, 0.028
 _LEAST_TURN = np.radians(1.0)  # standard deviation of the joints' R: whole limbs are off at once
 _LASTING = np.diag([0.002**2] * 3 + [np.radians(0.25) ** 2] * 3)
 """Of the surface itself, metres and radians: of material, of grazed and of moved surfaces."""
-_SAME_JOINT, _NOISE_SD, _ERROR_SD, _INDEPENDENT = 0.2, 0.03, 0.03, 40.0
-"""Of the views' depth errors: metres between one joint's places, of their noise, of the errors; for how many
-observations a recording counts."""
-_OFFSET_SD, _OWN_OFFSET_SD = 0.010, 0.004
-"""Metres: of an offset that both cameras share, as those of one kind are 5 to 10 mm apart; of half the
-difference of two."""
+_SAME_JOINT = 0.2  # metres between both views of a joint; more is a wrong joint
+_NOISE_SD, _ERROR_SD = 0.03, 0.03  # metres, of a joint, and of a view's depth error before it is measured
+_INDEPENDENT = 40.0  # a recording counts as so many independent joints
+_OFFSET_SD = (
+    0.010  # metres, of the depth offset that both cameras share; devices of one model are 5 to 10 mm apart
+)
+_OWN_OFFSET_SD = 0.004  # metres, of half the difference between the cameras' depth offsets
 
 
 class Surface(NamedTuple):
@@ -201,12 +203,8 @@ def depth_errors(evidence: Evidence, a_from_b: RigidTransform) -> Array:
 
 
 def without_depth_errors(evidence: Evidence, errors: Array) -> Evidence:
-    """The evidence with both views nearer to their sensors by (2,) metres."""
-    lengths = (np.maximum(np.linalg.norm(at, axis=2), 1e-9)[..., None] for at in (evidence.a, evidence.b))
-    a, b = (
-        at * (1.0 - by / far) for at, by, far in zip((evidence.a, evidence.b), errors, lengths, strict=True)
-    )
-    return evidence._replace(a=a, b=b)
+    """The evidence without (2,) depth errors of A and of B, metres."""
+    return evidence._replace(a=nearer(evidence.a, float(errors[0])), b=nearer(evidence.b, float(errors[1])))
 
 
 def _of_joints(joints: RobustFit) -> Array:

@@ -33,7 +33,7 @@ from fusion.pair_arrays import PairArrays, PairStacker
 from fusion.registration.lasting_errors import COMMON_SD
 from fusion.rigid import NOWHERE
 from fusion.setup import FusionSetup
-from fusion.skeleton import SkeletonPair
+from fusion.skeleton import SkeletonPair, nearer
 from fusion.support.array_fields import new_arrays
 from fusion.support.read_only import read_only
 from fusion.support.types import Array
@@ -132,10 +132,7 @@ class DuplexFusion:
 
 def _nearer(pairs: PairArrays, by: Array) -> PairArrays:
     """The pairs with all joints of A and of B nearer to their sensor by (2,) metres along the ray."""
-    a, b = (
-        read_only((at * (1.0 - metres / np.linalg.norm(at, axis=2, keepdims=True))).astype(np.float32))
-        for metres, at in zip(by, (pairs.a, pairs.b), strict=True)
-    )
+    a, b = (read_only(nearer(at, metres)) for metres, at in zip(by.tolist(), (pairs.a, pairs.b), strict=True))
     gap_a, gap_b = (np.float32(metres) * (np.arange(4) == 0) for metres in by)
     return pairs._replace(a=a, b=b, witness_a=pairs.witness_a + gap_a, witness_b=pairs.witness_b + gap_b)
 

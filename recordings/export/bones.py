@@ -18,7 +18,7 @@ from recordings.errors import RecordingError
 from recordings.export import Writer
 from recordings.session_series import SessionSeries
 
-_KNOWN_S = 3.0  # so long it takes at most to recognize somebody
+_KNOWN_S = 3.0  # longest time until a person's size is recognized
 _SAME_M = 1e-4  # metres: differences by rounding, added up along the bones
 
 
@@ -59,8 +59,8 @@ def other_lengths(session: SessionSeries) -> tuple[int, float]:
 def check_one_person(session: SessionSeries) -> None:
     """Raises RecordingError where S* has the bones of two people.
 
-    One who is there for less than three seconds is nobody: so long it takes at most to recognize that a
-    calibration from a file is not of the person present.
+    Spans of less than three seconds do not count. It takes up to three seconds to recognize that a
+    calibration from a file is of another person.
     """
     known, people = session.first_calibrated_frame or 0, session.people
     ends = [*(each.seconds[0] for each in people[1:]), math.inf]

@@ -48,7 +48,7 @@ def write_mot(session: SessionSeries, path: Path, rate: float | None = None) -> 
     found, straight = [], []
     for part, positions, known in even.parts():
         places, times = positions[known], even.time_ns[part][known]
-        # a joint that was never seen leaves no angle, so its place is of no account
+        # a joint that was never seen gives no angle, so its position does not matter
         each = zip(np.nan_to_num(places), times.tolist(), strict=True)
         turned = np.array([pose.update(*frame) for frame in each]).reshape(-1, len(body), 4)
         angles = dict(zip(ANGLES, joint_angles(body, places, session.up).T, strict=True))
