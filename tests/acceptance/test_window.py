@@ -84,8 +84,7 @@ def test_a_bad_set_up_is_told_while_the_sensors_are_placed(screen, seen, tmp_pat
     with typed(line, tmp_path, **screen.environment, **home) as demonstration:
         assert eventually(told, _DRAWN_WITHIN, every=0.5), demonstration.said
         seen(pictures[0], "-setup")
-        demonstration.end()
-    assert "Move B away from A, round you, to 90°." in demonstration.said, demonstration.said
+        assert demonstration.says("Move B away from A, round you, to 90°."), demonstration.said
 
 
 @pytest.fixture(scope="module")
