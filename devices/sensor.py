@@ -116,6 +116,7 @@ class Sensor:
         name: Name for messages: a serial number or a file name.
         body: The body that its tracker reports; available once the sensor is open.
         intrinsics: Intrinsics of its depth camera; None if unknown.
+        depth_offset: Metres by which its depth camera shows all things too far away, as published.
         warnings: Problems so far that did not stop the frames, one line each: cut off, damaged, not closed
             cleanly.
         missed: Number of captured frames that never arrived, since the program started.
@@ -131,6 +132,7 @@ class Sensor:
     name: str
     body: Body
     intrinsics: Intrinsics | None = None
+    depth_offset: float = 0.0
     warnings: Sequence[str] = ()
     missed: int = 0
     lost: int = 0
@@ -228,6 +230,7 @@ class SensorWrapper(Sensor):
     name = _of_source("name")
     body = _of_source("body")
     intrinsics = _of_source("intrinsics")
+    depth_offset = _of_source("depth_offset")
     warnings = _of_source("warnings")
     missed = _of_source("missed")
     lost = _of_source("lost")

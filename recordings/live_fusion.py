@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from devices.capture.clock.capture_time import CaptureTime
 from devices.capture.sensor_pair import TwoSensors
@@ -36,6 +37,9 @@ from recordings.errors import RecordingError
 from recordings.fusing.pairs import fuse_one
 from recordings.fusing.view_events import ViewEvents
 from recordings.session import Session
+
+if TYPE_CHECKING:
+    from recordings.fusing.live_surface import LiveSurface
 
 
 def live_warm_ups(method: Method, *others: WarmUp) -> tuple[list[WarmUp], list[WarmUp]]:
@@ -68,6 +72,9 @@ class LiveFusion:
         self._people = PersonOfPair(setup.body, follow, follow_moves=learns or not duplex)
         settings = LearnerSettings(refinement=RefinementSettings(in_steps=True)).if_learned(learns)
         self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if duplex else None
+        self._learns = learns
+        self._surface: LiveSurface | None = None
+        self._whole: FramePair | None = None
         self._views = ViewEvents(setup.body)
         self._floor = FloorFinder(setup.body)
 
@@ -82,8 +89,10 @@ class LiveFusion:
             clock: Nanoseconds, of the frames' ``host_ns``.
         """
         capture = CaptureTime()
+        self._surface = self._surface_of(sensors)
         for pair in sensors.pairs(every_frame=self.setup.settings.method == "duplex"):
-            frame, now_ns = self.fuse(self.chosen(with_depth(pair, depth))), clock()
+            self._whole = self.chosen(pair)
+            frame, now_ns = self.fuse(with_depth(self._whole, depth)), clock()
             latency_ns = _latency_ns(pair, now_ns)
             unix_ns = capture.unix_ns(pair.time_ns, now_ns - (latency_ns or 0))
             yield replace(frame, streams=sensors.figures, latency_ns=latency_ns, unix_ns=unix_ns)
@@ -111,10 +120,25 @@ class LiveFusion:
         if self._learner is not None and self.calibrator.final:
             codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
             stale = fused.stale_a, fused.stale_b
-            for change in self._learner.observe(pair.skeletons, codes, stale):
+            changes = self._learner.observe(pair.skeletons, codes, stale)
+            if self._surface is not None and self._whole is not None:
+                if any(change.kind == "knocked" for change in changes):
+                    self._surface.forget()
+                changes += self._surface.observe(self._whole, self._learner)
+            for change in changes:
                 knocked = change.kind == "knocked"
                 events.append(Event(change.event, "WARN" if knocked else "INFO"))
         return events
+
+    def _surface_of(self, sensors: TwoSensors) -> LiveSurface | None:
+        """What fits the surface in depth images, if there are any and the registration is learned."""
+        a, b = sensors.a.sensor, sensors.b.sensor
+        if self._learner is None or not self._learns or a.intrinsics is None or b.intrinsics is None:
+            return None
+        from recordings.fusing.live_surface import LiveSurface  # where there are images
+
+        cameras, offsets = (a.intrinsics, b.intrinsics), (a.depth_offset, b.depth_offset)
+        return LiveSurface(self.setup.body, cameras, offsets)
 
     def _recalibrate(self, pair: FramePair) -> None:
         """Takes a new calibration, from the start-up pose or from the learner, if there is one."""

@@ -27,7 +27,7 @@ _COARSE = 4  # pixels between two readings of the floor
 _UPWARDS, _HEIGHT = np.cos(np.radians(20.0)), 0.25  # of readings that may be the floor: cosine, metres
 _FLOOR_ALIKE, _LEAST_FLOOR = 0.03, 200  # metres; readings
 _NEAREST = 3  # joints whose velocity a point has
-_MOMENT = 3  # frames to each side of which the velocity is taken
+AROUND = 3  # frames before and after a moment, from which its velocity is taken
 
 
 def shared_surface(
@@ -161,7 +161,7 @@ def floor_plane(
 
 def velocities(view: View, k: int) -> Array:
     """(J, 3) metres per second of each joint in a frame of a view; 0 where unknown."""
-    first, last = max(k - _MOMENT, 0), min(k + _MOMENT, len(view.time_ns) - 1)
+    first, last = max(k - AROUND, 0), min(k + AROUND, len(view.time_ns) - 1)
     seconds = 1e-9 * float(view.time_ns[last] - view.time_ns[first])
     moved = view.positions[last].astype(np.float64) - view.positions[first]
     return np.asarray(np.nan_to_num(moved / max(seconds, 1e-3)), dtype=np.float64)

@@ -200,11 +200,8 @@ class _Fresh(NamedTuple):
         pairs = pairs[: int(np.searchsorted(pairs.time_ns, pairs.time_ns[:1].sum() + _IMAGES_NS))]
         if len(pairs) < 3:
             return pairs[:0]
-        of, times = pairs.arrays(), pairs.time_ns
-        seconds = 1e-9 * np.maximum(times[2:] - times[:-2], 1)
-        moved = (np.linalg.norm(at[2:] - at[:-2], axis=2) for at in (of.a, of.b))
-        speed = np.maximum(*(median_of_known(by) for by in moved)) / seconds
-        speed = np.where(np.isfinite(speed) & (seconds < 1e-9 * _APART_NS), speed, np.inf)
+        speed, times = larger_speeds(pairs), pairs.time_ns
+        speed = np.where(np.isfinite(speed) & (times[2:] - times[:-2] < _APART_NS), speed, np.inf)
         part = (times[1:-1] - times[0]) // max(_APART_NS, int(times[-1] - times[0]) // _MOMENTS + 1)
         best = [np.flatnonzero(part == of)[np.argmin(speed[part == of])] for of in np.unique(part)]
         return pairs[1 + np.array([k for k in best if np.isfinite(speed[k])], dtype=np.int64)]
@@ -253,6 +250,14 @@ def _is_knock(
     except CalibrationError:
         return True
     return found.gain > settings.knock.needed(found.keyframes)
+
+
+def larger_speeds(pairs: Pairs) -> Array:
+    """(T - 2,) metres per second, the larger of both views' median speeds of joints; NaN where unknown."""
+    of, times = pairs.arrays(), pairs.time_ns
+    moved = (np.linalg.norm(at[2:] - at[:-2], axis=2) for at in (of.a, of.b))
+    seconds = 1e-9 * np.maximum(times[2:] - times[:-2], 1)
+    return np.asarray(np.maximum(*(median_of_known(by) for by in moved)) / seconds)
 
 
 def fresh_pairs(pairs: Pairs) -> NDArray[np.int64]:

@@ -3,7 +3,7 @@
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -64,6 +64,14 @@ class CalibrationChange:
     clock: ClockOffset | None = None  # for ``clock``, the offset
 
 
+class Known(NamedTuple):
+    """What the joints say of R and t."""
+
+    calibration: Calibration  # by the joints alone
+    fit: RobustFit | None  # its fit; None of a calibration that comes from elsewhere
+    evidence: Evidence  # the keyframes so far
+
+
 class _Bones:
     """Bone lengths of one person.
 
@@ -78,11 +86,17 @@ class _Bones:
 
 
 class CalibrationLearner:
-    """Learns from each pair; deterministic, with bounded memory."""
+    """Learns from each pair; deterministic, with bounded memory.
+
+    R and t by the surface of depth images, once they are seen, are in force before those by the joints. These
+    are refined as ever: views are compared by joints, and a better t puts the joints farther apart.
+    """
 
     def __init__(self, body: Body, calibration: Calibration, settings: LearnerSettings | None = None) -> None:
         self._body, self._settings = body, settings or LearnerSettings()
         self.calibration = calibration
+        self._joints: Calibration = calibration
+        self._fit: RobustFit | None = None
         self._refinement = Refinement(
             body, calibration.a_from_b, self._settings.refinement, prior=prior_of(calibration)
         )
@@ -108,9 +122,30 @@ class CalibrationLearner:
         """The logarithm of each person's scale relative to the bones of the first calibration."""
         return self._size.people
 
+    @property
+    def known(self) -> Known:
+        """What a fit to the surface starts from; see :meth:`see_surface`."""
+        return Known(self._joints, self._fit, self._refinement.keyframes.evidence.copy())
+
+    def see_surface(self, found: Calibration, known: Known, now_ns: int) -> list[CalibrationChange]:
+        """Takes a calibration by the surface; returns the change, if R and t become others.
+
+        Args:
+            known: What it started from.
+        """
+        old, registration = self.calibration, found.registration
+        if found.a_from_b is known.calibration.a_from_b or registration is None:
+            return []  # too little of the surface is seen
+        turn, shift = _difference(old.a_from_b, found.a_from_b, registration.centre)
+        if not self._settings.refinement.worth(turn, shift):
+            return []
+        self.calibration = replace(found, bone_lengths=old.bone_lengths, person=old.person)
+        return [self._refined(turn, shift, now_ns, " by the surface that both sensors see")]
+
     def adopt(self, calibration: Calibration) -> None:
         """Puts another calibration in force and keeps the evidence."""
-        self.calibration = calibration
+        self.calibration = self._joints = calibration
+        self._fit = None
         self._meet(calibration)
         self._refinement.adopt(calibration.a_from_b, prior_of(calibration))
         self._knock.adopt(calibration.a_from_b)
@@ -172,14 +207,19 @@ class CalibrationLearner:
         old = self.calibration.a_from_b
         self._knock.a_from_b = fit.a_from_b
         evidence = self._refinement.keyframes.evidence
-        self._replace(fit, evidence, f"refined on {len(evidence.a)} keyframes")
-        turn, shift = _difference(old, fit)
+        if not self._replace(fit, evidence, f"refined on {len(evidence.a)} keyframes"):
+            return []
+        return [self._refined(*_difference(old, fit.a_from_b, fit.centre), pair.time_ns)]
+
+    def _refined(self, turn: float, shift: float, now_ns: int, how: str = "") -> CalibrationChange:
+        known = self.calibration.registration
+        assert known is not None
         event = (
-            f"Registration refined: the view of B turns by {np.degrees(turn):.2f}°, and moves by "
+            f"Registration refined{how}: the view of B turns by {np.degrees(turn):.2f}°, and moves by "
             f"{shift * 1e3:.0f} mm where the person stands; now certain to "
-            f"{np.degrees(fit.rotation_sd):.2f}° and {fit.translation_sd * 1e3:.0f} mm."
+            f"{np.degrees(known.rotation_sd):.2f}° and {known.translation_sd * 1e3:.0f} mm."
         )
-        return [CalibrationChange("refined", event, pair.time_ns, self.calibration)]
+        return CalibrationChange("refined", event, now_ns, self.calibration)
 
     def _test_knock(self, now_ns: int, since_ns: int) -> list[CalibrationChange]:
         """Registers the sensors anew once a knock explains the pairs far better."""
@@ -200,7 +240,7 @@ class CalibrationLearner:
         known = self._refinement.keyframes.evidence
         before = known.chosen(known.time_ns < since_ns)
         after = self._evidence_since(since_ns + self._settings.knock.moving_ns)
-        old = self.calibration.a_from_b
+        old = self._joints.a_from_b
         match_sides(self._body, before, old)
         try:
             return fit_knock(
@@ -215,7 +255,8 @@ class CalibrationLearner:
 
     def _restart(self, now_ns: int, since_ns: int, found: KnockFit) -> CalibrationChange:
         """Puts the registration after the knock in force, and learns from the pairs since then."""
-        old, fit, still_ns = self.calibration.a_from_b, found.fit, since_ns + self._settings.knock.moving_ns
+        old, fit, still_ns = self._joints.a_from_b, found.fit, since_ns + self._settings.knock.moving_ns
+        self.calibration = replace(self.calibration, a_from_b=old)
         prior = Prior(fit.a_from_b, _FOLLOWED_TURN, _FOLLOWED_SHIFT)
         self._refinement.restart(fit.a_from_b, keep_from_ns=still_ns, prior=prior)
         self._knock.adopt(fit.a_from_b)
@@ -224,7 +265,7 @@ class CalibrationLearner:
         with suppress(CalibrationError):
             fit = with_frontal_sd(self._body, evidence, fit, self._settings.refinement.fit, prior)
         self._replace(fit, evidence, f"registered anew on {len(evidence.a)} frames after a sensor moved")
-        turn, shift = _difference(old, fit)
+        turn, shift = _difference(old, fit.a_from_b, fit.centre)
         event = (
             f"A sensor was moved; registration follows it. The view of B turns by {np.degrees(turn):.1f}°, "
             f"and moves by {shift * 1e3:.0f} mm where the person stands."
@@ -257,7 +298,7 @@ class CalibrationLearner:
         known.learned += 1
         old = self.calibration.bone_lengths
         try:
-            lengths = robust_bone_lengths(self._body, evidence, self.calibration.a_from_b, old)
+            lengths = robust_bone_lengths(self._body, evidence, self._joints.a_from_b, old)
         except CalibrationError:
             return []
         changed = int(np.argmax(np.abs(lengths - old)))
@@ -273,9 +314,14 @@ class CalibrationLearner:
         )
         return [CalibrationChange("bones", event, now_ns, self.calibration)]
 
-    def _replace(self, fit: RobustFit, evidence: Evidence, how: str) -> None:
+    def _replace(self, fit: RobustFit, evidence: Evidence, how: str) -> bool:
+        """Takes a fit of the joints; returns whether it is in force."""
         registration = registration_of(self._body, evidence, fit)
-        self.calibration = self.calibration.by_joints(fit.a_from_b, how, registration)
+        by_joints = self.calibration.a_from_b is self._joints.a_from_b
+        self._joints, self._fit = self.calibration.by_joints(fit.a_from_b, how, registration), fit
+        if by_joints:
+            self.calibration = self._joints
+        return by_joints
 
 
 def person_event(change: float) -> str:
@@ -292,7 +338,7 @@ def prior_of(calibration: Calibration) -> Prior:
     return Prior(calibration.a_from_b, max(rotation_sd, _LEAST_TURN), _UNKNOWN_SHIFT)
 
 
-def _difference(old: RigidTransform, fit: RobustFit) -> tuple[float, float]:
+def _difference(old: RigidTransform, new: RigidTransform, centre: Array) -> tuple[float, float]:
     """Rotation, radians, and shift, metres at the person's centre, between two calibrations."""
-    shift = fit.centre - old.apply(fit.a_from_b.inverse().apply(fit.centre))
-    return fit.a_from_b.angle_to(old), float(np.linalg.norm(shift))
+    shift = centre - old.apply(new.inverse().apply(centre))
+    return new.angle_to(old), float(np.linalg.norm(shift))

@@ -36,6 +36,10 @@ class RefinementSettings:
     """Whether a proposal is computed in steps of one fit, one with each pair, as a live loop needs it: the
     whole takes a third of a frame's time. It then takes effect some pairs later."""
 
+    def worth(self, turn: float, shift: float) -> bool:
+        """Whether a change by so many radians, and metres at the person, is large enough."""
+        return turn > self.smallest_turn or shift > self.smallest_shift
+
 
 class Refinement:
     """Collects keyframes and proposes a better transform about once a second.
@@ -141,10 +145,7 @@ class Refinement:
 
     def _worth_it(self, proposed: RigidTransform, centre: NDArray[np.float64]) -> bool:
         shift = proposed.apply(self._in_force.inverse().apply(centre)) - centre
-        return bool(
-            proposed.angle_to(self._in_force) > self._settings.smallest_turn
-            or np.linalg.norm(shift) > self._settings.smallest_shift
-        )
+        return self._settings.worth(proposed.angle_to(self._in_force), float(np.linalg.norm(shift)))
 
 
 def aged(evidence: Evidence, now_ns: int, half_life_ns: int) -> Evidence:

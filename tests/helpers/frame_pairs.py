@@ -1,5 +1,7 @@
 """Frames of two sensors that see a moving person, as input of the loop; and how frames become pairs."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from devices.frame_pairs import FramePair
@@ -29,8 +31,11 @@ class KnownSensors:
 
     figures = None
 
-    def __init__(self, pairs, waiting=False):
+    def __init__(self, pairs, waiting=False, cameras=(None, None)):
         self._pairs, self.waiting = pairs, waiting
+        self.a, self.b = (
+            SimpleNamespace(sensor=SimpleNamespace(intrinsics=camera, depth_offset=0.0)) for camera in cameras
+        )
 
     def pairs(self, every_frame=True):
         assert every_frame

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numba.core import event
 from scipy.spatial.transform import Rotation
 
@@ -25,6 +27,7 @@ from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
+from tests.helpers.laws import COSTLY
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
 OFF = (
@@ -221,6 +224,46 @@ def test_a_walk_makes_a_right_calibration_certain_though_no_fit_of_half_of_it_is
     found = learner.calibration
     assert found.registration.rotation_sd < 0.5 * uncertain.rotation_sd
     assert found.a_from_b.angle_to(A_FROM_B) < 2.5 * found.registration.rotation_sd
+
+
+def with_surface(learner, a_from_b):
+    """What a fit of the surface would give the learner, and what it would start from."""
+    known = learner.known
+    exact = Registration(a_from_b, 0.003, 0.003, np.full(len(BODY), np.nan), 0.01, 4, BODY, 0.01, np.zeros(3))
+    by_surface = replace(
+        known.calibration, a_from_b=a_from_b, registration=exact, depth_errors=np.array((0.01, -0.02))
+    )
+    return by_surface, known
+
+
+@given(turn=st.floats(-3.0, 3.0), shift=st.floats(-0.05, 0.05), at=st.integers(60, 400))
+@COSTLY
+def test_the_surface_is_in_force_until_a_sensor_is_moved(turn, shift, at):
+    """The joints are refined beside it, as if it were not there."""
+    pairs = walk()
+    plain, _ = learned(pairs, OFF)
+    learner, _ = learned(pairs[:at], OFF)
+    R = Rotation.from_euler("x", turn, degrees=True).as_matrix()
+    found, known = with_surface(learner, RigidTransform.of(R, [0.0, shift, 0.004]) @ A_FROM_B)
+    changes = learner.see_surface(found, known, pairs[at].time_ns)
+    assert [change.kind for change in changes] == ["refined"]
+    assert learner.see_surface(found, known, pairs[at].time_ns) == []
+    assert all(learner.observe(pair) == [] or learner.calibration.a_from_b is found.a_from_b
+               for pair in pairs[at:])  # fmt: skip
+    assert learner.calibration.a_from_b is found.a_from_b
+    np.testing.assert_array_equal(learner.calibration.depth_errors, found.depth_errors)
+    np.testing.assert_array_equal(learner.calibration.bone_lengths, plain.calibration.bone_lengths)
+    joints = learner.known.calibration.a_from_b
+    np.testing.assert_array_equal(joints.rotation, plain.calibration.a_from_b.rotation)
+    np.testing.assert_array_equal(joints.translation, plain.calibration.a_from_b.translation)
+
+
+def test_too_little_of_a_surface_changes_nothing():
+    learner, _ = learned(walk(120), OFF)
+    known, before = learner.known, learner.calibration
+    few = replace(known.calibration, how="both sensors see too little of one surface")
+    assert learner.see_surface(few, known, 0) == []
+    assert learner.calibration is before
 
 
 def test_depth_errors_that_a_calibration_knows_are_no_wrong_placement():

@@ -1,5 +1,6 @@
 """Knocked sensors in simulated recordings, and situations that must not be taken for a knock."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -14,6 +15,7 @@ from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import learn_from_recording
 from fusion.calibration.online import CalibrationLearner
 from fusion.joint_kinds import limbs
+from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 
@@ -46,9 +48,16 @@ def moved(pairs, old_from_new):
     return out
 
 
-def changes(body, pairs):
+def changes(body, pairs, surface=None):
+    """The learner after the pairs, and its changes. `surface`: what depth images show at first."""
     learner = CalibrationLearner(body, Calibration(body, TRUTH, body.nominal_lengths, "truth"))
     found = []
+    if surface is not None:
+        known = learner.known
+        exact = Registration(surface, 0.0, 0.0, np.zeros(len(body)), 0.003, 4, body, 0.003, np.zeros(3))
+        errors = np.array((0.02, 0.02))
+        by_surface = replace(known.calibration, a_from_b=surface, registration=exact, depth_errors=errors)
+        found += learner.see_surface(by_surface, known, 0)
     before = SkeletonPair(None, None, -1)
     for pair in pairs:
         stale = (
@@ -86,6 +95,17 @@ def test_a_knocked_sensor_is_followed_within_two_seconds(body, knock):
     before = np.linalg.norm(TRUTH.apply(centre) - truth.apply(centre))
     after = np.linalg.norm(learner.calibration.a_from_b.apply(centre) - truth.apply(centre))
     assert after < min(0.07, 0.6 * before)
+
+
+def test_a_knock_after_the_surface_was_seen_is_the_same_knock():
+    pairs = moved(recorded(AZURE_KINECT), KNOCKS["10 cm and 5°"])
+    plain, _ = changes(AZURE_KINECT, pairs)
+    learner, found = changes(AZURE_KINECT, pairs, RigidTransform.of(np.eye(3), [0.01, 0.0, -0.02]) @ TRUTH)
+    assert [change.kind for change in found].count("knocked") == 1
+    found, expected = learner.calibration.a_from_b, plain.calibration.a_from_b
+    np.testing.assert_array_equal(found.rotation, expected.rotation)
+    np.testing.assert_array_equal(found.translation, expected.translation)
+    assert not learner.calibration.depth_errors.any()
 
 
 @pytest.mark.parametrize(
