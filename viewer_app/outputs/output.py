@@ -17,6 +17,7 @@ from viewer_app.errors import UsageError
 from viewer_app.outputs.even_samples import EvenSamples
 from viewer_app.sinks.item_queue import DropOldest, Item, ItemQueue, QueuedFrame
 from viewer_app.sinks.queued_sink import QueuedSink
+from viewer_app.sinks.requested_files import Requests
 
 LATE_NS = 33_333_333
 """A frame that is sent later than this after its fusion is late: the next one is there already."""
@@ -69,11 +70,13 @@ class LiveOutput(QueuedSink):
         warning: What the user should know about it at the end.
         even: Sends S* at a constant rate; None: once per frame. Set it before the first frame.
         keeps: Whether it is a file, so that the command fails where it does.
+        requests: Who may ask there for session files; None for nobody.
         closes_within: Seconds in which it sends what is queued at its end; None: as long as that takes.
     """
 
     even: EvenSamples | None = None
     keeps = False
+    requests: Requests | None = None
     closes_within: float | None = 2.0
 
     def __init__(self, name: str, keep: int = 1, clock: Callable[[], int] = time.perf_counter_ns) -> None:
@@ -107,6 +110,9 @@ class LiveOutput(QueuedSink):
         """Takes the setup of the following frames, which is an event, too."""
         super().recalibrated(setup)
         self.event(Event("calibration changed", topic="calibration"))
+
+    def allow_requests(self) -> None:
+        """Lets its page ask for session files, if it has one; before it is announced."""
 
     def coach(self, page: CoachPage) -> None:
         """Has no effect: outputs do not show the coach's page."""

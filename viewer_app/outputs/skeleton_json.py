@@ -63,6 +63,10 @@ class SkeletonJson:
         said = {"type": "coach", "version": VERSION, "state": state, "step": step, "marks": marks}
         return json.dumps(said)
 
+    def saving(self, state: str, text: str) -> str:
+        """Whether a session is saved that a page asked for, and its file or why not."""
+        return json.dumps({"type": "saving", "version": VERSION, "state": state, "text": text})
+
     def frame(self, timed: QueuedFrame) -> str:
         """A frame: positions and velocities (J, 3), rotations (J, 4) x, y, z, w, confidence (J,), sigma (J,),
         covariances (J, 3, 3), angles and their sigma (K,); null where the method does not know them."""

@@ -3,15 +3,18 @@
 The same port serves a page that shows the skeleton and what the set-up lacks, large enough to be read on a
 phone from where the person stands. Each client has a slot for the newest frame, and a ping follows each
 frame: a slow client skips frames, because no more may be unanswered than it takes within 0.3 s, and a blocked
-one is disconnected. Messages of clients are counted and ignored.
+one is disconnected. Who has the page's token may ask to save a session. Other messages of clients are counted
+and ignored.
 """
 
 from __future__ import annotations
 
 import asyncio
+import hmac
 import ipaddress
 import json
 import logging
+import secrets
 import sys
 import threading
 from collections import deque
@@ -33,6 +36,7 @@ from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LATE_NS, LiveOutput
 from viewer_app.outputs.skeleton_json import SkeletonJson
 from viewer_app.sinks.item_queue import QueuedFrame
+from viewer_app.sinks.requested_files import Saving
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection
@@ -99,6 +103,8 @@ class WebSocketOutput(LiveOutput):
         self._json = SkeletonJson(setup)
         self._holds = {"hello": self._json.hello(setup)}  # messages by their type
         self._page = _page()
+        self._token = ""
+        self._request: deque[bool] = deque(maxlen=1)  # the newest
         self._clients: set[_Client] = set()
         self._open: dict[ServerConnection, None] = {}  # in order
         self._most_open = _most_open()
@@ -144,6 +150,20 @@ class WebSocketOutput(LiveOutput):
     def send_setup(self, setup: FusionSetup) -> None:
         """Sends the description again."""
         self._loop.call_soon_threadsafe(self._change, "hello", self._json.hello(setup))
+
+    def allow_requests(self) -> None:
+        """Gives the page a token with which it may ask for session files."""
+        self._token, self.requests = secrets.token_urlsafe(9), self
+        self.page = f"{self.page}/#{self._token}"
+
+    def take_request(self) -> bool | None:
+        """Whether to save, as the page asked for since the last call; None if it did not."""
+        return self._request.pop() if self._request else None
+
+    def tell_saving(self, state: Saving, text: str) -> None:
+        """Sends what becomes of a session file; from any thread."""
+        with suppress(RuntimeError):  # the server is closed
+            self._loop.call_soon_threadsafe(self._change, "saving", self._json.saving(state, text))
 
     def coach(self, page: CoachPage) -> None:
         """Sends the state of the set-up and the next step."""
@@ -283,13 +303,27 @@ class WebSocketOutput(LiveOutput):
         self._clients.add(client)
         sending = asyncio.create_task(self._feed(connection, client))
         try:
-            async for _ in connection:
-                self.ignored += 1
+            async for message in connection:
+                self.ignored += not self._takes(message)
         except ConnectionClosed:
             pass
         finally:
             self._clients.discard(client)
             sending.cancel()
+
+    def _takes(self, message: str | bytes) -> bool:
+        """Takes a request with the token; returns whether it is one."""
+        try:
+            said = json.loads(message)
+        except (ValueError, RecursionError):
+            return False
+        if not self._token or not isinstance(said, dict) or not isinstance(said.get("on"), bool):
+            return False
+        given = str(said.get("token")).encode(errors="replace")
+        if said.get("type") != "save" or not hmac.compare_digest(given, self._token.encode()):
+            return False
+        self._request.append(said["on"])
+        return True
 
     async def _feed(self, connection: ServerConnection, client: _Client) -> None:
         from websockets.exceptions import ConnectionClosed

@@ -34,6 +34,7 @@ from viewer_app.running.sensor_run import SensorRun
 from viewer_app.running.sounds import Sounds, player
 from viewer_app.running.status import LiveDisplay
 from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.session_file import SessionFile
 from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.viewer_choice import choose_viewing
 
@@ -89,6 +90,9 @@ class Runner(SensorRun):
     def open_outputs(self, stack: ExitStack) -> None:
         """Opens the outputs to other programs, which the stack closes."""
         self._outputs = stack.enter_context(self._plan.opened(self.setup, self.sensors.rate))
+        if self._save is None:
+            for output in self._outputs:
+                output.allow_requests()
         announce_outputs(self.console, self._outputs)
 
     def open_session(self, stack: ExitStack, sample: bool = False) -> LiveDisplay:
@@ -112,20 +116,20 @@ class Runner(SensorRun):
         # of both sensors, on which the program's own tracker works; a file has none
         infrared = depth and all(each.tracked_by.startswith("blazepose") for each in (a, b))
         shown = partial(layout, infrared=infrared, card=True)
-        about = {"recorded": _recorded(a), "tracker": a.tracked_by}
         self.session = stack.enter_context(
             LiveSession(
                 self.setup,
                 (a.name, b.name),
                 shown(self.setup),
                 file=self._save,
+                requests=next((each for output in self._outputs if (each := output.requests)), None),
                 overwrite=options.force,
                 viewing=self.viewing,
                 sample=sample,
                 file_blueprint=layout(self.setup),
                 reframed=shown if self.active == "setup" else None,  # once it is known where B stands
                 others=self._outputs,
-                about={name: value for name, value in about.items() if value},
+                about=lambda: {name: value for name, value in _about(a).items() if value},
             )
         )
         self.viewing.announce(console)
@@ -164,10 +168,10 @@ class Runner(SensorRun):
             print_details(console, figures)
         save_session_report(self.options.report, figures, saved, self.options.force)
         self.tell_more()
-        if file is not None:
-            if file.written and file.failure is None:
-                say_saved(console, file.path)
-            for text in file.missing:
+        for each in self._files():
+            if each.written and each.failure is None:
+                say_saved(console, each.path)
+            for text in each.missing:
                 console.print(text, style="yellow", markup=False, soft_wrap=True)
         if not verbose:
             say_more(console)
@@ -199,10 +203,16 @@ class Runner(SensorRun):
     def tell_more(self) -> None:
         """Prints what follows the figures."""
 
+    def _files(self) -> Sequence[SessionFile]:
+        """The session files, in order."""
+        requested = self.session.requested
+        files = [] if self.session.file is None else [self.session.file]
+        return files if requested is None else [*files, *requested.files]
+
     def end(self) -> None:
-        file = self.session.file
-        if file is not None and file.failure is not None:
-            raise UsageError(file.failure)
+        for file in self._files():
+            if file.failure is not None:
+                raise UsageError(file.failure)
         check_kept(self._outputs)
 
 
@@ -247,6 +257,11 @@ def latency_figures(frames: Sequence[SessionFrame]) -> dict[str, float | None]:
     if not known:
         return {"p50": None, "p99": None, "max": None}
     return {"p50": float(np.median(known)), "p99": float(np.percentile(known, 99)), "max": float(max(known))}
+
+
+def _about(sensor: Sensor) -> dict[str, str]:
+    """What a session keeps of its sensors."""
+    return {"recorded": _recorded(sensor), "tracker": sensor.tracked_by}
 
 
 def _recorded(sensor: Sensor) -> str:

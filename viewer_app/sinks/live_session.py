@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from datetime import datetime
 from pathlib import Path
-from uuid import uuid4
+from uuid import UUID, uuid4
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -12,6 +13,7 @@ from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings.data import layout
 from recordings.writing.recorder import Recorder
+from viewer_app.sinks.requested_files import RequestedFiles, Requests, free_path
 from viewer_app.sinks.session_file import SessionFile
 from viewer_app.sinks.sink import FanOut, Sink
 from viewer_app.sinks.viewer_sink import ViewerSink
@@ -31,6 +33,7 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
 
     Args:
         file: The file to write; None for none. It is readable while it grows.
+        requests: Who may ask for further files, in the working folder; None for nobody.
         file_blueprint: The layout in the file; None: the viewer's. A file lacks what only a viewer is shown.
         reframed: Makes the viewer's layout of a setup in which B stands elsewhere; None: it stays.
         sample: Whether the viewer shows a recorded sample until :meth:`begin`.
@@ -43,12 +46,13 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
         blueprint: rrb.Blueprint,
         *,
         file: Path | None = None,
+        requests: Requests | None = None,
         overwrite: bool = False,
         viewing: Viewing | None = None,
         others: Sequence[Sink] = (),
         file_blueprint: rrb.Blueprint | None = None,
         reframed: Callable[[FusionSetup], rrb.Blueprint] | None = None,
-        about: Mapping[str, str | int] | None = None,
+        about: Callable[[], Mapping[str, str | int]] = dict,
         sample: bool = False,
     ) -> None:
         identity = uuid4()
@@ -58,26 +62,35 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
             self.viewer = ViewerSink(
                 setup, sources, blueprint, viewing, identity, file is None, reframed, shown
             )
-        self.file: SessionFile | None = None
         viewer = self.viewer
 
-        def begin(stream: rr.RecordingStream) -> Recorder:
-            pause = None if viewer is None else lambda: viewer.wait_until_free(_PAUSE)
-            recorder = Recorder(stream, setup, sources, depth_every=1, about=about, pause=pause)
-            # The blueprint's timeline must exist. If not active, a viewer restores a remembered layout.
-            stream.send_blueprint(file_blueprint or blueprint)
-            return recorder
+        def opened(path: Path, setup: FusionSetup, identity: UUID, overwrite: bool = False) -> SessionFile:
+            known = about()
 
-        if file is not None:
-            self.file = SessionFile(
-                file,
+            def begin(stream: rr.RecordingStream) -> Recorder:
+                pause = None if viewer is None else lambda: viewer.wait_until_free(_PAUSE)
+                recorder = Recorder(stream, setup, sources, depth_every=1, about=known, pause=pause)
+                # The blueprint's timeline must exist. If not active, a viewer restores a remembered layout.
+                stream.send_blueprint(file_blueprint or blueprint)
+                return recorder
+
+            return SessionFile(
+                path,
                 lambda: rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
                 begin,
                 overwrite=overwrite,
                 turn=None if viewer is None else viewer.wait_for_turn,
                 on_failure=lambda why: None if viewer is None else viewer.event(Event(why, "ERROR")),
             )
-        super().__init__([sink for sink in (self.file, self.viewer, *others) if sink is not None])
+
+        self.file = None if file is None else opened(file, setup, identity, overwrite)
+        self.requested: RequestedFiles | None = None
+        if requests is not None:
+            self.requested = RequestedFiles(
+                setup, requests, lambda now: opened(free_path(Path(), datetime.now()), now, uuid4())
+            )
+        sinks = self.file, self.viewer, self.requested, *others
+        super().__init__([sink for sink in sinks if sink is not None])
 
     def begin(self) -> None:
         """Shows this session where the viewer showed a sample."""
@@ -85,9 +98,10 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
             self.viewer.begin()
 
     def save(self) -> None:
-        """Writes the queued items to the file and closes it; later items go only to the other sinks."""
-        if self.file is not None:
-            self.file.close()
+        """Writes the queued items to the files and closes them; later items go only to the other sinks."""
+        for file in (self.file, self.requested):
+            if file is not None:
+                file.close()
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()

@@ -1,0 +1,141 @@
+"""Sessions that a page begins and ends while a run goes on."""
+
+import json
+from datetime import datetime
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from websockets.sync.client import connect
+
+from recordings.session import Session
+from tests.helpers.live_frames import frames, known_fuser
+from tests.helpers.machine import need_browser
+from tests.helpers.network import free_port
+from tests.helpers.waiting import eventually
+from viewer_app.outputs.websocket import WebSocketOutput
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.requested_files import free_path
+from viewer_app.viewer.blueprint import session_blueprint
+
+FUSER = known_fuser()
+FRAMES = frames(FUSER, 24)
+
+
+class Requests:
+    """Asks before given frames, and keeps what it is told."""
+
+    def __init__(self, asks):
+        self.asks, self.told, self.frame = asks, [], -1
+
+    def take_request(self):
+        self.frame += 1
+        return self.asks.get(self.frame)
+
+    def tell_saving(self, state, text):
+        self.told.append((state, text))
+
+
+def live(requests, **how):
+    blueprint = session_blueprint(FUSER.setup, np.array([0.0, 0.0, 2.6]), "inspect")
+    return LiveSession(FUSER.setup, ("a", "b"), blueprint, requests=requests, **how)
+
+
+@given(asks=st.dictionaries(st.integers(0, len(FRAMES) - 1), st.booleans(), max_size=6))
+@settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_each_frame_between_two_requests_is_in_one_file(asks, tmp_path, monkeypatch):
+    folder = tmp_path / str(len(list(tmp_path.iterdir())))
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    requests = Requests(asks)
+    with live(requests) as session:
+        for frame in FRAMES:
+            session.write(frame)
+    expected, saving = [], False
+    for k, frame in enumerate(FRAMES):
+        wanted = asks.get(k, saving)
+        if wanted and not saving:
+            expected.append([])
+        saving = wanted
+        if saving:
+            expected[-1].append(frame.fused.positions)
+    files = session.requested.files
+    assert sorted(folder.iterdir()) == sorted(file.path.absolute() for file in files)
+    assert len(files) == len(expected)
+    for file, fused in zip(files, expected, strict=True):
+        saved = Session.open(file.path)
+        assert saved.damage is None
+        np.testing.assert_allclose(saved.fused, fused, atol=1e-6)
+    assert [state for state, _ in requests.told if state == "saved"] == ["saved"] * len(files)
+
+
+def test_a_name_is_that_of_no_file(tmp_path):
+    now, seen = datetime(2026, 1, 2, 3, 4, 5), set()
+    for _ in range(3):
+        path = free_path(tmp_path, now)
+        path.touch()
+        seen.add(path.name)
+    assert seen == {f"duplex-20260102-030405{more}.rrd" for more in ("", "-2", "-3")}
+
+
+@pytest.fixture
+def server():
+    output = WebSocketOutput(free_port(), FUSER.setup)
+    output.allow_requests()
+    yield output
+    output.close()
+
+
+def said_by(client, kind):
+    return next(said for said in map(json.loads, client) if said["type"] == kind)
+
+
+@given(
+    wrong=st.sampled_from([
+        "save", 7, None, [], {"type": "save", "on": True}, {"type": "save", "on": "yes", "token": "TOKEN"},
+        {"type": "save", "on": True, "token": ["TOKEN"]}, {"type": "frame", "on": True, "token": "TOKEN"},
+        {"type": "save", "on": True, "token": "\ud800"}, {"type": "save", "on": True, "token": "TOKEN0"},
+    ])
+)  # fmt: skip
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_only_the_token_begins_a_file(wrong, server):
+    base, _, token = server.page.partition("/#")
+    before = server.ignored
+    with connect(base.replace("http", "ws")) as client:
+        client.send(json.dumps(wrong).replace('"TOKEN"', json.dumps(token)))
+        assert eventually(lambda: server.ignored == before + 1)
+        assert server.take_request() is None
+        for on in (True, False):
+            client.send(json.dumps({"type": "save", "on": on, "token": token}))
+            assert eventually(lambda: server._request)
+            assert server.take_request() is on
+    assert server.ignored == before + 1
+
+
+def test_a_page_begins_and_ends_a_file(server, tmp_path, monkeypatch):
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
+    chromium = need_browser()
+    monkeypatch.chdir(tmp_path)
+    with playwright.sync_playwright() as p, live(server, others=[server]) as session:
+        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        try:
+            tabs = [browser.new_page(bypass_csp=True) for _ in range(2)]
+            button = tabs[0].locator("#save")
+            for tab, page in zip(tabs, (server.page, server.page.partition("/#")[0]), strict=True):
+                tab.goto(page)
+                tab.wait_for_function("skeleton.saving && skeleton.saving.state === 'ready'")
+            assert not tabs[1].locator("#save").is_visible(), "a page without the token"
+            for count, (state, word) in enumerate((("saving", "Stop saving"), ("saved", "Save again"))):
+                button.click()
+                assert eventually(lambda: server._request)
+                for frame in FRAMES[12 * count : 12 * count + 12]:
+                    session.write(frame)
+                for tab in tabs:
+                    tab.wait_for_function(f"skeleton.saving.state === '{state}'")
+                assert button.inner_text() == word
+            (file,) = session.requested.files
+            assert tabs[1].locator("#event").inner_text() == f"Saved {file.path.name}"
+        finally:
+            browser.close()
+    assert len(Session.open(file.path).rows) == 12
