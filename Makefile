@@ -55,6 +55,7 @@ docs: $(READY)
 pictures: $(READY)
 	$(BIN)/python -m tests.experiments.notebook
 	$(BIN)/python -m tests.experiments.placement_picture
+	$(BIN)/python -m tests.experiments.surface_picture
 	$(BIN)/python -m tests.experiments.moving_picture
 	$(BIN)/python -m tests.experiments.layout_pictures
 

@@ -128,7 +128,7 @@ class CalibrationLearner:
         return Known(self._joints, self._fit, self._refinement.keyframes.evidence.copy())
 
     def see_surface(self, found: Calibration, known: Known, now_ns: int) -> list[CalibrationChange]:
-        """Takes a calibration by the surface; returns the change, if R and t become others.
+        """Takes a calibration by the surface; returns the change, if R and t become others or much surer.
 
         Args:
             known: What it started from.
@@ -137,7 +137,8 @@ class CalibrationLearner:
         if found.a_from_b is known.calibration.a_from_b or registration is None:
             return []  # too little of the surface is seen
         turn, shift = _difference(old.a_from_b, found.a_from_b, registration.centre)
-        if not self._settings.refinement.worth(turn, shift):
+        settings, known_sd = self._settings.refinement, prior_of(old).rotation_sd
+        if not settings.worth(turn, shift) and registration.rotation_sd > settings.surer * known_sd:
             return []
         self.calibration = replace(found, bone_lengths=old.bone_lengths, person=old.person)
         return [self._refined(turn, shift, now_ns, " by the surface that both sensors see")]

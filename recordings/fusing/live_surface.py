@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import larger_speeds
 from fusion.calibration.online import CalibrationChange, CalibrationLearner, Known
 from fusion.calibration.surface_fit import FEWEST_MOMENTS, with_surface
+from fusion.errors import CalibrationError
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import Pairs
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -77,7 +79,9 @@ class LiveSurface:
         if self._fit is None or not self._fit[1].done():
             return []
         (known, fit), self._fit = self._fit, None
-        return learner.see_surface(fit.result(), known, pair.time_ns)
+        with suppress(CalibrationError, np.linalg.LinAlgError):  # the joints' registration remains
+            return learner.see_surface(fit.result(), known, pair.time_ns)
+        return []
 
     def _choose(self, pair: FramePair) -> None:
         """Keeps the middle one of the recent pairs, if it is the stillest of its second."""

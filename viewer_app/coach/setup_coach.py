@@ -24,7 +24,7 @@ from fusion.calibration.comparison import RecentPlacement
 from fusion.facing.handedness import mirrored_share
 from fusion.facing.model import WHOLE
 from fusion.intrinsics import Intrinsics
-from fusion.skeleton import Skeleton
+from fusion.skeleton import Skeleton, nearer
 from recordings.appearance.floor import CAMERA_HEIGHT
 from recordings.calibration_file import is_loaded
 from recordings.data.session_arrays import SessionFrame
@@ -131,9 +131,10 @@ class Coach:
         if skeletons.a is not None and skeletons.b is not None:
             codes = frame.fused.exchanged_a & WHOLE, frame.fused.exchanged_b & WHOLE
             self._recent.add(skeletons, codes)
+            errors = now.calibration.depth_errors.tolist()
             a, b = (
-                of.positions[self.body.mirror] if code == WHOLE else of.positions
-                for of, code in zip((skeletons.a, skeletons.b), codes, strict=True)
+                nearer(of.positions[self.body.mirror] if code == WHOLE else of.positions, error)
+                for of, code, error in zip((skeletons.a, skeletons.b), codes, errors, strict=True)
             )
             each = np.linalg.norm(now.calibration.a_from_b.apply(b) - a, axis=1)
             apart = 1e3 * float(np.median(each[np.isfinite(each)])) if np.isfinite(each).any() else math.nan
