@@ -1,6 +1,7 @@
 """One contract for opening, losing and closing the live sensors of all vendors, by what their libraries give."""
 
 import os
+from itertools import islice
 from types import SimpleNamespace
 
 import pytest
@@ -40,6 +41,11 @@ class OnBus:
     def busy(self):
         """Another program uses A."""
         self._bus.devices[1].busy = True
+
+    def loses(self, image):
+        """A gives this image no more."""
+        self._bus.devices[1].color = image != "colour"
+        self._bus.devices[1].infrared_lost = lambda _: image == "infrared"
 
     @property
     def open_serials(self):
@@ -199,6 +205,17 @@ def test_unplugged_while_frames_come_it_is_told_closes_and_opens_again(driver):
     with sensor:
         next(sensor.frames())
     assert list(driver.open_serials) == []
+
+
+@pytest.mark.parametrize("driver", ["azure", "orbbec"], indirect=True)
+@pytest.mark.parametrize("image", ["infrared", "colour"])
+def test_an_image_that_does_not_come_with_depth_is_named(driver, image):
+    driver.loses(image)
+    with driver.sensor() as sensor:
+        depths = [int(frame.depth[0, 0]) for frame in islice(sensor.frames(), 180)]
+    assert depths == list(range(depths[0], depths[0] + 180))
+    (told,) = sensor.take_news()
+    assert f"{image} images" in told
 
 
 def _on_bus(monkeypatch, devices):

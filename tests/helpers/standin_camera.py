@@ -1,10 +1,7 @@
 """One sensor on the stand-in's bus: when its images reach the host, and how the SDK queues them.
 
-After libk4a 1.4: without colour, depth goes to the queue of captures as it comes. With colour, capture sync
-holds depth back until the colour image of its moment is there; where that is missing, depth goes alone when
-the next colour image comes, or after half a second, or never with synchronized_images_only. A device that is
-opened with K4A_DISABLE_SYNCHRONIZATION gives depth as it comes, and colour in captures of its own. Starting
-the colour camera resets the clock; capture sync drops all depth if it is beyond ten frames then.
+As libk4a 1.4 opened with K4A_DISABLE_SYNCHRONIZATION: depth goes to the queue of captures as it comes, and
+colour in captures of its own. Orbbec's wrapper has them in one. Starting the colour camera resets the clock.
 """
 
 import heapq
@@ -15,8 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 QUEUE = 7  # captures; one more drops the oldest
-HELD = 15  # depth images that capture sync holds back
-FIRST = 10  # frames within which the first colour image must come
 DEPTH_LATENCY_NS = 15_000_000  # from exposure until the depth image is on the host
 _MASTER, _SUBORDINATE, _WFOV_UNBINNED, _3072P = 1, 2, 4, 6
 
@@ -66,9 +61,7 @@ class Device:
     plugged: bool = True
     starts: bool = True
     silent: bool = False
-    blind: bool = False  # captures without depth
     infrared_lost: Callable[[int], bool] = lambda _number: False
-    depth_lost: Callable[[int], bool] = lambda _number: False  # on USB
     orbbec: bool = False  # behind Orbbec's wrapper: opens lazily, hides its jacks, epoch times
     firmware: tuple[int, int, int] = (1, 6, 110)
     clock_usec: int = 1_000_000
@@ -83,35 +76,26 @@ class Device:
     start_s: float = 0.0
     stop_s: float = 0.0
     log: dict[str, str] = field(default_factory=dict)  # what libk4a logs where open or start fail
-    color_lost: Callable[[int], bool] = lambda _number: False
     skips: int = 0  # captures before each one that the full queue of the SDK dropped
     paced: bool = False  # captures arrive when they are due; otherwise one per wait
     time: RealTime | VirtualTime = field(default_factory=RealTime)
     at: dict[int, Callable[[], object]] = field(default_factory=dict)  # called at these capture numbers
     opened_by: object = None
     color_runs: bool = False
-    joins_color: bool = True  # capture sync
-    synchronized_only: bool = False
+    joins_color: bool = True  # in one capture with depth
     begun_ns: Callable[[], int | None] = lambda: None
-    ready: list[int] = field(default_factory=list)  # when each capture with depth was in the queue
     _made: int = 0
-    _blinded: bool = False
     _queue: deque[Shot] = field(default_factory=deque)
     _due: list[tuple[int, int, bool, Shot]] = field(default_factory=list)
 
-    def start(self, color, synchronized_only, begun_ns):
+    def start(self, color, begun_ns):
         """Starts the cameras; ``begun_ns`` is the time of the first exposure once the master runs."""
-        self.color_runs, self.synchronized_only, self.begun_ns = color, synchronized_only, begun_ns
+        self.color_runs, self.begun_ns = color, begun_ns
         if color and self.first_usec is not None:
             self.clock_usec = self.first_usec
-        self._blinded = self._sync_drops_depth()
         self._made = 0
         self._due.clear()
         self._queue.clear()
-
-    def _sync_drops_depth(self):
-        late = self.first_usec is not None and self.first_usec > FIRST * self.interval_usec
-        return late and self.color_runs and self.joins_color
 
     def next_shot(self, timeout_ms):
         """Returns the oldest capture in the queue after a bounded wait; None if none arrives."""
@@ -121,7 +105,7 @@ class Device:
             if not timeout_ms:
                 return None
             shot = self._make(self.time.now_ns())
-            if self._colored_alone(shot.number):
+            if self._colored_alone():
                 self._queue.append(replace(shot, has_depth=False, has_color=True))
             return shot
         until_ns = self.time.now_ns() + timeout_ms * 1_000_000
@@ -141,7 +125,6 @@ class Device:
             self._expose(next_ns)
         while self._due and self._due[0][0] <= self.time.now_ns():
             shot = heapq.heappop(self._due)[-1]
-            self.ready += [shot.ready_ns] * shot.has_depth
             self._queue.append(shot)
             if len(self._queue) > QUEUE:
                 self._queue.popleft()
@@ -153,36 +136,22 @@ class Device:
     def _expose(self, exposed_ns):
         """Takes the images of one moment; each capture is due when libk4a releases it."""
         shot = self._make(exposed_ns + self.depth_latency_ns)
-        captures = [None if random.random() < self.lost_on_usb or self.depth_lost(shot.number) else shot]
-        if self.color_runs and self.joins_color:
-            captures = [self._synchronized(shot, exposed_ns)] if captures[0] else []
-        elif self._colored_alone(shot.number):
+        captures = [shot] * (random.random() >= self.lost_on_usb)
+        if self._colored_alone():
             ready_ns = exposed_ns + self.color_latency_ns
             captures.append(replace(shot, ready_ns=ready_ns, has_depth=False, has_color=True))
-        for capture in filter(None, captures):
+        for capture in captures:
             heapq.heappush(self._due, (capture.ready_ns, capture.number, capture.has_depth, capture))
 
     def _make(self, host_ns):
         self._made += 1
         self.clock_usec += self.interval_usec * (1 + self.skips)
-        color = self.color_runs and self.joins_color and self.color and not self.color_lost(self._made)
-        return Shot(self._made, self.clock_usec, host_ns, host_ns, not (self.blind or self._blinded), color)
+        color = self.color_runs and self.joins_color and self.color
+        return Shot(self._made, self.clock_usec, host_ns, host_ns, True, color)
 
-    def _colored_alone(self, number):
+    def _colored_alone(self):
         """Whether colour comes in a capture of its own."""
-        return self.color_runs and not self.joins_color and self.color and not self.color_lost(number)
-
-    def _synchronized(self, shot, exposed_ns):
-        """The capture when capture sync releases it; None if it never does."""
-        if shot.has_color:
-            ready_ns = max(shot.ready_ns, exposed_ns + self.color_latency_ns)
-        elif self.synchronized_only:
-            return None
-        elif self.color:  # the next colour image shows that this one is missing
-            ready_ns = max(shot.ready_ns, exposed_ns + self.interval_usec * 1000 + self.color_latency_ns)
-        else:
-            ready_ns = shot.ready_ns + HELD * self.interval_usec * 1000
-        return replace(shot, ready_ns=ready_ns)
+        return self.color_runs and not self.joins_color and self.color
 
 
 def refused(config, device):

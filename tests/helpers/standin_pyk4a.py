@@ -136,9 +136,7 @@ def make_module(bus):
                     return begun_ns
                 return None if bus.master_begun_ns is None else bus.master_begun_ns + delay_ns
 
-            device.start(
-                int(config.color_resolution) != 0, config.synchronized_images_only, first_exposure_ns
-            )
+            device.start(int(config.color_resolution) != 0, first_exposure_ns)
 
         def stop(self):
             if not self.opened:

@@ -7,7 +7,6 @@ names of their classes: the stand-in has nothing that the real library lacks.
 from __future__ import annotations
 
 import gc
-import heapq
 import sys
 import types
 import weakref
@@ -21,7 +20,6 @@ import numpy as np
 import pytest
 
 from tests.helpers.orbbec import standin_values as values
-from tests.helpers.orbbec.aggregator import KINDS, Aggregator
 from tests.helpers.orbbec.standin_values import OBError
 from tests.helpers.standin_camera import RealTime
 
@@ -29,7 +27,6 @@ JPEG = b"\xff\xd8 a colour image \xff\xd9"
 FEMTO_SIZES = ((640, 576), (320, 288), (512, 512))
 GEMINI_SIZES = ((1280, 800), (640, 400), (320, 200))
 _MODES = values.OBMultiDeviceSyncMode
-QUEUE = 10  # sets of frames in a pipeline; one more drops the oldest
 _FEMTO_MODES = (_MODES.STANDALONE, _MODES.PRIMARY, _MODES.SECONDARY)
 _GEMINI_MODES = (_MODES.FREE_RUN, _MODES.STANDALONE, _MODES.PRIMARY, _MODES.SECONDARY_SYNCED)
 
@@ -51,20 +48,13 @@ class Orbbec:
     plugged: bool = True
     busy: bool = False
     starts: bool = True
-    silent: bool = False
-    blind: bool = False  # no depth
     infrared_lost: Callable[[int], bool] = lambda _number: False
     color: bool = True  # the colour camera works
-    color_lost: Callable[[int], bool] = lambda _number: False
-    latency_us: int = 15_000  # from exposure until depth and infrared reach the SDK
-    color_latency_ns: int = 40_000_000
     timed: bool = True  # frames have a time of the sensor's clock
     calibrated: bool = True
     distortion: str = "BROWN_CONRADY_K6"
     keeps_delay: bool = True
     paced: bool = False  # frames come when they are due; otherwise one per wait
-    waiting: int = 0  # sets of frames that wait in the SDK's queue beside the one that is waited for
-    depth_lost: Callable[[int], bool] = lambda _number: False  # on USB
     skips: int = 0  # frames that the full queue dropped before each one
     interval_us: int = 33_333
     clock_us: int = 1_000_000
@@ -98,7 +88,6 @@ class OrbbecBus:
         self.bags = {}
         self.contexts = 0
         self.log_level = None
-        self.timeouts = []
         self.started = []
         self.configurations = []
         self.running = []
@@ -238,10 +227,7 @@ def make_module(bus):
             if device is None:
                 raise RuntimeError("No device found")
             self._device, self._running = device, False
-            self._behind = 0
-            self._next_ns = 0
-            self._aggregator = Aggregator(sync=True)
-            self._due, self._output = [], deque()
+            self._synced, self._output = True, deque()
 
         def get_stream_profile_list(self, sensor_type):
             sensor, sensors = self._device._sensor, values.OBSensorType
@@ -279,7 +265,7 @@ def make_module(bus):
             return profile
 
         def disable_frame_sync(self):
-            self._aggregator.sync = False
+            self._synced = False
 
         def start(self, configuration):
             sensor = self._device._sensor
@@ -287,12 +273,10 @@ def make_module(bus):
                 raise OBError("Failed to start stream!")
             if not sensor.plugged:
                 raise OBError("Device is deactivated/disconnected!")
+            assert self._synced == isinstance(self._device, PlaybackDevice), "a late image holds back depth"
             self._profiles = {profile.get_type(): profile for profile in configuration._profiles}
-            kinds = [KINDS[one.name] for one in self._profiles]
-            fps = configuration._profiles[0].get_fps()
-            self._aggregator.start(kinds, configuration._mode, fps)
-            self._running = True
-            self._next_ns = bus.time.now_ns() + sensor.interval_us * 1000
+            self._mode, self._running = configuration._mode, True
+            self._next_ns = bus.time.now_ns()
             bus.started.append(sensor.serial)
             bus.running.append(sensor.serial)
             bus.configurations.append(configuration)
@@ -302,75 +286,53 @@ def make_module(bus):
             if self._running:
                 bus.running.remove(sensor.serial)
             self._running = False
-            self._due.clear()
             self._output.clear()
             if not sensor.plugged:
                 raise OBError("Device is deactivated/disconnected!")
 
         def wait_for_frames(self, timeout_ms):
             sensor, time = self._device._sensor, bus.time
-            bus.timeouts.append(timeout_ms)
             assert self._running
             sensor.at.pop(sensor.given, lambda: None)()
             until_ns = time.now_ns() + timeout_ms * 1_000_000
-            if sensor.paced:
-                while not self._came() and time.now_ns() < until_ns:
-                    following = [due[0] for due in self._due[:1]] + [self._next_ns] * self._exposes()
-                    time.wait_until(min(until_ns, *following) if following else until_ns)
-            elif not self._output and self._exposes() and (timeout_ms or self._behind):
-                self._behind = sensor.waiting if timeout_ms else self._behind - 1
-                while not self._output and self._exposes() and sensor.given < 1000:
-                    self._expose(time.now_ns())
-                    self._deliver(until_ns=None)
-            elif not self._output:
-                time.wait_until(until_ns)
+            if not self._output and timeout_ms:
+                if sensor.paced:
+                    self._next_ns += 1000 * sensor.interval_us
+                    time.wait_until(min(self._next_ns, until_ns))
+                while not self._output and self._exposes():
+                    self._output.extend(self._exposed())
+                if not self._output:
+                    time.wait_until(until_ns)
             return self._output.popleft() if self._output else None
 
         def _exposes(self):
             sensor = self._device._sensor
             over = isinstance(self._device, PlaybackDevice) and sensor.given >= self._device._bag.frames
-            return sensor.plugged and not sensor.silent and not over and _triggered(bus, sensor)
+            return sensor.plugged and not over
 
-        def _came(self):
-            """Whether a set waits, after all that has happened until now."""
-            while self._next_ns <= bus.time.now_ns():
-                if self._exposes():
-                    self._expose(self._next_ns)
-                self._next_ns += self._device._sensor.interval_us * 1000
-            self._deliver(bus.time.now_ns())
-            return bool(self._output)
-
-        def _deliver(self, until_ns):
-            while self._due and (until_ns is None or self._due[0][0] <= until_ns):
-                self._output.extend(self._aggregator.push(heapq.heappop(self._due)[-1]))
-                while len(self._output) > QUEUE:
-                    self._output.popleft()
-
-        def _expose(self, now_ns):
+        def _exposed(self):
+            """The sets of the next exposure, as ``FrameAggregator.cpp`` of OrbbecSDK_v2 makes them."""
             sensor, kinds, sensors = self._device._sensor, values.OBFrameType, values.OBSensorType
             sensor.given += 1
             sensor.clock_us += sensor.interval_us * (1 + sensor.skips)
-            depth, number = self._profiles[sensors.DEPTH_SENSOR], sensor.given
-            if sensor.depth_lost(number):
-                return
-            size, arrived_ns = (depth.get_height(), depth.get_width()), now_ns + 1000 * sensor.latency_us
-            if not sensor.blind:
-                image = np.full(size, 2000 + number, np.uint16)
-                self._put(kinds.DEPTH_FRAME, values.OBFormat.Y16, image, arrived_ns)
+            depth, number, formats = self._profiles[sensors.DEPTH_SENSOR], sensor.given, values.OBFormat
+            size, frames = (depth.get_height(), depth.get_width()), []
+            image = np.full(size, 2000 + number, np.uint16)
+            frames.append(self._frame(kinds.DEPTH_FRAME, formats.Y16, image))
             if not sensor.infrared_lost(number):
                 kind = kinds.LEFT_IR_FRAME if sensor.stereo else kinds.IR_FRAME
                 image = np.full(size, 90, np.uint8 if sensor.infrared == "Y8" else np.uint16)
-                self._put(kind, values.OBFormat[sensor.infrared], image, arrived_ns)
-            if sensors.COLOR_SENSOR in self._profiles and sensor.color and not sensor.color_lost(number):
-                jpeg = np.frombuffer(JPEG, np.uint8)
-                arrived_ns = now_ns + sensor.color_latency_ns
-                self._put(kinds.COLOR_FRAME, values.OBFormat.MJPG, jpeg, arrived_ns)
+                frames.append(self._frame(kind, formats[sensor.infrared], image))
+            if sensors.COLOR_SENSOR in self._profiles and sensor.color:
+                frames.append(self._frame(kinds.COLOR_FRAME, formats.MJPG, np.frombuffer(JPEG, np.uint8)))
+            if self._mode is values.OBFrameAggregateOutputMode.DISABLE:
+                return [_set_of([frame]) for frame in frames]
+            whole = len(frames) == len(self._profiles)
+            asked = self._mode is values.OBFrameAggregateOutputMode.FULL_FRAME_REQUIRE
+            return [_set_of(frames)] if whole or not asked else []
 
-        def _put(self, kind, image_format, image, arrived_ns):
-            sensor = self._device._sensor
-            shown_ns = arrived_ns if sensor.paced else bus.time.now_ns()
-            frame = _frame(sensor, kind, image_format, image, shown_ns)
-            heapq.heappush(self._due, (arrived_ns, sensor.given, int(kind), frame))
+        def _frame(self, kind, image_format, image):
+            return _frame(self._device._sensor, kind, image_format, image, bus.time.now_ns())
 
     for name in (
         *("OBSensorType", "OBStreamType", "OBFrameType", "OBFormat", "OBLogLevel", "OBClockType"),
@@ -398,11 +360,11 @@ def _frame(sensor, kind, image_format, image, arrived_ns):
     return frame
 
 
-def _triggered(bus, sensor):
-    """Whether a sensor exposes: a secondary does only while a primary runs."""
-    if sensor.sync["mode"] not in (_MODES.SECONDARY, _MODES.SECONDARY_SYNCED):
-        return True
-    return any(one.sync["mode"] is _MODES.PRIMARY and one.serial in bus.running for one in bus.devices)
+def _set_of(frames):
+    found = values.FrameSet()
+    for frame in frames:
+        found.push_frame(frame)
+    return found
 
 
 def _beside():
