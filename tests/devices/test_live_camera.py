@@ -287,5 +287,3 @@ def test_interrupting_ends_a_silent_wait(schedule):
 
         with patch.object(schedule.time, "wait_until", wait):
             assert list(sensor.frames()) == []
-
-

@@ -1,4 +1,4 @@
-"""One contract for opening, losing and closing the live sensors of all vendors, by what their libraries give."""
+"""One contract for opening, losing and closing the live sensors of all vendors, by their libraries."""
 
 import os
 from itertools import islice

@@ -299,7 +299,7 @@ def make_module(bus):
                 if sensor.paced:
                     self._next_ns += 1000 * sensor.interval_us
                     time.wait_until(min(self._next_ns, until_ns))
-                while not self._output and self._exposes():
+                if self._exposes():
                     self._output.extend(self._exposed())
                 if not self._output:
                     time.wait_until(until_ns)
