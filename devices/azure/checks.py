@@ -13,6 +13,7 @@ from devices.azure.tracking.settings import TrackerSettings
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.check import Check, failed
 from devices.sensor import DeviceError
+from devices.vendor import library_check, listed_check
 
 _MODELS = ("dnn_model_2_0_op11.onnx", "dnn_model_2_0_lite_op11.onnx", "dnn_model_2_0.onnx")
 _DEPTH_ENGINE = "libdepthengine.so.2.0"
@@ -20,11 +21,9 @@ _DEPTH_ENGINE = "libdepthengine.so.2.0"
 
 def sdk_check() -> Check:
     """Whether pyk4a and the Sensor SDK can be imported."""
-    try:
-        sdk = load_sdk()
-    except DeviceError as fault:
-        return failed("pyk4a and the Sensor SDK", fault)
-    return Check("pyk4a and the Sensor SDK", True, getattr(sdk, "__file__", None) or "installed")
+    return library_check(
+        "pyk4a and the Sensor SDK", lambda: getattr(load_sdk(), "__file__", None) or "installed"
+    )
 
 
 def depth_engine_check(root: Path, x_answers: bool) -> Check:
@@ -87,16 +86,12 @@ def tracker_network_check(tracker: TrackerSettings, root: Path) -> Check:
 
 def sensor_check(kinect: ConnectedSensor) -> Check:
     """A Kinect that libk4a lists: its jacks and its firmware."""
-    if kinect.serial is None:
-        what, _, advice = kinect.fault.partition(". ")
-        return Check(f"Kinect at place {kinect.index}", False, what, advice, needed=False)
     plugs = (
         "sync jacks not known"
         if kinect.hides_jacks
         else f"sync in {_plug(kinect.sync_in)}, sync out {_plug(kinect.sync_out)}"
     )
-    detail = ", ".join(filter(None, (plugs, kinect.description)))
-    return Check(f"Kinect {kinect.serial}", not kinect.advice, detail, kinect.advice, needed=False)
+    return listed_check("Kinect", kinect, ", ".join(filter(None, (plugs, kinect.description))))
 
 
 def _plug(connected: bool | None) -> str:

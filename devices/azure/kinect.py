@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from devices.azure.calibration import COLOR_SIZES, depth_mode
+from devices.azure.checks import sdk_check, sensor_check
 from devices.azure.pyk4a_access import (
     close_kinect,
+    connected_kinects,
     is_connected,
     is_listed,
     load_sdk,
@@ -33,7 +35,9 @@ from devices.capture.causes import Cause
 from devices.capture.clock.host_clock import arrival_ns
 from devices.capture.clock.moments import ImageJoiner, Moment
 from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.settings import CaptureSettings
 from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError, SensorFrame
+from devices.vendor import Vendor
 from fusion.body import AZURE_KINECT
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
@@ -236,3 +240,19 @@ def _intrinsics(calibration: Any, camera: Any, size: tuple[int, int]) -> Intrins
     lens = np.asarray(calibration.get_distortion_coefficients(camera), dtype=np.float64).ravel()
     (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
     return Intrinsics(*size, fx, fy, cx, cy, tuple(lens.tolist()))
+
+
+def _of_images(serial: str, settings: CaptureSettings, decimation: FrameDecimation) -> KinectSensor:
+    """The sensor without a body tracker, whose frames have infrared."""
+    with_infrared = KinectSettings(**{**vars(settings), "infrared": True})
+    return KinectSensor(serial, with_infrared, track=False, decimation=decimation)
+
+
+VENDOR = Vendor(
+    "Azure Kinect",
+    'Sensor SDK 1.4 and pip install ".[kinect]" (docs/installing.md)',
+    connected_kinects,
+    _of_images,
+    sdk_check,
+    sensor_check,
+)

@@ -15,8 +15,9 @@ from devices.capture import usb
 from devices.capture.causes import Cause, in_brackets
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.usb import usb_kinects
-from devices.check import extra_command, installed_version, missing_names, words_of
+from devices.check import extra_command, installed_version
 from devices.sensor import AbsentError, DeviceError
+from devices.vendor import load_module
 
 _NAMES = (
     *("CalibrationType.COLOR", "CalibrationType.DEPTH", "ColorResolution", "Config", "DepthMode", "FPS"),
@@ -77,18 +78,7 @@ def load_sdk() -> ModuleType:
     """
     # libk4a writes its errors to standard output, among ours, unless told not to before it is loaded.
     os.environ.setdefault("K4A_ENABLE_LOG_TO_STDOUT", "0")
-    try:
-        import pyk4a
-    except Exception as fault:  # a damaged library raises what it likes
-        raise DeviceError(
-            f"Live sensors need pyk4a, which cannot be imported ({words_of(fault)}). {how_to_install()}"
-        ) from fault
-    if missing := missing_names(pyk4a, _NAMES):
-        raise DeviceError(
-            f"The installed pyk4a lacks {missing[0]}: it is of another version; 1.5 is needed. "
-            f"{how_to_install()}"
-        )
-    return pyk4a  # type: ignore[no-any-return]
+    return load_module("pyk4a", "pyk4a", "Live sensors", _NAMES, how_to_install())
 
 
 def how_to_install(platform: str = sys.platform) -> str:

@@ -12,10 +12,9 @@ from typing import Any
 
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.usb import usb_kinects, why_not_open
-from devices.check import Check, failed
-from devices.sensor import AbsentError, DeviceError
+from devices.sensor import DeviceError
+from devices.vendor import absent
 
-LIBRARY_NAME = "libfreenect 0.5 (Kinect v1)"
 PROGRAMS = "freenect-glview"
 _COMMANDS = {
     "linux": "apt install libfreenect0.5 (Debian, Ubuntu), dnf install libfreenect (Fedora)",
@@ -179,8 +178,7 @@ class Context:
         """
         there = self.serials()
         if serial not in there:
-            listed = f"Connected: {', '.join(sorted(there))}." if there else "No other is connected."
-            raise AbsentError(f"No Kinect v1 with serial {serial}. {listed} Check its USB and power supply.")
+            raise absent("Kinect v1", serial, there, "Check its USB and power supply.")
         if self._call("open_device_by_camera_serial", self._handle, self._device, serial.encode()) < 0:
             why = why_not_open(Exception(self.said), usb_kinects(), PROGRAMS, "freenect")
             raise DeviceError(f"Kinect v1 {serial} cannot be opened: {why}")
@@ -235,19 +233,3 @@ def connected_freenects() -> list[ConnectedSensor]:
         fault = f"Kinect v1 at place {index} cannot be opened: {why}"
         found.append(ConnectedSensor(index, None, fault=fault, sdk="freenect"))
     return found
-
-
-def library_check() -> Check:
-    """Whether libfreenect is installed."""
-    try:
-        return Check(LIBRARY_NAME, True, str(load_library()._name))
-    except DeviceError as fault:
-        return failed(LIBRARY_NAME, fault)
-
-
-def sensor_check(sensor: ConnectedSensor) -> Check:
-    """A sensor that libfreenect lists. It has no sync jacks, and its firmware cannot be updated."""
-    if sensor.serial is None:
-        what, _, advice = sensor.fault.partition(". ")
-        return Check("Kinect v1", False, what, advice, needed=False)
-    return Check(f"Kinect v1 {sensor.serial}", True, "no sync jacks", needed=False)

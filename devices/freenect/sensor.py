@@ -5,19 +5,18 @@ from __future__ import annotations
 import ctypes
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.capture_stream import CaptureStream, LiveSensor
-from devices.capture.causes import Cause, in_brackets
+from devices.capture.capture_stream import CaptureStream
 from devices.capture.clock.moments import ImageJoiner, Moment
-from devices.capture.settings import CaptureSettings
-from devices.freenect.libfreenect import PROGRAMS, Context
+from devices.freenect.libfreenect import PROGRAMS, Context, connected_freenects, how_to_install, load_library
 from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
+from devices.vendor import Vendor, VendorSensor, library_check, listed_check
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 
@@ -40,9 +39,9 @@ class _Camera:
     libfreenect buffers 32 ms of USB data, and the body tracker takes longer: they need threads of their own.
     """
 
-    def __init__(self, serial: str, clock: Callable[[], int]) -> None:
-        self._thread = threading.Thread(target=self._run, name=f"libfreenect {serial}", daemon=True)
-        self.serial, self._clock = serial, clock
+    def __init__(self, sensor: FreenectSensor) -> None:
+        self._thread = threading.Thread(target=self._run, name=f"libfreenect {sensor.name}", daemon=True)
+        self._sensor = sensor
         self._counter, self._images = TickCounter(), deque[tuple[int, int, NDArray[Any]]](maxlen=_QUEUE)
         self._changed = threading.Condition()
         self._stopping, self._started, self._ended = False, False, False
@@ -84,15 +83,9 @@ class _Camera:
         """Runs the camera until it is closed or lost."""
         try:
             with Context() as context:
-                context.open(self.serial)
+                context.open(self._sensor.name)
                 if not context.start(self._take_depth, self._take_color):
-                    raise Cause.CAMERAS_NOT_STARTED.error(
-                        label=f"Kinect v1 {self.serial}",
-                        what="did not start its cameras",
-                        said=in_brackets(context.said),
-                        advice="",
-                        programs=PROGRAMS,
-                    )
+                    raise self._sensor.not_started(Exception(context.said))
                 self._tell(started=True)
                 while not self._stopping and context.process(_EVENTS_S):
                     pass
@@ -116,7 +109,7 @@ class _Camera:
 
     def _keep(self, image: NDArray[Any], address: int, ticks: int) -> None:
         ctypes.memmove(image.ctypes.data, address, image.nbytes)
-        host_ns = self._clock()
+        host_ns = self._sensor.clock()
         time_ns = self._counter.total(ticks, host_ns) * 1_000_000_000 // TICKS_PER_S
         with self._changed:
             self._images.append((time_ns, host_ns, image))
@@ -128,7 +121,7 @@ class _FreenectStream(CaptureStream):
 
     def __init__(self, camera: _Camera, sensor: FreenectSensor) -> None:
         joiner = ImageJoiner(_PERIOD_NS, color=_PERIOD_NS)
-        super().__init__(f"Kinect v1 {sensor.name}", sensor, joiner, "color")
+        super().__init__(sensor.label, sensor, joiner, "color")
         self._camera = camera
 
     def receive(self, timeout_ms: int) -> bool:
@@ -154,7 +147,7 @@ class _FreenectStream(CaptureStream):
             return False
 
 
-class FreenectSensor(LiveSensor):
+class FreenectSensor(VendorSensor):
     """One Kinect v1: a :class:`~devices.sensor.Sensor` with depth registered to colour, no people.
 
     :class:`~devices.blazepose.tracked_images.TrackedImages` finds the people in :attr:`rgb`. Times are those
@@ -164,40 +157,37 @@ class FreenectSensor(LiveSensor):
         rgb: (480, 640, 3) the colour image of the frame given last; None without one.
     """
 
+    model, programs = "Kinect v1", PROGRAMS
     rgb: NDArray[np.uint8] | None = None
-    _camera: _Camera | None = None
 
-    def __enter__(self) -> FreenectSensor:
+    def open(self) -> _Camera:
         """Opens the sensor, starts its cameras."""
-        self.__exit__()
-        self._interrupted.clear()
-        check_modes(self.name, self.settings)
+        self.refuse_modes("640 × 480", FPS)
         self._warn(
-            f"Kinect v1 {self.name} has no stored lens: its colour camera counts as ideal, with "
+            f"{self.label} has no stored lens: its colour camera counts as ideal, with "
             f"{INTRINSICS.fx:g} pixels of focal length."
         )
         if self.settings.color is not None:
-            self._warn(f"Kinect v1 {self.name}: colour is 640 × 480, not {self.settings.color}.")
-        camera = _Camera(self.name, self.clock)
+            self._warn(f"{self.label}: colour is 640 × 480, not {self.settings.color}.")
+        camera = _Camera(self)
         camera.open()
-        self._camera, self.intrinsics, self.color_camera = camera, INTRINSICS, CAMERA
-        return self
+        self.intrinsics, self.color_camera = INTRINSICS, CAMERA
+        return camera
 
-    def __exit__(self, *exc_info: object) -> None:
-        """Stops and closes the sensor, even if it is no longer connected."""
-        camera, self._camera = self._camera, None
-        if camera is not None:
-            camera.close()
+    def stream(self, opened: _Camera) -> CaptureStream:
+        """The moments of the running cameras."""
+        return _FreenectStream(opened, self)
+
+    def close(self, opened: _Camera) -> None:
+        """Stops and closes the sensor."""
+        opened.close()
 
     def registered(self, _: SensorFrame) -> NDArray[np.uint8] | None:
         """The colour image of the latest frame; depth is registered to its pixels."""
         return self.rgb
 
-    def frames(self) -> Iterator[SensorFrame]:
-        """Frames as they arrive, until interrupted."""
-        if self._camera is None:
-            raise DeviceError(f"Kinect v1 {self.name} is not open: use it in a with statement.")
-        for moment in self._moments(_FreenectStream(self._camera, self)):
+    def _frames(self, stream: CaptureStream) -> Iterator[SensorFrame]:
+        for moment in self._moments(stream):
             frame, self.rgb = self.made(moment), moment.color
             if self.on_capture is not None:
                 # the tracker finds the same in the image that a recording keeps
@@ -213,20 +203,6 @@ class FreenectSensor(LiveSensor):
             color=ColorImage.of_rgb(moment.color, CAMERA) if colored and moment.color is not None else None,
             host_ns=moment.host_ns,
         )
-
-
-def check_modes(serial: str, settings: CaptureSettings) -> None:
-    """Checks without a sensor whether one could run in these modes.
-
-    Raises:
-        DeviceError: A mode that a Kinect v1 does not have.
-    """
-    if settings.depth_mode != "NFOV_UNBINNED":
-        raise DeviceError(f"Kinect v1 {serial} has one depth mode, 640 × 480. Leave `depth_mode` out.")
-    if settings.fps != FPS:
-        raise DeviceError(f"Kinect v1 {serial} runs at {FPS} fps, not {settings.fps}. Leave `fps` out.")
-    if settings.sync != "standalone":
-        raise DeviceError(f"Kinect v1 {serial} has no port for a sync cable. Leave `sync_master` out.")
 
 
 class TickCounter:
@@ -247,3 +223,13 @@ class TickCounter:
             total += _WRAP * round((expected - ticks) / _WRAP)
         self._last = total, host_ns
         return total
+
+
+VENDOR = Vendor(
+    "Kinect v1 (Xbox 360)",
+    how_to_install().removeprefix("Install it: ").partition(" (")[0],
+    connected_freenects,
+    FreenectSensor,
+    lambda: library_check("libfreenect 0.5 (Kinect v1)", lambda: load_library()._name),
+    lambda sensor: listed_check("Kinect v1", sensor, "no sync jacks"),
+)

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 from ctypes import POINTER, c_char_p, c_float, c_int, c_int64, c_uint32, c_void_p
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,15 +20,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from devices import vendor
 from devices.cache import home, user_cache
-from devices.capture.causes import Cause, in_brackets
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.usb import usb_kinects, why_not_open
-from devices.check import Check, failed
+from devices.check import Check
 from devices.output_file import whole_file
-from devices.sensor import AbsentError, DeviceError
+from devices.sensor import DeviceError
 
-LIBRARY_NAME = "libfreenect2 (Kinect v2)"
 PREFIX, PIPELINE = "LIBFREENECT2_INSTALL_PREFIX", "LIBFREENECT2_PIPELINE"
 PROGRAMS = "Protonect, KinectService"
 SHAPE = (424, 512)
@@ -216,20 +216,20 @@ class Camera:
         warnings: What makes it lose frames.
     """
 
-    def __init__(self, serial: str) -> None:
+    def __init__(self, sensor: vendor.VendorSensor) -> None:
         """Opens and starts it.
 
         Raises:
             AbsentError: It is not connected.
             DeviceError: It cannot be opened or started.
         """
-        self._library, self.serial = load_library(), serial
+        self._library, self.serial = load_library(), sensor.name
+        serial = self.serial
         with _one_at_a_time:
             there, faults = _found(self._library)
             if serial not in there:
-                listed = f"Connected: {', '.join(sorted(there))}." if there else "No other is connected."
                 why = f"Another cannot be opened: {_why(faults[0])}" if faults else _CHECK
-                raise AbsentError(f"No Kinect v2 with serial {serial}. {listed} {why}")
+                raise vendor.absent("Kinect v2", serial, there, why)
             pipeline = _named_pipeline(self._library) or _pipeline(self._library)
             if serial in _opened:  # the library would give the same device once more
                 raise DeviceError(f"Kinect v2 {serial} is already open in this program.")
@@ -247,13 +247,8 @@ class Camera:
         self.warnings = [memory, _CPU if pipeline == "cpu" else ""]
         if not started:
             self.close()
-            raise Cause.CAMERAS_NOT_STARTED.error(
-                label=f"Kinect v2 {serial}",
-                what="did not start its camera",
-                said=in_brackets(_first(said)),
-                advice=f"{memory} " if memory else "",
-                programs=PROGRAMS,
-            )
+            advice = f"{memory} " if memory else ""
+            raise sensor.not_started(_first(said), "did not start its camera", advice)
 
     def take(self, timeout_ms: int) -> Images | None:
         """The oldest images that wait; None if none come."""
@@ -304,21 +299,18 @@ def connected_freenect2s() -> list[ConnectedSensor]:
     return found
 
 
+def found() -> str:
+    """Where libfreenect2 is, and what computes depth.
+
+    Raises:
+        DeviceError: It is not installed, or its binding cannot be compiled.
+    """
+    library = load_library()
+    computes = _named_pipeline(library) or " or ".join(str(library.k2_pipelines().decode()).split())
+    return f"{installed_prefix()}, depth by {computes}"
+
+
 def library_check() -> Check:
     """Whether libfreenect2 is installed, and its binding can be compiled."""
-    try:
-        library = load_library()
-        named = _named_pipeline(library)
-    except DeviceError as fault:
-        return failed(LIBRARY_NAME, fault)
-    computes = named or " or ".join(str(library.k2_pipelines().decode()).split())
-    advice = _CPU if computes == "cpu" else ""
-    return Check(LIBRARY_NAME, True, f"{installed_prefix()}, depth by {computes}", advice)
-
-
-def sensor_check(sensor: ConnectedSensor) -> Check:
-    """A sensor that libfreenect2 lists. It has no port for a sync cable."""
-    if sensor.serial is None:
-        what, _, advice = sensor.fault.partition(". ")
-        return Check("Kinect v2", False, what, advice, needed=False)
-    return Check(f"Kinect v2 {sensor.serial}", True, "no sync port", needed=False)
+    check = vendor.library_check("libfreenect2 (Kinect v2)", found)
+    return replace(check, advice=_CPU) if check.detail.endswith("depth by cpu") else check

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.capture_stream import CaptureStream, LiveSensor
+from devices.capture.capture_stream import CaptureStream
 from devices.capture.clock.moments import ImageJoiner, Moment
-from devices.capture.settings import CaptureSettings
-from devices.freenect2.library import SHAPE, Camera
+from devices.freenect2.library import PROGRAMS, SHAPE, Camera, connected_freenect2s, library_check
 from devices.sensor import DeviceError, SensorFrame
+from devices.vendor import Vendor, VendorSensor, listed_check
 from fusion.intrinsics import Intrinsics
 
 _FPS = 30
@@ -22,7 +20,7 @@ class _Freenect2Stream(CaptureStream):
     """The moments of a running camera."""
 
     def __init__(self, camera: Camera, sensor: Freenect2Sensor) -> None:
-        super().__init__(f"Kinect v2 {sensor.name}", sensor, ImageJoiner(round(1e9 / _FPS)))
+        super().__init__(sensor.label, sensor, ImageJoiner(round(1e9 / _FPS)))
         self._camera, self._ticks = camera, 0
 
     def receive(self, timeout_ms: int) -> bool:
@@ -41,37 +39,33 @@ class _Freenect2Stream(CaptureStream):
         return self._camera.is_connected()
 
 
-class Freenect2Sensor(LiveSensor):
+class Freenect2Sensor(VendorSensor):
     """One Kinect v2: a :class:`~devices.sensor.Sensor` with depth and infrared, no people.
 
     :class:`~devices.blazepose.tracked_images.TrackedImages` finds the people. Times are those of the sensor's
     own clock. There is no sync cable: two sensors capture up to half a frame apart.
     """
 
-    _camera: Camera | None = None
+    model, programs = "Kinect v2", PROGRAMS
 
-    def __enter__(self) -> Freenect2Sensor:
+    def open(self) -> Camera:
         """Opens the sensor, starts its camera."""
-        self.__exit__()
-        self._interrupted.clear()
-        check_modes(self.name, self.settings)
-        self._camera = Camera(self.name)
-        for warning in self._camera.warnings:
+        self.refuse_modes("512 × 424", _FPS)
+        if self.settings.color is not None:
+            raise DeviceError(f"{self.label}: colour is not read. Leave `color` out.")
+        camera = Camera(self)
+        for warning in camera.warnings:
             self._warn(warning)
-        self.intrinsics = unmirrored_lens(self._camera.lens)
-        return self
+        self.intrinsics = unmirrored_lens(camera.lens)
+        return camera
 
-    def __exit__(self, *exc_info: object) -> None:
-        """Stops and closes the sensor, even if it is no longer connected."""
-        camera, self._camera = self._camera, None
-        if camera is not None:
-            camera.close()
+    def stream(self, opened: Camera) -> CaptureStream:
+        """The moments of the running camera."""
+        return _Freenect2Stream(opened, self)
 
-    def frames(self) -> Iterator[SensorFrame]:
-        """Frames as they arrive, until interrupted."""
-        if self._camera is None:
-            raise DeviceError(f"Kinect v2 {self.name} is not open: use it in a with statement.")
-        yield from self._frames(_Freenect2Stream(self._camera, self))
+    def close(self, opened: Camera) -> None:
+        """Stops and closes the sensor."""
+        opened.close()
 
     def frame_of(self, moment: Moment) -> SensorFrame:
         """The images of a moment, no longer mirrored."""
@@ -96,17 +90,11 @@ def unmirrored_lens(lens: tuple[float, ...]) -> Intrinsics:
     return Intrinsics(width, height, fx, fy, width - cx - 0.5, cy - 0.5, (k1, k2, p1, -p2, k3))
 
 
-def check_modes(serial: str, settings: CaptureSettings) -> None:
-    """Checks without a sensor whether one could run in these modes.
-
-    Raises:
-        DeviceError: A mode that a Kinect v2 does not have, or this program does not read.
-    """
-    if settings.depth_mode != CaptureSettings.depth_mode:
-        raise DeviceError(f"Kinect v2 {serial} has one depth mode, 512 × 424. Leave `depth_mode` out.")
-    if settings.fps != _FPS:
-        raise DeviceError(f"Kinect v2 {serial} runs at {_FPS} fps, not {settings.fps}. Leave `fps` out.")
-    if settings.sync != "standalone":
-        raise DeviceError(f"Kinect v2 {serial} has no port for a sync cable. Leave `sync_master` out.")
-    if settings.color is not None:
-        raise DeviceError(f"Kinect v2 {serial}: colour is not read. Leave `color` out.")
+VENDOR = Vendor(
+    "Kinect v2 (Xbox One)",
+    "build libfreenect2 as docs/installing.md says",
+    connected_freenect2s,
+    Freenect2Sensor,
+    library_check,
+    lambda sensor: listed_check("Kinect v2", sensor, "no sync port"),
+)

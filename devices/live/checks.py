@@ -22,7 +22,6 @@ from devices.live.sensors import (
     connected_sensors,
     library_for,
     sdks_on_usb,
-    software,
     vendors,
 )
 from devices.realsense import sdk_access as realsense
@@ -90,10 +89,11 @@ def device_checks(
 
 def _libraries() -> dict[str, Check]:
     """The library of every vendor, by :attr:`ConnectedSensor.sdk`; none alone is needed."""
-    checks = {"k4a": azure.sdk_check(), **{name: vendor.sdk_check() for name, vendor in vendors().items()}}
     return {
-        name: replace(checks[name], needed=False, about="library", serves=sensors, install=install)
-        for name, (sensors, install) in software().items()
+        name: replace(
+            vendor.sdk_check(), needed=False, about="library", serves=vendor.sensors, install=vendor.install
+        )
+        for name, vendor in vendors().items()
     }
 
 
@@ -166,5 +166,4 @@ def _sync_cable(there: list[ConnectedSensor], chosen: tuple[str, str], named_mas
 
 
 def _sensor(sensor: ConnectedSensor) -> Check:
-    vendor = vendors().get(sensor.sdk)
-    return azure.sensor_check(sensor) if vendor is None else vendor.sensor_check(sensor)
+    return vendors()[sensor.sdk].sensor_check(sensor)

@@ -1,7 +1,6 @@
 """All connected sensors, of every vendor whose software is installed, and the live sensors made of them."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -10,94 +9,37 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.azure.kinect import VENDOR as AZURE
 from devices.azure.kinect import KinectSensor
-from devices.azure.pyk4a_access import connected_kinects
 from devices.azure.settings import KinectSettings
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.tracked_images import TrackedImages
-from devices.capture.capture_stream import LiveSensor
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_choice import ConnectedSensor
-from devices.capture.settings import CaptureSettings
 from devices.capture.usb import usb_kinects
 from devices.check import Check, failed, is_missing, words_of
-from devices.freenect.libfreenect import connected_freenects
-from devices.freenect.libfreenect import how_to_install as how_to_install_freenect
-from devices.freenect.libfreenect import library_check as freenect_library_check
-from devices.freenect.libfreenect import sensor_check as freenect_sensor_check
-from devices.freenect.sensor import FreenectSensor
-from devices.freenect2.library import connected_freenect2s
-from devices.freenect2.library import library_check as freenect2_library_check
-from devices.freenect2.library import sensor_check as freenect2_sensor_check
-from devices.freenect2.sensor import Freenect2Sensor
-from devices.orbbec.sdk_access import COMMAND as ORBBEC_COMMAND
-from devices.orbbec.sdk_access import connected_orbbecs
-from devices.orbbec.sdk_access import sdk_check as orbbec_sdk_check
-from devices.orbbec.sdk_access import sensor_check as orbbec_sensor_check
-from devices.orbbec.sensor import OrbbecSensor
-from devices.realsense.sdk_access import connected_realsenses
-from devices.realsense.sdk_access import sdk_check as realsense_sdk_check
-from devices.realsense.sdk_access import sensor_check as realsense_sensor_check
-from devices.realsense.sensors import RealSenseSensor
+from devices.freenect.sensor import VENDOR as FREENECT
+from devices.freenect2.sensor import VENDOR as FREENECT2
+from devices.orbbec.sensor import VENDOR as ORBBEC
+from devices.realsense.sensors import VENDOR as REALSENSE
 from devices.sensor import DeviceError, Orientation, Sensor, SensorFrame
 from devices.tracker_choice import TrackerChoice
 from devices.upright import turned_image, upright
+from devices.vendor import Vendor as Vendor
 
-
-@dataclass(frozen=True)
-class Vendor:
-    """Sensors whose people the program's own tracker finds, and the software that gives their images."""
-
-    sensors: str  # what they are called in messages
-    install: str  # how their software is installed, in a few words
-    connected: Callable[[], list[ConnectedSensor]]
-    """Those that are connected; raises a DeviceError if the software is not installed."""
-    sensor: Callable[[str, CaptureSettings, FrameDecimation], LiveSensor]
-    """The sensor with a serial number, without people; opens nothing."""
-    sdk_check: Callable[[], Check]
-    sensor_check: Callable[[ConnectedSensor], Check]
-
-
-VENDORS = {
-    "orbbec": Vendor(
-        "Orbbec (Femto, Gemini)",
-        ORBBEC_COMMAND,
-        connected_orbbecs,
-        OrbbecSensor,
-        orbbec_sdk_check,
-        orbbec_sensor_check,
-    ),
-    "freenect": Vendor(
-        "Kinect v1 (Xbox 360)",
-        how_to_install_freenect().removeprefix("Install it: ").partition(" (")[0],
-        connected_freenects,
-        FreenectSensor,
-        freenect_library_check,
-        freenect_sensor_check,
-    ),
-    "freenect2": Vendor(
-        "Kinect v2 (Xbox One)",
-        "build libfreenect2 as docs/installing.md says",
-        connected_freenect2s,
-        Freenect2Sensor,
-        freenect2_library_check,
-        freenect2_sensor_check,
-    ),
-    "realsense": Vendor(
-        "RealSense (D400, D500)",
-        'pip install ".[realsense]" (docs/installing.md)',
-        connected_realsenses,
-        RealSenseSensor,
-        realsense_sdk_check,
-        realsense_sensor_check,
-    ),
+VENDORS: dict[str, Vendor] = {
+    "k4a": AZURE,
+    "orbbec": ORBBEC,
+    "freenect": FREENECT,
+    "freenect2": FREENECT2,
+    "realsense": REALSENSE,
 }
-"""The vendors of this package but Microsoft, by :attr:`ConnectedSensor.sdk`."""
+"""The vendors of this package, by :attr:`ConnectedSensor.sdk`."""
 
 
 def vendors() -> dict[str, Vendor]:
     """:data:`VENDORS` and those of other installed packages."""
-    return {**_installed_once(), **VENDORS}
+    return {**VENDORS, **{name: row for name, row in _installed_once().items() if name not in VENDORS}}
 
 
 def installed_vendors() -> dict[str, Vendor]:
@@ -142,8 +84,7 @@ class NoLibraryError(DeviceError):
 
 def software() -> dict[str, tuple[str, str]]:
     """Of every vendor, by :attr:`ConnectedSensor.sdk`: its sensors, and how their software is installed."""
-    azure = "Azure Kinect", 'Sensor SDK 1.4 and pip install ".[kinect]" (docs/installing.md)'
-    return {"k4a": azure, **{name: (vendor.sensors, vendor.install) for name, vendor in vendors().items()}}
+    return {name: (vendor.sensors, vendor.install) for name, vendor in vendors().items()}
 
 
 def sdks_on_usb(root: Path = Path("/")) -> set[str]:
@@ -168,37 +109,29 @@ def connected_sensors(tracker: TrackerChoice | None, root: Path = Path("/")) -> 
         DeviceError: No sensor is found, and software that is installed is broken.
     """
     faults: dict[str, DeviceError] = {}
-    others: list[ConnectedSensor] = []
-    kinects: list[ConnectedSensor] = []
-    try:
-        kinects = connected_kinects()
-    except Exception as fault:
-        faults["k4a"] = _told(fault)
+    found: list[ConnectedSensor] = []
     for name, vendor in vendors().items():
         try:
-            others += vendor.connected()
+            found += vendor.connected()
         except Exception as fault:
             faults[name] = _told(fault)
-    if not kinects and not others:
+    if not found:
         broken = [fault for fault in faults.values() if not is_missing(fault)]
         if broken:
             raise broken[0]  # else it would read as if nothing were connected
         if on_usb := sdks_on_usb(root) & faults.keys():
             raise NoLibraryError(f"{library_for(min(on_usb))} Next: duplex doctor checks the rest.")
-        if len(faults) == len(vendors()) + 1:
+        if len(faults) == len(vendors()):
             *names, last = (sensors.partition(" (")[0] for sensors, _ in software().values())
             raise NoLibraryError(
                 "No sensor library is installed. One is enough, that of your two sensors:\n"
                 f"{', '.join(names)} or {last}.\n"
                 "Next: duplex doctor says how to install each. Without sensors: duplex demo."
             )
-    if tracker is not None and tracker.name == "k4abt":
-        by_wrapper = {kinect.serial for kinect in kinects if kinect.serial is not None}
-        others = [other for other in others if other.serial not in by_wrapper]
-    else:
-        by_sdk = {other.serial for other in others}
-        kinects = [kinect for kinect in kinects if kinect.serial is None or kinect.serial not in by_sdk]
-    return [replace(found, index=index) for index, found in enumerate((*kinects, *others))]
+    by_wrapper = tracker is not None and tracker.name == "k4abt"
+    preferred = {one.serial for one in found if (one.sdk == "k4a") == by_wrapper} - {None}
+    listed = [one for one in found if (one.sdk == "k4a") == by_wrapper or one.serial not in preferred]
+    return [replace(one, index=index) for index, one in enumerate(listed)]
 
 
 def _told(fault: Exception) -> DeviceError:
@@ -223,11 +156,7 @@ def live_sensor(
     if tracker is not None and not isinstance(decimation, TrackingPace):
         k4abt = replace(tracker.k4abt, orientation=orientation)
         return upright(KinectSensor(serial, settings, k4abt, decimation=decimation), orientation)
-    images: LiveSensor
-    if (vendor := vendors().get(connected.sdk)) is not None:
-        images = vendor.sensor(serial, settings, decimation)
-    else:
-        images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=decimation)
+    images = vendors()[connected.sdk].sensor(serial, settings, decimation)
     if not isinstance(decimation, TrackingPace):
         return images
     source, given = upright(images, orientation), images.registered

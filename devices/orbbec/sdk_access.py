@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -13,8 +14,9 @@ from weakref import WeakKeyDictionary
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.capture.usb import udev_advice, usb_kinects, why_not_open
-from devices.check import Check, failed, installed_version, missing_names, words_of
-from devices.sensor import AbsentError, DeviceError
+from devices.check import Check, failed, installed_version
+from devices.sensor import DeviceError
+from devices.vendor import absent, library_check, load_module
 
 SDK_NAME = "pyorbbecsdk2 (Orbbec's SDK v2)"
 RECOMMENDED_FIRMWARE = {"Femto Bolt": (1, 1, 3), "Femto Mega": (1, 3, 1), "Gemini 2": (1, 4, 98)}
@@ -57,21 +59,8 @@ def load_sdk() -> ModuleType:
     Raises:
         DeviceError: It is not installed, or of a version that lacks what this program uses.
     """
-    try:
-        with _without_its_greeting():
-            import pyorbbecsdk
-    except Exception as fault:  # a damaged library raises what it likes
-        raise DeviceError(
-            f"Orbbec's sensors need pyorbbecsdk2, which cannot be imported ({words_of(fault)}). "
-            f"{how_to_install()}"
-        ) from fault
-    if missing := missing_names(pyorbbecsdk, _NAMES):
-        version = installed_version("pyorbbecsdk2") or "the version of SDK v1"
-        raise DeviceError(
-            f"The installed pyorbbecsdk ({version}) lacks {missing[0]}: this program needs pyorbbecsdk2 2.1 "
-            f"or newer. {how_to_install()}"
-        )
-    return pyorbbecsdk  # type: ignore[no-any-return]
+    with _without_its_greeting():
+        return load_module("pyorbbecsdk", "pyorbbecsdk2", "Orbbec's sensors", _NAMES, how_to_install())
 
 
 def how_to_install(python: tuple[int, int] = sys.version_info[:2]) -> str:
@@ -139,10 +128,8 @@ def open_orbbec(sdk: Any, serial: str) -> Any:
     """
     there = [str(orbbec.serial) for orbbec in connected_orbbecs()]
     if serial not in there:
-        listed = f"Connected: {', '.join(sorted(there))}." if there else "No other is connected."
-        raise AbsentError(
-            f"No Orbbec sensor with serial {serial}. {listed} Check its USB 3 port, cable and power supply."
-        )
+        advice = "Check its USB 3 port, cable and power supply."
+        raise absent("Orbbec sensor", serial, there, advice)
     try:
         return context_of(sdk).query_devices().get_device_by_serial_number(serial)
     except faults_of(sdk) as fault:
@@ -240,14 +227,11 @@ def _without_its_greeting() -> Iterator[None]:
 
 def sdk_check(platform: str = sys.platform) -> Check:
     """Whether Orbbec's SDK v2 is installed, and what it lacks on this platform."""
-    try:
-        load_sdk()
-    except DeviceError as fault:
-        return failed(SDK_NAME, fault)
-    found = installed_version("pyorbbecsdk2") or "installed"
-    if platform == "darwin":
-        found += "; on macOS it has no depth engine: no depth from Femto Bolt and Mega, only from Gemini"
-    return Check(SDK_NAME, True, found)
+    check = library_check(SDK_NAME, lambda: load_sdk() and (installed_version("pyorbbecsdk2") or "installed"))
+    if check.ok and platform == "darwin":
+        lacks = "; on macOS it has no depth engine: no depth from Femto Bolt and Mega, only from Gemini"
+        return replace(check, detail=check.detail + lacks)
+    return check
 
 
 def sensor_check(sensor: ConnectedSensor) -> Check:

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
-from devices.capture.capture_stream import CaptureStream, LiveSensor
-from devices.capture.causes import Cause, in_brackets
+from devices.capture.capture_stream import CaptureStream
+from devices.capture.causes import Cause
 from devices.capture.clock.moments import ImageJoiner, Moment
 from devices.orbbec.images import FrameReader, color_image, depth_image, infrared_image
-from devices.orbbec.sdk_access import faults_of, is_connected, load_sdk, open_orbbec, set_sync_role
+from devices.orbbec.sdk_access import (
+    COMMAND,
+    connected_orbbecs,
+    faults_of,
+    is_connected,
+    load_sdk,
+    open_orbbec,
+    sdk_check,
+    sensor_check,
+    set_sync_role,
+)
 from devices.orbbec.streams import Streams, check_modes, choose_streams, color_camera, intrinsics_of
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import SensorFrame
+from devices.vendor import Vendor, VendorSensor
 
 _TIMELESS = (
     "{name} gives no times of its own clock, so frames are timed when they arrive. On Windows, run "
@@ -31,8 +42,8 @@ class _OrbbecStream(CaptureStream):
         period_ns = round(1e9 / sensor.settings.fps)
         wanted = ("infrared",) if sensor.settings.color is None else ("infrared", "color")
         joiner = ImageJoiner(period_ns, **dict.fromkeys(wanted, period_ns))
-        super().__init__(f"Orbbec {sensor.name}", sensor, joiner, *wanted)
-        self._pipeline, self._sdk, self.reader = pipeline, sdk, FrameReader(joiner)
+        super().__init__(sensor.label, sensor, joiner, *wanted)
+        self._pipeline, self._sdk, self._reader = pipeline, sdk, FrameReader(joiner)
 
     def receive(self, timeout_ms: int) -> bool:
         """Takes the next set of frames."""
@@ -41,7 +52,9 @@ class _OrbbecStream(CaptureStream):
         except faults_of(self._sdk) as fault:
             raise self.lost(fault) from fault
         if frames is not None:
-            self.reader.add(frames, self.sensor.clock())
+            self._reader.add(frames, self.sensor.clock())
+            if self._reader.timeless:
+                self.sensor._warn(_TIMELESS.format(name=self.label))
         return frames is not None
 
     def is_connected(self) -> bool:
@@ -49,7 +62,7 @@ class _OrbbecStream(CaptureStream):
         return is_connected(self._sdk, self.sensor.name)
 
 
-class OrbbecSensor(LiveSensor):
+class OrbbecSensor(VendorSensor):
     """One Orbbec sensor: a :class:`~devices.sensor.Sensor` whose frames have depth and infrared, no people.
 
     :class:`~devices.blazepose.tracked_images.TrackedImages` finds the people. Times are those of the sensor's
@@ -60,59 +73,39 @@ class OrbbecSensor(LiveSensor):
     A sensor without the sizes of Femto Bolt and Mega runs in that nearest to 640 pixels wide.
     """
 
-    _pipeline: Any = None
+    model, programs = "Orbbec", "OrbbecViewer"
 
-    def __enter__(self) -> OrbbecSensor:
+    def open(self) -> Any:
         """Opens the sensor, gives it its place on the sync cable, starts its cameras."""
-        self.__exit__()
-        self._interrupted.clear()
         check_modes(self.settings)
         sdk = self._sdk = load_sdk()
         device = open_orbbec(sdk, self.name)
         self._warn(set_sync_role(sdk, device, self.name, self.settings))
-        try:
+        with suppress(*faults_of(sdk)):  # a clock that starts anywhere will do: pairing finds the offset
             device.timer_sync_with_host()
-        except faults_of(sdk):
-            pass  # a clock that starts anywhere will do: pairing finds the offset
         try:
-            self._pipeline = sdk.Pipeline(device)
-            streams = choose_streams(sdk, self._pipeline, self.name, self.settings)
+            pipeline = sdk.Pipeline(device)
+            streams = choose_streams(sdk, pipeline, self.name, self.settings)
             self._read_calibration(streams)
-            self._pipeline.disable_frame_sync()
-            self._pipeline.start(streams.configuration(sdk))
+            pipeline.disable_frame_sync()
+            pipeline.start(streams.configuration(sdk))
         except faults_of(sdk) as fault:
-            self._pipeline = None
             if not is_connected(sdk, self.name):
-                raise Cause.UNPLUGGED.error(label=f"Orbbec {self.name}") from fault
-            fields = {"said": in_brackets(fault), "advice": "", "programs": "OrbbecViewer"}
-            raise Cause.CAMERAS_NOT_STARTED.error(
-                label=f"Orbbec {self.name}", what="did not start its cameras", **fields
-            ) from fault
-        except BaseException:
-            self._pipeline = None  # the SDK closes a sensor when nothing refers to it
-            raise
-        return self
+                raise Cause.UNPLUGGED.error(label=self.label) from fault
+            raise self.not_started(fault) from fault
+        return pipeline  # the SDK closes a sensor when nothing refers to it
 
-    def __exit__(self, *exc_info: object) -> None:
-        """Stops and closes the sensor, even if it is no longer connected."""
-        pipeline, self._pipeline = self._pipeline, None
-        if pipeline is None:
-            return
+    def stream(self, opened: Any) -> CaptureStream:
+        """The moments of the running ``pyorbbecsdk.Pipeline``."""
+        return _OrbbecStream(opened, self._sdk, self)
+
+    def close(self, opened: Any) -> None:
+        """Stops and closes the sensor."""
         try:
-            pipeline.stop()
+            opened.stop()
         except faults_of(self._sdk) as fault:
             if is_connected(self._sdk, self.name):
-                self._warn(f"Orbbec {self.name} did not close cleanly ({fault}).")
-
-    def frames(self) -> Iterator[SensorFrame]:
-        """Frames as they arrive, until interrupted."""
-        if self._pipeline is None:
-            raise DeviceError(f"Orbbec {self.name} is not open: use it in a with statement.")
-        stream = _OrbbecStream(self._pipeline, self._sdk, self)
-        for frame in self._frames(stream):
-            if stream.reader.timeless:
-                self._warn(_TIMELESS.format(name=f"Orbbec {self.name}"))
-            yield frame
+                self._warn(f"{self.label} did not close cleanly ({fault}).")
 
     def frame_of(self, moment: Moment) -> SensorFrame:
         """The images of a moment, copied from the SDK's memory."""
@@ -131,3 +124,6 @@ class OrbbecSensor(LiveSensor):
         if streams.color is not None:
             self.color_camera, warning = color_camera(self._sdk, streams.color, streams.depth, self.name)
             self._warn(warning)
+
+
+VENDOR = Vendor("Orbbec (Femto, Gemini)", COMMAND, connected_orbbecs, OrbbecSensor, sdk_check, sensor_check)

@@ -41,7 +41,7 @@ class Streams:
                 configuration.enable_stream(profile)
         modes = sdk.OBFrameAggregateOutputMode
         configuration.set_frame_aggregate_output_mode(
-            modes.ANY_SITUATION if self.color is None else modes.FULL_FRAME_REQUIRE
+            modes.ANY_SITUATION if self.color is None else modes.DISABLE
         )
         return configuration
 

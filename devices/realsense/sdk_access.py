@@ -10,8 +10,9 @@ from typing import Any
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.capture.usb import usb_kinects, why_not_open
-from devices.check import Check, extra_command, failed, installed_version, missing_names, words_of
+from devices.check import extra_command
 from devices.sensor import AbsentError, DeviceError
+from devices.vendor import load_module
 
 SDK_NAME = "pyrealsense2"
 _NAMES = (
@@ -38,20 +39,11 @@ _SYNC_MODES = {"standalone": 0, "master": 1, "subordinate": 2}
 
 def load_sdk() -> ModuleType:
     """The module pyrealsense2; raises a DeviceError if it is not installed."""
-    try:
-        import pyrealsense2
-    except Exception as fault:  # a damaged library raises what it likes
-        raise DeviceError(
-            f"RealSense sensors need pyrealsense2, which cannot be imported ({words_of(fault)}). "
-            f"{extra_command('realsense')}; on Linux it needs libusb (Debian: apt install libusb-1.0-0), "
-            f"on macOS build it from librealsense."
-        ) from fault
-    if missing := missing_names(pyrealsense2, _NAMES):
-        raise DeviceError(
-            f"The installed pyrealsense2 ({installed_version(SDK_NAME)}) lacks {missing[0]}: it is of "
-            f"another version. pip install --upgrade pyrealsense2."
-        )
-    return pyrealsense2  # type: ignore[no-any-return]
+    install = (
+        f"{extra_command('realsense')}; on Linux it needs libusb (Debian: apt install libusb-1.0-0), "
+        f"on macOS build it from librealsense."
+    )
+    return load_module(SDK_NAME, SDK_NAME, "RealSense sensors", _NAMES, install)
 
 
 def log_to(path: Path) -> None:
@@ -179,20 +171,3 @@ def set_sync_role(sdk: Any, device: Any, serial: str, settings: CaptureSettings)
         raise DeviceError(
             f"RealSense {serial} does not become a {settings.sync} ({fault}). Leave `sync_master` out."
         ) from fault
-
-
-def sdk_check() -> Check:
-    """Whether pyrealsense2 is installed."""
-    try:
-        load_sdk()
-    except DeviceError as fault:
-        return failed(SDK_NAME, fault)
-    return Check(SDK_NAME, True, installed_version(SDK_NAME) or "installed")
-
-
-def sensor_check(sensor: ConnectedSensor) -> Check:
-    """A sensor that the library lists: its connection and firmware."""
-    if sensor.serial is None:
-        return failed(f"RealSense at place {sensor.index}", DeviceError(sensor.fault), needed=False)
-    detail = f"{sensor.description}, sync cable not known"
-    return Check(f"RealSense {sensor.serial}", not sensor.advice, detail, sensor.advice, needed=False)

@@ -9,14 +9,23 @@ from queue import Empty, Full, Queue
 from threading import Event
 from typing import Any
 
-from devices.capture.capture_stream import CaptureStream, LiveSensor
-from devices.capture.causes import Cause, in_brackets
+from devices.capture.capture_stream import CaptureStream
+from devices.capture.causes import Cause
 from devices.capture.clock.moments import Moment
 from devices.capture.settings import CaptureSettings
+from devices.check import installed_version
 from devices.input_file import check_recording, open_input
 from devices.realsense.images import FrameReader, Streams, choose_streams, intrinsics_of
-from devices.realsense.sdk_access import is_connected, load_sdk, open_realsense, set_sync_role
+from devices.realsense.sdk_access import (
+    SDK_NAME,
+    connected_realsenses,
+    is_connected,
+    load_sdk,
+    open_realsense,
+    set_sync_role,
+)
 from devices.sensor import DeviceError, ImageRecording, SensorFrame
+from devices.vendor import Vendor, VendorSensor, library_check, listed_check
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 
@@ -34,7 +43,7 @@ class _RealSenseStream(CaptureStream):
     """The moments of running cameras."""
 
     def __init__(self, sensor: RealSenseSensor, device: Any, queue: Any, reader: FrameReader) -> None:
-        super().__init__(f"RealSense {sensor.name}", sensor, reader.joiner, reader.image)
+        super().__init__(sensor.label, sensor, reader.joiner, reader.image)
         self._device, self._queue, self._reader = device, queue, reader
 
     def receive(self, timeout_ms: int) -> bool:
@@ -42,6 +51,8 @@ class _RealSenseStream(CaptureStream):
         came, frame = self._queue.try_wait_for_frame(timeout_ms)
         if came:
             self._reader.add(frame, self.sensor.clock())
+            if self._reader.timeless:
+                self.sensor._warn(_TIMELESS.format(label=self.label))
         return bool(came)
 
     def is_connected(self) -> bool:
@@ -50,7 +61,7 @@ class _RealSenseStream(CaptureStream):
         return is_connected(self._device, self.sensor.name)
 
 
-class RealSenseSensor(LiveSensor):
+class RealSenseSensor(VendorSensor):
     """One RealSense sensor: a :class:`~devices.sensor.Sensor` whose frames have depth and infrared.
 
     With a colour mode they have colour in place of infrared, registered to depth. There are no people:
@@ -58,13 +69,11 @@ class RealSenseSensor(LiveSensor):
     clock. The library's global times, which each new fit moves, are switched off.
     """
 
-    _opened: tuple[Streams, _RealSenseStream, FrameReader] | None = None
+    model, programs = "RealSense", "realsense-viewer"
 
-    def __enter__(self) -> RealSenseSensor:
+    def open(self) -> tuple[Streams, _RealSenseStream, FrameReader]:
         """Opens the sensor, gives it its place on the sync cable, starts its cameras."""
-        self.__exit__()
-        self._interrupted.clear()
-        label, settings = f"RealSense {self.name}", self.settings
+        label, settings, streams = self.label, self.settings, None
         if settings.depth_mode != CaptureSettings.depth_mode:
             raise DeviceError(f"{label} has no depth mode {settings.depth_mode}; leave `depth_mode` out.")
         sdk = load_sdk()
@@ -76,41 +85,30 @@ class RealSenseSensor(LiveSensor):
             self._warn(warning)
             reader, queue = FrameReader(sdk, streams, self.intrinsics), sdk.frame_queue(_QUEUE, True)
             self.color_camera = reader.camera
-            self._opened = streams, _RealSenseStream(self, device, queue, reader), reader
             for camera, _ in streams.opened:
                 if camera.supports(sdk.option.global_time_enabled):
                     camera.set_option(sdk.option.global_time_enabled, 0)
             streams.start(queue)
         except RuntimeError as fault:
-            self.__exit__()
+            if streams is not None:
+                streams.stop()
             if not is_connected(device, self.name):
                 raise Cause.UNPLUGGED.error(label=label) from fault
-            fields = {"said": in_brackets(fault), "advice": "", "programs": "realsense-viewer"}
-            raise Cause.CAMERAS_NOT_STARTED.error(
-                label=label, what="did not start its cameras", **fields
-            ) from fault
-        return self
+            raise self.not_started(fault) from fault
+        return streams, _RealSenseStream(self, device, queue, reader), reader
 
-    def __exit__(self, *exc_info: object) -> None:
-        """Stops and closes the sensor, even if it is no longer connected."""
-        opened, self._opened = self._opened, None
-        if opened is not None:
-            opened[0].stop()
+    def stream(self, opened: tuple[Streams, _RealSenseStream, FrameReader]) -> CaptureStream:
+        """The moments of the running cameras."""
+        return opened[1]
 
-    def frames(self) -> Iterator[SensorFrame]:
-        """Frames as they arrive, until interrupted."""
-        if self._opened is None:
-            raise DeviceError(f"RealSense {self.name} is not open: use it in a with statement.")
-        _, stream, reader = self._opened
-        for frame in self._frames(stream):
-            if reader.timeless:
-                self._warn(_TIMELESS.format(label=f"RealSense {self.name}"))
-            yield frame
+    def close(self, opened: tuple[Streams, _RealSenseStream, FrameReader]) -> None:
+        """Stops and closes the sensor."""
+        opened[0].stop()
 
     def frame_of(self, moment: Moment) -> SensorFrame:
         """The images of a moment, copied from the library's memory."""
-        assert self._opened is not None
-        return self._opened[2].frame_of(moment, moment.host_ns)
+        reader: FrameReader = self._opened[2]
+        return reader.frame_of(moment, moment.host_ns)
 
 
 class RealSenseRecording(ImageRecording):
@@ -222,3 +220,13 @@ def is_realsense_bag(path: Path) -> bool:
             return at >= 0 and b"realsense_msgs/" in file.read(_CONNECTIONS)
     except (OSError, ValueError):
         return False
+
+
+VENDOR = Vendor(
+    "RealSense (D400, D500)",
+    'pip install ".[realsense]" (docs/installing.md)',
+    connected_realsenses,
+    RealSenseSensor,
+    lambda: library_check(SDK_NAME, lambda: load_sdk() and (installed_version(SDK_NAME) or "installed")),
+    lambda sensor: listed_check("RealSense", sensor, f"{sensor.description}, sync cable not known"),
+)

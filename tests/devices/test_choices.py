@@ -230,6 +230,7 @@ def test_a_femto_is_opened_by_the_library_that_the_tracker_in_use_needs(monkeypa
     """k4abt is installed, but a RealSense beside the Femto needs the program's own tracker."""
     hidden = {"tells_jacks": False}
     listed = {
+        "k4a": [ConnectedSensor(0, "CL8F", False, False)],
         "orbbec": [ConnectedSensor(0, "CL8F", False, False, sdk="orbbec", **hidden)],
         "realsense": [ConnectedSensor(0, "1001", False, False, sdk="realsense", **hidden)],
     }
@@ -238,7 +239,6 @@ def test_a_femto_is_opened_by_the_library_that_the_tracker_in_use_needs(monkeypa
         for name, vendor in live_sensors.VENDORS.items()
     }
     monkeypatch.setattr(live_sensors, "VENDORS", vendors)
-    monkeypatch.setattr(live_sensors, "connected_kinects", lambda: [ConnectedSensor(0, "CL8F", False, False)])
     monkeypatch.setattr(local, "tracker_of", lambda _: MICROSOFTS)
     opened = []
     monkeypatch.setattr(

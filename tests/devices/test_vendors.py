@@ -33,7 +33,6 @@ from devices.realsense import sdk_access as realsense_access
 from devices.realsense.sdk_access import load_sdk as realsense_sdk
 from devices.sensor import AbsentError, DeviceError
 from devices.tracker_choice import TrackerChoice
-from fusion.body import BLAZEPOSE
 from tests.helpers.standin_camera import VirtualTime
 
 OURS = TrackerChoice("blazepose", "a test")
@@ -149,7 +148,7 @@ def test_building_a_sensor_opens_nothing(vendor):
     decimation = FrameDecimation(30)
     sensor = vendor.sensor("1", CaptureSettings(), decimation)
     assert isinstance(sensor, LiveSensor)
-    assert (sensor.name, sensor.body, sensor.decimation) == ("1", BLAZEPOSE, decimation)
+    assert (sensor.name, sensor.decimation) == ("1", decimation)
     assert type(sensor).frame_of is not LiveSensor.frame_of, "a recording needs it"
     with pytest.raises(DeviceError, match="is not open: use it in a with statement"):
         next(sensor.frames())

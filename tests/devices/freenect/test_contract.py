@@ -8,6 +8,7 @@ import pytest
 
 from devices.freenect import libfreenect
 from devices.freenect.libfreenect import FRAME_CALLBACK, Attributes, Context, FrameMode
+from devices.freenect.sensor import VENDOR
 from devices.sensor import AbsentError
 from tests.helpers.freenect import film, numbered, typed, write_dump
 
@@ -72,7 +73,7 @@ def test_our_context_of_the_real_library(real_freenect):
         with pytest.raises(AbsentError, match=r"No Kinect v1 with serial A0036\. No other is connected\."):
             context.open("A0036")
     assert libfreenect.connected_freenects() == []
-    assert libfreenect.library_check().ok
+    assert VENDOR.sdk_check().ok
 
 
 def test_events_call_back_with_images_and_ticks_until_the_device_is_lost(fakenect, tmp_path):

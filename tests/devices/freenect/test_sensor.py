@@ -18,7 +18,7 @@ from devices.capture.sensor_choice import cable_notes, choose_two, sync_master
 from devices.capture.settings import CaptureSettings
 from devices.freenect import libfreenect
 from devices.freenect.libfreenect import connected_freenects, how_to_install
-from devices.freenect.sensor import INTRINSICS, FreenectSensor, TickCounter
+from devices.freenect.sensor import INTRINSICS, VENDOR, FreenectSensor, TickCounter
 from devices.live.checks import device_checks
 from devices.live.sensors import connected_sensors, live_sensor
 from devices.sensor import DeviceError
@@ -152,7 +152,7 @@ def test_a_sensor_without_permission_is_named(fakenect, dump, tmp_path, monkeypa
     assert other.serial is None
     assert "no permission for" in other.fault
     assert "51-kinect.rules" in other.fault
-    assert libfreenect.sensor_check(other).detail.startswith("Kinect v1 at place 1 cannot be opened")
+    assert VENDOR.sensor_check(other).detail.startswith("Kinect v1 at place 1 cannot be opened")
 
 
 # ------------------------------------------------------------------ beside other vendors

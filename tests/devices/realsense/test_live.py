@@ -25,8 +25,6 @@ from devices.realsense.sdk_access import (
     connected_realsenses,
     context_of,
     open_realsense,
-    sdk_check,
-    sensor_check,
     set_sync_role,
 )
 from devices.realsense.sensors import RealSenseRecording, RealSenseSensor
@@ -69,7 +67,7 @@ def test_sensors_are_listed_and_opened_by_serial(rs, two):
         assert listed[0].description == "Software D455, USB 3.2"
         assert sync_master(*listed, "1002") == "1002", "the library does not tell of cables"
         assert "1001" in cable_unknown(*listed)
-        check = sensor_check(listed[0])
+        check = VENDORS["realsense"].sensor_check(listed[0])
         assert (check.ok, check.needed) == (True, False)
         with _sensor("1002") as sensor:
             assert sensor.intrinsics == LENS
@@ -192,11 +190,11 @@ def test_modes_that_it_does_not_have_are_refused(rs, two):
 
 
 def test_the_doctor_knows_the_library(rs, monkeypatch):
-    assert sdk_check().ok
-    assert sdk_check().detail.startswith(rs.__version__)
+    assert VENDORS["realsense"].sdk_check().ok
+    assert VENDORS["realsense"].sdk_check().detail.startswith(rs.__version__)
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    assert not sdk_check().ok
-    assert 'pip install "duplex-kinects[realsense]"' in sdk_check().advice
+    assert not VENDORS["realsense"].sdk_check().ok
+    assert 'pip install "duplex-kinects[realsense]"' in VENDORS["realsense"].sdk_check().advice
 
 
 # --- Recordings that the real pyrealsense2 wrote, through the same path as all others.
