@@ -27,13 +27,12 @@ from devices.simulated.person.movement import Movement as Movement
 from devices.simulated.person.movement import movement as movement
 from devices.simulated.rig import Rig
 from devices.simulated.streams import Streams
-from devices.simulated.tracking.errors import hold
+from devices.simulated.tracking.errors import Tracker, hold
 from devices.simulated.tracking.person_ids import OTHER as OTHER
 from devices.simulated.tracking.person_ids import PERSON as PERSON
 from devices.simulated.tracking.person_ids import PersonIds
 from devices.simulated.tracking.report import Tracked
 from devices.simulated.tracking.scripted_faults import ScriptedFaults
-from devices.simulated.tracking.tracker import Tracker
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, Body
 from fusion.compiling.kernels import compiles

@@ -126,7 +126,7 @@ def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path, user
         environment[name] = str(tmp_path / "home")
     code = (
         "import devices.depth.rvl\n"
-        "import devices.simulated.imaging.rendering, devices.simulated.tracking.tracker\n"
+        "import devices.simulated.imaging.rendering, devices.simulated.tracking.errors\n"
         "import os, pathlib, numpy\n"
         "assert 'NUMBA_CACHE_DIR' not in os.environ\n"
         "devices.depth.rvl.encode_depth(numpy.zeros((1, 1), dtype=numpy.uint16))\n"

@@ -1,8 +1,8 @@
-"""The errors of a body tracker, one class each. Each has random numbers of its own.
+"""A simulated body tracker: the truth, changed by one error after another, one class each.
 
-An error has a method ``apply`` that changes the report of a frame, and the state that it keeps from frame to
-frame. ``tracker`` applies them in ``ORDER``, on one another's results: those that the tracker has, and with a
-script also those in ``SCRIPTED``.
+An error has a method ``apply`` that changes the report of a frame, random numbers of its own, and the state
+that it keeps from frame to frame. They apply in ``ORDER``, on one another's results: those that the tracker
+has, and with a script also those in ``SCRIPTED``.
 """
 
 import math
@@ -17,6 +17,7 @@ from devices.simulated.tracking.report import Error, Report, Tracked, Wandering
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.compiling.kernels import njit
 from fusion.joint_kinds import by_joint
+from fusion.skeleton import TRACKED, Skeleton
 from fusion.support.types import Array
 
 _BIAS = {
@@ -211,3 +212,32 @@ ORDER: tuple[tuple[Callable[[Tracked], Error], Callable[[TrackerErrors], bool]],
 """The errors in the order in which they apply, and which of them a tracker has."""
 SCRIPTED = (Hiding, Mirrored)
 """The errors that a script may cause."""
+
+
+class Tracker:
+    """The body tracker of one sensor.
+
+    Call :meth:`report` once for each frame, in order: a call draws random numbers and is a step of
+    ``frame_seconds``. The same streams of random numbers and frames give the same reports.
+    """
+
+    def __init__(self, of: Tracked) -> None:
+        self._of = of
+        self._errors: list[Error] = [
+            error(of)
+            for error, has in ORDER
+            if has(of.errors) or (of.script is not None and error in SCRIPTED)
+        ]
+
+    def report(self, joints: Array, visible: Array, time_ns: int) -> Skeleton | None:
+        """The skeleton that is reported of (J, 3) true joints in the sensor's frame, metres, with (J,)
+        visible shares; None while the person is lost.
+        """
+        count, rolled = len(joints), self._of.rolled
+        joints = joints @ rolled.T
+        report = Report(
+            self._of, joints, visible, time_ns, joints, np.full(count, TRACKED, np.uint8), np.zeros(count)
+        )
+        for error in self._errors:
+            error.apply(report)
+        return None if report.lost else Skeleton.of(self._of.body, report.at @ rolled, report.states, time_ns)
