@@ -36,6 +36,7 @@ from devices.capture.clock.host_clock import arrival_ns
 from devices.capture.clock.moments import ImageJoiner, Moment
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
+from devices.depth.camera import AZURE_KINECT_OFFSET
 from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError, SensorFrame
 from devices.vendor import Vendor
 from fusion.body import AZURE_KINECT
@@ -92,6 +93,7 @@ class KinectSensor(LiveSensor):
 
     settings: KinectSettings
     tracked_by = "k4abt"
+    depth_offset = AZURE_KINECT_OFFSET
 
     def __init__(
         self,

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from devices.azure.calibration import depth_intrinsics, depth_mode
+from devices.azure.calibration import DEPTH_MODES, depth_intrinsics, depth_mode
+from devices.depth.camera import AZURE_KINECT_OFFSET, KINECT_V2_OFFSET
 from devices.input_file import check_recording
 from devices.sensor import CableSync, ColorCamera, ColorImage, DeviceError, ImageRecording, SensorFrame
 from fusion.body import AZURE_KINECT, Body
@@ -67,6 +68,9 @@ class MkvRecording(ImageRecording):
             self.__exit__()
             raise
         self.intrinsics, self._described = self.info.intrinsics, len(self.warnings)
+        offset = KINECT_V2_OFFSET if self.info.depth_mode == "512X424" else 0.0
+        offset = AZURE_KINECT_OFFSET if self.info.depth_mode in DEPTH_MODES else offset
+        self.depth_offset = 0.0 if self.info.serial.startswith("simulated") else offset
         self.duration_ns, self.interval_ns = self.info.duration_ns, self.info.interval_ns
         serial = self.info.serial or "unknown"
         self.sensor = f"{serial}, {self.info.depth_mode}, {self.info.sync_mode.lower()}"

@@ -16,6 +16,10 @@ from fusion.intrinsics import Intrinsics
 
 _MAX_REPROJECTION = 0.05  # pixels: a ray with a larger reprojection error is outside the lens model's range
 
+AZURE_KINECT_OFFSET, KINECT_V2_OFFSET = 0.010, 0.024
+"""Metres by which a camera shows all things too far away: the Azure Kinect a chessboard (issue 1362 of its
+SDK), the Kinect v2 as libfreenect2 reads it (its issue 144). Cameras of one kind differ by 5 to 10 mm."""
+
 
 def project(camera: Intrinsics, points: ArrayLike) -> NDArray[np.float64]:
     """The (…, 2) pixels of (…, 3) points of the sensor's frame; NaN where z is not positive."""

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from devices.capture.capture_stream import CaptureStream
 from devices.capture.clock.moments import ImageJoiner, Moment
+from devices.depth.camera import KINECT_V2_OFFSET
 from devices.freenect2.library import PROGRAMS, SHAPE, Camera, connected_freenect2s, library_check
 from devices.sensor import DeviceError, SensorFrame
 from devices.vendor import Vendor, VendorSensor, listed_check
@@ -47,6 +48,7 @@ class Freenect2Sensor(VendorSensor):
     """
 
     model, programs = "Kinect v2", PROGRAMS
+    depth_offset = KINECT_V2_OFFSET
 
     def open(self) -> Camera:
         """Opens the sensor, starts its camera."""

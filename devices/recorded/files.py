@@ -121,21 +121,13 @@ def recorded_at(path: Path) -> str:
 
 
 def depth_offset(path: Path) -> float:
-    """Metres by which a recording's depth camera shows everything too far away, as published; 0 if unknown.
-
-    Azure Kinect: 10 mm on a chessboard (issue 1362 of the Azure Kinect Sensor SDK). Kinect v2 read with
-    libfreenect2: 24 mm (its issue 144). One kind of camera varies by 5 to 10 mm. A simulated one has none.
-    """
+    """The ``depth_offset`` of the sensor of a recording; 0 where the file does not say which it was."""
     if path.suffix.lower() != ".mkv":
         return 0.0
-    from devices.azure.calibration import DEPTH_MODES
     from devices.azure.mkv import MkvRecording
 
     with MkvRecording(path) as recording:
-        info = recording.info
-    if info is None or info.serial.startswith("simulated"):
-        return 0.0
-    return {**dict.fromkeys(DEPTH_MODES, 0.010), "512X424": 0.024}.get(info.depth_mode, 0.0)
+        return recording.depth_offset
 
 
 def distinct_names(a: str, b: str) -> tuple[str, str]:

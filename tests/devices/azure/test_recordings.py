@@ -6,12 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from devices.azure.kinect import KinectSensor
 from devices.azure.mkv import MkvRecording
 from devices.azure.tracking.settings import TrackerSettings
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
+from devices.freenect2.sensor import Freenect2Sensor
+from devices.recorded.files import depth_offset
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.file_sensor import SkeletonRecording
+from devices.upright import UprightSensor
 from fusion.body import KINECT_V2
+from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 from tests.helpers.mkv_writer import INTERVAL_US, depth_image, write_mkv
 
@@ -49,6 +54,23 @@ def test_real_calibration_is_that_of_its_mode(shared):
     first = (0.54793977737426758, -0.020971370860934258, 2.0557534298859537e-05, -7.2104157879948616e-05)
     last = (-0.00265223, 0.88967907428741455, 0.086130209267139435, -0.013910384848714)
     assert depth.distortion == pytest.approx(first + last)
+
+
+@pytest.mark.parametrize(
+    ("serial", "size", "offset"),
+    [("000123", None, 0.010), ("simulated a", None, 0.0), ("7", (512, 424), 0.024)],
+)
+def test_the_depth_offset_is_that_of_the_sensor(tmp_path, serial, size, offset):
+    path, how = tmp_path / "a.mkv", {}
+    if size:
+        image = np.ones(size[::-1], np.uint16)
+        how = {"images": [(image, image)], "lens": Intrinsics(*size, 365.0, 365.0, 256.0, 212.0)}
+    write_mkv(path, 1, serial=serial, **how)
+    with UprightSensor(MkvRecording(path), 90) as recording:
+        assert recording.depth_offset == offset
+    assert depth_offset(path) == offset
+    assert KinectSensor.depth_offset == 0.010
+    assert Freenect2Sensor.depth_offset == 0.024
 
 
 def test_frames_come_in_order_with_their_images(recording):
