@@ -39,7 +39,7 @@ def summary(outcomes):
     Returns:
         ``methods``: by name, the mean of each figure over the trials in which every method has it. Also
         ``interval`` of the mean error; ``less``, the interval of its difference from ours in the same trial;
-        ``nearer``, the share of trials in which ours has the smaller mean error; and ``by_angle``.
+        and ``nearer``, the share of trials in which ours has the smaller mean error.
         ``lost``: the movements and angles at which a baseline is nearer on average, and by how many metres.
     """
     methods = {}
@@ -55,10 +55,6 @@ def summary(outcomes):
             "interval": interval(errors[name]),
             "less": interval(errors[OURS] - errors[name]) if OURS in errors else None,
             "nearer": nearer(outcomes, name),
-            "by_angle": {
-                f"{angle:g}": _mean([o for o in own if o.trial.angle == angle], "mpjpe")
-                for angle in sorted({o.trial.angle for o in own})
-            },
         }
     return {"recordings": len({o.trial for o in outcomes}), "methods": methods, "lost": lost(outcomes)}
 

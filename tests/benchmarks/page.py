@@ -7,7 +7,7 @@ from string import Template
 import numpy as np
 
 from tests.benchmarks import results
-from tests.benchmarks.methods import OURS
+from tests.benchmarks.methods import METHODS, OURS
 from tests.benchmarks.real import FAULTS
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks.md"
@@ -22,7 +22,7 @@ _SETS = {
 _OTHERS = ("real", "certainty", "coverage", "ablation", "conditions", "speed", "latency")
 _FEWEST = 8  # recordings, of which an interval is stated
 _DEGREES = float(np.degrees(1.0))
-_BASELINES = ("mean, start-up", "mean, refined", "tracked wins", "Kalman, start-up", "Kalman, refined")
+_BASELINES = ("mean, refined", "tracked wins", "Kalman, refined")
 
 
 def page():
@@ -70,9 +70,8 @@ def _origin(name):
 
 def _methods(figures):
     rows = []
-    for name, row in figures["methods"].items():
-        if name.endswith("start-up") or name == "published":  # the same, worse
-            continue
+    for name in (method.name for method in METHODS if method.name in figures["methods"]):
+        row = figures["methods"][name]
         rows.append(
             (
                 f"**{name}**" if name.startswith("duplex") else name,

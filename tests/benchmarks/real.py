@@ -16,7 +16,7 @@ from fusion.pair_arrays import Pairs
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
 from recordings.fusing.pairs import fuse_segments, setups_of
-from recordings.quality.without_truth import FusedPair, figures_without_truth, judge_registration
+from recordings.quality.without_truth import FusedPair, figures_without_truth
 from tests.benchmarks import results
 
 _FAULT_FRAMES = 20
@@ -37,12 +37,8 @@ def measure(body, skeletons):
     pair = fuse_pair(body, skeletons)
     figures = figures_without_truth(pair)
     live = figures_without_truth(fuse_pair(body, skeletons, "none"))
-    half = len(skeletons) // 2
-    learned = fuse_pair(body, skeletons[:half]).a_from_b[-1]
-    held_out = judge_registration(learned, pair.a[half:], pair.b[half:])
     row = {name: float(value) for name, value in asdict(figures).items()}
     row["roughness_ratio"] = figures.roughness_ratio
-    row |= {f"held_out_{name}": float(value) for name, value in asdict(held_out).items()}
     row |= {f"live_{name}": float(getattr(live, name)) for name in ("heading_fused", "astray_fused")}
     for kind in FAULTS:
         row[f"fault_{kind}"], row[f"floor_{kind}"] = fault_shares(body, skeletons, pair, kind)
@@ -128,13 +124,6 @@ def fuse_pair(body, skeletons, hindsight="labels"):
     )
 
 
-def mean_of(rows):
-    """Computes the mean of each figure over the recordings that have it."""
-    names = dict.fromkeys(name for row in rows.values() for name in row)
-    known = {name: [row[name] for row in rows.values() if np.isfinite(row[name])] for name in names}
-    return {name: float(np.mean(values)) if values else np.nan for name, values in known.items()}
-
-
 def main(arguments=None):
     """Judges each recording."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -148,7 +137,7 @@ def main(arguments=None):
         print(f"{folder.name}: roughness {row['roughness_ratio']:.2f} of the views'", file=sys.stderr)
     # the folders may lie anywhere: the written command names them without their path
     sys.argv[1:] = [Path(argument).name for argument in sys.argv[1:]]
-    results.write("real", {"pairs": rows, "mean": mean_of(rows)})
+    results.write("real", {"pairs": rows})
 
 
 if __name__ == "__main__":

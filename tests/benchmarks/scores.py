@@ -19,10 +19,7 @@ def accuracy(body, found, truth, states_a, states_b, frame_seconds, sd=None):
     p95: 95th percentile of that distance.
     hidden_one, hidden_both: MPJPE of joints that one view, or both, do not track.
     bone_error: Largest difference of a bone from its true length.
-    bone_deviation: Standard deviation of a bone's length over time; mean over bones.
     jitter: RMS distance of a joint from its moving mean over 5 frames while it truly stands still.
-    acceleration: Mean distance of a joint's second difference from the true one, metres per frame².
-    swapped: Share of frames whose limbs fit the truth better with left and right exchanged.
     lag: Frames by which the joints' mean speed trails the true one: where they correlate most. NaN where
         that is less than 0.5, or at the end of the ±10 frames that are searched.
     within_1sd, within_2sd: Share of joints within one and two standard deviations of the truth, as the
@@ -46,10 +43,7 @@ def accuracy(body, found, truth, states_a, states_b, frame_seconds, sd=None):
         "hidden_one": _mean(off[untracked == 1]),
         "hidden_both": _mean(off[untracked == 2]),
         "bone_error": float(np.nanmax(np.abs(lengths - true_lengths))),
-        "bone_deviation": _mean(np.array([_deviation(bone) for bone in lengths.T])),
         "jitter": _jitter(found, truth, frame_seconds),
-        "acceleration": _mean(np.linalg.norm(np.diff(found - truth, n=2, axis=0), axis=2)),
-        "swapped": _swapped(body, found, truth),
         "lag": _lag(found, truth),
         "within_1sd": np.nan if sd is None else _coverage(off, sd),
         "within_2sd": np.nan if sd is None else _coverage(off, 2.0 * sd),
@@ -67,11 +61,6 @@ def _mean(values):
     return float(values.mean()) if values.size else np.nan
 
 
-def _deviation(values):
-    values = values[np.isfinite(values)]
-    return float(values.std()) if values.size else np.nan
-
-
 def _jitter(found, truth, frame_seconds):
     speed = np.linalg.norm(np.diff(truth, axis=0), axis=2) / frame_seconds
     still = (speed < _STILL_SPEED).all(axis=1)  # (T-1,)
@@ -83,13 +72,6 @@ def _jitter(found, truth, frame_seconds):
     square = high[calm] ** 2
     square = square[np.isfinite(square)]
     return float(np.sqrt(square.mean())) if square.size else np.nan
-
-
-def _swapped(body, found, truth):
-    limbs = np.flatnonzero(body.mirror != np.arange(len(body)))
-    as_is = np.nansum(np.linalg.norm(found[:, limbs] - truth[:, limbs], axis=2), axis=1)
-    exchanged = np.nansum(np.linalg.norm(found[:, limbs] - truth[:, body.mirror[limbs]], axis=2), axis=1)
-    return float(np.mean(exchanged < as_is))
 
 
 def _lag(found, truth):

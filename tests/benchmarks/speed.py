@@ -16,23 +16,16 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.frame_pairs import FramePair
-from devices.people import tracks as people_tracks
-from devices.people.following import PersonOfPair
-from devices.simulated.demonstration import good_rig, therapist
 from devices.simulated.kinect import simulated_pair
-from fusion.body import BODIES, KINECT_V1, KINECT_V2
+from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
-from fusion.skeleton import SkeletonPair
 from recordings.session import Session
 from tests.benchmarks import results
 from tests.helpers.frame_pairs import paired
 from tests.helpers.recorded_pairs import write_view
-from tests.helpers.solver_problems import ordinary_problem, solver_of
-from tests.helpers.solvers import PaperSolver
 
 FRAME_NS = 33_333_333
 FRAMES_PER_MINUTE = 1800
@@ -56,13 +49,11 @@ def repeated(pairs, count):
     ]  # fmt: skip
 
 
-def time_update(pairs, body, method, alone=False):
-    """Times ``Fuser.update`` pair by pair, or frames of A alone, and ``fuse_sequence`` over many pairs."""
+def time_update(pairs, body, method):
+    """Times ``Fuser.update`` pair by pair, and ``fuse_sequence`` over many pairs."""
     setup = FusionSetup(calibrate(body, *find_start_up_pose(body, pairs)), FuserSettings(method=method))
     fuser = Fuser(setup)
     fuser.warm_up()
-    if alone:
-        pairs = [replace(pair, b=None) for pair in pairs]
     took = []
     for pair in pairs:
         before = time.thread_time_ns()
@@ -76,48 +67,13 @@ def time_update(pairs, body, method, alone=False):
     return {"median_us": float(median), "p99_us": float(p99), "batch_per_s": per_second}
 
 
-def time_association(seconds=20.0):
-    """Times the choice of the person in a pair, live and calibrated, with one person in view and with two."""
-    took = {}
-    for name, other in (("one person", None), ("two people", therapist())):
-        a, b, truth = simulated_pair(
-            motion="squat", seed=0, body=KINECT_V2, seconds=seconds, rig=good_rig(KINECT_V2), other=other,
-            exchanged=10.0,
-        )  # fmt: skip
-        people, a_from_b, every = PersonOfPair(KINECT_V2), truth.a_from_b, []
-        people_tracks.warm_up()
-        for one, two in zip(a.frames(), b.frames(), strict=True):
-            pair = FramePair(one, two, SkeletonPair(None, None, one.time_ns, two.time_ns - one.time_ns))
-            before = time.thread_time_ns()
-            people.chosen(pair, a_from_b)
-            every.append((time.thread_time_ns() - before) * 1e-3)
-        median, p99 = np.percentile(every, [50, 99])
-        took[name] = {"median_us": float(median), "p99_us": float(p99)}
-    return took
-
-
-def time_solver(solver, frames=1000):
-    """Times eq. (1) from cold starts: 20 joints in random poses, with 10 mm of noise."""
-    took, bones = [], []
-    for seed in range(frames):
-        problem = ordinary_problem(seed, KINECT_V1, noise=0.01)
-        before = time.thread_time_ns()
-        x = solver.solve(problem.targets, problem.weights, problem.lengths).positions
-        took.append((time.thread_time_ns() - before) * 1e-3)
-        child = KINECT_V1.bone_joints
-        lengths = np.linalg.norm(x[child] - x[KINECT_V1.parent_indices[child]], axis=1)
-        bones.append(np.abs(lengths - problem.lengths[child]).max())
-    median, p99 = np.percentile(took[1:], [50, 99])
-    return {"median_us": float(median), "p99_us": float(p99), "bone_error_mm": 1e3 * float(max(bones))}
-
-
 def time_commands(body, pairs):
     """Times ``duplex fuse --save`` and ``duplex replay --verify`` on a short and on a long recording."""
     # noise, so that repeated frames do not compress better than a real recording
     rng = np.random.default_rng(0)
     known = [pair for pair in pairs if pair.a is not None and pair.b is not None]
     many = repeated(known, LONG)
-    fusing, replaying, sizes = [], [], []
+    fusing, replaying = [], []
     with tempfile.TemporaryDirectory(prefix="duplex-benchmark-") as name:
         folder = Path(name)
         session = folder / "session.rrd"
@@ -128,7 +84,6 @@ def time_commands(body, pairs):
                              "--calibrate", "seconds:3"])
             )  # fmt: skip
             replaying.append(_seconds_of(["replay", str(session), "--verify"]))
-            sizes.append(session.stat().st_size)
         before = time.perf_counter()
         Session.open(session)
         opening = time.perf_counter() - before
@@ -138,7 +93,6 @@ def time_commands(body, pairs):
         "fuse_start_up_s": fusing[1] - SHORT * pair_s,
         "replay_pairs_per_s": (LONG - SHORT) / (replaying[2] - replaying[1]),
         "open_hour_s": opening / LONG * FRAMES_PER_MINUTE * 60,
-        "file_mb_per_minute": (sizes[2] - sizes[1]) / (LONG - SHORT) * FRAMES_PER_MINUTE * 1e-6,
     }
 
 
@@ -194,15 +148,10 @@ def main(arguments=None):
     if parser.parse_args(arguments).start:
         results.write("start", cost_of_commands(KINECT_V2))
         return
-    figures = {"update": {}, "solver": {}}
-    methods = ("duplex", "paper")
-    for body in BODIES.values():
+    figures = {"update": {}}
+    for body, methods in ((KINECT_V2, ("duplex", "paper")), (AZURE_KINECT, ("duplex",))):
         walk = simulated_walk(body)
         figures["update"][body.name] = {method: time_update(walk, body, method) for method in methods}
-        figures["update"][body.name]["duplex, A alone"] = time_update(walk, body, "duplex", alone=True)
-    figures["solver"]["exact"] = time_solver(solver_of(KINECT_V1))
-    figures["solver"]["published"] = time_solver(PaperSolver(KINECT_V1.parent_indices))
-    figures["association"] = time_association()
     figures["commands"] = time_commands(KINECT_V2, simulated_walk(KINECT_V2))
     results.write("speed", figures)
 

@@ -10,7 +10,6 @@ from tests.benchmarks import accuracy, speed
 from tests.benchmarks.certainty import limb_figures
 from tests.benchmarks.harsher_errors import heavy_tails
 from tests.benchmarks.methods import METHODS, OURS
-from tests.benchmarks.real import mean_of
 from tests.benchmarks.trials import Outcome, Trial
 from tests.helpers.two_views import FRAME_NS, moving, pair_of
 
@@ -58,11 +57,6 @@ def test_cases_where_a_baseline_is_nearer_on_average_are_reported():
     (case,) = accuracy.lost(outcomes)
     assert (case["motion"], case["angle"], case["method"]) == ("still", 135.0, "mean, refined")
     assert case["by"] == pytest.approx(0.51)
-
-
-def test_means_leave_out_what_a_recording_does_not_have():
-    rows = {"one": {"rough": 0.004, "jumps": 0.1}, "two": {"rough": np.nan, "jumps": 0.3}}
-    assert mean_of(rows) == {"rough": 0.004, "jumps": pytest.approx(0.2)}
 
 
 def test_a_repeated_recording_has_no_jumps_and_rising_times():

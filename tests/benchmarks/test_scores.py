@@ -23,7 +23,7 @@ def measure(found, truth, a=TRACKED, b=TRACKED):
 
 def test_the_truth_itself_has_no_error(truth):
     of = measure(truth, truth)
-    assert (of["mpjpe"], of["p95"], of["acceleration"], of["swapped"]) == (0.0, 0.0, 0.0, 0.0)
+    assert (of["mpjpe"], of["p95"]) == (0.0, 0.0)
     assert of["bone_error"] < 1e-12
     assert of["lag"] == pytest.approx(0.0, abs=0.01)  # error of a parabola through an asymmetric peak
     assert np.isnan(of["hidden_one"])
@@ -33,7 +33,6 @@ def test_an_offset_is_the_error_and_nothing_else(truth):
     of = measure(truth + [0.03, 0.0, 0.04], truth)
     assert of["mpjpe"] == pytest.approx(0.05)
     assert of["bone_error"] < 1e-12
-    assert of["acceleration"] < 1e-12
 
 
 def test_noise_while_still_is_jitter(truth):
@@ -43,17 +42,12 @@ def test_noise_while_still_is_jitter(truth):
     assert of["jitter"] == pytest.approx(0.01 * np.sqrt(3 * 0.8), rel=0.1)
 
 
-def test_bone_error_is_the_largest_and_bone_deviation_the_mean(truth):
-    hand, foot = KINECT_V1.joint("HandLeft"), KINECT_V1.joint("FootRight")  # ends: one bone each
-    longer = np.zeros((150, 20))
-    longer[:, foot] = 0.02  # always: an error, no deviation
-    longer[::2, hand] = 0.06  # every second frame: a deviation of half as much
-    parents = np.array([max(parent, 0) for parent in KINECT_V1.parents])
-    along = truth - truth[:, parents]
-    along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-9)
-    of = measure(truth + longer[..., None] * along, truth)
-    assert of["bone_error"] == pytest.approx(0.06)
-    assert of["bone_deviation"] == pytest.approx(0.03 / len(KINECT_V1.bone_joints))
+def test_bone_error_is_the_largest(truth):
+    hand = KINECT_V1.joint("HandLeft")  # an end: one bone
+    found = truth.copy()
+    found[::2, hand] += 0.4 * (truth[::2, hand] - truth[::2, KINECT_V1.parents[hand]])
+    expected = 0.4 * np.linalg.norm(truth[0, hand] - truth[0, KINECT_V1.parents[hand]])
+    assert measure(found, truth)["bone_error"] == pytest.approx(expected)
 
 
 def test_95_of_100_errors_are_smaller_than_p95(truth):
@@ -62,12 +56,6 @@ def test_95_of_100_errors_are_smaller_than_p95(truth):
     of = measure(truth + size[..., None] * [1.0, 0.0, 0.0], truth)
     assert of["p95"] == pytest.approx(0.95 * 0.3)
     assert of["mpjpe"] == pytest.approx(0.5 * 0.3)
-
-
-def test_exchanged_sides_are_seen(truth):
-    found = np.array(truth)
-    found[100:130] = found[100:130][:, KINECT_V1.mirror]
-    assert measure(found, truth)["swapped"] == pytest.approx(30 / 150)
 
 
 @pytest.mark.parametrize("frames", [1, 3])

@@ -64,7 +64,7 @@ class Simulation:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one method did on one trial: figures by name, in SI; ``fuse_us`` in microseconds per frame."""
+    """What one method did on one trial: figures by name, in SI."""
 
     trial: Trial
     method: str
@@ -97,7 +97,7 @@ def run_trial(trial, simulation, seconds, names):
         measured = (at[first:] for at in (found.joints, recording.truth, states_a, states_b))
         sd = None if found.sd is None else found.sd[first:]
         figures = accuracy(recording.body, *measured, recording.frame_seconds, sd)
-        outcomes.append(Outcome(trial, method.name, {**figures, "fuse_us": found.each_us}))
+        outcomes.append(Outcome(trial, method.name, figures))
     return outcomes
 
 
