@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numba.core import event
 from scipy.spatial.transform import Rotation
 
 from fusion.body import AZURE_KINECT as BODY
@@ -16,16 +15,11 @@ from fusion.calibration.calibration import Calibration
 from fusion.calibration.comparison import RecentPlacement
 from fusion.calibration.offline import learn_from_recording
 from fusion.calibration.online import CalibrationLearner, LearnerSettings
-from fusion.compiling.kernels import kernel
-from fusion.fuser import Fuser
-from fusion.registration import error_model, refinement
-from fusion.registration.error_model import RobustFitSettings
+from fusion.registration import refinement
 from fusion.registration.keyframes import evidence_of
-from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import RefinementSettings
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
-from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.laws import COSTLY
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
@@ -75,11 +69,6 @@ def test_a_start_5_degrees_off_is_refined_and_says_how_certain_it_is():
     assert "Registration refined" in refined[0].event
 
 
-def test_refinement_keeps_a_true_registration():
-    learner, _ = learned(walk(), A_FROM_B)
-    assert np.degrees(learner.calibration.a_from_b.angle_to(A_FROM_B)) < 0.2
-
-
 def test_mirrored_spells_of_one_view_do_not_mislead():
     learner, _ = learned(walk(mirrored=True), OFF)
     assert np.degrees(learner.calibration.a_from_b.angle_to(A_FROM_B)) < 0.7
@@ -91,17 +80,6 @@ def test_stale_and_one_sided_pairs_teach_nothing():
         assert learner.observe(pair, stale=(False, True)) == []
         assert learner.observe(SkeletonPair(pair.a, None, pair.time_ns)) == []
     assert learner.calibration.a_from_b is OFF
-
-
-def test_bones_are_learned_and_the_change_is_reported():
-    learner, changes = learned(walk(), A_FROM_B)
-    bones = [change for change in changes if change.kind == "bones"]
-    assert bones
-    assert "Bone lengths learned" in bones[0].event
-    true = bone_lengths_of(BODY, moving(BODY, 1)[0])
-    joints = BODY.bone_joints
-    error = np.abs(learner.calibration.bone_lengths - true)[joints]
-    assert error.mean() < 0.2 * (0.1 * true[joints]).mean()
 
 
 def test_the_bones_of_a_person_who_stands_still_are_learned_from_a_recording():
@@ -161,24 +139,6 @@ def test_learning_twice_gives_the_same_to_the_last_bit():
     first, _ = learned(walk(200), OFF)
     second, _ = learned(walk(200), OFF)
     np.testing.assert_array_equal(first.calibration.a_from_b.rotation, second.calibration.a_from_b.rotation)
-
-
-def test_a_learner_compiles_nothing_after_the_fuser_is_warm(monkeypatch):
-    fresh = kernel(error_model._accumulate.py_func)  # as in a new process
-    monkeypatch.setattr(error_model, "_accumulate", fresh)
-    pairs = walk(200)
-    start = Calibration(BODY, OFF, BODY.nominal_lengths, "start")
-    Fuser(FusionSetup(start)).warm_up()
-    assert len(fresh.signatures) == 1
-    with event.install_recorder("numba:compile") as compiling:
-        _, changes = learned(pairs, OFF)
-        learn_from_recording(BODY, pairs)
-        transposed = RigidTransform(np.asfortranarray(OFF.rotation), OFF.translation)  # as an inverse is
-        half = evidence_of(BODY, pairs[:100]), evidence_of(BODY, pairs[100:])
-        fit_knock(BODY, *half, transposed, RobustFitSettings())
-    assert any(change.kind == "refined" for change in changes)
-    assert compiling.buffer == []
-    assert len(fresh.signatures) == 1  # a kernel found on disk here would have to be compiled elsewhere
 
 
 @pytest.mark.parametrize(("surer", "later"), [(0.7, 1), (0.0, 2)])

@@ -1,4 +1,4 @@
-"""The fuser with the paper's method; see ``tests/fusion/estimator`` for the default."""
+"""The paper's method: reliability of eqs. (10), (11), and the fuser."""
 
 from dataclasses import replace
 
@@ -16,10 +16,15 @@ from fusion.compiling.kernels import kernel
 from fusion.errors import FusionError
 from fusion.fuser import Fuser
 from fusion.paper import method as paper_method
+from fusion.paper.reliability import ViewPixels, weigh_views
 from fusion.rigid import RigidTransform
-from fusion.setup import FuserSettings, FusionSetup
+from fusion.setup import PAPER_H, FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
+from tests.helpers.poses import posed
+from tests.helpers.two_views import FRAME_NS, calibration_of, moving, noisy, pair_of, standing
+
+# --- The fuser with the paper's method.
+
 
 # float32 positions at up to 4 m from a sensor are exact to 2.4e-7 m in each coordinate; R and t of the torso
 # add as much again, and turning an error over the longest chain of a body triples it at most.
@@ -50,78 +55,14 @@ def test_fused_bones_have_their_length_whatever_the_noise(body):
         assert bone_error(body, frame) < 1e-9
 
 
-def test_a_mistracked_elbow_follows_the_view_that_keeps_it_apart():
-    # fig. 3: in A's image the elbow covers the hip; B sees them far apart and gets the weight
-    body = KINECT_V1
-    truth = standing(body)
-    pair = pair_of(body, truth)
-    elbow, hip = body.joint("ElbowRight"), body.joint("HipRight")
-    mixed_up = np.array(pair.a.positions)
-    mixed_up[elbow] = mixed_up[hip] + [0.01, 0.0, 0.0]
-    frame = Fuser(FusionSetup(calibration_of(body), PAPER)).update(
-        SkeletonPair(Skeleton.of(body, mixed_up), pair.b, pair.time_ns)
-    )
-    assert frame.misleading_joint[elbow] == hip
-    assert frame.weights_b[elbow] > 0.99
-    off = np.linalg.norm(frame.positions[elbow] - truth[elbow])
-    equal = Fuser(FusionSetup(calibration_of(body), FuserSettings(method="paper", weights="equal"))).update(
-        SkeletonPair(Skeleton.of(body, mixed_up), pair.b, pair.time_ns)
-    )
-    assert off < 0.02 < 0.1 < np.linalg.norm(equal.positions[elbow] - truth[elbow])
-
-
-@pytest.mark.parametrize("weights", WEIGHTS)
-def test_a_joint_that_one_view_lost_is_taken_from_the_other(weights):
+def test_a_joint_that_was_never_seen_points_as_at_rest():
     body = KINECT_V2
-    truth = standing(body)
-    pair = pair_of(body, truth)
-    frame = Fuser(FusionSetup(calibration_of(body), FuserSettings(method="paper", weights=weights))).update(
-        SkeletonPair(with_states(pair.a, {"WristLeft": TrackingState.NOT_TRACKED}), pair.b, 0)
-    )
-    wrist = body.joint("WristLeft")
-    assert (frame.weights_a[wrist], frame.weights_b[wrist]) == (0.0, 1.0)
-    assert not frame.predicted[wrist]
-    np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
-
-
-def test_a_joint_that_both_views_lost_follows_its_bones_and_the_previous_frame():
-    body = KINECT_V2
-    truth = standing(body)
-    pair = pair_of(body, truth)
-    fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
-    fuser.update(pair)
-    lost = dict.fromkeys(("HandLeft", "HandTipLeft", "ElbowRight"), TrackingState.NOT_TRACKED)
-    step = np.array([0.05, 0.0, 0.1])
-    moved = pair_of(body, truth + step, FRAME_NS)
-    frame = fuser.update(SkeletonPair(with_states(moved.a, lost), with_states(moved.b, lost), FRAME_NS))
-    assert [body.joints[j] for j in np.flatnonzero(frame.predicted)] == [
-        "HandLeft", "ElbowRight", "HandTipLeft",
-    ]  # fmt: skip
-    # the body moved as a whole, and its missing joints with it
-    np.testing.assert_allclose(frame.positions, truth + step, atol=1e-3)
-    assert bone_error(body, frame) < 1e-9
-
-
-def test_one_sensor_alone_still_gives_a_skeleton_with_the_same_bones():
-    body = KINECT_V1
-    truth = standing(body)
-    pair = pair_of(body, truth)
-    for alone in (SkeletonPair(pair.a, None, 0), SkeletonPair(None, pair.b, 0)):
-        frame = Fuser(FusionSetup(calibration_of(body), PAPER)).update(alone)
-        assert frame.has_person
-        np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
-
-
-def test_without_anyone_there_is_no_skeleton_and_the_next_person_is_picked_up():
-    body = KINECT_V1
-    fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
-    fuser.update(pair_of(body, standing(body)))
-    empty = fuser.update(SkeletonPair(None, None, FRAME_NS))
-    assert not empty.has_person
-    assert np.isnan(empty.positions).all()
-    elsewhere = standing(body) @ Rotation.from_euler("y", 150, degrees=True).as_matrix().T + [0.0, 0.0, 5.0]
-    back = fuser.update(pair_of(body, elsewhere, 100 * FRAME_NS))
-    np.testing.assert_allclose(back.positions, elsewhere, atol=2 * FLOAT32)
+    truth = posed(body, {})
+    lost = dict.fromkeys(("HandLeft", "HandTipLeft"), TrackingState.NOT_TRACKED)
+    seen = pair_of(body, truth)
+    pair = SkeletonPair(with_states(seen.a, lost), with_states(seen.b, lost), 0)
+    frame = Fuser(FusionSetup(calibration_of(body), PAPER)).update(pair)
+    np.testing.assert_allclose(frame.positions, truth, atol=1e-5)
 
 
 @pytest.mark.parametrize(("seconds", "forgotten"), [(0.5, False), (1.5, True)])
@@ -136,25 +77,6 @@ def test_after_a_second_without_anyone_the_frame_before_is_forgotten(seconds, fo
     anew = Fuser(FusionSetup(calibration_of(body), PAPER)).update(back).positions
     elbow = body.joint("ElbowLeft")
     assert (np.linalg.norm(found[elbow] - anew[elbow]) < FLOAT32) == forgotten
-
-
-def test_a_repeated_frame_is_noticed_for_each_sensor_separately():
-    body = KINECT_V1
-    fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
-    first, second = (pair_of(body, at, t) for t, at in enumerate(moving(body, 60)[58:]))
-    assert not fuser.update(first).stale_a
-    frame = fuser.update(SkeletonPair(first.a, second.b, 1))
-    assert (frame.stale_a, frame.stale_b) == (True, False)
-
-
-def test_t_follows_the_torso_when_a_sensor_is_pushed():
-    body = KINECT_V1
-    truth = standing(body)
-    push = np.array([0.1, -0.03, 0.2])
-    pushed = RigidTransform(A_FROM_B.rotation, A_FROM_B.translation + push)
-    frame = Fuser(FusionSetup(calibration_of(body), PAPER)).update(pair_of(body, truth, 0, pushed))
-    np.testing.assert_allclose(frame.a_from_b.translation, pushed.translation, atol=FLOAT32)
-    np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
 
 
 @pytest.mark.parametrize("h", [0.5, 1.0, 2.0, float("nan")])
@@ -172,10 +94,13 @@ def test_a_sequence_is_bit_for_bit_the_pairs_one_by_one():
     pairs[22] = SkeletonPair(
         with_states(pairs[22].a, {"HandLeft": TrackingState.NOT_TRACKED}), None, 22 * FRAME_NS
     )
+    pairs[30] = replace(pairs[30], b=pairs[29].b)
     one_by_one, at_once = (Fuser(FusionSetup(calibration_of(body), PAPER)) for _ in range(2))
-    for single, of_sequence in zip(
-        [one_by_one.update(pair) for pair in pairs], at_once.fuse_sequence(pairs), strict=True
-    ):
+    frames = at_once.fuse_sequence(pairs)
+    assert np.flatnonzero(frames[22].predicted).tolist() == [body.joint("HandLeft")]
+    assert frames[21].predicted.all()
+    assert (frames[30].stale_a, frames[30].stale_b) == (False, True)
+    for single, of_sequence in zip([one_by_one.update(pair) for pair in pairs], frames, strict=True):
         assert single.positions.tobytes() == of_sequence.positions.tobytes()
         assert single.weights_a.tobytes() == of_sequence.weights_a.tobytes()
         assert single.a_from_b.translation.tobytes() == of_sequence.a_from_b.translation.tobytes()
@@ -301,3 +226,64 @@ def test_a_weighted_mean_with_the_right_bones_is_the_skeleton(seed, weights):
     frame = Fuser(FusionSetup(calibration, chosen)).update(pair)
     # no step is needed: the remaining error is the rounding of a few metres, summed along the longest chain
     np.testing.assert_allclose(frame.positions, mean, rtol=0, atol=1e-12)
+
+
+# --- The reliability of a view, eqs. (10), (11).
+
+
+def by_the_paper(pixels_a, pixels_b, states_a, states_b, linked, h):
+    """A direct implementation of sec. 3, one joint at a time."""
+    joints = range(len(pixels_a))
+    has_a = [bool(np.isfinite(pixels_a[i]).all()) for i in joints]
+    has_b = [bool(np.isfinite(pixels_b[i]).all()) for i in joints]
+    result = []
+    for i in joints:
+        if not (has_a[i] and has_b[i]):
+            result.append((float(has_a[i]), float(has_b[i]), -1))
+            continue
+        in_a = {j: np.linalg.norm(pixels_a[i] - pixels_a[j]) for j in joints if has_a[j] and has_b[j]}
+        in_b = {j: np.linalg.norm(pixels_b[i] - pixels_b[j]) for j in in_a}
+        candidates = [j for j in in_a if not linked[i, j]]
+        basic_a = basic_b = 0.5
+        m = -1
+        if candidates:
+            j, k = min(candidates, key=in_a.__getitem__), min(candidates, key=in_b.__getitem__)
+            m = j if in_a[j] < in_b[k] else k
+            if in_a[m] + in_b[m] > 0:
+                basic_a, basic_b = in_a[m] / (in_a[m] + in_b[m]), in_b[m] / (in_a[m] + in_b[m])
+        h_a, h_b = (h if states_a[i] == 2 else 1 - h), (h if states_b[i] == 2 else 1 - h)
+        power_a, power_b = (h_a * basic_a) ** 4, (h_b * basic_b) ** 4
+        result.append((power_a / (power_a + power_b), power_b / (power_a + power_b), m))
+    return tuple(np.array(column) for column in zip(*result, strict=True))
+
+
+def reliability_weights(pixels_a, pixels_b, states_a, states_b, linked, h=PAPER_H):
+    joints = len(pixels_a)
+    weights_a, weights_b, misleading = np.empty(joints), np.empty(joints), np.empty(joints, dtype=np.int64)
+    views = ViewPixels(pixels_a, pixels_b, states_a, states_b, np.empty(joints, dtype=np.bool_))
+    weigh_views(views, linked, h, weights_a, weights_b, misleading)
+    return weights_a, weights_b, misleading
+
+
+def random_views(rng, body):
+    pixels_a, pixels_b = rng.uniform(0, 500, (2, len(body), 2))
+    states_a, states_b = rng.choice([1, 2], (2, len(body)), p=[0.3, 0.7]).astype(np.uint8)
+    for pixels, states in ((pixels_a, states_a), (pixels_b, states_b)):
+        hole = rng.random(len(body)) < rng.choice([0.0, 0.2, 0.9])
+        pixels[hole], states[hole] = np.nan, 0
+    if rng.random() < 0.3:  # joints that lie on each other in both views
+        pixels_a[:3], pixels_b[:3] = pixels_a[0], pixels_b[0]
+    return pixels_a, pixels_b, states_a, states_b, body.linked.copy()
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+def test_weights_are_those_of_the_paper_word_by_word(body):
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        views = random_views(rng, body)
+        h = rng.uniform(0.5, 1.0)
+        weights_a, weights_b, misleading = reliability_weights(*views, h)
+        expected_a, expected_b, expected_misleading = by_the_paper(*views, h)
+        np.testing.assert_allclose(weights_a, expected_a, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(weights_b, expected_b, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(misleading, expected_misleading)

@@ -1,13 +1,134 @@
-"""Rotations of the bones: exact swing, twist by the stated convention, continuous in time."""
+"""Joint angles and rotations of the bones."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V2
+from fusion.movement.angles import ANGLES, UP, angle_sigma, joint_angles
 from fusion.movement.joint_rotations import JointRotations, joint_bones, rotations_of
-from tests.helpers.poses import BACK, FRONT, LEFT, posed, turned_about
+from tests.helpers.poses import BACK, DOWN, FRONT, LEFT, posed, turned_about
 from tests.helpers.two_views import FRAME_NS, moving, standing
+
+# --- Joint angles: the frames of another library, and their uncertainty.
+
+
+each_body = pytest.mark.parametrize("body", BODIES.values(), ids=str)
+
+
+def towards(start, end, degrees):
+    """The direction at this angle from one direction to one across it."""
+    angle = np.radians(degrees)
+    return tuple(np.cos(angle) * np.array(start) + np.sin(angle) * np.array(end))
+
+
+def random_poses(body, count, seed=1):
+    random = np.random.default_rng(seed)
+    poses = _near_rest(body, random, count)
+    return np.array([posed(body, dict(zip(body.joints[1:], pose, strict=True))) for pose in poses])
+
+
+def _near_rest(body, random, count):
+    each = body.rest[1:] + 0.5 * random.normal(size=(count, len(body) - 1, 3))
+    return each / np.linalg.norm(each, axis=2, keepdims=True)
+
+
+@each_body
+def test_angles_depend_neither_on_the_place_nor_on_the_sensor(body):
+    joints = random_poses(body, 20)
+    turn = Rotation.from_rotvec([0.4, 2.1, -0.7])
+    moved = np.array([turned_about(each, turn, 0) for each in joints]) + [1.0, -2.0, 0.5]
+    np.testing.assert_allclose(
+        joint_angles(body, moved, turn.apply(UP)), joint_angles(body, joints), atol=1e-6
+    )
+
+
+def test_an_unknown_joint_takes_away_its_own_angles_only():
+    joints = posed(AZURE_KINECT, {})
+    joints[AZURE_KINECT.joint("WristLeft")] = np.nan
+    sigma = np.full(len(AZURE_KINECT), 0.01)
+    sigma[AZURE_KINECT.joint("KneeRight")] = np.nan
+    missing = {
+        name
+        for name, angle in zip(ANGLES, joint_angles(AZURE_KINECT, joints), strict=True)
+        if np.isnan(angle)
+    }
+    assert missing == {"elbow_flexion_left"}
+    of_sigma = np.isnan(angle_sigma(AZURE_KINECT, joints, sigma))
+    assert {name for name, unknown in zip(ANGLES, of_sigma, strict=True) if unknown} == {
+        "elbow_flexion_left", "knee_flexion_right", "hip_flexion_right", "hip_abduction_right",
+    }  # fmt: skip
+
+
+def test_the_uncertainty_is_the_spread_of_angles_of_joints_that_err_so():
+    directions = {"AnkleLeft": towards(DOWN, BACK, 40), "AnkleRight": towards(DOWN, BACK, 30)} | {
+        f"{joint}{side}": towards(DOWN, FRONT, degrees)
+        for joint, degrees in (("Elbow", 30), ("Wrist", 80))
+        for side in ("Left", "Right")
+    }
+    joints = posed(AZURE_KINECT, directions)
+    sigma = np.linspace(0.005, 0.015, len(AZURE_KINECT))
+    random, count = np.random.default_rng(5), 40_000
+    erring = joints + random.normal(size=(count, *joints.shape)) * sigma[:, None] / np.sqrt(3.0)
+    spread = joint_angles(AZURE_KINECT, erring).std(axis=0)
+    # the spread of so many is known within 0.4 %; the rest is curvature
+    np.testing.assert_allclose(angle_sigma(AZURE_KINECT, joints, sigma, up_sd=0.0), spread, rtol=0.03)
+
+
+@pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.1, -0.9, 0.4), (1.0, 0.0, 0.0)])
+def test_an_uncertain_up_direction_makes_the_trunk_alone_uncertain(up):
+    joints, nothing = posed(AZURE_KINECT, {}), np.zeros(len(AZURE_KINECT))
+    joints = Rotation.align_vectors([up], [UP])[0].apply(joints)
+    exact, found = (angle_sigma(AZURE_KINECT, joints, nothing, up, up_sd=sd) for sd in (0.0, 2.0))
+    assert (exact == 0.0).all()
+    trunk = np.array([name.startswith("trunk") for name in ANGLES])
+    np.testing.assert_allclose(found[trunk], 2.0, rtol=1e-3)  # upright: each angle is a tilt about one axis
+    np.testing.assert_allclose(found[~trunk], 0.0, atol=1e-6)
+
+
+def test_the_rotation_sequences_of_another_library_give_the_same_angles():
+    reference = pytest.importorskip("pytransform3d.rotations")
+    body = AZURE_KINECT
+
+    def frame(up, right):
+        """Axes as ISB names them, x forwards, y up, z to the right; the direction of y stays."""
+        return reference.matrix_from_two_vectors(up, right)[:, [2, 0, 1]]
+
+    for joints in random_poses(body, 50):
+        angles = dict(zip(ANGLES, joint_angles(body, joints), strict=True))
+
+        def between(first, second, sequence):
+            relative, axes = frame(*first).T @ frame(*second), ["xyz".index(axis) for axis in sequence]
+            return np.degrees(reference.euler_from_matrix(relative, *axes, extrinsic=False))
+
+        def joint(name):
+            return joints[body.joint(name)]  # noqa: B023
+
+        hips, shoulders = (joint(f"{part}Right") - joint(f"{part}Left") for part in ("Hip", "Shoulder"))
+        middles = [0.5 * (joint(f"{part}Left") + joint(f"{part}Right")) for part in ("Hip", "Shoulder")]
+        trunk = middles[1] - middles[0]
+        extension, lean, _ = between((np.array(UP), hips + shoulders), (trunk, hips), "zxy")
+        expected = {"trunk_flexion": -extension, "trunk_lean": lean}
+        for side, adduction in (("left", 1.0), ("right", -1.0)):
+            thigh = joint(f"Hip{side}") - joint(f"Knee{side}")
+            shin = joint(f"Knee{side}") - joint(f"Ankle{side}")
+            arm = joint(f"Shoulder{side}") - joint(f"Elbow{side}")
+            forearm = joint(f"Elbow{side}") - joint(f"Wrist{side}")
+            flexion, adduced, _ = between((trunk, hips + shoulders), (thigh, hips), "zxy")
+            plane, elevation, _ = between((trunk, shoulders), (arm, shoulders), "yxy")
+            expected |= {
+                f"hip_flexion_{side}": flexion,
+                f"hip_abduction_{side}": adduction * adduced,
+                f"shoulder_flexion_{side}": -elevation * np.sin(np.radians(plane)),
+                f"shoulder_abduction_{side}": adduction * elevation * np.cos(np.radians(plane)),
+                f"knee_flexion_{side}": np.degrees(reference.angle_between_vectors(thigh, shin)),
+                f"elbow_flexion_{side}": np.degrees(reference.angle_between_vectors(arm, forearm)),
+            }
+        assert angles == pytest.approx(expected, abs=1e-6)
+
+
+# --- Rotations of the bones: exact swing, twist by the stated convention, continuous in time.
+
 
 ROUNDING = 1e-12  # some hundred operations on numbers of size 1
 
