@@ -115,24 +115,3 @@ def test_a_program_that_logs_faster_than_its_tracker(tmp_path, lines):
     np.testing.assert_array_equal(session.fused, expected.fused)
     assert "did not follow the person" not in said(session)
     assert f"{100 - 100 / lines:.0f} % of the frames repeat the one before" in said(session)
-
-
-@pytest.mark.parametrize("seed", [0, 2])
-def test_frame_numbers_as_times_where_frames_were_lost(seed, tmp_path):
-    a, b, _ = simulated_pair(motion="walk", seed=seed, body=BODIES["azure_kinect"], seconds=60.0)
-    for name, sensor, lost in (("a.csv", a, ()), ("b.csv", b, (300, 700, 701, 1200))):
-        kept = [frame for number, frame in enumerate(sensor.frames()) if number not in lost]
-        with (tmp_path / name).open("w") as file:
-            file.write("frame,joint,x,y,z,state\n")
-            for number, frame in enumerate(kept):
-                for person in frame.people.values():
-                    rows = zip(person.body.joints, person.positions, person.states, strict=True)
-                    file.writelines(
-                        f"{number},{joint},{x:.4f},{y:.4f},{z:.4f},{state}\n"
-                        for joint, (x, y, z), state in rows
-                    )
-    session = fuse(tmp_path / "a.csv", tmp_path / "b.csv")
-    assert re.search(
-        r"The clocks differ: .*changing in steps of [+\d, ]* ms, as when times are frame", said(session)
-    )
-    assert "A sensor was moved" not in said(session)

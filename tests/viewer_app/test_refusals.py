@@ -11,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.output_file import Hidden, KeptError
-from fusion.body import KINECT_V1, KINECT_V2
+from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
+from fusion.calibration.calibration import nominal_calibration
+from recordings.calibration_file import calibration_to_json
 from tests.helpers.command_line import duplex, one_line, parsed
 from tests.helpers.documents import ROOT
 from tests.helpers.frame_pairs import frame_pairs
@@ -40,8 +42,13 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "junk.csv").write_text("no recording\n")
     (tmp_path / "empty").mkdir()
     (tmp_path / "bad.toml").write_text("[" * 5000)
-    for name in ("taken.rrd", "taken.bvh"):
+    for name in ("taken.rrd", "taken.bvh", "taken.zip"):
         (tmp_path / name).touch()
+    for body in (AZURE_KINECT, KINECT_V2):
+        text = calibration_to_json(nominal_calibration(body))
+        (tmp_path / f"{body.name}.json").write_text(text)
+    (tmp_path / "tail.json").write_text(text.replace('"forearm_left"', '"tail"'))
+    (tmp_path / "cut.json").write_text(text[:100])
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -289,17 +289,6 @@ def test_sessions_of_another_revision_are_fused_again(tmp_path, in_this_process,
     assert in_this_process == ["p", "p"]
 
 
-def test_a_replacement_that_fails_keeps_the_old_session(tmp_path, in_this_process):
-    pairs, out = write_pair(tmp_path / "pairs" / "p"), tmp_path / "out"
-    assert duplex("batch", pairs.parent, "--out", out, *PLAIN) == 0
-    before = (out / "p" / "p.rrd").read_bytes()
-    (pairs / "a.csv").write_text("time_us,body\n1\n", encoding="utf-8")
-    assert duplex("batch", pairs.parent, "--out", out, *PLAIN, "--force") == 1
-    assert (out / "p" / "p.rrd").read_bytes() == before
-    assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p")
-    assert in_this_process == ["p", "p"]
-
-
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs POSIX signals")
 def test_interrupted_half_way_and_resumed(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(processes, "warm_up", lambda *_, **__: None)

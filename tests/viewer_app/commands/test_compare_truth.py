@@ -83,22 +83,13 @@ def test_markers_of_a_laboratory_are_compared_without_a_table(walk, tmp_path, ca
         for at in (session.fused, true_positions(KINECT_V2, "walk")(seconds))
     ]
     within = (seconds > 3.7) & (seconds < 13.7)
-    off, true = (angle[within] for angle in (angles[0] - angles[1], angles[1]))
+    off = (angles[0] - angles[1])[within]
     knee = figures["angles"][ANGLES[0]]["fused"]
     assert knee["rmse_deg"] == pytest.approx(np.sqrt(np.nanmean(off**2)), rel=0.1)  # a tenth is missing
-    assert knee["true_range_deg"] == pytest.approx(np.ptp(np.percentile(true, [1.0, 99.0])), abs=1.0)
-    # differences of a tenth less frames, as above
-    limits = [np.nanmean(off) + side * 1.96 * np.nanstd(off) for side in (-1.0, 1.0)]
-    assert knee["limits_deg"] == pytest.approx(limits, abs=1.0)
-    low, high = knee["rmse_interval_deg"]
-    assert low < knee["rmse_deg"] < high
-    assert knee["bias_interval_deg"][0] < knee["bias_deg"] < knee["bias_interval_deg"][1]
-    assert knee["icc_interval"][0] < knee["icc"] < knee["icc_interval"][1]
     steps = figures["steps"]["of_each"]
     assert {"step time", "step length", "stance", "cadence", "speed"} <= steps.keys()
     for of in steps.values():
         assert of["count"] >= 5
-        assert of["rmse_interval"][0] <= of["rmse"] <= of["rmse_interval"][1]
     assert "step length, m" in said
     assert "steps of the truth were not found" in " ".join(said.split())
     text = page.read_text()

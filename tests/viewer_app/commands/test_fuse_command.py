@@ -4,13 +4,12 @@ import errno
 import json
 import math
 import re
-from contextlib import nullcontext
 
 import numpy as np
 import pytest
 import rerun as rr
 
-from fusion.body import AZURE_KINECT, KINECT_V2
+from fusion.body import KINECT_V2
 from recordings import Session
 from recordings.gait import SIDES
 from recordings.quality.per_second import SecondQuality
@@ -18,10 +17,8 @@ from tests.experiments import example_recordings
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.machine import small_disk
 from tests.helpers.programs import python
-from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
-from tests.helpers.two_views import A_FROM_B, moving
+from tests.helpers.recorded_pairs import write_recordings
 from viewer_app.errors import UsageError
-from viewer_app.viewer import file_window
 
 QUICKLY = "--no-viewer", "--offset", "0"
 """Without a search for the offset of the clocks."""
@@ -124,23 +121,6 @@ def test_only_the_good_seconds_are_saved_and_exported(good, recordings, tmp_path
         np.testing.assert_allclose(fused, session.fused[kept], atol=5e-7)
 
 
-def with_x_reversed(recording, folder):
-    header, *rows = recording.read_text(encoding="utf-8").splitlines()
-    x = header.split(",").index("x")
-    reversed_ = folder / f"reversed_{recording.name}"
-    cells = [row.split(",") for row in rows]
-    lines = [",".join((*row[:x], str(-float(row[x])), *row[x + 1 :])) for row in cells]
-    reversed_.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
-    return reversed_
-
-
-def test_a_mirrored_recording_is_read_as_what_it_is(shared, tmp_path, capsys):
-    folder = shared / "real" / "kinect_v2_90deg_steps"
-    mirrored = with_x_reversed(folder / "b.csv", tmp_path)
-    assert duplex("fuse", folder / "a.csv", mirrored, "--no-viewer") == 0
-    assert "reversed_b.csv: read as the axes -x,y,z" in capsys.readouterr().out
-
-
 def test_recordings_of_other_people_are_refused_and_can_be_forced(shared, tmp_path, capsys):
     a = shared / "real_more" / "kinect_v2_90deg_walk_18" / "a.csv"
     b = shared / "real_more" / "kinect_v2_90deg_walk_2" / "b.csv"
@@ -160,20 +140,6 @@ def test_a_calibration_of_other_places_is_named(shared, tmp_path, capsys):
     line = one_line(capsys)
     assert "The calibration does not fit b.csv and a.csv" in line
     assert "--force" in line
-
-
-@pytest.mark.parametrize("name", REAL)
-def test_real_recordings_fuse_with_exact_bones_and_replay(name, shared, tmp_path):
-    folder = shared / "real" / f"kinect_v2_90deg_{name}"
-    report, saved = tmp_path / "r.json", tmp_path / "s.rrd"
-    pair = (folder / "a.csv", folder / "b.csv")
-    assert duplex("fuse", *pair, "--no-viewer", "--report", report, "--save", saved) == 0
-    assert duplex("replay", saved, "--verify") == 0
-    figures = figures_of(report)
-    assert figures["paired"] == figures["frames"]["a"] > 100
-    assert figures["bone_error_mm"]["fused"]["max"] < 1e-3
-    assert 60.0 < figures["calibration"]["axes_angle_deg"] < 120.0
-    assert 0.03 <= figures["stale"]["b"] / figures["paired"] <= 0.10
 
 
 def test_a_session_tells_how_files_were_read_without_their_folders(recordings, tmp_path, capsys):
@@ -215,57 +181,6 @@ def test_a_calibration_can_be_kept_and_used_again(recordings, tmp_path):
     assert two["calibration"]["how"].startswith("loaded from")
 
 
-def test_a_calibration_of_another_body_or_of_no_kind_is_refused(recordings, tmp_path, capsys):
-    kept = tmp_path / "c.json"
-    assert duplex("fuse", *recordings, *QUICKLY, "--save-calibration", kept) == 0
-    capsys.readouterr()
-    whole = kept.read_text(encoding="utf-8")
-    for broken, words in (
-        (whole.replace("kinect_v2", AZURE_KINECT.name), "is a calibration of azure_kinect"),
-        (whole[:100], "is not a calibration"),
-        (whole.replace('"forearm_left"', '"tail"'), "no 'forearm_left'"),
-        ("[]", "is not a calibration"),
-    ):
-        kept.write_text(broken, encoding="utf-8")
-        assert duplex("fuse", *recordings, *QUICKLY, "--calibrate", kept) == 2
-        assert words in one_line(capsys)
-
-
-def test_nothing_that_exists_is_overwritten_without_force(recordings, tmp_path, capsys):
-    session = tmp_path / "s.rrd"
-    session.write_text("precious", encoding="utf-8")
-    assert duplex("fuse", *recordings, *QUICKLY, "--save", session) == 2
-    assert "--force" in one_line(capsys)
-    assert session.read_text(encoding="utf-8") == "precious"
-    assert duplex("fuse", *recordings, *QUICKLY, "--save", session, "--force") == 0
-    assert session.stat().st_size > 10_000
-
-
-def test_a_window_opens_on_the_whole_session_which_is_gone_afterwards(recordings, tmp_path, monkeypatch):
-    shown = []
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: None)
-    monkeypatch.setattr(file_window, "show", lambda path, _: shown.append((path, len(Session.open(path)))))
-    saved = tmp_path / "s.rrd"
-    assert duplex("fuse", *recordings, *QUICKLY[1:]) == 0
-    assert duplex("fuse", *recordings, *QUICKLY[1:], "--save", saved) == 0
-    (without_name, frames), (named, again) = shown
-    assert frames == again == 70
-    assert named == saved
-    assert not without_name.exists()
-
-
-def test_a_browser_is_served_the_whole_session(recordings, monkeypatch, capsys):
-    served = []
-    monkeypatch.setattr(
-        file_window, "served", lambda path, _: nullcontext(served.append(len(Session.open(path))))
-    )
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.WebPage.stay", lambda *_: None)
-    monkeypatch.setattr("viewer_app.viewer.web_page.has_display", lambda: False)
-    assert duplex("fuse", *recordings, *QUICKLY[1:], "--web") == 0
-    assert served == [70]
-    assert "Viewer: http://127.0.0.1:" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("share", [0.1, 0.9])
 def test_a_full_disk_gives_one_line_and_leaves_no_file(share, recordings, tmp_path, capsys):
     command = ("fuse", *recordings, *QUICKLY, "--save")
@@ -281,27 +196,6 @@ def test_a_full_disk_gives_one_line_and_leaves_no_file(share, recordings, tmp_pa
             assert done.returncode == 2
             assert re.fullmatch(r"duplex: .*s\.rrd could not be written: .*\n", done.stderr)
             assert list(disk.iterdir()) == []
-
-
-def test_a_clock_that_is_seconds_off_is_corrected_and_every_frame_is_fused(tmp_path, capsys):
-    truth = moving(KINECT_V2, 301)
-    a = write_view(tmp_path / "a.csv", KINECT_V2, truth)
-    b = write_view(tmp_path / "b.csv", KINECT_V2, A_FROM_B.inverse().apply(truth))
-    header, *rows = b.read_text(encoding="utf-8").splitlines()
-    joints = len(KINECT_V2)  # rows of a frame; B has every second frame, and a clock of its own
-    kept = [row.split(",", 1) for k, row in enumerate(rows) if k // joints % 2 == 0]
-    b.write_text("\n".join([header, *(f"{int(time) + 3_000_000},{rest}" for time, rest in kept)]) + "\n")
-    one, two = tmp_path / "1.json", tmp_path / "2.json"
-    assert duplex("fuse", a, b, "--no-viewer", "--report", one) == 0
-    assert "The clocks differ: -3000 ± 8 ms" in " ".join(capsys.readouterr().out.split())
-    figures = figures_of(one)
-    assert figures["frames"] == {"a": 301, "b": 151}
-    assert (figures["paired"], figures["alone"]) == (151, {"a": 150, "b": 0})
-    assert duplex("fuse", a, b, "--offset", "-3000", "--no-viewer", "--report", two) == 0
-    assert "clocks differ" not in capsys.readouterr().out
-    assert figures_of(two)["paired"] == 151
-    assert duplex("fuse", a, b, "--offset", "nan", "--no-viewer") == 2
-    assert "The offset of the clocks is nan ms; give at most 1e12 milliseconds." in capsys.readouterr().err
 
 
 def test_a_session_survives_an_export_that_fails(recordings, tmp_path, monkeypatch, capsys):

@@ -322,17 +322,6 @@ def test_nothing_is_sent_long_after_the_last_frame(fuser):
     assert even.wait_s(10_000 * MS) is None
 
 
-def test_a_turning_bone_keeps_its_length(fuser):
-    fused = frames(fuser, 30)[-1].fused
-    body = fuser.setup.body
-    velocities = np.random.default_rng(1).normal(0.0, 2.0, fused.positions.shape)
-    later = replace(fused, velocities=velocities).predicted_for(body, 0.05)
-    lengths = [bone_lengths_of(body, at) for at in (later.positions, fused.positions)]
-    np.testing.assert_allclose(*lengths, atol=1e-12)
-    root = body.root
-    assert later.positions[root] - fused.positions[root] == pytest.approx(0.05 * velocities[root])
-
-
 # --- An output never delays the loop: its queue is bounded, the oldest frames are dropped and counted.
 
 
@@ -389,21 +378,6 @@ def test_lateness_is_counted(fuser):
     assert output.counts.late == 1
 
 
-def test_a_candidate_that_the_network_rejects_is_dropped_and_the_next_is_tried(fuser):
-    output = Receiver(keep=8)
-    output.refuses = True
-    for frame in frames(fuser, 3):
-        output.write(frame)
-        output.let.release()
-    assert eventually(lambda: output.counts.dropped == 3)
-    output.refuses = False
-    output.let.release()
-    output.write(frames(fuser, 1)[0])
-    output.close()
-    assert output.counts.sent == 1
-    assert output.failure is None
-
-
 @given(kinds=st.lists(st.tuples(st.booleans(), st.sampled_from(["sent", "refused", "nobody"])), max_size=12))
 def test_every_frame_is_sent_or_dropped_and_an_event_is_neither(fuser, kinds):
     """Whatever the network refuses; without a receiver there is nothing to count."""
@@ -443,17 +417,6 @@ def test_a_fault_ends_the_output_and_not_the_session(fuser):
         output.write(frame)
     output.close()
     output.close()  # again: no effect
-
-
-def test_events_are_not_dropped_with_the_frames(fuser):
-    output = Receiver()
-    for k, frame in enumerate(frames(fuser, 20)):
-        output.write(frame)
-        output.event(Event(f"event {k}"))
-    for _ in range(20):
-        output.let.release()
-    assert eventually(lambda: len(output.said) == 20)
-    output.close()
 
 
 def test_confidence_falls_with_the_standard_deviation(fuser):

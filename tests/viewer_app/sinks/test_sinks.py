@@ -576,21 +576,6 @@ def test_an_older_recording_is_replaced_when_asked_and_when_the_new_one_is_safe(
     assert len(read(tmp_path / "a-2.mkv")[0]) == 1
 
 
-def test_a_full_disk_leaves_the_older_recording(tmp_path):
-    with small_disk(tmp_path / "small", 1_000) as disk:
-        (disk / "a.mkv").write_bytes(b"precious")
-        with RawRecorder(disk / "a.mkv", Camera(), overwrite=True) as recorder:
-            recorder.add(frame(0))
-        assert recorder.failure.startswith(f"{disk}/a.mkv could not be written: No space left on device")
-        assert (disk / "a.mkv").read_bytes() == b"precious"
-
-
-def test_a_folder_that_is_gone_is_told(tmp_path):
-    with RawRecorder(tmp_path / "none" / "a.mkv", Camera()) as recorder:
-        recorder.add(frame(0))
-    assert recorder.failure == f"{tmp_path}/none/a.mkv could not be written: No such file or directory."
-
-
 @given(
     clocks=st.lists(
         st.tuples(st.integers(-(10**15), 10**15), st.integers(2, 40), st.floats(0.7, 100.0)),

@@ -11,7 +11,6 @@ from rich.console import Console
 
 from devices.blazepose.blazepose import BlazePose
 from devices.capture.sensor_choice import ConnectedSensor
-from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from fusion.body import AZURE_KINECT, BLAZEPOSE
@@ -23,7 +22,7 @@ from recordings.calibration_file import calibration_to_json
 from recordings.file.rrd_file import read_columns
 from recordings.session import Session
 from tests.helpers.command_line import duplex
-from tests.helpers.freenect import film, numbered, write_dump
+from tests.helpers.mkv_writer import write_mkv
 from tests.helpers.orbbec import standin_values as values
 from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.sentences import check_sentences, refusals
@@ -34,28 +33,6 @@ from viewer_app.options.sensing import LiveOptions
 from viewer_app.running import runner
 from viewer_app.sensors.local import two_connected_sensors
 from viewer_app.sinks.live_session import LiveSession
-
-
-def test_two_sensors_become_a_session_and_a_summary(kinects, live, tmp_path, monkeypatch):
-    before, count = [], TwoSensors.count_from_now
-
-    def count_from_now(sensors):
-        before[:] = [device.captures for device in kinects.devices]
-        count(sensors)
-
-    monkeypatch.setattr(TwoSensors, "count_from_now", count_from_now)  # once the kernels are loaded
-    said = live("--verbose")
-    for words in ("Sync cable: B leads, A captures on its pulses", "pairs of", "Largest bone error", "Saved"):
-        assert words in said
-    captures = [device.captures for device in kinects.devices]
-    # a busy machine drops some; images from before may wait; the first and last may lack the other sensor
-    rows = rows_of(live.saved, "/fused/skeleton")
-    assert 0.5 * min(np.subtract(captures, before)) <= rows <= min(captures) + 2
-    assert kinects.open_serials == []
-    assert kinects.started == ["000123", "000456"], "the subordinate first"
-    modes = [(config.wired_sync_mode, config.subordinate_delay_off_master_usec) for config in kinects.configs]
-    assert modes == [(2, 160), (1, 0)]
-    assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
 
 
 @pytest.mark.usefixtures("kinects")
@@ -232,7 +209,10 @@ def test_sentences_of_live(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(SensorThread, "open", lambda _: pytest.fail("it opens"))
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "taken.rrd").touch()
+    for name in ("taken.rrd", "table.csv"):
+        (tmp_path / name).touch()
+    for side in "ab":
+        write_mkv(tmp_path / f"{side}.mkv", 3)
     check_sentences("live", refusals(capsys, tmp_path))
 
 
@@ -291,25 +271,6 @@ def test_two_orbbec_sensors_become_a_session(bolts, tmp_path, capsys):
     assert [device.sync["mode"] for device in bolts.devices] == [MODES.STANDALONE] * 2
     assert duplex("info", saved) == 0
     assert "blazepose full" in capsys.readouterr().out
-
-
-def test_two_kinects_v1_become_a_session(fakenect, own_tracker, tmp_path, capsys, monkeypatch):
-    for module in ("pyk4a", "pyorbbecsdk"):
-        monkeypatch.setitem(sys.modules, module, None)
-    depth, rgb = (images[0] for images in numbered(1))
-    for serial in (A, B):
-        fakenect.dumps[serial] = write_dump(tmp_path / serial, film([depth] * 900, [rgb] * 900))
-    saved = tmp_path / "live.rrd"
-    assert _live("--save", saved) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"No sync cable fits into {A} and {B}. Pairs are up to half a frame apart" in said
-    assert "counts as ideal, with 525 pixels" in said
-    session = Session.open(saved)
-    assert (session.tracker, session.sources) == ("blazepose full", (A, B))
-    assert len(session) > 0
-    assert session.intrinsics_a.width == 320, "half of the depth image"
-    assert {image.shape for image in own_tracker} == {(480, 640, 3)}, "the colour images"
-    assert fakenect.open == []
 
 
 def test_the_named_master_leads(bolts, tmp_path):
