@@ -234,28 +234,22 @@ def of_real(folders):
 def of_recordings(recordings):
     """All figures of real recordings of one body: pairs of a name and what was read."""
     deleted, words, clocks = defaultdict(list), defaultdict(list), []
-    registrations, rows = defaultdict(list), {}
+    registrations, rows = defaultdict(list), []
     for number, (name, read) in enumerate(recordings):
         body, views = read.body, read.pairing.pairs.skeletons.views
         clean = fused(body, *views)
         *_, (setup, _) = clean.setups()
         registrations[set_up_of(name)].append(setup.calibration.registration)
-        row = rows[name] = thinned(body, views, clean)
+        rows.append(thinned(body, views, clean))
         for kind, of_kind in deleted_limbs(body, views, clean, np.random.default_rng(number)).items():
             deleted[kind].append(of_kind)
-            if len(of_kind):  # some views agree on no whole limb
-                row |= {f"{kind}_{figure}": value for figure, value in limb_figures(of_kind).items()}
         for kind, of_words in true_words(body, clean).items():
             words[kind].append(of_words)
-            row[kind] = share(of_words)
         clocks += clock_pieces(body, views)
-        print(name, *(f"{figure} {value:.3g}" for figure, value in row.items()), file=sys.stderr)
+        print(name, rows[-1], file=sys.stderr)
     return {
-        "pairs": rows,
         "deleted": {kind: limb_figures(np.concatenate(of)) for kind, of in deleted.items()},
-        "thinned": {
-            name: float(np.mean([row[name] for row in rows.values()])) for name in ("elsewhere", "unsaid")
-        },
+        "thinned": {name: float(np.mean([row[name] for row in rows])) for name in ("elsewhere", "unsaid")},
         "words": {kind: share(np.concatenate(of)) for kind, of in words.items()},
         "clocks": {word: clocks.count(word) for word in ("right", "wrong", "none")},
         "one_set_up": rotations_apart(registrations),
