@@ -18,11 +18,10 @@ from fusion.fuser import Fuser
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
-from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.skeleton import Skeleton
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
 
 BODY = KINECT_V2
-COMPARED = ("positions", "sigma", "covariance", "weights_a", "weights_b", "predicted", "misleading_joint")
 
 
 def fuser(smoothing=0.5, body=BODY, calibration=None):
@@ -68,20 +67,6 @@ def test_bones_are_exact_whatever_the_noise(body):
     for frame in fused(recording(moving(body, 40), 0.06, body=body), body=body):
         lengths = bone_lengths_of(body, frame.positions)[body.bone_joints]
         np.testing.assert_allclose(lengths, body.nominal_lengths[body.bone_joints], atol=1e-9)
-
-
-def test_one_by_one_and_all_at_once_are_the_same_bits():
-    pairs = recording(moving(BODY, 40), 0.02)
-    pairs[20] = replace(pairs[20], b=None)
-    pairs[21] = SkeletonPair(None, None, pairs[21].time_ns)
-    pairs[22] = replace(pairs[22], skew_ns=5_000_000)
-    singly, together = fuser(), fuser().fuse_sequence(pairs)
-    for pair, expected in zip(pairs, together, strict=True):
-        found = singly.update(pair)
-        for name in COMPARED:
-            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-    assert not together[21].has_person
-    assert together[22].has_person
 
 
 def test_a_stale_view_is_no_measurement():

@@ -192,9 +192,12 @@ def test_one_by_one_and_all_at_once_are_the_same_bits_with_images():
         witnessed(pair, confirming(), None if k % 3 else confirming()) for k, pair in enumerate(recording())
     ]
     pairs[30] = replace(pairs[30], b=None)
+    pairs[31] = replace(pairs[31], a=None, b=None)
+    pairs[32] = replace(pairs[32], skew_ns=5_000_000)
     fuser = Fuser(FusionSetup(calibration_of(BODY)))
     one_by_one = [fuser.update(pair, Labels.with_sides([(0, 0)])) for pair in pairs]
     assert same_bits(one_by_one, fused(pairs))
+    assert [frame.has_person for frame in one_by_one[30:33]] == [True, False, True]
 
 
 def test_the_papers_methods_ignore_images():

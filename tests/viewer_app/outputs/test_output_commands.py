@@ -314,14 +314,6 @@ def test_what_a_pause_leaves_out_is_not_counted_moment_by_moment(fuser, pause_s,
     assert len(samples) >= int(0.3 * rate)
 
 
-def test_nothing_is_sent_long_after_the_last_frame(fuser):
-    even = EvenSamples(fuser.setup.body, 50.0)
-    (frame,) = queued(fuser, (0,), (0,))
-    sent = even.passed_on([frame], 0) + even.passed_on([], 10_000 * MS)
-    assert [sample.number for sample in sent] == [0]
-    assert even.wait_s(10_000 * MS) is None
-
-
 # --- An output never delays the loop: its queue is bounded, the oldest frames are dropped and counted.
 
 

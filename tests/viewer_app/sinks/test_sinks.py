@@ -296,16 +296,6 @@ def test_a_process_without_progress_is_replaced(fuser):
         feed.close()
 
 
-def test_the_file_gets_every_frame_and_closing_writes_them(fuser, tmp_path):
-    out = tmp_path / "s.rrd"
-    with session(fuser, out) as live:
-        for frame in frames(fuser, 200):
-            live.write(frame)
-        live.finish()
-    assert numbers_in(out) == list(range(200))
-    assert live.file.lost == 0
-
-
 def test_a_blocked_disk_costs_images_first(fuser, tmp_path, monkeypatch):
     monkeypatch.setattr(SessionFile, "_run", lambda self: None)
     file = SessionFile(
