@@ -96,15 +96,6 @@ def session(tmp_path_factory, walk, home):
     return folder / "s.rrd"
 
 
-def test_fused_recordings_are_shown(screen, shows, session, tmp_path, home):
-    copied(session.parent, tmp_path)
-    with typed("duplex fuse a.csv b.csv", tmp_path, **screen.environment, **home) as fused:
-        assert fused.code() == 0, fused.said
-    assert "Verdict" in fused.said
-    (recording,) = shows(fused).recordings
-    assert {line.name: line.end for line in recording.timelines}[layout.FRAME] == 826
-
-
 def test_a_session_is_shown_at_the_event_that_matters(screen, shows, session, tmp_path, home):
     shutil.copy(session, tmp_path)
     with typed("duplex review s.rrd", tmp_path, **screen.environment, **home) as review:
