@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from fusion.facing.labels import DOUBT_STEPS, Labels
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
+from recordings.data.checksums import fused_checksums, joint_digests
 from recordings.data.images import NO_IMAGES
 from recordings.data.session_arrays import SessionFrames
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
 from recordings.session import Session
-from recordings.writing.checksums import fused_checksums, joint_digests
 
 CUT_WITHIN = 1e-6  # metres; float32 shows 2.4e-7 at 4 m
 SHARE_AGREEING = 0.99
@@ -136,7 +136,9 @@ class Agreement:
                 kind = "sigma"
         now, recorded = fused[t].astype(np.float32), rows.fused[t].astype(np.float32)
         visible = ~np.isclose(now, recorded, 0, 0, equal_nan=True).all(axis=1)
-        joints = visible if visible.any() else joint_digests(fused[t : t + 1])[0] != session.joint_digests[t]
+        joints = (
+            visible if visible.any() else joint_digests(fused[t : t + 1])[0] != session.rows.joint_digests[t]
+        )
         j = int(np.argmax(joints))
         return Agreement(
             kind,

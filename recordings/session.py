@@ -29,12 +29,10 @@ from devices.events import Event
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.setup import FuserSettings, FusionSetup
-from fusion.support.large_arrays import GrowingArray
 from recordings.data.images import NO_IMAGES, SessionImages
 from recordings.data.session_arrays import SessionArrays, SessionFrame, SessionFrames
 from recordings.errors import RecordingError
 from recordings.session_series import SessionSeries
-from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
 
 if TYPE_CHECKING:
@@ -73,7 +71,6 @@ class Session(SessionSeries):
             RecordingError: There is no frame.
         """
         calibrations: list[tuple[int, Calibration]] = []
-        checks = GrowingArray(), GrowingArray()
 
         def stacked() -> Iterator[SessionArrays]:
             begun = start_ns = 0
@@ -86,8 +83,6 @@ class Session(SessionSeries):
                         one.body, one.calibration.bone_lengths, block, numbers, start_ns
                     )
                     begun += len(part)
-                    checks[0].append(fused_checksums(part.fused))
-                    checks[1].append(joint_digests(part.fused))
                     del block  # before the next one is made
                     yield part
                 if begun > first:
@@ -97,7 +92,6 @@ class Session(SessionSeries):
         if (first := next(blocks, None)) is None:
             raise RecordingError("A session needs at least one frame.")
         rows, setup = SessionArrays.joined(chain([first], blocks)), fused[0][0]
-        fused_crc, digests = GrowingArray.wholes(checks)
         return Session(
             path=None,
             rows=rows,
@@ -108,8 +102,6 @@ class Session(SessionSeries):
             sources=sources,
             about=as_lists(session_properties(setup, sources, about or {})),
             events=tuple(events),
-            fused_checksums=fused_crc,
-            joint_digests=digests,
             frames_lost=0,
             damage=None,
             images=images,

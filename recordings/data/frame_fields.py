@@ -1,18 +1,14 @@
-"""The figures of a frame, one line each: array in memory, component in a session's file, part of a checksum.
-
-Writer, reader and checksums iterate over :data:`FRAME_FIELDS`. The arrays are the attributes of
-:class:`recordings.data.session_arrays.SessionArrays`, which has their descriptions.
+"""What a figure of each frame is: array in memory, component in a session's file, part of a checksum.
 
 What is missing has two forms. A frame without a value, as ``clock_b`` where B gave no frame, has the figure's
 *nothing*: its ``absent``, else NaN, else 0. A session without an *optional* figure, as ``truth`` of real
-sensors, has None for all frames; its first frame decides. Where an array is needed all the same,
+sensors, has None for all frames. Where an array is needed all the same,
 :meth:`recordings.data.session_arrays.SessionArrays.filled` has nothing in every frame.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,7 +16,6 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.facing.labels import HEADING_STEPS
 from recordings.data import layout
 
 JOINTS = -1
@@ -38,12 +33,14 @@ class FrameField:
     (``Points3D:positions``). Figures that name the same component are stored one after the other in it.
     """
 
-    name: str  # of the attribute of SessionArrays
-    dtype: type[np.generic]  # type in memory
-    shape: tuple[int, ...]  # shape for one frame; :data:`JOINTS` stands for the number of joints
     entity: str  # place in the file
     component: str
     stored: type[np.generic]  # type in the file
+    of: str = ""
+    """Where a frame has its value, as attributes of attributes; empty: it is computed from other figures."""
+    shape: tuple[int, ...] = ()  # shape for one frame; :data:`JOINTS` stands for the number of joints
+    name: str = ""  # of the attribute of SessionArrays
+    dtype: type[np.generic] = np.float64  # type in memory
     absent: int | None = None
     """Value in memory for a frame without a value; None: NaN, or 0 of a type without NaN."""
     optional: bool = False
@@ -51,9 +48,16 @@ class FrameField:
     step: float | None = None  # values are rounded to multiples of this, which makes a file smaller
     scale: float | None = None
     """The stored value is the value in memory times this: 1e3 stores metres as millimetres."""
+    covered: bool = True  # by the checksum of its frame
     names: Names | None = None
     """Names indexed by the values; the file stores them as a dictionary. If `dtype` is signed, -1 means the
     last name."""
+
+    def value(self, frame: Any) -> Any:
+        """The value of a frame, or those of T frames; None if it has none."""
+        for name in self.of.split("."):
+            frame = None if frame is None else getattr(frame, name)
+        return frame
 
     def shape_for(self, body: Body) -> tuple[int, ...]:
         """The shape for one frame of a body."""
@@ -135,45 +139,3 @@ def state_names(body: Body) -> tuple[str, ...]:
 @cache
 def _dictionary(names: tuple[str, ...]) -> pa.Array:
     return pa.array(names)
-
-
-_QUALITY, _S, _A, _B = layout.QUALITY, layout.FUSED_SKELETON, layout.skeleton("a"), layout.skeleton("b")
-_PLACE, _POINTS, _PLACEMENT = layout.kinect("b"), "Points3D:positions", "rotation_translation"
-_CAPTURED, _STALE, _NO_FRAME = "sensors.captured_ns", "sensors.stale", layout.NO_FRAME
-_J, _J3, _J4, _WEIGHT_STEP = (JOINTS,), (JOINTS, 3), (JOINTS, 4), 1.0 / 128.0  # finer steps are not visible
-_i1, _i4, _i8, _u1, _u2, _bool = np.int8, np.int32, np.int64, np.uint8, np.uint16, np.bool_
-_f2, _f4, _f8 = np.float16, np.float32, np.float64
-
-# name; type and shape in memory; place and type in the file.
-# Checksums cover the figures in this order: add new ones at the end, as optional ones.
-_TABLE = (
-    FrameField("skew_ns", _i8, (), _QUALITY, "figures.skew_ms", _f8, scale=1e-6),
-    FrameField("clock_a", _i8, (), _QUALITY, _CAPTURED, _i8, absent=_NO_FRAME),
-    FrameField("clock_b", _i8, (), _QUALITY, _CAPTURED, _i8, absent=_NO_FRAME),
-    FrameField("positions_a", _f4, _J3, _A, _POINTS, _f4),
-    FrameField("positions_b", _f4, _J3, _B, _POINTS, _f4),
-    FrameField("states_a", _u1, _J, _S, layout.state("a"), _i1, names=state_names),
-    FrameField("states_b", _u1, _J, _S, layout.state("b"), _i1, names=state_names),
-    FrameField("weights_a", _f4, _J, _S, layout.weight("a"), _f2, step=_WEIGHT_STEP),
-    FrameField("weights_b", _f4, _J, _S, layout.weight("b"), _f2, step=_WEIGHT_STEP),
-    FrameField("misleading", _i4, _J, _S, "misleading_joint", _i1, names=no_joint_or_joint),
-    FrameField("rotation", _f8, (3, 3), _PLACE, _PLACEMENT, _f8),
-    FrameField("translation", _f8, (3,), _PLACE, _PLACEMENT, _f8),
-    FrameField("fused", _f8, _J3, _S, _POINTS, _f4),
-    FrameField("predicted", _bool, _J, _S, "predicted", _bool),
-    FrameField("iterations", _i8, (), _QUALITY, "figures.iterations", _u2),
-    FrameField("stale_a", _bool, (), _QUALITY, _STALE, _bool),
-    FrameField("stale_b", _bool, (), _QUALITY, _STALE, _bool),
-    FrameField("fuse_ms", _f8, (), _QUALITY, "figures.fuse_ms", _f4),
-    FrameField("truth", _f8, _J3, layout.TRUTH_SKELETON, _POINTS, _f4, optional=True),
-    FrameField("sigma", _f4, _J, _S, "sigma_mm", _f2, optional=True, scale=1e3),
-    FrameField("exchanged", _i1, (2,), _QUALITY, "exchanged", _i1, optional=True),
-    FrameField("witness_a", _f4, _J4, _A, "depth_witness", _f2, optional=True),
-    FrameField("witness_b", _f4, _J4, _B, "depth_witness", _f2, optional=True),
-    FrameField("side_doubt", _u1, (2,), _QUALITY, "side_doubt", _u1, optional=True),
-    FrameField("heading", _f4, (3,), _QUALITY, "heading", _f2, optional=True, step=1.0 / HEADING_STEPS),
-    FrameField("up", _f4, (3,), _QUALITY, "up", _f4, optional=True),
-    FrameField("unix_ns", _i8, (), _QUALITY, "unix_ns", _i8, absent=_NO_FRAME, optional=True),
-)
-FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType({each.name: each for each in _TABLE})
-"""The figures by name."""

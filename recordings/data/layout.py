@@ -33,8 +33,6 @@ ANGLES_BEYOND = "/angles/beyond"
 QUALITY = "/quality"
 FIGURES, OF_EACH_SENSOR = "figures", "sensors"
 """Components of :data:`QUALITY`: structs with one value per frame, and with one value per sensor (A, B)."""
-JOINT_DIGESTS = "joint_digests"
-"""Component of :data:`QUALITY`: one digest byte per joint of S* in float64; the file stores S* in float32."""
 SIGMA_SPHERES = "sigma_spheres"
 """Component of :data:`FUSED_SKELETON`: half sizes of a sphere of one standard deviation per joint, metres."""
 CAPSULE_LENGTHS, CAPSULE_ROTATIONS = "capsule_lengths", "capsule_rotations"
@@ -140,16 +138,6 @@ def coach_mark(name: str) -> str:
 def coach_words(name: str) -> str:
     """Words beside a mark of the coach."""
     return f"{coach_mark(name)}/words"
-
-
-def weight(side: str) -> str:
-    """Component of :data:`FUSED_SKELETON`: the weight of A or B, one value per joint."""
-    return f"weight_{side}"
-
-
-def state(side: str) -> str:
-    """Component of :data:`FUSED_SKELETON`: the joint's tracking state, one of :data:`STATE_NAMES`."""
-    return f"state_{side}"
 
 
 def exchanged(side: str) -> str:

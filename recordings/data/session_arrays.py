@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from types import MappingProxyType, UnionType
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,19 +13,58 @@ from numpy.typing import NDArray
 from devices.frame_pairs import FramePair, PairingFigures
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
-from fusion.facing.labels import DOUBT_STEPS
+from fusion.facing.labels import DOUBT_STEPS, HEADING_STEPS
 from fusion.fused_frame import FusedFrame, FusedFrames
 from fusion.pair_arrays import View
 from fusion.rigid import RigidTransform
 from fusion.support.large_arrays import GrowingArray, Rows, parts
 from fusion.support.medians import median_of_known
 from recordings.data import layout
+from recordings.data.checksums import fused_checksums, joint_digests
 from recordings.data.corrected_sides import corrects_sides
-from recordings.data.frame_fields import FRAME_FIELDS, FrameField
+from recordings.data.frame_fields import JOINTS, FrameField, no_joint_or_joint, state_names
+
+
+class _Frame:
+    """What a frame, or T frames, have of :class:`FusedFrame` and its pair in the form of the file."""
+
+    pair: Any
+    fused: Any
+    fuse_ns: int
+    floor: RigidTransform | None
+
+    @property
+    def skeletons(self) -> Any:
+        """S_A and S_B, as ``a`` and ``b``."""
+        return getattr(self.pair, "skeletons", self.pair)
+
+    @property
+    def fuse_ms(self) -> float:
+        """Duration of the fusion, milliseconds."""
+        return self.fuse_ns * 1e-6
+
+    @property
+    def exchanged(self) -> NDArray[Any] | None:
+        """(…, 2) which sides of A and of B were exchanged."""
+        of = self.fused
+        return None if of.sigma is None else np.stack((of.exchanged_a, of.exchanged_b), axis=-1)
+
+    @property
+    def side_doubt(self) -> NDArray[Any] | None:
+        """(…, 2) probability that the sides of A and of B are wrong, in 1/255."""
+        of = self.fused
+        if of.sigma is None:
+            return None
+        return np.asarray(np.rint(DOUBT_STEPS * np.stack((of.doubt_a, of.doubt_b), axis=-1)))
+
+    @property
+    def up(self) -> NDArray[np.float64] | None:
+        """(3,) against gravity in K_A's frame."""
+        return None if self.floor is None else -self.floor.rotation[:, 1]
 
 
 @dataclass(frozen=True)
-class SessionFrame:
+class SessionFrame(_Frame):
     """A pair and its fused frame.
 
     Attributes:
@@ -60,7 +100,7 @@ class PairBlock(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class SessionFrames(Rows[SessionFrame]):
+class SessionFrames(_Frame, Rows[SessionFrame]):
     """T pairs and their fused frames. Its attributes are those of :class:`SessionFrame`, with T rows."""
 
     pair: PairBlock
@@ -81,11 +121,29 @@ _STANDARD_RATES, _STANDARD_WITHIN = (5.0, 15.0, 30.0, 60.0, 90.0), 0.05
 _LONG_PAUSE = 3.0  # median intervals
 
 
+_F = FrameField
+Float64 = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Int64 = NDArray[np.int64]
+Int32 = NDArray[np.int32]
+Int8 = NDArray[np.int8]
+UInt32 = NDArray[np.uint32]
+UInt8 = NDArray[np.uint8]
+Bools = NDArray[np.bool_]
+_QUALITY, _S, _A, _B = layout.QUALITY, layout.FUSED_SKELETON, layout.skeleton("a"), layout.skeleton("b")
+_PLACE, _POINTS, _PLACEMENT = layout.kinect("b"), "Points3D:positions", "rotation_translation"
+_CAPTURED, _STALE, _WITNESS = "sensors.captured_ns", "sensors.stale", "depth_witness"
+_J, _J3, _J4, _WEIGHT_STEP = (JOINTS,), (JOINTS, 3), (JOINTS, 4), 1.0 / 128.0  # finer steps are not visible
+_i1, _i8, _u1, _u2, _u4, _bool = np.int8, np.int64, np.uint8, np.uint16, np.uint32, np.bool_
+_f2, _f4, _f8 = np.float16, np.float32, np.float64
+
+
 @dataclass(frozen=True, eq=False)
 class SessionArrays:
     """T frames of J joints, in metres and nanoseconds; NaN where data are missing.
 
-    :data:`recordings.data.frame_fields.FRAME_FIELDS` has a line for each attribute but the first four.
+    Each attribute but the first four is a figure: its line declares where a frame has it, and where and how a
+    session's file does.
 
     Attributes:
         body: The body that defines the joints.
@@ -105,6 +163,8 @@ class SessionArrays:
         iterations: (T,) iterations of the solver.
         stale_a, stale_b: (T,) whether the sensor repeated its last skeleton.
         fuse_ms: (T,) duration of the fusion, milliseconds.
+        fused_checksums: (T,) checksums of S* in float64; the file stores float32.
+        joint_digests: (T, J) one digest byte for each joint of S* in float64.
         truth: (T, J, 3) the true joints in K_A's frame; simulations only.
         sigma: (T, J) metres, one standard deviation of S*. Only the method ``duplex`` gives this,
             ``exchanged``, ``side_doubt`` and ``heading``.
@@ -120,36 +180,43 @@ class SessionArrays:
     """
 
     body: Body
-    bone_lengths: NDArray[np.float64]
-    frame: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
-    skew_ns: NDArray[np.int64]
-    clock_a: NDArray[np.int64]
-    clock_b: NDArray[np.int64]
-    positions_a: NDArray[np.float32]
-    positions_b: NDArray[np.float32]
-    states_a: NDArray[np.uint8]
-    states_b: NDArray[np.uint8]
-    weights_a: NDArray[np.float32]
-    weights_b: NDArray[np.float32]
-    misleading: NDArray[np.int32]
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
-    fused: NDArray[np.float64]
-    predicted: NDArray[np.bool_]
-    iterations: NDArray[np.int64]
-    stale_a: NDArray[np.bool_]
-    stale_b: NDArray[np.bool_]
-    fuse_ms: NDArray[np.float64]
-    truth: NDArray[np.float64] | None = None
-    sigma: NDArray[np.float32] | None = None
-    exchanged: NDArray[np.int8] | None = None
-    witness_a: NDArray[np.float32] | None = None
-    witness_b: NDArray[np.float32] | None = None
-    side_doubt: NDArray[np.uint8] | None = None
-    heading: NDArray[np.float32] | None = None
-    up: NDArray[np.float32] | None = None
-    unix_ns: NDArray[np.int64] | None = None
+    bone_lengths: Float64
+    frame: Int64
+    time_ns: Int64
+    # Checksums cover the figures in this order: add new ones at the end, as optional ones.
+    skew_ns: Annotated[Int64, _F(_QUALITY, "figures.skew_ms", _f8, "pair.skew_ns", scale=1e-6)]
+    clock_a: Annotated[Int64, _F(_QUALITY, _CAPTURED, _i8, "pair.a.time_ns", absent=layout.NO_FRAME)]
+    clock_b: Annotated[Int64, _F(_QUALITY, _CAPTURED, _i8, "pair.b.time_ns", absent=layout.NO_FRAME)]
+    positions_a: Annotated[Float32, _F(_A, _POINTS, _f4, "skeletons.a.positions", _J3)]
+    positions_b: Annotated[Float32, _F(_B, _POINTS, _f4, "skeletons.b.positions", _J3)]
+    states_a: Annotated[UInt8, _F(_S, "state_a", _i1, "skeletons.a.states", _J, names=state_names)]
+    states_b: Annotated[UInt8, _F(_S, "state_b", _i1, "skeletons.b.states", _J, names=state_names)]
+    weights_a: Annotated[Float32, _F(_S, "weight_a", _f2, "fused.weights_a", _J, step=_WEIGHT_STEP)]
+    weights_b: Annotated[Float32, _F(_S, "weight_b", _f2, "fused.weights_b", _J, step=_WEIGHT_STEP)]
+    misleading: Annotated[
+        Int32, _F(_S, "misleading_joint", _i1, "fused.misleading_joint", _J, names=no_joint_or_joint)
+    ]
+    rotation: Annotated[Float64, _F(_PLACE, _PLACEMENT, _f8, "fused.a_from_b.rotation", (3, 3))]
+    translation: Annotated[Float64, _F(_PLACE, _PLACEMENT, _f8, "fused.a_from_b.translation", (3,))]
+    fused: Annotated[Float64, _F(_S, _POINTS, _f4, "fused.positions", _J3)]
+    predicted: Annotated[Bools, _F(_S, "predicted", _bool, "fused.predicted", _J)]
+    iterations: Annotated[Int64, _F(_QUALITY, "figures.iterations", _u2, "fused.iterations")]
+    stale_a: Annotated[Bools, _F(_QUALITY, _STALE, _bool, "fused.stale_a")]
+    stale_b: Annotated[Bools, _F(_QUALITY, _STALE, _bool, "fused.stale_b")]
+    fuse_ms: Annotated[Float64, _F(_QUALITY, "figures.fuse_ms", _f4, "fuse_ms")]
+    fused_checksums: Annotated[UInt32, _F(_QUALITY, "figures.fused_crc32", _u4, covered=False)]
+    joint_digests: Annotated[UInt8, _F(_QUALITY, "joint_digests", _u1, shape=_J, covered=False)]
+    truth: Annotated[Float64 | None, _F(layout.TRUTH_SKELETON, _POINTS, _f4, "truth", _J3)] = None
+    sigma: Annotated[Float32 | None, _F(_S, "sigma_mm", _f2, "fused.sigma", _J, scale=1e3)] = None
+    exchanged: Annotated[Int8 | None, _F(_QUALITY, "exchanged", _i1, "exchanged", (2,))] = None
+    witness_a: Annotated[Float32 | None, _F(_A, _WITNESS, _f2, "skeletons.a.witness", _J4)] = None
+    witness_b: Annotated[Float32 | None, _F(_B, _WITNESS, _f2, "skeletons.b.witness", _J4)] = None
+    side_doubt: Annotated[UInt8 | None, _F(_QUALITY, "side_doubt", _u1, "side_doubt", (2,))] = None
+    heading: Annotated[
+        Float32 | None, _F(_QUALITY, "heading", _f2, "fused.heading", (3,), step=1.0 / HEADING_STEPS)
+    ] = None
+    up: Annotated[Float32 | None, _F(_QUALITY, "up", _f4, "up", (3,))] = None
+    unix_ns: Annotated[Int64 | None, _F(_QUALITY, "unix_ns", _i8, "unix_ns", absent=layout.NO_FRAME)] = None
 
     @staticmethod
     def stack(
@@ -166,22 +233,29 @@ class SessionArrays:
             numbers: Of the frames; from 0 if None.
             start_ns: When the session began; with the first of these frames if None.
         """
-        figures: dict[str, Any] = {}
+        times: NDArray[np.int64]
         if isinstance(frames, SessionFrames):
-            of_block, times = _figures_of(frames), frames.pair.time_ns
-            for name, spec in FRAME_FIELDS.items():
-                figures[name] = spec.of_block(body, of_block[name], len(frames))
+            times = frames.pair.time_ns
+            figures = {
+                name: spec.of_block(body, spec.value(frames), len(frames)) for name, spec in _TAKEN.items()
+            }
         else:
-            each = [_figures_of(frame) for frame in frames]
             times = np.array([frame.pair.time_ns for frame in frames], dtype=np.int64)
-            for name, spec in FRAME_FIELDS.items():
-                figures[name] = spec.stacked(body, [of_frame[name] for of_frame in each])
+            figures = {
+                name: spec.stacked(body, [spec.value(frame) for frame in frames])
+                for name, spec in _TAKEN.items()
+            }
+        fused: Any = figures["fused"]
+        whole: dict[str, Any] = figures | {
+            "fused_checksums": fused_checksums(fused),
+            "joint_digests": joint_digests(fused),
+        }
         return SessionArrays(
             body,
             np.broadcast_to(bone_lengths, (len(frames), len(body))),
             np.array(range(len(frames)) if numbers is None else numbers, dtype=np.int64),
             times - (times[0] if start_ns is None else start_ns),
-            **figures,
+            **whole,
         )
 
     @staticmethod
@@ -303,40 +377,16 @@ def pauses_of(time_ns: NDArray[np.int64]) -> list[tuple[float, float]]:
     return [((time_ns[k] - time_ns[0]) * 1e-9, steps[k] * 1e-9) for k in long]
 
 
-def _figures_of(frame: SessionFrame | SessionFrames) -> dict[str, Any]:
-    """The value of each figure, by name: of a frame, or of T frames with T rows; None if it has none."""
-    pair, fused = frame.pair, frame.fused
-    skeletons = pair if isinstance(pair, PairBlock) else pair.skeletons
-    exchanged = doubt = None
-    if fused.sigma is not None:
-        exchanged = np.stack((fused.exchanged_a, fused.exchanged_b), axis=-1)
-        doubt = np.rint(DOUBT_STEPS * np.stack((fused.doubt_a, fused.doubt_b), axis=-1))
-    return {
-        "skew_ns": pair.skew_ns,
-        "clock_a": None if pair.a is None else pair.a.time_ns,
-        "clock_b": None if pair.b is None else pair.b.time_ns,
-        "positions_a": None if skeletons.a is None else skeletons.a.positions,
-        "positions_b": None if skeletons.b is None else skeletons.b.positions,
-        "states_a": None if skeletons.a is None else skeletons.a.states,
-        "states_b": None if skeletons.b is None else skeletons.b.states,
-        "weights_a": fused.weights_a,
-        "weights_b": fused.weights_b,
-        "misleading": fused.misleading_joint,
-        "rotation": fused.a_from_b.rotation,
-        "translation": fused.a_from_b.translation,
-        "fused": fused.positions,
-        "predicted": fused.predicted,
-        "iterations": fused.iterations,
-        "stale_a": fused.stale_a,
-        "stale_b": fused.stale_b,
-        "fuse_ms": frame.fuse_ns * 1e-6,
-        "truth": frame.truth,
-        "sigma": fused.sigma,
-        "exchanged": exchanged,
-        "witness_a": None if skeletons.a is None else skeletons.a.witness,
-        "witness_b": None if skeletons.b is None else skeletons.b.witness,
-        "side_doubt": doubt,
-        "heading": fused.heading,
-        "up": None if frame.floor is None else -frame.floor.rotation[:, 1],
-        "unix_ns": frame.unix_ns,
-    }
+def _declared() -> Iterator[FrameField]:
+    """The figures in the annotations of the attributes, with the names and types of these."""
+    for name, hint in get_type_hints(SessionArrays, include_extras=True).items():
+        if get_origin(hint) is Annotated:
+            kind, spec = get_args(hint)
+            optional = get_origin(kind) is UnionType
+            array = get_args(kind)[0] if optional else kind
+            yield replace(spec, name=name, dtype=get_args(get_args(array)[1])[0], optional=optional)
+
+
+FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType({each.name: each for each in _declared()})
+"""The figures by name, in their order. Writer, reader and checksums iterate over them."""
+_TAKEN = {name: spec for name, spec in FRAME_FIELDS.items() if spec.of}

@@ -72,8 +72,6 @@ class SessionData:
         sources: Names of the sensors, K_A first.
         about: All properties as written, by group and name.
         events: Events in the order of writing.
-        fused_checksums: (T,) checksums of S* in float64; the file stores float32.
-        joint_digests: (T, J) one digest byte for each joint of S* in float64.
         frames_lost: Number of frames that were written but cannot be read.
         damage: Description of the damage of the file; None if it is whole.
         images: Source of the images.
@@ -88,17 +86,13 @@ class SessionData:
     sources: tuple[str, str]
     about: Mapping[str, Mapping[str, Sequence[Any]]]
     events: tuple[Event, ...]
-    fused_checksums: NDArray[np.uint32]
-    joint_digests: NDArray[np.uint8]
     frames_lost: int
     damage: str | None
     images: SessionImages = NO_IMAGES
 
     def __post_init__(self) -> None:
         rows = self.rows
-        figures = (values for _, _, values in rows.figures())
-        checks: tuple[NDArray[Any], ...] = self.fused_checksums, self.joint_digests
-        for values in (rows.bone_lengths, rows.frame, rows.time_ns, *figures, *checks):
+        for values in (rows.bone_lengths, rows.frame, rows.time_ns, *(of for *_, of in rows.figures())):
             read_only(values)  # an edit would keep the checksums of what was recorded
         every = {group: {name: tuple(of) for name, of in own.items()} for group, own in self.about.items()}
         vars(self)["about"] = MappingProxyType({group: MappingProxyType(own) for group, own in every.items()})
@@ -130,6 +124,11 @@ class SessionData:
     def body(self) -> Body:
         """The body that defines the joints."""
         return self.rows.body
+
+    @property
+    def fused_checksums(self) -> NDArray[np.uint32]:
+        """(T,) checksums of S* in float64; the file stores float32."""
+        return self.rows.fused_checksums
 
     @property
     def first_frame(self) -> int:

@@ -73,8 +73,6 @@ def part_of(session: S, frames: ArrayLike | slice) -> S:
         rows=rows,
         calibrations=calibrations,
         events=tuple(_events(session, kept, calibrations, rows.time_ns)),
-        fused_checksums=session.fused_checksums[chosen],
-        joint_digests=session.joint_digests[chosen],
         about={**session.about, "session": about},
         images=PartOfImages(session.images, kept),
     )

@@ -16,32 +16,25 @@ from fusion.intrinsics import Intrinsics
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import NOWHERE, RigidTransform
 from fusion.setup import FuserSettings
-from fusion.support.large_arrays import GrowingArray, parts
+from fusion.support.large_arrays import parts
 from recordings.data import layout
-from recordings.data.frame_fields import FRAME_FIELDS, FrameField
-from recordings.data.session_arrays import SessionArrays
-from recordings.data.session_data import OF_DAMAGED, SessionData
-from recordings.errors import RecordingError
-from recordings.file.rrd_file import Columns, read_columns
-from recordings.file.stored_images import FileImages
-from recordings.writing.checksums import (
+from recordings.data.checksums import (
     CHECKS_CRC,
     FRAME_CRC,
-    FUSED_CRC,
-    FusedChecks,
     checks_checksums,
     event_checksum,
     frame_checksums,
     properties_checksum,
 )
+from recordings.data.frame_fields import FrameField
+from recordings.data.session_arrays import FRAME_FIELDS, SessionArrays
+from recordings.data.session_data import OF_DAMAGED, SessionData
+from recordings.errors import RecordingError
+from recordings.file.rrd_file import Columns, read_columns
+from recordings.file.stored_images import FileImages
 
-_TIME = layout.QUALITY, layout.TIME
-_FRAME_CRC, _FUSED_CRC = (layout.QUALITY, FRAME_CRC), (layout.QUALITY, FUSED_CRC)
-_CHECKS_CRC = layout.QUALITY, CHECKS_CRC
-_JOINT_DIGESTS = layout.QUALITY, layout.JOINT_DIGESTS
-_WANTED = {(spec.entity, spec.component) for spec in FRAME_FIELDS.values()} | {
-    *(_TIME, _FRAME_CRC, _FUSED_CRC, _CHECKS_CRC, _JOINT_DIGESTS)
-}
+_TIME, _FRAME_CRC, _CHECKS_CRC = ((layout.QUALITY, of) for of in (layout.TIME, FRAME_CRC, CHECKS_CRC))
+_WANTED = {(spec.entity, spec.component) for spec in FRAME_FIELDS.values()} | {_TIME, _FRAME_CRC, _CHECKS_CRC}
 """What is read; all else in a file is for the viewer."""
 _PROVISIONAL = ("none yet", "provisional")
 """How descriptions of provisional calibrations begin in sessions of 1.0 and earlier."""
@@ -55,7 +48,7 @@ def read_session(path: Path) -> SessionData:
     if name not in BODIES:
         raise RecordingError(f"{path} has an unknown body {name!r}. Known: {', '.join(BODIES)}.")
     calibrations = _calibrations_of(path, BODIES[name], found)
-    rows, checks, lost = _frames_of(BODIES[name], calibrations, found)
+    rows, lost = _frames_of(BODIES[name], calibrations, found)
     used = [number < max(len(rows), 1) for number, _ in calibrations]
     calibrations = [c for c, use in zip(calibrations, used, strict=True) if use]
     events = _events_of(found)
@@ -84,8 +77,6 @@ def read_session(path: Path) -> SessionData:
         sources=(str(session["source_a"][0]), str(session["source_b"][0])),
         about=about,
         events=events,
-        fused_checksums=checks[0],
-        joint_digests=checks[1],
         frames_lost=lost,
         damage=damage,
         images=FileImages(path, found.identity),
@@ -189,15 +180,13 @@ def _events_of(found: Columns) -> tuple[Event, ...]:
 
 def _frames_of(
     body: Body, calibrations: list[tuple[int, Calibration]], found: Columns
-) -> tuple[SessionArrays, FusedChecks, int]:
-    """The frames before the first missing or damaged one, the checks of their S*, and the number of lost
-    frames."""
+) -> tuple[SessionArrays, int]:
+    """The frames before the first missing or damaged one, and the number of lost frames."""
     groups = _groups(found)
     stored: dict[tuple[str, str], tuple[int, type[np.generic]]] = {
         key: (sum(spec.width(body) for spec in specs), specs[0].stored) for key, specs in groups.items()
     }
-    stored |= {_TIME: (1, np.int64), _FRAME_CRC: (1, np.uint32), _FUSED_CRC: (1, np.uint32)}
-    stored[_JOINT_DIGESTS] = (len(body), np.uint8)
+    stored |= {_TIME: (1, np.int64), _FRAME_CRC: (1, np.uint32)}
     if _CHECKS_CRC in found.values:  # sessions of 1.0 and earlier have none
         stored[_CHECKS_CRC] = (1, np.uint32)
     optional = [key for key, specs in groups.items() if specs[0].optional]
@@ -216,7 +205,6 @@ def _frames_of(
     columns |= {key: column(key, n) for key in optional}
     has = np.array([columns[key][1] >= 0 for key in optional]).reshape(len(optional), n)
     changes = 1 + np.flatnonzero((has[:, 1:] != has[:, :-1]).any(axis=0))
-    checks = GrowingArray(), GrowingArray()
 
     def whole_frames() -> Iterator[SessionArrays]:
         for part in _split(parts(n), changes.tolist()) if n else [slice(0, 0)]:
@@ -233,21 +221,17 @@ def _frames_of(
             number = np.arange(part.start, part.stop)
             targets = _targets(calibrations, number)
             rows = SessionArrays(body, targets, number, of_part[_TIME][:, 0], **figures)
-            fused_crc, digests = of_part[_FUSED_CRC][:, 0], of_part[_JOINT_DIGESTS]
             if n:
                 fits = frame_checksums(rows) == of_part[_FRAME_CRC][:, 0]
                 if _CHECKS_CRC in stored:
-                    fits &= checks_checksums(fused_crc, digests) == of_part[_CHECKS_CRC][:, 0]
+                    fits &= checks_checksums(rows) == of_part[_CHECKS_CRC][:, 0]
                 rows = rows[: int(np.argmin(np.append(fits, False)))]
-            checks[0].append(fused_crc[: len(rows)])
-            checks[1].append(digests[: len(rows)])
             yield rows
-            if len(rows) < len(fused_crc):
+            if len(rows) < len(number):
                 return
 
     whole = SessionArrays.joined(whole_frames())
-    fused_checksums, joint_digests = GrowingArray.wholes(checks)
-    return whole, (fused_checksums, joint_digests), written - len(whole)
+    return whole, written - len(whole)
 
 
 def _groups(found: Columns) -> dict[tuple[str, str], list[FrameField]]:

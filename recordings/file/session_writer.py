@@ -83,9 +83,7 @@ def write_session(
             size, count = max(block, len(session) // _MOST_BLOCKS), own.stop - own.start
             for part in progress(parts(count, size), "writing", -(-count // size)):
                 part = slice(own.start + part.start, own.start + part.stop)
-                recorder.record_rows(
-                    session.rows[part], (session.fused_checksums[part], session.joint_digests[part])
-                )
+                recorder.record_rows(session.rows[part])
                 # with their frames: a file that is cut off keeps the events up to the cut
                 # the last ones may be of frames that a damaged session has lost
                 while events and (events[0].frame < part.stop or part.stop == len(session)):

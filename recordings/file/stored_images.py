@@ -14,10 +14,10 @@ from devices.sensor import ColorCamera, ColorImage
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from recordings.data import layout
+from recordings.data.checksums import image_checksum
 from recordings.data.images import Images, SessionImages
 from recordings.errors import RecordingError
 from recordings.file.rrd_file import RrdFile
-from recordings.writing.checksums import image_checksum
 
 T = TypeVar("T")
 _WRONG = (LookupError, TypeError, ValueError, AttributeError, pa.ArrowException)

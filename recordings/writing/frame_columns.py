@@ -5,7 +5,8 @@ values share an entity, and many of them share a struct. Names are stored as dic
 numbers, and the viewer shows words when a joint is clicked.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,16 +20,6 @@ from recordings.data.frame_fields import FrameField
 from recordings.data.session_arrays import SessionArrays
 from recordings.quality.limits import PLOTTED_DEGREES, POSSIBLE
 from recordings.writing.arrow_columns import Column, converted
-from recordings.writing.checksums import (
-    CHECKS_CRC,
-    FRAME_CRC,
-    FUSED_CRC,
-    FusedChecks,
-    checks_checksums,
-    frame_checksums,
-    fused_checksums,
-    joint_digests,
-)
 from recordings.writing.shown_figures import SHOWN_FIGURES
 
 _INSIDE = 3.0  # degrees from the edge of a plot to the mark of an angle that is farther out
@@ -41,7 +32,6 @@ PLOTTED = frozenset({layout.QUALITY, layout.BONES, layout.ANGLES, layout.kinect(
 
 def frame_columns(
     rows: SessionArrays,
-    checks: FusedChecks | None = None,
     *,
     colors: NDArray[np.uint8] | None = None,
     plotted: bool = True,
@@ -50,49 +40,39 @@ def frame_columns(
     """Each entity with its frames and their columns: the recorded figures, then those for the viewer.
 
     Args:
-        checks: Checks of S* in float64, if `rows` come from a file in float32.
         colors: (T, J, 3) of S*. None: entities that are drawn into the scene are left out.
         plotted: Whether the other entities are, see :data:`PLOTTED`.
         up: (3,) against gravity in K_A's frame.
     """
-    drawn = colors is not None
-    entities: dict[str, _EntityColumns] = {}
-    parts: dict[tuple[str, str], list[tuple[FrameField, NDArray[Any]]]] = {}
-    for _, spec, values in rows.figures():
-        if plotted if spec.entity in PLOTTED else drawn:
-            stored = spec.to_file(rows.body, values)
-            parts.setdefault((spec.entity, spec.component), []).append((spec, stored))
-    for (entity, component), stored_parts in parts.items():
-        spec, stored = stored_parts[0]
-        if len(stored_parts) > 1:
-            each = [values.reshape(len(rows), -1) for _, values in stored_parts]
-            stored = np.concatenate(each, axis=1)
-        of_entity = entities.setdefault(entity, _EntityColumns(rows))
-        if ":" in component:
-            of_entity.add_argument(component, stored)
-        else:
-            of_entity.add_data(component, spec.in_arrow(rows.body, stored))
-    if colors is not None:
-        entities[layout.FUSED_SKELETON].add_argument("Points3D:colors", colors)
-    posed = np.isfinite(rows.fused[:, rows.body.root]).all(axis=1)
+    body, entities = rows.body, dict[str, _EntityColumns]()
+    posed = np.isfinite(rows.fused[:, body.root]).all(axis=1)
     with_pose = rows if posed.all() else rows[np.flatnonzero(posed)]
+
+    def is_wanted(entity: str) -> bool:
+        return plotted if entity in PLOTTED else colors is not None
+
+    def columns_of(entity: str) -> _EntityColumns:
+        # Where the person has no place, the pelvis keeps its own, and the eye that follows it stays.
+        return entities.setdefault(entity, _EntityColumns(with_pose if entity == layout.PELVIS else rows))
+
+    components: dict[tuple[str, str], list[FrameField]] = {}
+    for _, spec, _ in rows.figures():
+        if is_wanted(spec.entity):
+            components.setdefault((spec.entity, spec.component), []).append(spec)
+    for (entity, component), specs in components.items():
+        each = [spec.to_file(body, getattr(rows, spec.name)) for spec in specs]
+        if len(each) > 1:
+            each = [np.concatenate([values.reshape(len(rows), -1) for values in each], axis=1)]
+        columns_of(entity).add(component, each[0], partial(specs[0].in_arrow, body))
+    if colors is not None:
+        entities[layout.FUSED_SKELETON].add("Points3D:colors", colors)
     for shown in SHOWN_FIGURES:
-        # In other frames the pelvis keeps its place, and the eye that follows it stays.
-        of = with_pose if shown.entity == layout.PELVIS else rows
-        wanted = len(of) > 0 and (plotted if shown.entity in PLOTTED else drawn)
-        derived = shown.values(of) if wanted else None
-        if derived is None:
-            continue
-        of_entity = entities.setdefault(shown.entity, _EntityColumns(of))
-        if ":" in shown.component:
-            of_entity.add_argument(shown.component, derived)
-        else:
-            of_entity.add_data(shown.component, _vectors(derived))
-    if plotted:
-        for component, values in _checks(rows, checks).items():
-            entities[layout.QUALITY].add_data(component, values)
-    for entity, of_entity in entities.items():
-        yield entity, of_entity.rows, of_entity.columns()
+        of = columns_of(shown.entity) if is_wanted(shown.entity) else None
+        if of is not None and (derived := shown.values(of.rows)) is not None:
+            of.add(shown.component, derived)
+    for entity, of in entities.items():
+        if len(of.rows):
+            yield entity, of.rows, of.all()
     chosen = np.flatnonzero(rows.frame % _EVERY == 0)
     if plotted and len(chosen):
         every = rows if len(chosen) == len(rows) else rows[chosen]
@@ -108,22 +88,27 @@ class _EntityColumns:
         self._columns: list[Column] = []
         self._structs: dict[str, dict[str, pa.Array]] = {}
 
-    def add_argument(self, component: str, values: NDArray[Any]) -> None:
-        """Adds ``archetype:argument``, (T, …) values, or (T, J, …) of the archetype ``Points3D``."""
-        archetype, _, argument = component.partition(":")
-        each, frames = len(self.rows.body) if archetype == "Points3D" else 1, len(self.rows)
-        component_of = converted(getattr(rr, archetype), argument, values, frames * each)
-        self._columns.append(Column(*component_of, frames))
+    def add(
+        self, component: str, values: NDArray[Any], flat: Callable[[NDArray[Any]], pa.Array] | None = None
+    ) -> None:
+        """Adds (T, …) values of ``archetype:argument``, or of a component of our own.
 
-    def add_data(self, component: str, values: pa.Array) -> None:
-        """Adds a component of our own, n values for each of the T frames as a flat array."""
+        Args:
+            flat: Makes a flat Arrow array of the values of such a component.
+        """
+        frames = len(self.rows)
+        archetype, colon, argument = component.partition(":")
         struct, dot, member = component.partition(".")
-        if dot:
-            self._structs.setdefault(struct, {})[member] = values
+        if colon:
+            each = len(self.rows.body) if archetype == "Points3D" else 1
+            of = converted(getattr(rr, archetype), argument, values, frames * each)
+            self._columns.append(Column(*of, frames))
+        elif dot:
+            self._structs.setdefault(struct, {})[member] = (flat or _vectors)(values)
         else:
-            self._columns.append(Column.of_data(component, values, len(self.rows)))
+            self._columns.append(Column.of_data(component, (flat or _vectors)(values), frames))
 
-    def columns(self) -> list[Column]:
+    def all(self) -> list[Column]:
         """All columns."""
         structs = {
             name: pa.StructArray.from_arrays(list(members.values()), names=list(members))
@@ -171,16 +156,6 @@ def _of_angles(component: str, values: NDArray[Any]) -> Column:
 
 def _of_either(angle: str) -> str:
     return angle.removesuffix("_left").removesuffix("_right")
-
-
-def _checks(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Array]:
-    fused_crc, digests = checks or (fused_checksums(rows.fused), joint_digests(rows.fused))
-    return {
-        FRAME_CRC: _array(frame_checksums(rows)),
-        FUSED_CRC: _array(fused_crc),
-        layout.JOINT_DIGESTS: _array(digests),
-        CHECKS_CRC: _array(checks_checksums(fused_crc, digests)),
-    }
 
 
 def _vectors(values: NDArray[Any]) -> pa.Array:

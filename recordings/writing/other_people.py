@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from devices.frame_pairs import FramePair
 from recordings.data import layout
+from recordings.data.checksums import image_checksum
 from recordings.data.images import drawn_bones
 from recordings.writing.arrow_columns import Column, Times, own_values
 from recordings.writing.changes import set_time
-from recordings.writing.checksums import image_checksum
 
 _BLOCK = 300  # frames that are sent together
 _GONE_NS = 500_000_000  # a sensor without a frame for longer shows nobody

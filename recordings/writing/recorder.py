@@ -20,6 +20,7 @@ from recordings.appearance import entity_styles
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import TrustColors
 from recordings.data import layout
+from recordings.data.checksums import event_checksum, properties_checksum
 from recordings.data.session_arrays import SessionArrays, SessionFrame
 from recordings.writing.arrow_columns import Times, own_values
 from recordings.writing.changes import (
@@ -29,7 +30,6 @@ from recordings.writing.changes import (
     StreamFiguresLog,
     set_time,
 )
-from recordings.writing.checksums import FusedChecks, event_checksum, properties_checksum
 from recordings.writing.frame_columns import frame_columns
 from recordings.writing.other_people import OthersLog
 from recordings.writing.properties import calibration_values, session_properties
@@ -142,19 +142,15 @@ class Recorder:
         """Logs the images of a frame, in time order. The frame must be recorded later without images."""
         self.images.record(number, frame.pair.time_ns - self._begun_by(frame), frame.pair)
 
-    def record_rows(self, rows: SessionArrays, checks: FusedChecks | None = None) -> None:
-        """Logs the following frames as arrays, with their own numbers and times.
-
-        Args:
-            checks: Checks of S* in float64, if `rows` come from a file in float32.
-        """
+    def record_rows(self, rows: SessionArrays) -> None:
+        """Logs the following frames as arrays, with their own numbers and times."""
         self._placement.record(rows)
         colors = self._trust_colors.add(rows)
         if self._plots_later:
             self._send(frame_columns(rows, colors=colors, plotted=False))
             self._unplotted.append(rows)
         else:
-            self._send(frame_columns(rows, checks, colors=colors, up=self._placement.up))
+            self._send(frame_columns(rows, colors=colors, up=self._placement.up))
             self._explain(rows)
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
 

@@ -1,4 +1,4 @@
-"""Per-frame figures derived from recorded figures for the viewer. They are not read back.
+"""Figures of each frame that follow from recorded ones: for the viewer, and checksums for the reader.
 
 To add a figure, add a row to :data:`SHOWN_FIGURES`.
 """
@@ -21,6 +21,7 @@ from recordings.appearance.body_shape import (
 )
 from recordings.appearance.colors import VIEW_COLORS
 from recordings.data import layout
+from recordings.data.checksums import CHECKS_CRC, FRAME_CRC, checks_checksums, frame_checksums
 from recordings.data.session_arrays import SessionArrays
 
 
@@ -104,4 +105,6 @@ SHOWN_FIGURES = (
         layout.QUALITY, "figures.predicted_joints", lambda rows: rows.predicted.sum(axis=1), np.uint8
     ),
     ShownFigure(layout.QUALITY, "sensors.tracked_joints", _tracked_joints, np.uint8),
+    ShownFigure(layout.QUALITY, FRAME_CRC, frame_checksums, np.uint32),
+    ShownFigure(layout.QUALITY, CHECKS_CRC, checks_checksums, np.uint32),
 )

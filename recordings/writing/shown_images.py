@@ -17,9 +17,9 @@ from fusion.intrinsics import Intrinsics
 from fusion.setup import FusionSetup
 from recordings.appearance import entity_styles
 from recordings.data import layout
+from recordings.data.checksums import image_checksum
 from recordings.writing.arrow_columns import depth_image, own_values, points
 from recordings.writing.changes import set_time
-from recordings.writing.checksums import image_checksum
 
 _POINTS = 10_000
 """Approximate maximum number of points shown; 120 kB."""

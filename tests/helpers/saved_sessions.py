@@ -91,7 +91,7 @@ def unpacked(name, path):
 def reading(session):
     """What a session holds, as JSON: words and counts, and a checksum of each array."""
     assert session.damage is None
-    arrays = {name: values for name, _, values in session.rows.figures()}
+    arrays = {name: values for name, spec, values in session.rows.figures() if spec.covered}
     for number, (first, calibration) in enumerate(session.calibrations):
         move = calibration.a_from_b
         of_one = first, *move.rotation.flat, *move.translation, *calibration.bone_lengths

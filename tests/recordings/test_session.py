@@ -36,6 +36,7 @@ from recordings import Session, fuse
 from recordings.appearance.coach_page import CoachPage, Mark
 from recordings.comparing.session_comparison import Comparison
 from recordings.data import layout
+from recordings.data.checksums import event_checksum, fused_checksums, image_checksum
 from recordings.data.session_arrays import SessionFrame
 from recordings.data.session_data import runs_of
 from recordings.errors import RecordingError
@@ -43,7 +44,6 @@ from recordings.file.rrd_file import END_OF_FILE, without_footer
 from recordings.file.session_writer import write_session
 from recordings.fusing.pairs import fuse_segments
 from recordings.replaying import Agreement, Replay
-from recordings.writing.checksums import event_checksum, fused_checksums, image_checksum
 from recordings.writing.recorder import Recorder
 from tests.helpers.damage import damaged, opened
 from tests.helpers.frame_pairs import frame_pairs

@@ -23,9 +23,9 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.support.medians import median_of_known
 from recordings.data import layout
-from recordings.data.frame_fields import FRAME_FIELDS, JOINTS, FrameField, no_joint_or_joint
+from recordings.data.frame_fields import JOINTS, FrameField, no_joint_or_joint
 from recordings.data.interpolation import positions_at, sigma_at
-from recordings.data.session_arrays import SessionArrays
+from recordings.data.session_arrays import FRAME_FIELDS, SessionArrays
 from recordings.errors import RecordingError
 from recordings.fusing.pairs import fuse_one
 from recordings.quality.doubtful_time import doubtful_seconds, seen_people
@@ -39,10 +39,8 @@ from tests.helpers.two_views import calibration_of
 
 J = len(KINECT_V1)
 SIGMA = FrameField(
-    *("sigma", np.float64, (JOINTS,), layout.FUSED_SKELETON, "sigma_mm", np.float16),
-    optional=True,
-    scale=1e3,
-)
+    layout.FUSED_SKELETON, "sigma_mm", np.float16, shape=(JOINTS,), optional=True, scale=1e3
+)  # fmt: skip
 
 
 @given(hnp.arrays(np.float64, (3, J), elements=st.floats(0.0, 10.0)))

@@ -4,24 +4,26 @@ A frame's checksum covers every number that :class:`recordings.session.Session` 
 precision.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.events import Event
-from recordings.data.session_arrays import SessionArrays
+
+if TYPE_CHECKING:
+    from recordings.data.session_arrays import SessionArrays
 
 _BLOCK = 4096  # frames per step, which temporarily need three times their memory
-FRAME_CRC, FUSED_CRC = "figures.frame_crc32", "figures.fused_crc32"
-"""Components of layout.QUALITY: :func:`frame_checksums` and :func:`fused_checksums`."""
+FRAME_CRC = "figures.frame_crc32"
+"""Component of layout.QUALITY: :func:`frame_checksums`."""
 CHECKS_CRC = "figures.checks_crc32"
 """Component of layout.QUALITY: :func:`checks_checksums`."""
-FusedChecks = tuple[NDArray[np.uint32], NDArray[np.uint8]]
-"""(T,) :func:`fused_checksums` and (T, J) :func:`joint_digests`."""
 
 
 def frame_checksums(rows: SessionArrays) -> NDArray[np.uint32]:
@@ -30,7 +32,7 @@ def frame_checksums(rows: SessionArrays) -> NDArray[np.uint32]:
     checks = np.empty(len(rows), dtype=np.uint32)
     for first in range(0, len(rows), _BLOCK):
         block = slice(first, first + _BLOCK)
-        figures = (spec.checked(body, values[block]) for _, spec, values in rows.figures())
+        figures = (spec.checked(body, values[block]) for _, spec, values in rows.figures() if spec.covered)
         checks[block] = _checksums(rows.frame[block], rows.time_ns[block], *figures)
     return checks
 
@@ -52,9 +54,9 @@ def joint_digests(fused: NDArray[np.float64]) -> NDArray[np.uint8]:
     return np.asarray(mixed >> np.uint64(56)).astype(np.uint8)
 
 
-def checks_checksums(fused_crc: NDArray[np.uint32], digests: NDArray[np.uint8]) -> NDArray[np.uint32]:
+def checks_checksums(rows: SessionArrays) -> NDArray[np.uint32]:
     """(T,) CRC-32 of the checksums of S* themselves, which are read back, too."""
-    return _checksums(fused_crc, digests)
+    return _checksums(rows.fused_checksums, rows.joint_digests)
 
 
 def properties_checksum(properties: Mapping[str, Mapping[str, Any]]) -> int:
