@@ -16,6 +16,7 @@ from command_line import command_line_page
 from constant_values import constant_values_page
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
+from session_entities import entities_page
 
 ROOT = Path(__file__).resolve().parents[1]
 _COPIED = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
@@ -35,6 +36,7 @@ def on_files(files: Files, config: Any) -> Files:
     files.append(File.generated(config, "api.md", content=api_page()))
     files.append(File.generated(config, "command-line.md", content=command_line_page()))
     files.append(File.generated(config, "constant-values.md", content=constant_values_page()))
+    files.append(File.generated(config, "entities.md", content=entities_page()))
     return files
 
 

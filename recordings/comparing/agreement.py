@@ -86,8 +86,8 @@ def _figures(sums: Array) -> Array:
         of_rows = 2.0 * np.maximum(middle2 - middle**2 / n, 0.0) / (n - 1)
         error, of_methods = 0.5 * variance, 0.5 * n * bias**2
         icc = (of_rows - error) / (of_rows + error + 2.0 / n * (of_methods - error))
-    reach = _LIMITS * np.sqrt(variance)
-    return np.stack([bias, bias - reach, bias + reach, np.sqrt(off2 / n), icc], axis=-1)
+        reach = _LIMITS * np.sqrt(variance)
+        return np.stack([bias, bias - reach, bias + reach, np.sqrt(off2 / n), icc], axis=-1)
 
 
 _Scale = Callable[[Any], Any]

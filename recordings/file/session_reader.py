@@ -113,34 +113,47 @@ def _calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, 
         check = of.pop("calibration_crc32", None)
         if check != [properties_checksum({"calibration": {"frame": frame, **of}})]:
             raise RecordingError(f"{path}: a calibration in it is damaged; it does not match its checksum.")
-        a_from_b = RigidTransform.of(np.reshape(of["rotation"], (3, 3)), of["translation"])
-        lengths = np.array(of["bone_lengths"], dtype=np.float64)
-        registration = None
-        if of["pairs"][0] > 0:
-            registration = Registration(
-                a_from_b,
-                float(of["residual_median"][0]),
-                float(of["residual_rms"][0]),
-                np.array(of["joint_residuals"]),
-                float(of["rotation_sd"][0]),
-                int(of["pairs"][0]),
-                body,
-                float(of.get("translation_sd", [np.nan])[0]),
-                np.array(of.get("centre", NOWHERE)),
-            )
-        how = str(of["how"][0])
-        provisional = of.get("provisional", [how.startswith(_PROVISIONAL)])[0]
-        errors = np.array(of.get("depth_errors", (0.0, 0.0)))
-        person = int(of.get("person", [0])[0])
-        placed = bool(of.get("placed", [True])[0])  # sessions of earlier versions used B all the same
-        at[frame] = Calibration(
-            body, a_from_b, lengths, how, registration, bool(provisional), errors, person, placed
-        )
+        try:
+            at[frame] = _calibration_of(body, of)
+        except (FusionError, LookupError, TypeError, ValueError) as fault:
+            raise RecordingError(f"{path}: a calibration in it is not valid: {fault}.") from None
     if 0 not in at:
         raise RecordingError(
             f"{path}: its calibration is missing" + (f"; {found.damage}." if found.damage else ".")
         )
     return sorted(at.items())
+
+
+def _calibration_of(body: Body, of: dict[str, Any]) -> Calibration:
+    """Of :func:`recordings.writing.properties.calibration_values`."""
+
+    def array(name: str, shape: tuple[int, ...], default: Any = None) -> NDArray[np.float64]:
+        return np.array(of[name] if default is None else of.get(name, default), np.float64).reshape(shape)
+
+    joints = (len(body),)
+    a_from_b = RigidTransform.of(array("rotation", (3, 3)), array("translation", (3,)))
+    lengths = array("bone_lengths", joints)
+    registration = None
+    if of["pairs"][0] > 0:
+        registration = Registration(
+            a_from_b,
+            float(of["residual_median"][0]),
+            float(of["residual_rms"][0]),
+            array("joint_residuals", joints),
+            float(of["rotation_sd"][0]),
+            int(of["pairs"][0]),
+            body,
+            float(of.get("translation_sd", [np.nan])[0]),
+            array("centre", (3,), NOWHERE),
+        )
+    how = str(of["how"][0])
+    provisional = of.get("provisional", [how.startswith(_PROVISIONAL)])[0]
+    errors = array("depth_errors", (2,), (0.0, 0.0))
+    if not np.isfinite(errors).all():
+        raise ValueError(f"its depth errors are {errors}")
+    person = int(of.get("person", [0])[0])
+    placed = bool(of.get("placed", [True])[0])  # sessions of earlier versions used B all the same
+    return Calibration(body, a_from_b, lengths, how, registration, bool(provisional), errors, person, placed)
 
 
 def _settings_of(of: dict[str, list[Any]]) -> FuserSettings:

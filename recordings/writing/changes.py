@@ -53,7 +53,7 @@ class PlacementLog:
         self._again_ns: int | None = None  # when all poses were logged for the last time
         self._floor = FloorFinder(setup.body)
         self._b: NDArray[np.float64] | None = None  # (3, 4) [R t]
-        self._log_static()
+        self._log_floor(0, 0)
 
     @property
     def up(self) -> NDArray[np.float64]:
@@ -86,19 +86,6 @@ class PlacementLog:
         set_time(self._stream, frame, time_ns)
         self._stream.log(layout.FLOOR, rr.Transform3D(mat3x3=floor.rotation, translation=floor.translation))
 
-    def _log_static(self) -> None:
-        once = self._stream.log
-        once(layout.kinect("a"), rr.Transform3D.from_fields(translation=(0.0, 0.0, 0.0)), static=True)
-        for side in layout.VIEWS:
-            once(layout.sensor_label(side), *entity_styles.sensor_label(side), static=True)
-        once(layout.FLOOR, entity_styles.floor_grid(), static=True)
-        self._log_floor(0, 0)
-        for name, entity in layout.FRAME_NAMES.items():
-            same = rr.Transform3D.from_fields(
-                translation=(0.0, 0.0, 0.0), parent_frame=f"tf#{entity}", child_frame=name
-            )
-            once(layout.named_frame(name), same, static=True)
-
 
 class QualityLog:
     """Logs jitter, the noise of all joints, and the drift of the calibration, about twice a second.
@@ -112,8 +99,6 @@ class QualityLog:
         self._kept: list[NDArray[np.float64]] = []  # (3, n, J) their deviations since the last value
         self._frames, self._last_ns = 0, 0  # so far; the time of the last value
         self._first: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-        for name, lines in entity_styles.QUALITY_LINES.items():
-            stream.log(layout.stream_figure(name), lines, static=True)
 
     def record(self, rows: SessionArrays) -> None:
         """Logs the changes in the following frames, which are in order of time."""
@@ -129,11 +114,11 @@ class QualityLog:
         self._kept = [rest.copy()]  # a view would keep the whole block in memory
         jitters = 1e3 * np.array([[noise_of(of) for of in window] for window in windows])
         at = np.array(due, dtype=np.int64)
-        for name, values in (("jitter_mm", jitters), ("placement", self._moved(rows, at))):
+        for entity, values in ((layout.JITTER, jitters), (layout.PLACEMENT, self._moved(rows, at))):
             scalars = converted(rr.Scalars, "scalars", values, values.size)
             columns: list[Any] = [Column(*scalars, len(due))]
             times = Times.of_frames(rows.frame[at], rows.time_ns[at])
-            self._stream.send_columns(layout.stream_figure(name), times, columns)
+            self._stream.send_columns(entity, times, columns)
 
     def _due(self, time_ns: int) -> bool:
         """Returns whether the value is to be logged with the next frame."""
@@ -161,20 +146,20 @@ class StreamFiguresLog:
 
     def record(self, frame: int, time_ns: int, figures: PairingFigures) -> None:
         """Logs the figures known at a frame."""
-        by_name = {
-            "drift_ppm": [figures.drift_ppm],
-            "dropped": [float(count) for count in figures.dropped],
-            "unpaired": [float(count) for count in figures.unpaired],
+        of_entities = {
+            layout.DRIFT: [figures.drift_ppm],
+            layout.DROPPED: [float(count) for count in figures.dropped],
+            layout.UNPAIRED: [float(count) for count in figures.unpaired],
         }
-        for name, values in by_name.items():
-            before = self._last.get(name)
+        for entity, values in of_entities.items():
+            before = self._last.get(entity)
             if before is None:
-                self._stream.log(layout.stream_figure(name), entity_styles.STREAM_LINES[name], static=True)
-            elif time_ns - before[0] < _FIGURE_AGAIN_NS and (values == before[1] or name == "drift_ppm"):
+                self._stream.log(entity, entity_styles.LINES[entity], static=True)
+            elif time_ns - before[0] < _FIGURE_AGAIN_NS and (values == before[1] or entity == layout.DRIFT):
                 continue  # drift changes a little with every frame
-            self._last[name] = time_ns, values
+            self._last[entity] = time_ns, values
             set_time(self._stream, frame, time_ns)
-            self._stream.log(layout.stream_figure(name), rr.Scalars(values))
+            self._stream.log(entity, rr.Scalars(values))
 
 
 def log_quality(stream: rr.RecordingStream, session: SessionData) -> None:
@@ -239,11 +224,11 @@ class StatesLog:
     def record(self, rows: SessionArrays) -> None:
         """Takes frames in time order."""
         for limb, changes in self._trust.add(self._limb_sources.add(rows)):
-            lane = layout.trust_lane(LIMBS[limb])
+            lane = layout.trust_lane(LIMBS[limb].replace(" ", "_"))
             self._log(rows, lane, SOURCES, changes, entity_styles.TRUST_LANES)
         for side, states in (("a", rows.states_a), ("b", rows.states_b)):
             for joint, changes in self._states[side].add(states):
-                lane = layout.state_lane(side, self._body.joints[joint])
+                lane = layout.state_lane(side, self._body.joints[joint].lower())
                 self._log(rows, lane, layout.STATE_NAMES, changes, entity_styles.STATE_LANES)
 
     def _log(

@@ -26,10 +26,6 @@ _INSIDE = 3.0  # degrees from the edge of a plot to the mark of an angle that is
 _EVERY = 2  # bones and angles are plotted every second frame; S_A, S_B and S* are logged every frame
 
 
-PLOTTED = frozenset({layout.QUALITY, layout.BONES, layout.ANGLES, layout.kinect("b")})
-"""Entities that are plotted or only read back; all others are drawn into the scene."""
-
-
 def frame_columns(
     rows: SessionArrays,
     *,
@@ -41,7 +37,7 @@ def frame_columns(
 
     Args:
         colors: (T, J, 3) of S*. None: entities that are drawn into the scene are left out.
-        plotted: Whether the other entities are, see :data:`PLOTTED`.
+        plotted: Whether the other entities are, see :func:`layout.is_plotted`.
         up: (3,) against gravity in K_A's frame.
     """
     body, entities = rows.body, dict[str, _EntityColumns]()
@@ -49,7 +45,7 @@ def frame_columns(
     with_pose = rows if posed.all() else rows[np.flatnonzero(posed)]
 
     def is_wanted(entity: str) -> bool:
-        return plotted if entity in PLOTTED else colors is not None
+        return plotted if layout.is_plotted(entity) else colors is not None
 
     def columns_of(entity: str) -> _EntityColumns:
         # Where the person has no place, the pelvis keeps its own, and the eye that follows it stays.

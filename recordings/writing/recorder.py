@@ -82,7 +82,8 @@ class Recorder:
         self._figures, self._trust_colors = StreamFiguresLog(stream), TrustColors()
         self._placement, self._quality = PlacementLog(stream, setup, points), QualityLog(stream)
         self._states = StatesLog(stream, setup.body, self._pause)
-        _log_constant(stream, setup, points)
+        for entity, what in entity_styles.constant(setup, points):
+            stream.log(entity, *what, static=True)
         properties = session_properties(setup, sources, about or {})
         for name, values in properties.items():
             stream.send_property(name, own_values(**values))
@@ -216,20 +217,3 @@ class Recorder:
         """Logs what is not logged every frame."""
         self._quality.record(rows)
         self._states.record(rows)
-
-
-def _log_constant(stream: rr.RecordingStream, setup: FusionSetup, shown: bool) -> None:
-    def once(entity: str, *what: Any) -> None:
-        stream.log(entity, *what, static=True)
-
-    once(layout.ROOT, rr.ViewCoordinates.RDF, entity_styles.annotation_context(setup.body))
-    for side, intrinsics in (("a", setup.intrinsics_a), ("b", setup.intrinsics_b)):
-        once(layout.skeleton(side), entity_styles.joint_look(setup.body, side))
-        for kind in layout.IMAGE_KINDS if shown else ():
-            once(layout.image_skeleton(side, kind), entity_styles.joint_look(setup.body, side))
-        once(layout.depth(side), entity_styles.camera(intrinsics, side), entity_styles.depth_look(shown))
-        once(layout.image_edge(side), entity_styles.image_edge(intrinsics))
-        once(layout.others(side), entity_styles.others_look())
-        once(layout.points(side), entity_styles.cloud_look(side))
-    once(layout.FUSED_SKELETON, entity_styles.joint_look(setup.body, "fused"))
-    once(layout.TRUTH_SKELETON, entity_styles.joint_look(setup.body, "truth"))

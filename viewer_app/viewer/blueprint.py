@@ -35,9 +35,9 @@ _FIGURES = (
     ("skew_ms", "B captured after A (ms)"),
 )
 _STREAM_FIGURES = (
-    ("drift_ppm", "B's clock against A's (ppm)"),
-    ("dropped", "frames dropped"),
-    ("unpaired", "frames without a partner"),
+    (layout.DRIFT, "B's clock against A's (ppm)"),
+    (layout.DROPPED, "frames dropped"),
+    (layout.UNPAIRED, "frames without a partner"),
 )
 _LIMBS = {
     "upper_arm": "upper arms (m)",
@@ -243,14 +243,16 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
                 ),
                 rrb.StateTimelineView(
                     origin="/",
-                    contents=[layout.state_lane(side, joint) for joint in prominent for side in layout.VIEWS],
+                    contents=[
+                        layout.state_lane(side, joint.lower()) for joint in prominent for side in layout.VIEWS
+                    ],
                     name="states of limbs",
                 ),
                 _seen(body),
                 *others,
                 *(
-                    rrb.TimeSeriesView(origin=layout.stream_figure(name), name=title)
-                    for name, title in (_STREAM_FIGURES if live else ())
+                    rrb.TimeSeriesView(origin=entity, name=title)
+                    for entity, title in (_STREAM_FIGURES if live else ())
                 ),
                 rrb.StateTimelineView(origin=layout.STATE_LANES, name="all states"),
                 active_tab=0,
@@ -284,8 +286,8 @@ def _report(lengths: NDArray[np.float64], body: Body) -> rrb.Container:
         rrb.Horizontal(
             rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="how good"),
             _plot("disagreement_mm", "views differ (mm)"),
-            _quality_plot("jitter_mm", "jitter (mm)"),
-            _quality_plot("placement", "placement of B"),
+            _quality_plot(layout.JITTER, "jitter (mm)"),
+            _quality_plot(layout.PLACEMENT, "placement of B"),
             column_shares=[5, 3, 3, 3],
         ),
         *(rrb.Horizontal(*(plots[k] for k in row)) for row in rows),
@@ -328,10 +330,8 @@ def _seen(body: Body) -> rrb.View:
     )
 
 
-def _quality_plot(name: str, title: str) -> rrb.View:
-    return rrb.TimeSeriesView(
-        origin=layout.stream_figure(name), name=title, plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop)
-    )
+def _quality_plot(entity: str, title: str) -> rrb.View:
+    return rrb.TimeSeriesView(origin=entity, name=title, plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop))
 
 
 def _bone_plot(body: Body, lengths: NDArray[np.float64], bone: str, title: str) -> rrb.View:

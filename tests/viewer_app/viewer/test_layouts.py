@@ -263,7 +263,7 @@ def test_joints_of_a_view_are_dimmed_where_inferred_or_exchanged(side):
     assert (np.delete(colors[1], 5, axis=0) == tracked).all()
     assert (colors[2] == swapped).all()
     assert max(inferred) < 0.75 * max(tracked)
-    assert max(swapped) < 0.75 * max(SKELETON_COLORS[layout.exchanged(side)])
+    assert max(swapped) < 0.75 * max(SKELETON_COLORS[f"exchanged_{side}"])
 
 
 STEP = 1.0 / 512.0  # metres, of the spheres' radii
