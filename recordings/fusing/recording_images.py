@@ -19,7 +19,9 @@ class RecordingImages(SessionImages):
         self._read, self._depth, self._progress = read, depth, progress
 
     def depth(self, side: str, frames: range) -> Images[NDArray[np.uint16]]:
-        """Reads the recording in a separate pass."""
+        """Reads the recording in a separate pass; not even its times where it has no images."""
+        if self._read.images["ab".index(side)] is None:
+            return Images()
 
         def made() -> Iterator[tuple[int, NDArray[np.uint16]]]:
             images = self._read.depth_images(side, self._depth, self._progress)
