@@ -131,7 +131,7 @@ def _calibration_of(body: Body, of: dict[str, Any]) -> Calibration:
         return np.array(of[name] if default is None else of.get(name, default), np.float64).reshape(shape)
 
     joints = (len(body),)
-    a_from_b = RigidTransform.of(array("rotation", (3, 3)), array("translation", (3,)))
+    a_from_b = RigidTransform.of(array("rotation", (3, 3)), of["translation"])
     lengths = array("bone_lengths", joints)
     registration = None
     if of["pairs"][0] > 0:
@@ -144,7 +144,7 @@ def _calibration_of(body: Body, of: dict[str, Any]) -> Calibration:
             int(of["pairs"][0]),
             body,
             float(of.get("translation_sd", [np.nan])[0]),
-            array("centre", (3,), NOWHERE),
+            np.array(of.get("centre", NOWHERE)),
         )
     how = str(of["how"][0])
     provisional = of.get("provisional", [how.startswith(_PROVISIONAL)])[0]
