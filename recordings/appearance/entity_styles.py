@@ -1,7 +1,6 @@
 """Appearance of a session's entities, logged once as static data."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import rerun as rr
 from rerun.blueprint import Visualizer
@@ -9,7 +8,6 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
-from fusion.setup import FusionSetup
 from recordings.appearance.body_shape import capsule_radii
 from recordings.appearance.colors import (
     FACE_COLOR,
@@ -296,31 +294,3 @@ LINES = {
     ),
 }
 """Plot titles by entity."""
-
-
-def constant(setup: FusionSetup, shown: bool) -> Iterator[tuple[str, Sequence[Any]]]:
-    """What never changes: entities, and what is logged there once.
-
-    Args:
-        shown: Whether it is for a running viewer, which has raw images.
-    """
-    here, body = (0.0, 0.0, 0.0), setup.body
-    yield layout.ROOT, [rr.ViewCoordinates.RDF, annotation_context(body)]
-    for side, intrinsics in zip(layout.VIEWS, setup.intrinsics, strict=True):
-        yield layout.skeleton(side), [joint_look(body, side)]
-        for kind in layout.IMAGE_KINDS if shown else ():
-            yield layout.image_skeleton(side, kind), [joint_look(body, side)]
-        yield layout.depth(side), [camera(intrinsics, side), depth_look(shown)]
-        yield layout.image_edge(side), [image_edge(intrinsics)]
-        yield layout.others(side), [others_look()]
-        yield layout.points(side), [cloud_look(side)]
-        yield layout.sensor_label(side), sensor_label(side)
-    yield layout.FUSED_SKELETON, [joint_look(body, "fused")]
-    yield layout.TRUTH_SKELETON, [joint_look(body, "truth")]
-    yield layout.kinect("a"), [rr.Transform3D.from_fields(translation=here)]
-    yield layout.FLOOR, [floor_grid()]
-    for name, entity in layout.FRAME_NAMES.items():
-        same = rr.Transform3D.from_fields(translation=here, parent_frame=f"tf#{entity}", child_frame=name)
-        yield layout.named_frame(name), [same]
-    for entity in (layout.JITTER, layout.PLACEMENT):
-        yield entity, [LINES[entity]]

@@ -84,7 +84,7 @@ UNPAIRED = _one("/quality/unpaired", "frames without a partner; live sensors onl
 EVENTS = _one("/events", "what happened, as text with its level", "on change")
 trust_lane = _each("/trust/{}", "which view a limb of S* follows", "on change")
 SECONDS_LANE = _one("/how_good", "how good the seconds are", "on change")
-state_lane = _each("/lanes/{1}/{0}", "the state of a joint in a view, if it changes", "on change")
+_STATE_LANE = _one("/lanes/{1}/{0}", "the state of a joint in a view, if it changes", "on change")
 COACH = _one("/coach", "text of the setup coach", "on change", COPIED)
 coach_mark = _each("/coach/{}", "lines that the coach draws into the scene", "on change", COPIED)
 coach_words = _each("/coach/{}/words", "words beside them", "on change", COPIED)
@@ -128,6 +128,11 @@ CLASS_IDS = {"a": 1, "b": 2, "fused": 3, "truth": 4, "exchanged_a": 5, "exchange
 """By the keys of :data:`SKELETON_NAMES`; of a view, another one while it reports its sides exchanged."""
 LINELESS_CLASS = 7
 """Class of joints that are shown without lines between them."""
+
+
+def state_lane(side: str, joint: str) -> str:
+    """Changes of a joint's tracking state."""
+    return _STATE_LANE.format(side, joint.lower())
 
 
 def is_plotted(entity: str) -> bool:

@@ -228,7 +228,7 @@ class StatesLog:
             self._log(rows, lane, SOURCES, changes, entity_styles.TRUST_LANES)
         for side, states in (("a", rows.states_a), ("b", rows.states_b)):
             for joint, changes in self._states[side].add(states):
-                lane = layout.state_lane(side, self._body.joints[joint].lower())
+                lane = layout.state_lane(side, self._body.joints[joint])
                 self._log(rows, lane, layout.STATE_NAMES, changes, entity_styles.STATE_LANES)
 
     def _log(

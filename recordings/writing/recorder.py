@@ -5,7 +5,7 @@ in the order of their numbers. An event or a calibration comes after the frame t
 :meth:`Recorder.finish` comes last.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -82,7 +82,7 @@ class Recorder:
         self._figures, self._trust_colors = StreamFiguresLog(stream), TrustColors()
         self._placement, self._quality = PlacementLog(stream, setup, points), QualityLog(stream)
         self._states = StatesLog(stream, setup.body, self._pause)
-        for entity, what in entity_styles.constant(setup, points):
+        for entity, what in _constant(setup, points):
             stream.log(entity, *what, static=True)
         properties = session_properties(setup, sources, about or {})
         for name, values in properties.items():
@@ -217,3 +217,31 @@ class Recorder:
         """Logs what is not logged every frame."""
         self._quality.record(rows)
         self._states.record(rows)
+
+
+def _constant(setup: FusionSetup, shown: bool) -> Iterator[tuple[str, Sequence[Any]]]:
+    """What never changes: entities, and what is logged there once.
+
+    Args:
+        shown: Whether it is for a running viewer, which has raw images.
+    """
+    here, body = (0.0, 0.0, 0.0), setup.body
+    yield layout.ROOT, [rr.ViewCoordinates.RDF, entity_styles.annotation_context(body)]
+    for side, intrinsics in zip(layout.VIEWS, setup.intrinsics, strict=True):
+        yield layout.skeleton(side), [entity_styles.joint_look(body, side)]
+        for kind in layout.IMAGE_KINDS if shown else ():
+            yield layout.image_skeleton(side, kind), [entity_styles.joint_look(body, side)]
+        yield layout.depth(side), [entity_styles.camera(intrinsics, side), entity_styles.depth_look(shown)]
+        yield layout.image_edge(side), [entity_styles.image_edge(intrinsics)]
+        yield layout.others(side), [entity_styles.others_look()]
+        yield layout.points(side), [entity_styles.cloud_look(side)]
+        yield layout.sensor_label(side), entity_styles.sensor_label(side)
+    yield layout.FUSED_SKELETON, [entity_styles.joint_look(body, "fused")]
+    yield layout.TRUTH_SKELETON, [entity_styles.joint_look(body, "truth")]
+    yield layout.kinect("a"), [rr.Transform3D.from_fields(translation=here)]
+    yield layout.FLOOR, [entity_styles.floor_grid()]
+    for name, entity in layout.FRAME_NAMES.items():
+        same = rr.Transform3D.from_fields(translation=here, parent_frame=f"tf#{entity}", child_frame=name)
+        yield layout.named_frame(name), [same]
+    for entity in (layout.JITTER, layout.PLACEMENT):
+        yield entity, [entity_styles.LINES[entity]]

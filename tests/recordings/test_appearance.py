@@ -407,10 +407,7 @@ def test_lanes_are_the_same_frame_by_frame_and_at_once(rows, tmp_path):
         lane = []
         with RrdFile(file) as read:
             for entity, batch in read.chunks(images=False):
-                if (
-                    entity == layout.state_lane("a", V2.joints[ELBOW].lower())
-                    and "frame" in batch.schema.names
-                ):
+                if entity == layout.state_lane("a", V2.joints[ELBOW]) and "frame" in batch.schema.names:
                     columns = (
                         batch.column(name).to_pylist() for name in ("frame", "time", "StateChange:state")
                     )

@@ -1,5 +1,6 @@
 """Joint angles for the viewer's plots: those of a session, with their variance, and what no joint reaches."""
 
+import re
 from collections import Counter
 from dataclasses import replace
 from uuid import uuid4
@@ -11,12 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from devices.events import Event
+from devices.frame_pairs import PairingFigures
 from devices.sensor import ColorCamera, ColorImage
 from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.movement.angles import ANGLES
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
+from recordings.appearance.coach_page import CoachPage, Mark
+from recordings.appearance.state_card import State
 from recordings.data import layout
 from recordings.data.session_arrays import SessionFrame
 from recordings.file.rrd_file import RrdFile, read_columns
@@ -150,6 +155,40 @@ def test_what_is_on_the_screen_is_of_one_moment(made, tmp_path_factory, images, 
             cleared = latest(now_ns, layout.points(side), "Clear:is_recursive")
             cloud = latest(now_ns, layout.points(side), "Points3D:positions")
             assert cloud <= cleared or now_ns - cloud <= LATE_NS
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_every_entity_of_a_session_is_in_the_list(made, tmp_path, shown):
+    """So is when it is logged: what never changes is static. A file has nothing that only a viewer has."""
+    fuser, some = made
+    logged = {}  # by entity: whether something of it is not static
+    stream = rr.RecordingStream(layout.APPLICATION_ID)
+    stream.save(tmp_path / "s.rrd")
+    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1, points=shown)
+    for each in some:
+        pair = replace(each.pair, a=seen(each.pair.a, True, True))
+        recorder.record_all([replace(each, pair=pair, truth=each.fused.positions, streams=PairingFigures())])
+    recorder.event(Event("told"))
+    mark = Mark((((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),), "do", (0.0, 0.0, 0.0))
+    recorder.coach(CoachPage("stand here", (("spot", mark),), (State.READY, "walk")))
+    recorder.finish()
+    stream.disconnect()
+    with RrdFile(tmp_path / "s.rrd") as file:
+        for entity, batch in file.chunks(images=True):
+            logged[entity] = logged.get(entity, False) or layout.FRAME in batch.schema.names
+    kinds = {
+        re.compile(re.sub(r"\\{\d?\\}", "[^/]+", re.escape(path))): of for path, of in layout.ENTITIES.items()
+    }
+    left = dict(kinds)
+    for entity in (entity for entity in logged if not entity.startswith("/__")):
+        (declared,) = [of for pattern, of in kinds.items() if pattern.fullmatch(entity)]
+        left = {pattern: of for pattern, of in left.items() if of is not declared}
+        assert declared.kind != layout.VIEWER or shown or not logged[entity], entity
+        assert logged[entity] or declared.logged != "every pair", entity
+        assert not (logged[entity] and declared.logged == "once"), entity
+    absent = {of.path for of in left.values() if shown or of.kind != layout.VIEWER}
+    # of whole sessions; of odd poses; of states that change; of infrared images
+    assert absent <= {"/how_good", "/angles/beyond", "/lanes/{1}/{0}", "/kinect_{}/depth/infrared"}
 
 
 def test_an_image_stays_until_it_is_late(made, tmp_path):

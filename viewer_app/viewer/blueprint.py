@@ -243,9 +243,7 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
                 ),
                 rrb.StateTimelineView(
                     origin="/",
-                    contents=[
-                        layout.state_lane(side, joint.lower()) for joint in prominent for side in layout.VIEWS
-                    ],
+                    contents=[layout.state_lane(side, joint) for joint in prominent for side in layout.VIEWS],
                     name="states of limbs",
                 ),
                 _seen(body),
