@@ -1,6 +1,5 @@
 """Kinects v1, on the real fakenect, which plays dumps of simulated images."""
 
-import itertools
 import os
 import sys
 import time
@@ -11,21 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.blazepose.pace import TrackingPace
-from devices.blazepose.settings import BlazePoseSettings
-from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_choice import cable_notes, choose_two, sync_master
 from devices.capture.settings import CaptureSettings
 from devices.freenect import libfreenect
 from devices.freenect.libfreenect import connected_freenects, how_to_install
 from devices.freenect.sensor import INTRINSICS, VENDOR, FreenectSensor, TickCounter
 from devices.live.checks import device_checks
-from devices.live.sensors import connected_sensors, live_sensor
+from devices.live.sensors import connected_sensors
 from devices.sensor import DeviceError
 from devices.tracker_choice import choose_tracker
 from tests.helpers.freenect import PERIOD, film, numbered, write_dump
-from tests.helpers.machine import need_networks
-from tests.helpers.rendered_people import images_of, landmarks_at, share_seen, true_joints
 from tests.helpers.usb_tree import plug_in
 
 A, B = "A00366A02534111A", "B00362721456043B"
@@ -212,25 +206,3 @@ def test_a_library_of_another_kind_is_refused(real_freenect, monkeypatch):
 
 
 # ------------------------------------------------------------------ with the program's own tracker
-
-
-def test_our_tracker_finds_a_simulated_person_in_its_images(fakenect, tmp_path):
-    folder, count = need_networks(), 4
-    marks = landmarks_at("arms", 1.0)
-    depths, rgbs = [], []
-    for seed in range(count):
-        infrared, depth = images_of([marks], seed, camera=INTRINSICS)
-        bright = np.sqrt(infrared / max(1.0, np.percentile(infrared, 99.0)))
-        depths.append(depth)
-        rgbs.append(np.repeat((255 * np.clip(bright, 0.0, 1.0)).astype(np.uint8)[..., None], 3, axis=2))
-    fakenect.dumps[A] = write_dump(tmp_path / "dump", film(depths * 10, rgbs * 10, period=10 * PERIOD))
-    tracker = choose_tracker("blazepose", blazepose=BlazePoseSettings(models=folder))
-    (listed,) = connected_sensors(tracker)
-    sensor = live_sensor(listed, CaptureSettings(), tracker, TrackingPace(30.0, tracker.blazepose))
-    assert isinstance(sensor, TrackedImages)
-    with sensor:
-        skeletons = [frame.people for frame in itertools.islice(sensor.frames(), count)]
-    (found,) = skeletons[-1].values()
-    seen = share_seen(marks, INTRINSICS) > 0.9
-    errors = np.linalg.norm(found.positions - true_joints(marks), axis=1)[seen]
-    assert np.median(errors) < 0.035, "the goal of the project"
