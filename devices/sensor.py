@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.errors import DuplexError
+from fusion.errors import BodyError, DuplexError
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
@@ -19,6 +20,10 @@ from fusion.skeleton import Skeleton
 
 class DeviceError(DuplexError):
     """A source cannot give frames. The message states what happened, the value and what to do."""
+
+
+class FrameError(BodyError):
+    """A sensor's program gives a frame with values of another kind, shape or unit."""
 
 
 class MissingRecordingError(DeviceError, FileNotFoundError):
@@ -86,6 +91,9 @@ class SensorFrame:
         ir: (height, width) uint16 active infrared, of the depth camera; None without one.
         host_ns: Arrival time of the images on this machine, on ``time.perf_counter_ns``, before body
             tracking. It relates the clocks of two sensors. None for a recording.
+
+    Raises:
+        FrameError: A value is of another kind, such as depth in metres.
     """
 
     time_ns: int
@@ -94,6 +102,22 @@ class SensorFrame:
     color: ColorImage | None = None
     ir: NDArray[np.uint16] | None = None
     host_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        time_ns: Any = self.time_ns
+        people: Any = self.people
+        if not isinstance(time_ns, Real):
+            raise FrameError(f"A frame's time_ns is nanoseconds; got {time_ns!r}.")
+        if not isinstance(people, dict):
+            raise FrameError(f"A frame's people are a dict; got a {type(people).__name__}.")
+        for person in people.values():
+            if not isinstance(person, Skeleton):
+                got = type(person).__name__
+                raise FrameError(f"A frame's people are made by Skeleton.of; got a value of type {got}.")
+        for name, image, unit in (("depth", self.depth, " millimetres"), ("ir", self.ir, "")):
+            if image is not None and (image.dtype != np.uint16 or image.ndim != 2):
+                got = f"{image.shape} {image.dtype}"
+                raise FrameError(f"A frame's {name} is (height, width) uint16{unit}; got {got}.")
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from devices.azure import pyk4a_access
 from devices.azure.pyk4a_access import load_sdk as azure_sdk
 from devices.capture.capture_stream import LiveSensor
 from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.sensor_thread import SensorThread
 from devices.capture.settings import CaptureSettings
 from devices.check import extra_command
 from devices.live import sensors as live_sensors
@@ -31,8 +32,9 @@ from devices.orbbec import sdk_access as orbbec_access
 from devices.orbbec.sdk_access import load_sdk as orbbec_sdk
 from devices.realsense import sdk_access as realsense_access
 from devices.realsense.sdk_access import load_sdk as realsense_sdk
-from devices.sensor import AbsentError, DeviceError
+from devices.sensor import AbsentError, DeviceError, FrameError, SensorFrame
 from devices.tracker_choice import TrackerChoice
+from tests.helpers.scripted_sensor import ScriptedSensor
 from tests.helpers.standin_camera import VirtualTime
 
 OURS = TrackerChoice("blazepose", "a test")
@@ -256,3 +258,31 @@ def test_the_command_for_an_extra_finds_the_program_without_an_index_or_an_activ
     told = subprocess.run(command, cwd=tmp_path, env=bare, capture_output=True, text=True)
     assert told.returncode == 0, told.stderr
     assert "already satisfied: duplex-kinects[export]" in told.stdout
+
+
+GREY = np.zeros((3, 4), np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"time_ns": None}, "time_ns is nanoseconds; got None"),
+        ({"people": [np.ones((25, 3))]}, "people are a dict; got a list"),
+        ({"people": {"1": np.ones((25, 3))}}, "made by Skeleton.of; got a value of type ndarray"),
+        ({"depth": np.ones((3, 4), np.float32)}, r"uint16 millimetres; got \(3, 4\) float32"),
+        ({"depth": GREY[..., None]}, r"\(height, width\) uint16 millimetres; got \(3, 4, 1\)"),
+        ({"ir": GREY.astype(np.uint8)}, r"ir is \(height, width\) uint16; got \(3, 4\) uint8"),
+    ],
+)
+def test_what_a_sensor_of_ones_own_gives_wrongly_ends_it_with_one_line(given, said):
+    class Own(ScriptedSensor):
+        def frames(self):
+            yield SensorFrame(**{"time_ns": 10**9, **given})
+
+    def run():
+        with SensorThread(Own()) as thread:
+            assert thread.arrival.wait(10.0)
+            thread.take()
+
+    with pytest.raises(FrameError, match=said):
+        run()
