@@ -740,6 +740,21 @@ def test_images_of_a_file_that_was_replaced_are_not_somebody_else_s(tmp_path):
         list(opened.depth("a"))
 
 
+def test_what_is_made_of_a_damaged_session_says_so(tmp_path):
+    made(0.5, False, {}).save(tmp_path / "s.rrd")
+    cut = (tmp_path / "s.rrd").read_bytes()
+    (tmp_path / "cut.rrd").write_bytes(cut[: len(cut) * 9 // 10])
+    damaged = Session.open(tmp_path / "cut.rrd")
+    assert damaged.damage is not None
+    damaged.save(tmp_path / "again.rrd")
+    again = Session.open(tmp_path / "again.rrd")
+    assert damaged.damage in again.damage
+    assert again.frames_lost == damaged.frames_lost
+    again.save(tmp_path / "third.rrd")
+    third = Session.open(tmp_path / "third.rrd")
+    assert (third.damage, third.frames_lost) == (again.damage, damaged.frames_lost)
+
+
 def test_a_failed_save_keeps_the_file_and_leaves_nothing(tmp_path):
     session = made(0.5, False, {})
     session.save(tmp_path / "s.rrd")
