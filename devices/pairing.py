@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 from devices.frame_pairs import RecordedPairs, lone_side
 from devices.sensor import DeviceError
 from fusion.body import Body
+from fusion.clocks.clock import Clock
+from fusion.clocks.course import find_clock_course
+from fusion.clocks.search import agreement, candidates, find_clock_offset, is_better
 from fusion.pair_arrays import Pairs, View
-from fusion.registration.clock_course import find_clock_course
-from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.clock_search import agreement, candidates, find_clock_offset, is_better
 from fusion.support.large_arrays import stored
 
 ONE_RUN_NS = 60_000_000_000
 """Two sensors whose first frames arrived at most so far apart were recorded by one run of the program."""
-_SECOND_NS, _STEADY_SECONDS = 1_000_000_000, 10  # from so many on, arrivals show a drift
 _BETTER, _ALIKE, _NAMED = 0.8, 1.1, 3  # of the distances of views at offsets that are named, and how many
 _JUMP, _MOST_JUMPS = 2.5, 8  # frame intervals, and jumps
 _CERTAIN, _FEWEST_NEW, _AS_WELL = 2.0, 12, 1.25  # standard errors, frames, and mean penalties
@@ -154,7 +153,7 @@ def _span(times: NDArray[np.int64]) -> str:
     return f"{times[0] * 1e-9:.3f} s to {times[-1] * 1e-9:.3f} s"
 
 
-def clock_by_motion(body: Body, a: View, b: View) -> ClockOffset | None:
+def clock_by_motion(body: Body, a: View, b: View) -> Clock | None:
     """The offset of B's clock by the motion; None below 2/3 of a frame everywhere, or if it is not certain to
     two frames."""
     if not min(len(a.time_ns), len(b.time_ns)):
@@ -162,10 +161,10 @@ def clock_by_motion(body: Body, a: View, b: View) -> ClockOffset | None:
     found = find_clock_offset(body, a, b)
     interval = median_interval(a.time_ns)
     if found is None or found.sd_ns > 2.0 * interval:
-        found = ClockOffset(0.0, float("inf"))
+        found = Clock(0.0, float("inf"))
     found = find_clock_course(a, b, found)
     most = np.abs(found.at(b.time_ns)).max()
-    changes = found.skew_ppm != 0.0 or bool(found.steps)
+    changes = found.rate_ppm != 0.0 or bool(found.steps)
     if most < 2 * interval / 3 or not (changes or found.significant):
         return None
     return replace(
@@ -247,8 +246,8 @@ def _with_partners(a_ns: NDArray[np.int64], b_ns: NDArray[np.int64]) -> float:
 
 
 def clock_by_cable(
-    arrival: ClockOffset, delay_ns: int, a_ns: NDArray[np.int64], b_ns: NDArray[np.int64]
-) -> ClockOffset | None:
+    arrival: Clock, delay_ns: int, a_ns: NDArray[np.int64], b_ns: NDArray[np.int64]
+) -> Clock | None:
     """The offset, nearest to that by arrival times, at which B captures the cable's delay after A.
 
     None if it is within two frames of none: the master has then set the subordinate's clock.
@@ -262,29 +261,12 @@ def clock_by_cable(
     return replace(arrival, offset_ns=arrival.offset_ns - float(off_ns))
 
 
-def offset_by_arrival(a: NDArray[np.int64], b: NDArray[np.int64]) -> ClockOffset | None:
-    """What to add to B's times so that they are on A's clock, from (T, 2) recorded capture and arrival times.
+def clock_by_arrival(a: NDArray[np.int64], b: NDArray[np.int64]) -> Clock | None:
+    """B's clock on A's, from (T, 2) recorded capture and arrival times of each.
 
-    As :class:`devices.capture.clock.host_clock.HostClock`, over the whole recording: least delays, with a
-    drift from ten seconds on. None where the two did not arrive on one machine's clock.
+    None where the two did not arrive on one machine's clock.
     """
     if not (len(a) and len(b)) or abs(int(a[0, 1]) - int(b[0, 1])) > ONE_RUN_NS:
         return None
-    fits = []
-    for arrivals in (a, b):
-        times, delays = arrivals[:, 0], (arrivals[:, 1] - arrivals[:, 0]).astype(np.float64)
-        firsts = np.flatnonzero(np.diff((times - times[0]) // _SECOND_NS, prepend=-1))
-        least = np.minimum.reduceat(delays, firsts)
-        seconds = (times[firsts] - times[0]) * 1e-9
-        slope = 0.0
-        if len(firsts) >= _STEADY_SECONDS:
-            i, j = np.triu_indices(len(firsts), 1)
-            slope = float(np.median((least[j] - least[i]) / (seconds[j] - seconds[i])))  # ns per second
-        residual = delays - slope * (times - times[0]) * 1e-9
-        fits.append((int(times[0]), float(residual.min()), slope, float(np.std(least - slope * seconds))))
-    (start_a, delay_a, slope_a, sd_a), (start_b, delay_b, slope_b, sd_b) = fits
-    middle_ns = int(b[len(b) // 2, 0])
-    host_ns = middle_ns + delay_b + slope_b * (middle_ns - start_b) * 1e-9
-    on_a_ns = start_a + (host_ns - delay_a - start_a) / (1.0 + slope_a * 1e-9)
-    skew_ppm = 1e-3 * (slope_b - slope_a)
-    return ClockOffset(on_a_ns - middle_ns, float(np.hypot(sd_a, sd_b)), skew_ppm, middle_ns=middle_ns)
+    on_host_a, on_host_b = (Clock.of_arrivals(*each.T) for each in (a, b))
+    return on_host_b.on(on_host_a, int(b[len(b) // 2, 0]))

@@ -23,12 +23,12 @@ from fusion.calibration.offline import (
     start_up_calibration,
 )
 from fusion.calibration.online import CalibrationChange, LearnerSettings
+from fusion.clocks.clock import Clock
 from fusion.errors import CalibrationError
 from fusion.facing.labels import Labels
 from fusion.facing.model import WHOLE
 from fusion.facing.sequence import relabel_sequence, reported_pairs
 from fusion.pair_arrays import PairArrays, Pairs
-from fusion.registration.clock_offset import ClockOffset
 from fusion.setup import FuserSettings
 from fusion.skeleton import SkeletonPair
 from fusion.support.large_arrays import parts
@@ -51,7 +51,7 @@ class RecordingPlan:
     """Each calibration, with the pairs that it holds for; in order, without gaps."""
     labels: Labels | None = None  # None where the method or the settings use no later frames
     changes: tuple[CalibrationChange, ...] = ()  # events of the learner: a sensor that was moved
-    clock: ClockOffset | None = None
+    clock: Clock | None = None
     """Offset of B's clock, from the motion; None where unknown, or where the views show other motions."""
     views_differ: float = float("nan")
     """Metres between p and R q + t: the median over the joints that both see, and over the pairs; NaN where

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from devices.pairing import median_interval, nearest_of, offset_by_arrival
+from devices.pairing import clock_by_arrival, median_interval, nearest_of
 from devices.people.placement import Placement, moments, placement_of
 from devices.people.recorded_people import Follow, OneRecording, RecordedPeople, SeenPerson
 from devices.people.room import FAR_M, HOLD_NS, NOBODY, Person, Room, Seen
@@ -75,7 +75,7 @@ def follow_one_person(
     a, b = (read.people for read in reads)
     tracks = Tracks.of(a), Tracks.of(b)
     offset: int | Index | None = offset_ns
-    if offset_ns is None and (clock := offset_by_arrival(reads[0].arrivals, reads[1].arrivals)) is not None:
+    if offset_ns is None and (clock := clock_by_arrival(reads[0].arrivals, reads[1].arrivals)) is not None:
         offset = np.asarray(clock.at(b.time_ns), dtype=np.int64)
     ids = reads[0].wanted, reads[1].wanted
     placed = placement_of(*tracks, offset) if a.body is b.body else None

@@ -15,11 +15,11 @@ from devices.depth.image_thinning import Depth, thinned, thinned_camera
 from devices.frame_pairs import FramePair
 from devices.pairing import (
     Pairing,
+    clock_by_arrival,
     clock_by_cable,
     clock_by_motion,
     clock_in_question,
     jumps_closed,
-    offset_by_arrival,
     pair_views,
 )
 from devices.people.recorded_people import Follow, OneRecording, RecordedPeople, SeenPerson
@@ -38,9 +38,9 @@ from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import BODIES, Body
+from fusion.clocks.clock import Clock
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import Pairs, View, joined_views
-from fusion.registration.clock_offset import ClockOffset
 from fusion.support.large_arrays import give_back, parts
 from fusion.support.progress import Progress, quietly
 from fusion.support.types import Array
@@ -79,7 +79,7 @@ class TwoRecordings:
     warnings: tuple[str, ...]
     images: tuple[Path | None, Path | None] = (None, None)
     tracker: str = ""
-    clock: ClockOffset | None = None
+    clock: Clock | None = None
     stated: StatedFormat = UNSTATED
     orientations: tuple[Orientation, Orientation] = (0, 0)
     others: tuple[RecordedPeople | None, RecordedPeople | None] = (None, None)
@@ -248,7 +248,7 @@ def read_two(
     clock = by_arrival = None
     question = ""
     if offset_ns is None:
-        clock = by_arrival = offset_by_arrival(read_a.arrivals, read_b.arrivals)
+        clock = by_arrival = clock_by_arrival(read_a.arrivals, read_b.arrivals)
         delay_ns = cable_delay_ns(read_a.sync, read_b.sync)
         if by_arrival is None:
             if not (has_images(choice_a.path) or has_images(choice_b.path)):
@@ -367,11 +367,11 @@ def _going_on(read: OneRecording, person: View) -> OneRecording:
     return replace(read, person=person, warnings=[*read.warnings, *told])
 
 
-def _course_in_words(clock: ClockOffset) -> str:
+def _course_in_words(clock: Clock) -> str:
     if clock.steps:
         longer = ", ".join(f"{longer_ns * 1e-6:+.0f}" for _, longer_ns in clock.steps)
         return f", changing in steps of {longer} ms, as when times are frame numbers and frames were lost,"
-    return f", growing by {clock.skew_ppm:+.1f} millionths of the time," if clock.skew_ppm else ""
+    return f", growing by {clock.rate_ppm:+.1f} millionths of the time," if clock.rate_ppm else ""
 
 
 def clock_warnings(a: CableSync | None, b: CableSync | None, pairs: Iterable[FramePair]) -> list[str]:

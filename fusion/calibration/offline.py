@@ -14,9 +14,10 @@ from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.online import CalibrationChange, CalibrationLearner, LearnerSettings, prior_of
 from fusion.calibration.person_size import sizes_of
 from fusion.calibration.start_up_pose import find_start_up_pose
+from fusion.clocks.clock import Clock
+from fusion.clocks.lag import lag_of
 from fusion.errors import CalibrationError
 from fusion.pair_arrays import Pairs
-from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides, relabelled
 from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import held_out_gain
@@ -62,7 +63,7 @@ class LearnedCalibration:
 
     spans: tuple[CalibrationSpan, ...]
     """One, and one more for each time that a sensor was moved or another person came; in order of time."""
-    clock: ClockOffset | None  # offset and skew of B's clock; None where there is too little motion
+    clock: Clock | None  # offset and skew of B's clock; None where there is too little motion
     events: tuple[CalibrationChange, ...]  # events of the learner, as live; knocks with their times
 
 
@@ -167,7 +168,7 @@ def learn_from_recording(
             fresh = fresh_pairs(pairs)
         if len(begins) > 1:
             fresh = fresh[pairs.time_ns[fresh] < begins[1]]
-        clock = clock_offset_of(body, pairs[fresh], spans[0].calibration.a_from_b)
+        clock = lag_of(body, pairs[fresh], spans[0].calibration.a_from_b)
     return LearnedCalibration(tuple(spans), clock, tuple(sorted((*knocks, *came), key=lambda of: of.time_ns)))
 
 

@@ -11,8 +11,9 @@ from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.person_size import AWAY_NS, PersonSize, sizes_of_pair
+from fusion.clocks.clock import Clock
+from fusion.clocks.lag import LagEstimator
 from fusion.errors import CalibrationError
-from fusion.registration.clock_offset import ClockOffset, ClockOffsetEstimator
 from fusion.registration.keyframes import Evidence, evidence_of, match_sides
 from fusion.registration.knock import KnockDetector, KnockFit, KnockSettings, fit_knock
 from fusion.registration.refinement import Refinement, RefinementSettings
@@ -61,7 +62,7 @@ class CalibrationChange:
     time_ns: int  # time of the pair that caused it
     calibration: Calibration  # in force from the next pair on
     since_ns: int | None = None  # for ``knocked`` and ``person``, since when
-    clock: ClockOffset | None = None  # for ``clock``, the offset
+    clock: Clock | None = None  # for ``clock``, the offset
 
 
 class Known(NamedTuple):
@@ -101,7 +102,7 @@ class CalibrationLearner:
             body, calibration.a_from_b, self._settings.refinement, prior=prior_of(calibration)
         )
         self._knock = KnockDetector(body, calibration.a_from_b, self._settings.knock)
-        self._clock = ClockOffsetEstimator(body)
+        self._clock = LagEstimator(body)
         self._recent: deque[tuple[SkeletonPair, tuple[int, int]]] = deque(maxlen=_RECENT)
         self._test_ns = 0  # a suspected knock is tested from this time on
         self._last_ns: int | None = None

@@ -18,17 +18,19 @@ from scipy.spatial.transform import Rotation
 from devices.skeletons.name_tables import NameTable, fitting_table
 from devices.skeletons.stated_format import METRES
 from fusion.body import Body
+from fusion.clocks.fit import correlation_at
 from fusion.errors import CalibrationError
 from fusion.facing.evidence import upright_direction
 from fusion.movement.angles import joint_angles
 from fusion.movement.joint_rotations import rotations_of
+from fusion.pair_arrays import View
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.support.medians import median_of_known
 from fusion.support.types import Array
-from recordings.comparing.joint_path import JointPath, Joints
+from recordings.comparing.joint_path import JointPath
 from recordings.comparing.truth_files import TruthFile
-from recordings.comparing.truth_timing import TimeOffset, correlation_at, find_offset
+from recordings.comparing.truth_timing import TimeOffset, find_offset, path_of, view_of
 from recordings.errors import RecordingError
 from recordings.session_series import SessionSeries
 
@@ -101,17 +103,14 @@ class TruthComparison:
         table = table or fitting_table(body, truth.labels)
         joints = truth.joints(body, table)
         metres, unit = _unit_of(rows.fused, joints, session, truth)
-        seconds, skew = np.asarray(1e-9 * rows.time_ns), np.asarray(1e-9 * rows.skew_ns)
-        found = {
-            "a": Joints(seconds, rows.positions_a.astype(np.float64)),
-            "b": Joints(seconds + skew, rows.b_in_a),
-            "fused": Joints(seconds, rows.fused),
-        }
+        found = {"a": rows.positions_a.astype(np.float64), "b": rows.b_in_a, "fused": rows.fused}
+        times = rows.time_ns, rows.time_ns + rows.skew_ns, rows.time_ns
+        views = {key: view_of(of, at) for of, (key, at) in zip(times, found.items(), strict=True)}
         files = f"{truth.name} and {session}"
 
         def match(points: Array) -> _Match:
-            path = JointPath(Joints(truth.seconds, metres * points))
-            return _match(body, found, path, files, table.name, offset_s)
+            path = JointPath(truth.seconds, metres * points)
+            return _match(body, found, views, path, files, table.name, offset_s)
 
         try:
             matched = match(joints)
@@ -140,7 +139,7 @@ class TruthComparison:
             residual=residual,
             frame=rows.frame[common],
             time_ns=rows.time_ns[common],
-            found={key: view.positions[common] for key, view in found.items()},
+            found={key: at[common] for key, at in found.items()},
             truth={key: fit.apply(at) for key, at in true.items()},
             up=upright_direction(body, rows.fused),
         )
@@ -246,13 +245,20 @@ class _Match(NamedTuple):
 
 
 def _match(
-    body: Body, found: dict[str, Joints], path: JointPath, files: str, table: str, offset_s: float | None
+    body: Body,
+    found: dict[str, Array],
+    views: dict[str, View],
+    path: JointPath,
+    files: str,
+    table: str,
+    offset_s: float | None,
 ) -> _Match:
     """Raises RecordingError where the truth is no truth of the session."""
-    offset = find_offset(body, (found["a"], found["b"]), found["fused"], path)
+    timed = path_of(path)
+    offset = find_offset(body, (views["a"], views["b"]), views["fused"], path)
     if offset_s is not None:
-        offset = offset.given(offset_s) if offset else TimeOffset(offset_s)
-        offset = replace(offset, correlation=correlation_at(found["fused"], path, offset))
+        offset = offset.given(offset_s) if offset else TimeOffset.stated(offset_s, timed.first_ns)
+        offset = replace(offset, correlation=correlation_at(views["fused"], timed, offset.clock))
     elif offset is None:
         raise RecordingError(
             f"{files}: no offset in time makes the movements match. Do they show the same movement of a "
@@ -260,8 +266,8 @@ def _match(
         )
     elif not offset.sure:
         raise RecordingError(f"{files}: the person moves too little to find the offset; give `offset`.")
-    true = {key: path.at(offset.truth_times(view.seconds)) for key, view in found.items()}
-    common = np.flatnonzero(np.isfinite(found["fused"].positions + true["fused"]).any(axis=(1, 2)))
+    true = {key: timed.positions(view.time_ns + offset.clock.at(view.time_ns)) for key, view in views.items()}
+    common = np.flatnonzero(np.isfinite(found["fused"] + true["fused"]).any(axis=(1, 2)))
     if len(common) < _FEWEST_FRAMES:
         raise RecordingError(
             f"{files} have {len(common)} frames with an S* in common, at an offset of "
@@ -269,12 +275,12 @@ def _match(
         )
     true = {key: at[common] for key, at in true.items()}
     every = max(1, len(common) // _MOST_FITTED)
-    p = np.concatenate([found[key].positions[common][::every] for key in SKELETONS])
+    p = np.concatenate([found[key][common][::every] for key in SKELETONS])
     q = np.concatenate([true[key][::every] for key in SKELETONS])
     try:
         fit = fit_recording(p, q)
         residual, mirrored = (
-            float(np.nanmedian(_length(found["fused"].positions[common] - one.apply(at))))
+            float(np.nanmedian(_length(found["fused"][common] - one.apply(at))))
             for one, at in (
                 (fit, true["fused"]),
                 (fit_recording(p, q * _MIRROR), true["fused"] * _MIRROR),

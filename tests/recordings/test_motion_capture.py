@@ -13,10 +13,11 @@ from scipy.stats import ttest_rel
 
 from devices.skeletons.name_tables import name_table
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, KINECT_V2
+from fusion.clocks.clock import Clock
+from fusion.clocks.search import best_offsets, part_offsets
 from fusion.errors import FusionError
 from fusion.movement.joint_rotations import rotations_of
 from fusion.pair_arrays import View
-from fusion.registration.clock_search import best_offsets, part_offsets
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
@@ -273,7 +274,7 @@ def test_a_truth_of_few_frames_per_second_is_found(walk, rate):
 def test_an_offset_that_is_not_certain_is_refused_unless_it_is_given(walk, sd, lag, monkeypatch):
     monkeypatch.setattr(
         "recordings.comparing.truth_comparison.find_offset",
-        lambda *_: TimeOffset(3.7, sd_seconds=sd, correlation=0.9, lag_seconds=lag),
+        lambda *_: TimeOffset(Clock(-3.7e9, 1e9 * sd), correlation=0.9, lag_seconds=lag),
     )
     file = truth_of(walk, offset_s=3.7, seconds=12.0)
     with pytest.raises(RecordingError, match="moves too little to find the offset; give `offset`"):
@@ -323,7 +324,7 @@ def test_the_constant_part_is_another_definition_of_the_joint(walk):
     moved = np.stack([Rotation.from_quat(turns[:, j]).apply(put_in[j]) for j in range(len(put_in))], axis=1)
     every = dict.fromkeys(SKELETONS, rows.fused)
     found = TruthComparison(
-        AZURE_KINECT, "t", "bodies", np.arange(len(AZURE_KINECT)), "metres", TimeOffset(0.0),
+        AZURE_KINECT, "t", "bodies", np.arange(len(AZURE_KINECT)), "metres", TimeOffset(Clock()),
         RigidTransform.identity(), 0.0, rows.frame, rows.time_ns, every,
         every | {"fused": rows.fused - moved}, np.array([0.0, -1.0, 0.0]),
     )  # fmt: skip
@@ -392,7 +393,8 @@ def test_a_truth_whose_clock_has_another_speed_is_found(walk, right, fast):
     assert means[0] == pytest.approx(means[1], rel=0.01)
     given = TruthComparison.of(walk.session, wrong, offset_s=found.offset.seconds)
     assert given.offset.fast == found.offset.fast
-    np.testing.assert_allclose(given.distance["fused"], found.distance["fused"], atol=1e-9)
+    # whole nanoseconds may differ by one, and joints are slower than 8 m/s
+    np.testing.assert_allclose(given.distance["fused"], found.distance["fused"], atol=1e-8)
 
 
 def test_a_session_with_a_pause_in_its_middle_is_compared(walk):

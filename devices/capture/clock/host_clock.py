@@ -8,6 +8,7 @@ from enum import Enum
 import numpy as np
 
 from devices.sensor import SensorFrame
+from fusion.clocks.clock import rate_of_least
 
 _SAME_CLOCK_NS = 60_000_000_000  # a frame may be held up for some seconds by its tracker
 _SHORTEST_NS, _SLOW = 3_000_000, 0.2  # of own time per frame, and as a share of that between arrivals
@@ -129,17 +130,11 @@ class HostClock:
 
     @property
     def drift_ppm(self) -> float:
-        """By how many millionths the sensor's clock runs faster than the host's; 0 before ten seconds.
-
-        The median of the slopes between all pairs of the last minute's one-second minima (Theil-Sen), so a
-        second in which every frame was late does not count.
-        """
+        """By how many millionths the sensor's clock runs faster than the host's; 0 before ten seconds."""
         newest = self._minima[-1][0] if self._minima else 0
-        if len(self._minima) >= _WINDOW_BLOCKS and self._rate[0] != newest:
-            at, offset = np.array(self._minima, dtype=np.float64).T
-            i, j = np.triu_indices(len(at), 1)
-            slope = np.median((offset[j] - offset[i]) / ((at[j] - at[i]) * _BLOCK_NS))
-            self._rate = newest, float(-1e6 * slope)
+        if self._rate[0] != newest:
+            at, least = np.array(self._minima, dtype=np.float64).T
+            self._rate = newest, -1e-3 * rate_of_least(1e-9 * _BLOCK_NS * at, least)
         return self._rate[1]
 
     def _is_confirmed(self, offset_ns: int, host_ns: int) -> bool:

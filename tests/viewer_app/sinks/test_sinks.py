@@ -25,7 +25,7 @@ from devices.azure.mkv_writer import MkvWriter
 from devices.blazepose.tracked_images import registered_color
 from devices.capture.settings import CaptureSettings
 from devices.events import Event
-from devices.pairing import clock_by_cable, offset_by_arrival
+from devices.pairing import clock_by_arrival, clock_by_cable
 from devices.sensor import ColorCamera, ColorImage, Sensor, SensorFrame
 from fusion.calibration.calibration import nominal_calibration
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
@@ -660,18 +660,18 @@ def test_clocks_are_related_by_arrival():
     # B's clock was 5 s ahead and runs 40 ppm faster
     b_times = np.round(5_000_000_000 + times * (1 + 40e-6)).astype(np.int64)
     b = np.stack([b_times, times + 10**15 + late[1]], axis=1)
-    found = offset_by_arrival(a, b)
+    found = clock_by_arrival(a, b)
     wrong = b_times + found.at(b_times) - a[:, 0]
     assert np.abs(wrong).max() < 200_000, "a fifth of a millisecond, where arrivals scatter by three"
     for start_ns, corrected in ((1_234_000_000_000, True), (0, False)):
         # on a sync cable, 160 µs later; the master has set the subordinate's clock, or has not
         captured = times + start_ns
         on_a = times + 160_000
-        rough = replace(found, offset_ns=start_ns + 2_900_000.0, skew_ppm=0.0)
+        rough = replace(found, offset_ns=start_ns + 2_900_000.0, rate_ppm=0.0)
         exact = clock_by_cable(rough, 160_000, captured, on_a)
         assert (exact is not None) is corrected
         if exact is not None:
             assert np.abs(on_a + exact.at(on_a) - captured - 160_000).max() < 1000
     elsewhere = b + np.array([0, 10**14])
-    assert offset_by_arrival(a, elsewhere) is None, "another machine's clock"
-    assert offset_by_arrival(a, b[:0]) is None
+    assert clock_by_arrival(a, elsewhere) is None, "another machine's clock"
+    assert clock_by_arrival(a, b[:0]) is None

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.clocks.clock import Clock
 from fusion.pair_arrays import Pairs
 from fusion.registration.error_model import relative_noise
 from fusion.registration.sampled_motion import Interpolation, Sampling
@@ -36,41 +37,6 @@ _FEWEST_FRAMES = 8  # of a window
 
 
 @dataclass(frozen=True)
-class ClockOffset:
-    """The delay of B's captures relative to the time stamps."""
-
-    offset_ns: float
-    """Positive where B is later. Add it to the skew of each pair."""
-    sd_ns: float  # its standard deviation, from the scatter between seconds
-    skew_ppm: float = 0.0  # growth of the offset, in millionths of the time; 0 where unknown
-    skew_sd_ppm: float = float("inf")  # standard deviation of the skew; infinite where unknown
-    windows: int = 0  # seconds of motion that it is based on
-    middle_ns: float = 0.0  # the time at which the delay is ``offset_ns``, where it grows
-    steps: tuple[tuple[float, float], ...] = ()
-    """Times of B's clock, ns, from which on the delay is longer, and by how much, ns; in order."""
-
-    def at(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The delay at (T,) times, ns."""
-        grown = 1e-6 * self.skew_ppm * (time_ns - self.middle_ns)
-        for from_ns, longer_ns in self.steps:
-            grown = grown + longer_ns * (time_ns >= from_ns)
-        return np.asarray(round(self.offset_ns) + np.rint(grown).astype(np.int64))
-
-    @property
-    def significant(self) -> bool:
-        """Whether the offset exceeds twice its standard deviation."""
-        return abs(self.offset_ns) > 2.0 * self.sd_ns
-
-    @property
-    def event(self) -> str:
-        """A sentence for the event log."""
-        size = f"{self.offset_ns * 1e-6:+.1f} ± {self.sd_ns * 1e-6:.1f} ms"
-        if not self.significant:
-            return f"The motion shows no certain offset between the sensors' clocks: {size}."
-        return f"The motion shows that B captures {size} relative to its time stamps."
-
-
-@dataclass(frozen=True)
 class _Window:
     """One second's share of the regression."""
 
@@ -79,21 +45,21 @@ class _Window:
     power: float  # Σ w v·v, (m/s)²
 
 
-class ClockOffsetEstimator:
+class LagEstimator:
     """Estimates the offset while pairs come in; bounded memory, work once a second."""
 
     def __init__(self, body: Body) -> None:
         self._points = _Points(body)
         self._pending: list[SkeletonPair] = []
         self._windows: deque[_Window] = deque(maxlen=_WINDOWS)
-        self._told: ClockOffset | None = None
+        self._told: Clock | None = None
 
     @property
-    def estimate(self) -> ClockOffset | None:
+    def estimate(self) -> Clock | None:
         """The current estimate; None before there was enough motion."""
         return _combined(list(self._windows))
 
-    def observe(self, pair: SkeletonPair, a_from_b: RigidTransform) -> ClockOffset | None:
+    def observe(self, pair: SkeletonPair, a_from_b: RigidTransform) -> Clock | None:
         """The estimate, when it becomes certain or changes beyond its uncertainty.
 
         The pair is neither stale nor one-sided.
@@ -111,7 +77,7 @@ class ClockOffsetEstimator:
             return float(_WINDOW_NS)
         return _window_of(Sampling.of(np.array([pair.time_ns for pair in self._pending])))
 
-    def _news(self) -> ClockOffset | None:
+    def _news(self) -> Clock | None:
         now = self.estimate
         if now is None or now.sd_ns > _CERTAIN_NS:
             return None
@@ -123,13 +89,11 @@ class ClockOffsetEstimator:
         return now
 
 
-def clock_offset_of(
-    body: Body, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform
-) -> ClockOffset | None:
+def lag_of(body: Body, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform) -> Clock | None:
     """The offset and skew of a whole recording, up to a tenth of a second; None with too little motion.
 
     The regression is repeated with B interpolated at the offset found so far.
-    :mod:`fusion.registration.clock_search` finds larger offsets. Of a long recording, minutes that are
+    :mod:`fusion.clocks.search` finds larger offsets. Of a long recording, minutes that are
     evenly spaced count.
 
     Args:
@@ -141,19 +105,19 @@ def clock_offset_of(
     minute = (pairs.time_ns - pairs.time_ns[0]) // 60_000_000_000
     pairs = pairs[np.flatnonzero(minute % -(-len(pairs) // _MOST) == 0)]
     views, times, skews = points.of(pairs, a_from_b)
-    found: ClockOffset | None = None
-    offset_ns = skew_ppm = 0.0
+    found: Clock | None = None
+    offset_ns = rate_ppm = 0.0
     for _ in range(4):
-        drifted = skews + skew_ppm * 1e-6 * (times - times.mean())
+        drifted = skews + rate_ppm * 1e-6 * (times - times.mean())
         windows = _windows(points, views, times, drifted, offset_ns)
         correction = _combined(windows)
         if correction is None:
             return found
         offset_ns += correction.offset_ns
         slope, slope_sd = _drift(windows, correction)
-        found = ClockOffset(offset_ns, correction.sd_ns, skew_ppm + slope, slope_sd, correction.windows)
-        if abs(skew_ppm + slope) > 2.0 * slope_sd:
-            skew_ppm += slope
+        found = Clock(offset_ns, correction.sd_ns, rate_ppm + slope, slope_sd)
+        if abs(rate_ppm + slope) > 2.0 * slope_sd:
+            rate_ppm += slope
     return found
 
 
@@ -244,7 +208,7 @@ def _centred(
     return r, v, np.asarray(weight[..., None])
 
 
-def _combined(windows: Sequence[_Window]) -> ClockOffset | None:
+def _combined(windows: Sequence[_Window]) -> Clock | None:
     """The regression over all windows; its uncertainty from how the windows scatter about it."""
     if len(windows) < _FEWEST_WINDOWS:
         return None
@@ -255,10 +219,10 @@ def _combined(windows: Sequence[_Window]) -> ClockOffset | None:
         return None
     slope = moment.sum() / total
     sd = _SCATTER * np.sqrt(np.sum((moment - slope * power) ** 2)) / total
-    return ClockOffset(float(-slope * 1e9), max(float(sd * 1e9), _LEAST_SD_NS), windows=len(windows))
+    return Clock(float(-slope * 1e9), max(float(sd * 1e9), _LEAST_SD_NS))
 
 
-def _drift(windows: Sequence[_Window], correction: ClockOffset) -> tuple[float, float]:
+def _drift(windows: Sequence[_Window], correction: Clock) -> tuple[float, float]:
     """Growth of the offset with time in millionths, and its standard deviation."""
     times = np.array([window.time_ns for window in windows])
     moment = np.array([window.moment for window in windows])

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fusion.clocks.clock import Clock
+from fusion.clocks.search import frame_costs, is_better, refined_offset
 from fusion.pair_arrays import View
-from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.clock_search import frame_costs, is_better, refined_offset
 from fusion.support.types import Array
 
 _SHORTEST_NS = 10_000_000_000  # of what both recordings have in common
@@ -41,11 +41,11 @@ class _Windows(NamedTuple):
     sd_ns: Array
 
 
-def find_clock_course(a: View, b: View, middle: ClockOffset) -> ClockOffset:
+def find_clock_course(a: View, b: View, middle: Clock) -> Clock:
     """Adds growth or steps to an offset, where the motion tells them and the views then agree better.
 
     Args:
-        a, b: As for :func:`fusion.registration.clock_search.find_clock_offset`.
+        a, b: As for :func:`fusion.clocks.search.find_clock_offset`.
         middle: Its result, or an offset of 0.
 
     Returns:
@@ -57,28 +57,28 @@ def find_clock_course(a: View, b: View, middle: ClockOffset) -> ClockOffset:
         return middle
     centre = int(first + (last - first) // 2)
     interval = float(np.median(np.diff(b.time_ns)))
-    windows, grown = _measured(a, shifted, int(first), int(last)), ClockOffset(0.0, np.inf)
+    windows, grown = _measured(a, shifted, int(first), int(last)), Clock(0.0, np.inf)
     untilted = windows
     if len(windows.time_ns) < _FEWEST or np.ptp(windows.offset_ns) > _STEADY * interval:
         grown = _grown(a, shifted, centre, int(last - first))
         tilted = shifted._replace(time_ns=shifted.time_ns + grown.at(shifted.time_ns))
-        windows = _measured(a, tilted, int(first), int(last)) if grown.skew_ppm else untilted
-    if len(windows.time_ns) < (2 if grown.skew_ppm else _FEWEST):
+        windows = _measured(a, tilted, int(first), int(last)) if grown.rate_ppm else untilted
+    if len(windows.time_ns) < (2 if grown.rate_ppm else _FEWEST):
         return middle
     lever = windows.time_ns - float(centre)
     sd = np.maximum(windows.sd_ns, _scatter(windows))
     constant, slope, slope_sd = _line(lever, windows.offset_ns, sd)
     at = float(centre - round(middle.offset_ns))
     known = replace(
-        middle, sd_ns=min(middle.sd_ns, float(np.median(sd)) / len(sd) ** 0.5), skew_sd_ppm=1e6 * slope_sd
+        middle, sd_ns=min(middle.sd_ns, float(np.median(sd)) / len(sd) ** 0.5), rate_sd_ppm=1e6 * slope_sd
     )
     growth = replace(
         known,
         offset_ns=middle.offset_ns + grown.offset_ns,
-        skew_ppm=grown.skew_ppm,
-        middle_ns=at - grown.offset_ns,
+        rate_ppm=grown.rate_ppm,
+        set_ns=at - grown.offset_ns,
     )
-    finer = replace(growth, offset_ns=growth.offset_ns + constant, skew_ppm=grown.skew_ppm + 1e6 * slope)
+    finer = replace(growth, offset_ns=growth.offset_ns + constant, rate_ppm=grown.rate_ppm + 1e6 * slope)
     courses = [growth, finer]
     if len(untilted.time_ns) >= _FEWEST:
         spread = np.maximum(untilted.sd_ns, _scatter(untilted))
@@ -92,31 +92,31 @@ def find_clock_course(a: View, b: View, middle: ClockOffset) -> ClockOffset:
     best = int(np.argmin([float(np.nanmean(cost)) for cost in costs]))
     if is_better(costs[best], before, _CERTAIN):
         return courses[best]
-    return replace(middle, skew_sd_ppm=1e6 * slope_sd)
+    return replace(middle, rate_sd_ppm=1e6 * slope_sd)
 
 
-def _grown(a: View, b: View, centre: int, span: int) -> ClockOffset:
+def _grown(a: View, b: View, centre: int, span: int) -> Clock:
     """The offset and its growth with which the middle of two registered views agrees best; 0 where no growth
     is certainly better than none."""
     half = min(span, _MIDDLE_NS) // 2
     seen = a.chosen(np.flatnonzero(np.abs(a.time_ns - centre) <= half))
     near = b.chosen(np.flatnonzero(np.abs(b.time_ns - centre) <= half + _REACH_NS))
-    best = ClockOffset(0.0, np.inf, middle_ns=float(centre))
+    best = Clock(0.0, np.inf, set_ns=float(centre))
     if min(len(seen.time_ns), len(near.time_ns)) < 2:
         return best
     flat = least = frame_costs(seen, near, (0,))[0]
     apart, step = _APART_NS, 1e6 * _APART_NS / half
     for rates in (round(_FASTEST_PPM / step), 2, 2):
         middle = best
-        for rate in (middle.skew_ppm + step * np.arange(-rates, rates + 1)).tolist():
+        for rate in (middle.rate_ppm + step * np.arange(-rates, rates + 1)).tolist():
             offsets = (round(middle.offset_ns) + apart * np.arange(-_OFFSETS, _OFFSETS + 1)).tolist()
-            tilted = replace(best, offset_ns=0.0, skew_ppm=rate).at(near.time_ns)
+            tilted = replace(best, offset_ns=0.0, rate_ppm=rate).at(near.time_ns)
             costs = frame_costs(seen, near._replace(time_ns=near.time_ns + tilted), offsets)
             k = int(np.argmin(np.nanmean(costs, axis=1)))
             if np.nanmean(costs[k]) < np.nanmean(least):
-                least, best = costs[k], replace(best, offset_ns=float(offsets[k]), skew_ppm=rate)
+                least, best = costs[k], replace(best, offset_ns=float(offsets[k]), rate_ppm=rate)
         apart, step = apart // 2, 0.5 * step
-    return best if is_better(least, flat, _CERTAIN) else replace(best, offset_ns=0.0, skew_ppm=0.0)
+    return best if is_better(least, flat, _CERTAIN) else replace(best, offset_ns=0.0, rate_ppm=0.0)
 
 
 def _measured(a: View, b: View, first: int, last: int) -> _Windows:
@@ -211,8 +211,8 @@ def _steps(values: Array, sd: Array, interval: float) -> tuple[float, list[int]]
 
 
 def _with_steps(
-    a: View, b: View, windows: _Windows, breaks: list[int], interval: float, middle: ClockOffset
-) -> ClockOffset:
+    a: View, b: View, windows: _Windows, breaks: list[int], interval: float, middle: Clock
+) -> Clock:
     """The offset with steps, each where the frames begin to agree with the later offset."""
     begins = [0, *breaks]
     ends = [*breaks, len(windows.time_ns)]
@@ -230,5 +230,5 @@ def _with_steps(
         lost = round((after - before) / interval)
         steps.append((time_ns - before - round(middle.offset_ns), lost * interval))
     return replace(
-        middle, offset_ns=middle.offset_ns + levels[0], skew_ppm=0.0, steps=tuple(steps), middle_ns=0.0
+        middle, offset_ns=middle.offset_ns + levels[0], rate_ppm=0.0, steps=tuple(steps), set_ns=0.0
     )

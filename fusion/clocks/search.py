@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.clocks.clock import Clock
 from fusion.pair_arrays import View
-from fusion.registration.clock_offset import ClockOffset
 from fusion.registration.rigid_fit import robust_fits, sum_of_coordinates
 from fusion.registration.sampled_motion import Interpolation, Sampling
 from fusion.skeleton import TRACKED
@@ -49,7 +49,7 @@ _CERTAIN = 3.0  # standard errors by which a candidate must be better than any o
 _CORRELATED = 2.0  # standard errors are larger by this factor, because neighbouring frames are alike
 
 
-def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
+def find_clock_offset(body: Body, a: View, b: View) -> Clock | None:
     """The time to add to B's clock so that both views show one motion; None where the motion does not tell.
 
     Args:
@@ -184,7 +184,7 @@ def _near(a: View, b: View, offset: int) -> int:
     return offsets[int(np.argmin(_means(frame_costs(a, b, offsets))))]
 
 
-def refined_offset(a: View, b: View, near_ns: int, base_ns: int, steps: int = _STEPS) -> ClockOffset | None:
+def refined_offset(a: View, b: View, near_ns: int, base_ns: int, steps: int = _STEPS) -> Clock | None:
     """The offset nearby at which the registered views differ least, its deviation by the jackknife."""
     step_ns = max(_STEP_NS, round(_STEP * max(Sampling.of(view.time_ns).interval_ns for view in (a, b))))
     offsets = near_ns + step_ns * np.arange(-steps, steps + 1)
@@ -195,9 +195,7 @@ def refined_offset(a: View, b: View, near_ns: int, base_ns: int, steps: int = _S
     if not 0.0 < best < 2.0 * steps:
         return None  # no offset nearby is better than all others
     sd = np.sqrt((_PARTS - 1) * np.mean((others - best) ** 2))
-    return ClockOffset(
-        base_ns + float(offsets[0] + best * step_ns), float(np.hypot(sd * step_ns, _LASTING_SD_NS))
-    )
+    return Clock(base_ns + float(offsets[0] + best * step_ns), float(np.hypot(sd * step_ns, _LASTING_SD_NS)))
 
 
 def _minimum(costs: Array) -> float:

@@ -11,11 +11,11 @@ from devices.pairing import clock_by_motion
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.calibration.calibration import calibrate
+from fusion.clocks import search as clock_search
+from fusion.clocks.course import find_clock_course
+from fusion.clocks.lag import LagEstimator, lag_of
+from fusion.clocks.search import View, find_clock_offset
 from fusion.plan import plan_recording
-from fusion.registration import clock_search
-from fusion.registration.clock_course import find_clock_course
-from fusion.registration.clock_offset import ClockOffsetEstimator, clock_offset_of
-from fusion.registration.clock_search import View, find_clock_offset
 from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.continuous_motion import RATES, as_pairs, as_view, views_at
@@ -58,10 +58,10 @@ def test_a_delay_is_found_at_any_frame_rate(rate, delay, phase, lost, seed):
     seconds = seconds[np.random.default_rng(seed).random(len(seconds)) >= lost]
     skew = phase / rate
     pairs = as_pairs(*views_at(seconds, seconds + skew + delay, seed), seconds, skew)
-    found = clock_offset_of(KINECT_V2, pairs, A_FROM_B)
+    found = lag_of(KINECT_V2, pairs, A_FROM_B)
     assert found is not None
     assert found.offset_ns * 1e-9 == pytest.approx(delay, abs=0.005)
-    live = ClockOffsetEstimator(KINECT_V2)
+    live = LagEstimator(KINECT_V2)
     for pair in pairs:
         live.observe(pair, A_FROM_B)
     # It is not iterated: noise of the velocities of such calm motion takes away up to a quarter.
@@ -84,19 +84,19 @@ def test_an_offset_of_seconds_is_found_at_any_frame_rate(rate, offset, seed):
 
 
 def test_a_clock_that_runs_slow_is_found_as_skew():
-    found = clock_offset_of(KINECT_V2, swaying(0.0, 1800, drift=500e-6), A_FROM_B)
+    found = lag_of(KINECT_V2, swaying(0.0, 1800, drift=500e-6), A_FROM_B)
     assert found is not None
-    assert found.skew_ppm == pytest.approx(500.0, abs=3.0 * found.skew_sd_ppm)
-    assert found.skew_sd_ppm < 50.0
+    assert found.rate_ppm == pytest.approx(500.0, abs=3.0 * found.rate_sd_ppm)
+    assert found.rate_sd_ppm < 50.0
 
 
 def test_a_person_who_stands_still_gives_no_clock_offset():
-    assert clock_offset_of(KINECT_V2, swaying(0.02, speed=0.02), A_FROM_B) is None
-    assert clock_offset_of(KINECT_V2, [], A_FROM_B) is None
+    assert lag_of(KINECT_V2, swaying(0.02, speed=0.02), A_FROM_B) is None
+    assert lag_of(KINECT_V2, [], A_FROM_B) is None
 
 
 def test_a_live_session_reports_the_offset_once():
-    estimator = ClockOffsetEstimator(KINECT_V2)
+    estimator = LagEstimator(KINECT_V2)
     told = [news for pair in swaying(0.012) if (news := estimator.observe(pair, A_FROM_B)) is not None]
     assert len(told) == 1
     assert told[0].offset_ns == pytest.approx(12e6, abs=2e6)
@@ -154,8 +154,8 @@ def test_the_growth_of_an_offset_is_found():
         assert found is not None
         found = find_clock_course(a, fast, found)
         assert found.steps == ()
-        assert found.skew_ppm == pytest.approx(-ppm, abs=3.0 * found.skew_sd_ppm)
-        assert found.skew_sd_ppm < 200.0
+        assert found.rate_ppm == pytest.approx(-ppm, abs=3.0 * found.rate_sd_ppm)
+        assert found.rate_sd_ppm < 200.0
         np.testing.assert_allclose(
             fast.time_ns + found.at(fast.time_ns) - far_ns, b.time_ns, atol=FRAME_NS / 5
         )
@@ -231,7 +231,7 @@ def test_a_recording_states_no_clock_where_its_views_show_other_motions(delay, f
     """The regression has an offset for those of two people, too."""
     pairs = swaying(delay)
     plan = plan_recording(KINECT_V2, pairs, FuserSettings(), calibrate(KINECT_V2, swaying(0.0)[:30], "known"))
-    assert clock_offset_of(KINECT_V2, pairs, A_FROM_B) is not None
+    assert lag_of(KINECT_V2, pairs, A_FROM_B) is not None
     assert (plan.clock is not None) == found == (plan.views_differ < 0.12)
     if found:
         assert plan.clock.offset_ns == pytest.approx(1e9 * delay, abs=2e6)
