@@ -22,6 +22,7 @@ _BETTER, _ALIKE, _NAMED = 0.8, 1.1, 3  # of the distances of views at offsets th
 _JUMP, _MOST_JUMPS = 2.5, 8  # frame intervals, and jumps
 _CERTAIN, _FEWEST_NEW, _AS_WELL = 2.0, 12, 1.25  # standard errors, frames, and mean penalties
 _NEIGHBOURS, _RHYTHM = 2, 0.25  # frames, and the scatter of their skews compared with others
+_ONE_CLOCK = Clock()
 _COUNTED, _ENOUGH = 3000, 0.995  # frames, and their share
 _GAP = 1.5
 """Frame intervals: if the nearest frame of the other recording is farther away, the other recording has a
@@ -52,8 +53,7 @@ def pair_views(
     body: Body,
     a: View,
     b: View,
-    *,
-    offset_ns: int | NDArray[np.int64] = 0,
+    clock: Clock = _ONE_CLOCK,
     every_frame: bool = False,
 ) -> Pairing:
     """Pairs the frames of two recordings by :func:`devices.frame_pairs.lone_side`, each frame once.
@@ -62,14 +62,14 @@ def pair_views(
 
     Args:
         a, b: The person in all frames of each recording.
-        offset_ns: Added to the times of B, one or (T,), so that both are on A's clock.
+        clock: B's on A's.
         every_frame: Whether all other lone frames are given, too, but those within half an interval of an
             earlier moment. The paper's methods fuse pairs.
 
     Raises:
         DeviceError: A recording is empty, or the two never overlap in time.
     """
-    times = a.time_ns, b.time_ns + offset_ns
+    times = a.time_ns, b.time_ns + clock.at(b.time_ns)
     frames, time_ns, skew_ns = _moments(times, every_frame)
     pairs = RecordedPairs(Pairs(body, (a, b), *stored(time_ns, skew_ns, frames)))
     frames_a, frames_b = len(a.time_ns), len(b.time_ns)

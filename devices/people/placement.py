@@ -17,6 +17,7 @@ from devices.pairing import clock_by_motion, median_interval, nearest_of
 from devices.people.tracks import Index, Tracks
 from fusion.body import Body
 from fusion.calibration.person_size import sizes_of
+from fusion.clocks.clock import Clock
 from fusion.errors import CalibrationError
 from fusion.registration.rigid_fit import fit_recording, fit_rigid
 from fusion.rigid import RigidTransform
@@ -52,16 +53,15 @@ class Placement:
         return bool(off > _SAME_M or self.a_from_b.angle_to(a_from_b) > _ANOTHER_RAD)
 
 
-def placement_of(a: Tracks, b: Tracks, offset_ns: int | Index | None) -> Placement | None:
+def placement_of(a: Tracks, b: Tracks, clock: Clock | None) -> Placement | None:
     """The placement in which the people of two recordings agree; None if there is none.
 
     Args:
-        offset_ns: Added to the times of B, one or (T,). None: found from the motion of the people.
+        clock: B's on A's. None: found from the motion of the people.
     """
-    known = 0 if offset_ns is None else offset_ns
     found: Placement | None = None
-    for offset in (known, *(_by_motion(a, b) if offset_ns is None else ())):
-        search = search_placement(a, b, b.people.time_ns + offset)
+    for each in (Clock(), *_by_motion(a, b)) if clock is None else (clock,):
+        search = search_placement(a, b, b.people.time_ns + each.at(b.people.time_ns))
         while True:
             try:
                 next(search)
@@ -161,8 +161,8 @@ def _states_of(joints: Array) -> NDArray[np.uint8]:
     return np.where(np.isfinite(joints).all(axis=2), TRACKED, 0).astype(np.uint8)
 
 
-def _by_motion(a: Tracks, b: Tracks) -> Iterator[Index]:
-    """Corrections of B's times with which two of the longest tracks show one motion."""
+def _by_motion(a: Tracks, b: Tracks) -> Iterator[Clock]:
+    """B's clocks by which two of the longest tracks show one motion."""
     longest = (
         np.argsort(-np.bincount(of.track[of.track >= 0]), kind="stable")[:_TRIED].tolist() for of in (a, b)
     )
@@ -171,7 +171,7 @@ def _by_motion(a: Tracks, b: Tracks) -> Iterator[Index]:
         seen = [view.chosen_whole(np.flatnonzero(view.states.any(axis=1))) for view in views]
         clock = clock_by_motion(a.people.body, seen[0], seen[1])
         if clock is not None:
-            yield np.asarray(clock.at(b.people.time_ns), dtype=np.int64)
+            yield clock
 
 
 def _meetings(a: Tracks, b: Tracks, frames: Index, others: Index) -> tuple[Index, Index]:

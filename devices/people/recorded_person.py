@@ -12,6 +12,7 @@ from devices.people.placement import Placement, moments, placement_of
 from devices.people.recorded_people import Follow, OneRecording, RecordedPeople, SeenPerson
 from devices.people.room import FAR_M, HOLD_NS, NOBODY, Person, Room, Seen
 from devices.people.tracks import Index, Tracks
+from fusion.clocks.clock import Clock
 from fusion.rigid import RigidTransform
 from fusion.support.large_arrays import give_back
 
@@ -59,7 +60,7 @@ class _Someone:
 
 
 def follow_one_person(
-    reads: tuple[OneRecording, OneRecording], offset_ns: int | None, follow: Follow
+    reads: tuple[OneRecording, OneRecording], clock: Clock | None, follow: Follow
 ) -> tuple[OneRecording, OneRecording, tuple[SeenPerson, ...]]:
     """Chooses the person to fuse, the same one in both.
 
@@ -67,18 +68,16 @@ def follow_one_person(
     nearest the middle of those seen a third as long. Who is seen only while that one is not is followed then.
 
     Args:
-        offset_ns: Added to the times of B. None: found from the motion of the people.
+        clock: B's on A's. None: found from arrivals, or the motion of the people.
 
     Returns:
         Both with the person, and who else is seen.
     """
     a, b = (read.people for read in reads)
     tracks = Tracks.of(a), Tracks.of(b)
-    offset: int | Index | None = offset_ns
-    if offset_ns is None and (clock := clock_by_arrival(reads[0].arrivals, reads[1].arrivals)) is not None:
-        offset = np.asarray(clock.at(b.time_ns), dtype=np.int64)
+    clock = clock or clock_by_arrival(reads[0].arrivals, reads[1].arrivals)
     ids = reads[0].wanted, reads[1].wanted
-    placed = placement_of(*tracks, offset) if a.body is b.body else None
+    placed = placement_of(*tracks, clock) if a.body is b.body else None
     found = None if placed is None else _followed(tracks, placed, follow, ids)
     give_back()
     if found is None:

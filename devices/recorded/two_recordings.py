@@ -239,7 +239,8 @@ def read_two(
     from devices.people.recorded_person import follow_one_person  # not where files are only read
 
     read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
-    read_a, read_b, people = follow_one_person((read_a, read_b), offset_ns, follow)
+    stated = None if offset_ns is None else Clock(offset_ns)
+    read_a, read_b, people = follow_one_person((read_a, read_b), stated, follow)
     body, about_body = _body_of_both((a, b), (read_a, read_b), choice_a.body)
     read_a, read_b = (
         replace(read, person=_as_body(read.person, source.body, body))
@@ -247,7 +248,7 @@ def read_two(
     )
     clock = by_arrival = None
     question = ""
-    if offset_ns is None:
+    if stated is None:
         clock = by_arrival = clock_by_arrival(read_a.arrivals, read_b.arrivals)
         delay_ns = cable_delay_ns(read_a.sync, read_b.sync)
         if by_arrival is None:
@@ -260,9 +261,8 @@ def read_two(
             times = read_a.person.time_ns, read_b.person.time_ns
             clock = by_arrival = clock_by_cable(by_arrival, delay_ns, *times)
         give_back()
-    added_ns = clock.at(read_b.person.time_ns) if clock is not None else offset_ns or 0
     try:
-        pairing = pair_views(body, read_a.person, read_b.person, offset_ns=added_ns, every_frame=every_frame)
+        pairing = pair_views(body, read_a.person, read_b.person, clock or stated or Clock(), every_frame)
     except DeviceError as fault:
         raise DeviceError(" ".join(filter(None, (str(fault), question)))) from None
     about_clocks = clock_warnings(read_a.sync, read_b.sync, pairing.pairs)

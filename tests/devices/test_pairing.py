@@ -15,6 +15,7 @@ from devices.pairing import _least_interval, _moments
 from devices.recorded.apart import ApartError, items_of
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import KINECT_V1
+from fusion.clocks.clock import Clock
 from fusion.skeleton import Skeleton
 from tests.helpers import unreliable
 from tests.helpers.frame_pairs import paired
@@ -69,7 +70,7 @@ def test_every_frame_is_kept_for_a_method_that_takes_single_views():
 
 def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a():
     b = frames_at([t * FRAME_NS + 7_000_000_000 for t in range(100)])
-    pairing = paired(EVERY, b, offset_ns=-6_990_000_000)
+    pairing = paired(EVERY, b, clock=Clock(-6_990_000_000))
     assert len(pairing.pairs) == 100
     assert {pair.skew_ns for pair in pairing.pairs} == {10_000_000}
     assert pairing.pairs[5].b.time_ns == 5 * FRAME_NS + 7_000_000_000  # on its own clock

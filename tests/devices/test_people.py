@@ -15,6 +15,7 @@ from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError, SensorFrame
 from devices.simulated.kinect import Beside, movement
 from fusion.body import AZURE_KINECT, KINECT_V2
+from fusion.clocks.clock import Clock
 from fusion.skeleton import Skeleton
 from tests.helpers.laws import COSTLY
 from tests.helpers.recorded_pairs import write_view
@@ -58,7 +59,7 @@ def follow_one(a, b, offset_ns=0, follow="longest", ids=(None, None)):
         )
         for side, people, name in zip("ab", (a, b), ids, strict=True)
     )
-    return follow_one_person(tuple(reads), offset_ns, follow)
+    return follow_one_person(tuple(reads), None if offset_ns is None else Clock(offset_ns), follow)
 
 
 def test_the_next_person_is_followed_under_the_same_id():

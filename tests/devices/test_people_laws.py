@@ -14,6 +14,7 @@ from devices.people.recorded_people import OneRecording, RecordedPeople
 from devices.people.recorded_person import follow_one_person
 from devices.sensor import SensorFrame
 from fusion.body import KINECT_V2 as BODY
+from fusion.clocks.clock import Clock
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.laws import COSTLY
@@ -57,7 +58,7 @@ def recorded(frames):
     for side, of in zip("ab", zip(*frames, strict=True), strict=True):
         people, none = RecordedPeople.of(BODY, of), np.zeros((0, 2), np.int64)
         reads.append(OneRecording(side, people, None, [], none, people.skeletons, None, f"person_{side}"))
-    views = [read.person for read in follow_one_person(tuple(reads), 0, "longest")[:2]]
+    views = [read.person for read in follow_one_person(tuple(reads), Clock(), "longest")[:2]]
     return [
         [view.positions[k] if view.states[k].any() else None for view in views] for k in range(len(frames))
     ]
