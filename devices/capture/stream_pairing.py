@@ -29,7 +29,7 @@ from fusion.skeleton import SkeletonPair
 Side = Literal["a", "b"]
 _SYNCED_PAIRS, _SYNCED_ENOUGH = 61, 15  # pairs on a cable that tell the offset, at most and at least
 _ONE_CLOCK_NS = 1_000_000  # own times of two frames on a cable that agree to so much are of one clock
-_AGREE_ENOUGH = 3  # of the newest frames of a sensor must agree
+_AGREE_ENOUGH = 3  # of the newest frames of a sensor must agree, and one thereafter: others may be lost
 PATIENCE_NS = 5_000_000
 """A frame waits this much longer than the partner's slowest frame of the last ten seconds took."""
 
@@ -187,7 +187,7 @@ class LivePairing:
         near = (abs(own_ns - wanted_ns) for _, _, own_ns in islice(reversed(other.recent), 4 * PENDING))
         stream.agree.append(min(near, default=_ONE_CLOCK_NS) < _ONE_CLOCK_NS)
         before, most = self._one_clock, max(sum(each.agree) for each in self._streams.values())
-        self._one_clock = abs(a - b) <= self.max_lag_ns and most >= _AGREE_ENOUGH
+        self._one_clock = abs(a - b) <= self.max_lag_ns and most >= (1 if before else _AGREE_ENOUGH)
         if self._one_clock and not before:
             self._synced.clear()
             for each in self._streams.values():
@@ -244,6 +244,9 @@ class LivePairing:
         """The pair without a person, later than the last one; none where its time has passed."""
         if a is not None:
             time_ns = self._time.of_sensor(a.frame.time_ns, a.moment_ns)
+        elif b is not None and self._one_clock:
+            on_a_ns = b.frame.time_ns - self._one_clock_ns()
+            time_ns = self._time.of_sensor(on_a_ns, b.moment_ns + self._b.delay_ns)
         elif b is not None:
             time_ns = self._time.of_host(b.moment_ns + self._b.delay_ns, b.frame.time_ns)
         apart_ns = self.interval_ns

@@ -15,7 +15,7 @@ PENDING = 8
 """Frames that tell how a sensor's frames come, at least."""
 NEWEST_NS = 1_000_000_000
 """A sensor's usual lag is the median over the frames that arrived in this time."""
-_AGREE = 8  # newest frames of a sensor that tell whether both clocks are one
+_AGREE = 16  # newest frames of a sensor that tell whether both clocks are one
 _LOST = 1  # of the newest frames, of a stream that is regular all the same
 _NEVER_NS = -(1 << 63)
 _SLOWEST_NS = 10_000_000_000  # for how long the arrivals of frames are kept
