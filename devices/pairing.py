@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from devices.frame_pairs import RecordedPairs, lone_side
 from devices.sensor import DeviceError
 from fusion.body import Body
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.clocks.course import find_clock_course
 from fusion.clocks.search import agreement, candidates, find_clock_offset, is_better
 from fusion.pair_arrays import Pairs, View

@@ -23,7 +23,7 @@ from fusion.calibration.offline import (
     start_up_calibration,
 )
 from fusion.calibration.online import CalibrationChange, LearnerSettings
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.errors import CalibrationError
 from fusion.facing.labels import Labels
 from fusion.facing.model import WHOLE

@@ -17,7 +17,7 @@ from devices.pairing import clock_by_motion, median_interval, nearest_of
 from devices.people.tracks import Index, Tracks
 from fusion.body import Body
 from fusion.calibration.person_size import sizes_of
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.errors import CalibrationError
 from fusion.registration.rigid_fit import fit_recording, fit_rigid
 from fusion.rigid import RigidTransform

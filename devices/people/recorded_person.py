@@ -12,7 +12,7 @@ from devices.people.placement import Placement, moments, placement_of
 from devices.people.recorded_people import Follow, OneRecording, RecordedPeople, SeenPerson
 from devices.people.room import FAR_M, HOLD_NS, NOBODY, Person, Room, Seen
 from devices.people.tracks import Index, Tracks
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.rigid import RigidTransform
 from fusion.support.large_arrays import give_back
 

@@ -38,7 +38,7 @@ from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import BODIES, Body
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import Pairs, View, joined_views
 from fusion.support.large_arrays import give_back, parts
@@ -280,22 +280,11 @@ def read_two(
     warnings = *read_a.warnings, *read_b.warnings, *about_body, *about_clocks, *questions
     path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
     name = tracker.full_name if tracked and tracker is not None else ""
-    cameras, paths = (read_a.intrinsics, read_b.intrinsics), (path_a, path_b)
-    turned = read_a.orientation, read_b.orientation
-    others = read_a.others, read_b.others
     return TwoRecordings(
-        body,
-        pairing,
-        cameras,
-        warnings,
-        paths,
-        name,
-        clock,
-        choice_a.stated,
-        turned,
-        others,
-        people,
-        question,
+        *(body, pairing, (read_a.intrinsics, read_b.intrinsics), warnings, (path_a, path_b), name, clock),
+        *(choice_a.stated, (read_a.orientation, read_b.orientation), (read_a.others, read_b.others)),
+        people=people,
+        question=question,
     )
 
 

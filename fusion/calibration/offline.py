@@ -14,7 +14,7 @@ from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.online import CalibrationChange, CalibrationLearner, LearnerSettings, prior_of
 from fusion.calibration.person_size import sizes_of
 from fusion.calibration.start_up_pose import find_start_up_pose
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.clocks.lag import lag_of
 from fusion.errors import CalibrationError
 from fusion.pair_arrays import Pairs

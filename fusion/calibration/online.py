@@ -11,7 +11,7 @@ from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.person_size import AWAY_NS, PersonSize, sizes_of_pair
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.clocks.lag import LagEstimator
 from fusion.errors import CalibrationError
 from fusion.registration.keyframes import Evidence, evidence_of, match_sides

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.clocks.search import frame_costs, is_better, refined_offset
 from fusion.pair_arrays import View
 from fusion.support.types import Array

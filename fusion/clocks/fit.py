@@ -1,4 +1,4 @@
-"""A clock refined by movement: views of a person, and the same points as a path, on another clock.
+"""The clock of views of a person on that of a path of the same points, such as motion capture.
 
 A joint is at p(t) in a view and at q(τ) on the path; τ(t) is t on the path's clock, R turns the path's frame
 to the view's, and h is a tenth of a second. Displacements hardly depend on how a joint is defined:
@@ -18,7 +18,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.clocks.clock import Clock, Times
+from fusion.body import Body
+from fusion.clocks import Clock, Times
+from fusion.clocks.search import (
+    APART,
+    FEWEST,
+    GRID_NS,
+    coefficients,
+    correlate,
+    frame_costs,
+    is_better,
+    largest_peaks,
+    mean_costs,
+    speed_signals,
+)
 from fusion.errors import CalibrationError
 from fusion.pair_arrays import View
 from fusion.registration.rigid_fit import fit_recording
@@ -37,6 +50,11 @@ _CORRELATED = 2.0  # standard errors are larger by this factor, because neighbou
 _LEAST_SD_NS = 1_000_000.0  # the RMS error on eight simulated sessions was 0.8 ms
 _CERTAIN, _FASTEST = 4.0, 0.04  # standard deviations of a rate, and a rate that is of another movement
 _FIRST_HALF_NS = 3_000_000_000  # before and after the middle, in which the rate is found at first
+_PART_OVERLAP = 0.03  # where one may be a calm part of the other: a steady walk has 0.07 of its start
+_EQUAL = 2.0  # times the least cost: a larger one is of other places
+_AS_MANY = 0.9  # of the most frames that two views have in common
+_PART_CANDIDATES = 32  # a walk repeats itself twice a second
+_COARSE = 2.5  # cost at an offset that is not refined: a larger one is of other places
 
 
 class Path(NamedTuple):
@@ -58,6 +76,53 @@ class FittedClock(NamedTuple):
 
     clock: Clock
     correlation: float  # of the displacements, Σ m · e / √(Σ |m|² Σ |e|²)
+
+
+def part_offsets(body: Body, a: View, b: View) -> list[int]:
+    """The times to add to B's clock, ns, at which one view may be a part of the other: candidates.
+
+    All offsets at which the views overlap are searched; the largest correlation is first.
+    """
+    if min(len(a.time_ns), len(b.time_ns)) < FEWEST:
+        return []
+    base = int(a.time_ns[0] - b.time_ns[0])
+    shifted = b._replace(time_ns=b.time_ns + base)
+    reach_ns = int(max(np.ptp(a.time_ns), np.ptp(b.time_ns)))
+    x, y, reach = speed_signals(body, a, shifted, reach_ns)
+    known_x, known_y = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
+    x, y = np.nan_to_num(x), np.nan_to_num(y)
+    # speeds about their means in what the views have in common, which may be a calm part of one
+    count = np.maximum(correlate(known_x, known_y), 1.0)
+    mean_x, mean_y = correlate(x, known_y) / count, correlate(known_x, y) / count
+    product = (correlate(x, y) - count * mean_x * mean_y).sum(axis=1)
+    power_x = (correlate(x * x, known_y) - count * mean_x**2).sum(axis=1)
+    power_y = (correlate(known_x, y * y) - count * mean_y**2).sum(axis=1)
+    r = coefficients(product, power_x, power_y, _PART_OVERLAP)
+    offsets = [offset for offset, _ in largest_peaks(r, reach, _PART_CANDIDATES)]
+    mean = mean_costs(frame_costs(a, shifted, offsets))
+    most = max(_COARSE, min(mean, default=0.0))
+    return [base + offset for offset, cost in zip(offsets, mean, strict=True) if cost <= most]
+
+
+def best_offsets(a: View, b: View, offsets: Sequence[int]) -> list[int]:
+    """The offsets at which the registered views match best.
+
+    Returns:
+        The indices of those that match about as well as the best one, as where a movement repeats itself.
+        Those that are not certainly worse are first, and of them those with most frames in common.
+    """
+    costs = frame_costs(a, b, offsets)
+    frames = np.isfinite(costs).sum(axis=1).tolist()
+    if not (known := [k for k, count in enumerate(frames) if count >= FEWEST]):
+        return []
+    mean = mean_costs(costs)
+    best = min(known, key=mean.__getitem__)
+    near = [k for k in known if mean[k] < _EQUAL * mean[best]]
+    worse = {k: k != best and is_better(costs[best], costs[k]) for k in near}
+    enough = _AS_MANY * max(frames[k] for k in near if not worse[k])
+    # the views' errors may make a repetition certainly worse; one so near to the best offset is none
+    equal = [k for k in near if not worse[k] or abs(offsets[k] - offsets[best]) > APART * GRID_NS]
+    return sorted(equal, key=lambda k: (worse[k], frames[k] < enough, mean[k]))
 
 
 def fitted_clock(views: Sequence[View], path: Path, near: Clock, *, rate: bool = False) -> FittedClock | None:

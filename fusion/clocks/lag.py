@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.pair_arrays import Pairs
 from fusion.registration.error_model import relative_noise
 from fusion.registration.sampled_motion import Interpolation, Sampling

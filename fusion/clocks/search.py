@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.pair_arrays import View
 from fusion.registration.rigid_fit import robust_fits, sum_of_coordinates
 from fusion.registration.sampled_motion import Interpolation, Sampling
@@ -19,17 +19,12 @@ from fusion.skeleton import TRACKED
 from fusion.support.types import Array
 
 _REACH_NS = 30_000_000_000
-_GRID_NS = 33_333_333
+GRID_NS = 33_333_333
 _LONGEST_SPAN_NS = 1_200_000_000_000
 _FASTEST = 8.0  # m/s: a faster joint has jumped
 _STILL = 0.1  # m/s: slower motion is mostly noise
 _OVERLAP = 0.35  # least share of either view's motion that a peak is based on
-_PART_OVERLAP = 0.03  # where one may be a calm part of the other: a steady walk has 0.07 of its start
-_EQUAL = 2.0  # times the least cost: a larger one is of other places
-_AS_MANY = 0.9  # of the most frames that two views have in common
 _CANDIDATES = 6
-_PART_CANDIDATES = 32  # a walk repeats itself twice a second
-_COARSE = 2.5  # cost at an offset that is not refined: a larger one is of other places
 _LEAST_CORRELATION = 0.2
 _AMBIGUOUS = 1.6  # a candidate whose 1 - r is smaller by this factor is right where the places do not tell
 _LESS = 0.9  # of the mean cost of any other candidate, and without an offset, where it is uncertain
@@ -38,11 +33,11 @@ _STEP = 0.25  # usual intervals: the same below that
 _PARTS = 8  # of the recording
 _LASTING_SD_NS = 8_000_000.0
 """Part of the deviation that the jackknife does not see: errors that follow the motion as long as it is."""
-_APART = 9  # grid steps between two peaks
+APART = 9  # grid steps between two peaks
 _COMMON_NS = 5_000_000_000  # at an offset beyond that: squats take 3 s, and their repetitions look alike
 _MOST_SD = 0.75  # of the longer interval, or of a grid step: where the parts of a recording contradict
 _COMPARED = 192  # frames
-_FEWEST, _FEWEST_JOINTS = 24, 5
+FEWEST, _FEWEST_JOINTS = 24, 5
 _FFT = 1024  # a multiple of it has no large prime factors, with which a transform takes longer
 _FAR = 0.05  # metres: a joint's distance beyond this counts less and less
 _CERTAIN = 3.0  # standard errors by which a candidate must be better than any other
@@ -56,7 +51,7 @@ def find_clock_offset(body: Body, a: View, b: View) -> Clock | None:
         a, b: The frames in which the person is seen. Where their times do not overlap, the search begins with
             equal first times.
     """
-    if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
+    if min(len(a.time_ns), len(b.time_ns)) < FEWEST:
         return None
     of_a, of_b = a.time_ns, b.time_ns
     apart = of_b[0] > of_a[-1] or of_a[0] > of_b[-1]
@@ -65,7 +60,7 @@ def find_clock_offset(body: Body, a: View, b: View) -> Clock | None:
     first, last = max(of_a[0], of_b[0] + base), min(of_a[-1], of_b[-1] + base)
     middle = first + (last - first) // 2  # a sum could exceed 64 bits
     a = a.chosen(np.flatnonzero(np.abs(a.time_ns - middle) < _LONGEST_SPAN_NS // 2))
-    if len(a.time_ns) < _FEWEST:
+    if len(a.time_ns) < FEWEST:
         return None
     times, reach = b.time_ns + base, _REACH_NS + 1_000_000_000
     within = np.flatnonzero((times > a.time_ns[0] - reach) & (times < a.time_ns[-1] + reach))
@@ -75,16 +70,16 @@ def find_clock_offset(body: Body, a: View, b: View) -> Clock | None:
         return None
     offsets = [offset if offset == 0 else _near(a, shifted, offset) for offset, _ in peaks]
     costs = frame_costs(a, shifted, offsets)  # (candidates, frames)
-    if not (known := np.isfinite(costs).sum(axis=1) >= _FEWEST).any():
+    if not (known := np.isfinite(costs).sum(axis=1) >= FEWEST).any():
         return None
-    means = np.where(known, _means(costs), np.inf)
+    means = np.where(known, mean_costs(costs), np.inf)
     best = int(np.argmin(means))
     least_ns = 0.0
     for other in np.flatnonzero(known):
         if other == best or is_better(costs[best], costs[other]):
             continue
         mismatch = [1.0 - peaks[k][1] for k in (other, best)]
-        if abs(offsets[other] - offsets[best]) < _APART * _GRID_NS:  # both lead to one minimum
+        if abs(offsets[other] - offsets[best]) < APART * GRID_NS:  # both lead to one minimum
             if offsets[other] == 0:  # views of one moment show offsets below a frame, too
                 least_ns = float(np.median(np.diff(a.time_ns)))
         elif mismatch[0] < _AMBIGUOUS * mismatch[1] or means[best] > _LESS * means[other]:
@@ -93,11 +88,11 @@ def find_clock_offset(body: Body, a: View, b: View) -> Clock | None:
     if found is None or abs(found.offset_ns - base) < least_ns:
         return None
     every_a, every_b = (float(np.median(np.diff(view.time_ns))) for view in (a, shifted))
-    elsewhere = abs(offsets[best]) >= _APART * _GRID_NS  # it may be a repetition of what one view lacks
+    elsewhere = abs(offsets[best]) >= APART * GRID_NS  # it may be a repetition of what one view lacks
     if elsewhere and np.isfinite(costs[best]).mean() * len(a.time_ns) * every_a < _COMMON_NS:
         return None
     # equal first times, where the clocks are apart, are no evidence
-    if (elsewhere or apart) and found.sd_ns > _MOST_SD * max(every_a, every_b, _GRID_NS):
+    if (elsewhere or apart) and found.sd_ns > _MOST_SD * max(every_a, every_b, GRID_NS):
         return None
     return found
 
@@ -105,17 +100,17 @@ def find_clock_offset(body: Body, a: View, b: View) -> Clock | None:
 def agreement(body: Body, a: View, b: View) -> Array:
     """(_COMPARED,) penalties of the frames at the offset at which the registered views agree best."""
     a, b = (view.chosen(np.flatnonzero(view.states.any(axis=1))) for view in (a, b))
-    if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
+    if min(len(a.time_ns), len(b.time_ns)) < FEWEST:
         return np.full(_COMPARED, np.nan)
     costs = frame_costs(a, b, [_near(a, b, offset) for offset, _ in _peaks(body, a, b, (0,))])
     frames = np.isfinite(costs).sum(axis=1)
-    return np.asarray(costs[int(np.argmin(np.where(2 * frames >= frames.max(), _means(costs), np.inf)))])
+    return np.asarray(costs[int(np.argmin(np.where(2 * frames >= frames.max(), mean_costs(costs), np.inf)))])
 
 
 def candidates(body: Body, a: View, b: View) -> tuple[float, list[tuple[int, float]]]:
     """How far apart the registered views are, metres, as they are, and at each offset, ns, at which they may
     be nearer, the best one first: where the motion does not tell."""
-    if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
+    if min(len(a.time_ns), len(b.time_ns)) < FEWEST:
         return np.nan, []
     apart = b.time_ns[0] > a.time_ns[-1] or a.time_ns[0] > b.time_ns[-1]
     base = int(a.time_ns[0] - b.time_ns[0]) if apart else 0
@@ -126,62 +121,15 @@ def candidates(body: Body, a: View, b: View) -> tuple[float, list[tuple[int, flo
         float(np.sqrt(np.median(each[np.isfinite(each)]))) if np.isfinite(each).any() else np.nan
         for each in squared
     ]
-    enough = np.isfinite(squared).any(axis=2).sum(axis=1) >= _FEWEST
+    enough = np.isfinite(squared).any(axis=2).sum(axis=1) >= FEWEST
     found = [(base + o, m) for o, m, known in zip(offsets, metres[1:], enough[1:], strict=True) if known]
     return metres[0], sorted(found, key=lambda one: one[1])
 
 
-def part_offsets(body: Body, a: View, b: View) -> list[int]:
-    """The times to add to B's clock, ns, at which one view may be a part of the other: candidates.
-
-    All offsets at which the views overlap are searched; the largest correlation is first.
-    """
-    if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
-        return []
-    base = int(a.time_ns[0] - b.time_ns[0])
-    shifted = b._replace(time_ns=b.time_ns + base)
-    reach_ns = int(max(np.ptp(a.time_ns), np.ptp(b.time_ns)))
-    x, y, reach = _signals(body, a, shifted, reach_ns)
-    known_x, known_y = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
-    x, y = np.nan_to_num(x), np.nan_to_num(y)
-    # speeds about their means in what the views have in common, which may be a calm part of one
-    count = np.maximum(_correlate(known_x, known_y), 1.0)
-    mean_x, mean_y = _correlate(x, known_y) / count, _correlate(known_x, y) / count
-    product = (_correlate(x, y) - count * mean_x * mean_y).sum(axis=1)
-    power_x = (_correlate(x * x, known_y) - count * mean_x**2).sum(axis=1)
-    power_y = (_correlate(known_x, y * y) - count * mean_y**2).sum(axis=1)
-    r = _coefficients(product, power_x, power_y, _PART_OVERLAP)
-    offsets = [offset for offset, _ in _largest(r, reach, _PART_CANDIDATES)]
-    mean = _means(frame_costs(a, shifted, offsets))
-    most = max(_COARSE, min(mean, default=0.0))
-    return [base + offset for offset, cost in zip(offsets, mean, strict=True) if cost <= most]
-
-
-def best_offsets(a: View, b: View, offsets: Sequence[int]) -> list[int]:
-    """The offsets at which the registered views match best.
-
-    Returns:
-        The indices of those that match about as well as the best one, as where a movement repeats itself.
-        Those that are not certainly worse are first, and of them those with most frames in common.
-    """
-    costs = frame_costs(a, b, offsets)
-    frames = np.isfinite(costs).sum(axis=1).tolist()
-    if not (known := [k for k, count in enumerate(frames) if count >= _FEWEST]):
-        return []
-    mean = _means(costs)
-    best = min(known, key=mean.__getitem__)
-    near = [k for k in known if mean[k] < _EQUAL * mean[best]]
-    worse = {k: k != best and is_better(costs[best], costs[k]) for k in near}
-    enough = _AS_MANY * max(frames[k] for k in near if not worse[k])
-    # the views' errors may make a repetition certainly worse; one so near to the best offset is none
-    equal = [k for k in near if not worse[k] or abs(offsets[k] - offsets[best]) > _APART * _GRID_NS]
-    return sorted(equal, key=lambda k: (worse[k], frames[k] < enough, mean[k]))
-
-
 def _near(a: View, b: View, offset: int) -> int:
     """The offset within two steps at which the registered views differ least: peaks are some frames off."""
-    offsets = [offset + k * _GRID_NS for k in (-2, -1, 0, 1, 2)]
-    return offsets[int(np.argmin(_means(frame_costs(a, b, offsets))))]
+    offsets = [offset + k * GRID_NS for k in (-2, -1, 0, 1, 2)]
+    return offsets[int(np.argmin(mean_costs(frame_costs(a, b, offsets))))]
 
 
 def refined_offset(a: View, b: View, near_ns: int, base_ns: int, steps: int = _STEPS) -> Clock | None:
@@ -204,7 +152,7 @@ def _minimum(costs: Array) -> float:
     The noise of interpolated frames depends on how far their neighbours are. At 30 and 90 frames per second
     it alternates from row to row, which the mean of neighbouring rows takes away.
     """
-    rows = np.pad(_means(costs), 1, mode="edge")
+    rows = np.pad(mean_costs(costs), 1, mode="edge")
     means = 0.25 * (rows[:-2] + 2.0 * rows[1:-1] + rows[2:])
     k = int(np.argmin(means))
     return k + _vertex(-means[max(k - 1, 0) : k + 2])
@@ -212,42 +160,42 @@ def _minimum(costs: Array) -> float:
 
 def _peaks(body: Body, a: View, b: View, besides: tuple[int, ...]) -> list[tuple[int, float]]:
     """The largest correlations of the speeds: offset in ns, and r; and those at the offsets ``besides``."""
-    x, y, reach = _signals(body, a, b, _REACH_NS)
+    x, y, reach = speed_signals(body, a, b, _REACH_NS)
     known_x, known_y = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
     x, y = np.nan_to_num(x), np.nan_to_num(y)
     product, power_x, power_y = (
-        _correlate(first, second, every=False)[:, 0]
+        correlate(first, second, every=False)[:, 0]
         for first, second in ((x, y), (x * x, known_y), (known_x, y * y))
     )
-    r = _coefficients(product, power_x, power_y, _OVERLAP)
-    return [(offset, float(r[reach - offset // _GRID_NS])) for offset in besides] + _largest(
+    r = coefficients(product, power_x, power_y, _OVERLAP)
+    return [(offset, float(r[reach - offset // GRID_NS])) for offset in besides] + largest_peaks(
         r, reach, _CANDIDATES
     )
 
 
-def _signals(body: Body, a: View, b: View, reach_ns: int) -> tuple[Array, Array, int]:
+def speed_signals(body: Body, a: View, b: View, reach_ns: int) -> tuple[Array, Array, int]:
     """The speeds of A, and of B from ``reach`` steps before to ``reach`` after."""
-    reach = reach_ns // _GRID_NS
-    count = int((a.time_ns[-1] - a.time_ns[0]) // _GRID_NS) + 1
-    grid = a.time_ns[0] + _GRID_NS * np.arange(-reach, count + reach)
+    reach = reach_ns // GRID_NS
+    count = int((a.time_ns[-1] - a.time_ns[0]) // GRID_NS) + 1
+    grid = a.time_ns[0] + GRID_NS * np.arange(-reach, count + reach)
     return _speeds(body, a, grid[reach : reach + count]), _speeds(body, b, grid), reach
 
 
-def _coefficients(product: Array, power_x: Array, power_y: Array, overlap: float) -> Array:
+def coefficients(product: Array, power_x: Array, power_y: Array, overlap: float) -> Array:
     """The correlation at each offset; -inf where less than a share of either motion is in common."""
     enough = (power_x > overlap * power_x.max()) & (power_y > overlap * power_y.max())
     return np.where(enough, product / np.sqrt(np.where(enough, power_x * power_y, 1.0)), -np.inf)
 
 
-def _largest(r: Array, reach: int, count: int) -> list[tuple[int, float]]:
+def largest_peaks(r: Array, reach: int, count: int) -> list[tuple[int, float]]:
     """The offsets in ns of the largest peaks, and r."""
     peaks, r = [], r.copy()
     for _ in range(count):
         k = int(np.argmax(r))
         if r[k] < _LEAST_CORRELATION:
             break
-        peaks.append((round((reach - k - _vertex(r[max(k - 1, 0) : k + 2])) * _GRID_NS), float(r[k])))
-        r[max(k - _APART, 0) : k + _APART + 1] = -np.inf
+        peaks.append((round((reach - k - _vertex(r[max(k - 1, 0) : k + 2])) * GRID_NS), float(r[k])))
+        r[max(k - APART, 0) : k + APART + 1] = -np.inf
     return peaks
 
 
@@ -259,7 +207,7 @@ def _vertex(r: Array) -> float:
     return float(0.5 * (r[0] - r[2]) / curvature) if curvature < 0.0 else 0.0
 
 
-def _correlate(x: Array, y: Array, *, every: bool = True) -> Array:
+def correlate(x: Array, y: Array, *, every: bool = True) -> Array:
     """Σ x_n y_{n+k} of each signal, or their sum, for each k at which x lies within y."""
     size = -(-(len(x) + len(y)) // _FFT) * _FFT
     spectrum = np.conj(np.fft.rfft(x, size, axis=0)) * np.fft.rfft(y, size, axis=0)
@@ -284,7 +232,7 @@ def _speeds(body: Body, view: View, grid: NDArray[np.int64]) -> Array:
     signals = np.full((len(grid), speeds.shape[1]), np.nan)
     for signal, speed in zip(signals.T, speeds.T, strict=True):
         known = np.flatnonzero(np.isfinite(speed))
-        if len(known) < _FEWEST:
+        if len(known) < FEWEST:
             continue
         times = time_ns[known]
         after = np.clip(np.searchsorted(times, grid), 1, len(times) - 1)
@@ -347,14 +295,14 @@ def _at_times(view: View, wanted_ns: NDArray[np.int64]) -> Array:
     return at
 
 
-def _means(costs: Array) -> Array:
+def mean_costs(costs: Array) -> Array:
     return np.array([np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else np.inf for row in costs])
 
 
 def is_better(one: Array, other: Array, certain: float = _CERTAIN) -> bool:
     """Whether one candidate's costs are smaller than another's, by so many standard errors."""
     both = np.isfinite(one) & np.isfinite(other)
-    if both.sum() < _FEWEST:  # the other one has hardly a frame in common with it
+    if both.sum() < FEWEST:  # the other one has hardly a frame in common with it
         return True
     gain = other[both] - one[both]
     error = _CORRELATED * float(gain.std()) / np.sqrt(len(gain))

@@ -28,9 +28,8 @@ from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.support.medians import median_of_known
 from fusion.support.types import Array
-from recordings.comparing.joint_path import JointPath
 from recordings.comparing.truth_files import TruthFile
-from recordings.comparing.truth_timing import TimeOffset, find_offset, path_of, view_of
+from recordings.comparing.truth_timing import JointPath, TimeOffset, find_offset, path_of, view_of
 from recordings.errors import RecordingError
 from recordings.session_series import SessionSeries
 

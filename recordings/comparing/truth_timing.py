@@ -11,23 +11,52 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.clocks.clock import Clock, Times
-from fusion.clocks.fit import Path, fitted_clock, with_rate
-from fusion.clocks.search import best_offsets, part_offsets
+from fusion.clocks import Clock, Times
+from fusion.clocks.fit import Path, best_offsets, fitted_clock, part_offsets, with_rate
 from fusion.pair_arrays import View
 from fusion.skeleton import TRACKED
 from fusion.support.types import Array
-from recordings.comparing.joint_path import JointPath
 
+_LONGEST_GAP = 0.1  # seconds without a point that are interpolated
 _SEARCH_RATE = 60.0  # Hz of the truth in the search of the offset
 _OTHERS_NS = 100_000_000  # nearer candidates are one
 _LEAST_CORRELATION = 0.8  # of displacements; other movements reach 0.7, seldom 0.85; right ones 0.97
 _LARGEST_SD, _LARGEST_LAG = 0.015, 0.050  # seconds: the person moves too little to tell
 _CONTRADICTS = 0.020  # seconds between a given offset and one by the motion
+
+
+class JointPath:
+    """(N, J, 3) joints, NaN where unknown, at (N,) times; cubic splines over short gaps only."""
+
+    def __init__(self, seconds: Array, positions: Array) -> None:
+        from scipy.interpolate import CubicSpline
+
+        self.seconds, self._shape = seconds, positions.shape[1:]
+        longest = max(_LONGEST_GAP, 2.5 * float(np.median(np.diff(seconds))))
+        known = np.isfinite(positions[:, :, 0])
+        masks, of_mask = np.unique(known, axis=1, return_inverse=True)
+        # one for all joints that are known at the same times
+        self._splines = list[tuple[NDArray[np.int64], Array, Any, NDArray[np.bool_]]]()
+        for mask, some in enumerate(masks.T):
+            if some.sum() > 1:
+                times, of = seconds[some], np.flatnonzero(of_mask == mask)
+                spline = CubicSpline(times, positions[np.ix_(some, of)])
+                self._splines.append((of, times, spline, np.diff(times) <= longest))
+
+    def at(self, times: Array) -> Array:
+        """(T, J, 3) positions; NaN in gaps and outside."""
+        found = np.full((len(times), *self._shape), np.nan)
+        for joints, known, spline, short in self._splines:
+            before = np.clip(np.searchsorted(known, times, side="right") - 1, 0, len(known) - 2)
+            inside = np.flatnonzero((times >= known[0]) & (times <= known[-1]) & short[before])
+            found[np.ix_(inside, joints)] = spline(times[inside])
+        return found
 
 
 @dataclass(frozen=True)

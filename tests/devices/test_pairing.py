@@ -15,7 +15,7 @@ from devices.pairing import _least_interval, _moments
 from devices.recorded.apart import ApartError, items_of
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import KINECT_V1
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.skeleton import Skeleton
 from tests.helpers import unreliable
 from tests.helpers.frame_pairs import paired

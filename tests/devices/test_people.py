@@ -15,7 +15,7 @@ from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError, SensorFrame
 from devices.simulated.kinect import Beside, movement
 from fusion.body import AZURE_KINECT, KINECT_V2
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.skeleton import Skeleton
 from tests.helpers.laws import COSTLY
 from tests.helpers.recorded_pairs import write_view

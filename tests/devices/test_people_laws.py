@@ -14,7 +14,7 @@ from devices.people.recorded_people import OneRecording, RecordedPeople
 from devices.people.recorded_person import follow_one_person
 from devices.sensor import SensorFrame
 from fusion.body import KINECT_V2 as BODY
-from fusion.clocks.clock import Clock
+from fusion.clocks import Clock
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.laws import COSTLY

@@ -13,8 +13,8 @@ from scipy.stats import ttest_rel
 
 from devices.skeletons.name_tables import name_table
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, KINECT_V2
-from fusion.clocks.clock import Clock
-from fusion.clocks.search import best_offsets, part_offsets
+from fusion.clocks import Clock
+from fusion.clocks.fit import best_offsets, part_offsets
 from fusion.errors import FusionError
 from fusion.movement.joint_rotations import rotations_of
 from fusion.pair_arrays import View

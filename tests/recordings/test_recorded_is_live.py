@@ -20,7 +20,7 @@ from tests.helpers.laws import BODY, HIDDEN, exchanged, hidden, walking
 from tests.helpers.two_clocks import SECOND_NS, run, shots
 from tests.helpers.two_views import A_FROM_B, standing
 
-BEGINS_S, STANDS_S, SECONDS = 1.0, 3.0, 7.0
+BEGINS_S, STANDS_S, SECONDS = 2.0, 4.0, 8.0
 """From when on somebody is seen, and walks: the clocks are known to be one by then."""
 SPELLS = st.lists(
     st.tuples(

@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from devices.sensor import SensorFrame
-from fusion.clocks.clock import rate_of_least
+from fusion.clocks import rate_of_least
 
 _SAME_CLOCK_NS = 60_000_000_000  # a frame may be held up for some seconds by its tracker
 _SHORTEST_NS, _SLOW = 3_000_000, 0.2  # of own time per frame, and as a share of that between arrivals
