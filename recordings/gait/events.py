@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from fusion.body import Body
 from fusion.support.types import Array
 from recordings.gait import SIDES, UNKNOWN, Gait, Measured, Step, Turn
-from recordings.gait.parts import ERRORS_LAST, RATE, Part, parts_of
-from recordings.gait.turns import turns_of
+from recordings.gait.parts import ERRORS_LAST, RATE, Part, parts_of, turns_of
 
 _STANDS = 0.75  # of the pelvis' speed: labelled toes leave the floor at 0.7 to 1, simulated ones at 0.7
 _LEAST_SWING = 0.06  # of the ankle's place from the pelvis, lengths of the leg

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
 from fusion.support.types import Array
+from recordings.gait import Turn
 
 RATE = 100.0  # Hz, of the points that are filtered
 _CUT_OFF = 6.0  # Hz, as in the source
@@ -27,6 +28,10 @@ _SHORTEST = 1.0  # seconds of a part without gaps
 _TRUNK = "HipLeft", "HipRight", "ShoulderLeft", "ShoulderRight"
 _FEET = "AnkleLeft", "AnkleRight", "FootLeft", "FootRight"
 _FEWEST_FRAMES = 3
+_TURNING = math.radians(15.0)  # per second
+_LEAST = math.radians(45.0)
+_SECONDS = 0.5, 10.0
+_PAUSE = 0.5  # seconds, of hips and shoulders within a turn
 
 
 class Part(NamedTuple):
@@ -135,3 +140,26 @@ def spans_of(mask: NDArray[np.bool_], pause: float) -> list[list[int]]:
         else:
             spans.append([begin, end])
     return spans
+
+
+def turns_of(part: Part) -> Iterator[Turn]:
+    """The turns of a part, but for those that its ends cut.
+
+    As El-Gohary et al. (2014) define them: a person turns faster than 15°/s, by 45° at least.
+    """
+    facing = np.unwrap(np.arctan2(part.facing[:, 1], part.facing[:, 0]))
+    rate = np.gradient(facing, 1.0 / RATE)
+    bend = np.maximum(np.abs(np.gradient(rate, 1.0 / RATE)), 1e-9)
+    error = part.facing_error / np.maximum(np.linalg.norm(part.facing, axis=1), 1e-9)
+    for sign in (1.0, -1.0):
+        for begin, end in spans_of(sign * rate > _TURNING, _PAUSE * RATE):
+            angle, seconds = float(facing[end - 1] - facing[begin]), (end - begin) / RATE
+            if begin and end < len(rate) and abs(angle) > _LEAST and _SECONDS[0] <= seconds <= _SECONDS[1]:
+                ends = [begin, end]
+                yield Turn(
+                    begins=float(part.t[begin]),
+                    seconds=seconds,
+                    seconds_sigma=math.hypot(*(error[ends] / ERRORS_LAST / bend[ends])),
+                    angle=angle,
+                    angle_sigma=math.hypot(*error[ends]),
+                )
