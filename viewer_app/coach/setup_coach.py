@@ -227,12 +227,12 @@ class Coach:
         if pauses.max(initial=0.0) > _GONE:
             return
         # What is left out for a slow body tracker is no fault of USB or light.
-        step = max(each.step for each in last)
+        step, between = max(each.step for each in last), np.diff(came)
         least = RATE * self._rate / step
         cause = MORE_FRAMES["tracker" if step != 1 else self._origins[k]].format(who=side)
         yield from judge(
             "rate",
-            math.floor(len(came) / _RATE_WINDOW),
+            round((len(between) - 1) / (between.sum() - between.max())),  # one pause is no lower rate
             side,
             limits=Limits((least, math.inf), (-math.inf, math.inf)),
             cause=cause,

@@ -22,7 +22,7 @@ from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
-from fusion.skeleton import Skeleton, TrackingState
+from fusion.skeleton import Skeleton, TrackingState, nearer
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.state_card import State, fits
 from recordings.data.session_arrays import SessionFrame
@@ -150,6 +150,38 @@ def watched(
         if frames is not None:
             frames.append(frame)
     return found
+
+
+@given(st.floats(0.0, 0.29), st.integers(2, 55))
+def test_one_pause_is_no_lower_rate(pause_s, after):
+    """Also where both sensors paused: what comes back at its rate has it."""
+    coach, joints = Coach(BODY, (CAMERA, CAMERA)), standing(BODY)
+    fused, found = None, []
+    for k in range(60):
+        time_ns = k * FRAME_NS + round(pause_s * 1e9) * (k >= after)
+        seen = pair_of(BODY, joints, time_ns, A_FROM_B)
+        frames = (SensorFrame(time_ns, {"1": of}) for of in (seen.a, seen.b))
+        pair = frame_pair(*frames, "1", time_ns)
+        fused = fused or fuse_one(Fuser(FusionSetup(KNOWN)), pair)
+        found += coach.watch(replace(fused, pair=pair), Situation(KNOWN, final=True, held=0.0))
+    assert "rate" not in {each.rule for each in found}
+
+
+def test_depth_errors_that_a_calibration_states_are_no_distance_of_the_views():
+    far, rules = 0.08, []
+    seen = pair_of(BODY, standing(BODY), 0, A_FROM_B)
+    views = [nearer(of.positions, -far) for of in (seen.a, seen.b)]
+    for errors in ((0.0, 0.0), (far, far)):
+        coach, fused = Coach(BODY, (CAMERA, CAMERA)), None
+        now = Situation(replace(KNOWN, depth_errors=np.array(errors)), final=True, held=0.0)
+        for time_ns in range(0, 3 * 10**9, FRAME_NS):
+            people = (Skeleton.of(BODY, at, None, time_ns) for at in views)
+            pair = frame_pair(*(SensorFrame(time_ns, {"1": person}) for person in people), "1", time_ns)
+            fused = fused or fuse_one(Fuser(FusionSetup(KNOWN)), pair)
+            found = coach.watch(replace(fused, pair=pair), now)
+        rules.append({each.rule for each in found} & {"views", "moved"})
+    assert rules[0]
+    assert not rules[1]
 
 
 SHARED = {"angle", "distance", "error", "mirrored", "moved", "precision", "unconfirmed", "views"}
