@@ -63,6 +63,11 @@ class RecordedPeople(Rows[SensorFrame]):
         """Whether a frame has several people."""
         return bool((self.frame[1:] == self.frame[:-1]).any())
 
+    def at(self, time_ns: NDArray[np.int64]) -> RecordedPeople:
+        """The same at other times of the frames, (T,) in order."""
+        skeletons = self.skeletons._replace(time_ns=time_ns[self.frame])
+        return replace(self, time_ns=time_ns, skeletons=skeletons)
+
     def without(self, rows: NDArray[np.int64]) -> RecordedPeople | None:
         """The people whose skeletons are not these; None if there are none."""
         left = np.ones(len(self.frame), dtype=np.bool_)

@@ -240,21 +240,20 @@ def read_two(
 
     read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
     stated = None if offset_ns is None else Clock(offset_ns)
+    by_arrival = None if stated else clock_by_arrival(read_a.arrivals, read_b.arrivals)
+    of_images = has_images(choice_a.path) or has_images(choice_b.path)
+    if stated is None and by_arrival is None and not of_images:
+        read_a, read_b = _going_on(read_a, read_b)
     read_a, read_b, people = follow_one_person((read_a, read_b), stated, follow)
     body, about_body = _body_of_both((a, b), (read_a, read_b), choice_a.body)
     read_a, read_b = (
         replace(read, person=_as_body(read.person, source.body, body))
         for source, read in ((a, read_a), (b, read_b))
     )
-    clock = by_arrival = None
-    question = ""
+    clock, question = by_arrival, ""
     if stated is None:
-        clock = by_arrival = clock_by_arrival(read_a.arrivals, read_b.arrivals)
         delay_ns = cable_delay_ns(read_a.sync, read_b.sync)
         if by_arrival is None:
-            if not (has_images(choice_a.path) or has_images(choice_b.path)):
-                going_on = jumps_closed(body, read_a.person, read_b.person)
-                read_a, read_b = map(_going_on, (read_a, read_b), going_on)
             clock = clock_by_motion(body, read_a.seen, read_b.seen)
             question = "" if clock else clock_in_question(body, read_a.seen, read_b.seen)
         elif delay_ns is not None:
@@ -348,12 +347,22 @@ def _as_body(view: View, body: Body, other: Body) -> View:
     return joined_views(block(rows) for rows in parts(len(view.time_ns)))
 
 
-def _going_on(read: OneRecording, person: View) -> OneRecording:
-    """The same with other times of its frames, and a line where they are others."""
-    by_ns = int(read.person.time_ns[-1] - person.time_ns[-1])
-    jumped = f"{read.name}: by the movement, the clock jumped by {by_ns * 1e-9:.3f} s, as one that is set; "
-    told = [jumped + "from there, the times go on."] if by_ns else []
-    return replace(read, person=person, warnings=[*read.warnings, *told])
+def _going_on(a: OneRecording, b: OneRecording) -> tuple[OneRecording, OneRecording]:
+    """The same with times that go on where one clock jumps ahead, by who is seen longest, and a line."""
+    reads = a, b
+    if a.people.body is not b.people.body:
+        return reads
+    seen = [
+        read.people.view([read.people.choose_person(read.wanted, read.name, read.option)]) for read in reads
+    ]
+    for k, (read, person) in enumerate(zip(reads, jumps_closed(a.people.body, *seen), strict=True)):
+        by_ns = int(read.people.time_ns[-1] - person.time_ns[-1])
+        if by_ns:
+            jumped = f"the clock jumped by {by_ns * 1e-9:.3f} s, as one that is set"
+            line = f"{read.name}: by the movement, {jumped}; from there, the times go on."
+            read = replace(read, people=read.people.at(person.time_ns), warnings=[*read.warnings, line])
+            reads = (read, b) if k == 0 else (reads[0], read)
+    return reads
 
 
 def _course_in_words(clock: Clock) -> str:

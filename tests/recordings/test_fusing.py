@@ -183,6 +183,22 @@ def test_a_large_array_has_no_name_and_is_what_was_appended(tmp_path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_clock_that_is_set_in_one_file_costs_no_partner(tmp_path, shared, side):
+    """Whoever is who is asked only then: else the person is somebody else before it was set."""
+    files = [shared / "real" / "kinect_v2_90deg_walk" / name for name in ("a.csv", "b.csv")]
+    before = read_two(*map(RecordingChoice, files)).pairing.pairs.skeletons.frames
+    header, *rows = files[side].read_text().splitlines()
+    times, rest = zip(*(row.split(",", 1) for row in rows), strict=True)
+    later = [int(us) + 8_000_000 * (int(us) >= 11_000_000) for us in times]
+    files[side] = tmp_path / files[side].name
+    told = "\n".join(f"{us},{cells}" for us, cells in zip(later, rest, strict=True))
+    files[side].write_text(f"{header}\n{told}\n", encoding="utf-8")
+    read = read_two(*map(RecordingChoice, files))
+    np.testing.assert_array_equal(read.pairing.pairs.skeletons.frames, before)
+    assert any("the clock jumped by 8.0" in line for line in read.warnings)
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="counts descriptors as Linux and macOS number them")
 def test_a_long_session_keeps_few_files_open(tmp_path, monkeypatch):
     monkeypatch.setattr(large_arrays, "_LARGE", 10_000)
