@@ -31,7 +31,7 @@ _TOPICS: tuple[tuple[str, str, str, str], ...] = (
         "fusion",
         "Fuser FusedFrame FusionSetup FuserSettings Calibration calibrate nominal_calibration Calibrator "
         "StartUpPose find_start_up_pose Skeleton SkeletonPair TrackingState Body BODIES KINECT_V1 "
-        "KINECT_V2 AZURE_KINECT BLAZEPOSE RigidTransform Intrinsics",
+        "KINECT_V2 AZURE_KINECT BLAZEPOSE RigidTransform Intrinsics Clock",
     ),
     (
         "Sensors and recordings",

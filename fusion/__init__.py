@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fusion.calibration.calibrator import Calibrator as Calibrator
     from fusion.calibration.start_up_pose import StartUpPose as StartUpPose
     from fusion.calibration.start_up_pose import find_start_up_pose as find_start_up_pose
+    from fusion.clocks import Clock as Clock
     from fusion.errors import BodyError as BodyError
     from fusion.errors import CalibrationError as CalibrationError
     from fusion.errors import DuplexError as DuplexError
