@@ -92,8 +92,8 @@ def judge(
     known: Mapping[str, str] = {
         "value": beside(value, low, high, *usable, digits=rule.digits),
         "signed": f"{value:+.{rule.digits}f}",
-        "low": f"{low:.3g}",
-        "high": f"{high:.3g}",
+        "low": f"{-_rounded_down(-low, rule.digits):g}",
+        "high": f"{_rounded_down(high, rule.digits):g}",
         "by": f"{math.ceil(2.0 * beyond) / 2.0:.1f}" if math.isfinite(beyond) else "",
         "you_are": "you are" if live else "the person is",
         "who": side,
@@ -145,6 +145,12 @@ def beside(value: float, *limits: float, digits: int = 0) -> str:
         for text in [f"{value:.{more}f}"]
         if more == 17 or [np.sign(float(text) - each) for each in limits] == sides
     )
+
+
+def _rounded_down(limit: float, digits: int) -> float:
+    """A limit with as many digits as the figure, or with those that it has."""
+    step = 10.0**-digits
+    return math.floor(limit / step + 1e-9) * step if digits and math.isfinite(limit) else limit
 
 
 def spoken(joint: str) -> str:
