@@ -160,8 +160,8 @@ def checked_joints(
     return read_only(at), read_only(state)
 
 
-def nearer(positions: NDArray[Any], metres: float) -> NDArray[Any]:
-    """(..., 3) positions in a sensor's frame, moved along their rays towards the sensor."""
+def nearer(positions: NDArray[Any], metres: float | NDArray[Any]) -> NDArray[Any]:
+    """(..., 3) positions in a sensor's frame, moved along their rays to the sensor, by (..., 1) metres."""
     far = np.linalg.norm(positions, axis=-1, keepdims=True)
     return np.asarray(positions * (1.0 - metres / np.maximum(far, 1e-9)), dtype=positions.dtype)
 

@@ -17,6 +17,7 @@ from fusion.facing.labels import DOUBT_STEPS, HEADING_STEPS
 from fusion.fused_frame import FusedFrame, FusedFrames
 from fusion.pair_arrays import View
 from fusion.rigid import RigidTransform
+from fusion.skeleton import nearer
 from fusion.support.large_arrays import GrowingArray, Rows, parts
 from fusion.support.medians import median_of_known
 from recordings.data import layout
@@ -77,6 +78,7 @@ class SessionFrame(_Frame):
         bone_lengths: (J,) metres, with which S* was fused; None: those of the calibration. Not recorded.
         floor: K_A ← floor, found from earlier frames; live sensors only. Its vertical is recorded.
         unix_ns: When it was captured, since 1970 UTC; None where that is not known.
+        depth_errors: (2,) metres, of the calibration; None where it states none.
     """
 
     pair: FramePair
@@ -88,6 +90,7 @@ class SessionFrame(_Frame):
     bone_lengths: NDArray[np.float64] | None = None
     floor: RigidTransform | None = None
     unix_ns: int | None = None
+    depth_errors: NDArray[np.float64] | None = None
 
 
 class PairBlock(NamedTuple):
@@ -108,13 +111,15 @@ class SessionFrames(_Frame, Rows[SessionFrame]):
     fuse_ns: int
     pairs: Sequence[FramePair]
     first: int  # number of the first of them among the pairs
+    depth_errors: NDArray[np.float64] | None = None
     truth = floor = unix_ns = None
 
     def __len__(self) -> int:
         return len(self.fused)
 
     def row(self, k: int) -> SessionFrame:
-        return SessionFrame(self.pairs[self.first + k], self.fused[k], self.fuse_ns)
+        pair = self.pairs[self.first + k]
+        return SessionFrame(pair, self.fused[k], self.fuse_ns, depth_errors=self.depth_errors)
 
 
 _STANDARD_RATES, _STANDARD_WITHIN = (5.0, 15.0, 30.0, 60.0, 90.0), 0.05
@@ -177,6 +182,7 @@ class SessionArrays:
             ``duplex`` it was horizontal.
         up: (T, 3) against gravity in K_A's frame, as live outputs used it; sessions of live sensors only.
         unix_ns: (T,) times of capture since 1970 UTC, those of live outputs; sessions of live sensors only.
+        depth_errors: (T, 2) metres by which A and B show joints too far away, as ``duplex`` takes it.
     """
 
     body: Body
@@ -217,6 +223,7 @@ class SessionArrays:
     ] = None
     up: Annotated[Float32 | None, _F(_QUALITY, "up", _f4, "up", (3,))] = None
     unix_ns: Annotated[Int64 | None, _F(_QUALITY, "unix_ns", _i8, "unix_ns", absent=layout.NO_FRAME)] = None
+    depth_errors: Annotated[Float32 | None, _F(_QUALITY, "depth_errors", _f4, "depth_errors", (2,))] = None
 
     @staticmethod
     def stack(
@@ -304,10 +311,11 @@ class SessionArrays:
     @property
     def b_in_a(self) -> NDArray[np.float64]:
         """(T, J, 3) S_B transformed to K_A's frame."""
-        return np.asarray(
-            np.einsum("tij,tkj->tki", self.rotation, self.positions_b.astype(np.float64))
-            + self.translation[:, None]
-        )
+        return self._in_a(self.positions_b)
+
+    def _in_a(self, b: NDArray[np.floating]) -> NDArray[np.float64]:
+        turned = np.einsum("tij,tkj->tki", self.rotation, b.astype(np.float64))
+        return np.asarray(turned + self.translation[:, None])
 
     @property
     def never_seen(self) -> NDArray[np.bool_]:
@@ -353,8 +361,12 @@ class SessionArrays:
 
     @property
     def view_difference(self) -> NDArray[np.float64]:
-        """(T, J) metres between p and R q + t; NaN where a joint is not in both views."""
-        return np.asarray(np.linalg.norm(self.positions_a - self.b_in_a, axis=2))
+        """(T, J) metres between p and R q + t, without depth errors; NaN where a joint is not in both."""
+        a, b = self.positions_a, self.positions_b
+        if self.depth_errors is not None:
+            errors = np.nan_to_num(self.depth_errors.astype(np.float64))[:, :, None, None]
+            a, b = nearer(a.astype(np.float64), errors[:, 0]), nearer(b.astype(np.float64), errors[:, 1])
+        return np.asarray(np.linalg.norm(a - self._in_a(b), axis=2))
 
     @property
     def disagreement(self) -> NDArray[np.float64]:

@@ -71,16 +71,21 @@ def fuse_segments(
             fused = fuse(block, None if labels is None else labels.rows(own_part))
             each = (time.perf_counter_ns() - before) // len(fused)
             a, b = (view.chosen(block.frames[:, k]) for k, view in enumerate(block.views))
-            yield SessionFrames(
-                PairBlock(block.time_ns, block.skew_ns, a, b), fused, each, pairs, own_part.start
-            )
+            blocks = PairBlock(block.time_ns, block.skew_ns, a, b)
+            yield SessionFrames(blocks, fused, each, pairs, own_part.start, _depth_errors(setup))
 
 
 def fuse_one(fuser: Fuser, pair: FramePair) -> SessionFrame:
     """Fuses a pair and measures the time."""
     before = time.perf_counter_ns()
     fused = fuser.update(pair.skeletons)
-    return SessionFrame(pair, fused, time.perf_counter_ns() - before)
+    each = time.perf_counter_ns() - before
+    return SessionFrame(pair, fused, each, depth_errors=_depth_errors(fuser.setup))
+
+
+def _depth_errors(setup: FusionSetup) -> NDArray[np.float64] | None:
+    errors = setup.calibration.depth_errors
+    return errors if errors.any() else None
 
 
 def calibration_event(setup: FusionSetup, own: slice, time_ns: NDArray[np.int64]) -> Event:

@@ -21,6 +21,7 @@ from fusion.body import BODIES, KINECT_V1, KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
+from fusion.skeleton import Skeleton, SkeletonPair, nearer
 from fusion.support.medians import median_of_known
 from recordings.data import layout
 from recordings.data.frame_fields import JOINTS, FrameField, no_joint_or_joint
@@ -93,6 +94,26 @@ def test_disagreement_is_the_median_over_the_joints_that_both_see():
     assert {len(d) for d in seen} >= {0, 1, 2, 3, 4}
     wanted = [np.median(d) if len(d) else np.nan for d in seen]
     np.testing.assert_array_equal(some.disagreement, wanted)
+
+
+def test_depth_errors_that_a_calibration_states_are_no_difference_of_the_views(tmp_path):
+    exact, far = calibration_of(KINECT_V1), 0.05
+    pairs = frame_pairs(KINECT_V1, 8, noise=0.0)
+    views = [
+        SkeletonPair(
+            *(Skeleton.of(KINECT_V1, nearer(of.positions, -far), of.states, of.time_ns) for of in (p.a, p.b)),
+            p.time_ns,
+        )
+        for p in (pair.skeletons for pair in pairs)
+    ]
+    for errors in ((0.0, 0.0), (far, far)):
+        setup = FusionSetup(replace(exact, depth_errors=np.array(errors)))
+        fuser = Fuser(setup)
+        frames = [fuse_one(fuser, replace(p, skeletons=v)) for p, v in zip(pairs, views, strict=True)]
+        session = Session.of([(setup, frames)], ("a", "b"))
+        session.save(tmp_path / "s.rrd")
+        for rows in (session.rows, Session.open(tmp_path / "s.rrd").rows):
+            assert (np.nanmedian(rows.disagreement) < 1e-4) == bool(errors[0])
 
 
 def test_stacking_keeps_what_the_loop_gave():
