@@ -19,7 +19,7 @@ _SETS = {
     "heavy_tails": "Azure, heavy-tailed errors",
     "depth": "Azure, with depth images",
 }
-_OTHERS = ("real", "certainty", "coverage", "ablation", "conditions", "speed", "latency")
+_OTHERS = ("real", "certainty", "coverage", "ablation", "surface", "conditions", "speed", "latency")
 _FEWEST = 8  # recordings, of which an interval is stated
 _DEGREES = float(np.degrees(1.0))
 _BASELINES = ("mean, refined", "tracked wins", "Kalman, refined")
@@ -41,6 +41,7 @@ def page():
         ),
         certainty=_certainty(results.read("certainty")["figures"], results.read("coverage")["figures"]),
         ablation=_ablation(results.read("ablation")["figures"]),
+        surface=_surface(results.read("surface")["figures"]),
         speed=_speed(results.read("speed")),
         latency=_latency(results.read("latency")),
         origins="\n".join(origins),
@@ -241,6 +242,19 @@ def _certainty(figures, simulated):
         paired = ", ".join(_number(share, 100, 1) for share in figures["cable"].values())
         rows.append(("cable, B 20, 100 ms later: frames paired, %", "–", paired))
     return _table(("", "Kinect v2", "Azure Kinect"), rows)
+
+
+def _surface(figures):
+    rows = [
+        (name, *(_of_surface(figures[body][name]) for body in ("azure_kinect", "kinect_v2")))
+        for name in figures["azure_kinect"]
+    ]
+    return _table(("R, °/t, mm/S\\*, mm", "Azure Kinect", "Kinect v2"), rows)
+
+
+def _of_surface(row):
+    shown = (row["turn"], _DEGREES, 2), (row["shift"], 1e3, 1), (row["error"], 1e3, 1)
+    return "/".join(_number(*each) for each in shown)
 
 
 def _covered(figures, group):
