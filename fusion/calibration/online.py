@@ -138,8 +138,9 @@ class CalibrationLearner:
         if found.a_from_b is known.calibration.a_from_b or registration is None:
             return []  # too little of the surface is seen
         turn, shift = _difference(old.a_from_b, found.a_from_b, registration.centre)
-        settings, known_sd = self._settings.refinement, prior_of(old).rotation_sd
-        if not settings.worth(turn, shift) and registration.rotation_sd > settings.surer * known_sd:
+        settings, before = self._settings.refinement, old.registration
+        surer_sd = settings.surer * (_UNKNOWN_TURN if before is None else before.rotation_sd)
+        if not settings.worth(turn, shift) and registration.rotation_sd > surer_sd:
             return []
         self.calibration = replace(found, bone_lengths=old.bone_lengths, person=old.person)
         return [self._refined(turn, shift, now_ns, " by the surface that both sensors see")]
