@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from datetime import datetime
 from pathlib import Path
 from uuid import UUID, uuid4
 
@@ -13,7 +12,7 @@ from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings.data import layout
 from recordings.writing.recorder import Recorder
-from viewer_app.sinks.requested_files import RequestedFiles, Requests, free_path
+from viewer_app.sinks.requested_files import RequestedFiles, Requests
 from viewer_app.sinks.session_file import SessionFile
 from viewer_app.sinks.sink import FanOut, Sink
 from viewer_app.sinks.viewer_sink import ViewerSink
@@ -86,9 +85,7 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
         self.file = None if file is None else opened(file, setup, identity, overwrite)
         self.requested: RequestedFiles | None = None
         if requests is not None:
-            self.requested = RequestedFiles(
-                setup, requests, lambda now: opened(free_path(Path(), datetime.now()), now, uuid4())
-            )
+            self.requested = RequestedFiles(setup, requests, lambda path, now: opened(path, now, uuid4()))
         sinks = self.file, self.viewer, self.requested, *others
         super().__init__([sink for sink in sinks if sink is not None])
 

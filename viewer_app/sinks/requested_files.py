@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from datetime import datetime
 from pathlib import Path
 from typing import Literal, Protocol
@@ -32,17 +32,18 @@ class RequestedFiles(FanOut):
 
     Args:
         setup: That of the first frame.
-        opened: Opens a file whose first frame has this setup.
+        opened: Opens a file of this name, whose first frame has this setup.
     """
 
     def __init__(
-        self, setup: FusionSetup, requests: Requests, opened: Callable[[FusionSetup], SessionFile]
+        self, setup: FusionSetup, requests: Requests, opened: Callable[[Path, FusionSetup], SessionFile]
     ) -> None:
         super().__init__(())
         self._file: SessionFile | None = None
         self._setup, self._requests, self._opened = setup, requests, opened
         self._page: CoachPage | None = None
         self._ending: list[threading.Thread] = []
+        self._faults: list[BaseException] = []
         self.files: list[SessionFile] = []
         """All of them, in order."""
         requests.tell_saving("ready", "")
@@ -53,7 +54,8 @@ class RequestedFiles(FanOut):
         if file is not None and (wanted is False or file.failure is not None):
             self._end(file)
         elif file is None and wanted:
-            file = self._opened(self._setup)
+            path = free_path(Path(), datetime.now(), [each.path for each in self.files])
+            file = self._opened(path, self._setup)
             if self._page is not None:
                 file.coach(self._page)
             self.files.append(file)
@@ -70,11 +72,18 @@ class RequestedFiles(FanOut):
         super().coach(page)
 
     def close(self) -> None:
-        """Ends the open file, and waits for all that end."""
+        """Ends the open file, and waits for all that end.
+
+        Raises:
+            Exception: As :meth:`SessionFile.close`, the first one.
+        """
         if self._file is not None:
             self._end(self._file)
         for thread in self._ending:
             thread.join()
+        faults, self._faults = self._faults, []
+        if faults:
+            raise faults[0]
 
     def _end(self, file: SessionFile) -> None:
         """Ends a file on a thread: it may wait for the disk."""
@@ -82,13 +91,14 @@ class RequestedFiles(FanOut):
         file.finish()
 
         def end() -> None:
+            why = None
             try:
                 file.close()
-            finally:
-                if file.failure is None:
-                    self._requests.tell_saving("saved", file.path.name)
-                else:
-                    self._requests.tell_saving("failed", file.failure)
+            except BaseException as fault:  # of the writer; close raises it on the loop's thread
+                self._faults.append(fault)
+                why = f"{file.path.name} could not be written: {fault!r}."
+            why = why or file.failure
+            self._requests.tell_saving("failed" if why else "saved", why or file.path.name)
 
         self._requests.tell_saving("ending", file.path.name)
         thread = threading.Thread(target=end, name="end of a session file")
@@ -96,11 +106,11 @@ class RequestedFiles(FanOut):
         thread.start()
 
 
-def free_path(folder: Path, now: datetime) -> Path:
-    """A name by the time that no file in the folder has."""
+def free_path(folder: Path, now: datetime, taken: Collection[Path] = ()) -> Path:
+    """A name by the time that no file in the folder has, nor one that is to come there."""
     stem, number = f"duplex-{now:%Y%m%d-%H%M%S}", 1
     path = folder / f"{stem}.rrd"
-    while path.exists():
+    while path.exists() or path in taken:
         number += 1
         path = folder / f"{stem}-{number}.rrd"
     return path

@@ -2,10 +2,11 @@
 
 import json
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from websockets.sync.client import connect
 
@@ -43,6 +44,7 @@ def live(requests, **how):
 
 
 @given(asks=st.dictionaries(st.integers(0, len(FRAMES) - 1), st.booleans(), max_size=6))
+@example(asks={0: True, 2: False, 3: True, 4: False, 5: True})
 @settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_each_frame_between_two_requests_is_in_one_file(asks, tmp_path, monkeypatch):
     folder = tmp_path / str(len(list(tmp_path.iterdir())))
@@ -70,11 +72,25 @@ def test_each_frame_between_two_requests_is_in_one_file(asks, tmp_path, monkeypa
     assert [state for state, _ in requests.told if state == "saved"] == ["saved"] * len(files)
 
 
+def test_a_fault_of_the_writer_is_told_and_raised(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("viewer_app.sinks.session_file.write_items", lambda *_: 1 / 0)
+    requests = Requests({0: True, 1: False})
+    session = live(requests)
+    for frame in FRAMES[:2]:
+        session.write(frame)
+    with pytest.raises(ZeroDivisionError):
+        session.close()
+    state, text = requests.told[-1]
+    assert state == "failed"
+    assert text.startswith(session.requested.files[0].path.name)
+
+
 def test_a_name_is_that_of_no_file(tmp_path):
-    now, seen = datetime(2026, 1, 2, 3, 4, 5), set()
-    for _ in range(3):
-        path = free_path(tmp_path, now)
-        path.touch()
+    now, seen, taken = datetime(2026, 1, 2, 3, 4, 5), set(), []
+    for made in (Path.touch, taken.append, Path.touch):
+        path = free_path(tmp_path, now, taken)
+        made(path)
         seen.add(path.name)
     assert seen == {f"duplex-20260102-030405{more}.rrd" for more in ("", "-2", "-3")}
 
@@ -136,6 +152,8 @@ def test_a_page_begins_and_ends_a_file(server, tmp_path, monkeypatch):
                 assert button.inner_text() == word
             (file,) = session.requested.files
             assert tabs[1].locator("#event").inner_text() == f"Saved {file.path.name}"
+            server.close()  # another program may answer, which saves nothing
+            tabs[0].wait_for_function("skeleton.hello === null && !skeleton.saving")
         finally:
             browser.close()
     assert len(Session.open(file.path).rows) == 12
