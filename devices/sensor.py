@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from numbers import Real
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -106,17 +107,21 @@ class SensorFrame:
     def __post_init__(self) -> None:
         time_ns: Any = self.time_ns
         people: Any = self.people
-        if not isinstance(time_ns, Real):
+        if not isinstance(time_ns, Real) or not isfinite(time_ns):
             raise FrameError(f"A frame's time_ns is nanoseconds; got {time_ns!r}.")
         if not isinstance(people, dict):
             raise FrameError(f"A frame's people are a dict; got a {type(people).__name__}.")
-        for person in people.values():
+        for name, person in people.items():
+            if not isinstance(name, str):
+                raise FrameError(f"A frame's people are by an id, a str; got {name!r}.")
             if not isinstance(person, Skeleton):
                 got = type(person).__name__
                 raise FrameError(f"A frame's people are made by Skeleton.of; got a value of type {got}.")
-        for name, image, unit in (("depth", self.depth, " millimetres"), ("ir", self.ir, "")):
-            if image is not None and (image.dtype != np.uint16 or image.ndim != 2):
-                got = f"{image.shape} {image.dtype}"
+        images: tuple[tuple[str, Any, str], ...] = ("depth", self.depth, " millimetres"), ("ir", self.ir, "")
+        for name, image, unit in images:
+            array = isinstance(image, np.ndarray)
+            if image is not None and (not array or image.dtype != np.uint16 or image.ndim != 2):
+                got = f"{image.shape} {image.dtype}" if array else f"a {type(image).__name__}"
                 raise FrameError(f"A frame's {name} is (height, width) uint16{unit}; got {got}.")
 
 

@@ -34,6 +34,8 @@ from devices.realsense import sdk_access as realsense_access
 from devices.realsense.sdk_access import load_sdk as realsense_sdk
 from devices.sensor import AbsentError, DeviceError, FrameError, SensorFrame
 from devices.tracker_choice import TrackerChoice
+from fusion.body import AZURE_KINECT
+from fusion.skeleton import nobody
 from tests.helpers.scripted_sensor import ScriptedSensor
 from tests.helpers.standin_camera import VirtualTime
 
@@ -267,9 +269,12 @@ GREY = np.zeros((3, 4), np.uint16)
     ("given", "said"),
     [
         ({"time_ns": None}, "time_ns is nanoseconds; got None"),
+        ({"time_ns": float("nan")}, "time_ns is nanoseconds; got nan"),
         ({"people": [np.ones((25, 3))]}, "people are a dict; got a list"),
+        ({"people": {1: nobody(AZURE_KINECT)}}, "people are by an id, a str; got 1"),
         ({"people": {"1": np.ones((25, 3))}}, "made by Skeleton.of; got a value of type ndarray"),
         ({"depth": np.ones((3, 4), np.float32)}, r"uint16 millimetres; got \(3, 4\) float32"),
+        ({"depth": GREY.tolist()}, "uint16 millimetres; got a list"),
         ({"depth": GREY[..., None]}, r"\(height, width\) uint16 millimetres; got \(3, 4, 1\)"),
         ({"ir": GREY.astype(np.uint8)}, r"ir is \(height, width\) uint16; got \(3, 4\) uint8"),
     ],
