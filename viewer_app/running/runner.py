@@ -34,7 +34,6 @@ from viewer_app.running.sensor_run import SensorRun
 from viewer_app.running.sounds import Sounds, player
 from viewer_app.running.status import LiveDisplay
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.sinks.session_file import SessionFile
 from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.viewer_choice import choose_viewing
 
@@ -168,7 +167,7 @@ class Runner(SensorRun):
             print_details(console, figures)
         save_session_report(self.options.report, figures, saved, self.options.force)
         self.tell_more()
-        for each in self._files():
+        for each in self.session.files:
             if each.written and each.failure is None:
                 say_saved(console, each.path)
             for text in each.missing:
@@ -203,14 +202,8 @@ class Runner(SensorRun):
     def tell_more(self) -> None:
         """Prints what follows the figures."""
 
-    def _files(self) -> Sequence[SessionFile]:
-        """The session files, in order."""
-        requested = self.session.requested
-        files = [] if self.session.file is None else [self.session.file]
-        return files if requested is None else [*files, *requested.files]
-
     def end(self) -> None:
-        for file in self._files():
+        for file in self.session.files:
             if file.failure is not None:
                 raise UsageError(file.failure)
         check_kept(self._outputs)

@@ -87,8 +87,9 @@ class LiveDisplay:
         self._advise(status)
         for event in status.events:
             self._console.print(event.text, style="yellow", markup=False, soft_wrap=True)
-        file, viewer = self._session.file, self._session.viewer
-        for failure in (file and (file.failure or file.waited), viewer and viewer.window_failure):
+        viewer = self._session.viewer
+        failures = [file.failure or file.waited for file in self._session.files]
+        for failure in (*failures, viewer and viewer.window_failure):
             if failure and failure not in self._failures_told:
                 self._failures_told.add(failure)
                 self._console.print(f"[bold red]{escape(failure)}[/] The fusion continues.", soft_wrap=True)
@@ -117,7 +118,7 @@ class LiveDisplay:
             f"trust {trust[0]:.2f}/{trust[1]:.2f}",
             f"fuse {fuse:.0f} µs",
         ]
-        file, viewer = self._session.file, self._session.viewer
+        file, viewer = self._session.open_file, self._session.viewer
         if file is not None:
             stopped = file.failure is not None
             parts.append("SAVING STOPPED" if stopped else f"saving {file.written_bytes / 1e6:.1f} MB")

@@ -89,6 +89,17 @@ class LiveSession(FanOut, AbstractContextManager["LiveSession"]):
         sinks = self.file, self.viewer, self.requested, *others
         super().__init__([sink for sink in sinks if sink is not None])
 
+    @property
+    def files(self) -> list[SessionFile]:
+        """The session files, in order."""
+        asked_for = [] if self.requested is None else self.requested.files
+        return asked_for if self.file is None else [self.file, *asked_for]
+
+    @property
+    def open_file(self) -> SessionFile | None:
+        """The session file that gets the frames now."""
+        return self.requested.file if self.requested is not None and self.file is None else self.file
+
     def begin(self) -> None:
         """Shows this session where the viewer showed a sample."""
         if self.viewer is not None:

@@ -39,18 +39,20 @@ class RequestedFiles(FanOut):
         self, setup: FusionSetup, requests: Requests, opened: Callable[[Path, FusionSetup], SessionFile]
     ) -> None:
         super().__init__(())
-        self._file: SessionFile | None = None
+        self.file: SessionFile | None = None
+        """The one that gets the frames now."""
         self._setup, self._requests, self._opened = setup, requests, opened
         self._page: CoachPage | None = None
         self._ending: list[threading.Thread] = []
         self._faults: list[BaseException] = []
+        self._waited: str | None = None  # as it was told
         self.files: list[SessionFile] = []
         """All of them, in order."""
         requests.tell_saving("ready", "")
 
     def write(self, frame: SessionFrame) -> None:
         """Begins or ends a file if that was asked for; writes the frame to the file that is open."""
-        wanted, file = self._requests.take_request(), self._file
+        wanted, file = self._requests.take_request(), self.file
         if file is not None and (wanted is False or file.failure is not None):
             self._end(file)
         elif file is None and wanted:
@@ -59,8 +61,11 @@ class RequestedFiles(FanOut):
             if self._page is not None:
                 file.coach(self._page)
             self.files.append(file)
-            self._file, self.sinks = file, (file,)
+            self.file, self.sinks = file, (file,)
             self._requests.tell_saving("saving", file.path.name)
+        elif file is not None and file.waited not in (None, self._waited):  # for the disk
+            self._waited = file.waited
+            self._requests.tell_saving("saving", file.waited)
         super().write(frame)
 
     def recalibrated(self, setup: FusionSetup) -> None:
@@ -77,8 +82,8 @@ class RequestedFiles(FanOut):
         Raises:
             Exception: As :meth:`SessionFile.close`, the first one.
         """
-        if self._file is not None:
-            self._end(self._file)
+        if self.file is not None:
+            self._end(self.file)
         for thread in self._ending:
             thread.join()
         faults, self._faults = self._faults, []
@@ -87,7 +92,7 @@ class RequestedFiles(FanOut):
 
     def _end(self, file: SessionFile) -> None:
         """Ends a file on a thread: it may wait for the disk."""
-        self._file, self.sinks = None, ()
+        self.file, self.sinks = None, ()
         file.finish()
 
         def end() -> None:

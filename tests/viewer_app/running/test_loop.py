@@ -281,8 +281,10 @@ class Shown:
 
     def __init__(self, width=80, **options):
         self.printed = io.StringIO()
+        file = MagicMock(failure=None, waited=None, saves=True, written_bytes=12_340_000, lost=0)
         self.session = MagicMock(
-            file=MagicMock(failure=None, waited=None, saves=True, written_bytes=12_340_000, lost=0),
+            open_file=file,
+            files=[file],
             viewer=MagicMock(dropped=0, window_closed=False, window_failure=""),
         )
         self.coach = MagicMock(body=BODY, intrinsics=(MagicMock(), MagicMock()))
@@ -315,19 +317,21 @@ def test_the_status_line_has_every_figure(statuses):
 def test_the_status_line_says_what_goes_wrong(statuses):
     shown = Shown()
     shown.display(statuses[0])
-    shown.session.file.configure_mock(failure="The disk is full.", lost=2)
+    shown.session.open_file.configure_mock(failure="The disk is full.", lost=2)
     shown.session.viewer.configure_mock(dropped=5, window_closed=True)
     assert shown.display.line().split(" · ")[-4:] == [
         "SAVING STOPPED", "5 not shown", "2 NOT SAVED", "viewer closed",
     ]  # fmt: skip
 
 
-def test_a_window_that_is_given_up_is_said_once(statuses):
+def test_what_fails_is_said_once(statuses):
     shown = Shown()
     shown.session.viewer.configure_mock(window_failure="No window.")
+    shown.session.files.append(MagicMock(failure=None, waited="No room."))  # a page asked for it
     for status in statuses:
         shown.display(status)
-    assert shown.printed.getvalue().count("No window. The fusion continues.") == 1
+    for what in ("No window.", "No room."):
+        assert shown.printed.getvalue().count(f"{what} The fusion continues.") == 1
 
 
 @pytest.mark.parametrize("quiet", [False, True])

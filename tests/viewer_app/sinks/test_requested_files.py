@@ -12,7 +12,7 @@ from websockets.sync.client import connect
 
 from recordings.session import Session
 from tests.helpers.live_frames import frames, known_fuser
-from tests.helpers.machine import need_browser
+from tests.helpers.machine import need_browser, small_disk
 from tests.helpers.network import free_port
 from tests.helpers.waiting import eventually
 from viewer_app.outputs.websocket import WebSocketOutput
@@ -62,7 +62,7 @@ def test_each_frame_between_two_requests_is_in_one_file(asks, tmp_path, monkeypa
         saving = wanted
         if saving:
             expected[-1].append(frame.fused.positions)
-    files = session.requested.files
+    files = session.files
     assert sorted(folder.iterdir()) == sorted(file.path.absolute() for file in files)
     assert len(files) == len(expected)
     for file, fused in zip(files, expected, strict=True):
@@ -70,6 +70,24 @@ def test_each_frame_between_two_requests_is_in_one_file(asks, tmp_path, monkeypa
         assert saved.damage is None
         np.testing.assert_allclose(saved.fused, fused, atol=1e-6)
     assert [state for state, _ in requests.told if state == "saved"] == ["saved"] * len(files)
+
+
+def test_a_full_disk_is_told_while_it_is_waited_for(tmp_path, monkeypatch):
+    requests = Requests({0: True})
+    with small_disk(tmp_path / "small", 4) as disk:
+        monkeypatch.chdir(disk)
+        with live(requests) as session:
+            session.write(FRAMES[0])
+            (file,) = session.files
+            assert session.open_file is file
+            assert eventually(lambda: file.waited)
+            for frame in FRAMES[1:3]:
+                session.write(frame)
+            assert requests.told[2:] == [("saving", file.waited)]
+        monkeypatch.chdir(tmp_path)
+    assert requests.told[-1] == ("failed", file.failure)
+    assert "No space left on device" in file.failure
+    assert session.open_file is None
 
 
 def test_a_fault_of_the_writer_is_told_and_raised(tmp_path, monkeypatch):
@@ -83,7 +101,7 @@ def test_a_fault_of_the_writer_is_told_and_raised(tmp_path, monkeypatch):
         session.close()
     state, text = requests.told[-1]
     assert state == "failed"
-    assert text.startswith(session.requested.files[0].path.name)
+    assert text.startswith(session.files[0].path.name)
 
 
 def test_a_name_is_that_of_no_file(tmp_path):
@@ -150,7 +168,7 @@ def test_a_page_begins_and_ends_a_file(server, tmp_path, monkeypatch):
                 for tab in tabs:
                     tab.wait_for_function(f"skeleton.saving.state === '{state}'")
                 assert button.inner_text() == word
-            (file,) = session.requested.files
+            (file,) = session.files
             assert tabs[1].locator("#event").inner_text() == f"Saved {file.path.name}"
             server.close()  # another program may answer, which saves nothing
             tabs[0].wait_for_function("skeleton.hello === null && !skeleton.saving")
