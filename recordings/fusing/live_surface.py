@@ -84,7 +84,9 @@ class LiveSurface:
         return []
 
     def _choose(self, pair: FramePair) -> None:
-        """Keeps the middle one of the recent pairs, if it is the stillest of its second."""
+        """Keeps the middle one of the recent pairs of two views, if it is the stillest of its second."""
+        if pair.skeletons.a is None or pair.skeletons.b is None:
+            return
         if self._recent and not 0 < pair.time_ns - self._recent[-1].time_ns < _LONGEST_NS:
             self._recent.clear()
         self._recent.append(pair)
@@ -100,7 +102,7 @@ class LiveSurface:
         middle = self._recent[AROUND]
         views = (middle.a, pairs[AROUND].a), (middle.b, pairs[AROUND].b)
         images = [frame.depth for frame, _ in views if frame is not None and frame.depth is not None]
-        if len(images) < 2 or any(each.a is None or each.b is None for each in pairs):
+        if len(images) < 2:
             return
         around = Pairs.of(self._body, pairs[AROUND - 1 : AROUND + 2])
         (speed,) = larger_speeds(around).tolist()

@@ -40,9 +40,10 @@ def learner():
 
 @given(data=st.data(), rate=st.integers(10, 60))
 @settings(max_examples=10)
-def test_a_moment_is_one_of_its_second_with_both_views_and_images_all_around(data, rate):
+def test_a_moment_is_one_of_its_second_with_both_views_all_around(data, rate):
     pairs = frame_pairs(BODY, 6 * rate, depth=True)
     gone = data.draw(st.sets(st.integers(0, len(pairs) - 1), max_size=4))
+    gone |= set(range(0, len(pairs), 2)) if data.draw(st.booleans()) else set()  # B at half the rate
     times = [round(k * SECOND / rate) for k in range(len(pairs))]
     for k, time_ns in enumerate(times):
         pair = replace(pairs[k], skeletons=replace(pairs[k].skeletons, time_ns=time_ns))
@@ -57,7 +58,7 @@ def test_a_moment_is_one_of_its_second_with_both_views_and_images_all_around(dat
     assert all(middles[k + 2].time_ns - middles[k].time_ns >= SECOND for k in range(2))
     for moment, middle in zip(moments, middles, strict=True):
         k = times.index(middle.time_ns)
-        assert not gone & set(range(k - 3, k + 4))
+        assert all(pair.a is not None and pair.b is not None for pair in moment.pairs)
         assert moment.images[0] is pairs[k].a.depth
         assert moment.images[1] is pairs[k].b.depth
 
