@@ -1,13 +1,15 @@
 """State of a sensor on its own thread, the back-off between attempts to reopen it, and its messages."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
 from devices.capture.causes import Cause
-from devices.sensor import AbsentError, DeviceError, Sensor, SensorFrame
+from devices.sensor import AbsentError, DeviceError, FrameError, Sensor, SensorFrame
 
 _LONGEST_S = 10.0
+_JOINTLESS = 30  # skeletons: a second
 
 
 class Arrival(NamedTuple):
@@ -67,6 +69,38 @@ class Retries:
     def succeeded(self) -> None:
         """Resets the wait after the sensor was opened."""
         self._next_s = self._first_s
+
+
+class FrameBorder:
+    """The border for the people of a source: skeletons of its body, which have joints.
+
+    Args:
+        tell: Gets a line for the user if none of the first skeletons has a joint.
+    """
+
+    def __init__(self, sensor: Sensor, tell: Callable[[str], None]) -> None:
+        self._sensor, self._tell = sensor, tell
+        self._jointless: int | None = None if sensor.tracked_by else 0  # skeletons; None: not counted
+
+    def check(self, frame: object) -> None:
+        """Checks the next frame.
+
+        Raises:
+            BodyError: It is no frame, or a skeleton has another body.
+        """
+        name = self._sensor.name
+        if not isinstance(frame, SensorFrame):
+            raise FrameError(f"The frames of {name} are each a SensorFrame; got a {type(frame).__name__}.")
+        for person in frame.people.values():
+            self._sensor.body.require(person.body, f"A skeleton of {name}")
+            if self._jointless is not None:
+                self._jointless = None if person.states.any() else self._jointless + 1
+        if self._jointless is not None and self._jointless >= _JOINTLESS:
+            self._jointless = None
+            self._tell(
+                f"{name}: its skeletons have no joint in front of it and within range. Positions are in "
+                f"metres, z forward; give no people while nobody is seen."
+            )
 
 
 def not_opened(sensor: Sensor, within_s: float) -> DeviceError:

@@ -13,6 +13,7 @@ from devices.capture.clock.host_clock import SourceTimes
 from devices.capture.sensor_state import (
     USUAL_LIMITS,
     Arrival,
+    FrameBorder,
     Retries,
     SensorState,
     TimeLimits,
@@ -227,6 +228,8 @@ class SensorThread:
         if self._fault is None:
             return
         self.close()
+        if isinstance(self._fault, BodyError) and self.sensor.name not in str(self._fault):
+            raise type(self._fault)(f"{self.sensor.name}: {self._fault}") from self._fault
         if not isinstance(self._fault, Exception) or isinstance(self._fault, DeviceError | BodyError):
             raise self._fault
         raise failed_within(self.sensor.name, self._fault) from self._fault
@@ -265,13 +268,13 @@ class SensorThread:
 
     def _pump(self, stopping: threading.Event) -> None:
         """Hands on frames until the source ends or the reader closes."""
+        border = FrameBorder(self.sensor, self._tell)
         frames = self.sensor.frames()
         try:
             for frame in frames:
                 if stopping.is_set():
                     return
-                for person in frame.people.values():
-                    self.sensor.body.require(person.body, f"A skeleton of {self.sensor.name}")
+                border.check(frame)
                 if self.sensor.intrinsics is not None:
                     frame = with_witness(frame, self.sensor.intrinsics)
                 self._deliver(frame)

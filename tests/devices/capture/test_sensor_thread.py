@@ -8,9 +8,11 @@ import weakref
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from devices.capture.sensor_pair import TwoSensors
-from devices.capture.sensor_state import Retries, SensorState, TimeLimits
+from devices.capture.sensor_state import FrameBorder, Retries, SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from devices.sensor import AbsentError, DeviceError, LinkFigures, SensorFrame, SensorWrapper
@@ -592,3 +594,33 @@ def test_a_sensor_that_still_loads_is_not_called_hung(earlier_threads, waits_for
     assert ("Unplug" in told) == (waits_for == "")
     release.set()
     assert all_threads_end(earlier_threads)
+
+
+@pytest.mark.parametrize("frame", [None, (0, {})])
+def test_what_is_no_frame_ends_a_sensor_of_ones_own(frame):
+    with pytest.raises(BodyError, match=rf"^The frames of 000123 .*; got a {type(frame).__name__}\."):
+        FrameBorder(ScriptedSensor(), print).check(frame)
+
+
+def test_a_wrong_shape_is_told_with_the_name_of_the_sensor(sensor, thread):
+    sensor.put(lambda: Skeleton.of(AZURE_KINECT, np.ones((32, 2))))
+    with pytest.raises(BodyError, match=r"^000123: azure_kinect has 32 joints; .* shape \(32, 2\)\."):
+        eventually(lambda: bool(thread.take()), PATIENCE_S)
+
+
+@pytest.mark.parametrize("tracked_by", ["", "k4abt"])
+@pytest.mark.parametrize("far", [1000.0, -1.0, np.nan])
+@given(before=st.sampled_from([0, 1, 29]), more=st.booleans())
+def test_skeletons_without_a_joint_are_told_once_unless_one_came(far, tracked_by, before, more):
+    before += 30 * more
+    sensor, told = ScriptedSensor(), []
+    sensor.tracked_by = tracked_by
+    border = FrameBorder(sensor, told.append)
+    positions = np.full((32, 3), far)
+    lost = SensorFrame(0, {"1": Skeleton.of(AZURE_KINECT, positions)})
+    positions[7] = 1.0
+    found = SensorFrame(0, {"1": Skeleton.of(AZURE_KINECT, positions)})
+    for frame in (*[lost] * before, found, *[lost] * 60):
+        border.check(frame)
+    assert len(told) == (more and not tracked_by)
+    assert all(text.startswith("000123: its skeletons have no joint") for text in told)
