@@ -20,7 +20,8 @@ from devices.frame_pairs import FramePair
 from devices.people import tracks as people_tracks
 from devices.people.following import PersonOfPair
 from devices.people.recorded_people import Follow
-from devices.sensor import Sensor
+from devices.sensor import FrameError, Sensor
+from fusion.body import Body
 from fusion.calibration.calibration import nominal_calibration
 from fusion.calibration.calibrator import Calibrator
 from fusion.calibration.online import CalibrationLearner, LearnerSettings
@@ -178,6 +179,7 @@ class LiveFrames(Iterator[SessionFrame]):
 
         Raises:
             DeviceError: A sensor cannot be opened.
+            FrameError: What a sensor gives is of another kind, shape or unit.
         """
         return next(self._frames)
 
@@ -216,10 +218,13 @@ class LiveFrames(Iterator[SessionFrame]):
         with FirstRun(*live_warm_ups(method)) as first_run:
             first_run.finish()
         with self._sensors as sensors:
+            for own in (a, b):
+                if not isinstance(getattr(own, "body", None), Body):
+                    raise FrameError(f"{own.name} has no body, which is one such as fusion.KINECT_V2.")
             setup = self._given or FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
             fusion = LiveFusion(setup, self._given is not None)
             for frame in fusion.frames(sensors):
-                self._keep_frame(fusion.setup, frame, fusion.learn(frame))
+                self._keep_frame(fusion.setup, frame, [*sensors.events(), *fusion.learn(frame)])
                 yield frame
 
     def _keep_frame(self, setup: FusionSetup, frame: SessionFrame, events: list[Event]) -> None:

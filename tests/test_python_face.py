@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import devices
 import fusion
 import recordings
 from devices import Sensor, SensorFrame
-from fusion import KINECT_V2, FusionSetup
+from fusion import KINECT_V2, FusionSetup, Skeleton
+from fusion.errors import BodyError
 from recordings import RecordingError, Session, fuse, fuse_live
 from tests.helpers.programs import python
 from tests.helpers.recorded_pairs import write_recordings
@@ -110,3 +112,30 @@ def test_a_live_session_is_kept_on_request_and_saved(tmp_path):
             break
     assert changes, "it calibrates on any pose, for the time being"
     assert [event.frame for event in learning.session.events if "calibrated" in event.text] == changes
+
+
+class Paced(Made):
+    """One that gives frames no faster than they are taken."""
+
+    def frames(self):
+        for frame in super().frames():
+            time.sleep(0.005)
+            yield frame
+
+
+def test_what_a_sensor_of_ones_own_does_wrong_is_in_its_session():
+    views = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 60))]
+    a = Paced("a", [pair.a for pair in views])
+    wrong = [Skeleton.of(KINECT_V2, 1000 * pair.b.positions, None, pair.b.time_ns) for pair in views]
+    running = fuse_live(a, Paced("b", wrong), FusionSetup(calibration_of(KINECT_V2)), keep=True)
+    list(running)
+    told = [event.text for event in running.session.events if "its skeletons have no joint" in event.text]
+    assert [text.partition(":")[0] for text in told] == ["b"]
+
+
+@pytest.mark.parametrize("body", [None, "kinect_v2"])
+def test_a_sensor_without_a_body_is_named(body):
+    b = Made("mine", [])
+    b.body = body
+    with pytest.raises(BodyError, match=r"^mine has no body"):
+        next(fuse_live(Made("a", []), b))
