@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from fusion.fused_frame import FusedFrame
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from viewer_app.errors import UsageError
+from viewer_app.flags import in_flags
 from viewer_app.outputs.even_samples import EvenSamples
 from viewer_app.sinks.item_queue import DropOldest, Item, ItemQueue, QueuedFrame
 from viewer_app.sinks.queued_sink import QueuedSink
@@ -202,7 +203,7 @@ class LiveOutput(QueuedSink):
                         self.send_event(news)
                     self._count(self.send_frame(item), item.written_ns)
                 case Event():
-                    self.send_event(item)
+                    self.send_event(replace(item, text=in_flags(item.text)))
                 case FusionSetup():
                     self.send_setup(item)
         except OSError:

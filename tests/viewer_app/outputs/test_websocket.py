@@ -82,9 +82,10 @@ def test_a_client_reads_the_description_then_frames_and_events(server, fuser):
                 rest = KINECT_V2.rest[j] * lengths[j]
                 made[j] = made[KINECT_V2.parents[j]] + turns[int(j)].apply(rest)
             np.testing.assert_allclose(made, at, atol=1.4e-4)
-        server.event(Event("B lost", "WARN"))
+        server.event(Event("B lost; use `depth=none`", "WARN"))
         event = read(client)
-        assert (event["type"], event["level"], event["text"]) == ("event", "WARN", "B lost")
+        assert (event["type"], event["level"]) == ("event", "WARN")
+        assert event["text"] == "B lost; use --depth none"
         server.recalibrated(fuser.setup)
         assert read(client)["type"] == "hello"
         changed = read(client)
