@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from websockets.sync.client import connect
 
+from devices.events import Event
 from recordings.session import Session
 from tests.helpers.live_frames import frames, known_fuser
 from tests.helpers.machine import need_browser, small_disk
@@ -170,6 +171,14 @@ def test_a_page_begins_and_ends_a_file(server, tmp_path, monkeypatch):
                 assert button.inner_text() == word
             (file,) = session.files
             assert tabs[1].locator("#event").inner_text() == f"Saved {file.path.name}"
+            why = "session.rrd could not be written: No space left on device."
+            server.tell_saving("failed", why)
+            tabs[0].wait_for_function("skeleton.saving.state === 'failed'")
+            server.event(Event("A sees somebody else."))
+            session.recalibrated(FUSER.setup)
+            session.write(FRAMES[0])
+            tabs[0].wait_for_function("skeleton.frame.time_s === 0")
+            assert tabs[0].locator("#event").inner_text() == why, "no event takes its place"
             server.close()  # another program may answer, which saves nothing
             tabs[0].wait_for_function("skeleton.hello === null && !skeleton.saving")
         finally:
