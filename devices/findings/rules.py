@@ -105,7 +105,7 @@ _FEW = below(10.0, 30.0)
 RULES: dict[str, Rule] = {
     "no_frames": Rule(
         "time since a sensor's last frame", "s", below(0.3, 0.3), what="no frames from {who}",
-        live="wait for {who}", is_event=False, lost=True, first=True),
+        live="wait for {who}", told_by=_SLOW, is_event=False, lost=True, first=True),
     "unseen": Rule(
         "time without a person in a view, now", "s", below(1.0, 1.0), what="{who} sees no one",
         live="step into its view", told_by=frozenset({"no_frames"}), lost=True, first=True),

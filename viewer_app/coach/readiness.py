@@ -23,6 +23,7 @@ class Headline:
     state: State
     step: str  # what is wrong and what to do next, in a few words
     kind: str = ""  # the rule that fired; empty where nothing is to do
+    side: str = ""  # the sensor that it is about, if one
 
     @property
     def lost(self) -> bool:
@@ -52,7 +53,7 @@ class Readiness:
             if time - at < LASTS and (key in now or key[0] != _DONE_AT_ONCE)
         }
         counts = followed(each for _, each in self._found.values())
-        wanted = headline(counts, calibration, self._shown.kind)
+        wanted = headline(counts, calibration, self._shown)
         done = self._shown.kind == _DONE_AT_ONCE != wanted.kind
         at_once = done or (wanted.lost and not self._shown.lost)
         if wanted != self._shown and (at_once or time - self._since >= LASTS):
@@ -63,20 +64,21 @@ class Readiness:
         return self._shown
 
 
-def headline(findings: Sequence[Finding], calibration: Calibration, kept: str = "") -> Headline:
+def headline(findings: Sequence[Finding], calibration: Calibration, kept: Headline | None = None) -> Headline:
     """The state, and the step that comes first, of findings as :func:`followed` orders them.
 
     Args:
-        kept: The rule of the last step, which stays first until it is done.
+        kept: The last one, whose step stays first until it is done, of the same sensor if it can.
     """
     asked = [each for each in findings if each.step]
     if not asked:
         return Headline(State.READY, f"Record now: {_precision(calibration)}whole body in both views")
     first = asked[0]
-    if not RULES[first.rule].first:
-        alike = (each for each in asked if each.rule == kept and each.word == first.word)
-        first = next(alike, first)
-    return Headline(_STATES[first.word], in_flags(capital(f"{first.what}: {first.step}")), first.rule)
+    if kept is not None and not RULES[first.rule].first:
+        alike = [each for each in asked if each.rule == kept.kind and each.word == first.word]
+        first = next((each for each in alike if each.side == kept.side), next(iter(alike), first))
+    said = in_flags(capital(f"{first.what}: {first.step}"))
+    return Headline(_STATES[first.word], said, first.rule, first.side)
 
 
 def to_markdown(

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from devices.depth.camera import project
 from devices.findings.finding import Finding, followed, judge
-from devices.findings.rules import RULES, WALK, farthest, nearest
+from devices.findings.rules import RULES, WALK, farthest, nearest, within
 from devices.sensor import SensorFrame
 from devices.simulated.demonstration import demonstrated, good_rig, therapist
 from devices.simulated.kinect import Scene, SimulatedKinect
@@ -291,6 +291,21 @@ FINDINGS = [
 SEQUENCES = st.lists(
     st.tuples(st.floats(0.01, 3.0), st.sets(st.sampled_from(range(len(FINDINGS))), max_size=4)), max_size=60
 )
+
+
+@given(st.lists(st.booleans(), min_size=2, max_size=20))
+def test_a_headline_stays_with_its_sensor(a_is_nearer):
+    """Where both have one fault, and their figures swing about each other."""
+    readiness, sides = Readiness(), set()
+    for k, nearer_a in enumerate(a_is_nearer):
+        metres = (1.30, 1.31) if nearer_a else (1.31, 1.30)
+        found = [
+            each
+            for side, far in zip("AB", metres, strict=True)
+            for each in judge("distance", far, side, limits=within(1.8, 4.0))
+        ]
+        sides.add(readiness.watch(3.0 * k, followed(found), KNOWN).side)
+    assert len(sides) == 1
 
 
 @given(SEQUENCES)
