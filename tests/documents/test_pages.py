@@ -227,3 +227,9 @@ def test_every_file_names_its_command_and_its_machine():
 def test_all_documents_together_are_short():
     pages = [*documents(), ROOT / "CHANGELOG.md"]
     assert sum(words(page.read_text(encoding="utf-8")) for page in pages) <= 24_000
+
+
+def test_every_test_that_a_script_names_exists():
+    for script in (".ci/run", ".ci/package", "Makefile", "CONTRIBUTING.md"):
+        for named in re.findall(r"\btests/[\w/]+(?:\.py)?", (ROOT / script).read_text(encoding="utf-8")):
+            assert (ROOT / named).exists(), f"{script}: {named}"
