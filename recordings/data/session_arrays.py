@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from types import MappingProxyType, UnionType
+from types import MappingProxyType, NoneType
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -394,9 +394,10 @@ def _declared() -> Iterator[FrameField]:
     for name, hint in get_type_hints(SessionArrays, include_extras=True).items():
         if get_origin(hint) is Annotated:
             kind, spec = get_args(hint)
-            optional = get_origin(kind) is UnionType
-            array = get_args(kind)[0] if optional else kind
-            yield replace(spec, name=name, dtype=get_args(get_args(array)[1])[0], optional=optional)
+            optional = NoneType in get_args(kind)
+            scalar = get_args(get_args(kind)[0] if optional else kind)[-1]
+            scalar, *_ = get_args(scalar) or (scalar,)  # from numpy 2.5 on without np.dtype
+            yield replace(spec, name=name, dtype=scalar, optional=optional)
 
 
 FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType({each.name: each for each in _declared()})
