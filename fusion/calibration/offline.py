@@ -201,7 +201,8 @@ class _Fresh(NamedTuple):
         pairs = pairs[: int(np.searchsorted(pairs.time_ns, pairs.time_ns[:1].sum() + _IMAGES_NS))]
         if len(pairs) < 3:
             return pairs[:0]
-        speed, times = larger_speeds(pairs), pairs.time_ns
+        of, times = pairs.arrays(), pairs.time_ns
+        speed = larger_speeds(of.a, of.b, times)
         speed = np.where(np.isfinite(speed) & (times[2:] - times[:-2] < _APART_NS), speed, np.inf)
         part = (times[1:-1] - times[0]) // max(_APART_NS, int(times[-1] - times[0]) // _MOMENTS + 1)
         best = [np.flatnonzero(part == of)[np.argmin(speed[part == of])] for of in np.unique(part)]
@@ -253,11 +254,14 @@ def _is_knock(
     return found.gain > settings.knock.needed(found.keyframes)
 
 
-def larger_speeds(pairs: Pairs) -> Array:
-    """(T - 2,) metres per second, the larger of both views' median speeds of joints; NaN where unknown."""
-    of, times = pairs.arrays(), pairs.time_ns
-    moved = (np.linalg.norm(at[2:] - at[:-2], axis=2) for at in (of.a, of.b))
-    seconds = 1e-9 * np.maximum(times[2:] - times[:-2], 1)
+def larger_speeds(a: NDArray[np.floating], b: NDArray[np.floating], time_ns: NDArray[np.int64]) -> Array:
+    """(T - 2,) metres per second, the larger of both views' median speeds of joints; NaN where unknown.
+
+    Args:
+        a, b: (T, J, 3) metres, each in its sensor's frame.
+    """
+    moved = (np.linalg.norm(at[2:] - at[:-2], axis=2) for at in (a, b))
+    seconds = 1e-9 * np.maximum(time_ns[2:] - time_ns[:-2], 1)
     return np.asarray(np.maximum(*(median_of_known(by) for by in moved)) / seconds)
 
 

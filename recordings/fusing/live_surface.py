@@ -104,8 +104,10 @@ class LiveSurface:
         images = [frame.depth for frame, _ in views if frame is not None and frame.depth is not None]
         if len(images) < 2:
             return
-        around = Pairs.of(self._body, pairs[AROUND - 1 : AROUND + 2])
-        (speed,) = larger_speeds(around).tolist()
+        near = pairs[AROUND - 1 : AROUND + 2]
+        a = np.array([each.a.positions for each in near if each.a is not None])
+        b = np.array([each.b.positions for each in near if each.b is not None])
+        (speed,) = larger_speeds(a, b, np.array([each.time_ns for each in near])).tolist()
         if np.isfinite(speed) and (self._stillest is None or speed < self._stillest[0]):
             others = tuple(_others(*view) for view in views)
             self._stillest = speed, _Moment(pairs, tuple(images), others)
