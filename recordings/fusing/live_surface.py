@@ -31,7 +31,7 @@ _LONGEST_NS = 500_000_000  # between two of the pairs around a moment, from whic
 
 
 class _Moment(NamedTuple):
-    """A pair with its depth images and the other people, A's and B's, and the pairs around it."""
+    """A pair, the pairs around it, and of A and B the depth image and the people who are not followed."""
 
     pairs: list[SkeletonPair]
     images: tuple[NDArray[np.uint16], ...]
