@@ -23,7 +23,7 @@ from devices.sensor import (
     SensorWrapper,
 )
 from devices.skeletons.likelihood import axes_likelihood, size_likelihood
-from devices.skeletons.meaning import CLEAR, PRIOR_OF_AXES
+from devices.skeletons.meaning import CLEAR
 from devices.skeletons.stated_format import ROLLED, SIGNED
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
@@ -67,8 +67,13 @@ def turned_view(view: View, orientation: Orientation) -> View:
     return joined_views(block(rows) for rows in parts(len(view.time_ns)))
 
 
-def orientation_of(body: Body, seconds: NDArray[np.float64], positions: NDArray[np.floating]) -> Orientation:
-    """The orientation of a sensor by the likelihood of the people that it saw; 0 where nothing tells.
+def orientation_of(
+    body: Body, seconds: NDArray[np.float64], positions: NDArray[np.floating]
+) -> tuple[Orientation, Orientation]:
+    """The orientation of a sensor by the likelihood of the people that it saw, and another if one fits alike.
+
+    A sensor stands unless another orientation is clear: who lies before it looks like who stands before a
+    sensor on its side.
 
     Args:
         seconds: (T,) times.
@@ -76,9 +81,11 @@ def orientation_of(body: Body, seconds: NDArray[np.float64], positions: NDArray[
     """
     stature, _, scores, _ = axes_likelihood(body, seconds, positions.astype(np.float64))
     if stature is None or size_likelihood(stature) < -2.0 * CLEAR:  # nobody is so small or tall
-        return 0
-    of_axes = dict(zip(SIGNED, np.logaddexp.reduce(scores, axis=0) + PRIOR_OF_AXES, strict=True))
-    return ROLLED[max(ROLLED, key=lambda axes: of_axes[axes])]
+        return 0, 0
+    of_axes = dict(zip(SIGNED, np.logaddexp.reduce(scores, axis=0), strict=True))
+    of = {degrees: of_axes[axes] - (degrees > 0) for axes, degrees in ROLLED.items()}
+    best, other = sorted(of, key=lambda degrees: -of[degrees])[:2]
+    return (best, best) if of[best] - of[other] > 1.0 else (0, best or other)
 
 
 class UprightSensor(SensorWrapper):

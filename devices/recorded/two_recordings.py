@@ -440,7 +440,7 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRec
 
         some = slice(None, None, max(1, len(people.frame) // _SAMPLES))
         seconds = np.asarray(people.skeletons.time_ns[some] * 1e-9, dtype=np.float64)
-        orientation = orientation_of(people.body, seconds, people.skeletons.positions[some])
+        orientation, other = orientation_of(people.body, seconds, people.skeletons.positions[some])
         if orientation:
             people = replace(people, skeletons=turned_view(people.skeletons, orientation))
             camera = None if camera is None else turned_camera(camera, orientation)
@@ -448,6 +448,11 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> OneRec
             warnings.append(
                 f"{source.name}: the sensor is turned clockwise by {orientation}°. Its images and skeletons "
                 f"are turned upright; {tracked}`orientation=0` leaves them."
+            )
+        elif other:
+            warnings.append(
+                f"{source.name}: either the person lies, or the sensor is turned clockwise by {other}°; "
+                f"`orientation={other}` turns it upright."
             )
     give_back()
     times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)

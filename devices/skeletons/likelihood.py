@@ -5,11 +5,11 @@ Its log likelihood adds up what a body that moves before a sensor tells:
 
 * **size**: bones are as long as a person's;
 * **place**: the person is in the image, 0.5 to 6 m away;
-* **posture**: trunk, legs and head point up in some frames at least; or the person lies: level, flat, below
-  the sensor, rather on the back, and staying in one place. In one file of who lies, a sensor on its side and
-  somebody who stands fit alike;
+* **posture**: trunk, legs and head point up in some frames at least; or the person lies: level, flat, not
+  above the sensor, rather on the back, and staying in one place. Nobody rises and sinks much. In one file of
+  who lies, a sensor on its side and somebody who stands fit alike;
 * **side**: toes, face, knees and hands are in front of the plane that the names of left and right span, the
-  person looks at the sensor and walks forward. Only this distinguishes a person from the mirror image.
+  person rather looks at the sensor and walks forward. Only this distinguishes a person from the mirror image.
 
 Nothing of it depends on one frame: each part is a mean over those of a sample.
 """
@@ -26,11 +26,13 @@ from fusion.support.types import Array
 _HANDED = np.rint(np.linalg.det(MATRICES))
 
 _STATURE, _SIZES = 1.4, 0.17  # metres, the middle of all people, with children; deviation of the logarithm
-_WIDE, _HIGH = 0.5, 0.35  # the person's usual place in the image, as tangents
+_WIDE, _HIGH = 0.45, 0.45  # the person's usual place in the image, as tangents
 _NEAR, _FAR, _BEYOND = 0.5, 6.0, 0.25
 _LEANING = 0.35  # radians from the vertical, of people and sensors
-_UPRIGHT, _ENOUGH = 0.002, 0.1  # of the frames: counts as none, and as all
-_FLAT, _STILL, _BELOW = 0.35, 0.5, (0.25, 0.1)  # statures; of who lies, the last one below the sensor
+_UPRIGHT, _ENOUGH = 0.002, 0.3  # of the frames: counts as none, and as all
+_FLAT, _BELOW = 0.35, (-0.1, 0.2)  # statures; of who lies, below the sensor
+_STILL, _MOVES = 0.1, 1.5  # statures; log odds at most, so that no movement alone decides
+_RISES = 0.3  # statures up and down, of who squats or sits down
 _ALL, _NOTHING = 0.95, 0.0005  # of the frames; statures: rounding to millimetres, and no sway of who stands
 _LEAST = -12.0  # log likelihood of what cannot be
 _FEWEST_BONES = 3
@@ -48,7 +50,7 @@ _IN_FRONT = (
 )  # fmt: skip
 """Joints, those in front of them, how far (statures), and the weight of it, as log odds."""
 _BENDS = (("hip", "knee", "ankle", 1.0), ("shoulder", "elbow", "wrist", -1.0))
-_BENT, _FACES, _WALKS = (0.02, 1.5), (0.3, 2.0), (0.3, 4.0)
+_BENT, _FACES, _WALKS = (0.02, 1.5), (0.3, 1.2), (0.3, 4.0)
 
 
 def is_relative(body: Body, positions: Array) -> bool:
@@ -85,7 +87,7 @@ def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float
             [weight * (both[part][:, 0] - both[part][:, 1]) for part, weight in _ACROSS], axis=0
         )
         front = _unit(np.cross(across, up))
-        centre = np.nanmedian(at, axis=1)
+        centre = np.nanmean(np.concatenate([both["hip"], both["shoulder"]], axis=1), axis=1)
         speed = np.full_like(centre, np.nan)
         speed[1:-1] = (centre[2:] - centre[:-2]) / (seconds[2:] - seconds[:-2])[:, None]
         found = [(middle[far] - middle[near], usual, weight) for near, far, usual, weight in _IN_FRONT]
@@ -114,13 +116,14 @@ def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float
         flat = 3.0 * np.median(np.nanmedian(np.abs(extent @ down.T), axis=1), axis=0)
         of_body = np.nan_to_num(np.nanmean(gravity, axis=1)).T
     moves = 2.0 * np.linalg.norm(np.std(centre, axis=0))
+    rises = -0.5 * (2.0 * np.std(centre @ down.T, axis=0) / _RISES) ** 2
     lies = np.log(level * (2.0 + on_back) / 3.0 + _UPRIGHT) - np.logaddexp(
         0.0, (_BELOW[0] - below) / _BELOW[1]
     )
-    lies -= np.log1p((flat / _FLAT) ** 2) + np.log1p((moves / _STILL) ** 2)
+    lies -= np.log1p((flat / _FLAT) ** 2) + _MOVES * moves**2 / (moves**2 + _STILL**2)
     mirrored = np.maximum(0.0, -np.nansum(shares) * _HANDED)
     distance = (stature or np.nan) * float(np.median(np.linalg.norm(centre, axis=1)))
-    return stature, distance, place + np.maximum([stands, lies], _LEAST) - mirrored, of_body
+    return stature, distance, place + np.maximum([stands + rises, lies + rises], _LEAST) - mirrored, of_body
 
 
 def size_likelihood(stature: float) -> float:

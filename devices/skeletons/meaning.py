@@ -33,7 +33,7 @@ _PRIOR = MappingProxyType(
 )
 _OTHER = -1.0, -1.5  # log priors of a second file in other axes than the first, at most; and of two programs
 _OWN_UNIT = 2.0
-_POSTURE = 0.4  # deviation of the direction of gravity in one body, by two files
+_POSTURE = 0.25  # deviation of the direction of gravity in one body, by two files
 _ONE_PERSON = 0.2  # deviation of the logarithm of one person's size in two files
 CLEAR = 2.5
 """How much more likely, as a logarithm, an option is than the next one to be taken."""
