@@ -14,9 +14,8 @@ from devices.sensor import DeviceError
 from devices.skeletons.likelihood import axes_likelihood, is_relative
 from devices.skeletons.meaning import Evidence, Meaning, said
 from devices.skeletons.read_file import FoundPoints
-from devices.skeletons.repetition import ALMOST_ALWAYS, kept_places, logged_again, repeats_of
+from devices.skeletons.repetition import kept_places, logged_again, repeats_of
 from devices.skeletons.stated_format import UNSTATED, StatedFormat, Unit
-from devices.skeletons.times import FEWEST
 from fusion.body import Body
 from fusion.pair_arrays import View, joined_views
 from fusion.skeleton import FARTHEST_JOINT, checked_joints, impossible
@@ -74,11 +73,6 @@ def look(path: Path, found: FoundPoints, stated: StatedFormat = UNSTATED) -> Loo
     if len(found.person):
         counts = np.bincount(found.person)
         rows = np.flatnonzero(found.person == len(counts) - 1 - np.argmax(counts[::-1]))
-        if len(rows) >= FEWEST and repeats[rows][1:].mean() > ALMOST_ALWAYS:
-            told.append(
-                f"{path}: almost every frame repeats the one before. Its body tracker did not follow the "
-                "person."
-            )
         rows = rows[np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).astype(np.int64)]
     body = found.points.body
     at, _ = found.points.joints(_seen(found.view, keeps, rows), found.view.states[rows])

@@ -50,7 +50,7 @@ _IN_FRONT = (
 )  # fmt: skip
 """Joints, those in front of them, how far (statures), and the weight of it, as log odds."""
 _BENDS = (("hip", "knee", "ankle", 1.0), ("shoulder", "elbow", "wrist", -1.0))
-_BENT, _FACES, _WALKS = (0.02, 1.5), (0.3, 1.2), (0.3, 4.0)
+_BENT, _FACES, _WALKS = (0.02, 1.5), (0.3, 1.6), (0.3, 4.0)
 
 
 def is_relative(body: Body, positions: Array) -> bool:

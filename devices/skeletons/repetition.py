@@ -11,9 +11,8 @@ from devices.skeletons.times import FEWEST, LOGGED_TWICE, digest
 from fusion.support.large_arrays import parts
 
 _ONE_FRAME_NS = 250_000_000  # the longest time between two frames of a tracker
-_DIGITS = 200  # steps within a person: centimetres are fewer, millimetres more
-_MOVES = 0.5  # of the other points, while a joint keeps its place
-ALMOST_ALWAYS = 0.9  # of the frames of one person
+_OFTEN = 3.0  # times as often as another joint has one place
+_QUARTER = 0.25  # of the joints, at least, are seen
 
 
 def repeats_of(found: FoundPoints) -> NDArray[np.bool_]:
@@ -24,15 +23,10 @@ def repeats_of(found: FoundPoints) -> NDArray[np.bool_]:
     near = (found.person[before] == found.person[after]) & (found.frame[before] + 1 == found.frame[after])
     before, after = before[near], after[near]
     for part in parts(len(after)):
-        one, other = before[part], after[part]
-        states = (found.view.states[one] == found.view.states[other]).all(axis=1)
-        same = _same(found.view.positions[one], found.view.positions[other]).all(axis=1)
-        repeats[other] = same & states
+        (one, other), of = (np.nan_to_num(found.view.positions[k[part]]) for k in (before, after)), found.view
+        states = (of.states[before[part]] == of.states[after[part]]).all(axis=1)
+        repeats[after[part]] = (one == other).all(axis=(1, 2)) & states
     return repeats
-
-
-def _same(one: NDArray[np.floating], other: NDArray[np.floating]) -> NDArray[np.bool_]:
-    return np.asarray(((one == other) | (np.isnan(one) & np.isnan(other))).all(axis=2))
 
 
 def logged_again(
@@ -47,65 +41,36 @@ def logged_again(
     again = np.bincount(found.frame, weights=repeats, minlength=len(found.time_ns)) == count
     again &= (count > 0) & (count == np.append(0, count[:-1]))
     begins = np.flatnonzero(~again)
-    run = np.cumsum(~again) - 1
     lasts = found.time_ns[np.append(begins[1:] - 1, len(again) - 1)] - found.time_ns[begins]
-    drop = again & (lasts[run] < _ONE_FRAME_NS)
-    share = float(drop.mean())
-    if share < LOGGED_TWICE or len(begins) < FEWEST:
+    drop = again & (lasts[np.cumsum(~again) - 1] < _ONE_FRAME_NS)
+    if drop.mean() < LOGGED_TWICE or len(begins) < FEWEST:
         return np.zeros_like(drop), []
     return drop, [
-        f"{path}: {100.0 * share:.0f} % of the frames repeat the one before, as when a program logs them "
+        f"{path}: {100.0 * drop.mean():.0f} % of the frames repeat the one before, as when a program logs them "
         "faster than its tracker finds people; they are left out."
     ]
-
-
-def _is_coarse(found: FoundPoints) -> bool:
-    """Whether numbers have so few digits that a calm joint keeps its place for a while."""
-    some = found.view.positions[:: max(1, len(found.view.positions) // 200)]
-    places = np.asarray(np.isfinite(some).all(axis=2))
-    some = np.where(np.isfinite(some), some, np.nan)[places.any(axis=1)]
-    if not len(some):
-        return False
-    low, high = np.nanpercentile(some, [10, 90], axis=1)
-    reach = np.median((high - low).max(axis=1))
-    some = some[np.isfinite(some)]
-    return bool(np.median(np.diff(np.unique(some))) > reach / _DIGITS)
 
 
 def kept_places(
     path: Path, found: FoundPoints, repeats: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], list[str]]:
-    """(N, P) which points keep their place while the others move, and a line for the user."""
-    count = len(found.points)
-    order = np.argsort(found.person, kind="stable")
-    order = order[~repeats[order]]
-    keeps = np.zeros((len(found.frame), count), dtype=np.bool_)
-    if len(order) < FEWEST:
-        return keeps, []
-    same = np.zeros((len(order), count), dtype=np.bool_)
-    for part in parts(len(order) - 1):
-        one, other = order[:-1][part], order[1:][part]
-        at, after = found.view.positions[one], found.view.positions[other]
-        known = np.isfinite(after).all(axis=2) & (after != 0.0).any(axis=2) & (found.view.states[other] > 0)
-        equal = (at == after).all(axis=2) & known
-        moving = (known & ~equal).sum(axis=1) > _MOVES * known.sum(axis=1)
-        same[1:][part] = equal & (moving & (found.person[one] == found.person[other]))[:, None]
+    """(N, P) which points are at a place where they mostly are while others move, and a line for the user.
 
-    def lengths(point: int) -> NDArray[np.int64]:
-        run = np.cumsum(~same[:, point])
-        return np.asarray(np.bincount(run)[run])
-
-    often = [point for point in range(count) if lengths(point).max() >= FEWEST]
-    if often:
-        person = found.person[order]
-        always = (ALMOST_ALWAYS if _is_coarse(found) else 0.0) * np.bincount(person)[person]
-        for point in often:
-            keeps[order, point] = lengths(point) >= np.maximum(FEWEST, always)
+    Trackers put joints there that they do not see.
+    """
+    at, seen = found.view.positions, found.view.states > 0
+    keeps = np.zeros(seen.shape, dtype=np.bool_)
+    often = np.ones(seen.shape[1])
+    for point in range(len(often)):
+        there = seen[:, point] & ~repeats & (np.nan_to_num(at[:, point]) != 0.0).any(axis=1)
+        place = digest(at[:, point], 0, 0)
+        places, count = np.unique(place[there], return_counts=True)
+        if len(places) and count.max() > len(place[there]) / 2:
+            often[point] = count.max()
+            keeps[:, point] = place == places[count.argmax()]
+    keeps[:, often < max(FEWEST, _OFTEN * np.quantile(often, _QUARTER))] = False
     if not keeps.any():
         return keeps, []
-    for point in np.flatnonzero(keeps.any(axis=0)).tolist():  # also where nothing else moves for a moment
-        place = digest(found.view.positions[:, point], 0, 0)
-        keeps[:, point] |= np.isin(place, place[keeps[:, point]])
     names = [found.points.named(int(point)) for point in np.flatnonzero(keeps.any(axis=0))]
     return keeps, [
         f"{path}: {listed(names)} {'keeps its place' if len(names) == 1 else 'keep their places'} to the "
