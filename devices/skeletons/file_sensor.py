@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from devices.skeletons.border import Look, ReadFile
     from devices.skeletons.meaning import Meaning
 
-READERS = MappingProxyType({".csv": "csv_files.reader", ".json": "offline_processor", ".skeleton": "ntu"})
+READERS = MappingProxyType({".csv": "csv_files.reader", ".json": "formats", ".skeleton": "formats"})
 """The module for each file extension, with ``read_…``; imported when such a file is opened."""
 
 
@@ -92,6 +92,8 @@ class SkeletonRecording(Sensor):
                     f"{self.name}: {self._path.suffix or 'no ending'} is not a format of recorded skeletons. "
                     f"Known: {', '.join(READERS)}; with images: {', '.join(IMAGE_SUFFIXES)}."
                 )
+            if suffix != ".csv":
+                self._stated.refuse_for(self._path)
             reader = getattr(import_module(f"devices.skeletons.{READERS[suffix]}"), f"read_{suffix[1:]}")
             with reading(self.name, DeviceError, MissingRecordingError):
                 found = reader(self._path, self._stated, self._progress)

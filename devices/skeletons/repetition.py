@@ -46,8 +46,8 @@ def logged_again(
     if drop.mean() < LOGGED_TWICE or len(begins) < FEWEST:
         return np.zeros_like(drop), []
     return drop, [
-        f"{path}: {100.0 * drop.mean():.0f} % of the frames repeat the one before, as when a program logs them "
-        "faster than its tracker finds people; they are left out."
+        f"{path}: {100.0 * drop.mean():.0f} % of the frames repeat the one before, as when a program logs "
+        "them faster than its tracker finds people; they are left out."
     ]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from devices.sensor import DeviceError
-from devices.skeletons.csv_files.states import StateColumn
+from devices.skeletons.csv_files.states import is_like_states
 from devices.skeletons.name_tables import plain
 from devices.skeletons.times import FRAME_NUMBERS, TIME_COLUMNS
 
@@ -105,7 +105,7 @@ def find_wide(names: Sequence[str]) -> Wide | None:
             if point in (word[: len(point)], word[-len(point) :]):
                 kind = word.replace(point, "", 1)
                 kind = {"c": "confidence", "s": "trackingstate"}.get(kind, kind)
-                if StateColumn.is_like(kind):
+                if is_like_states(kind):
                     states.setdefault(kind, {}).setdefault(point, number)
                 break
     kept = {kind: of for kind, of in states.items() if 2 * len(of) > len(points)}

@@ -6,7 +6,7 @@ joints; see :mod:`.columns`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
 from devices.skeletons.csv_files.columns import COLUMNS, Columns
-from devices.skeletons.csv_files.states import StateColumn
+from devices.skeletons.csv_files.states import MOST_STATES, is_like_states, states_of
 from devices.skeletons.csv_files.text import codes, line_of_row, refuse_cut_off, text_rows
 from devices.skeletons.read_file import FoundPoints, JointRows, found_of
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
@@ -43,123 +43,116 @@ def read_csv(
         DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, a
             repeated joint; the message names the line. Or times of an unknown unit.
     """
-    rows, told = _of_one_sensor(_rows(path, block, progress), stated.side)
-    states, about_states, ignored = _states(path, rows)
-    joints = JointRows(
-        path, rows.clock, rows.time, None, rows.people, rows.person, rows.labels, rows.label, rows.xyz,
-        states, lambda row: f"in line {rows.line(row)}", rows.columns.time_in_file, rows.has_body,
-    )  # fmt: skip
-    return found_of(joints, stated.names, [*told, *about_states], free_axes=True, ignored=ignored)
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """All rows of a file."""
-
-    path: Path
-    columns: Columns
-    clock: str  # the column of the times' unit
-    time: NDArray[Any]
-    has_body: bool
-    people: list[str]
-    person: NDArray[np.int32]  # index of each row's person
-    labels: list[str]
-    label: NDArray[np.int32]
-    xyz: NDArray[np.float64]
-    states: list[StateColumn]
-    other_columns: tuple[str, ...]
-    sensors: list[str]
-    sensor: NDArray[np.int32]  # index of each row's sensor
-    number: NDArray[np.int64] | None = None  # of each row in the file; None: all rows in their order
-
-    def line(self, row: int) -> int:
-        """The number of a row's line in the file, from 1."""
-        row = row if self.number is None else int(self.number[row])
-        return line_of_row(self.path, row // self.columns.joints_per_line)
-
-
-def _rows(path: Path, block: int, progress: Progress) -> _Rows:
-    people, labels, sensors = dict[str, int](), dict[str, int](), dict[str, int]()
-    person, label, xyz, sensor = GrowingArray(), GrowingArray(), GrowingArray(), GrowingArray()
-    times: list[NDArray[Any]] = []
-    states: list[StateColumn] = []
-    names: list[str] = []
+    xyz, time = GrowingArray(), list[NDArray[Any]]()
+    coded: dict[str, _Coded] = {}
+    ignored: list[str] = []
     count = -(-path.stat().st_size // block) if block > 0 and path.is_file() else 1
     before: pa.Table | None = None
     table: pa.Table | None = None
     text, clock = None, ""
     for text in progress(text_rows(path, block), f"reading {path.name}", count):
         before, table = table, text.table
-        clock, time = text.times()
-        times.append(time)
+        clock, times = text.times()
+        time.append(times)
         xyz.append(np.stack([text.numbers(axis, pa.float64()) for axis in "xyz"], axis=1))
-        columns = (people, "body", person), (labels, "joint", label), (sensors, text.columns.device, sensor)
-        for known, column, rows in columns:
-            there = column in table.column_names
-            values, code = codes(table, column) if there else (["0"], np.zeros(len(time), dtype=np.int64))
-            numbers = [known.setdefault(value, len(known)) for value in values]
-            rows.append(np.array(numbers, dtype=np.int32)[code])
-        if len(times) == 1:
-            names = [
+        if not coded:
+            ignored = [
                 name for name in table.column_names if name not in (*COLUMNS, text.columns.time, "", " ")
             ]
-            states = [StateColumn(name) for name in names if StateColumn.is_like(name)]
-        for column_of_states in states:
-            column_of_states.append(*codes(table, column_of_states.name))
+            coded = {name: _Coded(MOST_STATES) for name in ignored if is_like_states(name)}
+            coded |= {name: _Coded() for name in ("body", "joint", text.columns.device)}
+        for name, column in coded.items():
+            column.append(table, name)
     assert text is not None
-    refuse_cut_off(text, before, np.concatenate(times[-2:]))
+    columns = text.columns
+    refuse_cut_off(text, before, np.concatenate(time[-2:]))
     pa.default_memory_pool().release_unused()
-    persons, joints, places, devices = GrowingArray.wholes((person, label, xyz, sensor))
-    return _Rows(
-        path, text.columns, clock, np.concatenate(times), "body" in text.table.column_names,
-        list(people), persons, list(labels), joints, places, states, (*names, *text.columns.others),
-        list(sensors), devices,
+    at, *code = GrowingArray.wholes((xyz, *(column.code for column in coded.values())))
+    values = {name: list(column.values) for name, column in coded.items()}
+    told, keep = _one_sensor(path, columns, values[columns.device], code[-1], stated.side)
+    times, at, code = np.concatenate(time)[keep], at[keep], [of[keep] for of in code]
+    codes_of = dict(zip(coded, code, strict=True))
+    number = np.arange(len(codes_of["body"])) if isinstance(keep, slice) else keep
+
+    def where(row: int) -> str:
+        return f"in line {line_of_row(path, int(number[row]) // columns.joints_per_line)}"
+
+    ids, has_body = values["body"], "body" in text.table.column_names
+    person = codes_of["body"]
+    if len(ids) >= FEWEST and 2 * len(ids) > _pairs(times, person):
+        told.append(f"{path}: the column of ids ({ids[0]!r}, …) counts rows and is no person's.")
+        ids, person, has_body = ["0"], np.zeros_like(person), False
+    states, about_states, used = _states(path, values, codes_of, where, len(at))
+    rows = JointRows(
+        path, clock, times, None, ids, person, values["joint"], codes_of["joint"], at, states, where,
+        columns.time_in_file, has_body,
     )  # fmt: skip
+    unread = tuple(name for name in (*ignored, *columns.others) if name != used)
+    return found_of(rows, stated.names, [*told, *about_states], free_axes=True, ignored=unread)
 
 
-def _of_one_sensor(rows: _Rows, side: str) -> tuple[_Rows, list[str]]:
-    """The rows of one of several sensors, and of people; with lines for the user.
+class _Coded:
+    """A column of texts, block after block: the distinct ones, and which of them each row has.
 
-    A column of ids that has another one in almost every frame counts rows.
+    Args:
+        most: Distinct texts that are kept; others count as one.
     """
-    told = []
-    if len(rows.sensors) > 1:
-        chosen = int(side == "b")
-        number = np.flatnonzero(rows.sensor == chosen)
-        told.append(
-            f"{rows.path}: it has {len(rows.sensors)} sensors by the column {rows.columns.device}; this is "
-            f"{rows.sensors[chosen]!r}. The file given twice is fused: the first two as A and B."
+
+    def __init__(self, most: float = np.inf) -> None:
+        self.values: dict[str, int] = {}
+        self.code = GrowingArray()
+        self._most = most
+
+    def append(self, table: pa.Table, column: str) -> None:
+        texts, code = ["0"], np.zeros(table.num_rows, dtype=np.int64)
+        if column in table.column_names:
+            texts, code = codes(table, column)
+        for text in texts:
+            if len(self.values) < self._most:
+                self.values.setdefault(text, len(self.values))
+        self.code.append(
+            np.array([self.values.get(text, len(self.values) - 1) for text in texts], np.int32)[code]
         )
-        for column in rows.states:
-            column.keep(number)
-        rows = replace(
-            rows, time=rows.time[number], person=rows.person[number], label=rows.label[number],
-            xyz=rows.xyz[number], number=number,
-        )  # fmt: skip
-    ids = len(rows.people)
-    if ids >= FEWEST and 2 * ids > len(
-        np.unique(np.unique(rows.time, return_inverse=True)[1] * ids + rows.person)
-    ):
-        told.append(f"{rows.path}: the column of ids ({rows.people[0]!r}, …) counts rows and is no person's.")
-        rows = replace(rows, people=["0"], person=np.zeros_like(rows.person), has_body=False)
-    return rows, told
 
 
-def _states(path: Path, rows: _Rows) -> tuple[NDArray[np.uint8], list[str], tuple[str, ...]]:
-    """The states of all rows, lines for the user, and the columns that are ignored."""
-    for column in rows.states:
-        states = column.states()
-        if states is not None:
-            return states, [], tuple(name for name in rows.other_columns if name != column.name)
-        if column.name == "state":
-            row, value = column.refused()
+def _one_sensor(
+    path: Path, columns: Columns, sensors: list[str], sensor: NDArray[Any], side: str
+) -> tuple[list[str], Any]:
+    """A line about a file of several sensors, and which rows are of this one."""
+    if len(sensors) < 2:
+        return [], slice(None)
+    mine = int(side == "b")
+    return [
+        f"{path}: it has {len(sensors)} sensors by the column {columns.device}; this is "
+        f"{sensors[mine]!r}. The file given twice is fused: the first two as A and B."
+    ], np.flatnonzero(sensor == mine)
+
+
+def _pairs(times: NDArray[Any], person: NDArray[Any]) -> int:
+    """How many people are in the frames, each counted in every frame."""
+    return len(np.unique(np.unique(times, return_inverse=True)[1] * (1 + int(person.max())) + person))
+
+
+def _states(
+    path: Path,
+    values: dict[str, list[str]],
+    code: dict[str, NDArray[Any]],
+    where: Callable[[int], str],
+    count: int,
+) -> tuple[NDArray[np.uint8], list[str], str]:
+    """The states of all rows, lines for the user, and the column that has them, if any."""
+    told = []
+    for name in (name for name in values if is_like_states(name)):
+        states, wrong, known = states_of(name, values[name])
+        if len(states):
+            return states[code[name]], [], name
+        if name == "state":
+            row = int(np.flatnonzero(code[name] == values[name].index(wrong))[0])
             raise DeviceError(
-                f"{path}, line {rows.line(row)}: state {value[:40]!r} is none of tracked, inferred, "
-                "not_tracked, 3, 2, 1, 0."
+                f"{path}, {where(row).removeprefix('in ')}: state {wrong[:40]!r} is none of {known}."
             )
-    told = [
-        f"{path}: column {column.name} is ignored, because its values, such as {column.refused()[1][:20]!r}, "
-        f"are no states: {column.known}. Every joint counts as tracked."
-        for column in rows.states
-    ]
-    return np.full(len(rows.time), TrackingState.TRACKED, dtype=np.uint8), told, rows.other_columns
+        told.append(
+            f"{path}: column {name} is ignored, because its values, such as {wrong[:20]!r}, are no states: "
+            f"{known}. Every joint counts as tracked."
+        )
+    return np.full(count, TrackingState.TRACKED, dtype=np.uint8), told, ""

@@ -215,7 +215,7 @@ REFUSED = {
     "no body": (text(TWO[0]) + text(TWO[1]).partition("\n")[2], "There is no column body: name the one that distinguishes"),
     "an id twice.json": (as_json(twice=4), "two rows in one frame, the second in frame 4"),
     "pyKinectAzure.json": (PYK, r"does not hold one object\). .* write a \.csv"),
-    "documents.json": (f"{PYK}\n{PYK}", r"does not hold one object\). .* write a \.csv"),
+    "documents.json": (f"{PYK}\n{PYK}", r"Extra data.*\). .* write a \.csv"),
 }  # fmt: skip
 
 

@@ -112,8 +112,8 @@ def ntu():
         (lambda lines: [], "is empty"),
         (lambda lines: lines[:20], "cut off at line 21"),
         (lambda lines: [*lines[:9], lines[9][:30]], "12 numbers"),
-        (lambda lines: ["many", *lines[1:]], "line 1: frame count must be a whole number; got 'many'"),
-        (lambda lines: [*lines[:5], lines[5].replace("277.4", "left"), *lines[6:]], "line 6: expected"),
+        (lambda lines: ["many", *lines[1:]], "line 1: expected the number of frames; got .many."),
+        (lambda lines: [*lines[:5], lines[5].replace("277.4", "left"), *lines[6:]], "line 6: expected 12"),
         (lambda lines: [*lines[:3], "20", *lines[4:]], "a body has 20 joints"),
     ],
 )

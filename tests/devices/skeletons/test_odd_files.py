@@ -162,7 +162,7 @@ def test_a_file_without_permission_is_refused(tmp_path, good):
 def test_other_formats_under_a_wrong_name_are_refused(tmp_path, good):
     for suffix, message in (
         (".json", "is not JSON: it begins with 'time_us"),
-        (".skeleton", "frame count must"),
+        (".skeleton", "expected the number of frames"),
     ):
         wrong = (tmp_path / "a.csv").with_suffix(suffix)
         wrong.write_bytes(good.read_bytes())
