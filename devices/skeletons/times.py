@@ -2,7 +2,8 @@
 
 import math
 import re
-from datetime import UTC, datetime
+from contextlib import suppress
+from datetime import UTC, datetime, time, timedelta
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -27,23 +28,17 @@ FRAME_NUMBERS = "frame"
 _FRAME_US = 1e6 / 30.0
 _LATEST_US = 9 * 10**15
 """Largest time, so that nanoseconds fit into 64 bits."""
-_EPOCHS_S = (62_135_596_800, 11_644_473_600)
-"""Seconds from the year 1 and from 1601, where .NET and Windows begin to count, to 1970."""
-_FEWEST = 3  # times; fewer tell no unit
 FEWEST = 15
 """Frames: a person can be seen as standing still for fewer."""
-LOGGED_TWICE = 0.2  # of the frames: more repeat the one before where a program logs faster than its tracker
+LOGGED_TWICE = 0.2  # of the frames: more are no accident, as where a program logs faster than its tracker
 _TRACKER_US, _ANY_US = (8_000.0, 205_000.0), (2_000.0, 5_000_000.0)
 """Body trackers give 5 to 120 frames per second; with a tolerance. Beyond, and what no recording has."""
 _RATES, _RATE_WITHIN = (5.0, 15.0, 30.0, 60.0, 90.0), 0.02
-_USUAL, _OWN, _SELDOM, _NO_TRACKER = 2.0, 4.0, -1.0, -5.0
-"""Log priors: of the rate of a sensor, of the unit that the column names, of others, of another rate."""
-_CLEAR, _NONE = 3.5, -6.0
-_AGAIN = 0.5  # of the times after a step back that are before it, too
-_LONGEST_NS = 3_600_000_000_000  # a longer jump is no pause
+_OWN, _NO_TRACKER, _CLEAR = 4.0, 5.0, 3.5
+"""Log priors of the unit that the column names, and against a rate of no tracker; and what is clear."""
+_LONGEST_NS = timedelta(hours=1) // timedelta(microseconds=1) * 1000  # a longer jump is no pause
 _PAUSE = 8  # usual intervals: frames after it may be of another clock
 _EVEN = 0.6  # of an interval: two runs that are sorted together have frames as near as half of one
-_MOST_STRAY = 0.2  # of the frames
 _CLOCK = re.compile(
     r"(?:^|[ T])(?:(\d+)\.)?(\d+):(\d\d):(\d\d(?:[.,:]\d*)?)\s*(?:([AaPp])[Mm])?"
     r"(?:Z|[+-]\d\d:?\d\d)?$"
@@ -90,9 +85,8 @@ def capture_times(
     """
     telling = np.unique(times) if telling is None else telling
     us, clock, told = find_time_unit(name, column, telling, shortest_us, called)
-    for epoch_s in _EPOCHS_S:
-        if times.min() * us >= max(_LATEST_US, epoch_s * 1e6):
-            times = times - times.dtype.type(epoch_s * 1e6 / us)
+    if times.min() * us >= _LATEST_US:  # since the year 1 or 1601: whole spans of 285 years go
+        times = times - times.dtype.type(times.min() * us // _LATEST_US * _LATEST_US / us)
     if max(float(times.max()), -float(times.min())) * us >= _LATEST_US:
         raise DeviceError(f"{name}: {called or column} goes beyond {_LATEST_US} microseconds.")
     if times.dtype == np.int64 and (ns := round(1000.0 * us)) == 1000.0 * us:
@@ -126,66 +120,53 @@ def find_time_unit(
         DeviceError: The usual interval is no body tracker's in any unit.
     """
     called, own = called or column, TIME_COLUMNS.get(column, (_FRAME_US, ""))[0]
-    if column == FRAME_NUMBERS:
-        return own, _numbered(called), []
-    if len(times) < _FEWEST:
+    interval = float(np.median(np.diff(times))) if len(times) > 2 else 0.0
+    counts = interval == 1.0 and own < _ANY_US[0] and (times == np.rint(times)).all()
+    if column == FRAME_NUMBERS or counts:
+        return _FRAME_US, f"{called} as counted frames, 30 per second (a column time_s states times)", []
+    if not interval:
         return own, "", []
-    interval = float(np.median(np.diff(times)))
-    if interval == 1.0 and own < _ANY_US[0] and (times == np.rint(times)).all():
-        return _FRAME_US, _numbered(called), []
-    scores = {unit: unit.likelihood(interval, column, shortest_us) for unit in _UNITS}
+
+    def likelihood(us: float, of: str) -> float:
+        us = us * interval
+        if not _ANY_US[0] <= us <= _ANY_US[1]:
+            return -math.inf
+        usual = any(abs(us * rate * 1e-6 - 1.0) <= _RATE_WITHIN for rate in _RATES)
+        tracker = shortest_us <= us <= _TRACKER_US[1]
+        prior = _OWN * (of == column) - (not of) - _NO_TRACKER * (not tracker)
+        return prior + 2.0 * usual - abs(math.log(us / _FRAME_US))
+
+    def rate(us: float) -> str:
+        return f"{1e6 / (interval * us):.3g}"
+
+    scores = {unit: likelihood(unit[0], unit[2]) for unit in _UNITS}
     best, other = sorted(_UNITS, key=lambda unit: -scores[unit])[:2]
-    if scores[best] < _NONE:
+    if scores[best] < -2.0 * _CLEAR:
         raise DeviceError(
             f"{name}: the unit of {called} is unclear; in no unit is its usual interval of {interval:.6g} "
             "that of 5 to 120 frames per second. Name the column time_s, time_ms, time_us or time_ns by its "
             "unit. If frames came at a constant rate, a column `frame` that counts them is enough."
         )
-    if best.column != column:
-        way = f" (a column {best.column} states this)" if best.column else ""
-        rate = f"{called} in {best.words}, so that there are {best.rate(interval)} frames per second"
-        return best.us, rate + way, []
-    by_own = f"{name}: by {called} there are {best.rate(interval)} frames per second; "
+    us, words, states = best
+    if states != column:
+        way = f" (a column {states} states this)" if states else ""
+        return us, f"{called} in {words}, so that there are {rate(us)} frames per second{way}", []
+    by_own = f"{name}: by {called} there are {rate(own)} frames per second; "
     if not shortest_us <= interval * own <= _TRACKER_US[1]:
         return own, "", [f"{by_own}body trackers give 5 to 120. Check its unit."]
     if scores[best] - scores[other] < _CLEAR:
-        state = f"State times by a column {other.column or 'time_s'} then."
-        return own, "", [f"{by_own}if it holds {other.words}, there are {other.rate(interval)}. {state}"]
+        state = f"State times by a column {other[2] or 'time_s'} then."
+        return own, "", [f"{by_own}if it holds {other[1]}, there are {rate(other[0])}. {state}"]
     return own, "", []
 
 
-class _Unit(NamedTuple):
-    """A unit of times; an interval is the number of units between two frames."""
-
-    us: float  # microseconds
-    words: str
-    column: str = ""  # that states it, if any
-
-    def likelihood(self, interval: float, column: str, shortest_us: float) -> float:
-        """The logarithm of it, and of the priors."""
-        us = interval * self.us
-        if not _ANY_US[0] <= us <= _ANY_US[1]:
-            return -math.inf
-        usual = any(abs(us * rate * 1e-6 - 1.0) <= _RATE_WITHIN for rate in _RATES)
-        tracker = shortest_us <= us <= _TRACKER_US[1]
-        prior = _OWN * (self.column == column) + _SELDOM * (not self.column)
-        return prior + _USUAL * usual + _NO_TRACKER * (not tracker) - abs(math.log(us / _FRAME_US))
-
-    def rate(self, interval: float) -> str:
-        """Frames per second in words."""
-        return f"{1e6 / (interval * self.us):.3g}"
-
-
 _UNITS = (
-    *(_Unit(us, words, column) for column, (us, words) in TIME_COLUMNS.items() if column != "time"),
-    _Unit(125.0, "eighths of a millisecond"),
-    _Unit(1.0 / 60.0, "ticks of 60 MHz"),
-    _Unit(8.64e10, "days"),
+    *((us, words, column) for column, (us, words) in TIME_COLUMNS.items() if column != "time"),
+    (125.0, "eighths of a millisecond", ""),
+    (1.0 / 60.0, "ticks of 60 MHz", ""),
+    (8.64e10, "days", ""),
 )
-
-
-def _numbered(column: str) -> str:
-    return f"{column} as counted frames, 30 per second (a column time_s states times)"
+"""Microseconds per unit, the unit in words, and the column that states it, if any."""
 
 
 def _going_on(
@@ -210,7 +191,7 @@ def _going_on(
     if key is not None and not all((key[: rows[k]] == key[rows[k]]).any() for k in back.tolist()):
         return time_ns, []
     begins_again = anonymous and len(back) and times[back[-1]] <= times[0]
-    if begins_again and np.isin(times[back[-1] :], times[: back[0]]).mean() > _AGAIN:
+    if begins_again and np.isin(times[back[-1] :], times[: back[0]]).mean() > 1 / 2:
         return time_ns, []  # of another person, who has no id
     interval = int(np.median(steps[steps > 0])) if (steps > 0).any() else 0
     order = np.argsort(times, kind="stable")
@@ -237,7 +218,7 @@ def _going_on(
     sizes = np.diff(np.append(rows, len(time_ns)))
     if (2 * sizes[stray] < np.median(sizes)).any():  # rows that are repeated, no frames
         return time_ns, []
-    if len(stray) > _MOST_STRAY * len(times):
+    if len(stray) > LOGGED_TWICE * len(times):
         what = (
             f"the times of {len(stray)} of {len(times)} frames fit no others; they go back {len(back)} times"
         )
@@ -268,19 +249,14 @@ def moments_of(texts: list[str]) -> NDArray[np.int64] | None:
 
 
 def _moment(text: str) -> int | None:
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        moment = None
     clock = _CLOCK.search(text)
     if clock is None:
         return None
     days, hours, minutes, seconds, half = clock.groups()
     whole, _, decimals = re.sub("[,:]", ".", seconds).partition(".")
-    hour = int(hours) % 12 + 12 * (half.lower() == "p") if half else int(hours)
-    of_day = (int(days or 0) * 24 + hour) * 3600 + int(minutes) * 60 + int(whole)
-    if moment is not None:
-        zone = moment.tzinfo or UTC
-        midnight = datetime(moment.year, moment.month, moment.day, tzinfo=zone)
-        of_day += round(midnight.timestamp())
-    return of_day * 10**9 + int(decimals.ljust(9, "0")[:9])
+    hour = int(hours) % 12 + 12 * (half in "Pp") if half else int(hours)
+    of_day = timedelta(int(days or 0), int(whole), hours=hour, minutes=int(minutes))
+    with suppress(ValueError):
+        date = datetime.fromisoformat(text)
+        of_day += datetime.combine(date, time(), date.tzinfo or UTC) - datetime.fromtimestamp(0, UTC)
+    return of_day // timedelta(seconds=1) * 10**9 + int(decimals.ljust(9, "0")[:9])
