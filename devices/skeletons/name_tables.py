@@ -162,24 +162,32 @@ def points_of(name: object, labels: Sequence[str], table: str = "") -> tuple[Fil
     Raises:
         DeviceError: A name is no joint's, or the file lacks a point of the table.
     """
+    bodies = BODIES.values()
+
+    def count(of: NameTable) -> int:
+        return max(len(of.points_of(body, labels)) for body in bodies)
+
     try:
-        if not table:
-            own = max(sum(body.find(label) is not None for label in labels) for body in BODIES.values())
-            tables = map(name_table, READY_MADE[1:] if own < len(labels) else READY_MADE[:1])
-            best = max(tables, key=lambda one: _count(one, labels))
-            if own == len(labels) or _count(best, labels) < max(_FEWEST, own + 1):
-                body = body_of(set(labels))
-                return FilePoints(body, {label: body.joint(label) for label in labels}), ""
-        else:
+        if table:
             best = name_table(table)
-        body = _body_by(best, labels)
+        else:
+            own = max(sum(body.find(label) is not None for label in labels) for body in bodies)
+            best = max(map(name_table, READY_MADE[1:] if own < len(labels) else READY_MADE[:1]), key=count)
+            if own == len(labels) or count(best) < max(_FEWEST, own + 1):
+                body = body_of(set(labels))
+                labels = sorted(labels, key=body.joint)
+                return FilePoints(
+                    body, labels, {body.joint(label): [k] for k, label in enumerate(labels)}
+                ), ""
+        named = () if best.ready_made else best.joints  # a ready-made table has the joints of several bodies
+        fitting = [body for body in bodies if all(body.find(joint) is not None for joint in named)]
+        body = max(fitting or [body_of(set(named))], key=lambda body: len(best.points_of(body, labels)))
     except FusionError as error:
         raise DeviceError(f"{name}: {error}") from None
     groups = best.points_of(body, labels)
     if not groups:
         raise DeviceError(f"{name}: by {best.name} none of its points is a joint: {listed(labels)}.")
-    points = FilePoints(body, {label: k for k, label in enumerate(labels)}, groups)
-    return points, "" if table else best.name
+    return FilePoints(body, labels, groups), "" if table else best.name
 
 
 def named_points(
@@ -188,36 +196,21 @@ def named_points(
     """What the points of a file are, their names, how and by which table they were found, and lines."""
     first, last = min(labels), max(labels)
     common = next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), 0)
-    before = re.match(r"(?:.*[^A-Za-z0-9])?", first[:common])  # a subject's name, or Body0_
-    labels = [label[before.end() :] for label in labels] if before else labels
+    before = re.sub(r"[A-Za-z0-9]*$", "", first[:common])  # a subject's name, or Body0_
+    labels = [label.removeprefix(before) for label in labels]
     ends = [re.fullmatch(r"(.*?)(\d+)", label) for label in labels]
-    same = len({end and end[1] for end in ends}) == 1 and not re.match(r"keypoint|landmark", first, re.I)
-    numbers = [int(end[2]) for end in ends if end and same]
-    if numbers and not stated:
-        body = next((body for body in BODIES.values() if len(body) == 1 + max(numbers)), None)
-        if body is not None:
+    same = len({end and end[1] for end in ends}) == 1 and not re.match(r"keypoint|landmark", labels[0], re.I)
+    numbers = [int(end[2]) for end in ends if end and same and not stated]
+    for body in BODIES.values():
+        if numbers and len(body) == 1 + max(numbers):
             labels = [body.joints[number] for number in numbers]
             words = f"the numbers of joints as those of {body.name}, from 0 on"
             return points_of(path, labels)[0], labels, words, "", []
     points, table = points_of(path, labels, stated)
-    told = []
-    if left_out := points.left_out:
-        told.append(f"{path}: by {stated or table} these points are no joints: {listed(left_out)}.")
-    return points, labels, f"the names of {table}" if table else "", table, told
-
-
-def _count(table: NameTable, labels: Sequence[str]) -> int:
-    return max(len(table.points_of(body, labels)) for body in BODIES.values())
-
-
-def _body_by(table: NameTable, labels: Sequence[str]) -> Body:
-    """Of the bodies that have all joints of a table, the one of which most are found in a file.
-
-    A ready-made table has the joints of several bodies.
-    """
-    named = () if table.ready_made else table.joints
-    fitting = [body for body in BODIES.values() if all(body.find(joint) is not None for joint in named)]
-    return max(fitting or [body_of(set(named))], key=lambda body: len(table.points_of(body, labels)))
+    used = {k for of in points.groups.values() for k in of}
+    left_out = [label for k, label in enumerate(points.labels) if k not in used]
+    told = f"{path}: by {stated or table} these points are no joints: {listed(left_out)}."
+    return points, labels, f"the names of {table}" if table else "", table, [told] if left_out else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,32 +219,16 @@ class FilePoints:
 
     Attributes:
         body: The body.
-        index: Each point's index, by its name in the file.
-        groups: The points whose mean is a joint, by joint; None if the points are the joints.
+        labels: The names of the points in the file.
+        groups: The points whose mean is a joint, by joint.
     """
 
     body: Body
-    index: Mapping[str, int]
-    groups: Mapping[int, Sequence[int]] | None = None
+    labels: Sequence[str]
+    groups: Mapping[int, list[int]]
 
     def __len__(self) -> int:
-        return len(self.body) if self.groups is None else len(self.index)
-
-    def find(self, label: str) -> int | None:
-        """The index of a point by its name in any spelling; None if it is none of these."""
-        return self.body.find(label) if self.groups is None else self.index.get(label)
-
-    def named(self, index: int) -> str:
-        """The name of a point in messages."""
-        return self.body.joints[index] if self.groups is None else list(self.index)[index]
-
-    @property
-    def left_out(self) -> list[str]:
-        """Names of the points that are no joint's."""
-        if self.groups is None:
-            return []
-        used = {k for points in self.groups.values() for k in points}
-        return [label for label, k in self.index.items() if k not in used]
+        return len(self.labels)
 
     def joints(
         self, positions: NDArray[np.float64], states: NDArray[np.uint8]
@@ -260,11 +237,10 @@ class FilePoints:
 
         A joint is tracked as its worst point is, and has no position where one of its points has none.
         """
-        if self.groups is None:
-            return positions, states
         at = np.full((len(positions), len(self.body), 3), np.nan)
         state = np.zeros((len(positions), len(self.body)), dtype=np.uint8)
         for joint, points in self.groups.items():
-            at[:, joint] = positions[:, points].mean(axis=1)
-            state[:, joint] = states[:, points].min(axis=1)
+            one = len(points) == 1
+            at[:, joint] = positions[:, points[0]] if one else positions[:, points].mean(axis=1)
+            state[:, joint] = states[:, points[0]] if one else states[:, points].min(axis=1)
         return at, state

@@ -12,7 +12,7 @@ from devices.input_file import open_input
 from devices.sensor import DeviceError
 from devices.skeletons.name_tables import FilePoints, named_points
 from devices.skeletons.stated_format import Unit
-from devices.skeletons.times import FEWEST, LOGGED_TWICE, capture_times, digest
+from devices.skeletons.times import FEWEST, LOGGED_TWICE, capture_times
 from fusion.pair_arrays import View, joined_views
 from fusion.support.large_arrays import parts
 
@@ -26,6 +26,7 @@ _KINDS = (
 )
 """First bytes of files that are often taken for a skeleton file, and what to say about them."""
 _MOST = 0.7  # of the rows: more are twice where times lost their digits, not of two people
+_LARGE = 1e9
 _FEWEST_NULS = 8  # bytes in a row that a power cut leaves; a single one may be a flipped bit
 
 
@@ -98,14 +99,6 @@ class JointRows:
     called: str = ""
     has_body: bool = True
 
-    def times_of_new_frames(self) -> NDArray[Any]:
-        """Different times; where a program logged many frames again, those of the tracker's own frames."""
-        times, of_frame = np.unique(self.time, return_inverse=True)
-        frame = of_frame if self.frame is None else of_frame[self.frame]
-        digests = np.bincount(frame, digest(self.xyz, self.label, self.person), minlength=len(times))
-        new = np.append(True, np.diff(digests) != 0.0)
-        return times[new] if new.sum() >= FEWEST and new.mean() < 1.0 - LOGGED_TWICE else times
-
 
 def found_of(rows: JointRows, table: str = "", told: Sequence[str] = (), **about: Any) -> FoundPoints:
     """The points of a file, frame by frame.
@@ -122,11 +115,11 @@ def found_of(rows: JointRows, table: str = "", told: Sequence[str] = (), **about
     if not len(rows.time):
         raise DeviceError(f"{rows.path} has no frames.")
     points, labels, names, found_table, about_points = named_points(rows.path, rows.labels, table)
-    label = np.array([points.find(name) for name in labels], dtype=np.int64)[rows.label]
+    label = np.array([points.labels.index(name) for name in labels], dtype=np.int64)[rows.label]
     joint = rows.person * len(points) + label
     key = joint if rows.frame is None else None
     clock = capture_times(
-        rows.path, rows.column, rows.time, called=rows.called, telling=rows.times_of_new_frames(), key=key,
+        rows.path, rows.column, rows.time, called=rows.called, telling=_times_of_new_frames(rows), key=key,
         anonymous=not rows.has_body,
     )  # fmt: skip
     times, frame = np.unique(clock.time_ns, return_inverse=True)
@@ -165,6 +158,20 @@ def found_of(rows: JointRows, table: str = "", told: Sequence[str] = (), **about
     )  # fmt: skip
 
 
+def _times_of_new_frames(rows: JointRows) -> NDArray[Any]:
+    """Different times; where a program logged many frames again, those of the tracker's own frames."""
+    times, of_frame = np.unique(rows.time, return_inverse=True)
+    frame = of_frame if rows.frame is None else of_frame[rows.frame]
+    content = digest(rows.xyz) * (1 + rows.label + 97 * rows.person)
+    new = np.append(True, np.diff(np.bincount(frame, content, minlength=len(times))) != 0.0)
+    return times[new] if new.sum() >= FEWEST and new.mean() < 1.0 - LOGGED_TWICE else times
+
+
+def digest(xyz: NDArray[Any]) -> NDArray[np.float64]:
+    """(…) a number of each (…, 3) place, which tells it from others."""
+    return np.asarray(np.clip(np.nan_to_num(xyz), -_LARGE, _LARGE) @ (1.0, 0.7, 0.3))
+
+
 def _backward(rows: JointRows, frame: NDArray[np.int64], joint: NDArray[np.int64]) -> list[str]:
     """A warning if the time of a joint goes back from one row to its next."""
     if (np.diff(frame) >= 0).all():
@@ -192,20 +199,18 @@ def _once(
     again = np.append(False, np.diff(slot[order]) == 0)
     if not again.any():
         return order, []
-    share = float(again.mean())
     later, earlier = order[again], order[np.flatnonzero(again) - 1]
-    row = int(later.min())
+    row, share = int(later.min()), again.mean()
     if share > LOGGED_TWICE and np.array_equal(rows.xyz[later], rows.xyz[earlier], equal_nan=True):
         repeated = f"{100.0 * share:.0f} % of the rows repeat another one of the same time"
         return order[~again], [f"{rows.path}: {repeated}, and are left out."]
+    why = "Have two people one id, or did the times lose their digits? A column frame may count frames."
     if not rows.has_body and share < _MOST:
         why = "There is no column body: name the one that distinguishes people so."
     elif backward:
         why = "Are two recordings in one file?"
-    else:
-        why = "Have two people one id, or did the times lose their digits? A column frame may count frames."
     raise DeviceError(
-        f"{rows.path}: joint {points.named(int(slot[row]) % len(points))} of one person has two rows in one "
+        f"{rows.path}: joint {points.labels[int(slot[row]) % len(points)]} of one person has two rows in one "
         f"frame, the second {rows.where(row)}. {why}"
     )
 
@@ -223,29 +228,25 @@ def text_blocks(path: Path, size: int = -1) -> Iterator[bytes]:
         OSError: It cannot be read.
     """
     with open_input(path) as file:
-        start = file.read(1024)
+        left = file.read(1024)
         for magic, words in _KINDS:
-            if start.startswith(magic):
+            if left.startswith(magic):
                 raise DeviceError(f"{path} is not a file of skeletons but {words}.")
-        if b"\0" * _FEWEST_NULS in start:
+        if b"\0" * _FEWEST_NULS in left:
             raise DeviceError(f"{path} is not text: it contains zero bytes.")
-        read = 0
-        while more := file.read(size):
-            raw, start = start + more, b""
+        read, more, empty = 0, b"-", True
+        while more:
+            more = file.read(size)
+            raw, left = left + more, b""
             if size > 0 and len(more) == size:
-                end = raw.rfind(b"\n") + 1
-                raw, start = raw[:end], raw[end:]
-                if end == 0:  # no line ends here, or they are those of an old Mac
-                    continue
-            _check_text(path, raw, read)
-            if read == 0 and not raw.strip():
-                break
+                end = raw.rfind(b"\n") + 1  # 0: no line ends here, or they are those of an old Mac
+                raw, left = raw[:end], raw[end:]
+            if raw.strip():
+                _check_text(path, raw, read)
+                empty = False
+                yield raw
             read += len(raw)
-            yield raw
-        if start.strip():
-            _check_text(path, start, read)
-            yield start
-        elif read == 0:
+        if empty:
             raise DeviceError(f"{path} is empty.")
 
 
@@ -253,24 +254,20 @@ def _check_text(path: Path, raw: bytes, before: int) -> None:
     """Refuses what is not text; so many bytes of the file come before."""
     if raw.isascii() and b"\0" not in raw:
         return
+
+    def line(byte: int) -> int:
+        with path.open("rb") as file:
+            return file.read(before + byte).count(b"\n") + 1
+
     nuls = raw.find(b"\0" * _FEWEST_NULS)
     if nuls >= 0:
-        line = _line(path, before + nuls)
-        raise DeviceError(f"{path} is damaged: zero bytes in line {line}. Copy it again, or delete the rest.")
+        raise DeviceError(
+            f"{path} is damaged: zero bytes in line {line(nuls)}. Copy it again, or delete the rest."
+        )
     try:
         raw.decode("utf-8")
     except UnicodeDecodeError as error:
-        byte = before + error.start
+        at = error.start
         raise DeviceError(
-            f"{path} is not text in UTF-8: byte {byte + 1}, in line {_line(path, byte)}. Save it as UTF-8."
+            f"{path} is not text in UTF-8: byte {before + at + 1}, in line {line(at)}. Save it as UTF-8."
         ) from None
-
-
-def _line(path: Path, byte: int) -> int:
-    """The number of a byte's line, from 1."""
-    with path.open("rb") as file:
-        for number, line in enumerate(file, start=1):
-            byte -= len(line)
-            if byte < 0:
-                return number
-    raise AssertionError(f"{path} became shorter")

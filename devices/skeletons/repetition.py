@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.skeletons.name_tables import listed
-from devices.skeletons.read_file import FoundPoints
-from devices.skeletons.times import FEWEST, LOGGED_TWICE, digest
+from devices.skeletons.read_file import FoundPoints, digest
+from devices.skeletons.times import FEWEST, LOGGED_TWICE
 from fusion.support.large_arrays import parts
 
 _ONE_FRAME_NS = 250_000_000  # the longest time between two frames of a tracker
@@ -63,7 +63,7 @@ def kept_places(
     often = np.ones(seen.shape[1])
     for point in range(len(often)):
         there = seen[:, point] & ~repeats & (np.nan_to_num(at[:, point]) != 0.0).any(axis=1)
-        place = digest(at[:, point], 0, 0)
+        place = digest(at[:, point])
         places, count = np.unique(place[there], return_counts=True)
         if len(places) and count.max() > len(place[there]) / 2:
             often[point] = count.max()
@@ -71,7 +71,7 @@ def kept_places(
     keeps[:, often < max(FEWEST, _OFTEN * np.quantile(often, _QUARTER))] = False
     if not keeps.any():
         return keeps, []
-    names = [found.points.named(int(point)) for point in np.flatnonzero(keeps.any(axis=0))]
+    names = [found.points.labels[int(point)] for point in np.flatnonzero(keeps.any(axis=0))]
     return keeps, [
         f"{path}: {listed(names)} {'keeps its place' if len(names) == 1 else 'keep their places'} to the "
         "last digit while the other joints move, and count as not tracked there."

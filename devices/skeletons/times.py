@@ -97,12 +97,6 @@ def capture_times(
     return CaptureTimes(time_ns, clock, told + about_clock)
 
 
-def digest(xyz: NDArray[Any], point: NDArray[Any] | int, person: NDArray[Any] | int) -> NDArray[np.float64]:
-    """(…) a number of each (…, 3) place, point and person; those of a frame add up to one that tells it."""
-    place = np.clip(np.nan_to_num(xyz), -1e9, 1e9) @ (1.0, 0.7, 0.3)
-    return np.asarray(place * (1 + point + 97 * person))
-
-
 def find_time_unit(
     name: object, column: str, times: NDArray[Any], shortest_us: float = _TRACKER_US[0], called: str = ""
 ) -> tuple[float, str, list[str]]:

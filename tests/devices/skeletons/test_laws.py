@@ -170,7 +170,7 @@ def test_a_person_who_is_followed_and_stands_still_is_told(still, share):
 def test_a_joint_is_tracked_as_its_worst_point_is(groups, seed):
     random = np.random.default_rng(seed)
     at, states = random.normal(size=(6, 10, 3)), random.integers(0, 3, (6, 10)).astype(np.uint8)
-    points = FilePoints(BODY, {f"p{k}": k for k in range(10)}, dict(enumerate(groups)))
+    points = FilePoints(BODY, [f"p{k}" for k in range(10)], dict(enumerate(groups)))
     _, found = points.joints(at, states)
     for joint, of in enumerate(groups):
         for t in range(6):
