@@ -5,7 +5,7 @@ Its log likelihood adds up what a body that moves before a sensor tells:
 
 * **size**: bones are as long as a person's;
 * **place**: the person is in the image, 0.5 to 6 m away;
-* **posture**: trunk, legs and head point up in some frames at least; or the person lies: level, flat, not
+* **posture**: trunk, legs and head point up in some frames at least; or the person lies: level, not
   above the sensor, rather on the back, and staying in one place. Nobody rises and sinks much. In one file of
   who lies, a sensor on its side and somebody who stands fit alike;
 * **side**: toes, face, knees and hands are in front of the plane that the names of left and right span, the
@@ -30,7 +30,7 @@ _WIDE, _HIGH = 0.45, 0.45  # the person's usual place in the image, as tangents
 _NEAR, _FAR, _BEYOND = 0.5, 6.0, 0.25
 _LEANING = 0.35  # radians from the vertical, of people and sensors
 _UPRIGHT, _ENOUGH = 0.002, 0.3  # of the frames: counts as none, and as all
-_FLAT, _BELOW = 0.35, (-0.1, 0.2)  # statures; of who lies, below the sensor
+_BELOW = -0.1, 0.2  # statures of who lies below the sensor, and its deviation
 _STILL, _MOVES = 0.1, 1.5  # statures; log odds at most, so that no movement alone decides
 _RISES = 0.3  # statures up and down, of who squats or sits down
 _ALL, _NOTHING = 0.95, 0.0005  # of the frames; statures: rounding to millimetres, and no sway of who stands
@@ -38,19 +38,16 @@ _LEAST = -12.0  # log likelihood of what cannot be
 _FEWEST_BONES = 3
 _LARGEST = 1e9  # in any unit; a larger number is an error
 _PARTS = re.findall(r"\w+", "shoulder hip knee ankle foot elbow wrist thumb head eye ear nose")
-_UP = (
-    ("hip", "shoulder", 1.0), ("ankle", "hip", 1.0), ("ankle", "knee", 0.5), ("shoulder", "head", 0.5),
-    ("elbow", "shoulder", 0.3),
-)  # fmt: skip
-"""Joints, those above them in a person who stands, and the weight of it."""
-_ACROSS = (("shoulder", 1.0), ("hip", 1.0), ("knee", 0.1), ("elbow", 0.1), ("ear", 0.1), ("eye", 0.1))
-_IN_FRONT = (
-    ("ankle", "foot", 0.03, 9.0), ("ear", "eye", 0.03, 6.0), ("head", "nose", 0.03, 6.0),
-    ("wrist", "thumb", 0.02, 1.5), ("shoulder", "wrist", 0.1, 4.0),
-)  # fmt: skip
-"""Joints, those in front of them, how far (statures), and the weight of it, as log odds."""
-_BENDS = (("hip", "knee", "ankle", 1.0), ("shoulder", "elbow", "wrist", -1.0))
-_BENT, _FACES, _WALKS = (0.02, 1.5), (0.3, 1.6), (0.3, 4.0)
+_UP = (("hip", "shoulder"), ("ankle", "hip"), ("shoulder", "head"))
+"""Joints, and those above them in a person who stands."""
+_ACROSS = {"shoulder": 1.0, "hip": 1.0, "knee": 0.1, "elbow": 0.1, "ear": 0.1, "eye": 0.1}
+_IN_FRONT = {
+    ("ankle", "foot"): 9.0, ("ear", "eye"): 6.0, ("head", "nose"): 6.0, ("wrist", "thumb"): 1.5,
+    ("shoulder", "wrist"): 3.0, ("hip", "knee", "ankle"): 1.5, ("wrist", "elbow", "shoulder"): -1.5,
+}  # fmt: skip
+"""Joints, those in front of them or to which others bend, and the weight of it, as log odds."""
+_FAR_IN_FRONT = 0.03  # statures
+_FACES, _WALKS, _SURELY = 1.6, 4.0, 0.3  # log odds, and the cosine and statures per second that tell it
 
 
 def is_relative(body: Body, positions: Array) -> bool:
@@ -80,27 +77,25 @@ def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float
         warnings.simplefilter("ignore", RuntimeWarning)  # frames in which joints are not seen
         both = {part: _both(body, at, part) for part in _PARTS}
         middle = {part: np.nanmean(pair, axis=1) for part, pair in both.items()}
-        up = _unit(
-            np.nansum([weight * _unit(middle[high] - middle[low]) for low, high, weight in _UP], axis=0)
-        )
+        up = _unit(np.nansum([_unit(middle[high] - middle[low]) for low, high in _UP], axis=0))
         across = np.nansum(
-            [weight * (both[part][:, 0] - both[part][:, 1]) for part, weight in _ACROSS], axis=0
+            [weight * (both[part][:, 0] - both[part][:, 1]) for part, weight in _ACROSS.items()], axis=0
         )
         front = _unit(np.cross(across, up))
         centre = np.nanmean(np.concatenate([both["hip"], both["shoulder"]], axis=1), axis=1)
         speed = np.full_like(centre, np.nan)
         speed[1:-1] = (centre[2:] - centre[:-2]) / (seconds[2:] - seconds[:-2])[:, None]
-        found = [(middle[far] - middle[near], usual, weight) for near, far, usual, weight in _IN_FRONT]
-        found += [(sign * _bend(*(both[part] for part in parts)), *_BENT) for *parts, sign in _BENDS]
+        found = [
+            (_offset(*(both[part] for part in parts)) / _FAR_IN_FRONT, weight)
+            for parts, weight in _IN_FRONT.items()
+        ]
         found += [
-            (-_unit(centre), *_FACES),
-            (speed - up * np.sum(speed * up, axis=1, keepdims=True), *_WALKS),
+            (-_unit(centre) / _SURELY, _FACES),
+            ((speed - up * np.sum(speed * up, axis=1, keepdims=True)) / _SURELY, _WALKS),
         ]
-        shares = [
-            weight * np.nanmean(np.tanh(np.sum(way * front, axis=1) / usual)) for way, usual, weight in found
-        ]
+        shares = [weight * np.nanmean(np.tanh(np.sum(way * front, axis=1))) for way, weight in found]
         known = np.isfinite(centre + up).all(axis=1)
-        centre, up, front, extent = centre[known], up[known], front[known], at[known] - centre[known, None]
+        centre, up, front = centre[known], up[known], front[known]
         if not len(centre):
             return stature, np.nan, np.zeros((2, len(SIGNED))), np.zeros((len(SIGNED), 3))
         right, down, forward = np.moveaxis(MATRICES, 1, 0)
@@ -113,14 +108,13 @@ def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float
         on_back = np.nan_to_num(np.nanmean(_along(-gravity[1]), axis=0))
         level = np.mean(_along(np.sqrt(1.0 - np.minimum(gravity[0] ** 2, 1.0))), axis=0)
         below = np.median(centre @ down.T, axis=0)
-        flat = 3.0 * np.median(np.nanmedian(np.abs(extent @ down.T), axis=1), axis=0)
         of_body = np.nan_to_num(np.nanmean(gravity, axis=1)).T
     moves = 2.0 * np.linalg.norm(np.std(centre, axis=0))
     rises = -0.5 * (2.0 * np.std(centre @ down.T, axis=0) / _RISES) ** 2
-    lies = np.log(level * (2.0 + on_back) / 3.0 + _UPRIGHT) - np.logaddexp(
+    lies = np.log(level * (1.0 + on_back) / 2.0 + _UPRIGHT) - np.logaddexp(
         0.0, (_BELOW[0] - below) / _BELOW[1]
     )
-    lies -= np.log1p((flat / _FLAT) ** 2) + _MOVES * moves**2 / (moves**2 + _STILL**2)
+    lies -= _MOVES * moves**2 / (moves**2 + _STILL**2)
     mirrored = np.maximum(0.0, -np.nansum(shares) * _HANDED)
     distance = (stature or np.nan) * float(np.median(np.linalg.norm(centre, axis=1)))
     return stature, distance, place + np.maximum([stands + rises, lies + rises], _LEAST) - mirrored, of_body
@@ -174,8 +168,10 @@ def _along(cosine: Array) -> Array:
     return np.exp((cosine - 1.0) / _LEANING**2)
 
 
-def _bend(first: Array, joint: Array, last: Array) -> Array:
-    """(T, 3) mean offset of both sides' joints (T, 2, 3) from the line between two others."""
-    line = last - first
-    share = np.sum((joint - first) * line, axis=2, keepdims=True) / np.sum(line**2, axis=2, keepdims=True)
-    return np.asarray(np.nanmean(joint - first - share * line, axis=1))
+def _offset(first: Array, joint: Array, last: Array | None = None) -> Array:
+    """(T, 3) mean offset of both sides' joints (T, 2, 3) from others, or from the line between two others."""
+    away = joint - first
+    if last is not None:
+        line = last - first
+        away -= line * np.sum(away * line, axis=2, keepdims=True) / np.sum(line**2, axis=2, keepdims=True)
+    return np.asarray(np.nanmean(away, axis=1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -23,7 +24,12 @@ from devices.skeletons.times import moments_of
 
 _EMPTY = r"^(?i:nan|null|none|na|n/a|#n/a|-|-?1\.#[a-z]+)?$"
 _FIRST = 1_000_000  # bytes
-_THOUSANDS = r"^[+-]?[1-9][0-9]{0,2}(,[0-9]{3})+$"
+_TENTH = 0.11
+_WRITTEN = {
+    "point": r"\.",
+    "comma": ",",
+    "decimal": r",([0-9]{0,2}|[0-9]{4,})([^0-9,]|$)|^[+-]?(0[0-9]*|[0-9]{4,})?,",  # no comma of thousands
+}
 
 
 @dataclass
@@ -37,17 +43,10 @@ class Decimals:
 
     def note(self, text: pa.ChunkedArray) -> None:
         """Notes how numbers are written."""
-        if not self.comma or len(self.seen) == 3:
-            return
-        commas = pc.match_substring(text, ",")
-        thousands = pc.match_substring_regex(text, _THOUSANDS)
-        for kind, there in (
-            ("point", pc.match_substring(text, ".")),
-            ("comma", commas),
-            ("decimal", pc.and_not(commas, thousands)),
-        ):
-            if kind not in self.seen and (row := pc.index(there, True).as_py()) >= 0:
-                self.seen[kind] = text[row].as_py()
+        for kind, pattern in _WRITTEN.items() if self.comma else ():
+            if kind not in self.seen:
+                row = pc.index(pc.match_substring_regex(text, pattern), True).as_py()
+                self.seen |= {kind: text[row].as_py()} if row >= 0 else {}
 
     def check(self, path: Path) -> None:
         """Refuses a file whose commas may be either.
@@ -91,20 +90,14 @@ class TextRows:
         if kind == pa.float64():
             text = pc.replace_substring_regex(text, _EMPTY, "nan")
             self.decimals.note(text)
-            if self.decimals.comma:
-                text = pc.replace_substring(text, ",", ".")
+            text = pc.replace_substring(text, ",", ".") if self.decimals.comma else text
         else:
             text = pc.replace_substring_regex(text, r"^([0-9]+)\.0*$", r"\1")  # as pandas writes times
         try:
             return numbers_of(pc.cast(text, kind))
         except pa.ArrowInvalid:
-            for row, value in enumerate(text.to_pylist()):
-                try:
-                    pa.scalar(value).cast(kind)
-                except pa.ArrowInvalid:
-                    wanted = "a whole number" if kind == pa.int64() else "a number"
-                    raise self._not(wanted, column, row, value) from None
-            raise
+            row = next(row for row, value in enumerate(text) if not _can_be(value, kind))
+            raise self._not("a number", column, row) from None
 
     def times(self) -> tuple[str, NDArray[Any]]:
         """The column of the times' unit, and the times: whole numbers, or decimals where one of them is."""
@@ -116,15 +109,23 @@ class TextRows:
         if moments is not None:
             return "time_ns", moments[code]
         values = self.numbers(time, pa.float64())
-        for row in np.flatnonzero(~np.isfinite(values))[:1]:
-            raise self._not("a number", time, int(row), self.table[time][int(row)].as_py())
+        if not np.isfinite(values).all():
+            raise self._not("a number", time, int(np.argmin(np.isfinite(values))))
         return time, values
 
-    def _not(self, wanted: str, column: str, row: int, value: str) -> DeviceError:
-        called = self.columns.called(column, row)
+    def _not(self, wanted: str, column: str, row: int) -> DeviceError:
+        called, value = self.columns.called(column, row), self.table[column][row].as_py().strip()
         return DeviceError(
             f"{self.path}, line {self.line(row)}: {called} must be {wanted}; got {value[:40]!r}."
         )
+
+
+def _can_be(value: pa.Scalar, kind: pa.DataType) -> bool:
+    try:
+        value.cast(kind)
+    except pa.ArrowInvalid:
+        return False
+    return True
 
 
 def text_rows(path: Path, size: int, required: Collection[str] = COLUMNS) -> Iterator[TextRows]:
@@ -232,16 +233,18 @@ def refuse_cut_off(text: TextRows, before: pa.Table | None, times: NDArray[Any])
     """
     if text.raw.endswith(b"\n"):
         return
-    _, rows = np.unique(times, return_counts=True)
-    name = text.table.column_names[-1]
+    rows = np.unique(times, return_counts=True)[1]
     table = text.table if before is None else pa.concat_tables([before, text.table])
-    last = table[name]
-    decimals = numbers_of(pc.utf8_length(pc.replace_substring_regex(last, r"^[^.]*\.?", "")))
-    if (
-        (len(rows) > 1 and rows[-1] < rows[-2])
-        or (name in "xyz" and decimals[-1] < decimals.max())
-        or (name in "xyz" and _lost_digits(table["joint"].to_pylist(), last.to_pylist()))
-    ):
+    cut = len(rows) > 1 and rows[-1] < rows[-2]
+    if not cut and (name := table.column_names[-1]) in "xyz":
+        values = table[name].to_pylist()
+        decimals = [len(value.partition(".")[2]) for value in values]
+        joints = table["joint"].to_pylist()
+        old = next(
+            (v for v, joint in zip(values[-2::-1], joints[-2::-1], strict=True) if joint == joints[-1]), ""
+        )
+        cut = decimals[-1] < max(decimals) or _lost_digits(old, values[-1])
+    if cut:
         line = text.raw.splitlines()[-1].decode()[-40:]
         raise DeviceError(
             f"{text.path} seems to be cut off in its last line, {line!r}. Copy "
@@ -249,14 +252,10 @@ def refuse_cut_off(text: TextRows, before: pa.Table | None, times: NDArray[Any])
         )
 
 
-def _lost_digits(joints: list[str], values: list[str]) -> bool:
-    """Whether the last whole number is at most about a tenth of the same joint's number before it."""
-    before = [value for joint, value in zip(joints, values, strict=True) if joint == joints[-1]][-2:]
-    try:
-        old, new = map(int, before)
-    except ValueError:
-        return False
-    return abs(old) >= 10 and abs(new) <= 0.11 * abs(old)
+def _lost_digits(old: str, new: str = "") -> bool:
+    """Whether a whole number is at most about a tenth of the one before it."""
+    whole = re.fullmatch(r"-?\d{2,}", old) and re.fullmatch(r"-?\d+", new)
+    return bool(whole) and abs(int(new)) <= _TENTH * abs(int(old))
 
 
 def has_several_sensors(path: Path) -> bool:
