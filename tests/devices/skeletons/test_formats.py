@@ -8,23 +8,8 @@ import pytest
 
 from devices.sensor import DeviceError
 from devices.skeletons.file_sensor import SkeletonRecording
-from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
-from tests.helpers.two_views import FRAME_NS, standing
-
-HEADER = "time_us,body,joint,x,y,z,state"
-
-
-def csv_rows():
-    return [
-        f"{t * FRAME_NS // 1000},0,{joint},{x:.5f},{y:.5f},{z + 0.01 * t:.5f},tracked"
-        for t in range(3)
-        for joint, (x, y, z) in zip(KINECT_V1.joints, standing(KINECT_V1), strict=True)
-    ]
-
-
-def write_csv(path, rows, header=HEADER):
-    path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
-    return path
+from fusion.body import AZURE_KINECT, KINECT_V2
+from tests.helpers.two_views import standing
 
 
 def read(path):
@@ -35,21 +20,15 @@ def read(path):
 @pytest.mark.parametrize(
     ("broken", "message"),
     [
-        (lambda rows: (["moment,body,joint,x,y,z"], rows), "no column time_us"),
-        (lambda rows: ([HEADER + ",x"], rows), "repeats a column name"),
-        (lambda rows: ([HEADER], [rows[0].replace("HipCenter", "Tail"), *rows[1:]]), "Unknown joint 'Tail'"),
-        (
-            lambda rows: ([HEADER], [rows[0], rows[1].replace(",0,", ",0,", 1).replace("0.", "zero.", 1)]),
-            "x must",
-        ),
-        (lambda rows: ([HEADER], [*rows, rows[0]]), "HipCenter of one person has two rows"),
-        (lambda rows: ([HEADER], [*rows[:-1], rows[-1][:20]]), "line 61.*not have 7 columns; .*cut off"),
+        ("moment,body,joint,x,y,z\n0,0,Head,0,0,2\n", "no column time_us"),
+        ("time_us,body,joint,x,y,z,x\n0,0,Head,0,0,2,0\n", "repeats a column name"),
+        ("time_us,body,joint,x,y,z\n0,0,Tail,0,0,2\n", "Unknown joint 'Tail'"),
     ],
 )
 def test_a_broken_csv_says_what_is_wrong(tmp_path, broken, message):
-    header, rows = broken(csv_rows())
+    (tmp_path / "a.csv").write_text(broken, encoding="utf-8")
     with pytest.raises(DeviceError, match=message):
-        read(write_csv(tmp_path / "a.csv", rows, header[0]))
+        read(tmp_path / "a.csv")
 
 
 def offline_processor(body):

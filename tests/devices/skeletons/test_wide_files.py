@@ -12,10 +12,8 @@ from devices.skeletons.csv_files.reader import read_csv
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import StatedFormat
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V2
-from recordings import fuse
 from tests.helpers.command_line import duplex, one_line
-from tests.helpers.recorded_pairs import write_view
-from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
+from tests.helpers.two_views import FRAME_NS, moving
 from viewer_app.flags import in_flags
 
 SPELLINGS = {
@@ -160,20 +158,6 @@ def write_master(path, positions, confidence=True):
         each = [["2"] * confidence + cells[k : k + 3] for k in range(0, len(cells), 3)]
         rows.append([time, "1", *(cell for joint in each for cell in joint)])
     return write(path, rows, ";")
-
-
-def test_a_pair_of_wide_files_is_fused(tmp_path, capsys):
-    """In the spelling of github.com/justamad/rpe-prediction; micrometres of a long file are rounded."""
-    a = walk(frames=70)
-    views = {"a": a, "b": A_FROM_B.inverse().apply(a)}
-    wide = fuse(*(write_master(tmp_path / f"{side}.csv", view) for side, view in views.items()))
-    assert duplex("info", tmp_path / "a.csv") == 0
-    assert "1' in 70 frames" in capsys.readouterr().out
-    long = fuse(
-        *(write_view(tmp_path / f"{s}.csv", AZURE_KINECT, v, every_us=33333) for s, v in views.items())
-    )
-    assert len(wide) == 70
-    np.testing.assert_allclose(wide.fused, long.fused, rtol=0, atol=1e-5)
 
 
 @given(
