@@ -237,10 +237,11 @@ class FilePoints:
 
         A joint is tracked as its worst point is, and has no position where one of its points has none.
         """
+        if [*self.groups.items()] == [(k, [k]) for k in range(len(self.body))]:
+            return positions, states
         at = np.full((len(positions), len(self.body), 3), np.nan)
         state = np.zeros((len(positions), len(self.body)), dtype=np.uint8)
         for joint, points in self.groups.items():
-            one = len(points) == 1
-            at[:, joint] = positions[:, points[0]] if one else positions[:, points].mean(axis=1)
-            state[:, joint] = states[:, points[0]] if one else states[:, points].min(axis=1)
+            at[:, joint] = positions[:, points].mean(axis=1)
+            state[:, joint] = states[:, points].min(axis=1)
         return at, state

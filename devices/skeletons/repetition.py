@@ -23,9 +23,10 @@ def repeats_of(found: FoundPoints) -> NDArray[np.bool_]:
     near = (found.person[before] == found.person[after]) & (found.frame[before] + 1 == found.frame[after])
     before, after = before[near], after[near]
     for part in parts(len(after)):
-        (one, other), of = (np.nan_to_num(found.view.positions[k[part]]) for k in (before, after)), found.view
+        of, one, other = found.view, *(found.view.positions[k[part]] for k in (before, after))
         states = (of.states[before[part]] == of.states[after[part]]).all(axis=1)
-        repeats[after[part]] = (one == other).all(axis=(1, 2)) & states
+        same = (one == other) | (np.isnan(one) & np.isnan(other))
+        repeats[after[part]] = same.all(axis=(1, 2)) & states
     return repeats
 
 
@@ -62,12 +63,13 @@ def kept_places(
     keeps = np.zeros(seen.shape, dtype=np.bool_)
     often = np.ones(seen.shape[1])
     for point in range(len(often)):
-        there = seen[:, point] & ~repeats & (np.nan_to_num(at[:, point]) != 0.0).any(axis=1)
         place = digest(at[:, point])
-        places, count = np.unique(place[there], return_counts=True)
-        if len(places) and count.max() > len(place[there]) / 2:
-            often[point] = count.max()
-            keeps[:, point] = place == places[count.argmax()]
+        there = seen[:, point] & ~repeats & (place != 0.0)
+        if there.any():
+            middle = there.sum() // 2
+            keeps[:, point] = place == np.partition(place[there], middle)[middle]  # which most of them are
+            often[point] = (keeps[:, point] & there).sum()
+            keeps[:, point] &= often[point] > middle
     keeps[:, often < max(FEWEST, _OFTEN * np.quantile(often, _QUARTER))] = False
     if not keeps.any():
         return keeps, []
