@@ -1,7 +1,6 @@
 """Laws of skeleton files: they hold for any file, not only for those of the other tests."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from devices.skeletons.csv_files.reader import read_csv
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.meaning import MeaningError
 from devices.skeletons.name_tables import FilePoints
-from devices.skeletons.read_file import JointRows, found_of
 from devices.skeletons.stated_format import AXES, METRES, SIGNED, StatedFormat, called_axes
 from devices.skeletons.times import FEWEST, capture_times
 from fusion.body import BODIES, KINECT_V2
@@ -24,7 +22,7 @@ from fusion.skeleton import impossible
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.exercises import POSES, UP, posed
 from tests.helpers.skeleton_files import NAMES, TIMES, read_found, write_meaning
-from tests.helpers.two_views import FRAME_NS, moving, standing
+from tests.helpers.two_views import FRAME_NS, moving
 
 BODY = KINECT_V2
 ROW = 45  # bytes
@@ -139,28 +137,6 @@ def test_a_position_behind_the_sensor_is_impossible(xy, z):
         far = np.array([*xy, z])
         far[axis] = FARTHEST * 1.01
         assert impossible(far)
-
-
-def recorded(*people):
-    """The recording of (T, J, 3) people."""
-    at = np.array(people).transpose(1, 0, 2, 3)  # of frames, people, joints
-    t, person, joint = (index.ravel() for index in np.indices(at.shape[:3]))
-    rows = JointRows(
-        Path("a.json"), "time_ns", np.arange(len(at)) * FRAME_NS, t, list("012"[: len(people)]), person,
-        BODY.joints, joint, at.reshape(-1, 3), np.full(len(t), 2, np.uint8), str,
-    )  # fmt: skip
-    return found_of(rows)
-
-
-@given(still=st.lists(st.booleans(), min_size=1, max_size=3), share=st.floats(0, 1))
-def test_a_person_who_is_followed_and_stands_still_is_told(still, share):
-    """Repeated in more than 90 % of the frames; of people who are seen as long, the last one is followed."""
-    shaken = np.random.default_rng(0).normal(0.0, 0.01, (60, len(BODY), 3)) + standing(BODY)
-    frames = round(share * 59)
-    held = shaken.copy()
-    held[59 - frames :] = held[59 - frames]
-    told = read_found(Path("a.json"), recorded(*(held if each else shaken for each in still))).warnings
-    assert any("repeats the one before" in line for line in told) == (still[-1] and frames > 0.9 * 59)
 
 
 @given(

@@ -1,7 +1,6 @@
 """Skeleton files as other programs and accidents leave them: read, or refused with a line that helps."""
 
 import gzip
-import json
 import os
 import re
 
@@ -15,7 +14,7 @@ from devices.skeletons.stated_format import StatedFormat
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
-from tests.helpers.two_views import A_FROM_B, moving, standing
+from tests.helpers.two_views import A_FROM_B, moving
 from viewer_app.flags import in_flags
 
 
@@ -198,24 +197,6 @@ def test_frames_out_of_order_are_sorted_with_a_warning(tmp_path, good):
         assert read.warnings == [f"{odd}: the time goes back in line 252; the frames were sorted by time."]
         times = [frame.time_ns for frame in read.frames()]
     assert times == sorted(times)
-
-
-def _json(path, times_us):
-    positions = (1e3 * standing(KINECT_V2)).tolist()
-    frames = [
-        {"timestamp_usec": t, "bodies": [{"body_id": 1, "joint_positions": positions}]} for t in times_us
-    ]
-    path.write_text(json.dumps({"joint_names": KINECT_V2.joints, "frames": frames}), encoding="utf-8")
-    return path
-
-
-def test_times_of_json_that_go_back_or_repeat(tmp_path):
-    with SkeletonRecording(_json(tmp_path / "a.json", [0, 66_666, 33_333])) as read:
-        assert "the time goes back in frame 2" in read.warnings[0]
-        assert [frame.time_ns for frame in read.frames()] == [0, 33_333_000, 66_666_000]
-    with SkeletonRecording(_json(tmp_path / "b.json", [0, 33_333, 33_333])) as read:
-        assert "33 % of the rows repeat another one of the same time" in read.warnings[0]
-        assert len(read.people) == 2
 
 
 def test_one_recording_twice_is_refused(tmp_path):
