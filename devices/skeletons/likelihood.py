@@ -38,8 +38,8 @@ _LEAST = -12.0  # log likelihood of what cannot be
 _FEWEST_BONES = 3
 _LARGEST = 1e9  # in any unit; a larger number is an error
 _PARTS = re.findall(r"\w+", "shoulder hip knee ankle foot elbow wrist thumb head eye ear nose")
-_UP = (("hip", "shoulder"), ("ankle", "hip"), ("shoulder", "head"))
-"""Joints, and those above them in a person who stands."""
+_UP = {("hip", "shoulder"): 1.0, ("ankle", "hip"): 1.0, ("shoulder", "head"): 1.0, ("elbow", "shoulder"): 0.1}
+"""Joints, those above them in a person who stands, and the weight of it."""
 _ACROSS = {"shoulder": 1.0, "hip": 1.0, "knee": 0.1, "elbow": 0.1, "ear": 0.1, "eye": 0.1}
 _IN_FRONT = {
     ("ankle", "foot"): 9.0, ("ear", "eye"): 6.0, ("head", "nose"): 6.0, ("wrist", "thumb"): 1.5,
@@ -77,7 +77,11 @@ def axes_likelihood(body: Body, seconds: Array, positions: Array) -> tuple[float
         warnings.simplefilter("ignore", RuntimeWarning)  # frames in which joints are not seen
         both = {part: _both(body, at, part) for part in _PARTS}
         middle = {part: np.nanmean(pair, axis=1) for part, pair in both.items()}
-        up = _unit(np.nansum([_unit(middle[high] - middle[low]) for low, high in _UP], axis=0))
+        up = _unit(
+            np.nansum(
+                [weight * _unit(middle[high] - middle[low]) for (low, high), weight in _UP.items()], axis=0
+            )
+        )
         across = np.nansum(
             [weight * (both[part][:, 0] - both[part][:, 1]) for part, weight in _ACROSS.items()], axis=0
         )

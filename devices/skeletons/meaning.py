@@ -172,7 +172,7 @@ def _meaning(of: Evidence, units: Array, axes: Array) -> Meaning:
             )
         unit, told = _unit(of, by_unit)
         wanted = of.stated.signed_axes or ("" if of.free else OWN_AXES)
-        if np.ptp(of.axes) < CLEAR:  # nobody is seen
+        if of.stature is None:  # nobody is seen
             return Meaning(unit, wanted or OWN_AXES, table, told)
         if wanted:
             return Meaning(unit, wanted, table, (*told, *_tested(of, wanted, by_axes)))
@@ -216,6 +216,8 @@ def _axes(of: Evidence, table: Sequence[tuple[str, float]]) -> str:
     options = " or ".join(of.stated.option("axes", called_axes(one)) for one in alike)
     if (np.logaddexp.reduce(of.axes, axis=0) + PRIOR_OF_AXES).max() < _NONE:
         raise DeviceError(f"{of.name}: in no axes is this a person before a sensor; {options} fits best.")
+    if len(alike) > len(SIGNED) / 2:
+        raise DeviceError(f"{of.name}: its joints do not tell the axes. State {of.stated.option('axes')}.")
     if len(alike) > 1:
         every = "; ".join(map(axes_in_words, alike))
         raise DeviceError(f"{of.name}: {len(alike)} axes fit alike: {every}. State {options}.")

@@ -162,6 +162,8 @@ WITHOUT = {
     "arms": ("elbow", "wrist", "hand", "thumb"),
     "face": ("nose", "eye", "ear"),
     "legs": ("knee", "ankle", "foot", "heel", "hip"),
+    "legs and head": ("knee", "ankle", "foot", "heel", "hip", "head", "neck", "nose", "eye", "ear"),
+    "all but a leg": ("pelvis", "spine", "shoulder", "elbow", "wrist", "hand", "head", "neck", "hipright"),
 }
 
 
@@ -246,6 +248,8 @@ SCENES |= st.tuples(st.sampled_from([1.0, 1.2, 1.75]), st.just("stand"))
 
 
 @given(without=st.sampled_from(list(WITHOUT)), scene=SCENES, **MEANINGS)
+@example("walk", "kinect_v2", "m", "time_us", ("y,z,x", "y,z,x"), True, "all but a leg", (1.75, "stand"))
+@example("sit", "kinect_v2", "m", "time_us", ("y,z,x", "y,z,x"), True, "legs and head", (1.75, "stand"))
 def test_parts_of_bodies_and_who_lies_are_read_right_or_refused_with_the_options(
     tmp_path, motion, body, unit, time, axes, same, without, scene
 ):
