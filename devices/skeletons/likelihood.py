@@ -42,12 +42,12 @@ _UP = {("hip", "shoulder"): 1.0, ("ankle", "hip"): 1.0, ("shoulder", "head"): 1.
 """Joints, those above them in a person who stands, and the weight of it."""
 _ACROSS = {"shoulder": 1.0, "hip": 1.0, "knee": 0.1, "elbow": 0.1, "ear": 0.1, "eye": 0.1}
 _IN_FRONT = {
-    ("ankle", "foot"): 9.0, ("ear", "eye"): 6.0, ("head", "nose"): 6.0, ("wrist", "thumb"): 1.5,
-    ("shoulder", "wrist"): 3.0, ("hip", "knee", "ankle"): 1.5, ("wrist", "elbow", "shoulder"): -1.5,
+    ("ankle", "foot"): 9.0, ("ear", "eye"): 6.0, ("head", "nose"): 6.0, ("wrist", "thumb"): 1.0,
+    ("shoulder", "wrist"): 2.0, ("hip", "knee", "ankle"): 1.0, ("wrist", "elbow", "shoulder"): -1.0,
 }  # fmt: skip
 """Joints, those in front of them or to which others bend, and the weight of it, as log odds."""
 _FAR_IN_FRONT = 0.03  # statures
-_FACES, _WALKS, _SURELY = 1.6, 4.0, 0.3  # log odds, and the cosine and statures per second that tell it
+_FACES, _WALKS, _SURELY = 1.6, 2.0, 0.3  # log odds, and the cosine and statures per second that tell it
 
 
 def is_relative(body: Body, positions: Array) -> bool:

@@ -172,7 +172,7 @@ def _meaning(of: Evidence, units: Array, axes: Array) -> Meaning:
             )
         unit, told = _unit(of, by_unit)
         wanted = of.stated.signed_axes or ("" if of.free else OWN_AXES)
-        if of.stature is None:  # nobody is seen
+        if of.stature is None and np.ptp(of.axes) < CLEAR:  # nobody is seen
             return Meaning(unit, wanted or OWN_AXES, table, told)
         if wanted:
             return Meaning(unit, wanted, table, (*told, *_tested(of, wanted, by_axes)))
