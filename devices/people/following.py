@@ -12,8 +12,8 @@ from devices.events import Event
 from devices.frame_pairs import FramePair
 from devices.people.placement import Placement, search_placement
 from devices.people.recorded_people import Follow, RecordedPeople
-from devices.people.room import ALONE_NS, HOLD_NS, NOBODY, Room, Seen
-from devices.people.tracks import Tracks, TracksAhead
+from devices.people.room import HOLD_NS, NOBODY, Room, Seen
+from devices.people.tracks import Numbering, Tracks
 from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.pair_arrays import View
@@ -43,7 +43,7 @@ class PersonOfPair:
         self._begin()
 
     def _begin(self) -> None:
-        self._tracks = TracksAhead(self._body), TracksAhead(self._body)
+        self._tracks = Numbering(self._body), Numbering(self._body)
         self._room = Room(self._body, self._follow)
         self._search = _Search(self._body)
         self._crowded_ns: int | None = None
@@ -63,7 +63,7 @@ class PersonOfPair:
             self._crowded_ns = pair.time_ns
         if a_from_b is None and self._crowded_ns is not None:
             self._search.keep(pair.time_ns, seen)
-            if pair.time_ns - self._crowded_ns > ALONE_NS:
+            if pair.time_ns - self._crowded_ns > HOLD_NS:
                 self._crowded_ns = None
         picks = [None, None] if room.followed is None else list(room.followed.now)
         others = any(person is not room.followed and person.now != (None, None) for person in room.people)
@@ -87,12 +87,12 @@ class PersonOfPair:
         return events
 
     def _seen(self, view: int, frame: SensorFrame | None) -> Seen:
-        if frame is None or not frame.people:
+        if frame is None:
             return NOBODY
         people = list(frame.people.values())
         tracks, doubtful, places = self._tracks[view].of(frame.time_ns, people)
         joints = [person.positions for person in people]
-        if min(tracks) >= 0:
+        if min(tracks, default=0) >= 0:
             return Seen(list(frame.people), joints, tracks, doubtful, places)
         each = zip(frame.people, joints, tracks, doubtful, places, strict=True)
         there = [of for of in each if of[2] >= 0]
@@ -168,4 +168,4 @@ class _Search:
         skeletons = View(times[frame], joints, np.full(joints.shape[:2], TRACKED, dtype=np.uint8))
         nobody = np.zeros(len(frame), dtype=np.int64)
         people = RecordedPeople(self._body, times, [""], frame, nobody, skeletons)
-        return Tracks(people, np.concatenate([of.tracks for of in seen]), nobody.astype(np.bool_))
+        return Tracks(people, np.concatenate([of.tracks for of in seen]), nobody == 1, joints[:, 0])

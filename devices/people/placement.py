@@ -27,12 +27,12 @@ from fusion.support.types import Array
 _MOMENTS = 300  # at which the registration is looked for
 _TRIED = 3  # longest tracks of each view
 _FITTED = 24  # moments of one fit
-_SAME_M = 0.3  # mean distance of the joints of one person in two views, at most
+SAME_M = 0.3  # mean distance of the joints of one person in two views, at most
 _AGREE = 2.0  # times the mean distance of those who agree best: a pair of people that is farther off
 _LEAST_FIT = 0.2  # of the skeletons that can have a partner
 _ANOTHER_RAD = 0.3  # registrations that differ by more are not of one kind
 _FEWEST_JOINTS = 5
-_ANOTHER = 0.1  # logarithm of the ratio of the sizes that two views show of one person
+ANOTHER_SIZE = 0.15  # logarithm of the ratio of the sizes of two people
 _MOVED_M, _LEFT = 0.1, 0.2
 """Least rms movement; largest share of its variance that one placement of the sensors leaves unexplained."""
 
@@ -50,7 +50,7 @@ class Placement:
     def differs_from(self, a_from_b: RigidTransform) -> bool:
         """Whether a registration is of another kind: it puts the people elsewhere, or turns them."""
         off = np.linalg.norm(self.a_from_b.apply(self.middle) - a_from_b.apply(self.middle))
-        return bool(off > _SAME_M or self.a_from_b.angle_to(a_from_b) > _ANOTHER_RAD)
+        return bool(off > SAME_M or self.a_from_b.angle_to(a_from_b) > _ANOTHER_RAD)
 
 
 def placement_of(a: Tracks, b: Tracks, clock: Clock | None) -> Placement | None:
@@ -99,19 +99,19 @@ def search_placement(a: Tracks, b: Tracks, time_b: Index) -> Generator[None, Non
                 if found is None:
                     break
                 apart, exchanged = (_apart(found, p, each) for each in (q, mirrored))
-                least = np.full(len(a.track), _SAME_M)
+                least = np.full(len(a.track), SAME_M)
                 np.minimum.at(least, rows_a, np.minimum(apart, exchanged))
                 tried.append((found, least[np.unique(rows_a)]))
-                of = np.flatnonzero(np.minimum(apart, exchanged) <= np.minimum(least[rows_a], _SAME_M))
+                of = np.flatnonzero(np.minimum(apart, exchanged) <= np.minimum(least[rows_a], SAME_M))
                 of = of[np.linspace(0, len(of) - 1, min(2 * _FITTED, len(of))).astype(np.int64)]
                 turned = (exchanged < apart)[of, None, None]
                 found = _fit(p[of], np.where(turned, mirrored[of], q[of]))
-    fits = np.array([_score(apart, _SAME_M) for _, apart in tried]) / most_of_all
+    fits = np.array([_score(apart, SAME_M) for _, apart in tried]) / most_of_all
     if not len(fits) or fits.max() < _LEAST_FIT:
         return None
     often = np.flatnonzero(fits > 0.5 * fits.max())
-    agreeing = min(float(np.median(tried[k][1][tried[k][1] < _SAME_M])) for k in often)
-    scores = np.array([_score(apart, min(_SAME_M, _AGREE * agreeing)) for _, apart in tried]) / most_of_all
+    agreeing = min(float(np.median(tried[k][1][tried[k][1] < SAME_M])) for k in often)
+    scores = np.array([_score(apart, min(SAME_M, _AGREE * agreeing)) for _, apart in tried]) / most_of_all
     k = int(np.argmax(scores))
     now = Placement(tried[k][0], time_b, float(fits[k]), float(scores[k]), np.nanmean(q, axis=(0, 1)))
     others = [of for of, (found, _) in zip(scores, tried, strict=True) if now.differs_from(found)]
@@ -140,12 +140,13 @@ def moments(
 def one_movement(body: Body, p: Array, q: Array) -> RigidTransform | None:
     """The placement of the sensors that makes one movement of two views' joints; None if none does.
 
+    A movement to and fro is none: a mirror image makes it, too.
+
     Args:
         p, q: (T, J, 3) metres in each sensor's frame; NaN where unknown.
     """
     known = np.isfinite(p + q).all(axis=(0, 2))  # throughout
-    ratio = np.subtract(*(sizes_of(body, of, _states_of(of), body.nominal_lengths) for of in (p, q)))
-    if known.sum() < _FEWEST_JOINTS or abs(np.median(ratio)) > _ANOTHER:
+    if known.sum() < _FEWEST_JOINTS or abs(np.median(sizes(body, p) - sizes(body, q))) > ANOTHER_SIZE:
         return None
     p, q = p[:, known], q[:, known]
     try:
@@ -156,9 +157,10 @@ def one_movement(body: Body, p: Array, q: Array) -> RigidTransform | None:
     return found if moved > _MOVED_M**2 and left < _LEFT * moved else None
 
 
-def _states_of(joints: Array) -> NDArray[np.uint8]:
-    """(T, J) tracking states: tracked where a joint is known."""
-    return np.where(np.isfinite(joints).all(axis=2), TRACKED, 0).astype(np.uint8)
+def sizes(body: Body, joints: NDArray[np.floating]) -> Array:
+    """(T,) logarithm of the scale of (T, J, 3) skeletons relative to an adult; NaN where unknown."""
+    states = np.where(np.isfinite(joints).all(axis=2), TRACKED, 0).astype(np.uint8)
+    return sizes_of(body, joints, states, body.nominal_lengths)
 
 
 def _by_motion(a: Tracks, b: Tracks) -> Iterator[Clock]:
@@ -198,7 +200,7 @@ def _fit(p: Array, q: Array) -> RigidTransform | None:
 
 def _apart(a_from_b: RigidTransform, p: Array, q: Array) -> Array:
     """(n,) metres between the joints of each pair of skeletons, mean; infinite where none is known."""
-    apart = np.minimum(np.linalg.norm(p - a_from_b.apply(q), axis=2), 2.0 * _SAME_M)
+    apart = np.minimum(np.linalg.norm(p - a_from_b.apply(q), axis=2), 2.0 * SAME_M)
     known = np.isfinite(apart)
     total, count = np.where(known, apart, 0.0).sum(axis=1), known.sum(axis=1)
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.inf))

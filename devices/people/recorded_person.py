@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,50 +13,13 @@ from devices.people.recorded_people import Follow, OneRecording, RecordedPeople,
 from devices.people.room import FAR_M, HOLD_NS, NOBODY, Person, Room, Seen
 from devices.people.tracks import Index, Tracks
 from fusion.clocks import Clock
-from fusion.rigid import RigidTransform
 from fusion.support.large_arrays import give_back
 
 _SEEN_FOR = {"longest": 0.9, "middle": 0.3}
 """Of several people seen for this share of the longest time, the one nearest the middle is followed."""
 _OTHERS = 0.05  # of the time of the person followed: those who are seen for less are not counted
 
-
-@dataclass(eq=False)
-class _Someone:
-    """Somebody in two recordings."""
-
-    rows: tuple[Index, Index]  # their skeletons in either, numbers of rows
-    times: tuple[Index, Index]  # of these
-    together: int  # moments at which both see them in one place
-
-    @property
-    def count(self) -> int:
-        return len(self.rows[0]) + len(self.rows[1])
-
-    @property
-    def sights(self) -> Index:
-        return np.unique(np.concatenate(self.times))
-
-    def then(self, other: _Someone) -> _Someone:
-        """Who is this person, or the other one."""
-        rows, times = (
-            tuple(
-                np.concatenate(both) for both in zip(getattr(self, name), getattr(other, name), strict=True)
-            )
-            for name in ("rows", "times")
-        )
-        return _Someone((rows[0], rows[1]), (times[0], times[1]), self.together + other.together)
-
-    def long_after(self, sights: Index) -> _Someone:
-        """Who is seen only when somebody is out of sight for so long that another one is followed."""
-        away = [
-            np.abs(times - sights[nearest_of(times, sights)]) > HOLD_NS if len(times) else times == 0
-            for times in self.times
-        ]
-        rows, times = (
-            [of[kept] for of, kept in zip(each, away, strict=True)] for each in (self.rows, self.times)
-        )
-        return _Someone((rows[0], rows[1]), (times[0], times[1]), self.together)
+Both = tuple[Index, Index]  # of the skeletons of A and of B
 
 
 def follow_one_person(
@@ -73,106 +36,110 @@ def follow_one_person(
     Returns:
         Both with the person, and who else is seen.
     """
-    a, b = (read.people for read in reads)
+    a, b = people = reads[0].people, reads[1].people
     tracks = Tracks.of(a), Tracks.of(b)
     clock = clock or clock_by_arrival(reads[0].arrivals, reads[1].arrivals)
     ids = reads[0].wanted, reads[1].wanted
     placed = placement_of(*tracks, clock) if a.body is b.body else None
     found = None if placed is None else _followed(tracks, placed, follow, ids)
     give_back()
+    crowded = a.crowded or b.crowded
     if found is None:
-        read_a, read_b = (_alone(read, of) for read, of in zip(reads, tracks, strict=True))
-        if not (a.crowded or b.crowded) or None not in ids:
+        rows = [_rows_alone(read, of.track) for read, of in zip(reads, tracks, strict=True)]
+        read_a, read_b = (_with_ids_told(_of_rows(*of), of[1]) for of in zip(reads, rows, strict=True))
+        if not crowded or None not in ids:
             return read_a, read_b, ()
         line = (
             f"Several people are seen, {_has(reads)}, and their motion does not show who is the same in "
             f"both: those seen longest are followed. {_choose(reads)} the person."
         )
         return replace(read_a, warnings=[*read_a.warnings, line]), read_b, ()
-    read_a, read_b = (_of_rows(read, rows) for read, rows in zip(reads, found[0].rows, strict=True))
-    counted = [of for k, of in enumerate(found) if not k or of.count >= _OTHERS * found[0].count]
+    person, who = found
+    rows = [np.flatnonzero(of == person) for of in who]
+    read_a, read_b = map(_of_rows, reads, rows)
+    every = np.concatenate(who)
+    count = np.bincount(every[every >= 0], minlength=person + 1)
+    others = [k for k in np.argsort(-count, kind="stable").tolist() if k != person]
+    counted = [person, *(k for k in others if count[k] >= _OTHERS * count[person])]
     several = len(counted) > 1
-    if several or a.crowded or b.crowded:
-        names = " and ".join(
-            f"{_listed(read.people, rows)} of {side}"
-            for read, rows, side in zip(reads, found[0].rows, "AB", strict=True)
-            if len(rows)
-        )
-        count = f"{len(counted)} people are" if several else "1 person is"
-        line = f"{count} seen, {_has(reads)}. The one followed is {names}"
-        line += f"; {_choose(reads)} another." if None in ids else "."
-        if several and follow == "longest" and ids == (None, None):
-            line += (
-                " That one is seen longest; `follow=middle` follows the one nearest the middle of the views."
-            )
-        read_a = replace(read_a, warnings=[*read_a.warnings, line])
-    else:
-        read_a, read_b = (
-            _with_ids_told(read, rows) for read, rows in zip((read_a, read_b), found[0].rows, strict=True)
-        )
-    return read_a, read_b, tuple(_seen_people((a, b), counted)) if several else ()
+    if not several and not crowded:
+        return _with_ids_told(read_a, rows[0]), _with_ids_told(read_b, rows[1]), ()
+    names = " and ".join(
+        f"{_listed(of, each)} of {side}"
+        for of, each, side in zip(people, rows, "AB", strict=True)
+        if len(each)
+    )
+    line = f"{len(counted)} people are" if several else "1 person is"
+    line += f" seen, {_has(reads)}. The one followed is {names}"
+    line += f"; {_choose(reads)} another." if None in ids else "."
+    if several and follow == "longest" and ids == (None, None):
+        line += " That one is seen longest; `follow=middle` follows the one nearest the middle of the views."
+    read_a = replace(read_a, warnings=[*read_a.warnings, line])
+    return read_a, read_b, tuple(_seen_people(people, who, counted)) if several else ()
 
 
 def _followed(
     tracks: tuple[Tracks, Tracks], placed: Placement, follow: Follow, ids: tuple[str | None, str | None]
-) -> list[_Someone] | None:
-    """Everybody in two recordings, the person to follow first; None if both ids are not of one person."""
-    everyone = _everyone(*tracks, placed)
+) -> tuple[int, Both] | None:
+    """The person to follow, and whose each skeleton is; None if both ids are not of one person."""
+    who, together = _everyone(*tracks, placed)
     if ids != (None, None):
-        named, alone = set(), []
-        for view, (of, name) in enumerate(zip(tracks, ids, strict=True)):
+        named = set()
+        for of, whose, name in zip(tracks, who, ids, strict=True):
             if name is not None:
-                rows = of.people.rows_of([name])
-                named.add(int(np.argmax([np.isin(each.rows[view], rows).sum() for each in everyone])))
-        if len(named) > 1:
-            return None
-        person = everyone.pop(named.pop())
-        for of, name, rows, times in zip(tracks, ids, person.rows, person.times, strict=True):
-            own = np.isin(rows, of.people.rows_of([name])) if name is not None else np.ones(len(rows), bool)
-            alone.append((rows[own], times[own]) if not of.people.crowded else (rows, times))
-        rows, times = zip(*alone, strict=True)
-        return [_Someone(rows, times, person.together), *everyone]
-    seen = np.array([each.together for each in everyone])
-    if not seen.any():
+                own = np.isin(np.arange(len(whose)), of.people.rows_of([name]))
+                named.add(int(np.bincount(whose[own & (whose >= 0)], minlength=1).argmax()))
+                if not of.people.crowded:  # only who has the id
+                    whose[~own] = -1
+        return (named.pop(), who) if len(named) == 1 else None
+    if not together.any():
         return None
-    angle = [_off_axis(tracks, each) for each in everyone]
-    person = everyone.pop(int(np.argmin(np.where(seen >= _SEEN_FOR[follow] * seen.max(), angle, np.inf))))
-    others = []
-    for other in everyone:  # who is seen longest comes first
-        if np.isin(other.sights, person.sights).any():
-            others.append(other)
-        else:
-            person = person.then(other.long_after(person.sights))
-    return [person, *others]
+    angle = sum(_off_axis(of.places, whose, len(together)) for of, whose in zip(tracks, who, strict=True))
+    person = int(np.argmin(np.where(together >= _SEEN_FOR[follow] * together.max(), angle, np.inf)))
+    times = tracks[0].people.time_ns[tracks[0].people.frame], placed.time_b[tracks[1].people.frame]
+    for other in range(len(together)):  # who is seen longest comes first
+        mine, theirs = (
+            np.unique(np.concatenate([at[whose == k] for at, whose in zip(times, who, strict=True)]))
+            for k in (person, other)
+        )
+        if np.isin(theirs, mine).any():
+            continue
+        for at, whose in zip(times, who, strict=True):  # only so long after the person as others wait live
+            rows = np.flatnonzero(whose == other)
+            if len(rows):
+                whose[rows[np.abs(at[rows] - mine[nearest_of(at[rows], mine)]) > HOLD_NS]] = person
+    return person, who
 
 
-def _everyone(a: Tracks, b: Tracks, placed: Placement) -> list[_Someone]:
-    """The people of two recordings, as a :class:`Room` tells them apart; who is seen longest comes first."""
+def _everyone(a: Tracks, b: Tracks, placed: Placement) -> tuple[Both, Index]:
+    """Whose each skeleton is, as a :class:`Room` tells people apart, -1 for nobody's; and of each person the
+    moments at which both views see them in one place. Who is seen longest comes first."""
     index = _moments_of(a.people, b.people, placed.time_b)
     times = np.where(index[:, 0] >= 0, a.people.time_ns[index[:, 0]], placed.time_b[index[:, 1]])
     order = np.argsort(times, kind="stable")
     index, times = index[order], times[order]
-    if not (a.people.crowded or b.people.crowded) and _in_one_place(a, b, index, placed.a_from_b):
-        rows = [np.flatnonzero(of.track >= 0) for of in (a, b)]
-        at = a.people.time_ns[a.people.frame[rows[0]]], placed.time_b[b.people.frame[rows[1]]]
-        return [_Someone((rows[0], rows[1]), at, len(index))]
-    room, found = Room(a.people.body), dict[Person, list[tuple[int, int, int]]]()
+    if not (a.people.crowded or b.people.crowded) and _are_in_one_place(a, b, index, placed):
+        return (np.minimum(a.track, 0), np.minimum(b.track, 0)), np.array([len(index)])
+    room, people = Room(a.people.body), dict[Person, int]()
+    who = np.full(len(a.track), -1), np.full(len(b.track), -1)
     views = [_frames(of, numbers) for of, numbers in zip((a, b), index.T, strict=True)]
     for time_ns, *seen in zip(times.tolist(), *views, strict=True):
         room.observe(time_ns, seen, placed.a_from_b)
         for person in room.people:
             for view, k in enumerate(person.now):
                 if k is not None:
-                    found.setdefault(person, []).append((view, seen[view].names[k], time_ns))
-    people: dict[Person, _Someone] = {}
-    for person, bodies in found.items():
-        view, row, at = np.array(bodies, dtype=np.int64).T
-        in_a = view == 0
-        now = _Someone((row[in_a], row[~in_a]), (at[in_a], at[~in_a]), person.together)
+                    who[view][seen[view].names[k]] = people.setdefault(person, len(people))
+    number, together = np.zeros(len(people) + 1, np.int64), np.zeros(len(people), np.int64)
+    for person, k in people.items():
         while person.into is not None:
             person = person.into
-        people[person] = people[person].then(now) if person in people else now
-    return sorted(people.values(), key=lambda each: -each.count)
+        number[k] = people[person]
+        together[number[k]] = person.together
+    number[-1] = -1
+    count = np.bincount(number[np.concatenate(who)] + 1, minlength=len(people) + 1)[1:]
+    longest = np.argsort(-count, kind="stable")
+    number[:-1] = np.argsort(longest)[number[:-1]]
+    return (number[who[0]], number[who[1]]), together[longest]
 
 
 def _moments_of(a: RecordedPeople, b: RecordedPeople, time_b: Index) -> Index:
@@ -189,71 +156,64 @@ def _moments_of(a: RecordedPeople, b: RecordedPeople, time_b: Index) -> Index:
     return np.concatenate(index)
 
 
-def _in_one_place(a: Tracks, b: Tracks, index: Index, a_from_b: RigidTransform) -> bool:
+def _are_in_one_place(a: Tracks, b: Tracks, index: Index, placed: Placement) -> bool:
     """Whether the only bodies of both views are in one place at all times."""
     both = index[(index >= 0).all(axis=1)]
-    at = [
-        of.centres()[np.searchsorted(of.people.frame, frames)]
-        for of, frames in zip((a, b), both.T, strict=True)
-    ]
-    return not bool((np.linalg.norm(at[0] - a_from_b.apply(at[1]), axis=1) > FAR_M).any())
+    p, q = (
+        of.places[np.searchsorted(of.people.frame, rows)] for of, rows in zip((a, b), both.T, strict=True)
+    )
+    return not bool((np.linalg.norm(p - placed.a_from_b.apply(q), axis=1) > FAR_M).any())
 
 
 def _frames(of: Tracks, frames: Index) -> Iterator[Seen]:
     """What a view sees in each of these frames, -1 for none; a body's name is its row."""
-    track, doubtful, places = of.track.tolist(), of.doubtful.tolist(), of.centres().tolist()
+    track, doubtful, places = of.track.tolist(), of.doubtful.tolist(), of.places.tolist()
     joints = of.people.skeletons.positions
     first, end = (np.searchsorted(of.people.frame, frames, side).tolist() for side in ("left", "right"))
     for k, begin, stop in zip(frames.tolist(), first, end, strict=True):
-        rows = [row for row in range(begin, stop) if track[row] >= 0] if k >= 0 else ()
-        if not rows:
-            yield NOBODY
-            continue
-        yield Seen(
-            rows,
-            [joints[row] for row in rows],
-            *([each[row] for row in rows] for each in (track, doubtful, places)),
-        )
+        rows = [row for row in range(begin, stop) if track[row] >= 0] if k >= 0 else []
+        each = [[of[row] for row in rows] for of in (joints, track, doubtful, places)] if rows else ()
+        yield Seen(rows, *each) if each else NOBODY
 
 
-def _off_axis(tracks: tuple[Tracks, Tracks], person: _Someone) -> float:
-    """The mean angles between somebody and the axes of the views, radians."""
-    angle = 0.0
-    for of, rows in zip(tracks, person.rows, strict=True):
-        at = of.centres()[rows]
-        bearing = np.abs(np.arctan2(at[:, 0], at[:, 2]))
-        angle += float(np.nanmean(bearing)) if np.isfinite(bearing).any() else 0.0
-    return angle
+def _off_axis(places: np.ndarray, whose: Index, people: int) -> np.ndarray:
+    """(K,) the mean angle between each person and the axis of a view, radians."""
+    bearing = np.abs(np.arctan2(places[:, 0], places[:, 2]))
+    known = (whose >= 0) & np.isfinite(bearing)
+    count = np.bincount(whose[known], minlength=people)
+    return np.bincount(whose[known], bearing[known], people) / np.maximum(count, 1)
 
 
-def _seen_people(of: tuple[RecordedPeople, RecordedPeople], counted: list[_Someone]) -> Iterator[SeenPerson]:
+def _seen_people(
+    people: tuple[RecordedPeople, RecordedPeople], who: Both, counted: list[int]
+) -> Iterator[SeenPerson]:
     """Who counts: by which id in either recording, and for how long."""
     ids = [
-        np.array([np.bincount(people.person[each.rows[view]], minlength=len(people.ids)) for each in counted])
-        for view, people in enumerate(of)
+        np.array([np.bincount(of.person[whose == k], minlength=len(of.ids)) for k in counted])
+        for of, whose in zip(people, who, strict=True)
     ]
-    for k, each in enumerate(counted):
+    for k in range(len(counted)):
         names: list[str | None] = []
         seconds: list[float] = []
-        for people, counts, rows in zip(of, ids, each.rows, strict=True):
+        for of, counts in zip(people, ids, strict=True):
             own = counts[k] > np.delete(counts, k, axis=0).max(axis=0, initial=0)
-            names.append(people.ids[int(np.argmax(counts[k] * own))] if own.any() else None)
-            seconds.append(1e-9 * len(rows) * median_interval(people.time_ns))
+            names.append(of.ids[int(np.argmax(counts[k] * own))] if own.any() else None)
+            seconds.append(1e-9 * int(counts[k].sum()) * median_interval(of.time_ns))
         yield SeenPerson((names[0], names[1]), (seconds[0], seconds[1]))
 
 
-def _alone(read: OneRecording, tracks: Tracks) -> OneRecording:
+def _rows_alone(read: OneRecording, track: Index) -> Index:
     """The person seen longest in one recording, and those seen while that one is not."""
     people = read.people
     if read.wanted is not None:
-        return _of_rows(read, people.rows_of([read.wanted]))
-    counted = tracks.track >= 0
+        return people.rows_of([read.wanted])
+    counted = track >= 0
     rows = np.zeros(0, dtype=np.int64)
     for k in np.argsort(-np.bincount(people.person[counted], minlength=len(people.ids)), kind="stable"):
         of = np.flatnonzero(counted & (people.person == k))
         if not np.isin(people.frame[of], people.frame[rows]).any():
             rows = np.sort(np.concatenate((rows, of)))
-    return _with_ids_told(_of_rows(read, rows), rows)
+    return rows
 
 
 def _with_ids_told(read: OneRecording, rows: Index) -> OneRecording:
@@ -283,10 +243,9 @@ def _choose(reads: Sequence[OneRecording]) -> str:
     return " and ".join(options) + (" choose" if len(options) > 1 else " chooses")
 
 
-def _listed(people: RecordedPeople, rows: Index | None = None) -> str:
+def _listed(people: RecordedPeople, rows: Index | slice = slice(None)) -> str:
     """The ids of people, or of some skeletons, in the order in which they were seen."""
-    of = people.person if rows is None else people.person[rows]
-    ids, first = np.unique(of, return_index=True)
+    ids, first = np.unique(people.person[rows], return_index=True)
     return _named([people.ids[k] for k in ids[np.argsort(first)]])
 
 

@@ -1,9 +1,9 @@
 """Who is who in two views, from one pair of frames to the next, live and recorded.
 
-A person is a track in either view. Once the placement of the sensors is known, bodies of both views that are
-in one place are one person, and bodies that are far apart are two, also where each view has only one. Before
-that, the only bodies of both views are one person. Where a track is new or in doubt, the body is who the
-other view has in that place, else who was seen there last: by place, time and lengths of bones.
+A person is a track in either view. Once the placement of the sensors is known, tracks of both views that are
+in one place for a while are one person, and tracks that are far apart are two, also where each view has only
+one. Before that, the only bodies of both views are one person. Where a track is new or in doubt, the body is
+who the other view has in that place, else who was seen there last: by place, time and size.
 """
 
 from __future__ import annotations
@@ -17,32 +17,27 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.people.placement import one_movement
+from devices.people.placement import ANOTHER_SIZE, SAME_M, one_movement, sizes
 from devices.people.recorded_people import Follow
 from devices.people.tracks import SPEED_M_S
 from fusion.body import Body
-from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.rigid import RigidTransform
-from fusion.support.types import Array
 
 Place = Sequence[float]  # (3,) metres
 Joints = NDArray[np.float32]  # (J, 3) metres
 
-HOLD_NS, WAIT_NS = 2_000_000_000, 10_000_000_000
+SECOND = 1_000_000_000
+HOLD_NS, WAIT_NS = 2 * SECOND, 10 * SECOND
 """A person out of sight is waited for; after so long a newcomer is taken, and after so long anybody."""
-ALONE_NS = 5_000_000_000  # nobody else was seen for so long
-_FORGET_NS = 60_000_000_000  # somebody out of sight is no longer recognised
-_SURE_NS = 200_000_000  # for so long two people are in one place
-_SAME_PLACE_M, FAR_M = 0.3, 0.6  # of one person in two views, at most: among others, and alone
-_PLACE_SD_M = 0.1  # the same, usually
-_REACH_M = 0.4  # how far the middle of a body may be off from frame to frame: tracker noise and a step
-_BONES_EVERY, _BONES_NEW = 30, 0.2  # frames; share of a new measurement
-_BONE_ERROR, _DIFFERENT_BONES = 0.06, 0.2  # median, of a length: of one person; of a child and a grown-up
-_RETURN_M, _WALK_M_S, _ROOM_M = 0.3, 0.7, 2.0
-"""People come back this far from where they were last seen: at once, more for each second, and at most."""
-_RETURN_NS = 1_000_000_000  # the bones of who was away for less are not compared
-_COMPARED_NS, _KEPT, _FEWEST = 90_000_000, 60, 20  # pairs that tell a move of a sensor: 6 s, and 2 s at least
-_TESTED_NS = 500_000_000  # between two such comparisons
+_FORGET_NS = 6 * WAIT_NS  # somebody out of sight is no longer recognised
+SURE_NS = SECOND // 5  # for so long two tracks are in one place, or are not
+FAR_M = 2.0 * SAME_M  # of one person in two views, at most, where nobody else is there
+_PLACE_SD_M, _SIZE_SD = 0.1, 0.06  # of one person: the distance of two views; their size, as a logarithm
+_REACH_M, _ROOM_M = 0.4, 2.0
+"""How far somebody may be from where they were: at once, and as a deviation after any time."""
+_BEHIND = 0.04  # radians that a metre counts for whom to follow
+_EVERY = 30  # frames, between measurements of a size
+_COMPARED_NS, _KEPT = SECOND // 10, 60  # pairs that tell a move of a sensor: 6 s, and 2 s at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,17 +63,16 @@ class Sight:
     since_ns: int = 0  # when the track was found to be theirs
     place: Place | None = None  # the last one
     seen_ns: int = 0
-    bones: Array | None = None  # (J,) metres
 
 
 @dataclass(eq=False, slots=True)
 class Person:
     """Somebody in the room."""
 
+    begun_ns: int
     sights: list[Sight] = field(default_factory=lambda: [Sight(), Sight()])
+    size: float = math.nan  # logarithm of the scale of an adult
     beside: bool = False  # whether seen while the person followed was
-    apart_ns: int | None = None  # since when their two views are
-    begun_ns: int = 0
     measured: int = 0  # frames in which they were seen
     together: int = 0  # the same, by both views in one place
     into: Person | None = None  # who they turned out to be
@@ -98,9 +92,8 @@ class Room:
 
     def __init__(self, body: Body, follow: Follow = "middle") -> None:
         self._body, self._follow = body, follow
-        self._met: dict[tuple[Person, Person], int] = {}  # since when two people are in one place
-        self._far: dict[tuple[int | None, int | None], int] = {}  # since when tracks are in two places
-        self._pairs: dict[tuple[Person, Person], deque[tuple[int, Joints, Joints]]] = {}
+        self._one: dict[tuple[int, int], int] = {}  # of tracks of A and B: for how long they are one person's
+        self._kept: dict[tuple[Person, Person], deque[tuple[int, Joints, Joints]]] = {}
         self._given: RigidTransform | None = None
         self._a_from_b: list[list[float]] | None = None  # (3, 4)
         self._time_ns, self._crowded_ns = 0, -(2**62)
@@ -117,12 +110,13 @@ class Room:
         if a_from_b is not self._given:
             self._given = a_from_b
             self._put(a_from_b if self.moved is None else self.moved)
+        step_ns = min(time_ns - self._time_ns, SURE_NS)
         self._time_ns, self._seen = time_ns, seen
         self._at = seen[0].places, [_put_by(self._a_from_b, place) for place in seen[1].places]
+        if max(map(len, self._at)) > 1:
+            self._crowded_ns = time_ns
         left: list[tuple[int, int]] = []
         for view, of in enumerate(seen):
-            if len(of.tracks) > 1:
-                self._crowded_ns = time_ns
             owners = {}
             for person in self.people:
                 sight = person.sights[view]
@@ -136,7 +130,7 @@ class Room:
                     left.append((view, k))
         if left:
             self._find(left)
-        self._compare()
+        self._compare(step_ns)
         for person in self.people:
             if person.now != (None, None):
                 self._measure(person)
@@ -145,8 +139,10 @@ class Room:
             self._look_for_a_move(self.followed)
 
     def _put(self, a_from_b: RigidTransform | None) -> None:
-        self._far = {}
-        self._a_from_b = None if a_from_b is None else _rows_of(a_from_b)
+        rows = None if a_from_b is None else _rows_of(a_from_b)
+        if rows is None or self._a_from_b is None or np.abs(np.subtract(rows, self._a_from_b)).max() > 0.1:
+            self._one = {}  # not after a refinement
+        self._a_from_b = rows
 
     def _own(self, person: Person, view: int, k: int) -> None:
         sight, of = person.sights[view], self._seen[view]
@@ -155,27 +151,14 @@ class Room:
             sight.track, sight.since_ns = of.tracks[k], self._time_ns
 
     def _find(self, left: list[tuple[int, int]]) -> None:
-        """Who bodies are whose tracks do not tell it: by the other view, else by place, time and bones."""
-        costs = [
-            (cost, n, view, k, person)
-            for view, k in left
-            for n, person in enumerate(self.people)
-            if person.now[view] is None and (cost := self._cost(person, view, k)) < np.inf
-        ]
-        for _, _, view, k, person in sorted(costs, key=lambda each: each[:2]):
-            if (view, k) not in left or person.now[view] is not None:
-                continue
-            if self._cost(person, view, k) < np.inf:  # not elsewhere in the other view
-                if self._a_from_b is None and self._is_guessed(person, view, k):
-                    person = self._only_in(person, view)
-                self._own(person, view, k)
-                left.remove((view, k))
-        for view, k in left:
-            near = (of for of in self.people if of.now[view] is None and self._may_be(of, view, k))
-            person = next(near, None) or Person(begun_ns=self._time_ns)
-            if person.begun_ns == self._time_ns and person not in self.people:
-                self.people.append(person)
-            self._own(person, view, k)
+        """Who bodies are whose tracks do not tell it: by the other view, else by place, time and size."""
+        self._match(left)
+        for view in (0, 1):
+            for of, k in [each for each in left if each[0] == view]:
+                self.people.append(Person(self._time_ns))
+                self._own(self.people[-1], of, k)
+                left.remove((of, k))
+            self._match(left)  # those of B with newcomers of A
         self.people = [
             person
             for person in self.people
@@ -184,153 +167,143 @@ class Room:
             or self._time_ns - person.seen_ns < _FORGET_NS
         ]
 
-    def _is_guessed(self, person: Person, view: int, k: int) -> bool:
-        """Whether somebody who is found again may be another one."""
-        absent = [of for of in self.people if of.now[view] is None and of.sights[view].place is not None]
-        lost = max(map(len, self._at)) > 1 and self._time_ns - person.sights[view].seen_ns > _SURE_NS
-        return lost or len(absent) > 1 or self._seen[view].doubtful[k]
+    def _match(self, left: list[tuple[int, int]]) -> None:
+        costs = [
+            (self._cost(person, view, k), n, view, k)
+            for view, k in left
+            for n, person in enumerate(self.people)
+            if person.now[view] is None
+        ]
+        for cost, n, view, k in sorted(costs):
+            person = self.people[n]
+            if cost == np.inf or (view, k) not in left or person.now[view] is not None:
+                continue
+            if self._cost(person, view, k) < np.inf:  # not elsewhere in the other view
+                if self._a_from_b is None and person.sights[1 - view].place is not None:
+                    person = self._only_in(person, view)
+                self._own(person, view, k)
+                left.remove((view, k))
 
     def _only_in(self, person: Person, view: int) -> Person:
         """The person of one view, who is no longer known to be that of the other."""
-        if person.sights[1 - view].place is None:
-            return person
-        rest = Person(beside=person.beside, begun_ns=person.begun_ns, measured=person.measured)
+        rest = Person(person.begun_ns, size=person.size, beside=person.beside, measured=person.measured)
         rest.sights[1], person.sights[1] = person.sights[1], Sight()
         self.people.append(rest)
         return rest if view else person
 
     def _limit(self) -> float:
         """How far two views of one person may be apart."""
-        return FAR_M if max(map(len, self._at)) < 2 else _SAME_PLACE_M
-
-    def _are_alone(self) -> bool:
-        """Whether both views have one body, and had no other for a while."""
-        return len(self._at[0]) == len(self._at[1]) == 1 and self._time_ns - self._crowded_ns > ALONE_NS
+        return FAR_M if max(map(len, self._at)) < 2 else SAME_M
 
     def _is_gone(self, sight: Sight) -> bool:
         """Whether a view has not seen somebody for so long that they may be anywhere."""
         return sight.place is None or self._time_ns - sight.seen_ns > HOLD_NS
 
-    def _may_be(self, person: Person, view: int, k: int) -> bool:
-        """Whether a newcomer is somebody whom the other view sees."""
-        other = person.now[1 - view]
-        if other is None:
-            return False
-        if self._a_from_b is None:
-            return self._are_alone() and self._is_gone(person.sights[view])
-        return math.dist(self._at[1 - view][other], self._at[view][k]) <= self._limit()
-
     def _cost(self, person: Person, view: int, k: int) -> float:
-        """How unlike somebody a body is; infinite for another one. Who was seen briefly is unlikelier."""
-        known = math.log(min(person.measured, _BONES_EVERY) + 1)
+        """How unlike somebody a body is; infinite for another one."""
         other, place = person.now[1 - view], self._at[view][k]
         if other is not None and self._a_from_b is not None:
             far = math.dist(self._at[1 - view][other], place)
-            if far > self._limit():
+            tracks = self._seen[view].tracks[k], self._seen[1 - view].tracks[other]
+            if far > self._limit() or self._one.get(tracks[:: 1 - 2 * view], 0) <= -SURE_NS:
                 return np.inf
-            return 0.5 * (far / _PLACE_SD_M) ** 2 + 2.0 * math.log(_PLACE_SD_M) - known
-        own, by = person.sights[view], view
-        if self._a_from_b is not None and person.seen_ns > own.seen_ns:
+            return 0.5 * (far / _PLACE_SD_M) ** 2 + 2.0 * math.log(_PLACE_SD_M)
+        by = view
+        if self._a_from_b is not None and person.seen_ns > person.sights[view].seen_ns:
             by = 1 - view
         last = person.sights[by]
         if last.place is None:
             return np.inf
-        seconds = 1e-9 * (self._time_ns - last.seen_ns)
+        seconds = (self._time_ns - last.seen_ns) / SECOND
         far = math.dist(_put_by(self._a_from_b, last.place) if by else last.place, place)
-        if far > _REACH_M + SPEED_M_S * seconds:
+        reach = _REACH_M + SPEED_M_S * seconds
+        if far > reach:
             return np.inf
-        bones = _BONE_ERROR
-        if self._time_ns - last.seen_ns > _RETURN_NS and own.bones is not None:
-            differing = _differing(own.bones, self._bones(self._seen[view].joints[k]))
-            if differing > _DIFFERENT_BONES:
+        sd = min(reach / 2.0, _ROOM_M)
+        cost = 0.5 * (far / sd) ** 2 + 2.0 * math.log(sd)  # the error of a place on the floor
+        if seconds > 1.0 and not math.isnan(person.size):
+            differing = abs(self._size(view, k) - person.size)
+            if differing > ANOTHER_SIZE:
                 return np.inf
-            bones = bones if np.isnan(differing) else differing
-        sd = min(_RETURN_M + _WALK_M_S * seconds, _ROOM_M)
-        # errors of the bones, and of a place on the floor
-        return 0.5 * (bones / _BONE_ERROR) ** 2 + 0.5 * (far / sd) ** 2 + 2.0 * math.log(sd) - known
+            cost += 0.5 * (differing / _SIZE_SD) ** 2 if differing >= 0.0 else 0.0
+        return cost
 
-    def _bones(self, joints: Joints) -> Array:
-        """(J,) metres; NaN of those not seen."""
-        lengths = bone_lengths_of(self._body, joints)
-        return np.where(lengths > 0.0, lengths, np.nan)
+    def _size(self, view: int, k: int) -> float:
+        return float(sizes(self._body, self._seen[view].joints[k][None])[0])
 
     def _measure(self, person: Person) -> None:
         person.measured += 1
-        for sight, of in zip(person.sights, self._seen, strict=True):
+        for view, sight in enumerate(person.sights):
             if sight.now is None:
                 continue
-            sight.place, sight.seen_ns = of.places[sight.now], self._time_ns
-            if person.measured % _BONES_EVERY == 1:
-                now, before = self._bones(of.joints[sight.now]), sight.bones
-                if before is not None:
-                    now = np.where(np.isnan(now), before, now)
-                    now = np.where(np.isnan(before), now, before + _BONES_NEW * (now - before))
-                sight.bones = now
+            sight.place, sight.seen_ns = self._seen[view].places[sight.now], self._time_ns
+            if person.measured % _EVERY == 1:
+                size = self._size(view, sight.now)
+                if not math.isnan(size):
+                    old = person.size
+                    person.size = size if math.isnan(old) else old + 0.1 * (size - old)
 
-    def _compare(self) -> None:
+    def _compare(self, step_ns: int) -> None:
         """Separates what two views have of different people, and joins what they have of one."""
-        here = [zip(of.tracks, at, strict=True) for of, at in zip(self._seen, self._at, strict=True)]
-        far: dict[tuple[int | None, int | None], int] = {}
-        for (a_track, at), (b_track, b_at) in product(*here) if self._a_from_b is not None else ():
-            since = self._far.get((a_track, b_track), self._time_ns)
-            if self._time_ns - since >= _SURE_NS or math.dist(at, b_at) > 2.0 * FAR_M:
-                far[a_track, b_track] = since
-        self._far = far
         only: tuple[list[Person], list[Person]] = [], []
+        both = []
         for person in self.people:
             in_a, in_b = person.now
-            if in_a is None or in_b is None:
-                if in_a is not None or in_b is not None:
-                    only[in_a is None].append(person)
-            elif self._a_from_b is None:
+            if in_a is not None and in_b is not None:
+                both.append(person)
+            elif in_a is not None or in_b is not None:
+                only[in_a is None].append(person)
+        if self._a_from_b is None:
+            for person in both:
                 person.together += 1
+            alone = len(self._at[0]) == len(self._at[1]) == 1
+            if alone and self._time_ns - self._crowded_ns > HOLD_NS:
+                for a, b in product(*only):
+                    if self._is_gone(a.sights[1]) and self._is_gone(b.sights[0]):
+                        self._join(a, b)
+            return
+        apart = [[math.dist(a, b) for b in self._at[1]] for a in self._at[0]]
+        one = self._one if len(self._one) < 100 else {}
+        for (i, a_track), (j, b_track) in product(*(enumerate(of.tracks) for of in self._seen)):
+            far = apart[i][j]
+            if far <= SAME_M:
+                now_ns = step_ns
+            elif far > FAR_M or min(*apart[i], *(row[j] for row in apart)) <= SAME_M:
+                now_ns = -step_ns
             else:
-                self._separate(person, in_a, in_b)
-        near = []
-        for a, b in product(*only):
-            apart = math.dist(self._at[0][a.sights[0].now or 0], self._at[1][b.sights[1].now or 0])
-            if self._a_from_b is None:
-                if self._are_alone() and self._is_gone(a.sights[1]) and self._is_gone(b.sights[0]):
-                    self._join(a, b)
-            elif apart <= _SAME_PLACE_M and not self._are_two(a, b):
-                near.append((apart, a, b))
-        met: dict[tuple[Person, Person], int] = {}
+                now_ns = 0
+            known_ns = one.get((a_track, b_track), 0) + now_ns
+            one[a_track, b_track] = max(min(known_ns, SURE_NS), -HOLD_NS)
+        self._one = one
+        for person in both:
+            self._judge(person, apart)
+        near = [(apart[a.now[0] or 0][b.now[1] or 0], *pair) for pair in product(*only) for a, b in [pair]]
         for _, a, b in sorted(near, key=lambda each: each[0]):
-            if not any(a is of or b is by for of, by in met):
-                met[a, b] = self._met.get((a, b), self._time_ns)
-                if self._time_ns - met[a, b] >= _SURE_NS:
-                    self._join(a, b)
-        self._met = met
+            if self._known_ns(a, b) >= SURE_NS and a in self.people and b in self.people:
+                self._join(a, b)
 
-    def _are_two(self, a: Person, b: Person) -> bool:
-        """Whether the tracks were in two places before they came together."""
-        since = self._far.get((a.sights[0].track, b.sights[1].track))
-        return since is not None and self._time_ns - since >= _SURE_NS
+    def _known_ns(self, a: Person, b: Person) -> int:
+        """For how long the tracks of A and B are known to be one person's; less than 0: of two."""
+        tracks = (of.tracks[p.now[v] or 0] for v, (of, p) in enumerate(zip(self._seen, (a, b), strict=True)))
+        return self._one[tuple(tracks)]  # type: ignore[index]
 
-    def _separate(self, person: Person, a: int, b: int) -> None:
+    def _judge(self, person: Person, apart: list[list[float]]) -> None:
         """Whether both views have one person; the later one is somebody else otherwise."""
+        a, b = person.now[0] or 0, person.now[1] or 0
         if self.moved is not None and person is self.followed and self._given is not None:
             given = _put_by(_rows_of(self._given), self._seen[1].places[b])
-            if math.dist(self._at[0][a], given) <= _SAME_PLACE_M:
+            if math.dist(self._at[0][a], given) <= SAME_M:
                 self.moved = None
                 self._put(self._given)
+                self._one = {(self._seen[0].tracks[a], self._seen[1].tracks[b]): 0}
                 return
-        apart = math.dist(self._at[0][a], self._at[1][b])
-        if apart <= _SAME_PLACE_M:
+        if apart[a][b] <= SAME_M:
             person.together += 1
-            person.apart_ns = None
-            return
-        person.apart_ns = self._time_ns if person.apart_ns is None else person.apart_ns
-        later = int(person.sights[1].since_ns >= person.sights[0].since_ns)
-        others = [
-            math.dist(self._at[view][k], place) < _SAME_PLACE_M
-            for view, place in enumerate((self._at[1][b], self._at[0][a]))
-            for k in range(len(self._at[view]))
-            if k != (a, b)[view]
-        ]  # whether either view has another one where the other view has the person
-        if apart > FAR_M or (self._time_ns - person.apart_ns >= _SURE_NS and any(others)):
-            person.apart_ns = None
-            person.sights[later].now = person.sights[later].track = None
+        elif (known_ns := self._known_ns(person, person)) <= -SURE_NS or (
+            known_ns <= 0 and apart[a][b] > FAR_M
+        ):
+            later = person.sights[person.sights[1].since_ns >= person.sights[0].since_ns]
+            later.now = later.track = None
 
     def _join(self, one: Person, other: Person) -> None:
         """Both are one person: the one followed, or who was there first."""
@@ -340,7 +313,7 @@ class Room:
             mine = one.sights[view]
             if sight.now is not None or (mine.now is None and sight.seen_ns > mine.seen_ns):
                 one.sights[view] = sight
-                sight.bones = mine.bones if sight.bones is None else sight.bones
+        one.size = other.size if math.isnan(one.size) else one.size
         one.together += other.together
         one.beside, one.measured = one.beside or other.beside, max(one.measured, other.measured)
         other.into = one
@@ -355,7 +328,7 @@ class Room:
                 person.beside = True
             if self._a_from_b is None and followed.sights[0].place is None:
                 here = [person for person in here if person.now[0] is not None]
-            elif followed.together or self._a_from_b is None or self._time_ns - followed.begun_ns < WAIT_NS:
+            elif followed.together or self._a_from_b is None or self._time_ns - followed.begun_ns < HOLD_NS:
                 return
             else:  # one view has always had somebody whom the other does not see, such as a mirror image
                 here = [person for person in here if 2 * person.together > followed.measured]
@@ -366,34 +339,31 @@ class Room:
                 return
             changed = away_ns > WAIT_NS
             if not changed:
-                alone = len(here) == 1  # another person, if their bones differ
-                here = [of for of in here if not of.beside and (alone or self._is_like(of, followed))]
+                alone = len(here) == 1  # another person, if their size differs
+                here = [
+                    of
+                    for of in here
+                    if not of.beside and (alone or not abs(of.size - followed.size) > ANOTHER_SIZE)
+                ]
         if not here:
             return
         if self._follow == "longest":
             longest = max(person.measured for person in here)
             here = [person for person in here if person.measured >= longest]
         self.changed = changed
-        self.followed = min(here, key=self._off_axis)
+        self.followed = min(here, key=self._rank)
         for person in self.people:
             person.beside = person.now != (None, None)
 
-    def _is_like(self, one: Person, other: Person) -> bool:
-        pairs = zip(one.sights, other.sights, strict=True)
-        bones = [(of.bones, before.bones) for of, before in pairs]
-        return not any(
-            of is not None and before is not None and _differing(of, before) > _DIFFERENT_BONES
-            for of, before in bones
-        )
+    def _rank(self, person: Person) -> tuple[bool, float]:
+        """Whom both views see comes first, or A before the placement is known; then who is central.
 
-    def _off_axis(self, person: Person) -> tuple[bool, float]:
-        """The angle between somebody and the axis of a view that sees them: near or far, what is central.
-
-        Before the placement is known, whom A sees comes first.
+        That is the angle to the axis of a view that sees them. A mirror image is behind the person.
         """
         by = 0 if person.now[0] is not None else 1
         x, _, z = self._seen[by].places[person.now[by] or 0]
-        return self._a_from_b is None and by == 1, abs(math.atan2(x, z))
+        first = by == 0 if self._a_from_b is None else None not in person.now
+        return not first, abs(math.atan2(x, z)) + _BEHIND * z
 
     def _look_for_a_move(self, followed: Person) -> None:
         """Joins whom the other view has elsewhere, if another placement makes one movement of both.
@@ -401,28 +371,27 @@ class Room:
         What one view has of the person followed, and the other view of somebody else, is compared.
         """
         a, b = followed.now
-        others = () if (a is None) == (b is None) else self.people
-        pairs = {}
-        for other in others:
+        kept = {}
+        for other in self.people if (a is None) != (b is None) else ():
             k = other.now[a is not None]
             if other is followed or k is None or other.now[a is None] is not None:
                 continue
+            pairs = kept[followed, other] = self._kept.get((followed, other), deque(maxlen=_KEPT))
+            if pairs and self._time_ns - pairs[-1][0] < 0.9 * _COMPARED_NS:
+                continue
             at = (a if a is not None else k), (b if b is not None else k)
-            kept = pairs[followed, other] = self._pairs.get((followed, other), deque(maxlen=_KEPT))
-            if kept and self._time_ns - kept[-1][0] < _COMPARED_NS:
+            pairs.append((self._time_ns, self._seen[0].joints[at[0]], self._seen[1].joints[at[1]]))
+            if 3 * len(pairs) < _KEPT or 2 * pairs[-1][0] // SECOND == 2 * pairs[-2][0] // SECOND:
                 continue
-            kept.append((self._time_ns, self._seen[0].joints[at[0]], self._seen[1].joints[at[1]]))
-            if len(kept) < _FEWEST or kept[-1][0] // _TESTED_NS == kept[-2][0] // _TESTED_NS:
-                continue
-            _, p, q = zip(*kept, strict=True)
+            _, p, q = zip(*pairs, strict=True)
             found = one_movement(self._body, np.array(p, np.float64), np.array(q, np.float64))
             if found is not None:
                 self.moved = found
                 self._put(found)
                 self._join(followed, other)
-                pairs = {}
+                kept = {}
                 break
-        self._pairs = pairs
+        self._kept = kept
 
 
 def _rows_of(a_from_b: RigidTransform) -> list[list[float]]:
@@ -436,10 +405,3 @@ def _put_by(a_from_b: list[list[float]] | None, place: Place) -> Place:
         return place
     x, y, z = place
     return [a * x + b * y + c * z + d for a, b, c, d in a_from_b]
-
-
-def _differing(one: Array, other: Array) -> float:
-    """The median difference of the lengths of two people's bones, as a share; NaN if unknown."""
-    ratio = np.abs(one / other - 1.0)
-    ratio = ratio[np.isfinite(ratio)]
-    return float(np.median(ratio)) if len(ratio) else np.nan

@@ -8,102 +8,95 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.pairing import median_interval
 from devices.people.recorded_people import RecordedPeople
 from fusion.body import KINECT_V1, Body
 from fusion.compiling.kernels import compiles, inner_kernel, kernel
 from fusion.skeleton import Skeleton
-from fusion.support.large_arrays import parts
 from fusion.support.types import Array
 
 Index = NDArray[np.int64]
 
 _SLOTS = 16  # bodies in one view at a time
-_HOLD_NS, _HOLD = 200_000_000, 2.5  # a body unseen for longer, and so many frames, begins a new track
+_HOLD_NS = 200_000_000  # a body unseen for longer, beside the interval of the frames, begins a new track
 _REPEATED_NS = 1_000_000_000  # a body whose joints are the same to the bit for longer is nobody
 _REACH_M, SPEED_M_S = 0.1, 4.0  # tracker noise; a running person
 _UNSURE_M = 0.05  # mean over the joints: two bodies this near to each other may be exchanged
 _FEWEST_JOINTS = 3
 
 
+class Numbering:
+    """Numbers the bodies of one view, of some frames after the others.
+
+    A body has the number that it had before; another one if it was hidden, since only the other view may know
+    who was, or if two bodies were in one place.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self._mirror, self._torso = body.mirror.copy(), np.array(body.torso, dtype=np.int64)
+        self._last_ns: int | None = None
+        self._held = (
+            np.full((_SLOTS, len(body), 3), np.nan, dtype=np.float32),
+            np.zeros((2, _SLOTS), dtype=np.int64),  # when each was seen, and since when it is the same
+            np.full(_SLOTS, -1, dtype=np.int64),  # its number
+            np.zeros(_SLOTS, dtype=np.bool_),  # whether that is in doubt
+            np.zeros(1, dtype=np.int64),  # how many numbers there are
+            np.empty((2, _SLOTS), dtype=np.int64),
+            np.empty((_SLOTS, _SLOTS)),
+        )
+
+    def number(
+        self, frame: Index, time_ns: Index, positions: NDArray[np.float32]
+    ) -> tuple[Index, NDArray[np.bool_], NDArray[np.float32]]:
+        """(N,) number of each skeleton, -1 of nobody: no joint is known, or all are repeated; (N,) whether it
+        may be another one's; (N, 3) middle of the torso, of all joints where none of those is tracked.
+
+        Args:
+            frame: (N,) of each skeleton: its frame, in order.
+            time_ns: (T,) of the frames.
+        """
+        count = len(frame)
+        track, doubtful = np.full(count, -1, dtype=np.int64), np.ones(count, dtype=np.bool_)
+        middle = np.empty((count, 3), dtype=np.float32)
+        _number_frames(
+            frame, time_ns, positions, self._mirror, self._torso, *self._held, track, doubtful, middle
+        )
+        return track, doubtful, middle
+
+    def of(self, time_ns: int, people: Iterable[Skeleton]) -> tuple[list[int], list[bool], list[list[float]]]:
+        """The same of the bodies of the next frame."""
+        at = np.array([person.positions for person in people], dtype=np.float32)
+        times = time_ns if self._last_ns is None else self._last_ns, time_ns
+        self._last_ns = time_ns
+        if not len(at):
+            return [], [], []
+        found = self.number(np.ones(len(at), dtype=np.int64), np.array(times, dtype=np.int64), at)
+        track, doubtful, middle = (each.tolist() for each in found)
+        return track, doubtful, middle
+
+
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """The tracks of one view."""
+    """The tracks of one view; see :meth:`Numbering.number`."""
 
     people: RecordedPeople
-    track: Index  # (N,) of each skeleton; -1 of nobody: no joint is known, or all are repeated
-    doubtful: NDArray[np.bool_]  # (N,) whether it may be another one's
+    track: Index  # (N,)
+    doubtful: NDArray[np.bool_]  # (N,)
+    places: NDArray[np.float32]  # (N, 3)
 
     @staticmethod
     def of(people: RecordedPeople) -> Tracks:
-        track = np.full(len(people.frame), -1, dtype=np.int64)
-        doubtful = np.zeros(len(track), dtype=np.bool_)
-        hold_ns = np.int64(max(_HOLD_NS, int(_HOLD * median_interval(people.time_ns))))
-        mirror = people.body.mirror.copy()
-        _number_all(
-            people.frame, people.time_ns, people.skeletons.positions, mirror, hold_ns,
-            *_held(len(people.body)), track, doubtful,
-        )  # fmt: skip
-        return Tracks(people, track, doubtful)
+        numbering = Numbering(people.body)
+        return Tracks(people, *numbering.number(people.frame, people.time_ns, people.skeletons.positions))
 
     def at(self, rows: Index) -> Array:
         """(n, J, 3) metres."""
         return np.asarray(self.people.skeletons.positions[rows], dtype=np.float64)
 
-    def centres(self) -> Array:
-        """(N, 3) middle of the torso; of all joints where none of those is tracked."""
-        middle, torso = np.empty((len(self.track), 3)), np.array(self.people.body.torso)
-        for part in parts(len(middle)):
-            _middles(self.people.skeletons.positions[part], torso, middle[part])
-        return middle
-
-
-def _held(joints: int) -> tuple[NDArray[np.generic], ...]:
-    """The bodies that go on, place, time, since when they are the same, number, whether it is in doubt; the
-    count of numbers; scratch."""
-    return (
-        np.full((_SLOTS, joints, 3), np.nan, dtype=np.float32),
-        np.zeros((2, _SLOTS), dtype=np.int64),
-        np.full(_SLOTS, -1, dtype=np.int64),
-        np.zeros(_SLOTS, dtype=np.bool_),
-        np.zeros(1, dtype=np.int64),
-        np.empty((2, _SLOTS), dtype=np.int64),
-        np.empty((_SLOTS, _SLOTS)),
-    )
-
-
-class TracksAhead:
-    """The tracks of one view, frame by frame."""
-
-    def __init__(self, body: Body) -> None:
-        self._mirror, self._torso = body.mirror.copy(), np.array(body.torso, dtype=np.int64)
-        self._held = _held(len(body))
-        self._last_ns: int | None = None
-        self._interval_ns = _HOLD_NS / _HOLD
-
-    def of(self, time_ns: int, people: Iterable[Skeleton]) -> tuple[list[int], list[bool], list[list[float]]]:
-        """Of each body of the next frame: its track, whether it may be another one's, and its middle."""
-        at = np.array([person.positions for person in people], dtype=np.float32)
-        if self._last_ns is not None:
-            since_ns = min(max(time_ns - self._last_ns, 0), 2.0 * self._interval_ns)
-            self._interval_ns += 0.1 * (since_ns - self._interval_ns)
-        self._last_ns = time_ns
-        count = len(at)
-        if not count:
-            return [], [], []
-        hold_ns = max(_HOLD_NS, int(_HOLD * self._interval_ns))
-        track, doubtful, middle = np.empty(count, np.int64), np.empty(count, np.bool_), np.empty((count, 3))
-        _number_next(
-            np.int64(time_ns), at, self._mirror, self._torso, np.int64(hold_ns), *self._held, track, doubtful,
-            middle,
-        )  # fmt: skip
-        return track.tolist(), doubtful.tolist(), middle.tolist()
-
 
 @kernel
-def _number_all(  # type: ignore[no-untyped-def]
-    frame, time_ns, positions, mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track,
-    doubtful,
+def _number_frames(  # type: ignore[no-untyped-def]
+    frame, time_ns, positions, mirror, torso, held, held_ns, number, unsure, total, pairing, cost, track,
+    doubtful, middle,
 ):  # fmt: skip
     first = 0
     while first < len(frame):
@@ -111,33 +104,14 @@ def _number_all(  # type: ignore[no-untyped-def]
         while end < len(frame) and frame[end] == frame[first]:
             end += 1
         now = time_ns[frame[first]]
+        step = now - time_ns[max(frame[first] - 1, 0)]
         here = slice(first, min(end, first + _SLOTS))
         _number(
-            now, positions[here], mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost,
-            track[here], doubtful[here],
+            now, step, positions[here], mirror, held, held_ns, number, unsure, total, pairing, cost, track[here],
+            doubtful[here],
         )  # fmt: skip
         first = end
-
-
-@kernel
-def _number_next(  # type: ignore[no-untyped-def]
-    now, positions, mirror, torso, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track,
-    doubtful, middle,
-):  # fmt: skip
-    for r in range(len(track)):
-        track[r], doubtful[r] = -1, True
-    here = slice(0, min(len(track), _SLOTS))
-    _number(
-        now, positions[here], mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track,
-        doubtful,
-    )  # fmt: skip
-    for r in range(len(track)):
-        _middle(positions[r], torso, middle[r])
-
-
-@kernel
-def _middles(positions, torso, middle):  # type: ignore[no-untyped-def]
-    for r in range(len(positions)):
+    for r in range(len(frame)):
         _middle(positions[r], torso, middle[r])
 
 
@@ -146,13 +120,12 @@ def _middle(joints, torso, middle):  # type: ignore[no-untyped-def]
     """The middle of the torso; of all joints where none of those is tracked."""
     for every in range(2):
         count = 0
-        middle[0] = middle[1] = middle[2] = 0.0
         for k in range(len(joints) if every else len(torso)):
             j = k if every else torso[k]
             if np.isfinite(joints[j, 0] + joints[j, 1] + joints[j, 2]):
                 count += 1
                 for c in range(3):
-                    middle[c] += joints[j, c]
+                    middle[c] = joints[j, c] + (middle[c] if count > 1 else 0.0)
         for c in range(3):
             middle[c] = middle[c] / count if count else np.nan
         if count:
@@ -161,7 +134,7 @@ def _middle(joints, torso, middle):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _number(  # type: ignore[no-untyped-def]
-    now, positions, mirror, hold_ns, held, held_ns, number, unsure, total, pairing, cost, track, doubtful
+    now, step, positions, mirror, held, held_ns, number, unsure, total, pairing, cost, track, doubtful
 ):
     """Numbers the bodies of the next frame, at most as many as there are slots."""
     here = len(positions)
@@ -171,13 +144,13 @@ def _number(  # type: ignore[no-untyped-def]
         for r in range(_SLOTS):
             cost[r, s] = np.inf
         waited = now - held_ns[0, s]
-        if waited > hold_ns or waited < 0:
+        if waited > _HOLD_NS + step or waited < 0:
             number[s] = -1
         for r in range(here):
             if number[s] >= 0:
                 apart = _apart(positions[r], held[s], mirror)
                 # who was hidden is found by the room, that knows the other view
-                if apart <= _REACH_M + SPEED_M_S * 1e-9 * min(waited, hold_ns / _HOLD):
+                if apart <= _REACH_M + SPEED_M_S * 1e-9 * step:
                     cost[r, s] = apart
     for _ in range(here):
         least, row, slot = np.inf, -1, -1
@@ -208,8 +181,6 @@ def _number(  # type: ignore[no-untyped-def]
             for free in range(_SLOTS):
                 if owner[free] < 0 and (s < 0 or number[free] < 0 <= number[s]):
                     s = free
-            if s < 0:
-                continue
             owner[s], number[s], unsure[s], held_ns[1, s] = r, total[0], False, now
             total[0] += 1
         held_ns[0, s] = now
@@ -247,7 +218,7 @@ def _apart(one, other, mirror):  # type: ignore[no-untyped-def]
     return least
 
 
-@compiles(_number_next)
+@compiles(_number_frames)
 def warm_up() -> None:
-    """Compiles or loads the kernel of :class:`TracksAhead`, so that a first frame does not wait for it."""
-    TracksAhead(KINECT_V1).of(0, [Skeleton.of(KINECT_V1, np.zeros((len(KINECT_V1), 3)))])
+    """Compiles or loads the kernel of :class:`Numbering`, so that a first frame does not wait for it."""
+    Numbering(KINECT_V1).of(0, [Skeleton.of(KINECT_V1, np.zeros((len(KINECT_V1), 3)))])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from devices.people.recorded_people import OneRecording, RecordedPeople
 from devices.people.recorded_person import follow_one_person
-from devices.people.tracks import Tracks, TracksAhead
+from devices.people.tracks import Tracks, Numbering
 from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError, SensorFrame
 from devices.simulated.kinect import Beside, movement
@@ -243,7 +243,7 @@ def test_after_two_were_in_one_place_nobody_knows_who_is_who(least, known):
     track = Tracks.of(RecordedPeople.of(KINECT_V2, frames)).track.reshape(-1, 2)
     assert (set(track[0]) == set(track[-1])) == known
     assert set(track[0]).isdisjoint(track[-1]) != known
-    ahead = TracksAhead(KINECT_V2)
+    ahead = Numbering(KINECT_V2)
     found = [ahead.of(f.time_ns, f.people.values()) for f in frames]
     np.testing.assert_array_equal([tracks for tracks, _, _ in found], track)
     assert any(any(doubtful) for _, doubtful, _ in found) != known
