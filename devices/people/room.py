@@ -32,11 +32,11 @@ HOLD_NS, WAIT_NS = 2 * SECOND, 10 * SECOND
 _FORGET_NS = 6 * WAIT_NS  # somebody out of sight is no longer recognised
 SURE_NS = SECOND // 5  # for so long two tracks are in one place, or are not
 FAR_M = 2.0 * SAME_M  # of one person in two views, at most, where nobody else is there
-_PLACE_SD_M, _SIZE_SD = 0.1, 0.06  # of one person: the distance of two views; their size, as a logarithm
+_PLACE_SD_M = 0.1  # between two views of one person
 _REACH_M, _ROOM_M = 0.4, 2.0
 """How far somebody may be from where they were: at once, and as a deviation after any time."""
 _BEHIND = 0.04  # radians that a metre counts for whom to follow
-_EVERY = 30  # frames, between measurements of a size
+_EVERY = 100  # frames, between measurements of a size
 _COMPARED_NS, _KEPT = SECOND // 10, 60  # pairs that tell a move of a sensor: 6 s, and 2 s at least
 
 
@@ -195,10 +195,6 @@ class Room:
         """How far two views of one person may be apart."""
         return FAR_M if max(map(len, self._at)) < 2 else SAME_M
 
-    def _is_gone(self, sight: Sight) -> bool:
-        """Whether a view has not seen somebody for so long that they may be anywhere."""
-        return sight.place is None or self._time_ns - sight.seen_ns > HOLD_NS
-
     def _cost(self, person: Person, view: int, k: int) -> float:
         """How unlike somebody a body is; infinite for another one."""
         other, place = person.now[1 - view], self._at[view][k]
@@ -220,13 +216,9 @@ class Room:
         if far > reach:
             return np.inf
         sd = min(reach / 2.0, _ROOM_M)
-        cost = 0.5 * (far / sd) ** 2 + 2.0 * math.log(sd)  # the error of a place on the floor
-        if seconds > 1.0 and not math.isnan(person.size):
-            differing = abs(self._size(view, k) - person.size)
-            if differing > ANOTHER_SIZE:
-                return np.inf
-            cost += 0.5 * (differing / _SIZE_SD) ** 2 if differing >= 0.0 else 0.0
-        return cost
+        if seconds > 1.0 and abs(self._size(view, k) - person.size) > ANOTHER_SIZE:
+            return np.inf
+        return 0.5 * (far / sd) ** 2 + 2.0 * math.log(sd)  # the error of a place on the floor
 
     def _size(self, view: int, k: int) -> float:
         return float(sizes(self._body, self._seen[view].joints[k][None])[0])
@@ -259,8 +251,7 @@ class Room:
             alone = len(self._at[0]) == len(self._at[1]) == 1
             if alone and self._time_ns - self._crowded_ns > HOLD_NS:
                 for a, b in product(*only):
-                    if self._is_gone(a.sights[1]) and self._is_gone(b.sights[0]):
-                        self._join(a, b)
+                    self._join(a, b)
             return
         apart = [[math.dist(a, b) for b in self._at[1]] for a in self._at[0]]
         one = self._one if len(self._one) < 100 else {}

@@ -20,8 +20,7 @@ _SLOTS = 16  # bodies in one view at a time
 _HOLD_NS = 200_000_000  # a body unseen for longer, beside the interval of the frames, begins a new track
 _REPEATED_NS = 1_000_000_000  # a body whose joints are the same to the bit for longer is nobody
 _REACH_M, SPEED_M_S = 0.1, 4.0  # tracker noise; a running person
-_UNSURE_M = 0.05  # mean over the joints: two bodies this near to each other may be exchanged
-_FEWEST_JOINTS = 3
+_UNSURE_M = 0.05  # two bodies this near to each other may be exchanged
 
 
 class Numbering:
@@ -32,7 +31,7 @@ class Numbering:
     """
 
     def __init__(self, body: Body) -> None:
-        self._mirror, self._torso = body.mirror.copy(), np.array(body.torso, dtype=np.int64)
+        self._torso = np.array(body.torso, dtype=np.int64)
         self._last_ns: int | None = None
         self._held = (
             np.full((_SLOTS, len(body), 3), np.nan, dtype=np.float32),
@@ -57,9 +56,7 @@ class Numbering:
         count = len(frame)
         track, doubtful = np.full(count, -1, dtype=np.int64), np.ones(count, dtype=np.bool_)
         middle = np.empty((count, 3), dtype=np.float32)
-        _number_frames(
-            frame, time_ns, positions, self._mirror, self._torso, *self._held, track, doubtful, middle
-        )
+        _number_frames(frame, time_ns, positions, self._torso, *self._held, track, doubtful, middle)
         return track, doubtful, middle
 
     def of(self, time_ns: int, people: Iterable[Skeleton]) -> tuple[list[int], list[bool], list[list[float]]]:
@@ -95,7 +92,7 @@ class Tracks:
 
 @kernel
 def _number_frames(  # type: ignore[no-untyped-def]
-    frame, time_ns, positions, mirror, torso, held, held_ns, number, unsure, total, pairing, cost, track,
+    frame, time_ns, positions, torso, held, held_ns, number, unsure, total, pairing, cost, track,
     doubtful, middle,
 ):  # fmt: skip
     first = 0
@@ -107,7 +104,7 @@ def _number_frames(  # type: ignore[no-untyped-def]
         step = now - time_ns[max(frame[first] - 1, 0)]
         here = slice(first, min(end, first + _SLOTS))
         _number(
-            now, step, positions[here], mirror, held, held_ns, number, unsure, total, pairing, cost, track[here],
+            now, step, positions[here], held, held_ns, number, unsure, total, pairing, cost, track[here],
             doubtful[here],
         )  # fmt: skip
         first = end
@@ -134,7 +131,7 @@ def _middle(joints, torso, middle):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _number(  # type: ignore[no-untyped-def]
-    now, step, positions, mirror, held, held_ns, number, unsure, total, pairing, cost, track, doubtful
+    now, step, positions, held, held_ns, number, unsure, total, pairing, cost, track, doubtful
 ):
     """Numbers the bodies of the next frame, at most as many as there are slots."""
     here = len(positions)
@@ -148,7 +145,7 @@ def _number(  # type: ignore[no-untyped-def]
             number[s] = -1
         for r in range(here):
             if number[s] >= 0:
-                apart = _apart(positions[r], held[s], mirror)
+                apart = _apart(positions[r], held[s])
                 # who was hidden is found by the room, that knows the other view
                 if apart <= _REACH_M + SPEED_M_S * 1e-9 * step:
                     cost[r, s] = apart
@@ -185,7 +182,7 @@ def _number(  # type: ignore[no-untyped-def]
             total[0] += 1
         held_ns[0, s] = now
         known = False
-        for j in range(len(mirror)):
+        for j in range(len(held[s])):
             for c in range(3):
                 at = positions[r, j, c]
                 known = known or at == at
@@ -198,24 +195,20 @@ def _number(  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _apart(one, other, mirror):  # type: ignore[no-untyped-def]
-    """Mean distance of the joints that two skeletons have in common, whichever side is called left.
+def _apart(one, other):  # type: ignore[no-untyped-def]
+    """Distance of the middles of the joints that two skeletons have in common, whichever side is called left.
 
-    Infinite where the joints are too few.
+    Infinite where there is none.
     """
-    least = np.inf
-    for exchanged in range(2):
+    joints, square = 0, 0.0
+    for c in range(3):
         total, joints = 0.0, 0
         for j in range(len(one)):
-            k = mirror[j] if exchanged else j
-            x, y, z = one[j, 0] - other[k, 0], one[j, 1] - other[k, 1], one[j, 2] - other[k, 2]
-            square = x * x + y * y + z * z
-            if square >= 0.0:
-                total += np.sqrt(square)
+            if one[j, c] - other[j, c] == one[j, c] - other[j, c]:
+                total += one[j, c] - other[j, c]
                 joints += 1
-        if joints >= _FEWEST_JOINTS:
-            least = min(least, total / joints)
-    return least
+        square += (total / joints) ** 2 if joints else np.inf
+    return np.sqrt(square)
 
 
 @compiles(_number_frames)
