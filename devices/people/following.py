@@ -12,7 +12,7 @@ from devices.events import Event
 from devices.frame_pairs import FramePair
 from devices.people.placement import Placement, search_placement
 from devices.people.recorded_people import Follow, RecordedPeople
-from devices.people.room import HOLD_NS, NOBODY, Room, Seen
+from devices.people.room import HOLD_NS, NOBODY, SECOND, Room, Seen
 from devices.people.tracks import Numbering, Tracks
 from devices.sensor import SensorFrame
 from fusion.body import Body
@@ -20,9 +20,9 @@ from fusion.pair_arrays import View
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED
 
-_TOLD_NS = 500_000_000  # others who are seen for less have no event
-_KEPT, _FEWEST_KEPT = 150, 20  # pairs, for the registration
-_AGAIN_NS = 500_000_000  # between two searches
+_TOLD_NS = SECOND // 2  # others who are seen for less have no event
+_KEPT, _FEWEST = 150, 10  # pairs, for the registration
+_AGAIN_NS = SECOND // 2  # between two searches
 _LEAST_FIT = 0.5  # of the skeletons that can have a partner
 _LEAST_LEAD = 0.3  # over another registration: two who stand still look alike
 
@@ -37,38 +37,29 @@ class PersonOfPair:
 
     def __init__(self, body: Body, follow: Follow = "middle", follow_moves: bool = True) -> None:
         self._body, self._follow, self._follow_moves = body, follow, follow_moves
-        self._told: tuple[bool, int | None] = False, None  # whether others are there; since when it is not so
+        self._told = False  # whether others are there
         self._events: list[Event] = []
-        self._last_ns = 0
-        self._begin()
+        self._begin(None)
 
-    def _begin(self) -> None:
+    def _begin(self, found: RigidTransform | None) -> None:
         self._tracks = Numbering(self._body), Numbering(self._body)
         self._room = Room(self._body, self._follow)
-        self._search = _Search(self._body)
-        self._crowded_ns: int | None = None
-        self._moved = False
+        self._search = _Search(self._body, found)
+        self._last_ns, self._moved = 0, False
+        self._other_ns: int | None = None  # since when it is not as told
 
     def chosen(self, pair: FramePair, a_from_b: RigidTransform | None = None) -> FramePair:
         """The pair with the skeletons of the person followed; ``a_from_b`` once a calibration is settled."""
         if pair.time_ns < self._last_ns:
-            found, self._told = self._search.found, (self._told[0], None)
-            self._begin()
-            self._search.found = found
+            self._begin(self._search.found)
         self._last_ns = pair.time_ns
-        seen = self._seen(0, pair.a), self._seen(1, pair.b)
-        room = self._room
+        seen, room = (self._seen(0, pair.a), self._seen(1, pair.b)), self._room
         room.observe(pair.time_ns, seen, self._search.found if a_from_b is None else a_from_b)
-        if max(len(of.tracks) for of in seen) > 1:
-            self._crowded_ns = pair.time_ns
-        if a_from_b is None and self._crowded_ns is not None:
+        if a_from_b is None and room.crowded:
             self._search.keep(pair.time_ns, seen)
-            if pair.time_ns - self._crowded_ns > HOLD_NS:
-                self._crowded_ns = None
         picks = [None, None] if room.followed is None else list(room.followed.now)
-        others = any(person is not room.followed and person.now != (None, None) for person in room.people)
-        self._tell(pair.time_ns, seen, picks, others)
-        if room.moved is not None and not self._follow_moves:
+        self._tell(pair.time_ns, seen, picks)
+        if self._moved:
             picks[1] = None
         a, b = (
             None if k is None or frame is None else frame.people[str(of.names[k])]
@@ -81,7 +72,7 @@ class PersonOfPair:
 
         Call it when the pair is handed over: a fit takes longer than a choice.
         """
-        if self._crowded_ns is not None:
+        if self._room.crowded:
             self._search.step()
         events, self._events = self._events, []
         return events
@@ -89,31 +80,29 @@ class PersonOfPair:
     def _seen(self, view: int, frame: SensorFrame | None) -> Seen:
         if frame is None:
             return NOBODY
-        people = list(frame.people.values())
-        tracks, doubtful, places = self._tracks[view].of(frame.time_ns, people)
-        joints = [person.positions for person in people]
-        if min(tracks, default=0) >= 0:
-            return Seen(list(frame.people), joints, tracks, doubtful, places)
-        each = zip(frame.people, joints, tracks, doubtful, places, strict=True)
-        there = [of for of in each if of[2] >= 0]
-        return Seen(*(list(of) for of in zip(*there, strict=True))) if there else NOBODY
+        found = self._tracks[view].of(frame.time_ns, frame.people.values())
+        joints = (person.positions for person in frame.people.values())
+        each = [of for of in zip(frame.people, joints, *found, strict=True) if of[2] >= 0]
+        return Seen(*zip(*each, strict=True)) if each else NOBODY
 
-    def _tell(self, time_ns: int, seen: Sequence[Seen], picks: Sequence[int | None], others: bool) -> None:
+    def _tell(self, time_ns: int, seen: Sequence[Seen], picks: Sequence[int | None]) -> None:
         room = self._room
         if room.changed:
             room.changed = False
             self._events.append(Event("The person followed is gone; another one is followed.", "WARN"))
-        if (room.moved is not None) != self._moved:
-            self._moved = not self._moved
-            if self._moved and not self._follow_moves:
-                text = "A sensor was moved since the calibration: the view of B is left out. Calibrate again."
-                self._events.append(Event(text, "WARN"))
-        told, since_ns = self._told
-        since_ns = time_ns if since_ns is None else since_ns
-        self._told = told, None if others == told else since_ns
-        if others == told or time_ns - since_ns < (_TOLD_NS if others else HOLD_NS):
+        moved = room.moved is not None and not self._follow_moves
+        if moved and not self._moved:
+            text = "A sensor was moved since the calibration: the view of B is left out. Calibrate again."
+            self._events.append(Event(text, "WARN"))
+        self._moved = moved
+        others = any(person is not room.followed and person.now != (None, None) for person in room.people)
+        if others == self._told:
+            self._other_ns = None
             return
-        self._told = others, None
+        self._other_ns = time_ns if self._other_ns is None else self._other_ns
+        if time_ns - self._other_ns < (_TOLD_NS if others else HOLD_NS):
+            return
+        self._told = others
         if not others:
             self._events.append(Event("One person is seen.", topic="others", phase="end"))
             return
@@ -133,12 +122,11 @@ class PersonOfPair:
 class _Search:
     """Looks for the registration of two views that see several people, while it is not known."""
 
-    def __init__(self, body: Body) -> None:
-        self._body = body
+    def __init__(self, body: Body, found: RigidTransform | None) -> None:
+        self._body, self.found = body, found
         self._pairs: deque[tuple[int, tuple[Seen, Seen]]] = deque(maxlen=_KEPT)
         self._next_ns = 0
         self._running: Generator[None, None, Placement | None] | None = None
-        self.found: RigidTransform | None = None
 
     def keep(self, time_ns: int, seen: tuple[Seen, Seen]) -> None:
         if seen[0].tracks and seen[1].tracks:
@@ -147,7 +135,7 @@ class _Search:
     def step(self) -> None:
         """Computes one fit at most."""
         if self._running is None:
-            if len(self._pairs) < _FEWEST_KEPT or self._pairs[-1][0] < self._next_ns:
+            if len(self._pairs) < _FEWEST or self._pairs[-1][0] < self._next_ns:
                 return
             a, b = (self._tracks(view) for view in (0, 1))
             self._running = search_placement(a, b, a.people.time_ns)

@@ -30,7 +30,7 @@ SECOND = 1_000_000_000
 HOLD_NS, WAIT_NS = 2 * SECOND, 10 * SECOND
 """A person out of sight is waited for; after so long a newcomer is taken, and after so long anybody."""
 _FORGET_NS = 6 * WAIT_NS  # somebody out of sight is no longer recognised
-SURE_NS = SECOND // 5  # for so long two tracks are in one place, or are not
+SURE_NS = 2 * SECOND // 10  # for so long two tracks are in one place, or are not
 FAR_M = 2.0 * SAME_M  # of one person in two views, at most, where nobody else is there
 _PLACE_SD_M = 0.1  # between two views of one person
 _REACH_M, _ROOM_M = 0.4, 2.0
@@ -96,7 +96,7 @@ class Room:
         self._kept: dict[tuple[Person, Person], deque[tuple[int, Joints, Joints]]] = {}
         self._given: RigidTransform | None = None
         self._a_from_b: list[list[float]] | None = None  # (3, 4)
-        self._time_ns, self._crowded_ns = 0, -(2**62)
+        self._time_ns, self._crowded_ns = 0, -WAIT_NS
         self._seen: Sequence[Seen] = (NOBODY, NOBODY)
         self._at: Sequence[Sequence[Place]] = ((), ())  # places in K_A's frame, once the placement is known
         self.moved: RigidTransform | None = None
@@ -137,6 +137,11 @@ class Room:
         self._choose()
         if self._a_from_b is not None and self.followed is not None:
             self._look_for_a_move(self.followed)
+
+    @property
+    def crowded(self) -> bool:
+        """Whether a view has several bodies, or had a while ago."""
+        return self._time_ns - self._crowded_ns <= HOLD_NS
 
     def _put(self, a_from_b: RigidTransform | None) -> None:
         rows = None if a_from_b is None else _rows_of(a_from_b)
@@ -200,10 +205,10 @@ class Room:
         other, place = person.now[1 - view], self._at[view][k]
         if other is not None and self._a_from_b is not None:
             far = math.dist(self._at[1 - view][other], place)
-            tracks = self._seen[view].tracks[k], self._seen[1 - view].tracks[other]
-            if far > self._limit() or self._one.get(tracks[:: 1 - 2 * view], 0) <= -SURE_NS:
+            a, b = (other, k) if view else (k, other)
+            if far > self._limit() or self._known_ns(a, b) <= -SURE_NS:
                 return np.inf
-            return 0.5 * (far / _PLACE_SD_M) ** 2 + 2.0 * math.log(_PLACE_SD_M)
+            return (far / _PLACE_SD_M) ** 2 / 2.0 + 2.0 * math.log(_PLACE_SD_M)
         by = view
         if self._a_from_b is not None and person.seen_ns > person.sights[view].seen_ns:
             by = 1 - view
@@ -218,7 +223,7 @@ class Room:
         sd = min(reach / 2.0, _ROOM_M)
         if seconds > 1.0 and abs(self._size(view, k) - person.size) > ANOTHER_SIZE:
             return np.inf
-        return 0.5 * (far / sd) ** 2 + 2.0 * math.log(sd)  # the error of a place on the floor
+        return (far / sd) ** 2 / 2.0 + 2.0 * math.log(sd)  # the error of a place on the floor
 
     def _size(self, view: int, k: int) -> float:
         return float(sizes(self._body, self._seen[view].joints[k][None])[0])
@@ -249,7 +254,7 @@ class Room:
             for person in both:
                 person.together += 1
             alone = len(self._at[0]) == len(self._at[1]) == 1
-            if alone and self._time_ns - self._crowded_ns > HOLD_NS:
+            if alone and not self.crowded:
                 for a, b in product(*only):
                     self._join(a, b)
             return
@@ -268,15 +273,14 @@ class Room:
         self._one = one
         for person in both:
             self._judge(person, apart)
-        near = [(apart[a.now[0] or 0][b.now[1] or 0], *pair) for pair in product(*only) for a, b in [pair]]
-        for _, a, b in sorted(near, key=lambda each: each[0]):
-            if self._known_ns(a, b) >= SURE_NS and a in self.people and b in self.people:
+        near = [(a.now[0] or 0, b.now[1] or 0, a, b) for a, b in product(*only)]
+        for i, j, a, b in sorted(near, key=lambda each: apart[each[0]][each[1]]):
+            if self._known_ns(i, j) >= SURE_NS and a in self.people and b in self.people:
                 self._join(a, b)
 
-    def _known_ns(self, a: Person, b: Person) -> int:
-        """For how long the tracks of A and B are known to be one person's; less than 0: of two."""
-        tracks = (of.tracks[p.now[v] or 0] for v, (of, p) in enumerate(zip(self._seen, (a, b), strict=True)))
-        return self._one[tuple(tracks)]  # type: ignore[index]
+    def _known_ns(self, a: int, b: int) -> int:
+        """For how long the tracks of two bodies are known to be one person's; less than 0: of two."""
+        return self._one.get((self._seen[0].tracks[a], self._seen[1].tracks[b]), 0)
 
     def _judge(self, person: Person, apart: list[list[float]]) -> None:
         """Whether both views have one person; the later one is somebody else otherwise."""
@@ -286,13 +290,10 @@ class Room:
             if math.dist(self._at[0][a], given) <= SAME_M:
                 self.moved = None
                 self._put(self._given)
-                self._one = {(self._seen[0].tracks[a], self._seen[1].tracks[b]): 0}
                 return
         if apart[a][b] <= SAME_M:
             person.together += 1
-        elif (known_ns := self._known_ns(person, person)) <= -SURE_NS or (
-            known_ns <= 0 and apart[a][b] > FAR_M
-        ):
+        elif (known_ns := self._known_ns(a, b)) <= -SURE_NS or (known_ns <= 0 and apart[a][b] > FAR_M):
             later = person.sights[person.sights[1].since_ns >= person.sights[0].since_ns]
             later.now = later.track = None
 
@@ -368,7 +369,7 @@ class Room:
             if other is followed or k is None or other.now[a is None] is not None:
                 continue
             pairs = kept[followed, other] = self._kept.get((followed, other), deque(maxlen=_KEPT))
-            if pairs and self._time_ns - pairs[-1][0] < 0.9 * _COMPARED_NS:
+            if pairs and self._time_ns - pairs[-1][0] < _COMPARED_NS:
                 continue
             at = (a if a is not None else k), (b if b is not None else k)
             pairs.append((self._time_ns, self._seen[0].joints[at[0]], self._seen[1].joints[at[1]]))
