@@ -1,4 +1,4 @@
-"""Whose bones: the size of both skeletons tells that another person is there."""
+"""Whose bones: the size of both skeletons tells that another person is there, at first or after a gap."""
 
 from __future__ import annotations
 
@@ -67,6 +67,7 @@ class PersonSize:
         self.present = 0  # which of them is there
         self.since_ns: int | None = None  # since when
         self._recent: deque[tuple[int, float, float]] = deque()
+        self._settled = False  # whether it is known who is there, until nobody is
         self._mean, self._count = 0.0, 0
 
     def observe(self, time_ns: int, a: float, b: float) -> bool:
@@ -76,6 +77,7 @@ class PersonSize:
         recent = self._recent
         if recent and not 0 <= time_ns - recent[-1][0] <= AWAY_NS:
             recent.clear()
+            self._settled = False
         recent.append((time_ns, a, b))
         while time_ns - recent[0][0] > _WINDOW_NS:
             _, a, b = recent.popleft()
@@ -83,22 +85,24 @@ class PersonSize:
             self._mean += (0.5 * (a + b) - self._mean) / min(self._count, _MOST)
             if self._count >= _OWN:
                 self.people[self.present] = self._mean
-        if len(recent) < _FEWEST or time_ns - recent[0][0] < _SHORTEST_NS or not self._differ(recent[-1][1:]):
+        if self._settled or len(recent) < _FEWEST or time_ns - recent[0][0] < _SHORTEST_NS:
             return False
         sizes = np.array(recent)[:, 1:]
-        views = np.median(sizes, axis=0)
-        if not self._differ(views.tolist()):
-            return False
         early, late = (float(np.median(half.mean(axis=1))) for half in np.array_split(sizes, 2))
         if abs(late - early) > ANOTHER:  # the person came within these
             return False
+        views = np.median(sizes, axis=0)
         size = float(views.mean())
         nearest = int(np.argmin(np.abs(np.array(self.people) - size)))
         if nearest == self.present or abs(self.people[nearest] - size) > _SAME:
+            if not self._differ(views.tolist()):
+                self._settled = abs(size - self.people[self.present]) <= _SAME
+                return False
             nearest = len(self.people)
             self.people.append(size)
         self.present, self.since_ns = nearest, recent[0][0]
         self._mean, self._count = 0.0, 0
+        self._settled = True
         recent.clear()
         return True
 
