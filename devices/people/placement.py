@@ -33,7 +33,7 @@ _LEAST_FIT = 0.2  # of the skeletons that can have a partner
 _ANOTHER_RAD = 0.3  # registrations that differ by more are not of one kind
 _FEWEST_JOINTS = 5
 ANOTHER_SIZE = 0.15  # logarithm of the ratio of the sizes of two people
-_MOVED_M, _LEFT = 0.1, 0.2
+_MOVED_M, _LEFT = 0.1, 0.1
 """Least rms movement; largest share of its variance that one placement of the sensors leaves unexplained."""
 
 
@@ -140,7 +140,7 @@ def moments(
 def one_movement(body: Body, p: Array, q: Array) -> RigidTransform | None:
     """The placement of the sensors that makes one movement of two views' joints; None if none does.
 
-    A movement to and fro is none: a mirror image makes it, too.
+    That of a mirror image leaves 18 % of the variance, as its body is not quite that of the person.
 
     Args:
         p, q: (T, J, 3) metres in each sensor's frame; NaN where unknown.

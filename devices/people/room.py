@@ -32,9 +32,9 @@ HOLD_NS, WAIT_NS = 2 * SECOND, 10 * SECOND
 _FORGET_NS = 6 * WAIT_NS  # somebody out of sight is no longer recognised
 SURE_NS = 2 * SECOND // 10  # for so long two tracks are in one place, or are not
 FAR_M = 2.0 * SAME_M  # of one person in two views, at most, where nobody else is there
-_PLACE_SD_M = 0.1  # between two views of one person
-_REACH_M, _ROOM_M = 0.4, 2.0
-"""How far somebody may be from where they were: at once, and as a deviation after any time."""
+_PLACE_SD_M, _ROOM_M = 0.1, 2.0
+"""Deviations of a place: of two views, and more by a metre per second out of sight, up to the second."""
+_REACH_M = 0.4  # how far somebody may be from where they were, beside what a running person covers
 _BEHIND = 0.04  # radians that a metre counts for whom to follow
 _EVERY = 100  # frames, between measurements of a size
 _COMPARED_NS, _KEPT = SECOND // 10, 60  # pairs that tell a move of a sensor: 6 s, and 2 s at least
@@ -217,10 +217,9 @@ class Room:
             return np.inf
         seconds = (self._time_ns - last.seen_ns) / SECOND
         far = math.dist(_put_by(self._a_from_b, last.place) if by else last.place, place)
-        reach = _REACH_M + SPEED_M_S * seconds
-        if far > reach:
+        if far > _REACH_M + SPEED_M_S * seconds:
             return np.inf
-        sd = min(reach / 2.0, _ROOM_M)
+        sd = min(_PLACE_SD_M + seconds, _ROOM_M)
         if seconds > 1.0 and abs(self._size(view, k) - person.size) > ANOTHER_SIZE:
             return np.inf
         return (far / sd) ** 2 / 2.0 + 2.0 * math.log(sd)  # the error of a place on the floor

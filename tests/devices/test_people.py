@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from devices.people.recorded_people import OneRecording, RecordedPeople
 from devices.people.recorded_person import follow_one_person
-from devices.people.tracks import Tracks, Numbering
+from devices.people.tracks import Numbering, Tracks
 from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError, SensorFrame
 from devices.simulated.kinect import Beside, movement
