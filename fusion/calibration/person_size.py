@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +66,7 @@ class PersonSize:
         self.present = 0  # which of them is there
         self.since_ns: int | None = None  # since when
         self._recent: deque[tuple[int, float, float]] = deque()
-        self._settled = False  # whether it is known who is there, until nobody is
-        self._mean, self._count = 0.0, 0
+        self._mean, self._count, self._settled = 0.0, 0, False  # settled: who is there, until nobody is
 
     def observe(self, time_ns: int, a: float, b: float) -> bool:
         """Takes the size in each view of a pair in which both are new; whether another person is there."""
@@ -95,18 +93,13 @@ class PersonSize:
         size = float(views.mean())
         nearest = int(np.argmin(np.abs(np.array(self.people) - size)))
         if nearest == self.present or abs(self.people[nearest] - size) > _SAME:
-            if not self._differ(views.tolist()):
-                self._settled = abs(size - self.people[self.present]) <= _SAME
+            a, b = (views - self.people[self.present]).tolist()
+            if a * b <= 0.0 or min(abs(a), abs(b)) < ANOTHER:  # not both too large, or too small
+                self._settled = abs(a + b) <= 2.0 * _SAME
                 return False
             nearest = len(self.people)
             self.people.append(size)
         self.present, self.since_ns = nearest, recent[0][0]
-        self._mean, self._count = 0.0, 0
-        self._settled = True
+        self._mean, self._count, self._settled = 0.0, 0, True
         recent.clear()
         return True
-
-    def _differ(self, views: Sequence[float]) -> bool:
-        """Whether both views are too large, or too small, for the person present."""
-        a, b = (size - self.people[self.present] for size in views)
-        return a * b > 0.0 and min(abs(a), abs(b)) >= ANOTHER

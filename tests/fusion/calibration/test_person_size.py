@@ -88,18 +88,6 @@ def test_a_trackers_wandering_scale_is_nobody_else(seed, scale_sd, lasting_s, us
         assert not size.observe(k * STEP_NS, *(usual + sizes).tolist())
 
 
-@given(st.floats(0.1, 3.0), st.floats(1.5, 100.0))
-def test_bones_are_learned_wherever_an_absence_lies(seen_s, away_s):
-    first = seen(1.0, 0, seen_s)
-    second = seen(1.0, first[-1].time_ns + round(away_s * SECOND), 12.0)
-    learner = CalibrationLearner(
-        BODY, replace(START, bone_lengths=0.97 * START.bone_lengths), LearnerSettings(refine=False)
-    )
-    for pair in first + second:
-        learner.observe(pair)
-    assert abs(size(learner.calibration.bone_lengths) - 1.0) < 0.005
-
-
 @COSTLY
 @given(
     st.one_of(st.just(1.0), scales),
