@@ -151,6 +151,7 @@ _UNITS = {
     "step time": "s",
     "step length": "m",
     "step width": "m",
+    "clearance": "m",
     "stance": "%",
     "cadence": "1/min",
     "speed": "m/s",
@@ -164,6 +165,7 @@ def _parameters(step: Step, stances: Mapping[Step, float]) -> Iterator[tuple[str
     yield "step time", step.seconds
     yield "step length", step.length
     yield "step width", step.width
+    yield "clearance", step.clearance
     yield "stance", 100.0 * stances.get(step, math.nan)
     yield "cadence", 60.0 / step.seconds
     yield "speed", step.progress / step.seconds

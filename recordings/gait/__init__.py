@@ -46,6 +46,11 @@ class Step(NamedTuple):
     """Metres that the pelvis moved since the other heel's strike; NaN for the first of a walk."""
     turned: float
     """Radians by which the direction of walking turned since then; NaN for the first of a walk."""
+    clearance: float = math.nan
+    """Metres that the toes rise from their lowest to their highest place in the swing; NaN if its beginning
+    was not seen."""
+    clearance_sigma: float = math.nan
+    """Its uncertainty, one standard deviation."""
 
 
 class Turn(NamedTuple):

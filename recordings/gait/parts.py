@@ -43,6 +43,7 @@ class Part(NamedTuple):
     pelvis: Array  # (n, 2)
     ankles: Array  # (2, n, 2)
     toes: Array  # (2, n, 2); the ankles where toes are unknown
+    toe_heights: Array  # (2, n) metres
     pelvis_error: Array  # (n,)
     ankle_errors: Array  # (2, n)
     toe_errors: Array  # (2, n)
@@ -74,8 +75,8 @@ def parts_of(
     facing = np.cross(np.nan_to_num(points[:, 0:4:2] - points[:, 1:4:2]).sum(axis=1), up)
     ground = np.stack([0.5 * (points[:, 0] + points[:, 1]), facing, *points[:, 4:].swapaxes(0, 1)], axis=1)
     legs = np.linalg.norm(points[:, :2] - points[:, 4:6], axis=2).mean(axis=1)
-    columns = np.concatenate([(ground @ floor).reshape(len(seconds), 12), errors], axis=1)
-    known = np.flatnonzero(np.isfinite(columns[:, :12]).all(axis=1))
+    columns = np.concatenate([(ground @ floor).reshape(len(seconds), 12), points[:, 6:] @ up, errors], axis=1)
+    known = np.flatnonzero(np.isfinite(columns[:, :14]).all(axis=1))
     steps = np.diff(seconds[known], prepend=-math.inf)
     known = known[(steps > _SHORTEST_GAP) | (steps < 0.0)]
     steps = np.diff(seconds[known])
@@ -85,10 +86,11 @@ def parts_of(
             continue
         t = np.arange(seconds[part[0]], seconds[part[-1]], 1.0 / RATE)
         # straight lines would cut the turning points of an ankle at ten frames per second
-        even = CubicSpline(seconds[part], columns[part, :12])(t)
-        pelvis, facing, *feet = sosfiltfilt(_low_pass(), even, axis=0).reshape(-1, 6, 2).swapaxes(0, 1)
+        even = CubicSpline(seconds[part], columns[part, :14])(t)
+        filtered = sosfiltfilt(_low_pass(), even, axis=0).reshape(-1, 7, 2)
+        pelvis, facing, *feet, heights = filtered.swapaxes(0, 1)
         of_trunk, of_feet = np.split(
-            np.array([np.interp(t, seconds[part], column) for column in columns[part, 12:].T]), [4]
+            np.array([np.interp(t, seconds[part], column) for column in columns[part, 14:].T]), [4]
         )
         velocity = np.gradient(pelvis, 1.0 / RATE, axis=0)
         mean = _smoothed(velocity)
@@ -105,6 +107,7 @@ def parts_of(
             pelvis,
             np.array(feet[:2]),
             np.array(feet[2:]),
+            heights.T,
             0.5 * np.hypot(*of_trunk[:2]),
             of_feet[:2],
             of_feet[2:],

@@ -54,7 +54,7 @@ def walking_session(path):
 _PARTS = "Hip", "Shoulder", "Ankle", "Foot"
 
 
-def walker(seconds, rate, *, speed=0.7, stride=1.2, stance=0.64, turning=0.0, weaving=(0.0, 0.0)):
+def walker(seconds, rate, *, speed=0.7, stride=1.2, stance=0.64, turning=0.0, weaving=(0.0, 0.0), rises=0.0):
     """A person who walks along a path at constant speed: (T,) ns and (T, J, 3) metres, with y down.
 
     Feet are planted on the path and swing with minimum jerk; all else that a gait has is left out.
@@ -65,6 +65,7 @@ def walker(seconds, rate, *, speed=0.7, stride=1.2, stance=0.64, turning=0.0, we
         stance: Share of a stride that a foot stands.
         turning: Radians per metre.
         weaving: Radians by which the heading swings besides, and how often per metre.
+        rises: Metres by which toes rise in a swing.
     """
     t = np.arange(0.0, seconds, 1.0 / rate)
     fine = np.arange(-3.0 * stride, seconds + 3.0 * stride, 0.01)
@@ -97,6 +98,7 @@ def walker(seconds, rate, *, speed=0.7, stride=1.2, stance=0.64, turning=0.0, we
                 if part in ("Ankle", "Foot")
                 else place(t, sign * aside, ahead, height)
             )
+        joints[:, AZURE_KINECT.joint("Foot" + side), 1] -= rises * np.sin(np.pi * done[:, 0])
     return np.rint(t * 1e9).astype(np.int64), joints
 
 

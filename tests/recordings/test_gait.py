@@ -18,7 +18,7 @@ from fusion.movement.angles import UP
 from recordings import fuse
 from recordings.errors import RecordingError
 from recordings.gait import SIDES, Gait, Step
-from recordings.gait.events import find_gait
+from recordings.gait.events import _DEFINITION_SD, _LABELLED, find_gait
 from tests.helpers.footfalls import contacts, laboratory_walk, stood, walker
 
 SECONDS, RATE = 20.0, 30.0
@@ -40,8 +40,8 @@ def test_every_step_of_a_walk_is_found_at_its_time_and_none_is_invented(body):
         steps = gait.of_side(side)
         seen = strikes[strikes < SECONDS - 0.35]  # a strike shows by what follows
         assert len(steps) in (len(seen), len(strikes))
-        np.testing.assert_allclose([step.strike for step in steps], strikes[: len(steps)], atol=0.05)
-        np.testing.assert_allclose([step.toe_off for step in steps], offs[: len(steps)], atol=0.05)
+        for found, contact in (([s.strike for s in steps], strikes), ([s.toe_off for s in steps], offs)):
+            np.testing.assert_allclose(found, contact[: len(steps)] + _LABELLED, atol=0.05)
 
 
 def test_figures_of_a_walk_agree_with_how_it_was_made():
@@ -366,7 +366,7 @@ def test_who_sways_back_before_the_first_step_has_not_lifted_the_foot_then(metre
     st.floats(30.0, 100.0),
 )
 def test_a_heel_strikes_where_its_ankle_becomes_slower_than_three_quarters_of_the_pelvis(how, rate):
-    """A foot swings with minimum jerk; 20 ms of definition and a quarter of a frame are the uncertainty."""
+    """A foot swings with minimum jerk; the definition's and a quarter of a frame are the uncertainty."""
     times, joints = walker(10.0, rate, **how)
     gait = find_gait(AZURE_KINECT, times, joints, UP, np.zeros(joints.shape[:2]))
     swing = (1.0 - how["stance"]) * how["stride"]
@@ -374,9 +374,9 @@ def test_a_heel_strikes_where_its_ankle_becomes_slower_than_three_quarters_of_th
     share = brentq(lambda x: 30.0 * (x * (1.0 - x)) ** 2 - 0.75 * (1.0 - how["stance"]), 0.0, 0.5)
     for side, first in zip(SIDES, (0.0, 0.5 * how["stride"]), strict=True):
         for step in gait.of_side(side)[1:-1]:
-            late = (step.strike - first - (1.0 - share) * swing) % how["stride"]
+            late = (step.strike - _LABELLED - first - (1.0 - share) * swing) % how["stride"]
             assert min(late, how["stride"] - late) < 0.007 * swing  # at 0.6 of it: 0.012
-            assert step.strike_sigma == pytest.approx(np.hypot(0.02, 0.25 / rate), rel=0.02)
+            assert step.strike_sigma == pytest.approx(np.hypot(_DEFINITION_SD, 0.25 / rate), rel=0.02)
 
 
 @given(st.fixed_dictionaries(WALKS))
@@ -434,10 +434,70 @@ def test_a_slow_walker_of_a_laboratory_takes_all_labelled_steps(shortened, stret
             assert len(found) == len(labels), (kind, side)
             errors += (found - labels).tolist()
     assert np.abs(off["heel_strike"] + off["toe_off"]).max() < 0.1
-    assert abs(np.mean(off["heel_strike"])) < 0.02
-    assert abs(np.mean(off["toe_off"])) < 0.02
+    for errors in off.values():  # the means of eight walks scatter by 18 ms
+        assert abs(np.mean(errors)) < 2.5 * 0.018
     share = np.mean([stood(*told) for told in labelled.values()])
     assert np.mean([gait.stance(side) for side in SIDES]) == pytest.approx(share, abs=0.02)
+
+
+@pytest.mark.parametrize("rate", [15.0, 30.0, 100.0])
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_strikes_and_toe_offs_are_those_of_laboratories(shared, rate, noise):
+    """Of seven labelled walks overground, but for the ends of a file; and of none on a treadmill."""
+    path = shared / "labelled_walks" / "walks.npz"
+    if not path.is_file():
+        pytest.skip(f"no labelled walks at {path}")
+    walks, random = np.load(path), np.random.default_rng(3)
+    names = [name.removesuffix("_joints") for name in walks.files if name.endswith("_joints")]
+    off = {"strike": [], "toe_off": []}
+    missed = 0
+    for name in names:
+        seconds, points = walks[f"{name}_seconds"], walks[f"{name}_joints"].astype(np.float64)
+        times = np.arange(seconds[0], seconds[-1], 1.0 / rate)
+        joints = np.full((len(times), len(AZURE_KINECT), 3), np.nan)
+        for k, joint in enumerate(f"{p}{s}" for p in PARTS for s in ("Left", "Right")):
+            known = np.isfinite(points[:, k]).all(axis=1)
+            place = [np.interp(times, seconds[known], along[known]) for along in points[:, k].T]
+            joints[:, AZURE_KINECT.joint(joint)] = np.stack(place, axis=1)
+        joints += random.normal(0.0, noise, joints.shape)
+        sigma = np.full(joints.shape[:2], np.sqrt(3.0) * noise)
+        gait = find_gait(AZURE_KINECT, np.rint(1e9 * times).astype(np.int64), joints, (0, 0, 1), sigma)
+        if "treadmill" in name:
+            assert gait.steps == ()
+            continue
+        for side in SIDES:
+            for kind, errors in off.items():
+                labels = walks[f"{name}_{kind}s_{side}"]
+                found = [(getattr(s, kind), getattr(s, f"{kind}_sigma")) for s in gait.of_side(side)]
+                within = [each for each in found if labels[0] - 0.2 < each[0] < labels[-1] + 0.2]
+                nearest = [int(np.abs(labels - at).argmin()) for at, _ in within]
+                assert len(set(nearest)) == len(nearest)  # none is invented
+                errors += [(at - labels[k], of) for (at, of), k in zip(within, nearest, strict=True)]
+            inner = walks[f"{name}_strikes_{side}"]
+            inner = inner[(inner > times[0] + 0.3) & (inner < times[-1] - 0.3)]
+            found = np.array([step.strike for step in gait.of_side(side)])
+            missed += sum(np.abs(found - label).min() > 0.15 for label in inner)
+    assert missed == 0
+    for errors in map(np.array, off.values()):
+        assert len(errors) > 25
+        assert abs(errors[:, 0].mean()) < 0.015
+        assert np.mean(np.abs(errors[:, 0]) < 2.5 * errors[:, 1]) >= 0.95
+
+
+PARTS = "Hip", "Shoulder", "Ankle", "Foot"
+
+
+@given(st.fixed_dictionaries(WALKS), st.floats(0.02, 0.2), st.integers(0, 2**32 - 1))
+def test_the_clearance_is_how_far_toes_rise_in_a_swing(how, rises, seed):
+    """Within its uncertainty, besides what is filtered out of a short swing and what noise adds."""
+    times, joints = walker(8.0, RATE, **how, rises=rises)
+    noise = 0.01
+    joints += np.random.default_rng(seed).normal(0.0, noise, joints.shape)
+    sigma = np.full(joints.shape[:2], np.sqrt(3.0) * noise)
+    gait = find_gait(AZURE_KINECT, times, joints, UP, sigma)
+    found = np.array([(s.clearance, s.clearance_sigma) for s in gait.steps if np.isfinite(s.clearance)])
+    assume(len(found) > 3 and (1.0 - how["stance"]) * how["stride"] > 0.38)
+    assert np.mean(np.abs(found[:, 0] - rises) < 2.5 * found[:, 1] + 0.1 * rises) >= 0.9
 
 
 def test_somebody_without_shoulders_or_toes_walks_too():
