@@ -3,7 +3,9 @@
 The model is Pose2Sim's full-body one after Rajagopal et al. (2016), which the user puts into the folder.
 Markers are at its joint centres, but those of knees and shoulders are in one vertical plane with the hips,
 so that who stands upright has angles of 0°. Two hip markers do not show how the pelvis tilts, so the lumbar
-joint is held straight, as in the .mot. Straight limbs do not show their axial rotations: the .mot has them.
+joint is to be straight, as in the .mot, where markers show no other. A straight limb does not show its axial
+rotation, and bends by 10° where the model's stiff trunk puts its hip 3 mm aside: hips, knees and elbows are
+to be as in the .mot besides.
 """
 
 from pathlib import Path
@@ -38,13 +40,15 @@ _SCALED = (
     ("elbow {0}", "wrist {0}", "X Y Z", "ulna_{1} radius_{1} hand_{1}"),
 )
 """The ends of a length, and the axes and bodies that it scales."""
-_COORDINATES = {
-    **dict.fromkeys(
-        ("L5_S1_Flex_Ext", "L5_S1_Lat_Bending", "L5_S1_axial_rotation"), ("default_value", 100.0)
-    ),
-    **dict.fromkeys(("hip_rotation_l", "hip_rotation_r", "arm_rot_l", "arm_rot_r"), ("from_file", 1e-4)),
+_STRAIGHT = {"L5_S1_Flex_Ext": 0.01, "L5_S1_Lat_Bending": 1e-3, "L5_S1_axial_rotation": 1e-3}
+_OF_MOT = {
+    **dict.fromkeys(("hip_flexion", "hip_adduction"), 3e-3),
+    **dict.fromkeys(("knee_angle", "elbow_flex"), 6e-3),
+    "hip_rotation": 3e-4,
+    "arm_rot": 1e-4,
 }
-"""What they are to be, and the weight of a radian where that of a metre of a marker is 1, or 5 of a hip's."""
+"""Coordinates that are to be 0, or of each side those of the .mot, and the weight of a radian where that of a
+metre of a marker is 1: by hand, on a real and three simulated walks and squats."""
 
 
 def write_folder(session: SessionSeries, *files: Path, rate: float | None = None) -> str:
@@ -69,15 +73,15 @@ def write_folder(session: SessionSeries, *files: Path, rate: float | None = None
                 place = f"<location>{x} {y} {-z if side == 'left' else z}</location>"
                 placed += f'<Marker name="{label}">{frame}{place}</Marker>'
     tasks = "".join(
-        f'<IKMarkerTask name="{label}"><weight>{5 if "hip" in name else 1}</weight></IKMarkerTask>'
-        for name, label in labels.items()
+        f'<IKMarkerTask name="{label}"><weight>1</weight></IKMarkerTask>' for label in labels.values()
     )
     columns = mot.read_text(encoding="utf-8").split("\n")[6].split("\t")
+    wanted = [(name, "default_value", weight) for name, weight in _STRAIGHT.items()]
+    wanted += [(name, "from_file", _OF_MOT[name[:-2]]) for name in columns if name[:-2] in _OF_MOT]
     tasks += "".join(
         f'<IKCoordinateTask name="{name}"><weight>{weight:g}</weight><value_type>{value}</value_type>'
         "</IKCoordinateTask>"
-        for name, (value, weight) in _COORDINATES.items()
-        if value != "from_file" or name in columns
+        for name, value, weight in wanted
     )
     time_range = _longest(session, rate)
     documents = (
