@@ -1,13 +1,16 @@
 """When a frame was captured, as all outputs and the session say it."""
 
 import json
+from contextlib import closing
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pythonosc.osc_packet import OscPacket
 
 from devices.capture.clock.capture_time import UNIX_NS, CaptureTime
 from recordings.export.ros import capture_times
@@ -17,6 +20,8 @@ from tests.helpers.ros import messages, rosbags
 from tests.helpers.two_views import FRAME_NS
 from viewer_app.commands.replay import as_recorded
 from viewer_app.outputs import lab_streaming
+from viewer_app.outputs.avatars.osc import Address, OscOutput
+from viewer_app.outputs.avatars.vmc import VmcEncoder
 from viewer_app.outputs.lab_streaming import LabStreamingOutput
 from viewer_app.outputs.mcap_file import McapOutput
 from viewer_app.outputs.skeleton_json import SkeletonJson
@@ -75,6 +80,19 @@ def stamps_of_lsl(monkeypatch, setup, queued):
     return np.array(Outlet.stamps) - output._clock_offset
 
 
+def stamps_of_vmc(body, queued):
+    """(T,) seconds since the first frame."""
+    output = OscOutput("VMC", Address("127.0.0.1", 39539), "--vmc", VmcEncoder(body).encode)
+    sent = []
+    with closing(output):
+        output._socket.close()
+        output._socket = SimpleNamespace(sendto=lambda data, _: sent.append(data), close=lambda: None)
+        for each in queued:
+            output.send_frame(each)
+    told = [packet.message for data in sent for packet in OscPacket(data).messages]
+    return np.array([message.params[0] for message in told if message.address == "/VMC/Ext/T"])
+
+
 @given(moments=MOMENTS, dropped=st.integers(2, 5))
 def test_all_outputs_say_the_same_whatever_is_late_or_dropped(fuser, monkeypatch, moments, dropped):
     pytest.importorskip("pylsl", exc_type=ImportError)
@@ -83,6 +101,8 @@ def test_all_outputs_say_the_same_whatever_is_late_or_dropped(fuser, monkeypatch
     with monkeypatch.context() as patched:
         lsl = stamps_of_lsl(patched, fuser.setup, queued)
     np.testing.assert_allclose(lsl, 1e-9 * (expected - UNIX_NS), atol=1e-5)
+    vmc = stamps_of_vmc(fuser.setup.body, queued[::dropped])
+    np.testing.assert_allclose(vmc, 1e-9 * (expected[::dropped] - expected[0]), atol=1e-3)
     encoder = SkeletonJson(fuser.setup)  # of the WebSocket and of Zenoh, which drop frames
     said = [json.loads(encoder.frame(each))["unix_time_s"] for each in queued[::dropped]]
     np.testing.assert_allclose(said, 1e-9 * expected[::dropped], rtol=0.0, atol=1e-5)

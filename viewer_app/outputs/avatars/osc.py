@@ -92,6 +92,8 @@ class OscOutput(LiveOutput):
         self._encode = encode
         self._feet = None if feet_of is None else PlantedFeet(feet_of)
         self._nobody: NDArray[np.float64] | None = None  # (J, 3) NaN, once a frame was sent
+        self._begun_ns: int | None = None  # since 1970, by the time of capture of the first frame
+        self._later_ns = 0  # by which that of the newest frame is later
         family, self._to = looked_up(address, option)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -99,11 +101,16 @@ class OscOutput(LiveOutput):
 
     def send_frame(self, frame: QueuedFrame) -> int | None:
         """Sends the datagrams of a frame; None if it has none."""
-        positions = frame.fused.positions
+        positions, unix_ns = frame.fused.positions, frame.frame.unix_ns
         self._nobody = np.full(positions.shape, np.nan)
+        if unix_ns is not None:
+            begun_ns = unix_ns - frame.time_ns
+            self._begun_ns = begun_ns if self._begun_ns is None else self._begun_ns
+            self._later_ns = begun_ns - self._begun_ns
+        time_ns = frame.time_ns + self._later_ns
         if self._feet is not None:
-            positions = self._feet.update(positions, frame.fused.sigma, frame.time_ns)
-        datagrams = self._encode(positions, frame.time_ns)
+            positions = self._feet.update(positions, frame.fused.sigma, time_ns)
+        datagrams = self._encode(positions, time_ns)
         for datagram in datagrams:
             self._socket.sendto(datagram, self._to)
         return 1 if datagrams else None
@@ -111,7 +118,7 @@ class OscOutput(LiveOutput):
     def send_silence(self, time_ns: int) -> None:
         """Sends the datagrams of a frame without a person."""
         if self._nobody is not None:
-            for datagram in self._encode(self._nobody, time_ns):
+            for datagram in self._encode(self._nobody, time_ns + self._later_ns):
                 self._socket.sendto(datagram, self._to)
 
     def shut(self) -> None:
