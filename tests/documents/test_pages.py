@@ -145,12 +145,21 @@ def test_the_page_of_angles_has_the_figures_of_the_file():
     document = results.read("angles")
     figures = document["figures"]
     assert f"revision {document['revision']}, {document['date']})" in page
-    rows = {cells[1]: cells[3] for cells in (line.split("|") for line in page.splitlines()) if len(cells) > 4}
+    rows = {
+        cells[1]: cells[3] for cells in (line.split("|") for line in page.splitlines()) if len(cells) == 5
+    }
     for names, errors in list(rows.items())[2:]:
         measured = [f"{figures['angles'][name]['rmse']:.1f}°" for name in re.findall("`(.*?)`", names)]
         assert errors.strip() == ", ".join(measured), names
     ratios = [row["stated"] / row["rmse"] for row in figures["angles"].values()]
     assert f"it is {min(ratios):.1f} to {max(ratios):.1f} times the RMSE" in page
+    of_opensim = results.read("opensim")
+    assert f"opensim MODEL`; revision {of_opensim['revision']}, {of_opensim['date']})" in page
+    motions = "walk", "squat", "sit", "arms", "turn"
+    assert f"| | {' | '.join(motions)} |" in page
+    for name in ("hip_flexion", "knee_angle", "elbow_flex"):
+        each = (f"{of_opensim['figures'][motion]['rmse_deg'][name]:.1f}°" for motion in motions)
+        assert f"| {name.replace('_', ' ')} | {' | '.join(each)} |" in page
     strikes = figures["strikes"]
     rms, largest = (f"{1e3 * strikes[name]:.0f} ms" for name in ("rms", "largest"))
     found = f"{strikes['found']} of {strikes['found'] + strikes['missed']}"
@@ -165,7 +174,7 @@ def test_each_table_of_benchmarks_is_of_the_methods_revision():
         document, name = results.read(file.stem), file.stem
         if name not in ("speed", "latency"):
             assert document["revision"] == REVISIONS["duplex"], f"{document['command']}, make benchmarks"
-        assert name == "angles" or benchmarks_page.measured(name) in page
+        assert name in ("angles", "opensim") or benchmarks_page.measured(name) in page
     tables = re.findall(r"^(.+)\n\n\|", page, re.MULTILINE)
     assert len(tables) == 9
     for above in tables:
