@@ -125,19 +125,22 @@ def best_offsets(a: View, b: View, offsets: Sequence[int]) -> list[int]:
     return sorted(equal, key=lambda k: (worse[k], frames[k] < enough, mean[k]))
 
 
-def fitted_clock(views: Sequence[View], path: Path, near: Clock, *, rate: bool = False) -> FittedClock | None:
+def fitted_clock(
+    views: Sequence[View], path: Path, near: Clock, *, rate: bool = False, most: int = _MOST
+) -> FittedClock | None:
     """The clock near another one; None if the views' joints and the path's determine no rotation.
 
     Args:
         views: On one clock.
         rate: Whether the rate is fitted, too, about the time at which ``near`` is set.
+        most: Displacements of each joint, evenly over a view.
     """
     count = 2 if rate else 1
     for _ in range(_STEPS_OF_RATE if rate else _STEPS):
         of_views = []
         for view in views:
             with suppress(CalibrationError):
-                of_views.append(_displacements(view, path, near))
+                of_views.append(_displacements(view, path, near, most))
         if not any(len(moved) for moved, *_ in of_views):
             return None
         moved, expected, slopes, part = (np.concatenate(each) for each in zip(*of_views, strict=True))
@@ -203,7 +206,9 @@ def _correlation(moved: Array, expected: Array) -> float:
     return float(np.sum(moved * expected) / np.sqrt(np.sum(moved**2) * np.sum(expected**2)))
 
 
-def _displacements(view: View, path: Path, clock: Clock) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+def _displacements(
+    view: View, path: Path, clock: Clock, most: int = _MOST
+) -> tuple[Array, Array, Array, NDArray[np.int64]]:
     """(N, 3) m and e, and (N, 2, 3) derivatives of e by offset and rate, of the joints and times of a view,
     and (N,) its part."""
     if len(view.time_ns) < 2:
@@ -212,7 +217,7 @@ def _displacements(view: View, path: Path, clock: Clock) -> tuple[Array, Array, 
     on_path = view.time_ns + clock.at(view.time_ns)
     inside = np.flatnonzero((on_path >= path.first_ns) & (on_path <= path.last_ns))
     last = max(len(inside) - 2 * step, 0)
-    early = np.arange(0, last, last // _MOST + 1)
+    early = np.arange(0, last, last // most + 1)
     ends = inside[early], inside[early + 2 * step]
     times = [view.time_ns[end] for end in ends]
     own = [

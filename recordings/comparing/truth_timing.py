@@ -26,6 +26,7 @@ from fusion.support.types import Array
 _LONGEST_GAP = 0.1  # seconds without a point that are interpolated
 _SEARCH_RATE = 60.0  # Hz of the truth in the search of the offset
 _OTHERS_NS = 100_000_000  # nearer candidates are one
+_OF_A_CANDIDATE = 400  # displacements of each joint
 _LEAST_CORRELATION = 0.8  # of displacements; other movements reach 0.7, seldom 0.85; right ones 0.97
 _LARGEST_SD, _LARGEST_LAG = 0.015, 0.050  # seconds: the person moves too little to tell
 _CONTRADICTS = 0.020  # seconds between a given offset and one by the motion
@@ -35,7 +36,7 @@ class JointPath:
     """(N, J, 3) joints, NaN where unknown, at (N,) times; cubic splines over short gaps only."""
 
     def __init__(self, seconds: Array, positions: Array) -> None:
-        from scipy.interpolate import CubicSpline
+        from scipy.interpolate import CubicSpline, PPoly
 
         self.seconds, self._shape = seconds, positions.shape[1:]
         longest = max(_LONGEST_GAP, 2.5 * float(np.median(np.diff(seconds))))
@@ -46,7 +47,10 @@ class JointPath:
         for mask, some in enumerate(masks.T):
             if some.sum() > 1:
                 times, of = seconds[some], np.flatnonzero(of_mask == mask)
-                spline = CubicSpline(times, positions[np.ix_(some, of)])
+                of_joints = np.empty((4, len(times) - 1, len(of), *positions.shape[2:]))
+                for k, joint in enumerate(of.tolist()):  # a long one takes several times its memory
+                    of_joints[:, :, k] = CubicSpline(times, positions[some, joint]).c
+                spline = PPoly.construct_fast(of_joints, times)
                 self._splines.append((of, times, spline, np.diff(times) <= longest))
 
     def at(self, times: Array) -> Array:
@@ -143,14 +147,15 @@ def find_offset(body: Body, views: Sequence[View], fused: View, truth: JointPath
     pair, sign = ((true, own), 1.0) if true_span < span else ((own, true), -1.0)
     path, refined = path_of(truth), list[Clock]()
     for candidate in part_offsets(body, *pair):
-        found = fitted_clock(views, path, Clock(sign * candidate))
+        found = fitted_clock(views, path, Clock(sign * candidate), most=_OF_A_CANDIDATE)
         if found and all(abs(found.clock.offset_ns - one.offset_ns) > _OTHERS_NS for one in refined):
             refined.append(found.clock)
     equal = best_offsets(*pair, [round(sign * one.offset_ns) for one in refined])
     if not equal:
         return None
     clock, *others = (refined[k] for k in equal)
-    clock = with_rate(views, path, clock)
+    whole = fitted_clock(views, path, clock)
+    clock = with_rate(views, path, clock if whole is None else whole.clock)
     of_fused = fitted_clock([fused], path, clock)
     if of_fused is None or of_fused.correlation < _LEAST_CORRELATION:
         return None
