@@ -18,9 +18,9 @@ _FARTHEST = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9, "blazepose
 _WIDE, _FARTHEST_WIDE = 1.5, 2.9
 """Width of the image over the focal length from which an Azure Kinect is in a wide mode (WFOV: 2.0,
 NFOV: 1.3); its range then, binned, metres."""
-_VIEWS_MM = {"kinect_v1": 80.0, "kinect_v2": 80.0, "azure_kinect": 60.0, "blazepose": 90.0}
-_ERROR_MM = {"kinect_v1": 60.0, "kinect_v2": 60.0, "azure_kinect": 60.0, "blazepose": 90.0}
-WALK = "walk a few steps back and forth"
+_VIEWS_MM = {"kinect_v1": 100.0, "kinect_v2": 100.0, "azure_kinect": 60.0, "blazepose": 90.0}
+_ERROR_MM = {"kinect_v1": 80.0, "kinect_v2": 80.0, "azure_kinect": 60.0, "blazepose": 90.0}
+WALK, RING = "walk a few steps back and forth", "stand in the ring"
 _USABLE = 1.5
 _OUT_OF_RANGE = 0.25
 
@@ -139,6 +139,10 @@ RULES: dict[str, Rule] = {
         what="a twentieth of the time the views differ by more than {value} mm, as those of two people do",
         live="be the only person in view",
         files="check that both recordings show one person at the same time", told_by=frozenset({"mirrored"})),
+    "hidden": Rule(
+        "time for which a view shows people, but not the person, now", "s", below(1.0, inf),
+        what="{who} shows somebody else, or was moved", live="walk a few steps where both see you",
+        is_event=False),
     "moved": Rule(
         "the views' own placement of B, from the calibration's", "", below(1.0, 2.0),
         what="B is {off} off its calibration", limit="good is below {most}", live="{again}",
@@ -152,25 +156,27 @@ RULES: dict[str, Rule] = {
         "distance of the person from a sensor", "m", Limits((0.0, inf), (0.0, inf)),
         what="{you_are} {value} m from {who}", limit="good is {low} to {high} m",
         live=("step back {by} m from {who}", "come {by} m closer to {who}"),
-        files=("record with the person further away", "record with the person nearer"), digits=1),
+        files=("record with the person further away", "record with the person nearer"), digits=1,
+        told_by=frozenset({"overlap"})),
     "feet": Rule(
         "frames with a foot out of view, now", "%", below(50.0, 50.0), what="feet out of view of {who}",
-        live="tilt {who} down, or step back from it", told_by=frozenset({"distance"})),
+        live="tilt {who} down by {turn}°, or step back from it", told_by=frozenset({"distance"})),
     "overlap": Rule(
         "what the best place lacks of room for a person, before both sensors", "m", below(0.0, 0.0),
         what="A and B have no place to stand in common", limit="the best one lacks {value} m",
-        live="aim A and B at one place, 2.5 m from each", digits=1, told_by=frozenset({"mirrored", "moved"})),
+        live="aim A and B at one place, 2.5 m from each, 90° apart", digits=1,
+        told_by=frozenset({"mirrored", "moved", "hidden"})),
     "angle": Rule(
         "angle between the sensors, about the vertical, less two standard deviations", "°",
         Limits((60.0, 120.0), (40.0, 140.0)), what="A and B look {value}° apart",
         limit="good is {low}° to {high}°",
         live=("move B away from A, round you, to 90°", "move B towards A, round you, to 90°"),
         files=("record with them further apart", "record with them closer together"),
-        told_by=frozenset({"mirrored", "moved"})),
+        told_by=frozenset({"mirrored", "moved", "hidden"})),
     "uncalibrated": Rule(
         "frames of the calibration", "", Limits((15.0, inf), (15.0, inf)), what="{calibrated}",
-        live="stand in the ring, arms and legs apart, 3 s", files="{calibrate}", beyond="unknown",
-        is_event=False),
+        live=RING + ", arms and legs apart, 3 s", files="{calibrate}", beyond="unknown",
+        told_by=frozenset({"distance", "feet", "angle"}), is_event=False),
     "precision": Rule(
         "rotation of B, one standard deviation", "°", below(2.0, 4.0),
         what="B's rotation is certain to {value}° only", limit="good is {high}°",
@@ -179,19 +185,16 @@ RULES: dict[str, Rule] = {
     "error": Rule(
         "expected error of S*: its median standard deviation", "mm", below(60.0, 90.0),
         what="S* is expected to be off by {value} mm", limit="good is below {high}",
-        live=WALK, files="record with both sensors nearer, and 90° apart",
+        live=RING, files="record with both sensors nearer, and 90° apart",
         told_by=_VIEWS | {"distance", "angle", "precision"}),
     "views": Rule(
         "distance between the views, median", "mm", below(60.0, 90.0),
         what="the views differ by {value} mm", limit="good is below {high}",
-        live=WALK, files="check that both show one moment, or {calibrate}",
-        told_by=_VIEWS),
-    "hidden": Rule(
-        "time for which a view hides the person, now", "s", below(1.0, inf),
-        what="you are hidden from {who}", live="step aside: {who} must see you", is_event=False),
+        live=RING, files="check that both show one moment, or {calibrate}",
+        told_by=_VIEWS | {"hidden", "precision"}),
     "whole": Rule(
         "frames with a part of the person out of view, now", "%", below(50.0, inf),
-        what="a part of you is out of view of {who}", live="step towards the ring",
+        what="a part of you is out of view of {who}", live=RING + ", or {aim}",
         told_by=frozenset({"distance", "feet"}), is_event=False),
     "nobody": Rule(
         "time with nobody in view, or without a frame", "%", _DOUBTFUL,

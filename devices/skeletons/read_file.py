@@ -204,7 +204,7 @@ def _once(
     if share > LOGGED_TWICE and np.array_equal(rows.xyz[later], rows.xyz[earlier], equal_nan=True):
         repeated = f"{100.0 * share:.0f} % of the rows repeat another one of the same time"
         return order[~again], [f"{rows.path}: {repeated}, and are left out."]
-    why = "Have two people one id, or the times lost digits? A column `frame` that counts them is enough."
+    why = "Have two people one id, or the times lost digits? A column named frame that counts them is enough."
     if not rows.has_body and share < _MOST:
         why = "There is no column body: name the one that distinguishes people so."
     elif backward:

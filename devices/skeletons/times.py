@@ -139,7 +139,7 @@ def find_time_unit(
         raise DeviceError(
             f"{name}: the unit of {called} is unclear; in no unit is its usual interval of {interval:.6g} "
             "that of 5 to 120 frames per second. Name the column time_s, time_ms, time_us or time_ns by its "
-            "unit. If frames came at a constant rate, a column `frame` that counts them is enough."
+            "unit. If frames came at a constant rate, a column named frame that counts them is enough."
         )
     us, words, states = best
     if states != column:
@@ -217,7 +217,7 @@ def _going_on(
             f"the times of {len(stray)} of {len(times)} frames fit no others; they go back {len(back)} times"
         )
         raise DeviceError(
-            f"{name}: {what}. If frames are in order, a column `frame` that counts them is enough."
+            f"{name}: {what}. If frames are in order, a column named frame that counts them is enough."
         )
     if len(stray):
         ends = going[kept[0]] - interval * (kept[0] + 1), last + interval * (len(times) - kept[-1])

@@ -187,7 +187,8 @@ class Calibrator:
                     np.sin(angle), np.cos(angle), known=self._frontal
                 )
                 most = np.hypot(POSE_TURN, lasting)
-                if known is not None and known.rotation_sd < most and known.residual_median < POSE_APART:
+                apart = POSE_APART.get(self._body.name, 0.1)
+                if known is not None and known.rotation_sd < most and known.residual_median < apart:
                     return found
         except CalibrationError:
             pass

@@ -15,7 +15,7 @@ from fusion.errors import CalibrationError
 from fusion.registration.error_model import RobustFitSettings
 from fusion.registration.keyframes import KeyframeSet
 from fusion.registration.rigid_fit import fit_rigid
-from fusion.registration.robust_fit import fit_robust, with_frontal_sd
+from fusion.registration.robust_fit import RobustFit, fit_robust, with_frontal_sd
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 from fusion.support.types import Array
@@ -49,6 +49,7 @@ class RecentPlacement:
         self._body, self._kept_ns = body, round(seconds * 1e9)
         self._keyframes, self._settings = KeyframeSet(body, _MOST), RobustFitSettings()
         self._fits: deque[tuple[RigidTransform, np.ndarray, float]] = deque(maxlen=_KEPT)
+        self.newest: RobustFit | None = None  # None before there are enough pairs
         self._now_ns = self._next_ns = 0
         self._in_steps = in_steps
         self._fitting: Iterator[None] = iter(())
@@ -67,6 +68,7 @@ class RecentPlacement:
         """How far R and t of a calibration are off, by the median of the last fits; None of few pairs."""
         if len(self._keyframes) < _FEWEST:
             self._fits.clear()
+            self.newest = None
         elif self._now_ns >= self._next_ns:
             self._next_ns = self._now_ns + _EVERY_NS
             self._fitting = self._fit(calibration.depth_errors)
@@ -92,4 +94,5 @@ class RecentPlacement:
             fit = with_frontal_sd(body, evidence, fit, self._settings)
         except CalibrationError:
             return
+        self.newest = fit
         self._fits.append((fit.a_from_b, evidence.b[evidence.weights > 0.0].mean(axis=0), fit.rotation_sd))

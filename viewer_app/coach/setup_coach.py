@@ -7,7 +7,7 @@ prints.
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from fusion.calibration.comparison import RecentPlacement
 from fusion.facing.handedness import mirrored_share
 from fusion.facing.model import WHOLE
 from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, nearer
 from recordings.appearance.floor import CAMERA_HEIGHT
 from recordings.calibration_file import is_loaded
@@ -42,6 +43,14 @@ _NOW, _RATE_WINDOW, _LATELY = 1.0, 2.0, 4.0
 """Seconds over which shares and distances, rates, and medians and mirror images are judged."""
 _EVIDENCE = 0.5
 """Of these: nothing is judged before a view has given frames for so long."""
+_AIMS = (
+    "turn {who} {turn}° to its left",
+    "turn {who} {turn}° to its right",
+    "tilt {who} up by {turn}°",
+    "tilt {who} down by {turn}°",
+)
+_ROOM = 2.0
+"""Degrees between the person and an edge of the image."""
 _GONE = 0.3
 """Seconds without frames after which a sensor is gone, which its thread reports, not slow."""
 
@@ -66,6 +75,7 @@ class _View(NamedTuple):
     away: float = math.nan  # metres to the torso
     feet_gone: float = math.nan
     cut_off: float = math.nan
+    beyond: tuple[float, ...] = ()  # degrees by which joints are beyond the edges of the image
     mirrored: float = math.nan
 
 
@@ -101,7 +111,7 @@ class Coach:
         self._seen_at, self._came_at = [-math.inf, -math.inf], [-math.inf, -math.inf]
         self._began: float | None = None
         self._calibration: Calibration | None = None
-        self._room = math.inf
+        self._room: tuple[RigidTransform | None, float] = None, math.inf
         self._recent = RecentPlacement(body, in_steps=True)
 
     def watch(self, frame: SessionFrame, now: Situation) -> list[Finding]:
@@ -112,7 +122,7 @@ class Coach:
             if self._calibration is None or self._calibration.provisional:
                 # distances under a guess say nothing; a refinement changes them by little, and comes often
                 self._moments = deque(each._replace(apart=math.nan, error=math.nan) for each in self._moments)
-            self._calibration, self._room = now.calibration, self._best_room(now.calibration)
+            self._calibration = now.calibration
         self._remember(frame, now, time)
         return followed((*self._views(frame, now, time), *self._placement(frame, now)))
 
@@ -158,13 +168,15 @@ class Coach:
         feet = outside[self._feet].any() or not skeleton.tracked[self._feet].any()
         torso = skeleton.positions[list(self.body.torso), 2]
         away = float(np.nanmean(torso)) if np.isfinite(torso).any() else math.nan
-        mirrored = mirrored_share(self.body, skeleton.positions[None])
+        shown = skeleton.tracked & ~outside
+        mirrored = mirrored_share(self.body, np.where(shown[:, None], skeleton.positions, np.nan)[None])
         return _View(
             True,
             crowd,
             away,
             float(feet),
             float(outside.any()),
+            _beyond(skeleton.positions[outside], self.intrinsics[k]) if outside.any() else (),
             math.nan if mirrored is None else mirrored,
         )
 
@@ -207,9 +219,17 @@ class Coach:
                 range_m = within(nearest(lens), farthest(self.body.name, lens))
                 yield from judge("distance", median_of(away), side, limits=range_m)
                 yield from judge("mirrored", share("mirrored", _LATELY), side)
-                yield from judge("feet", share("feet_gone"), side)
-                yield from judge("whole", share("cut_off"), side)
+                beyond = self._beyond(k)
+                yield from judge("feet", share("feet_gone"), side, turn=_in_fives(beyond[3]))
+                edge = int(np.argmax(beyond))
+                aim = _AIMS[edge].format(who=side, turn=_in_fives(beyond[edge]))
+                yield from judge("whole", share("cut_off"), side, aim=aim)
             yield from self._stream(k, time)
+
+    def _beyond(self, k: int) -> NDArray[np.float64]:
+        """(4,) degrees by which the person was beyond the edges lately, and some room."""
+        known = [each.views[k].beyond for each in self._moments if each.views[k].beyond]
+        return _ROOM + np.median(known or [(0.0,) * 4], axis=0)
 
     def _stream(self, k: int, time: float) -> Iterator[Finding]:
         """What is wrong with a sensor's frames in the last two seconds."""
@@ -243,28 +263,46 @@ class Coach:
         calibration = now.calibration
         if not now.final:
             yield from judge("uncalibrated", 0, calibrated="not calibrated")
-        if calibration.provisional:
+        off, newest = self._recent.off(calibration), self._recent.newest
+        sd = None if calibration.registration is None else calibration.registration.rotation_sd
+        if calibration.provisional and newest is not None:  # B may have been moved since
+            calibration, sd = replace(calibration, a_from_b=newest.a_from_b), newest.rotation_sd
+        seen = self._moments[-1].time - self._moments[0].time
+        if calibration.provisional and (sd is None or seen < _EVIDENCE * _LATELY):  # as mirror images need
             return
-        yield from judge("overlap", -self._room)
-        floor = frame.floor
-        up = np.array([0.0, -1.0, 0.0]) if floor is None else -floor.rotation[:, 1]
-        fit = calibration.registration
-        turn_sd = 0.0 if fit is None else math.degrees(fit.rotation_sd)
+        turn_sd = math.degrees(sd or 0.0)
+        up = np.array([0.0, -1.0, 0.0]) if frame.floor is None else -frame.floor.rotation[:, 1]
         angle = math.degrees(calibration.angle_about(up))
         yield from judge("angle", angle, uncertain=2.0 * turn_sd)
+        yield from judge("overlap", -self._best_room(calibration.a_from_b))
+        if calibration.provisional:
+            return
         yield from judge("precision", turn_sd)
-        off = placement_figures(self._recent.off(calibration))
-        yield from compared(off, is_loaded(calibration))
+        yield from compared(placement_figures(off), is_loaded(calibration))
         error = self._lately(_LATELY, lambda each: each.error)
         yield from judge("error", median_of(error), limits=of_error(self.body.name))
         apart = self._lately(_LATELY, lambda each: each.apart)
         yield from judge("views", median_of(apart), limits=of_views(self.body.name))
 
-    def _best_room(self, calibration: Calibration) -> float:
-        """Metres to the tightest limit of the best place; infinite where B's place is unknown."""
-        if calibration.provisional:
-            return math.inf
-        return standing_spot(calibration.a_from_b, self.intrinsics, self.body.name, CAMERA_HEIGHT).room
+    def _best_room(self, a_from_b: RigidTransform) -> float:
+        """Metres to the tightest limit of the best place."""
+        if self._room[0] is not a_from_b:
+            spot = standing_spot(a_from_b, self.intrinsics, self.body.name, CAMERA_HEIGHT)
+            self._room = a_from_b, spot.room
+        return self._room[1]
+
+
+def _beyond(points: NDArray[np.float32], lens: Intrinsics) -> tuple[float, ...]:
+    """Degrees by which (N, 3) points are at most beyond the left, right, upper and lower edge of an image."""
+    x, y = np.degrees(np.arctan2(points[:, :2].T, points[:, 2]))
+    left, right = np.degrees(np.arctan2((-lens.cx, lens.width - lens.cx), lens.fx))
+    top, bottom = np.degrees(np.arctan2((-lens.cy, lens.height - lens.cy), lens.fy))
+    edges = (left - x).max(), (x - right).max(), (top - y).max(), (y - bottom).max()
+    return tuple(max(0.0, float(each)) for each in edges)
+
+
+def _in_fives(degrees: float) -> str:
+    return f"{5 * math.ceil(degrees / 5.0)}"
 
 
 def median_of(values: NDArray[np.float64]) -> float | None:

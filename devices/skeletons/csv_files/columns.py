@@ -179,7 +179,8 @@ def columns_of(path: Path, raw: bytes, required: Collection[str]) -> Columns:
         raise DeviceError(
             f"{path}: no column {', '.join(missing)}. Columns must be time_us,{_EITHER} and "
             f"optionally state; the file begins with {header[:80]!r}."
-            + " If frames came at a constant rate, a column `frame` that counts them is enough." * (not time)
+            + " If frames came at a constant rate, a column named frame that counts them is enough."
+            * (not time)
             + " This looks like JSON: name it .json." * header.lstrip().startswith(("{", "["))
         )
     if twice := next((name for name in columns if columns.count(name) > 1), ""):

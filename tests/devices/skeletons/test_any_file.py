@@ -233,7 +233,7 @@ def test_one_capture_is_read_the_same_from_every_source_or_refused(tmp_path, dra
     drawn = in_digits(drawn, time) if source == "a.json" else drawn
     recorded = SOURCES[source](drawn, tmp_path / source)
     if source.endswith("csv") and drawn.time in LOST:
-        words = "a column `frame` that counts them is enough"
+        words = "a column named frame that counts them is enough"
         with pytest.raises(DeviceError, match=words), SkeletonRecording(tmp_path / source):
             pass
         return

@@ -1,6 +1,7 @@
 """The coach's advice over time. Time is that of the pairs."""
 
 import itertools
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +31,7 @@ from recordings.fusing.pairs import fuse_one
 from recordings.live_fusion import LiveFusion
 from recordings.session import Session
 from tests.helpers.frame_pairs import frame_pair
-from tests.helpers.laws import person
+from tests.helpers.laws import COSTLY, person
 from tests.helpers.sentences import arguments, check_sentences
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.readiness import LASTS, Headline, Readiness, headline, to_markdown
@@ -184,6 +185,46 @@ def test_depth_errors_that_a_calibration_states_are_no_distance_of_the_views():
     assert not rules[1]
 
 
+@COSTLY
+@given(st.floats(-50.0, 50.0), st.floats(-25.0, 40.0))
+def test_a_sensor_that_is_turned_as_told_has_the_whole_person_in_its_image(aside, down):
+    """A person anywhere before sensor A, degrees from the middle of its image."""
+
+    def found(aside, down):
+        joints = standing(BODY)
+        joints = joints - joints.mean(axis=0) + (0.0, 0.0, 3.4)
+        turned = Rotation.from_euler("xy", (-down, aside), degrees=True).apply(joints)
+        return {each.rule: each.step for each in watched(turned, seconds=2.0) if each.side == "A"}
+
+    for _ in range(4):  # one direction with each step
+        steps = found(aside, down)
+        told = steps.get("feet") or steps.get("whole")
+        if told is None:
+            return
+        way, degrees = re.search(r"(up|down|turn).* (\d+)°( to its right)?", told).group(1, 2)
+        if way == "turn":
+            aside -= float(degrees) * (1 if "to its right" in told else -1)
+        else:
+            down -= float(degrees) * (1 if way == "down" else -1)
+    raise AssertionError(told)
+
+
+@given(st.floats(15.0, 165.0))
+def test_the_angle_is_told_before_the_calibration(angle):
+    provisional = replace(calibrated_of(angle), provisional=True)
+    now = Situation(provisional, final=False, held=0.0)
+    rules = {each.rule for each in watched(now=now, really=turned_around(angle), seconds=2.5, every=5)}
+    assert ("angle" in rules) == (not 59.0 <= angle <= 121.0)
+    assert ("uncalibrated" in rules) != ("angle" in rules)
+
+
+def test_feet_out_of_view_make_no_mirror_image():
+    joints = standing(BODY) + (0.0, 1.0, 0.0)
+    for side in ("LEFT", "RIGHT"):
+        joints[BODY.joint(f"FOOT_{side}"), 2] += 0.3
+    assert "mirrored" not in {each.rule for each in watched(joints, seconds=6.0)}
+
+
 SHARED = {"angle", "distance", "error", "mirrored", "moved", "precision", "unconfirmed", "views"}
 """Rules that judge a set-up and a session."""
 
@@ -244,7 +285,7 @@ def test_coach_and_verdict_have_the_same_word_for_the_same_frames(angle, away, l
 
 @pytest.mark.parametrize("refined", [False, True])
 def test_views_that_differ_are_told_while_the_calibration_is_refined(refined):
-    moved = replace(A_FROM_B, translation=A_FROM_B.translation + (0.1, 0.0, 0.0))
+    moved = replace(A_FROM_B, translation=A_FROM_B.translation + (0.15, 0.0, 0.0))
     assert "views" in {each.rule for each in watched(really=moved, refined=refined)}
 
 
@@ -374,7 +415,7 @@ def test_ready_states_the_deviation_of_the_calibration():
 
 
 EXPECTED = {
-    "feet out of view": ("feet", "Feet out of view of A: tilt A down, or step back from it"),
+    "feet out of view": ("feet", "Feet out of view of A: tilt A down by 20°, or step back from it"),
     "mirrored B": ("mirrored", "B is the mirror image of a person: turn off mirroring in the driver of B"),
     "someone else": ("others", "Someone else is in view of "),
 }
