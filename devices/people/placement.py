@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from devices.pairing import clock_by_motion, median_interval, nearest_of
 from devices.people.tracks import Index, Tracks
 from fusion.body import Body
-from fusion.calibration.person_size import sizes_of
+from fusion.calibration.person_size import ANOTHER_SIZE, sizes_of
 from fusion.clocks import Clock
 from fusion.errors import CalibrationError
 from fusion.registration.rigid_fit import fit_recording, fit_rigid
@@ -32,7 +32,6 @@ _AGREE = 2.0  # times the mean distance of those who agree best: a pair of peopl
 _LEAST_FIT = 0.2  # of the skeletons that can have a partner
 _ANOTHER_RAD = 0.3  # registrations that differ by more are not of one kind
 _FEWEST_JOINTS = 5
-ANOTHER_SIZE = 0.15  # logarithm of the ratio of the sizes of two people
 _MOVED_M, _LEFT = 0.1, 0.1
 """Least rms movement; largest share of its variance that one placement of the sensors leaves unexplained."""
 

@@ -17,10 +17,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.people.placement import ANOTHER_SIZE, SAME_M, one_movement, sizes
+from devices.people.placement import SAME_M, one_movement, sizes
 from devices.people.recorded_people import Follow
 from devices.people.tracks import SPEED_M_S
 from fusion.body import Body
+from fusion.calibration.person_size import ANOTHER_SIZE
 from fusion.rigid import RigidTransform
 
 Place = Sequence[float]  # (3,) metres

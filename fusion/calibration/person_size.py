@@ -1,4 +1,8 @@
-"""Whose bones: the size of both skeletons tells that another person is there, at first or after a gap."""
+"""Whose bones: the size of both skeletons tells that another person is there.
+
+It is looked at closely at first and after a gap. Without a gap only a far other size is another person: a
+tracker may fit a body a tenth too small for seconds.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +22,7 @@ ANOTHER = 0.055
 """Logarithm of the scale at which a person is another one. Both views of one person are at most 4.4 % too
 large, or too small, together for 3 s in 21 real pairs of recordings."""
 _SAME = 0.03  # the same, of somebody who was there before
+ANOTHER_SIZE = 0.15  # the same, of who comes without a gap
 AWAY_NS = 1_000_000_000  # who was out of sight for longer may be somebody else
 _OWN, _MOST = 100, 600  # samples after which a person's size is their own mean, and over how many
 _USUAL_ERROR = 0.15  # of a bone; a larger one counts less and less
@@ -83,7 +88,9 @@ class PersonSize:
             self._mean += (0.5 * (a + b) - self._mean) / min(self._count, _MOST)
             if self._count >= _OWN:
                 self.people[self.present] = self._mean
-        if self._settled or len(recent) < _FEWEST or time_ns - recent[0][0] < _SHORTEST_NS:
+        least = ANOTHER_SIZE if self._settled else ANOTHER
+        near = self._settled and abs(0.5 * sum(recent[-1][1:]) - self.people[self.present]) < least
+        if near or len(recent) < _FEWEST or time_ns - recent[0][0] < _SHORTEST_NS:
             return False
         sizes = np.array(recent)[:, 1:]
         early, late = (float(np.median(half.mean(axis=1))) for half in np.array_split(sizes, 2))
@@ -92,11 +99,13 @@ class PersonSize:
         views = np.median(sizes, axis=0)
         size = float(views.mean())
         nearest = int(np.argmin(np.abs(np.array(self.people) - size)))
-        if nearest == self.present or abs(self.people[nearest] - size) > _SAME:
+        known = nearest != self.present and abs(self.people[nearest] - size) <= _SAME
+        if self._settled or not known:
             a, b = (views - self.people[self.present]).tolist()
-            if a * b <= 0.0 or min(abs(a), abs(b)) < ANOTHER:  # not both too large, or too small
-                self._settled = abs(a + b) <= 2.0 * _SAME
+            if a * b <= 0.0 or min(abs(a), abs(b)) < least:  # not both too large, or too small
+                self._settled = self._settled or abs(a + b) <= 2.0 * _SAME
                 return False
+        if not known:
             nearest = len(self.people)
             self.people.append(size)
         self.present, self.since_ns = nearest, recent[0][0]
