@@ -82,7 +82,9 @@ def _followed(
     tracks: tuple[Tracks, Tracks], placed: Placement, follow: Follow, ids: tuple[str | None, str | None]
 ) -> tuple[int, Both] | None:
     """The person to follow, and whose each skeleton is; None if both ids are not of one person."""
-    who, together = _everyone(*tracks, placed)
+    a, b = (of.people for of in tracks)
+    index = _moments_of(a, b, placed.time_b)
+    who, together = _everyone(*tracks, placed, index)
     if ids != (None, None):
         named = set()
         for of, whose, name in zip(tracks, who, ids, strict=True):
@@ -96,7 +98,9 @@ def _followed(
         return None
     angle = sum(_off_axis(of.places, whose, len(together)) for of, whose in zip(tracks, who, strict=True))
     person = int(np.argmin(np.where(together >= _SEEN_FOR[follow] * together.max(), angle, np.inf)))
-    times = tracks[0].people.time_ns[tracks[0].people.frame], placed.time_b[tracks[1].people.frame]
+    both, time_b = index[(index >= 0).all(axis=1)], placed.time_b.copy()
+    time_b[both[:, 1]] = a.time_ns[both[:, 0]]  # frames of one moment have one time
+    times = a.time_ns[a.frame], time_b[b.frame]
     for other in range(len(together)):  # who is seen longest comes first
         mine, theirs = (
             np.unique(np.concatenate([at[whose == k] for at, whose in zip(times, who, strict=True)]))
@@ -111,10 +115,9 @@ def _followed(
     return person, who
 
 
-def _everyone(a: Tracks, b: Tracks, placed: Placement) -> tuple[Both, Index]:
+def _everyone(a: Tracks, b: Tracks, placed: Placement, index: Index) -> tuple[Both, Index]:
     """Whose each skeleton is, as a :class:`Room` tells people apart, -1 for nobody's; and of each person the
     moments at which both views see them in one place. Who is seen longest comes first."""
-    index = _moments_of(a.people, b.people, placed.time_b)
     times = np.where(index[:, 0] >= 0, a.people.time_ns[index[:, 0]], placed.time_b[index[:, 1]])
     order = np.argsort(times, kind="stable")
     index, times = index[order], times[order]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -247,3 +247,16 @@ def test_a_child_who_comes_alone_after_a_helper_is_followed_after_two_seconds():
     seen, _ = live(frames)
     assert all(a is None for a, _ in seen[90:120])
     assert all(a is not None and b is not None for a, b in seen[125:])
+
+
+@given(st.floats(-0.5, 0.5))
+@example(0.2)
+def test_who_was_beside_the_person_is_not_followed_later_whenever_the_frames_are(off):
+    """B's frames are so many intervals later: it sees the other one first while A sees the person."""
+    off_ns, frames = round(off * FRAME_NS), []
+    for k in range(270):
+        one, other = ("1", walker(k)), ("2", walker(k, (1.6, 0.0, 0.6), 1))
+        a, b = frame_of(k, 0, [one if k < 150 else other]), frame_of(k, 1, [one if k < 90 else other])
+        frames.append((a, replace(b, time_ns=b.time_ns + off_ns)))
+    called = [({"1": 1, "2": 2},) * 2] * len(frames)
+    assert who_is(frames, recorded(frames), called)[:150] == [(None, None)] * 90 + [(None, 2)] * 60
