@@ -26,7 +26,8 @@ _KINDS = (
 )
 """First bytes of files that are often taken for a skeleton file, and what to say about them."""
 _MOST = 0.7  # of the rows: more are twice where times lost their digits, not of two people
-_LARGE = 1e9
+LARGE = 1e9
+"""Coordinates beyond it are errors, in any unit."""
 _FEWEST_NULS = 8  # bytes in a row that a power cut leaves; a single one may be a flipped bit
 
 
@@ -169,7 +170,7 @@ def _times_of_new_frames(rows: JointRows) -> NDArray[Any]:
 
 def digest(xyz: NDArray[Any]) -> NDArray[np.float64]:
     """(…) a number of each (…, 3) place, which tells it from others."""
-    return np.asarray(np.clip(np.nan_to_num(xyz), -_LARGE, _LARGE) @ (1.0, 0.7, 0.3))
+    return np.asarray(np.clip(np.nan_to_num(xyz), -LARGE, LARGE) @ (1.0, 0.7, 0.3))
 
 
 def _backward(rows: JointRows, frame: NDArray[np.int64], joint: NDArray[np.int64]) -> list[str]:

@@ -135,6 +135,32 @@ def test_in_whole_centimetres_feet_at_a_constant_place_are_unseen_and_a_calm_tru
     assert people or seen.all()
 
 
+@given(shares=st.lists(st.sampled_from([0.0, 0.6, 1.0]), min_size=1, max_size=3), rests=st.booleans())
+def test_joints_at_one_place_are_unseen_and_joints_at_rest_are_not(tmp_path, shares, rests):
+    """Of several people, in whole centimetres: the feet are in one place for a share of the frames, and all
+    but the arms rest, to 4 mm."""
+    rng, lines, expected = np.random.default_rng(0), [], []
+    arms = [name.startswith(("Elbow", "Wrist", "Hand", "Thumb")) for name in JOINTS]
+    sd = np.where(arms, 0.1, 0.004 if rests else 0.1)[:, None]
+    for person, share in enumerate(shares):
+        at = (
+            moving(KINECT_V2, 100)[: 1 if rests else None]
+            + person
+            + sd * rng.normal(size=(100, len(JOINTS), 3))
+        )
+        unseen = rng.permutation(100) < 100 * share
+        whole = np.rint(100.0 * at)
+        whole[np.ix_(unseen, FEET)] = 30, 90, 140
+        header, *rows = text(table(whole, 0, str(person))).splitlines()
+        lines += rows
+        expected.append(unseen)
+    found = read(tmp_path, "\n".join([header, *lines]) + "\n", unit="cm", axes="x,y,z")
+    for person, unseen in enumerate(expected):
+        seen = found.people.view((str(person),)).states > 0
+        np.testing.assert_array_equal(seen[:, FEET[0]], ~unseen)
+        assert np.delete(seen, FEET, axis=1).all()
+
+
 @pytest.mark.parametrize("unseen", [(0.0, 0.0, 0.0), (0.0, 0.0, 30.0), (0.0, 0.0, -1.0), (np.nan, 1.0, 2.0)])
 def test_a_mean_needs_all_its_points(tmp_path, unseen):
     header, *lines = text(table()).splitlines()
