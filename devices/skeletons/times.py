@@ -236,7 +236,8 @@ def _going_on(
 def moments_of(texts: list[str]) -> NDArray[np.int64] | None:
     """Nanoseconds of times such as 2026-11-25T12:30:00.033, 12:30:00.033 or .NET's 00:00:01.0333333.
 
-    A time of the day has no date, whatever stands before it. None if one of them is no time.
+    A time of the day has no date, whatever stands before it. Whole spans of 285 years go. None if one of them
+    is no time.
     """
     found = [_moment(text) for text in texts]
     return None if None in found else np.array(found, dtype=np.int64)
@@ -253,4 +254,5 @@ def _moment(text: str) -> int | None:
     with suppress(ValueError):
         date = datetime.fromisoformat(text)
         of_day += datetime.combine(date, time(), date.tzinfo or UTC) - datetime.fromtimestamp(0, UTC)
-    return of_day // timedelta(seconds=1) * 10**9 + int(decimals.ljust(9, "0")[:9])
+    ns = of_day // timedelta(seconds=1) * 10**9 + int(decimals.ljust(9, "0")[:9])
+    return ns if abs(ns) < 1000 * _LATEST_US else ns % (1000 * _LATEST_US)  # such as .NET's year 1

@@ -1,5 +1,6 @@
 """Laws of skeleton files: they hold for any file, not only for those of the other tests."""
 
+from datetime import datetime, timedelta
 from functools import cache
 
 import numpy as np
@@ -14,7 +15,7 @@ from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.meaning import MeaningError
 from devices.skeletons.name_tables import FilePoints
 from devices.skeletons.stated_format import AXES, METRES, SIGNED, StatedFormat, called_axes
-from devices.skeletons.times import FEWEST, capture_times
+from devices.skeletons.times import FEWEST, capture_times, moments_of
 from fusion.body import BODIES, KINECT_V2
 from fusion.rigid import RigidTransform
 from fusion.skeleton import FARTHEST_JOINT as FARTHEST
@@ -323,6 +324,14 @@ def test_stated_axes_are_tested_by_the_same_likelihood(tmp_path, capsys):
     }.items():
         assert duplex("fuse", *(path for path, *_ in files), "--axes", axes, "--no-viewer") == 2
         assert words in one_line(capsys)
+
+
+@given(st.datetimes(max_value=datetime(9999, 12, 31)), st.integers(1, 10**9))
+@example(datetime(1, 1, 1), 33_333)
+def test_times_of_any_year_go_on(moment, us):
+    """As .NET writes a time since a start: in the year 1."""
+    first, second = moments_of([of.isoformat() for of in (moment, moment + timedelta(microseconds=us))])
+    assert (second - first) % (9 * 10**18) == 1000 * us
 
 
 def test_positions_relative_to_the_person_are_refused_in_these_words(tmp_path):
