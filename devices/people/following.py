@@ -12,7 +12,7 @@ from devices.events import Event
 from devices.frame_pairs import FramePair
 from devices.people.placement import Placement, search_placement
 from devices.people.recorded_people import Follow, RecordedPeople
-from devices.people.room import HOLD_NS, NOBODY, SECOND, Room, Seen
+from devices.people.room import HOLD_NS, NO_FRAME, NOBODY, SECOND, Room, Seen
 from devices.people.tracks import Numbering, Tracks
 from devices.sensor import SensorFrame
 from fusion.body import Body
@@ -79,7 +79,7 @@ class PersonOfPair:
 
     def _seen(self, view: int, frame: SensorFrame | None) -> Seen:
         if frame is None:
-            return NOBODY
+            return NO_FRAME
         found = self._tracks[view].of(frame.time_ns, frame.people.values())
         joints = (person.positions for person in frame.people.values())
         each = [of for of in zip(frame.people, joints, *found, strict=True) if of[2] >= 0]

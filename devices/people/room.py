@@ -52,7 +52,7 @@ class Seen:
     places: Sequence[Place]  # in the sensor's frame
 
 
-NOBODY = Seen((), (), (), (), ())
+NOBODY, NO_FRAME = Seen((), (), (), (), ()), Seen((), (), (), (), ())
 
 
 @dataclass(eq=False, slots=True)
@@ -75,6 +75,7 @@ class Person:
     size: float = math.nan  # logarithm of the scale of an adult
     beside: bool = False  # whether seen while the person followed was
     measured: int = 0  # frames in which they were seen
+    paired: int = 0  # the same, of which both views have a frame
     together: int = 0  # the same, by both views in one place
     into: Person | None = None  # who they turned out to be
 
@@ -230,6 +231,7 @@ class Room:
 
     def _measure(self, person: Person) -> None:
         person.measured += 1
+        person.paired += not any(of is NO_FRAME for of in self._seen)
         for view, sight in enumerate(person.sights):
             if sight.now is None:
                 continue
@@ -308,6 +310,7 @@ class Room:
         one.size = other.size if math.isnan(one.size) else one.size
         one.together += other.together
         one.beside, one.measured = one.beside or other.beside, max(one.measured, other.measured)
+        one.paired = max(one.paired, other.paired)
         other.into = one
         self.people.remove(other)
 
@@ -323,7 +326,7 @@ class Room:
             elif followed.together or self._a_from_b is None or self._time_ns - followed.begun_ns < HOLD_NS:
                 return
             else:  # one view has always had somebody whom the other does not see, such as a mirror image
-                here = [person for person in here if 2 * person.together > followed.measured]
+                here = [person for person in here if 2 * person.together > followed.paired]
                 changed = True
         elif followed is not None:
             away_ns = self._time_ns - followed.seen_ns

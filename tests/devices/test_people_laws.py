@@ -260,3 +260,17 @@ def test_who_was_beside_the_person_is_not_followed_later_whenever_the_frames_are
         frames.append((a, replace(b, time_ns=b.time_ns + off_ns)))
     called = [({"1": 1, "2": 2},) * 2] * len(frames)
     assert who_is(frames, recorded(frames), called)[:150] == [(None, None)] * 90 + [(None, 2)] * 60
+
+
+@pytest.mark.parametrize("every", [1, 2, 3])
+def test_a_mirror_image_that_was_seen_first_is_left_for_the_person(every):
+    """Also where B has fewer frames than A."""
+    people, chosen = PersonOfPair(BODY), []
+    for k in range(240):
+        seen = [("1", walker(k))] if k >= 60 else []
+        a, b = frame_of(k, 0, [("77", image_of(walker(k))), *seen]), frame_of(k, 1, seen)
+        b = None if k % every else b
+        one = people.chosen(FramePair(a, b, SkeletonPair(None, None, a.time_ns, 0)), A_FROM_B).skeletons.a
+        chosen.append(one is a.people.get("1") is not None)
+    assert not any(chosen[:60])
+    assert all(chosen[-60:])
