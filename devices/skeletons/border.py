@@ -13,7 +13,7 @@ from devices.people.recorded_people import RecordedPeople
 from devices.sensor import DeviceError
 from devices.skeletons.likelihood import axes_likelihood, is_relative
 from devices.skeletons.meaning import Evidence, Meaning, said
-from devices.skeletons.read_file import FoundPoints
+from devices.skeletons.read_file import FoundPoints, digest
 from devices.skeletons.repetition import kept_places, logged_again, repeats_of
 from devices.skeletons.stated_format import UNSTATED, StatedFormat, Unit
 from fusion.body import Body
@@ -60,7 +60,7 @@ class Look:
 
 
 def look(path: Path, found: FoundPoints, stated: StatedFormat = UNSTATED) -> Look:
-    """What a file tells of its meaning, by frames of the person who is seen most often.
+    """What a file tells of its meaning, by frames of the person of whom most joints are seen.
 
     A point is not seen where its state says so, where a coordinate is NaN or all are 0, and where it keeps
     its place to the last digit while the others move. Frames that repeat the one before, as where a program
@@ -69,11 +69,13 @@ def look(path: Path, found: FoundPoints, stated: StatedFormat = UNSTATED) -> Loo
     repeats = repeats_of(found)
     drop, told = logged_again(path, found, repeats)
     keeps, about_places = kept_places(path, found, repeats)
-    rows = np.zeros(0, dtype=np.int64)
-    if len(found.person):
-        counts = np.bincount(found.person)
-        rows = np.flatnonzero(found.person == len(counts) - 1 - np.argmax(counts[::-1]))
-        rows = rows[np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).astype(np.int64)]
+    seen = np.zeros(len(found.person))
+    for part in parts(len(seen)):  # programs log bodies although nobody is there
+        seen[part] = ((digest(found.view.positions[part]) != 0.0) & (found.view.states[part] > 0)).sum(axis=1)
+    seen[repeats] = 0.0
+    most = np.bincount(found.person, seen, minlength=1).argmax()
+    rows = np.flatnonzero((found.person == most) & (seen > 0.0))
+    rows = rows[np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).astype(np.int64)]
     body = found.points.body
     at, _ = found.points.joints(_seen(found.view, keeps, rows), found.view.states[rows])
     seconds = np.asarray(found.time_ns[found.frame[rows]] * 1e-9, dtype=np.float64)

@@ -135,6 +135,21 @@ def test_in_whole_centimetres_feet_at_a_constant_place_are_unseen_and_a_calm_tru
     assert people or seen.all()
 
 
+@given(
+    slots=st.lists(st.sampled_from([0.0, np.nan, -1.0]), max_size=5),
+    first=st.booleans(),
+    unit=st.sampled_from([*UNITS]),
+)
+def test_slots_of_nobody_do_not_hide_the_axes_and_the_unit_of_the_person(tmp_path, slots, first, unit):
+    """Programs log six bodies, whoever is there."""
+    scale, digits = UNITS[unit]
+    people = [scale * TRUE * (-1.0, -1.0, 1.0), *(np.full_like(TRUE, of) for of in slots)]
+    files = [text(table(at, digits, str(k))) for k, at in enumerate(people)]
+    header, rows = files[0].partition("\n")[0], [of.partition("\n")[2] for of in files]
+    found = read(tmp_path, header + "\n" + "".join(rows if first else rows[::-1])).people
+    np.testing.assert_allclose(found.view(("0",)).positions, TRUE, atol=1e-3)
+
+
 @given(shares=st.lists(st.sampled_from([0.0, 0.6, 1.0]), min_size=1, max_size=3), rests=st.booleans())
 def test_joints_at_one_place_are_unseen_and_joints_at_rest_are_not(tmp_path, shares, rests):
     """Of several people, in whole centimetres: the feet are in one place for a share of the frames, and all
