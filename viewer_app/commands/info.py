@@ -28,7 +28,7 @@ from recordings.session import Session
 from viewer_app.options.sessions import InfoOptions
 from viewer_app.output_console import output_console
 from viewer_app.report.events import list_events
-from viewer_app.report.terminal import print_events
+from viewer_app.report.terminal import in_shell, print_events
 from viewer_app.report.words import calibration_in_words, in_percent
 
 Rows = Iterator[tuple[str, object]]
@@ -143,11 +143,15 @@ def _of_skeletons(path: Path, read: ReadFile, stated: StatedFormat) -> Rows:
     for k, line in enumerate(read.warnings):
         yield "" if k else "note", line.removeprefix(f"{path}: ")
     both = path.suffix.lower() == ".csv" and has_several_sensors(path)
-    other = path if both else f"OTHER{path.suffix}"
-    yield "fuse it", f"duplex fuse {path} {other}{_options(read, stated)} --save s.rrd"
+    yield _command(path, str(path) if both else "", *_options(read, stated))
 
 
-def _options(read: ReadFile, stated: StatedFormat) -> str:
+def _command(path: Path, other: str = "", *options: str) -> tuple[str, str]:
+    words = ["duplex", "fuse", str(path), other or f"OTHER{path.suffix}", *options, "--save", "s.rrd"]
+    return "fuse it", in_shell(words)
+
+
+def _options(read: ReadFile, stated: StatedFormat) -> list[str]:
     """The options that state how the file is read, where that is not the default."""
     unit, axes = read.meaning.unit, read.meaning.axes
     options = {
@@ -155,7 +159,7 @@ def _options(read: ReadFile, stated: StatedFormat) -> str:
         "axes": called_axes(axes) if axes != OWN_AXES or stated.axes else "",
         "names": stated.names or read.names,
     }
-    return "".join(f" --{name}-a {value}" for name, value in options.items() if value)
+    return [word for name, value in options.items() if value for word in (f"--{name}-a", value)]
 
 
 def _likely(of: Any) -> Rows:
@@ -187,7 +191,7 @@ def _of_images(path: Path) -> Rows:
         yield "people", "found by a body tracker while the file is fused"
         for k, line in enumerate(recording.warnings):
             yield "" if k else "note", line
-    yield "fuse it", f"duplex fuse {path} OTHER{path.suffix} --save s.rrd"
+    yield _command(path)
 
 
 def _of_motion_capture(path: Path, truth: TruthFile) -> Rows:

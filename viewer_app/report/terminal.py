@@ -73,13 +73,18 @@ def say_saved(console: Console, path: Path) -> None:
     program = str(called) if called.name.startswith("duplex") and not on_path else "duplex"
     page = [] if has_display() else ["--html", str(path.with_suffix(".html"))]
     words = [program, "review", str(path), *page]
-    command = subprocess.list2cmdline(words) if sys.platform == "win32" else shlex.join(words)
+    command = in_shell(words)
     # a command must be copied in one piece: no wrapping
     console.print(
         f"{'Saved':{_LABEL_WIDTH}}{path}, {_in_bytes(path.stat().st_size)}. To look at it: {command}",
         markup=False,
         soft_wrap=True,
     )
+
+
+def in_shell(words: Sequence[str]) -> str:
+    """A command as it is typed."""
+    return subprocess.list2cmdline(words) if sys.platform == "win32" else shlex.join(words)
 
 
 def _in_bytes(size: int) -> str:

@@ -1,5 +1,6 @@
 """Laws of skeleton files: they hold for any file, not only for those of the other tests."""
 
+import shlex
 from datetime import datetime, timedelta
 from functools import cache
 
@@ -292,13 +293,13 @@ def test_one_file_of_who_lies_is_read_right_or_refused_with_the_options(tmp_path
 )  # fmt: skip
 def test_what_info_proposes_works(tmp_path, capsys, axes, unit, names, time, without):
     """And where nothing is clear, it proposes nothing."""
-    (a, *_), (b, *_) = written(
-        tmp_path, "walk", "kinect_v2", without, axes, unit=unit, time=time, names=names
-    )
+    folder = tmp_path / "of two sensors"
+    folder.mkdir(exist_ok=True)
+    (a, *_), (b, *_) = written(folder, "walk", "kinect_v2", without, axes, unit=unit, time=time, names=names)
     capsys.readouterr()
     code = duplex("info", a)
     out = capsys.readouterr().out
-    commands = [line.split() for line in out.splitlines() if "duplex fuse" in line]
+    commands = [shlex.split(line) for line in out.splitlines() if "duplex fuse" in line]
     assert len(commands) == (code == 0)
     assert "likely axes" in out
     assert "likely unit" in out
