@@ -25,10 +25,9 @@ def repeats_of(found: FoundPoints) -> NDArray[np.bool_]:
     near = (found.person[before] == found.person[after]) & (found.frame[before] + 1 == found.frame[after])
     before, after = before[near], after[near]
     for part in parts(len(after)):
-        of, one, other = found.view, *(found.view.positions[k[part]] for k in (before, after))
-        states = (of.states[before[part]] == of.states[after[part]]).all(axis=1)
+        one, other = (found.view.positions[k[part]] for k in (before, after))
         same = (one == other) | (np.isnan(one) & np.isnan(other))
-        repeats[after[part]] = same.all(axis=(1, 2)) & states
+        repeats[after[part]] = same.all(axis=(1, 2))
     return repeats
 
 

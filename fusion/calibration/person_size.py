@@ -99,13 +99,11 @@ class PersonSize:
         views = np.median(sizes, axis=0)
         size = float(views.mean())
         nearest = int(np.argmin(np.abs(np.array(self.people) - size)))
-        known = nearest != self.present and abs(self.people[nearest] - size) <= _SAME
-        if self._settled or not known:
+        if nearest == self.present or abs(self.people[nearest] - size) > _SAME:
             a, b = (views - self.people[self.present]).tolist()
             if a * b <= 0.0 or min(abs(a), abs(b)) < least:  # not both too large, or too small
                 self._settled = self._settled or abs(a + b) <= 2.0 * _SAME
                 return False
-        if not known:
             nearest = len(self.people)
             self.people.append(size)
         self.present, self.since_ns = nearest, recent[0][0]

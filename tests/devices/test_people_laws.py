@@ -274,3 +274,15 @@ def test_a_mirror_image_that_was_seen_first_is_left_for_the_person(every):
         chosen.append(one is a.people.get("1") is not None)
     assert not any(chosen[:60])
     assert all(chosen[-60:])
+
+
+def test_a_child_who_comes_after_the_person_is_followed_after_two_seconds_in_a_recording():
+    """With somebody else at first: of people who were never seen at once, the next is followed at once."""
+    frames, child = [], walker(0).mean(axis=0)
+    for k in range(270):
+        seen = [("1", walker(k))] if k < 150 else []
+        seen += [("3", walker(k, (1.6, 0.0, 0.6), 1))] if k < 20 else []
+        seen += [("2", child + 0.65 * (walker(k) - child))] if k >= 190 else []
+        frames.append((frame_of(k, 0, seen), frame_of(k, 1, seen)))
+    found = who_is(frames, recorded(frames), [({"1": 1, "2": 2, "3": 3},) * 2] * len(frames))
+    assert found == [(1, 1)] * 150 + [(None, None)] * 60 + [(2, 2)] * 60

@@ -176,6 +176,18 @@ def test_joints_at_one_place_are_unseen_and_joints_at_rest_are_not(tmp_path, sha
         assert np.delete(seen, FEET, axis=1).all()
 
 
+def test_many_ids_of_a_tracker_count_no_rows(tmp_path):
+    rows = table()
+    rows["body"] = [str(k // (2 * len(JOINTS))) for k in range(len(rows["body"]))]
+    assert len(read(tmp_path, text(rows)).people.ids) == FRAMES // 2
+
+
+def test_a_person_of_whom_only_the_hands_move_is_seen_whole(tmp_path):
+    still = np.array([not name.startswith(("Hand", "Thumb")) for name in JOINTS])
+    at = np.where(still[:, None], TRUE[0], TRUE)
+    assert read(tmp_path, text(table(at)), axes="x,y,z").people.skeletons.states.all()
+
+
 @pytest.mark.parametrize("unseen", [(0.0, 0.0, 0.0), (0.0, 0.0, 30.0), (0.0, 0.0, -1.0), (np.nan, 1.0, 2.0)])
 def test_a_mean_needs_all_its_points(tmp_path, unseen):
     header, *lines = text(table()).splitlines()

@@ -16,7 +16,7 @@ from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.meaning import MeaningError
 from devices.skeletons.name_tables import FilePoints
 from devices.skeletons.stated_format import AXES, METRES, SIGNED, StatedFormat, called_axes
-from devices.skeletons.times import FEWEST, capture_times, moments_of
+from devices.skeletons.times import FEWEST, TIME_COLUMNS, capture_times, find_time_unit, moments_of
 from fusion.body import BODIES, KINECT_V2
 from fusion.rigid import RigidTransform
 from fusion.skeleton import FARTHEST_JOINT as FARTHEST
@@ -325,6 +325,14 @@ def test_stated_axes_are_tested_by_the_same_likelihood(tmp_path, capsys):
     }.items():
         assert duplex("fuse", *(path for path, *_ in files), "--axes", axes, "--no-viewer") == 2
         assert words in one_line(capsys)
+
+
+@given(
+    st.sampled_from([5, 15, 30, 60, 90]), st.sampled_from([name for name in TIME_COLUMNS if name != "time"])
+)
+def test_the_rate_of_a_sensor_is_told_of_no_other_unit(rate, column):
+    times = np.arange(30) / rate * 1e6 / TIME_COLUMNS[column][0]
+    assert find_time_unit("a", column, times) == (TIME_COLUMNS[column][0], "", [])
 
 
 @given(st.datetimes(max_value=datetime(9999, 12, 31)), st.integers(1, 10**9))

@@ -94,6 +94,29 @@ def test_a_trackers_wandering_scale_is_nobody_else(seed, scale_sd, lasting_s, us
         assert not size.observe(k * STEP_NS, *(usual + sizes).tolist())
 
 
+def told(*spans):
+    """In which spans somebody else is told: seconds away, then seconds of the sizes in both views."""
+    size, time_ns, found = PersonSize(), 0, []
+    for away_s, seconds, *sizes in spans:
+        time_ns += round(away_s * SECOND)
+        found.append(sum(size.observe(time_ns + k * STEP_NS, *sizes) for k in range(10 * seconds)) > 0)
+        time_ns += 10 * seconds * STEP_NS
+    return found
+
+
+@given(st.floats(0.07, 0.4), st.sampled_from([-1.0, 1.0]), st.floats(0.0, 9.0), st.booleans())
+def test_another_person_is_who_both_views_show_whenever_they_do(off, sign, away_s, first_a):
+    """One view alone shows a tracker's error; it is waited for until both do."""
+    one = (sign * off, 0.0) if first_a else (0.0, sign * off)
+    assert told((0.0, 5, *one), (0.0, 5, sign * off, sign * off)) == [False, True]
+    assert told((0.0, 5, 0.0, 0.0), (away_s, 5, *one)) == [False, False]
+
+
+@given(st.floats(0.015, 0.03), st.sampled_from([-1.0, 1.0]))
+def test_another_person_is_told_by_who_was_there_not_by_the_first_bones(usual, sign):
+    assert told((0.0, 14, *[sign * usual] * 2), (2.0, 5, *[sign * (usual - 0.062)] * 2)) == [False, True]
+
+
 @COSTLY
 @given(
     st.one_of(st.just(1.0), scales),
