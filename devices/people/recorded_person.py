@@ -69,8 +69,8 @@ def follow_one_person(
         for of, each, side in zip(people, rows, "AB", strict=True)
         if len(each)
     )
-    line = f"{len(counted)} people are" if several else "1 person is"
-    line += f" seen, {_has(reads)}. The one followed is {names}"
+    how_many = f"{len(counted)} people are" if several else "1 person is"
+    line = f"{how_many} seen, {_has(reads)}. The one followed is {names}"
     line += f"; {_choose(reads)} another." if None in ids else "."
     if several and follow == "longest" and ids == (None, None):
         line += " That one is seen longest; `follow=middle` follows the one nearest the middle of the views."
