@@ -48,7 +48,7 @@ class Step(NamedTuple):
     """Radians by which the direction of walking turned since then; NaN for the first of a walk."""
     clearance: float = math.nan
     """Metres that the toes rise from their lowest to their highest place in the swing; NaN if its beginning
-    was not seen."""
+    or the toes were not seen."""
     clearance_sigma: float = math.nan
     """Its uncertainty, one standard deviation."""
 

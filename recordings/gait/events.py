@@ -103,8 +103,9 @@ def _strikes(part: Part) -> tuple[list[Step], list[tuple[float, str]]]:
             i = int(np.searchsorted(backs, front))
             before = int(backs[i - 1]) if i else 0
             k = before + int(np.argmax(ankle[before : backs[i] if i < len(backs) else len(t)]))
-            apart = part.ankles[side, k] - part.ankles[1 - side, k]
-            length = float(apart @ direction[k])
+            at = min(k + round(_LABELLED * RATE), len(t) - 1)  # the strike
+            apart = part.ankles[side, at] - part.ankles[1 - side, at]
+            length = float(apart @ direction[at])
             if not 0 < k < len(t) - 1 or not walking[k] or length < _SHORTEST_STEP * part.leg:
                 continue
             strike, toe_off, clearance = _turn(part, ankle, errors[0], k), UNKNOWN, UNKNOWN
@@ -113,7 +114,8 @@ def _strikes(part: Part) -> tuple[list[Step], list[tuple[float, str]]]:
                 toe_off = _toe_off(part, toes, errors[1], before, half)
                 swing = slice(max(before - half, 0), k + 1)
                 error = math.sqrt(2.0) * float(np.mean(part.toe_errors[side, swing]))
-                clearance = Measured(float(np.ptp(part.toe_heights[side, swing])), error)
+                risen = float(np.ptp(part.toe_heights[side, swing]))
+                clearance = Measured(risen, error + 0.0 * risen)
             found.append(
                 Step(
                     side=SIDES[side],
@@ -124,10 +126,10 @@ def _strikes(part: Part) -> tuple[list[Step], list[tuple[float, str]]]:
                     toe_off_sigma=toe_off.sigma,
                     seconds=math.nan,
                     length=length,
-                    length_sigma=math.hypot(*part.ankle_errors[:, k]),
-                    width=float(apart @ (-direction[k, 1], direction[k, 0])) * (1.0 - 2.0 * side),
-                    progress=float(way[k]),
-                    turned=float(heading[k]),
+                    length_sigma=math.hypot(*part.ankle_errors[:, at]),
+                    width=float(apart @ (-direction[at, 1], direction[at, 0])) * (1.0 - 2.0 * side),
+                    progress=float(way[at]),
+                    turned=float(heading[at]),
                     clearance=clearance.value,
                     clearance_sigma=clearance.sigma,
                 )

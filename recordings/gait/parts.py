@@ -43,7 +43,7 @@ class Part(NamedTuple):
     pelvis: Array  # (n, 2)
     ankles: Array  # (2, n, 2)
     toes: Array  # (2, n, 2); the ankles where toes are unknown
-    toe_heights: Array  # (2, n) metres
+    toe_heights: Array  # (2, n) metres; NaN where toes are unknown
     pelvis_error: Array  # (n,)
     ankle_errors: Array  # (2, n)
     toe_errors: Array  # (2, n)
@@ -71,7 +71,8 @@ def parts_of(
     if sigma is not None:
         errors = np.asarray(sigma, dtype=np.float64)[:, joints] / math.sqrt(3.0)
     points[~(np.abs(points) < _FARTHEST).all(axis=2)] = np.nan  # a damaged file has any numbers
-    points[:, 6:] = np.where(np.isnan(points[:, 6:]), points[:, 4:6], points[:, 6:])
+    hidden = np.isnan(points[:, 6:]).any(axis=2)
+    points[:, 6:] = np.where(hidden[..., None], points[:, 4:6], points[:, 6:])
     facing = np.cross(np.nan_to_num(points[:, 0:4:2] - points[:, 1:4:2]).sum(axis=1), up)
     ground = np.stack([0.5 * (points[:, 0] + points[:, 1]), facing, *points[:, 4:].swapaxes(0, 1)], axis=1)
     legs = np.linalg.norm(points[:, :2] - points[:, 4:6], axis=2).mean(axis=1)
@@ -92,6 +93,7 @@ def parts_of(
         of_trunk, of_feet = np.split(
             np.array([np.interp(t, seconds[part], column) for column in columns[part, 14:].T]), [4]
         )
+        lost = np.array([np.interp(t, seconds[part], of_foot) for of_foot in hidden[part].T]) > 0.0
         velocity = np.gradient(pelvis, 1.0 / RATE, axis=0)
         mean = _smoothed(velocity)
         direction = mean / np.maximum(np.linalg.norm(mean, axis=1), 1e-9)[:, None]
@@ -107,7 +109,7 @@ def parts_of(
             pelvis,
             np.array(feet[:2]),
             np.array(feet[2:]),
-            heights.T,
+            np.where(lost, np.nan, heights.T),
             0.5 * np.hypot(*of_trunk[:2]),
             of_feet[:2],
             of_feet[2:],

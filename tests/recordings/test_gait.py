@@ -298,6 +298,14 @@ def test_a_slower_walk_has_the_same_steps_later(how, slower):
     np.testing.assert_allclose(events(slow)[inner], slower * events(whole)[inner], atol=0.05)
 
 
+@given(st.floats(0.15, 1.6), st.floats(0.95, 2.0), st.floats(0.58, 0.75))
+def test_a_step_is_as_long_as_the_feet_are_apart_at_its_strike(speed, stride, stance):
+    """A stride is two steps. Of a swing with minimum jerk up to 2 % is left, or the next step has begun."""
+    times, joints = walker(10.0, RATE, speed=speed, stride=stride, stance=stance)
+    lengths = [step.length for step in find_gait(AZURE_KINECT, times, joints, UP).steps[1:-1]]
+    assert np.mean(lengths) == pytest.approx(0.5 * speed * stride, rel=0.02)
+
+
 @given(st.floats(0.3, 1.4), st.floats(-1.0, 1.0))
 def test_the_steps_are_as_wide_as_the_feet_are_apart_in_curves_too(speed, turning):
     times, joints = walker(10.0, RATE, speed=speed, turning=turning)  # ankles 0.16 m apart
@@ -508,6 +516,18 @@ def test_somebody_without_shoulders_or_toes_walks_too():
         lacking[:, [AZURE_KINECT.joint(f"{part}{side}") for side in ("Left", "Right")]] = np.nan
         steps = find_gait(AZURE_KINECT, times, lacking, UP).steps
         np.testing.assert_allclose([s.strike for s in steps], [s.strike for s in whole.steps], atol=1e-6)
+        # ankles, which stand in for toes, rise elsewhere
+        assert np.isfinite([s.clearance for s in steps[2:]]).all() == (part == "Shoulder")
+
+
+def test_a_swing_in_which_toes_were_lost_has_no_clearance():
+    times, joints = walker(8.0, RATE, rises=0.05)
+    first, *later = find_gait(AZURE_KINECT, times, joints, UP).of_side("left")[1:]
+    swings = times[:, None] * 1e-9 - [first.toe_off + 0.1, first.strike - 0.1]
+    joints[(swings[:, 0] > 0.0) & (swings[:, 1] < 0.0), AZURE_KINECT.joint("FootLeft")] = np.nan
+    cut, *others = find_gait(AZURE_KINECT, times, joints, UP).of_side("left")[1:]
+    assert np.isnan([cut.clearance, cut.clearance_sigma]).all()
+    np.testing.assert_allclose([s.clearance for s in others], [s.clearance for s in later], atol=1e-3)
 
 
 def test_two_frames_of_one_moment_are_one():
