@@ -448,53 +448,6 @@ def test_a_slow_walker_of_a_laboratory_takes_all_labelled_steps(shortened, stret
     assert np.mean([gait.stance(side) for side in SIDES]) == pytest.approx(share, abs=0.02)
 
 
-@pytest.mark.parametrize("rate", [15.0, 30.0, 100.0])
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_strikes_and_toe_offs_are_those_of_laboratories(shared, rate, noise):
-    """Of seven labelled walks overground, but for the ends of a file; and of none on a treadmill."""
-    path = shared / "labelled_walks" / "walks.npz"
-    if not path.is_file():
-        pytest.skip(f"no labelled walks at {path}")
-    walks, random = np.load(path), np.random.default_rng(3)
-    names = [name.removesuffix("_joints") for name in walks.files if name.endswith("_joints")]
-    off = {"strike": [], "toe_off": []}
-    missed = 0
-    for name in names:
-        seconds, points = walks[f"{name}_seconds"], walks[f"{name}_joints"].astype(np.float64)
-        times = np.arange(seconds[0], seconds[-1], 1.0 / rate)
-        joints = np.full((len(times), len(AZURE_KINECT), 3), np.nan)
-        for k, joint in enumerate(f"{p}{s}" for p in PARTS for s in ("Left", "Right")):
-            known = np.isfinite(points[:, k]).all(axis=1)
-            place = [np.interp(times, seconds[known], along[known]) for along in points[:, k].T]
-            joints[:, AZURE_KINECT.joint(joint)] = np.stack(place, axis=1)
-        joints += random.normal(0.0, noise, joints.shape)
-        sigma = np.full(joints.shape[:2], np.sqrt(3.0) * noise)
-        gait = find_gait(AZURE_KINECT, np.rint(1e9 * times).astype(np.int64), joints, (0, 0, 1), sigma)
-        if "treadmill" in name:
-            assert gait.steps == ()
-            continue
-        for side in SIDES:
-            for kind, errors in off.items():
-                labels = walks[f"{name}_{kind}s_{side}"]
-                found = [(getattr(s, kind), getattr(s, f"{kind}_sigma")) for s in gait.of_side(side)]
-                within = [each for each in found if labels[0] - 0.2 < each[0] < labels[-1] + 0.2]
-                nearest = [int(np.abs(labels - at).argmin()) for at, _ in within]
-                assert len(set(nearest)) == len(nearest)  # none is invented
-                errors += [(at - labels[k], of) for (at, of), k in zip(within, nearest, strict=True)]
-            inner = walks[f"{name}_strikes_{side}"]
-            inner = inner[(inner > times[0] + 0.3) & (inner < times[-1] - 0.3)]
-            found = np.array([step.strike for step in gait.of_side(side)])
-            missed += sum(np.abs(found - label).min() > 0.15 for label in inner)
-    assert missed == 0
-    for errors in map(np.array, off.values()):
-        assert len(errors) > 25
-        assert abs(errors[:, 0].mean()) < 0.015
-        assert np.mean(np.abs(errors[:, 0]) < 2.5 * errors[:, 1]) >= 0.95
-
-
-PARTS = "Hip", "Shoulder", "Ankle", "Foot"
-
-
 @given(st.fixed_dictionaries(WALKS), st.floats(0.02, 0.2), st.integers(0, 2**32 - 1))
 def test_the_clearance_is_how_far_toes_rise_in_a_swing(how, rises, seed):
     """Within its uncertainty, besides what is filtered out of a short swing and what noise adds."""
