@@ -71,7 +71,7 @@ def parts_of(
     if sigma is not None:
         errors = np.asarray(sigma, dtype=np.float64)[:, joints] / math.sqrt(3.0)
     points[~(np.abs(points) < _FARTHEST).all(axis=2)] = np.nan  # a damaged file has any numbers
-    hidden = np.isnan(points[:, 6:]).any(axis=2)
+    hidden = np.asarray(np.isnan(points[:, 6:]).any(axis=2))
     points[:, 6:] = np.where(hidden[..., None], points[:, 4:6], points[:, 6:])
     facing = np.cross(np.nan_to_num(points[:, 0:4:2] - points[:, 1:4:2]).sum(axis=1), up)
     ground = np.stack([0.5 * (points[:, 0] + points[:, 1]), facing, *points[:, 4:].swapaxes(0, 1)], axis=1)

@@ -38,6 +38,7 @@ from tests.helpers.command_line import duplex
 from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import GAP, record_fused, record_with_a_gap
+from tests.helpers.laws import COSTLY
 from tests.helpers.machine import lacks
 from tests.helpers.motion_capture import captured, true_positions
 from tests.helpers.poses import posed
@@ -461,7 +462,7 @@ def test_npz_has_every_array(session):
         assert tuple(arrays["joints"]) == session.body.joints
 
 
-def test_trc_is_in_millimetres_x_forward_y_up(session):
+def test_trc_is_in_millimetres_and_has_a_rate(session):
     pandas = pytest.importorskip("pandas")
     path = exported(session, "s.trc")
     lines = path.read_text(encoding="utf-8").split("\n")
@@ -471,12 +472,7 @@ def test_trc_is_in_millimetres_x_forward_y_up(session):
     assert float(head["DataRate"]) == session.frame_rate == 30.0
     assert [name for name in lines[3].split("\t")[2:] if name] == list(session.body.joints)
     table = pandas.read_csv(path, sep="\t", skiprows=6, header=None, skip_blank_lines=False)
-    joints = table.iloc[:, 2:].to_numpy(dtype=float).reshape(len(moments), -1, 3)
-    expected = positions_at(session.rows, moments)
-    present = np.isfinite(expected).all(axis=(1, 2))
-    right, up, towards = np.moveaxis(1e3 * on_floor(session, expected[present]), -1, 0)
-    np.testing.assert_allclose(joints[present], np.stack([towards, up, -right], axis=-1), atol=1e-4)
-    assert np.isfinite(joints).all()  # three frames are no long gap
+    assert np.isfinite(table.to_numpy()).all()  # three frames are no long gap
     np.testing.assert_allclose(table[1], moments * 1e-9, atol=1e-6)
     first = int(head["OrigDataStartFrame"])
     assert table[0].tolist() == list(range(first, first + len(moments)))
@@ -486,24 +482,50 @@ def test_c3d_is_read_by_another_library(session):
     pytest.importorskip("ezc3d")
     c3d = pytest.importorskip("c3d")
     path = exported(session, "s.c3d")
-    even = even_moments(session.rows)
-    recorded = dict(zip(session.rows.time_ns.tolist(), range(len(session)), strict=True))
     with path.open("rb") as file:
         reader = c3d.Reader(file)
         assert reader.point_rate == 30.0
         assert reader.get("POINT").get("UNITS").string_value.strip() == "mm"
         assert [label.strip() for label in reader.point_labels] == list(session.body.joints)
-        frames = [points for _, points, _ in reader.read_frames()]
-    assert len(frames) == len(even.time_ns)
-    for points, at, time_ns in zip(
-        frames, session.at(1e-9 * even.time_ns), even.time_ns.tolist(), strict=True
-    ):
-        if recorded.get(time_ns) in GAP or np.isnan(at).any():
-            assert (points[:, 3] == -1).all()
-            continue
-        right, up, towards = 1e3 * on_floor(session, at).T
-        expected = np.stack([right, -towards, up], axis=1)
-        np.testing.assert_allclose(points[:, :3], expected, atol=1e-3)  # float32, metres
+        assert len(list(reader.read_frames())) == len(even_moments(session.rows).time_ns)
+
+
+def _of_trc(path):
+    return 1e-3 * np.loadtxt(path, skiprows=6)[:, 2:].reshape(-1, len(KINECT_V2), 3) @ _AXES["trc"]
+
+
+def _of_c3d(path):
+    points = pytest.importorskip("ezc3d").c3d(str(path))["data"]["points"]
+    return 1e-3 * points[:3].transpose(2, 1, 0) @ _AXES["c3d"]
+
+
+_AXES = {
+    "trc": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),  # forwards, up, right
+    "c3d": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),  # right, forwards, up
+}
+"""From a file's axes to right, up and towards the sensor."""
+
+
+@COSTLY
+@given(data=st.data())
+def test_an_export_read_by_another_reader_puts_every_joint_in_its_place(data, tmp_path_factory):
+    """Whenever somebody is there: markers between frames too, animations hold the last pose."""
+    session, folder = uneven(_walk(), data.draw), tmp_path_factory.mktemp("s")
+    moments = even_moments(session.rows).time_ns
+    there = positions_at(session.rows, moments)
+    for name, read in (("s.trc", _of_trc), ("s.c3d", _of_c3d)):
+        session.export(folder / name)
+        expected = on_floor(session, there)
+        found = read(folder / name)
+        held = np.isfinite(expected).all(axis=(1, 2))
+        np.testing.assert_allclose(found[held], expected[held], atol=1e-5)
+        assert np.isfinite(found[held]).all()
+    writer_for(folder / "s.bvh", feet="free")(session, folder / "s.bvh")
+    at = session.at(1e-9 * moments)
+    known = np.maximum.accumulate(np.where(np.isnan(at).any(axis=(1, 2)), 0, np.arange(len(at))))
+    np.testing.assert_allclose(
+        bvh_joints(folder / "s.bvh", KINECT_V2), on_floor(session, at[known]), atol=1e-4
+    )
 
 
 @OF_EVERY_BODY

@@ -229,7 +229,7 @@ class Coach:
     def _beyond(self, k: int) -> NDArray[np.float64]:
         """(4,) degrees by which the person was beyond the edges lately, and some room."""
         known = [each.views[k].beyond for each in self._moments if each.views[k].beyond]
-        return _ROOM + np.median(known or [(0.0,) * 4], axis=0)
+        return _ROOM + np.median(known, axis=0) if known else np.full(4, _ROOM)
 
     def _stream(self, k: int, time: float) -> Iterator[Finding]:
         """What is wrong with a sensor's frames in the last two seconds."""
