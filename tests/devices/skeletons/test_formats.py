@@ -20,7 +20,7 @@ def read(path):
 @pytest.mark.parametrize(
     ("broken", "message"),
     [
-        ("moment,body,joint,x,y,z\n0,0,Head,0,0,2\n", "no column time_us.*`frame` that counts"),
+        ("moment,body,joint,x,y,z\n0,0,Head,0,0,2\n", "no column time_us.*named frame that counts"),
         ("time_us,body,joint,x,y,z,x\n0,0,Head,0,0,2,0\n", "repeats a column name"),
         ("time_us,body,joint,x,y,z\n0,0,Tail,0,0,2\n", "Unknown joint 'Tail'"),
     ],

@@ -147,7 +147,8 @@ def test_no_second_is_good_under_a_calibration_that_proves_nothing(session, untr
 
 def test_every_reason_for_the_verdict_is_in_the_details_if_not_in_the_lead(figures):
     calibration = figures["calibration"] | {"rotation_sd_deg": 2.1, "angle_deg": 25.0}
-    found = with_verdict(with_views(figures, 90.0) | {"calibration": calibration})
+    clock = {"offset_ms": 80.0, "sd_ms": 2.0}
+    found = with_verdict(figures | {"calibration": calibration, "clock": clock})
     lead, details = (" ".join(line.text for line in lines(found)) for lines in (lead_lines, detail_lines))
     first, *others = verdict(found).reasons
     assert first in lead
