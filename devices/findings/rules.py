@@ -175,7 +175,7 @@ RULES: dict[str, Rule] = {
         told_by=frozenset({"mirrored", "moved", "hidden"})),
     "uncalibrated": Rule(
         "frames of the calibration", "", Limits((15.0, inf), (15.0, inf)), what="{calibrated}",
-        live=RING + ", arms and legs apart, 3 s", files="{calibrate}", beyond="unknown",
+        live=RING + ", arms and legs apart, 3 s, then walk", files="{calibrate}", beyond="unknown",
         told_by=frozenset({"distance", "feet", "angle"}), is_event=False),
     "precision": Rule(
         "rotation of B, one standard deviation", "°", below(2.0, 4.0),

@@ -21,9 +21,9 @@ FEWEST_PAIRS = 15
 """Half a second: a calibration on fewer pairs is not trusted."""
 CERTAIN_TURN_DEG = 2.0
 """Largest standard deviation of a good rotation: 17 mm at half a metre from the torso."""
-POSE_TURN, POSE_APART = np.radians(2.3), {"azure_kinect": 0.05}
+POSE_TURN, POSE_MOST, POSE_APART = np.radians(2.3), np.radians(4.0), {"azure_kinect": 0.05}
 """Of a start-up pose seen in part: largest standard deviation of R without the trackers' turn of the person,
-radians; distance of the views by body, metres, where not 0.1: those of Kinects v2 differ by 0.08 at 110°."""
+and with it, radians; distance of the views by body, metres, where not 0.1: Kinects v2 differ by 0.08."""
 MOVEMENT_TURN, MOVEMENT_SHIFT, MOVEMENT_APART = np.radians(1.5), 0.06, 0.08
 """Of movement: largest standard deviations of R, radians, and of t, metres at the person, without lasting
 errors of the trackers; median distance of the views' joints, metres."""

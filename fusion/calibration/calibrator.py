@@ -24,6 +24,7 @@ from fusion.calibration.calibration import (
     MOVEMENT_SHIFT,
     MOVEMENT_TURN,
     POSE_APART,
+    POSE_MOST,
     POSE_TURN,
     Calibration,
     calibrate,
@@ -186,7 +187,7 @@ class Calibrator:
                 lasting = FrontalTurn.of(self._body).sd_where(
                     np.sin(angle), np.cos(angle), known=self._frontal
                 )
-                most = np.hypot(POSE_TURN, lasting)
+                most = min(np.hypot(POSE_TURN, lasting), POSE_MOST)
                 apart = POSE_APART.get(self._body.name, 0.1)
                 if known is not None and known.rotation_sd < most and known.residual_median < apart:
                     return found
