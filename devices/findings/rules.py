@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Literal, NamedTuple
 
+from fusion.calibration.calibration import GOOD_TURN_DEG, USABLE_TURN_DEG
 from fusion.intrinsics import Intrinsics
 
 TALL = 2.0
@@ -140,7 +141,7 @@ RULES: dict[str, Rule] = {
         live="be the only person in view",
         files="check that both recordings show one person at the same time", told_by=frozenset({"mirrored"})),
     "hidden": Rule(
-        "time for which a view shows people, but not the person, now", "s", below(1.0, inf),
+        "time in which a view shows people, but not the person, now", "s", below(1.0, inf),
         what="{who} shows somebody else, or was moved", live="walk a few steps where both see you",
         is_event=False),
     "moved": Rule(
@@ -178,7 +179,7 @@ RULES: dict[str, Rule] = {
         live=RING + ", arms and legs apart, 3 s, then walk", files="{calibrate}", beyond="unknown",
         told_by=frozenset({"distance", "feet", "angle"}), is_event=False),
     "precision": Rule(
-        "rotation of B, one standard deviation", "°", below(2.0, 4.0),
+        "rotation of B, one standard deviation", "°", below(GOOD_TURN_DEG, USABLE_TURN_DEG),
         what="B's rotation is certain to {value}° only", limit="good is {high}°",
         live=WALK, files="record with the person walking about", digits=1,
         told_by=frozenset({"mirrored", "moved", "unconfirmed", "uncalibrated"}), is_event=False),

@@ -19,11 +19,12 @@ if TYPE_CHECKING:
 
 FEWEST_PAIRS = 15
 """Half a second: a calibration on fewer pairs is not trusted."""
-CERTAIN_TURN_DEG = 2.0
-"""Largest standard deviation of a good rotation: 17 mm at half a metre from the torso."""
-POSE_TURN, POSE_MOST, POSE_APART = np.radians(2.3), np.radians(4.0), {"azure_kinect": 0.05}
+GOOD_TURN_DEG, USABLE_TURN_DEG = 2.0, 4.0
+"""Largest standard deviations of good and usable rotations: 2° are 17 mm at half a metre."""
+POSE_TURN = np.radians(2.3)
+POSE_APART = {"azure_kinect": 0.05, "kinect_v1": 0.1, "kinect_v2": 0.1, "blazepose": 0.1}
 """Of a start-up pose seen in part: largest standard deviation of R without the trackers' turn of the person,
-and with it, radians; distance of the views by body, metres, where not 0.1: Kinects v2 differ by 0.08."""
+radians, and by body the largest median distance of the views, metres."""
 MOVEMENT_TURN, MOVEMENT_SHIFT, MOVEMENT_APART = np.radians(1.5), 0.06, 0.08
 """Of movement: largest standard deviations of R, radians, and of t, metres at the person, without lasting
 errors of the trackers; median distance of the views' joints, metres."""

@@ -24,8 +24,8 @@ from fusion.calibration.calibration import (
     MOVEMENT_SHIFT,
     MOVEMENT_TURN,
     POSE_APART,
-    POSE_MOST,
     POSE_TURN,
+    USABLE_TURN_DEG,
     Calibration,
     calibrate,
     nominal_calibration,
@@ -187,8 +187,8 @@ class Calibrator:
                 lasting = FrontalTurn.of(self._body).sd_where(
                     np.sin(angle), np.cos(angle), known=self._frontal
                 )
-                most = min(np.hypot(POSE_TURN, lasting), POSE_MOST)
-                apart = POSE_APART.get(self._body.name, 0.1)
+                most = min(np.hypot(POSE_TURN, lasting), np.radians(USABLE_TURN_DEG))
+                apart = POSE_APART[self._body.name]
                 if known is not None and known.rotation_sd < most and known.residual_median < apart:
                     return found
         except CalibrationError:

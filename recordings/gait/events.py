@@ -23,9 +23,8 @@ from recordings.gait import SIDES, UNKNOWN, Gait, Measured, Step, Turn
 from recordings.gait.parts import ERRORS_LAST, RATE, Part, parts_of, turns_of
 
 _STANDS = 0.75  # of the pelvis' speed, of a foot between strike and toe-off
-_LABELLED = (
-    0.023  # seconds, by which laboratories' labels of eight walks are later: strikes 27, toe-offs 19 ms
-)
+_LABELLED = 0.023
+"""Seconds by which the labels of laboratories are later: on eight walks 27 ms of strikes, 19 of toe-offs."""
 _LEAST_SWING = 0.06  # of the ankle's place from the pelvis, lengths of the leg
 _OWN_SWING = 0.3  # the least swing, of the median of the part
 _SEEN = 0.1  # the least of what is seen of a swing at an end of the part, of the same median

@@ -277,7 +277,7 @@ def test_a_mirror_image_that_was_seen_first_is_left_for_the_person(every):
 
 
 def test_a_child_who_comes_after_the_person_is_followed_after_two_seconds_in_a_recording():
-    """With somebody else at first: of people who were never seen at once, the next is followed at once."""
+    """Somebody else is in view at first. A recording of one person at a time takes the next one at once."""
     frames, child = [], walker(0).mean(axis=0)
     for k in range(270):
         seen = [("1", walker(k))] if k < 150 else []

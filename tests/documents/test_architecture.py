@@ -119,7 +119,7 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
     ("what", "most_lines", "most_of_devices"),
     [
         ("from fusion import Fuser", 7_030, 0),
-        ("from recordings import Session", 5_860, 5),
+        ("from recordings import Session", 5_870, 5),
         ("from recordings import fuse", 16_400, 25),
         (RUN_FUSE.format(pair=PAIR), 24_800, 42),
         ("import viewer_app.commands.live", 32_950, 58),

@@ -374,7 +374,7 @@ def test_who_sways_back_before_the_first_step_has_not_lifted_the_foot_then(metre
     st.floats(30.0, 100.0),
 )
 def test_a_heel_strikes_where_its_ankle_becomes_slower_than_three_quarters_of_the_pelvis(how, rate):
-    """A foot swings with minimum jerk; the definition's and a quarter of a frame are the uncertainty."""
+    """Feet swing with minimum jerk. The uncertainty is that of the labels and a quarter of a frame."""
     times, joints = walker(10.0, rate, **how)
     gait = find_gait(AZURE_KINECT, times, joints, UP, np.zeros(joints.shape[:2]))
     swing = (1.0 - how["stance"]) * how["stride"]
@@ -469,7 +469,7 @@ def test_somebody_without_shoulders_or_toes_walks_too():
         lacking[:, [AZURE_KINECT.joint(f"{part}{side}") for side in ("Left", "Right")]] = np.nan
         steps = find_gait(AZURE_KINECT, times, lacking, UP).steps
         np.testing.assert_allclose([s.strike for s in steps], [s.strike for s in whole.steps], atol=1e-6)
-        # ankles, which stand in for toes, rise elsewhere
+        # without toes the ankles are used, but how far they rise is no clearance
         assert np.isfinite([s.clearance for s in steps[2:]]).all() == (part == "Shoulder")
 
 

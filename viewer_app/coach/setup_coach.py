@@ -165,7 +165,8 @@ class Coach:
         pixels = project(self.intrinsics[k], skeleton.positions)
         outside = np.isfinite(pixels[:, 0]) & ~in_image(self.intrinsics[k], pixels)
         # One leg often hides the other, which no better place would change; it cannot hide both feet.
-        feet = outside[self._feet].any() or not skeleton.tracked[self._feet].any()
+        below = pixels[self._feet, 1] >= self.intrinsics[k].height - 0.5
+        feet = below.any() or not (skeleton.tracked | outside)[self._feet].any()
         torso = skeleton.positions[list(self.body.torso), 2]
         away = float(np.nanmean(torso)) if np.isfinite(torso).any() else math.nan
         shown = skeleton.tracked & ~outside

@@ -83,7 +83,7 @@ def say_saved(console: Console, path: Path) -> None:
 
 
 def in_shell(words: Sequence[str]) -> str:
-    """A command as it is typed."""
+    """A command as the shell of this system takes it, with quotes where they are needed."""
     return subprocess.list2cmdline(words) if sys.platform == "win32" else shlex.join(words)
 
 

@@ -140,7 +140,7 @@ def _states(
     where: Callable[[int], str],
     count: int,
 ) -> tuple[NDArray[np.uint8], list[str], str]:
-    """The states of all rows, lines for the user, and the column that has them, if any."""
+    """(N,) tracking states of all rows, lines for the user, and the name of the column of states, or none."""
     told = []
     for name in (name for name in values if is_like_states(name)):
         states, wrong, known = states_of(name, values[name])

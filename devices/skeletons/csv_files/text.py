@@ -253,7 +253,7 @@ def refuse_cut_off(text: TextRows, before: pa.Table | None, times: NDArray[Any])
 
 
 def _lost_digits(old: str, new: str = "") -> bool:
-    """Whether a whole number is at most about a tenth of the one before it."""
+    """Whether a whole number seems to have lost digits, by the size of the one before it."""
     whole = re.fullmatch(r"-?\d{2,}", old) and re.fullmatch(r"-?\d+", new)
     return bool(whole) and abs(int(new)) <= _TENTH * abs(int(old))
 
