@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from devices.depth.camera import project
+from devices.depth.camera import in_image, project
 from devices.findings.finding import Finding, followed, judge
 from devices.findings.rules import RULES, WALK, farthest, nearest, within
 from devices.sensor import SensorFrame
@@ -192,16 +192,17 @@ def test_a_sensor_that_is_turned_as_told_has_the_whole_person_in_its_image(way, 
     """A person before sensor A who is beyond an edge of its image, by degrees from its middle."""
     aside, down = share * way[0], share * way[1]
 
-    def found(aside, down):
+    def person_at(aside, down):
         joints = standing(BODY)
         joints = joints - joints.mean(axis=0) + (0.0, 0.0, 3.4)
-        turned = Rotation.from_euler("xy", (-down, aside), degrees=True).apply(joints)
-        return {each.rule: each.step for each in watched(turned, seconds=2.0, every=5) if each.side == "A"}
+        return Rotation.from_euler("xy", (-down, aside), degrees=True).apply(joints)
 
     for _ in range(4):  # one direction with each step
-        steps = found(aside, down)
-        told = steps.get("feet") or steps.get("whole")
+        joints = person_at(aside, down)
+        found = watched(joints, seconds=2.0, every=5)
+        told = next((of.step for of in found if of.side == "A" and of.rule in ("feet", "whole")), None)
         if told is None:
+            assert in_image(CAMERA, project(CAMERA, joints)).all()
             return
         way, degrees = re.search(r"(up|down|turn).* (\d+)°( to its right)?", told).group(1, 2)
         if way == "turn":
