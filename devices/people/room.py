@@ -63,7 +63,7 @@ class Sight:
     track: int | None = None
     since_ns: int = 0  # when the track was found to be theirs
     place: Place | None = None  # the last one
-    seen_ns: int = 0
+    seen_ns: int = -1  # before the first frame
 
 
 @dataclass(eq=False, slots=True)

@@ -186,6 +186,17 @@ def test_a_view_that_is_registered_anew_is_used_alone(follow_moves):
     assert all((b is not None) is follow_moves for _, b in seen[200:])
 
 
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
+def test_one_person_is_followed_whatever_each_view_misses_from_the_first_frame_on(there):
+    frames = [
+        tuple(frame_of(k, side, [("1", walker(k))] if seen else []) for side, seen in enumerate(each))
+        for k, each in enumerate(there)
+    ]
+    seen, events = live(frames)
+    assert [tuple(at is not None for at in each) for each in seen] == there
+    assert events == []
+
+
 def elsewhere(k, who=1):
     return frame_of(k, 0, [("1", walker(k))]), frame_of(k, 1, [("1", walker(k, (1.5, 0.0, 0.5), who))])
 
