@@ -1,14 +1,10 @@
 """Shows a file in a viewer window after writing it, so that no viewer can block the writing."""
 
-import subprocess
 import tempfile
-import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TypeVar
-
-import numpy as np
 
 from devices.output_file import whole_file
 from fusion.support.progress import Progress, quietly
@@ -21,10 +17,10 @@ from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.hub import Hub
 from viewer_app.viewer.rerun_process import stop
 from viewer_app.viewer.stored_clouds import add_computed, has_depth
-from viewer_app.viewer.window import start_viewer
+from viewer_app.viewer.window import pause, start_viewer
 
 T = TypeVar("T")
-_READS_WITHIN, _LOOKS_EVERY = 20.0, 0.1  # seconds
+_READS_WITHIN = 20.0  # seconds
 
 
 def write_for_viewer(
@@ -107,9 +103,8 @@ def show(path: Path, at_ns: int = 0) -> bool:
     """
     with path.open("rb") as file:
         process, port = start_viewer(["--hide-welcome-screen", "-"], file)
-        url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        add_computed(file, url)
-    return _set_time(process, url, at_ns)
+        add_computed(file, f"rerun+http://{LOOPBACK}:{port}/proxy")
+    return pause(process, port, at_ns, _READS_WITHIN)
 
 
 @contextmanager
@@ -119,21 +114,3 @@ def served(path: Path, hub: Hub) -> Iterator[None]:
         programs.callback(stop, hub.serve(file))
         programs.callback(stop, add_computed(file, hub.url))
         yield
-
-
-def _set_time(process: subprocess.Popen[bytes], url: str, at_ns: int) -> bool:
-    """Sets the time cursor of a viewer once it has read so far; False if it is closed or takes too long."""
-    from rerun.experimental import ViewerClient
-
-    deadline = time.monotonic() + _READS_WITHIN
-    while process.poll() is None and time.monotonic() < deadline:
-        # The interface is experimental: whatever fails in it must not end a command that is done.
-        with suppress(Exception):
-            viewer = ViewerClient.connect(url)
-            state = viewer.get_state()
-            read = [line for each in state.recordings for line in each.timelines if line.name == layout.TIME]
-            if any(line.end is not None and line.end >= at_ns for line in read) and not state.loading:
-                viewer.set_time(layout.TIME, duration=np.timedelta64(at_ns, "ns"), play_state="paused")
-                return True
-        time.sleep(_LOOKS_EVERY)
-    return False

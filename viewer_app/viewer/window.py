@@ -8,28 +8,33 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
+import numpy as np
 import psutil
 
+from recordings.data import layout
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
 from viewer_app.viewer.display import environment_of_window
 from viewer_app.viewer.hub import Hub, free_port
 from viewer_app.viewer.rerun_process import STARTS_WITHIN, listens, not_started, rerun_program, start, stop
 
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
+
 _ENDS_WITHIN = 1.0  # seconds
 _HANGS_AFTER, _IDLE_SHARE = 5.0, 0.05  # seconds; of a processor
 _REOPENED = 3  # times in a row
 _VIEWER = "Rerun's viewer"
 _VIEWER_MEMORY = "2GiB"
-_LOOKED_AFTER_EVERY = 0.5  # seconds
+_LOOKED_AFTER_EVERY, _ASKED_EVERY = 0.5, 0.1  # seconds
 
 
-def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
-    """Starts a viewer that shows what the hub has; `headless` is for tests."""
+def start_window(hub: Hub, headless: bool = False) -> tuple[subprocess.Popen[bytes], int]:
+    """Starts a viewer that shows what the hub has; `headless` is for tests. Returns as `start_viewer`."""
     arguments = ["--connect", hub.url, "--hide-welcome-screen", *(["--headless"] if headless else [])]
-    return start_viewer(arguments)[0]
+    return start_viewer(arguments)
 
 
 def start_viewer(
@@ -71,11 +76,9 @@ def _hangs(viewer: subprocess.Popen[bytes], port: int) -> bool:
     answered, runs = threading.Event(), []
 
     def ask() -> None:
-        from rerun.experimental import ViewerClient
-
         # the interface is experimental: whatever fails in it must not end a viewer that runs
         with contextlib.suppress(Exception):
-            ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy").get_state()
+            _client(port).get_state()
             runs.append(True)
         answered.set()
 
@@ -111,6 +114,40 @@ def _last_words(arguments: Sequence[str]) -> str:
     return ""
 
 
+def pause(viewer: subprocess.Popen[bytes], port: int, at_ns: int, within: float) -> bool:
+    """Stops the time of a viewer, which draws all the time otherwise; returns whether it stands where asked.
+
+    Args:
+        at_ns: Nanoseconds since the first pair. It stops there once it has read so far.
+        within: Seconds, after which it stops where it is.
+    """
+    deadline = time.monotonic() + within
+    while viewer.poll() is None:
+        late = time.monotonic() > deadline
+        # The interface is experimental: whatever fails in it must not end a command that is done.
+        with contextlib.suppress(Exception):
+            client = _client(port)
+            state = client.get_state()
+            read = [line for each in state.recordings for line in each.timelines if line.name == layout.TIME]
+            stands = not state.loading and any(line.end is not None and line.end >= at_ns for line in read)
+            if stands:
+                client.set_time(layout.TIME, duration=np.timedelta64(at_ns, "ns"), play_state="paused")
+            elif late:
+                client.set_time(play_state="paused")
+            if stands or late:
+                return stands
+        if late:
+            return False
+        time.sleep(_ASKED_EVERY)
+    return False
+
+
+def _client(port: int) -> ViewerClient:
+    from rerun.experimental import ViewerClient
+
+    return ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+
+
 def why_nothing_is_drawn() -> str:
     """Why no viewer can draw on this machine, as text; empty if one can. It starts one, without a window."""
     try:
@@ -124,13 +161,14 @@ class ViewerWindow:
     """A viewer window that reopens after a crash, and stays closed when the user closes it.
 
     Attributes:
+        port: Where the viewer listens, on the loopback interface.
         failure: Why it is not opened again; empty as long as it is.
     """
 
-    def __init__(self, start: Callable[[], subprocess.Popen[bytes]]) -> None:
+    def __init__(self, start: Callable[[], tuple[subprocess.Popen[bytes], int]]) -> None:
         self._start = start
         self._leaving = threading.Event()
-        self.process = start()
+        self.process, self.port = start()
         self.starts = 1
         self.closed, self.failure = False, ""
         self._thread = threading.Thread(target=self._look_after, name="viewer window", daemon=True)
@@ -141,6 +179,10 @@ class ViewerWindow:
         self._leaving.set()
         self._thread.join(timeout=1.0)
 
+    def pause(self, at_ns: int, within: float) -> bool:
+        """As :func:`pause`."""
+        return pause(self.process, self.port, at_ns, within)
+
     def _look_after(self) -> None:
         failed = 0
         while not self._leaving.wait(_LOOKED_AFTER_EVERY):
@@ -150,7 +192,7 @@ class ViewerWindow:
                 self.closed = True
                 return
             try:
-                self.process = self._start()
+                self.process, self.port = self._start()
                 self.starts, failed = self.starts + 1, 0
             except UsageError as error:
                 failed += 1

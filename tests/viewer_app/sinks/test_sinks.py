@@ -39,7 +39,9 @@ from tests.helpers.machine import need_viewer, small_disk
 from tests.helpers.mkv_writer import depth_image, grey_color, lens_of, write_mkv
 from tests.helpers.pictures import headless_viewer
 from tests.helpers.real_libraries import PYK4A
+from tests.helpers.two_views import FRAME_NS
 from tests.helpers.waiting import eventually
+from viewer_app.addresses import LOOPBACK
 from viewer_app.sinks import item_queue
 from viewer_app.sinks.item_queue import DropOldest, QueuedFrame
 from viewer_app.sinks.live_session import SAMPLE, LiveSession
@@ -358,6 +360,25 @@ def test_a_viewer_that_comes_later_sees_the_history(fuser):
                 return any(t.name == layout.FRAME and t.start == 0 and t.end == 59 for t in timelines)
 
             assert eventually(sees_all)
+
+
+def test_a_window_stands_still_when_the_session_has_ended(fuser):
+    """One whose time runs draws all the time, with memory that some drivers never free."""
+    from rerun.experimental import ViewerClient
+
+    with session(fuser, None, Hub.on_free_ports(web=False), window=True) as live:
+        for frame in frames(fuser, 60):
+            live.write(frame)
+        live.viewer.wait_until_free(10.0)
+    window = live.viewer.window
+    viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{window.port}/proxy")
+    try:
+        assert [each.current_time for each in viewer.get_state().recordings] == [59 * FRAME_NS]
+        viewer.set_time(layout.TIME, duration=0)  # from where one that follows goes to the end again
+        time.sleep(0.5)
+        assert [each.current_time for each in viewer.get_state().recordings] == [0]
+    finally:
+        stop(window.process)
 
 
 # --- Raw recordings: what is in them, and what becomes of them when disk, sensor or program fail.

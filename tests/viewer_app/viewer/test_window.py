@@ -33,7 +33,7 @@ def without_driver(monkeypatch):
 
 
 def test_a_window_that_is_started_is_on_the_screen_and_opens_again(screen):
-    window = ViewerWindow(lambda: start_viewer([])[0])
+    window = ViewerWindow(lambda: start_viewer([]))
     try:
         assert titles(screen) == ["Rerun"]
         os.kill(window.process.pid, signal.SIGKILL)
@@ -76,7 +76,7 @@ def test_a_viewer_that_cannot_draw_says_why(monkeypatch):
 
 @pytest.mark.usefixtures("screen")
 def test_a_window_that_does_not_open_again_is_given_up(monkeypatch):
-    window = ViewerWindow(lambda: start_viewer([])[0])
+    window = ViewerWindow(lambda: start_viewer([]))
     without_driver(monkeypatch)
     os.kill(window.process.pid, signal.SIGKILL)
     assert eventually(lambda: window.failure, 60.0)
