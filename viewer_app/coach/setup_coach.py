@@ -40,7 +40,10 @@ RATE = 0.8
 WARM_UP = 2400.0
 """Seconds until an Azure Kinect's distances stay the same (Tölgyessy et al. 2021: 40 to 50 minutes)."""
 _NOW, _RATE_WINDOW, _LATELY = 1.0, 2.0, 4.0
-"""Seconds over which shares and distances, rates, and medians and mirror images are judged."""
+"""Seconds over which shares and distances, rates, and medians are judged."""
+_HANDED = 15.0
+"""Seconds after which a frame counts 1/e for mirror images. A driver gives them always; who walks away from a
+Kinect v2 looks mirrored for seconds."""
 _EVIDENCE = 0.5
 """Of these: nothing is judged before a view has given frames for so long."""
 _AIMS = (
@@ -76,7 +79,6 @@ class _View(NamedTuple):
     feet_gone: float = math.nan
     cut_off: float = math.nan
     beyond: tuple[float, ...] = ()  # degrees by which joints are beyond the edges of the image
-    mirrored: float = math.nan
 
 
 class _Moment(NamedTuple):
@@ -87,6 +89,27 @@ class _Moment(NamedTuple):
     dropped: tuple[int, int]
     lost: tuple[int, int]
     step: int
+
+
+class _Share:
+    """Of the time in which something is known, the share in which it is so; see _HANDED."""
+
+    def __init__(self) -> None:
+        self._first_s, self._last_s, self._known, self._so = math.inf, 0.0, 0.0, 0.0
+
+    def add(self, time: float, is_so: float | None) -> None:
+        """Takes what is known at a time in seconds."""
+        if is_so is None:
+            return
+        kept = math.exp((self._last_s - time) / _HANDED)
+        self._known, self._so = kept * self._known + 1.0, kept * self._so + is_so
+        self._first_s, self._last_s = min(self._first_s, time), time
+
+    @property
+    def percent(self) -> float | None:
+        """None before there is evidence."""
+        enough = self._last_s - self._first_s >= _EVIDENCE * _LATELY
+        return 100.0 * self._so / self._known if enough else None
 
 
 class Coach:
@@ -108,6 +131,7 @@ class Coach:
         self._feet = np.array([body.joint("ANKLE_LEFT"), body.joint("ANKLE_RIGHT")])
         self._moments: deque[_Moment] = deque()
         self._seen = np.zeros(len(body), dtype=np.bool_)  # joints that were ever seen
+        self._mirrored = _Share(), _Share()
         self._seen_at, self._came_at = [-math.inf, -math.inf], [-math.inf, -math.inf]
         self._began: float | None = None
         self._calibration: Calibration | None = None
@@ -167,10 +191,11 @@ class Coach:
         # One leg often hides the other, which no better place would change; it cannot hide both feet.
         below = pixels[self._feet, 1] >= self.intrinsics[k].height - 0.5
         feet = below.any() or not (skeleton.tracked | outside)[self._feet].any()
-        torso = skeleton.positions[list(self.body.torso), 2]
-        away = float(np.nanmean(torso)) if np.isfinite(torso).any() else math.nan
         shown = skeleton.tracked & ~outside
         mirrored = mirrored_share(self.body, np.where(shown[:, None], skeleton.positions, np.nan)[None])
+        self._mirrored[k].add(1e-9 * skeleton.time_ns, mirrored)
+        torso = skeleton.positions[list(self.body.torso), 2]
+        away = float(np.nanmean(torso)) if np.isfinite(torso).any() else math.nan
         return _View(
             True,
             crowd,
@@ -178,7 +203,6 @@ class Coach:
             float(feet),
             float(outside.any()),
             _beyond(skeleton.positions[outside], self.intrinsics[k]) if outside.any() else (),
-            math.nan if mirrored is None else mirrored,
         )
 
     def _lately(self, seconds: float, figure: Callable[[_Moment], float]) -> NDArray[np.float64]:
@@ -219,7 +243,7 @@ class Coach:
                 lens = self.intrinsics[k]
                 range_m = within(nearest(lens), farthest(self.body.name, lens))
                 yield from judge("distance", median_of(away), side, limits=range_m)
-                yield from judge("mirrored", share("mirrored", _LATELY), side)
+                yield from judge("mirrored", self._mirrored[k].percent, side)
                 beyond = self._beyond(k)
                 yield from judge("feet", share("feet_gone"), side, turn=_in_fives(beyond[3]))
                 edge = int(np.argmax(beyond))
