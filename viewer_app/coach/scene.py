@@ -24,7 +24,6 @@ from viewer_app.coach.standing_spot import StandingSpot, standing_spot
 
 _RING = 0.3  # metres, radius
 _UNDER = 0.5  # metres
-_THERE = 0.4  # metres from the spot that count as standing on it
 _FLOOR_OVER = 60  # frames
 _COARSE = 0.1  # metres: rounding of the drawings, so that invisible changes are not logged
 _FRUSTUM = 0.35  # metres: around the sensor's own
@@ -116,7 +115,7 @@ class CoachScene:
         lines, under = (_line(ring), _line(post)), _line(post)[1]
         to_go = np.zeros(2) if person is None else np.array([place.x, place.z]) - person
         far = float(np.linalg.norm(to_go))
-        if person is None or now.held > 0.0 or far <= _THERE:
+        if person is None or now.held > 0.0 or place.is_at(*person):
             return Mark(lines, "do", under)
         along = to_go / far
         across = np.array([-along[1], along[0]])

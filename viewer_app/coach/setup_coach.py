@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from devices.capture.causes import MORE_FRAMES, Origin
 from devices.depth.camera import in_image, project
 from devices.findings.finding import Finding, followed, judge
-from devices.findings.rules import Limits, farthest, nearest, of_error, of_views, within
+from devices.findings.rules import RULES, Limits, farthest, nearest, of_error, of_views, within
 from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
@@ -31,7 +31,7 @@ from recordings.calibration_file import is_loaded
 from recordings.data.session_arrays import SessionFrame
 from recordings.quality.figures import placement_figures
 from recordings.quality.verdict import compared
-from viewer_app.coach.standing_spot import standing_spot
+from viewer_app.coach.standing_spot import StandingSpot, standing_spot
 
 HOLD = 3.0
 """Seconds to hold the start-up pose; the paper asks for a few seconds."""
@@ -135,7 +135,7 @@ class Coach:
         self._seen_at, self._came_at = [-math.inf, -math.inf], [-math.inf, -math.inf]
         self._began: float | None = None
         self._calibration: Calibration | None = None
-        self._room: tuple[RigidTransform | None, float] = None, math.inf
+        self._spot: tuple[RigidTransform, StandingSpot] | None = None
         self._recent = RecentPlacement(body, in_steps=True)
 
     def watch(self, frame: SessionFrame, now: Situation) -> list[Finding]:
@@ -299,22 +299,33 @@ class Coach:
         up = np.array([0.0, -1.0, 0.0]) if frame.floor is None else -frame.floor.rotation[:, 1]
         angle = math.degrees(calibration.angle_about(up))
         yield from judge("angle", angle, uncertain=2.0 * turn_sd)
-        yield from judge("overlap", -self._best_room(calibration.a_from_b))
+        ring = self._ring(calibration.a_from_b)
+        yield from judge("overlap", -ring.room)
         if calibration.provisional:
             return
         yield from judge("precision", turn_sd)
         yield from compared(placement_figures(off), is_loaded(calibration))
         error = self._lately(_LATELY, lambda each: each.error)
-        yield from judge("error", median_of(error), limits=of_error(self.body.name))
         apart = self._lately(_LATELY, lambda each: each.apart)
-        yield from judge("views", median_of(apart), limits=of_views(self.body.name))
+        for each in (
+            *judge("error", median_of(error), limits=of_error(self.body.name)),
+            *judge("views", median_of(apart), limits=of_views(self.body.name)),
+        ):
+            yield self._nearer(each, frame, ring)
 
-    def _best_room(self, a_from_b: RigidTransform) -> float:
-        """Metres to the tightest limit of the best place."""
-        if self._room[0] is not a_from_b:
+    def _ring(self, a_from_b: RigidTransform) -> StandingSpot:
+        """The best place."""
+        if self._spot is None or self._spot[0] is not a_from_b:
             spot = standing_spot(a_from_b, self.intrinsics, self.body.name, CAMERA_HEIGHT)
-            self._room = a_from_b, spot.room
-        return self._room[1]
+            self._spot = a_from_b, spot
+        return self._spot[1]
+
+    def _nearer(self, found: Finding, frame: SessionFrame, ring: StandingSpot) -> Finding:
+        """A finding that asks to stand in the ring; of who stands there, to bring the sensors nearer."""
+        if not frame.fused.has_person:
+            return found
+        at = np.nanmedian(frame.fused.positions[list(self.body.torso)], axis=0)
+        return replace(found, step=str(RULES["overlap"].live)) if ring.is_at(at[0], at[2]) else found
 
 
 def _beyond(points: NDArray[np.float32], lens: Intrinsics) -> tuple[float, ...]:

@@ -1,5 +1,6 @@
 """The best place to stand, where both sensors see the whole person."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ ARM = 0.9
 """Metres from the trunk to a fingertip, arms out."""
 _STEP = 0.1  # metres between the tested places
 _TORSO_HEIGHT = 1.0  # metres above the floor
+_THERE = 0.4  # metres from the middle of the ring
+_ENOUGH = 0.5  # metres of margin: a step; with as much, nearer is better, where depth is more accurate
 
 
 @dataclass(frozen=True)
@@ -25,11 +28,15 @@ class StandingSpot:
     """Margin in metres at the tightest limit of either sensor; negative if the person is not fully
     visible."""
 
+    def is_at(self, x: float, z: float) -> bool:
+        """Whether somebody at a place stands here."""
+        return math.hypot(x - self.x, z - self.z) <= _THERE
+
 
 def standing_spot(
     a_from_b: RigidTransform | None, cameras: tuple[Intrinsics, Intrinsics], body: str, floor: float
 ) -> StandingSpot:
-    """Finds the place with the largest margin.
+    """Finds the nearest place with a step of margin, or the one with the largest margin.
 
     The limits of each sensor are its nearest and farthest distance, and the sides of the image for a person
     with both arms out. K_A is assumed to be upright: the floor is a plane of equal y.
@@ -41,11 +48,13 @@ def standing_spot(
     """
     x, z = np.meshgrid(np.arange(-4.0, 4.0, _STEP), np.arange(0.5, 6.0, _STEP))
     torso = np.stack((x, np.full_like(x, floor - _TORSO_HEIGHT), z), axis=-1)
-    room = _room(torso, cameras[0], farthest(body, cameras[0]))
+    room, away = _room(torso, cameras[0], farthest(body, cameras[0])), z
     if a_from_b is not None:
         in_b = a_from_b.inverse().apply(torso.reshape(-1, 3)).reshape(torso.shape)
         room = np.minimum(room, _room(in_b, cameras[1], farthest(body, cameras[1])))
-    best = np.unravel_index(int(np.argmax(room)), room.shape)
+        away = np.maximum(away, in_b[..., 2])
+    enough = np.where(room >= min(_ENOUGH, room.max()), away, np.inf)
+    best = np.unravel_index(int(np.argmin(enough)), room.shape)
     return StandingSpot(float(x[best]), float(z[best]), float(room[best]))
 
 

@@ -292,6 +292,18 @@ def test_views_that_differ_are_told_while_the_calibration_is_refined(refined):
     assert "views" in {each.rule for each in watched(really=moved, refined=refined)}
 
 
+@pytest.mark.parametrize("there", [True, False])
+def test_who_stands_in_the_ring_is_not_told_to(there):
+    moved = replace(A_FROM_B, translation=A_FROM_B.translation + (0.15, 0.0, 0.0))
+    spot = standing_spot(A_FROM_B, (CAMERA, CAMERA), BODY.name, 1.0)
+    joints = standing(BODY)
+    away = np.zeros(3) if there else np.array([0.6, 0.0, 0.0])
+    torso = joints[list(BODY.torso)].mean(axis=0)
+    at = joints + [spot.x - torso[0], 0.0, spot.z - torso[2]] + away
+    (found,) = (each for each in watched(at, really=moved) if each.rule == "views")
+    assert found.step == RULES["overlap" if there else "views"].live
+
+
 def test_a_tall_person_fits_into_the_image_at_the_nearest_distance():
     top, bottom = project(CAMERA, [[0.0, -1.0, nearest(CAMERA)], [0.0, 1.0, nearest(CAMERA)]])[:, 1]
     assert bottom - top == pytest.approx(CAMERA.height)
