@@ -56,7 +56,7 @@ def test_listing_opens_nothing_and_takes_one_context(two):
     ]
     assert connected_orbbecs() == connected_orbbecs() == expected
     assert two.contexts == 1, "each context searches the buses with threads of its own"
-    assert two.log_level is values.OBLogLevel.NONE
+    assert two.log_level is values.TYPES["OBLogLevel"].NONE
     assert two.open_serials == []
 
 
@@ -86,7 +86,7 @@ def test_intrinsics_are_the_sdks_in_opencvs_order(two):
         assert "KANNALA_BRANDT4 is not known" in sensor.warnings[0]
     with _sensor(depth_mode="WFOV_2X2BINNED", fps=15) as sensor:
         assert (sensor.intrinsics.width, sensor.intrinsics.height) == (512, 512)
-    assert {profile.get_fps() for profile in two.configurations[-1]._profiles} == {15}
+    assert {profile.get_fps() for profile in two.configurations[-1].profiles} == {15}
 
 
 def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two):

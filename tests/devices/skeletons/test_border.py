@@ -212,6 +212,7 @@ def of_thousands(separator, change):
     return text(columns | {axis: [change(value) for value in columns[axis]] for axis in "xyz"}, separator)
 
 
+WHOLE_JSON, NTU = as_json(), as_skeleton().splitlines()
 WHOLE_MM = text(table(1e3 * TRUE, 0, state=""))
 OTHER = {name: of[5 * len(JOINTS) :] for name, of in table(person="72057594037931101").items()}
 ABSENT = text(table(np.zeros_like(TRUE), 0, state="not_tracked"))
@@ -235,6 +236,25 @@ REFUSED = {
     "an id twice.json": (as_json(twice=4), "two rows in one frame, the second in frame 4"),
     "pyKinectAzure.json": (PYK, r"does not hold one object\). .* write a \.csv"),
     "documents.json": (f"{PYK}\n{PYK}", r"Extra data.*\). .* write a \.csv"),
+    "half.json": (WHOLE_JSON[: len(WHOLE_JSON) // 2], "not complete JSON"),
+    "empty.json": ("", "is empty"),
+    "noise.json": (bytes(range(256)), "not text"),
+    "list.json": ("[]", "not as offline_processor"),
+    "object.json": ("{}", "no 'joint_names'"),
+    "pictures.json": (WHOLE_JSON.replace('"frames"', '"pictures"'), "no 'frames'"),
+    "tail.json": (WHOLE_JSON.replace('"Head"', '"TAIL"'), "Unknown joint 'TAIL'"),
+    "root twice.json": (WHOLE_JSON.replace('"SpineMid"', '"SpineBase"'), "names a joint twice"),
+    "soon.json": (WHOLE_JSON.replace("33333,", '"soon",'), "frame 1"),
+    "a word.json": (WHOLE_JSON.replace('"joint_positions": [[', '"joint_positions": [["x", ', 1), "frame 0"),
+    "empty.skeleton": ("", "is empty"),
+    "cut.skeleton": ("\n".join(NTU[:20]), "cut off at line 21"),
+    "a part.skeleton": ("\n".join([*NTU[:9], NTU[9][:30]]), "12 numbers"),
+    "many.skeleton": ("\n".join(["many", *NTU[1:]]), "line 1: expected the number of frames; got .many."),
+    "left.skeleton": ("\n".join([*NTU[:5], NTU[5].replace(" 0", " left", 1), *NTU[6:]]), "line 6: expected 12"),
+    "20 joints.skeleton": ("\n".join([*NTU[:3], "20", *NTU[4:]]), "a body has 20 joints"),
+    "a.txt": ("", r"\.txt is not a format.* Known: \.csv, \.json, \.skeleton, \.mkv, \.bag, \.db3"),
+    "no time": ("moment,body,joint,x,y,z\n0,0,Head,0,0,2\n", "no column time_us.*named frame that counts"),
+    "a joint of nobody": ("time_us,body,joint,x,y,z\n0,0,Tail,0,0,2\n", "Unknown joint 'Tail'"),
 }  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,9 @@ from tests.helpers.standin_camera import RealTime
 JPEG = b"\xff\xd8 a colour image \xff\xd9"
 FEMTO_SIZES = ((640, 576), (320, 288), (512, 512))
 GEMINI_SIZES = ((1280, 800), (640, 400), (320, 200))
-_MODES = values.OBMultiDeviceSyncMode
+_DISTORTION = (0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01)
+_MODES, _SENSORS = values.OBMultiDeviceSyncMode, values.TYPES["OBSensorType"]
+_AGGREGATION, _STATUS = values.TYPES["OBFrameAggregateOutputMode"], values.TYPES["OBPlaybackStatus"]
 _FEMTO_MODES = (_MODES.STANDALONE, _MODES.PRIMARY, _MODES.SECONDARY)
 _GEMINI_MODES = (_MODES.FREE_RUN, _MODES.STANDALONE, _MODES.PRIMARY, _MODES.SECONDARY_SYNCED)
 
@@ -127,9 +130,8 @@ def make_module(bus):
         def get_multi_device_sync_config(self):
             if not self._sensor.modes:
                 raise OBError("not supported")
-            found = values.OBMultiDeviceSyncConfig()
-            found.mode, found.depth_delay_us = self._sensor.sync["mode"], self._sensor.sync["delay_us"]
-            return found
+            mode, delay_us = self._sensor.sync["mode"], self._sensor.sync["delay_us"]
+            return SimpleNamespace(mode=mode, depth_delay_us=delay_us)
 
         def set_multi_device_sync_config(self, wanted):
             if wanted.mode not in self._sensor.modes:
@@ -186,12 +188,12 @@ def make_module(bus):
     class Context:
         @staticmethod
         def set_logger_level(level):
-            assert isinstance(level, values.OBLogLevel)
+            assert isinstance(level, values.TYPES["OBLogLevel"])
             bus.log_level = level
 
         def __init__(self):
             bus.contexts += 1
-            self._clock = values.OBClockType.REALTIME
+            self._clock = values.TYPES["OBClockType"].REALTIME
 
         def query_devices(self):
             if bus.fault is not None:
@@ -220,7 +222,7 @@ def make_module(bus):
 
         def get_playback_status(self):
             over = self._bag.sensor.given >= self._bag.frames and self._bag.ends
-            return values.OBPlaybackStatus.STOPPED if over else values.OBPlaybackStatus.PLAYING
+            return _STATUS.STOPPED if over else _STATUS.PLAYING
 
     class Pipeline:
         def __init__(self, device=None):
@@ -230,39 +232,33 @@ def make_module(bus):
             self._synced, self._output = True, deque()
 
         def get_stream_profile_list(self, sensor_type):
-            sensor, sensors = self._device._sensor, values.OBSensorType
-            infrared = sensors.LEFT_IR_SENSOR if sensor.stereo else sensors.IR_SENSOR
-            sizes, names = {
-                sensors.DEPTH_SENSOR: (sensor.sizes, ("Y16",)),
-                infrared: (sensor.infrared_sizes or sensor.sizes, (sensor.infrared,)),
-                sensors.COLOR_SENSOR: (((1920, 1080), (1280, 720)), ("MJPG",)),
-            }.get(sensor_type, ((), ()))
+            sensor = self._device._sensor
+            infrared = _SENSORS.LEFT_IR_SENSOR if sensor.stereo else _SENSORS.IR_SENSOR
+            sizes, name = {
+                _SENSORS.DEPTH_SENSOR: (sensor.sizes, "Y16"),
+                infrared: (sensor.infrared_sizes or sensor.sizes, sensor.infrared),
+                _SENSORS.COLOR_SENSOR: (((1920, 1080), (1280, 720)), "MJPG"),
+            }.get(sensor_type, ((), ""))
             if not sizes:
                 raise OBError("No matched sensor found!")
             return values.StreamProfileList(
                 [
-                    self._profile(sensor_type, *size, fps, getattr(values.OBFormat, name))
+                    self._profile(sensor_type, *size, fps, values.TYPES["OBFormat"][name])
                     for size in sizes
                     for fps in (30, 15, 5)
-                    for name in names
                 ]
             )
 
         def _profile(self, sensor_type, width, height, fps, image_format):
-            sensor = self._device._sensor
-            profile = values.VideoStreamProfile(sensor_type, width, height, fps, image_format)
+            sensor, calibration = self._device._sensor, ()
             if sensor.calibrated:
-                lens, distortion = values.OBCameraIntrinsic(), values.OBCameraDistortion()
-                lens.fx, lens.fy, lens.cx, lens.cy = 504.0, 505.0, 332.0, 348.0
-                lens.width, lens.height = width, height
-                distortion.model = values.OBCameraDistortionModel[sensor.distortion]
-                if sensor.distortion != "NONE":
-                    distortion.k1, distortion.k2, distortion.p1, distortion.p2 = 0.5, -0.02, 1e-5, -7e-5
-                    distortion.k3, distortion.k4, distortion.k5, distortion.k6 = -0.003, 0.9, 0.09, -0.01
-                profile.set_intrinsic(lens)
-                profile.set_distortion(distortion)
-                profile.get_extrinsic_to = lambda _other: _beside()
-            return profile
+                model = values.TYPES["OBCameraDistortionModel"][sensor.distortion]
+                known = _DISTORTION if sensor.distortion != "NONE" else (0.0,) * len(_DISTORTION)
+                lens = SimpleNamespace(fx=504.0, fy=505.0, cx=332.0, cy=348.0)
+                coefficients = dict(zip(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), known, strict=True))
+                beside = SimpleNamespace(rot=np.eye(3), transform=(-32.0, 0.0, 4.0))  # millimetres
+                calibration = lens, SimpleNamespace(model=model, **coefficients), beside
+            return values.VideoStreamProfile(sensor_type, width, height, fps, image_format, *calibration)
 
         def disable_frame_sync(self):
             self._synced = False
@@ -274,8 +270,8 @@ def make_module(bus):
             if not sensor.plugged:
                 raise OBError("Device is deactivated/disconnected!")
             assert self._synced == isinstance(self._device, PlaybackDevice), "a late image holds back depth"
-            self._profiles = {profile.get_type(): profile for profile in configuration._profiles}
-            self._mode, self._running = configuration._mode, True
+            self._profiles = {profile.kind: profile for profile in configuration.profiles}
+            self._mode, self._running = configuration.mode, True
             self._next_ns = bus.time.now_ns()
             bus.started.append(sensor.serial)
             bus.running.append(sensor.serial)
@@ -312,65 +308,33 @@ def make_module(bus):
 
         def _exposed(self):
             """The sets of the next exposure, as ``FrameAggregator.cpp`` of OrbbecSDK_v2 makes them."""
-            sensor, kinds, sensors = self._device._sensor, values.OBFrameType, values.OBSensorType
+            sensor = self._device._sensor
             sensor.given += 1
             sensor.clock_us += sensor.interval_us * (1 + sensor.skips)
-            depth, number, formats = self._profiles[sensors.DEPTH_SENSOR], sensor.given, values.OBFormat
-            size, frames = (depth.get_height(), depth.get_width()), []
-            image = np.full(size, 2000 + number, np.uint16)
-            frames.append(self._frame(kinds.DEPTH_FRAME, formats.Y16, image))
+            depth, number = self._profiles[_SENSORS.DEPTH_SENSOR], sensor.given
+            times = sensor.clock_us if sensor.timed else 0, bus.time.now_ns() // 1000
+            image = np.full(depth.size[::-1], 2000 + number, np.uint16)
+            frames = {"depth": values.DepthFrame(image, *times, sensor.scale)}
             if not sensor.infrared_lost(number):
-                kind = kinds.LEFT_IR_FRAME if sensor.stereo else kinds.IR_FRAME
-                image = np.full(size, 90, np.uint8 if sensor.infrared == "Y8" else np.uint16)
-                frames.append(self._frame(kind, formats[sensor.infrared], image))
-            if sensors.COLOR_SENSOR in self._profiles and sensor.color:
-                frames.append(self._frame(kinds.COLOR_FRAME, formats.MJPG, np.frombuffer(JPEG, np.uint8)))
-            if self._mode is values.OBFrameAggregateOutputMode.DISABLE:
-                return [_set_of([frame]) for frame in frames]
+                image = np.full(depth.size[::-1], 90, np.uint8 if sensor.infrared == "Y8" else np.uint16)
+                frames["left_ir" if sensor.stereo else "ir"] = values.VideoFrame(image, *times)
+            if _SENSORS.COLOR_SENSOR in self._profiles and sensor.color:
+                frames["color"] = values.Frame(np.frombuffer(JPEG, np.uint8), *times)
+            if self._mode is _AGGREGATION.DISABLE:
+                return [values.FrameSet(**{name: frame}) for name, frame in frames.items()]
             whole = len(frames) == len(self._profiles)
-            asked = self._mode is values.OBFrameAggregateOutputMode.FULL_FRAME_REQUIRE
-            return [_set_of(frames)] if whole or not asked else []
+            asked = self._mode is _AGGREGATION.FULL_FRAME_REQUIRE
+            return [values.FrameSet(**frames)] if whole or not asked else []
 
-        def _frame(self, kind, image_format, image):
-            return _frame(self._device._sensor, kind, image_format, image, bus.time.now_ns())
-
-    for name in (
-        *("OBSensorType", "OBStreamType", "OBFrameType", "OBFormat", "OBLogLevel", "OBClockType"),
-        *("OBFrameAggregateOutputMode", "OBMultiDeviceSyncMode", "OBCameraDistortionModel"),
-        *("OBPlaybackStatus", "OBCameraIntrinsic", "OBCameraDistortion", "OBExtrinsic", "OBError"),
-        *("OBMultiDeviceSyncConfig", "VideoStreamProfile", "StreamProfileList", "Config", "Frame"),
-        *("VideoFrame", "DepthFrame", "IRFrame", "ColorFrame", "FrameSet"),
+    for name, kind in values.TYPES.items():
+        setattr(module, name, kind)
+    for kind in (
+        *(DeviceInfo, Device, DeviceList, Context, PlaybackDevice, Pipeline, OBError, values.Config),
+        *(values.VideoStreamProfile, values.StreamProfileList, values.Frame, values.VideoFrame),
+        *(values.DepthFrame, values.FrameSet),
     ):
-        setattr(module, name, getattr(values, name))
-    for kind in (DeviceInfo, Device, DeviceList, Context, PlaybackDevice, Pipeline):
         setattr(module, kind.__name__, kind)
     return module
-
-
-def _frame(sensor, kind, image_format, image, arrived_ns):
-    if image.ndim == 2:
-        height, width = image.shape
-        frame = values.Frame.create_video_frame(kind, image_format, width, height)
-    else:
-        frame = values.Frame.create_frame(kind, image_format, image.size)
-    frame.update_data(image.tobytes())
-    frame._device_us = sensor.clock_us if sensor.timed else 0
-    frame._system_us = arrived_ns // 1000
-    frame._scale = sensor.scale
-    return frame
-
-
-def _set_of(frames):
-    found = values.FrameSet()
-    for frame in frames:
-        found.push_frame(frame)
-    return found
-
-
-def _beside():
-    pose = values.OBExtrinsic()
-    pose.rot, pose.transform = np.eye(3), (-32.0, 0.0, 4.0)  # millimetres
-    return pose
 
 
 @pytest.fixture
