@@ -102,29 +102,35 @@ HIDDEN = st.tuples(st.integers(0, 2), st.integers(0, 1), st.integers(60, 240), s
     st.floats(1.1, 1.6),
     st.lists(HIDDEN, max_size=4),
     st.one_of(st.none(), st.tuples(st.integers(0, 1), st.integers(60, 100), st.integers(60, 200))),
-    st.booleans(),
+    st.sampled_from(["kept", "renewed", "exchanged"]),
     st.booleans(),
     st.booleans(),
 )
 def test_who_is_followed_is_one_person_in_both_views_live_and_recorded(
-    count, angle, far, hidden, elsewhere, renewed, one_each, mirror
+    count, angle, far, hidden, elsewhere, ids_are, one_each, mirror
 ):
-    """Args of the scene: ``elsewhere`` is when a view does not see the first person, ``renewed`` whether ids
-    change, ``one_each`` whether the tracker gives one person, the first whom it sees, and ``mirror`` whether
-    A sees the first person's mirror image, too."""
+    """Args of the scene: ``elsewhere`` is when a view does not see the first person, ``ids_are`` what the
+    tracker does with ids, ``one_each`` whether it gives one person, the first whom it sees, and ``mirror``
+    whether A sees the first person's mirror image, too."""
     turns = [angle + k * np.pi / 2 for k in range(count - 1)]
     places = [np.zeros(3), *(far * np.array((np.cos(a), 0.0, np.sin(a))) for a in turns)]
     spans = [(who, side, range(begin, begin + n)) for who, side, begin, n in hidden]
     if elsewhere is not None:
         side, begin, n = elsewhere
         spans.append((0, side, range(begin, begin + n)))
-    frames, names = [], []
+    frames, names, rng, order = [], [], np.random.default_rng(round(1e6 * far)), np.arange(count)
     for k in range(COUNT):
         sides, called = [], []
         for side in (0, 1):
             gone = {who for who, of, span in spans if of == side and k in span}
             seen = [who for who in range(count) if who not in gone][: 1 if one_each else None]
-            ids = [str(k // 50 + 10 * who) if renewed else "1" if one_each else str(who) for who in seen]
+            ids = ["1" if one_each else str(who) for who in seen]
+            if ids_are == "renewed":
+                ids = [str(k // 50 + 10 * who) for who in seen]
+            elif ids_are == "exchanged":
+                order = rng.permutation(count) if rng.random() < 0.05 else order
+                seen = [who for who in order if who in seen]
+                ids = [str(order[who]) for who in seen]
             people = [(i, walker(k, places[who], who)) for i, who in zip(ids, seen, strict=True)]
             if mirror and not side and not one_each:
                 people.append(("77", image_of(walker(k, places[0]))))
