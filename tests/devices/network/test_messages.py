@@ -15,8 +15,6 @@ from hypothesis import strategies as st
 
 from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
-from devices.capture.stream_pairing import LivePairing
-from devices.frame_pairs import FramePair
 from devices.network import messages, remote_stream
 from devices.network.messages import (
     ClockMessage,
@@ -38,7 +36,7 @@ from devices.sensor import AbsentError, DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V2
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
-from tests.helpers.network import arrivals, free_address
+from tests.helpers.network import free_address
 from tests.helpers.scripted_sensor import ScriptedSensor, frame_at
 from tests.helpers.waiting import eventually
 
@@ -210,29 +208,19 @@ def test_missing_numbers_are_counted_and_nothing_waits_for_them():
     assert (stream.figures.received, stream.figures.lost) == (3, 2)
 
 
-def test_the_clock_of_another_pc_is_known_within_half_of_the_shortest_round_trip():
+@given(ppm=st.integers(-40, 40), seconds=st.integers(10, 600), seed=st.integers(0, 99))
+def test_the_clock_of_another_pc_is_known_within_the_bound_that_is_told(ppm, seconds, seed):
     """One-way delays are 0.2 ms at least and differ by up to 30 ms, all of it on the way back."""
-    rng = np.random.default_rng(0)
-    clock, now_ns = RemoteClock(), 0
-    for _ in range(20):
-        now_ns += SECOND // 2
+    rng, clock, offset = np.random.default_rng(seed), RemoteClock(), 0
+    for now_ns in range(0, seconds * SECOND, SECOND // 2):
         there, back = 200_000, 200_000 + round(rng.exponential(10 * MS))
-        received = now_ns + there + HOST_AHEAD_NS
+        offset = HOST_AHEAD_NS + round(ppm * 1e-6 * now_ns)
+        received = now_ns + there + offset
         assert clock.add(now_ns, received, received + 50_000, now_ns + there + 50_000 + back)
-    bound, offset = clock.bound_ns(now_ns), clock.offset_ns(now_ns)
-    assert abs(offset - HOST_AHEAD_NS) <= bound
-    assert bound < 2 * MS  # the shortest of 20 delays of 10 ms is about 0.5 ms; 0.5 ms of drift in 10 s
-
-
-def test_a_clock_that_drifts_is_followed():
-    """40 ppm for ten minutes are 24 ms; the newest seconds must count."""
-    clock, offset, now_ns = RemoteClock(), 0, 0
-    for k in range(1200):
-        now_ns = k * SECOND // 2
-        offset = HOST_AHEAD_NS + round(40e-6 * now_ns)
-        clock.add(now_ns, now_ns + MS + offset, now_ns + MS + offset, now_ns + 2 * MS)
-    found, bound = clock.offset_ns(now_ns), clock.bound_ns(now_ns)
-    assert abs(found - offset) <= bound <= 2 * MS
+    bound = clock.bound_ns(now_ns)
+    assert abs(clock.offset_ns(now_ns) - offset) <= bound
+    # of 20 delays of 10 ms the shortest is below 1.5 ms in 95 %; 0.5 ms of drift in 10 s
+    assert bound < 5 * MS
 
 
 @pytest.mark.parametrize("reply", [(0, 5, 4, 10), (10, 0, 0, 5), (0, 0, 100, 10)])
@@ -331,62 +319,6 @@ def test_a_broken_connection_to_the_same_run_is_no_restart():
     stream.begin(SensorMessage(1, "k", AZURE_KINECT, None, 33_333_333))
     assert number(stream.receive(frame(31), SECOND)) == 31
     assert (stream.figures.lost, stream.figures.restarts) == (30, 0)
-
-
-def test_damaged_messages_are_counted_and_change_nothing():
-    stream, rng, given = opened(), np.random.default_rng(3), []
-    for sequence in range(300):
-        good = frame(sequence)
-        bad = bytearray(good)
-        bad[int(rng.integers(len(bad)))] ^= int(rng.integers(1, 256))
-        assert stream.receive(bytes(bad), sequence * 33 * MS) is None
-        given.append(number(stream.receive(good, sequence * 33 * MS)))
-    assert given == list(range(300))
-    assert stream.figures.malformed == 300
-
-
-def test_pairs_go_on_with_loss_and_jitter():
-    """5 % loss on each side leaves 28.5 frames of A per second; each gives a pair.
-
-    In 120 s that is 3420 ± 13 frames; 28.0 per second are 3360, more than four deviations below. A pair is
-    late by the jitter and the wait for a partner at most.
-    """
-    seconds = 120
-    streams = {"a": opened(), "b": opened()}
-    pairing, pairs = LivePairing(), list[FramePair]()
-    events = sorted(
-        (arrived_ns, side, data)
-        for side, seed in (("a", 1), ("b", 2))
-        for arrived_ns, data in arrivals(
-            seconds, lost=0.05, jitter_ns=20 * MS, seed=seed, host_ahead_ns=HOST_AHEAD_NS
-        )
-    )
-    for stream in streams.values():
-        stream.clock_request(0)
-        there = MS + HOST_AHEAD_NS
-        assert stream.clock_reply(encode_clock(ClockMessage(1, 0, there, there)), 2 * MS)
-    now_ns, due = 0, 0
-    for arrived_ns, side, data in events:
-        while due <= arrived_ns:  # the loop looks every 10 ms
-            pairs += pairing.poll(due)
-            due += 10 * MS
-        got = streams[side].receive(data, arrived_ns)
-        assert got is not None
-        pairs += pairing.add(side, got, arrived_ns)
-        now_ns = arrived_ns
-    pairs += pairing.poll(now_ns + SECOND)
-    in_order = [pair.time_ns for pair in pairs]
-    assert in_order == sorted(set(in_order))
-    assert len(pairs) >= 28.0 * seconds
-    assert pairing.figures.late == pairing.figures.repeated == pairing.figures.reordered == 0
-    for stream in streams.values():
-        figures = stream.figures
-        assert figures.received + figures.lost == pytest.approx(30 * seconds, abs=2)
-        assert figures.lost == pytest.approx(0.05 * 30 * seconds, abs=60)
-    both = [pair for pair in pairs if pair.a is not None and pair.b is not None]
-    assert len(both) > 0.88 * 30 * seconds  # 0.95² = 0.90 of the moments have both
-    # both sensors captured at the same moments: no pair may be of different ones
-    assert all(pair.a.time_ns == pair.b.time_ns for pair in both if pair.a and pair.b)
 
 
 # --- Zenoh sessions: explicit addresses, one session per set of addresses, one line for each mistake.
