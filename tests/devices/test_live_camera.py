@@ -1,7 +1,5 @@
 """What live sensors of every vendor share, on one scripted camera in virtual time: faults, times, words."""
 
-import gc
-import weakref
 from dataclasses import dataclass
 from itertools import pairwise
 from unittest.mock import patch
@@ -103,46 +101,7 @@ def test_a_dead_colour_camera_is_named_and_depth_goes_on(schedule):
     assert all(seen.colored[-60:])
 
 
-@pytest.mark.parametrize("cause", [Cause.NO_IMAGES, Cause.LATE_IMAGES])
-def test_colour_that_never_comes_or_too_late_to_be_joined_is_named(schedule, cause):
-    schedule.color_lost = lambda _: cause is Cause.NO_IMAGES
-    schedule.color_latency_ns = 400_000_000
-    with camera(schedule, color="720P") as sensor:
-        seen = watch(schedule, sensor, 6.0)
-    assert whole(seen)
-    assert seen.first_told(cause) < 3.0
-    assert (sensor.missed, sensor.lost, len(seen.told)) == (0, 0, 1)
-
-
-@pytest.mark.parametrize(
-    ("lost", "cause"), [(lambda k: k > 60, Cause.NO_IMAGES), (lambda k: k % 2, Cause.FEW_IMAGES)]
-)
-def test_missing_infrared_is_named_and_depth_goes_on(schedule, lost, cause):
-    schedule.infrared_lost = lost
-    with camera(schedule) as sensor:
-        seen = watch(schedule, sensor, 8.0)
-    assert whole(seen)
-    assert (sensor.missed, sensor.lost) == (0, 0)
-    assert seen.first_told(cause) < 5.0
-    assert "infrared images" in seen.told[0][1]
-    assert "No one is found without them" in seen.told[0][1]
-
-
 # ------------------------------------------------------------------ readers, recordings, losses
-
-
-@pytest.mark.parametrize("recording", [False, True])
-def test_a_slow_reader_gets_the_newest_frame_and_the_rest_are_counted(schedule, recording):
-    recorded = []
-    with camera(schedule) as sensor:
-        sensor.on_capture = recorded.append if recording else None
-        seen = watch(schedule, sensor, 8.0, lambda _: 0.08)
-    assert max(seen.ages[1:]) < 0.07, "a frame's time, and its way"
-    assert sensor.missed == seen.numbers[-1] - seen.numbers[0] + 1 - len(seen.numbers)
-    assert sensor.lost == 0
-    if recording:
-        numbers = [int(frame.depth[0, 0]) for frame in recorded]
-        assert numbers == list(range(numbers[0], numbers[-1] + 1)), "made once, in order"
 
 
 def test_a_reader_that_stops_for_half_a_second_costs_no_more_than_that(schedule):
@@ -178,33 +137,6 @@ def test_a_recording_slower_than_the_camera_holds_up_neither_frames_nor_the_end(
     assert max(seen.ages[settled:]) < (0.08 + 2 * cost_s if cost_s < 1.0 / 30.0 else 0.7)
     assert sensor.missed + sensor.lost == seen.numbers[-1] - seen.numbers[0] + 1 - len(seen.numbers)
     assert sensor.lost == 0
-
-
-def test_what_usb_loses_counts_as_lost_only(schedule):
-    schedule.depth_lost = lambda number: number % 10 == 0 or number in (61, 62)
-    with camera(schedule, color="720P") as sensor:
-        seen = watch(schedule, sensor, 8.0)
-    span = seen.numbers[-1] - seen.numbers[0] + 1
-    assert sensor.lost == span - len(seen.numbers) > 20
-    assert sensor.missed == 0
-
-
-def test_many_openings_leave_nothing(schedule):
-    left = []
-
-    def cycle():
-        sensor = camera(schedule, color="720P")
-        with sensor:
-            frames = sensor.frames()
-            next(frames)
-            left.append(weakref.ref(sensor._stream.joiner))
-            frames.close()
-        assert sensor._stream is None
-
-    for _ in range(20):
-        cycle()
-    gc.collect()
-    assert [ref() for ref in left if ref() is not None] == []
 
 
 # ------------------------------------------------------------------ silence

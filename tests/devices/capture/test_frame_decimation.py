@@ -1,46 +1,20 @@
 """Decimation: two trackers get the same moments."""
 
 import math
-from dataclasses import replace
-from itertools import count, pairwise
+from itertools import count
 
-import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_pair import TwoSensors
-from devices.capture.stream_pairing import LivePairing
 from devices.events import Event
-from devices.sensor import Sensor, SensorFrame
-from devices.simulated.real_time import PacedSensor
 from tests.helpers.scripted_sensor import ScriptedSensor
-from tests.helpers.slow_trackers import run_slow_trackers
 
 MS = 1_000_000
 PERIOD_NS = 33_333_333
 SECOND_NS = 1_000_000_000
-
-
-@pytest.mark.parametrize(
-    ("latency_ms", "tracking_ms"),
-    [(0, (20, 20)), (0, (60, 20)), (100, (40, 40)), (200, (20, 60)), (200, (20, 20))],
-)
-def test_frames_that_both_trackers_can_process_are_paired_and_new(bus, latency_ms, tracking_ms):
-    a, b = tracking_ms
-    outcome = run_slow_trackers(
-        bus, color_latency_ns=latency_ms * MS, tracking_ns=(a * MS, b * MS), seconds=9.0
-    )
-    assert outcome.paired >= 0.99
-    assert outcome.age_ns <= max(tracking_ms) * MS + PERIOD_NS
-    assert outcome.step == (1 if max(tracking_ms) < 33 else 2)
-
-
-def test_without_a_cable_the_same_moments_survive_too(bus):
-    outcome = run_slow_trackers(bus, tracking_ns=(60 * MS, 40 * MS), cable=False, seconds=9.0)
-    assert outcome.paired >= 0.99
-    assert outcome.age_ns <= 60 * MS + PERIOD_NS
 
 
 def _run(decimation, clock, seconds, took_ms):
@@ -64,21 +38,6 @@ class Clock:
 @pytest.fixture
 def clock():
     return Clock()
-
-
-@pytest.mark.parametrize(("tracking_ms", "step"), [(10, 1), (31, 1), (34, 2), (60, 2), (70, 3), (1000, 32)])
-def test_the_step_follows_from_the_slowest_tracker(tracking_ms, step, clock):
-    decimation = FrameDecimation(30, clock)
-    for index in range(30):
-        clock.now_ns += decimation.interval_ns
-        for sensor, ms in (("a", 10), ("b", 10_000 if index < 2 else tracking_ms)):
-            decimation.tracked(sensor, ms * MS)
-    assert decimation.step == step
-    assert decimation.interval_ns == step * decimation.period_ns
-    choice = decimation.choice
-    assert (choice.slowest, choice.slowest_s) == (
-        ("b", pytest.approx(tracking_ms / 1000)) if step > 1 else (None, 0)
-    )
 
 
 @given(
@@ -142,47 +101,11 @@ def test_a_tracker_that_is_gone_does_not_hold_the_other_up(clock):
     assert (decimation.step, decimation.choice.taken_back) == (2, False)
 
 
-def test_the_first_results_of_a_tracker_do_not_count_when_it_is_reopened(clock):
-    decimation = FrameDecimation(30, clock)
-    _run(decimation, clock, 1, lambda _: {"a": 20, "b": 20})
-    decimation.restart("b")
-    _run(decimation, clock, 2 / 30, lambda _: {"a": 20, "b": 10_000})
-    assert set(_run(decimation, clock, 1, lambda _: {"a": 20, "b": 20})) == {1}
-    assert max(decimation.choice._trackers["b"].took_ns) == 20 * MS
-
-
 def _moments(decimation, sensor, times_ns, clock_ns, ppm=0.0):
     return [
         decimation.moment(sensor, round(at_ns * (1 + ppm * 1e-6)) + clock_ns, at_ns + 15 * MS)
         for at_ns in times_ns
     ]
-
-
-@pytest.mark.parametrize("clock_ns", [0, 12_345_678_901, -500 * MS])
-def test_both_count_the_same_moments_whatever_their_clocks_say(clock_ns):
-    decimation = FrameDecimation(30)
-    times = [10**12 + index * PERIOD_NS for index in range(200)]
-    a, b = [], []
-    for at_ns in times:
-        a += _moments(decimation, "a", [at_ns], 0)
-        if at_ns != times[50]:  # a frame that B missed
-            b += _moments(decimation, "b", [at_ns + 160_000], 10**12 + clock_ns)
-    del a[50]
-    assert a == b
-    assert [later - first for first, later in pairwise(a)].count(2) == 1
-
-
-def test_clocks_that_drift_apart_stay_on_one_grid():
-    decimation = FrameDecimation(30)
-    off = 0
-    for index in range(36_000):
-        at_ns = 10**12 + index * PERIOD_NS
-        (a,) = _moments(decimation, "a", [at_ns], 0, ppm=30.0)
-        # B captures 50 ppm slower: after twenty minutes its camera is 1.8 frames behind
-        (b,) = _moments(decimation, "b", [round(10**12 + index * PERIOD_NS * (1 + 50e-6))], 7 * MS, ppm=-20.0)
-        behind = index * 50e-6
-        off = max(off, abs((b - a) - behind))
-    assert off <= 0.75  # the hysteresis is 0.6; a period of B is 50 ppm longer
 
 
 @given(
@@ -230,39 +153,6 @@ def test_frames_that_were_held_up_change_no_number(late, phase, begin, held, apa
             arrivals.append((host_ns, index, name, at_ns))
     for host_ns, index, name, at_ns in sorted(arrivals):
         assert decimation.moment(name, at_ns, host_ns) == index
-
-
-def test_two_sensors_of_one_name_have_clocks_and_trackers_of_their_own():
-    frames = [SensorFrame(k * PERIOD_NS, depth=np.ones((2, 2), np.uint16)) for k in range(60)]
-
-    class Recording(Sensor):
-        name = "output.mkv"
-
-        def __init__(self, begins_ns):
-            self.begins_ns = begins_ns
-
-        def frames(self):
-            return (replace(frame, time_ns=self.begins_ns + frame.time_ns) for frame in frames)
-
-    decimation, now = FrameDecimation(30), [100.0]
-    decimation.choice.step = 2
-
-    def wait(_, seconds):
-        now[0] += seconds
-
-    for begins_ns in (10 * SECOND_NS, 500 * SECOND_NS):
-        now[0] = 100.0
-        played = PacedSensor(Recording(begins_ns), None, decimation, clock=lambda: now[0], wait=wait)
-        assert len(list(played.frames())) == 30
-
-
-def test_pairing_is_as_patient_as_the_frames_are_few():
-    pairing = LivePairing(PERIOD_NS)
-    assert (pairing.max_lag_ns, pairing._gone_after_ns) == (300 * MS, 500 * MS)
-    pairing.set_interval(300 * MS)
-    assert (pairing.max_lag_ns, pairing._gone_after_ns) == (300 * MS, 1200 * MS)
-    pairing.set_interval(PERIOD_NS)
-    assert (pairing.max_lag_ns, pairing._gone_after_ns) == (300 * MS, 500 * MS)
 
 
 def test_sensors_are_given_as_long_as_a_tracker_of_seconds_takes(clock):

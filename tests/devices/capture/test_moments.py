@@ -1,6 +1,5 @@
 """Laws of joining images to moments, and of what a stream tells."""
 
-import re
 from types import SimpleNamespace
 
 import pytest
@@ -79,33 +78,6 @@ def test_every_depth_image_comes_once_in_order_in_bounded_time_with_the_nearest_
     assert held <= 2 + WAIT_NS // PERIOD_NS
 
 
-def test_depth_that_ends_leaves_no_moment_behind_while_other_images_come():
-    joiner = ImageJoiner(PERIOD_NS, color=PERIOD_NS, infrared=PERIOD_NS)
-    joiner.add_depth(0, 0, 0, 0)
-    for k in range(2 * WAIT_NS // PERIOD_NS + 2):
-        joiner.add("color", k * PERIOD_NS, k)
-    moment = joiner.take()
-    assert (moment.color, moment.infrared, moment.lacks) == (0, None, ("infrared",))
-
-
-def test_a_recording_waits_for_each_image_as_long_as_it_is_told():
-    joiner = ImageJoiner(PERIOD_NS, wait_ns=2 * PERIOD_NS, color=PERIOD_NS)
-    joiner.add("color", 0, 0)
-    joiner.add_depth(0, 0, 0, 0)
-    joiner.add("color", PERIOD_NS, 1)  # the last one
-    for k in range(1, 10):
-        joiner.add_depth(k * PERIOD_NS, k, k, k)
-    given_frames = [moment.depth for moment in iter(joiner.take, None)]
-    assert given_frames == list(range(8)), "the newest two wait"
-
-
-def test_depth_without_other_streams_waits_for_nothing():
-    joiner = ImageJoiner(PERIOD_NS)
-    for k in range(3):
-        joiner.add_depth(k * PERIOD_NS, k, k, k)
-        assert joiner.take().depth == k
-
-
 @given(st.integers(0, 150_000_000), st.integers(-HALF_NS, HALF_NS))
 def test_an_image_of_the_same_rate_that_comes_in_time_is_never_missed(latency, offset):
     of = {"offset": offset, "latency": latency, "every": 1, "lost": (), "from": 0, "until": 99}
@@ -159,20 +131,6 @@ def test_silence_ends_with_any_moment(polls, subordinate):
             return  # rounding decides
         silence.lasts(tenths / 10, Incomplete.NOTHING, "")
         assert (silence.waits_for != "") == (waited > 0 and subordinate and not started)
-
-
-@pytest.mark.parametrize("cut_off", [False, True])
-@pytest.mark.parametrize(
-    ("sync", "cause"), [("subordinate", Cause.NO_PULSES), ("standalone", Cause.NO_DEPTH)]
-)
-def test_one_image_that_was_cut_off_does_not_hide_that_the_pulses_end(sync, cause, cut_off):
-    silence = Silence("X 1", CaptureSettings(sync=sync, stall_s=3.0))
-    silence.ends()
-    silence.lasts(0.1, Incomplete.PART if cut_off else Incomplete.NOTHING, "")
-    silence.lasts(2.5, Incomplete.NOTHING, "")
-    words = cause.says(label="X 1", seconds=3.1, advice="Check it.")
-    with pytest.raises(DeviceError, match=re.escape(words)):
-        silence.lasts(0.5, Incomplete.NOTHING, "Check it.")
 
 
 GAPS = st.one_of(st.integers(0, 20), st.integers(50, 70))

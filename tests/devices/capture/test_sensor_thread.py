@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.capture.sensor_pair import TwoSensors
-from devices.capture.sensor_state import FrameBorder, Retries, SensorState, TimeLimits
+from devices.capture.sensor_state import FrameBorder, SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
-from devices.sensor import AbsentError, DeviceError, LinkFigures, SensorFrame, SensorWrapper
+from devices.sensor import DeviceError, LinkFigures, SensorFrame, SensorWrapper
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.errors import BodyError
 from fusion.skeleton import Skeleton
@@ -60,13 +60,6 @@ def test_dropped_frames_are_freed(sensor, thread):
     gc.collect()
     # Delivery adds the arrival time to a copy, so of what was put the generator holds the last at most.
     assert sum(ref() is not None for ref in alive) <= 1
-
-
-def test_every_arrival_wakes_the_reader(sensor, thread):
-    for index in range(3):
-        thread.arrival.clear()
-        sensor.put(frame_at(index))
-        assert thread.arrival.wait(PATIENCE_S)
 
 
 def test_a_skeleton_of_another_body_ends_the_sensor_with_one_line(sensor, thread):
@@ -140,14 +133,6 @@ def test_a_lost_sensor_is_reopened_until_it_is_back(sensor):
     assert (sensor.opened, sensor.closed) == (2, 2)
 
 
-def test_the_waits_between_openings_are_short_again_after_one_that_succeeded():
-    retries = Retries(1.5)
-    refused, absent = DeviceError("busy"), AbsentError("not there")
-    assert [retries.after(fault) for fault in (refused, absent, refused, refused)] == [1.5, 1.5, 3.0, 6.0]
-    retries.succeeded()
-    assert retries.after(refused) == 1.5
-
-
 def test_a_lost_sensor_is_reported_before_its_driver_has_closed_it(sensor):
     seen = []
     with SensorThread(sensor) as thread:
@@ -196,24 +181,6 @@ def test_a_sensor_whose_tracker_takes_seconds_is_not_called_stalled(sensor):
         assert thread.state is SensorState.STALLED
 
 
-def test_a_silent_sensor_is_stalled_and_then_not(sensor):
-    now = [100.0]
-    with SensorThread(sensor, limits=TimeLimits(stall_s=2.0), clock=lambda: now[0]) as thread:
-        sensor.put(frame_at(0))
-        _after(sensor)
-        now[0] = 101.9
-        assert thread.state is SensorState.RUNNING
-        now[0] = 102.1
-        assert thread.state is SensorState.STALLED
-        assert thread.gone
-        assert ["stalls" in event.text for event in thread.events()] == [True]
-        assert thread.events() == []
-        sensor.put(frame_at(1))
-        _after(sensor)
-        assert thread.state is SensorState.RUNNING
-        assert ["again" in event.text for event in thread.events()] == [True]
-
-
 def test_a_source_that_ends_is_ended_not_lost(sensor):
     with SensorThread(sensor) as thread:
         sensor.put(frame_at(1))
@@ -241,21 +208,6 @@ def test_damage_ends_a_recording_once_and_no_cable_is_blamed(wrapped):
         assert (recording.opened, recording.closed, thread.returns) == (1, 1, 0)
 
 
-def test_a_recording_that_stands_still_is_no_hardware():
-    recording, now, release = DamagedRecording("a.mkv"), [100.0], threading.Event()
-    thread = SensorThread(recording, clock=lambda: now[0]).open()
-    recording.put(frame_at(0))
-    _after(recording)
-    now[0] += 3.0
-    told = [event.text for event in thread.events()]
-    recording.put(lambda: release.wait(PATIENCE_S))
-    assert not thread.close(within_s=0.01)
-    told += [event.text for event in thread.events()]
-    release.set()
-    assert ["no frame for 2 s" in told[0], "left behind" in told[1], len(told)] == [True, True, 2]
-    assert not any(word in text for text in told for word in ("cable", "power", "nplug"))
-
-
 def test_a_fault_of_the_program_reaches_the_reader(sensor, thread):
     thread.arrival.clear()
     sensor.put(ZeroDivisionError("a bug"))
@@ -263,14 +215,6 @@ def test_a_fault_of_the_program_reaches_the_reader(sensor, thread):
     with pytest.raises(DeviceError, match=r"000123 failed .*\(ZeroDivisionError: a bug\)") as told:
         thread.take()
     assert isinstance(told.value.__cause__, ZeroDivisionError)
-
-
-def test_closing_a_waiting_sensor_does_not_hang(sensor):
-    thread = SensorThread(sensor).open()
-    assert thread.close(PATIENCE_S)
-    assert (sensor.opened, sensor.closed) == (1, 1)
-    assert thread.state is SensorState.CLOSED
-    assert thread.close()
 
 
 def test_closing_a_driver_that_hangs_leaves_it_behind(sensor):
@@ -476,17 +420,6 @@ def test_the_subordinate_starts_first():
     assert order == ["a", "b", "b", "a", "b", "a"]
 
 
-def test_both_sources_ended_end_the_pairs():
-    bench = _Bench()
-    with bench.two as two:
-        bench.put(bench.a, bench.b)
-        bench.put(bench.a)
-        bench.a.put(None)
-        bench.b.put(None)
-        pairs = list(two.pairs())
-    assert [(pair.a is not None, pair.b is not None) for pair in pairs] == [(True, True), (True, False)]
-
-
 def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames(earlier_threads):
     told = []
     release, closed = threading.Event(), threading.Event()
@@ -550,29 +483,6 @@ def _session(two, a, b, moment):
 
 def _press_ctrl_c():
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-
-
-def test_frames_are_counted_from_when_both_are_open():
-    bench = _Bench()
-    came = threading.Event()
-
-    class Loading(ScriptedSensor):
-        """A sensor whose tracker loads for as long as the other gives a hundred frames."""
-
-        def __enter__(self):
-            bench.b.put(*(frame_at(index * INTERVAL_NS) for index in range(100)), came.set)
-            assert came.wait(PATIENCE_S)
-            return super().__enter__()
-
-    bench.a = Loading("000123")
-    bench.two = TwoSensors(bench.a, bench.b)
-    with bench.two as two:
-        assert (two.b.received, two.b.dropped) == (0, 0)
-        for _ in range(3):
-            bench.put(bench.a, bench.b)
-            bench.next_pair()
-        assert (two.b.received, two.b.dropped) == (3, 0)
-        assert two.figures.unmatched_b == 0
 
 
 @pytest.mark.parametrize("waits_for", ["its body tracker, which loads its network", ""])

@@ -28,10 +28,6 @@ def _in_order(pairs):
     return all(earlier < later for earlier, later in pairwise(times))
 
 
-def _every_frame_of_a_once(pairs, a):
-    return [pair.a for pair in pairs if pair.a is not None] == [shot.frame for shot in a]
-
-
 STREAMS = st.fixed_dictionaries(
     {
         "fps": st.floats(5.0, 90.0),
@@ -108,17 +104,6 @@ def test_no_frame_is_lost_while_clocks_drift_by_frames(ppm, seconds):
     assert np.abs(told - 4_000_000).max() <= 0.8 * MILLISECOND_NS
     # Theil-Sen over a minute of one-second minima, each 3 ms / 30 frames = 0.1 ms off: 0.1 ms / 60 s = 2 ppm.
     assert pairing.figures.drift_ppm == pytest.approx(ppm, abs=4)
-
-
-def test_a_constant_sync_delay_is_expected_and_found_to_the_microsecond():
-    a = shots("a", 20)
-    b = shots("b", 20, phase_ns=160_000, clock_ns=123_456_789_000, latency_ns=26_000_000)
-    pairing = LivePairing(INTERVAL_NS, sync_delay_ns=160_000)
-    pairs = run(pairing, a, b)
-    settled = [pair.skew_ns for pair in _both(pairs)[WARM_UP:]]
-    # By arrivals alone it would be 6 ms: B takes that much longer on its way.
-    np.testing.assert_allclose(np.array(settled, dtype=np.float64), 160_000, atol=1000)
-    assert pairing.figures.offset_ns == pytest.approx(123_456_789_000, abs=1000)
 
 
 def test_pairs_on_a_cable_that_arrivals_contradict_are_found_anew():
