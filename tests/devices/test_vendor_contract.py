@@ -13,10 +13,12 @@ from devices.capture import usb
 from devices.capture.causes import Cause
 from devices.capture.settings import CaptureSettings
 from devices.freenect.sensor import FreenectSensor
+from devices.live.checks import device_checks
 from devices.orbbec.sensor import OrbbecSensor
 from devices.realsense import sdk_access as realsense_access
 from devices.realsense.sensors import RealSenseSensor
 from devices.sensor import AbsentError, DeviceError
+from devices.tracker_choice import TrackerChoice
 from tests.helpers.freenect import film, numbered, write_dump
 from tests.helpers.orbbec.standin import Orbbec
 from tests.helpers.realsense import Software
@@ -25,6 +27,7 @@ from tests.helpers.standin_pyk4a import Device
 from tests.helpers.usb_tree import plug_in
 
 A, B = "000123", "000456"
+OURS = TrackerChoice("blazepose", "a test")
 
 
 class OnBus:
@@ -61,8 +64,9 @@ class Azure(OnBus):
         listed = lambda: [usb.UsbKinect(one.serial, None, True, 5000) for one in bus.plugged()]  # noqa: E731
         request.getfixturevalue("monkeypatch").setattr(pyk4a_access, "usb_kinects", listed)
 
-    def sensor(self, serial=A):
-        return KinectSensor(serial, KinectSettings(color="720P"), track=False, clock=self._time.now_ns)
+    def sensor(self, serial=A, **settings):
+        settings = KinectSettings(**{"color": "720P", **settings})
+        return KinectSensor(serial, settings, track=False, clock=self._time.now_ns)
 
 
 class OrbbecDriver(OnBus):
@@ -73,8 +77,9 @@ class OrbbecDriver(OnBus):
         bus.time = VirtualTime()
         super().__init__(bus, [Orbbec(B), Orbbec(A)])
 
-    def sensor(self, serial=A):
-        return OrbbecSensor(serial, CaptureSettings(color="720P"), clock=self._bus.time.now_ns)
+    def sensor(self, serial=A, **settings):
+        settings = CaptureSettings(**{"color": "720P", **settings})
+        return OrbbecSensor(serial, settings, clock=self._bus.time.now_ns)
 
 
 class RealSense:
@@ -127,8 +132,8 @@ class KinectV1:
     def busy(self):
         self._fakenect.busy.add(A)
 
-    def sensor(self, serial=A):
-        return FreenectSensor(serial)
+    def sensor(self, serial=A, **settings):
+        return FreenectSensor(serial, CaptureSettings(**settings))
 
 
 DRIVERS = {"azure": Azure, "orbbec": OrbbecDriver, "realsense": RealSense, "freenect": KinectV1}
@@ -217,6 +222,37 @@ def test_an_image_that_does_not_come_with_depth_is_named(driver, image):
     assert depths == list(range(depths[0], depths[0] + 180))
     (told,) = sensor.take_news()
     assert f"{image} images" in told
+
+
+@EVERY
+def test_the_doctor_finds_both(driver, tmp_path):
+    for number, serial in enumerate((A, B)):
+        plug_in(tmp_path / "root", serial, driver.usb[1], number=number, vendor=driver.usb[0])
+    named = {check.name: check for check in device_checks(OURS, tmp_path / "root")}
+    assert named["two sensors"].detail == "2 connected, 2 usable"
+    assert sum(check.ok for name, check in named.items() if name.endswith((A, B))) == 2
+    assert named["USB speed"].ok
+
+
+@pytest.mark.parametrize(
+    ("driver", "settings", "said"),
+    [
+        ("azure", {"depth_mode": "PASSIVE_IR"}, r"PASSIVE_IR is not supported\. Supported: NFOV"),
+        ("azure", {"depth_mode": "WFOV_UNBINNED"}, "at most, not 30"),
+        ("azure", {"color": "4K"}, "No colour mode 4K"),
+        ("orbbec", {"depth_mode": "PASSIVE_IR"}, "No depth mode PASSIVE_IR. There are NFOV_UNBINNED"),
+        ("orbbec", {"color": "3072P"}, "have no colour 3072P: 720P"),
+        ("orbbec", {"color": "1440P"}, r"no colour 1440P \(MJPG\) at 30 fps\. It has 1080P, 720P"),
+        ("freenect", {"depth_mode": "WFOV_2X2BINNED"}, r"one depth mode, 640 × 480\. Leave `depth_mode` out"),
+        ("freenect", {"fps": 15}, r"runs at 30 fps, not 15\. Leave `fps` out"),
+        ("freenect", {"sync": "master"}, r"no port for a sync cable\. Leave `sync_master` out"),
+    ],
+    indirect=["driver"],
+)
+def test_a_mode_that_the_sensor_lacks_is_refused(driver, settings, said):
+    with pytest.raises(DeviceError, match=said):
+        driver.sensor(**settings).__enter__()
+    assert list(driver.open_serials) == []
 
 
 def _on_bus(monkeypatch, devices):

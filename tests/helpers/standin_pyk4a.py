@@ -164,7 +164,7 @@ def make_module(bus):
         @property
         def calibration(self):
             self._present()
-            return Calibration(self._config.depth_mode, self._config.color_resolution, self._number.value - 1)
+            return Calibration(self._config.depth_mode, self._number.value - 1)
 
         @property
         def calibration_raw(self):

@@ -87,18 +87,13 @@ class LeakyCapture(PyK4ACapture):
 class Calibration:
     """Two made-up cameras."""
 
-    def __init__(self, depth_mode, color_resolution, device=0):
-        self._depth_mode, self._color_resolution = int(depth_mode), int(color_resolution)
+    def __init__(self, depth_mode, device=0):
         self._struct = ctypes.create_string_buffer(1032)
         ctypes.c_int.from_buffer(self._struct, 0).value = device
         ctypes.c_int.from_buffer(self._struct, 1024).value = int(depth_mode)
         self._calibration_handle = _new_capsule(ctypes.addressof(self._struct), _CALIBRATION_NAME, None)
 
     def _lens(self, camera):
-        if camera not in (0, 1):
-            raise ValueError("Camera matrix only available for color and depth cameras.")
-        if (self._color_resolution if camera == 1 else self._depth_mode) == 0:
-            raise ValueError("Unknown camera calibration type")
         lens = (0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01)
         return (610.0, 611.0, 640.0, 365.0, lens) if camera == 1 else (504.0, 505.0, 332.0, 348.0, lens)
 

@@ -51,9 +51,7 @@ def test_our_recording_is_the_real_librarys(recording, real_pyk4a):
 def test_our_lens_is_the_real_librarys_in_every_mode(recording, real_pyk4a, depth):
     with MkvRecording(recording) as opened:
         lens = depth_intrinsics(opened.info.calibration_json, depth)
-    for color in pyk4a_contract.COLOR:
-        values = real_pyk4a["calibration"]["said"][f"{depth} {color}"][0]
-        (fx, _, cx, _, fy, cy), distortion = values[:6], values[9:]
-        # libk4a computes in single precision: 24 bits of a focal length of up to 4096 px, a few steps
-        assert np.allclose([lens.fx, lens.fy, lens.cx, lens.cy], [fx, fy, cx, cy], rtol=0, atol=2e-3)
-        assert np.allclose(lens.distortion, distortion, rtol=1e-6, atol=0)
+    (fx, _, cx, _, fy, cy, *_), distortion = np.split(real_pyk4a["calibration"]["said"][depth], [9])
+    # libk4a computes in single precision: 24 bits of a focal length of up to 4096 px, a few steps
+    assert np.allclose([lens.fx, lens.fy, lens.cx, lens.cy], [fx, fy, cx, cy], rtol=0, atol=2e-3)
+    assert np.allclose(lens.distortion, distortion, rtol=1e-6, atol=0)

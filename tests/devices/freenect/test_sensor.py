@@ -15,7 +15,6 @@ from devices.capture.settings import CaptureSettings
 from devices.freenect import libfreenect
 from devices.freenect.libfreenect import connected_freenects, how_to_install
 from devices.freenect.sensor import INTRINSICS, VENDOR, FreenectSensor, TickCounter
-from devices.live.checks import device_checks
 from devices.live.sensors import connected_sensors
 from devices.sensor import DeviceError
 from devices.tracker_choice import choose_tracker
@@ -109,20 +108,6 @@ def test_red_stays_red(fakenect, tmp_path):
     assert (blue < 10, most > 190) == (True, True)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"depth_mode": "WFOV_2X2BINNED"}, r"has one depth mode, 640 × 480\. Leave `depth_mode` out"),
-        ({"fps": 15}, r"runs at 30 fps, not 15\. Leave `fps` out"),
-        ({"sync": "master"}, r"no port for a sync cable\. Leave `sync_master` out"),
-    ],
-)
-def test_a_mode_the_sensor_lacks_is_refused(fakenect, dump, settings, message):
-    with pytest.raises(DeviceError, match=message):
-        _sensor(dump(), **settings).__enter__()
-    assert fakenect.open == []
-
-
 # ------------------------------------------------------------------ faults
 
 
@@ -166,23 +151,6 @@ def test_they_are_listed_beside_the_others_and_have_no_sync_port(dump):
         sync_master(a, b, A)
 
 
-def test_the_doctor_knows_them(dump, monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "pyk4a", None)
-    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
-    root = tmp_path / "root"
-    for number, serial in enumerate((dump(A), dump(B))):
-        plug_in(root, serial, "02ae", speed=480, number=number)
-    checks = device_checks(choose_tracker("blazepose"), root)
-    assert [c.name for c in checks if c.needed and not c.ok and c.name != "blazepose"] == []
-    named = {check.name: check for check in checks}
-    assert named["libfreenect 0.5 (Kinect v1)"].detail == "libfreenect.so.0.5"
-    assert named["two sensors"].detail == "2 connected, 2 usable"
-    assert named[f"Kinect v1 {A}"].ok
-    assert named["sync cable"].detail == f"No sync cable fits into {A} and {B}."
-    assert named["USB speed"].ok, "they are made for USB 2"
-    assert "never with a real sensor" in named["proven on hardware"].detail
-
-
 @pytest.mark.parametrize(
     ("platform", "command"),
     [
@@ -203,6 +171,3 @@ def test_a_library_of_another_kind_is_refused(real_freenect, monkeypatch):
     monkeypatch.setattr(libfreenect, "find_library", lambda _: "libc.so.6")
     with pytest.raises(DeviceError, match=r"libc\.so\.6 is not libfreenect 0\.5 \(.*freenect_init"):
         libfreenect.load_library()
-
-
-# ------------------------------------------------------------------ with the program's own tracker

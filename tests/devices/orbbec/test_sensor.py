@@ -7,24 +7,19 @@ import time
 import numpy as np
 import pytest
 
-from devices.blazepose.blazepose import BlazePose
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.orbbec.playback import OrbbecRecording
 from devices.orbbec.sdk_access import connected_orbbecs, how_to_install
 from devices.orbbec.sensor import OrbbecSensor
-from devices.recorded import recording_apart
-from devices.recorded.files import frame_count, open_source
-from devices.recorded.two_recordings import RecordingChoice, read_two
+from devices.recorded.files import open_source
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice
 from fusion.body import BLAZEPOSE
-from fusion.skeleton import Skeleton
 from tests.helpers.orbbec import standin_values as values
 from tests.helpers.orbbec.standin import JPEG, Bag, Orbbec
 from tests.helpers.orbbec.standin_values import OBError
 from tests.helpers.standin_camera import VirtualTime
-from tests.helpers.two_views import A_FROM_B, moving
 
 A, B = "CL8H741005K", "CL8H7410123"
 MODES = values.OBMultiDeviceSyncMode
@@ -111,20 +106,6 @@ def test_a_stereo_sensor_gives_millimetres_and_8_bit_infrared(orbbecs):
     assert int(frame.ir[0, 0]) == 90
     with pytest.raises(DeviceError, match=r"no depth mode WFOV_2X2BINNED.*640×400; leave `depth_mode` out"):
         _sensor("AY8T43E0031", depth_mode="WFOV_2X2BINNED").__enter__()
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"depth_mode": "PASSIVE_IR"}, "No depth mode PASSIVE_IR. There are NFOV_UNBINNED"),
-        ({"color": "3072P"}, "have no colour 3072P: 720P"),
-        ({"color": "1440P"}, r"no colour 1440P \(MJPG\) at 30 fps\. It has 1080P, 720P"),
-    ],
-)
-def test_a_mode_the_sensor_lacks_is_refused(two, settings, message):
-    with pytest.raises(DeviceError, match=message):
-        _sensor(**settings).__enter__()
-    assert two.open_serials == []
 
 
 def test_a_sensor_without_infrared_of_depths_size_is_refused(two):
@@ -303,28 +284,6 @@ def test_a_file_that_is_not_a_recording_is_refused(orbbecs, tmp_path):
     blind = _bag(orbbecs, tmp_path / "blind.bag", sizes=())
     with pytest.raises(DeviceError, match=r"blind\.bag has no depth stream"):
         OrbbecRecording(blind).__enter__()
-
-
-def test_two_recordings_are_tracked_by_our_tracker(orbbecs, tmp_path, monkeypatch):
-    truth = moving(BLAZEPOSE, 20)
-    for name in "ab":
-        _bag(orbbecs, tmp_path / f"{name}.bag", 20)
-    monkeypatch.setattr(BlazePose, "__enter__", lambda self: self)
-
-    def track(_self, image, depth, _camera, time_ns):
-        assert image.shape == depth.shape
-        seen = truth[int(depth[0, 0]) - 2001]  # the stand-in's depth numbers its frames
-        return {"1": Skeleton.of(BLAZEPOSE, A_FROM_B.inverse().apply(seen), time_ns=time_ns)}
-
-    monkeypatch.setattr(BlazePose, "track", track)
-    # the stand-in is in this process
-    monkeypatch.setattr(recording_apart, "items_of", lambda function, *arguments, **_: function(*arguments))
-    read = read_two(RecordingChoice(tmp_path / "a.bag"), RecordingChoice(tmp_path / "b.bag"), OURS)
-    assert read.body is BLAZEPOSE
-    assert len(read.pairing.pairs) == 20
-    assert read.tracker == "blazepose full"
-    with open_source(tmp_path / "a.bag", tracker=OURS) as source:
-        assert frame_count(source) == 20
 
 
 def test_k4abt_cannot_be_asked_for(orbbecs, tmp_path):
