@@ -9,7 +9,6 @@ from devices.blazepose.settings import BlazePoseSettings
 from devices.depth.camera import project
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
-from fusion.intrinsics import Intrinsics
 from fusion.skeleton import TrackingState
 from tests.helpers.machine import need_networks
 from tests.helpers.rendered_people import (
@@ -138,14 +137,6 @@ def test_a_person_who_passes_behind_another_one_is_followed_again_on_the_other_s
     assert len(followed) > 20
 
 
-def test_a_person_of_impossible_size_is_no_person(tracker):
-    """A doll of 25 cm fills the image as a person at 2.6 m does. The depth tells them apart."""
-    marks = landmarks_at("startup", 1.0)
-    share = 0.25 / 1.75
-    assert tracker.track(*images_of([marks * share], sizes=[0.25]), CAMERA, 0) == {}
-    assert only(tracker.track(*images_of([marks]), CAMERA, 5 * 10**9))
-
-
 @pytest.mark.parametrize("image", ["dark", "saturated", "noise", "empty room", "a person without depth"])
 def test_images_without_a_person_have_no_people(tracker, image):
     infrared, depth = images_of([])
@@ -229,38 +220,3 @@ def test_images_of_different_sizes_are_refused_in_one_line(tracker):
 def test_a_tracker_that_is_not_open_says_so():
     with pytest.raises(DeviceError, match="with statement"):
         BlazePose().track(*images_of([]), CAMERA, 0)
-
-
-HEAD_OF_STATURE = 0.130  # from crown to chin; Drillis and Contini (1966). The picture ends at the waist.
-GOAL = 0.05  # of the person's height: the project's
-
-# An astronaut in a space suit; public domain, by NASA. Read off the picture by eye, to about 10 pixels; the
-# joints in the suit to about 20.
-CROWN, CHIN = 15, 187
-MARKS = {
-    "NOSE": (223, 127),
-    "EYE_RIGHT": (203, 102),
-    "EYE_LEFT": (246, 103),
-    "SHOULDER_RIGHT": (95, 262),
-    "SHOULDER_LEFT": (318, 268),
-    "ELBOW_RIGHT": (45, 410),
-}
-
-
-def test_landmarks_are_within_a_twentieth_of_the_height_of_marks_made_by_hand():
-    data = pytest.importorskip("skimage.data", reason="scikit-image, which ships the photograph, is missing")
-    photograph = data.astronaut()
-    height = (CHIN - CROWN) / HEAD_OF_STATURE
-    camera = Intrinsics(512, 512, 504.0, 504.0, 255.5, 255.5)
-    # The picture has no depth: a wall at the distance at which a person of 1.7 m is as large.
-    depth = np.full(photograph.shape[:2], round(1000 * 1.7 * camera.fy / height), dtype=np.uint16)
-    with BlazePose(BlazePoseSettings(models=need_networks())) as tracker:
-        for k in range(3):  # a region follows from the landmarks of the image before, and settles
-            people = tracker.track(photograph, depth, camera, k * FRAME_NS)
-    assert len(people) == 1
-    pixels = project(camera, next(iter(people.values())).positions)
-    misses = {
-        joint: float(np.linalg.norm(pixels[BLAZEPOSE.joint(joint)] - mark)) / height
-        for joint, mark in MARKS.items()
-    }
-    assert max(misses.values()) < GOAL, misses

@@ -101,12 +101,6 @@ def test_a_damaged_package_is_reported(tmp_path, pip):
         fetching.fetch("full", tmp_path)
 
 
-def test_a_missing_network_gives_one_line(tmp_path):
-    with pytest.raises(DeviceError, match="Run duplex tracker fetch") as fault, open_in(tmp_path):
-        pass
-    assert "\n" not in str(fault.value)
-
-
 def test_a_truncated_network_gives_one_line(tmp_path):
     for path in need_networks().glob("*.tflite"):
         (tmp_path / path.name).write_bytes(path.read_bytes()[:-1])

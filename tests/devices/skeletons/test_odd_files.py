@@ -158,17 +158,6 @@ def test_a_file_without_permission_is_refused(tmp_path, good):
         pass
 
 
-def test_other_formats_under_a_wrong_name_are_refused(tmp_path, good):
-    for suffix, message in (
-        (".json", "is not JSON: it begins with 'time_us"),
-        (".skeleton", "expected the number of frames"),
-    ):
-        wrong = (tmp_path / "a.csv").with_suffix(suffix)
-        wrong.write_bytes(good.read_bytes())
-        with pytest.raises(DeviceError, match=message), SkeletonRecording(wrong):
-            pass
-
-
 def test_the_unit_of_nobody_is_asked_for(tmp_path):
     nobody = write_view(tmp_path / "a.csv", KINECT_V2, 0.1 * moving(KINECT_V2, 3))
     with pytest.raises(DeviceError, match="State it with `unit`"), SkeletonRecording(nobody):
