@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from devices.azure.mkv_writer import MkvWriter
-from devices.blazepose.settings import BlazePoseSettings
-from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.settings import CaptureSettings
 from devices.depth.camera import in_image, project
 from devices.recorded.two_recordings import RecordingChoice, read_two
@@ -25,7 +23,6 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
-from tests.helpers.machine import need_networks
 
 ON_THEIR_SIDE = ORIENTATIONS[1:]
 LENS = Intrinsics(64, 48, 50.0, 51.0, 30.0, 20.0, (0.1, -0.02, 3e-3, -2e-3, 0.01))
@@ -123,22 +120,6 @@ def test_colour_is_turned_with_its_camera(orientation):
     image = turned.color.rgb()
     assert image.shape[:2] == (camera.intrinsics.height, camera.intrinsics.width)
     np.testing.assert_array_equal(image > 127, np.rot90(rgb, -(orientation // 90)) > 127)
-
-
-def test_the_own_tracker_sees_a_sensor_on_its_side_as_one_that_stands():
-    settings = BlazePoseSettings(models=need_networks())
-    found = []
-    for roll in (0, 90):
-        a, _, _ = simulated_pair(
-            rig=Rig(roll_deg=roll), motion="startup", seconds=0.2, depth="full", infrared=True
-        )
-        with TrackedImages(upright(a, roll), settings) as sensor:
-            frame = list(sensor.frames())[-1]
-        (person,) = frame.people.values()
-        found.append(np.where(person.tracked[:, None], person.positions, np.nan))
-    apart = np.linalg.norm(found[0] - found[1], axis=1)
-    assert np.isfinite(apart).sum() >= 10
-    assert np.nanmedian(apart) < 0.04  # the tracker's own error on one view
 
 
 def write(folder, name, sensor):

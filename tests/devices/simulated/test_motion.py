@@ -1,22 +1,17 @@
 """Claims about the simulated person's movements."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.sensor import DeviceError
-from devices.simulated.demonstration import demonstration, therapist
-from devices.simulated.kinect import OTHER, PERSON, Beside, Scene, movement, simulated_pair
+from devices.simulated.kinect import OTHER, PERSON, Beside, movement, simulated_pair
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import INDEX, landmarks_of, offset, two_bones
 from devices.simulated.person.captured_motion import BEGINS, read_bvh
 from devices.simulated.person.motion import STARTUP_SECONDS
 from devices.simulated.person.movements import MOTIONS
-from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import BODIES, KINECT_V2
 from tests.helpers.footfalls import contacts, stood
 
@@ -111,13 +106,6 @@ def test_the_body_is_scaled_by_height(height):
     assert -points[INDEX["HEAD_TOP"], 1] == pytest.approx(height, rel=0.03)
 
 
-def test_any_time_may_be_asked_for_in_any_order():
-    walk = MOTIONS["walk"]
-    together = walk.landmarks([3.0, 50.0, 7.0])
-    for k, t in enumerate((3.0, 50.0, 7.0)):
-        np.testing.assert_allclose(walk.landmarks(t)[0], together[k], atol=1e-12)
-
-
 @given(
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
@@ -139,7 +127,6 @@ def test_two_bones_have_their_lengths_wherever_they_reach(target, pole):
 
 
 pytest.importorskip("bvhio", reason="reading BVH needs the extra 'mocap'")
-SHARED = Path(os.environ.get("DUPLEX_SHARED", Path(__file__).parents[4] / "shared"))
 
 # A T-posed person of some other unit (1 = 10 cm), who raises the left forearm by 90 degrees in 12 frames.
 _LIMB = """
@@ -237,21 +224,6 @@ def test_a_damaged_file_is_refused_at_once(tmp_path, cut, what):
         read_bvh(tmp_path / "missing.bvh")
 
 
-def test_real_motion_capture_plays_through_the_pair():
-    path = SHARED / "mocap" / "02_01.bvh"
-    if not path.exists():
-        pytest.skip(f"no motion capture at {path.parent}: set DUPLEX_SHARED")
-    a, _, truth = simulated_pair(motion=path, seconds=5.0, errors=TrackerErrors())
-    frames = list(a.frames())
-    assert len(frames) == 150
-    joints = np.stack([f.people["1"].positions for f in frames])
-    assert np.ptp(joints, axis=0).max() > 0.5  # it moves
-    feet = truth.scene.motion.landmarks(np.linspace(4.0, 5.0, 30))[
-        :, [INDEX["FOOT_LEFT"], INDEX["FOOT_RIGHT"]]
-    ]
-    assert np.abs(feet[..., 1].max(axis=1) + 0.02).max() < 0.06  # one foot is near the floor
-
-
 # --- A second simulated person hides the first one and is hidden, and trackers exchange the ids of the two.
 
 
@@ -288,19 +260,3 @@ def test_who_stands_behind_another_is_hidden():
     depth = frames(BEHIND, 0.1, angle_deg=90.0, depth="half")[0].depth
     alone = frames(None, 0.1, angle_deg=90.0, depth="half")[0].depth
     assert (depth != alone).mean() > 0.01
-
-
-def test_a_therapist_who_sits_down_hides_a_part_of_the_person_from_one_sensor():
-    seen = []
-    for other in (None, therapist("sits")):
-        scene = Scene(movement("squat"), KINECT_V2, seconds=12.0, other=other)
-        shown = demonstration(scene)
-        seen.append([np.mean([_share(frame) for frame in sensor.frames()]) for sensor in (shown.a, shown.b)])
-    (alone_a, alone_b), (beside_a, beside_b) = seen
-    assert beside_a < alone_a - 0.1
-    assert beside_b == pytest.approx(alone_b, abs=0.02)
-
-
-def _share(frame):
-    """Of the person's joints, those that are tracked."""
-    return frame.people[PERSON].tracked.mean() if PERSON in frame.people else 0.0
