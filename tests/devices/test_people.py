@@ -1,22 +1,31 @@
-"""Choosing one person of a recording by id."""
+"""Who is followed in two views that show several people, live and recorded, whatever the ids."""
 
 from dataclasses import replace
 from functools import cache
+from itertools import groupby
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
+from devices.frame_pairs import FramePair
+from devices.people import following
+from devices.people.following import PersonOfPair
+from devices.people.placement import Placement
 from devices.people.recorded_people import OneRecording, RecordedPeople
 from devices.people.recorded_person import follow_one_person
 from devices.people.tracks import Numbering, Tracks
 from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError, SensorFrame
-from devices.simulated.kinect import Beside, movement
+from devices.simulated.demonstration import therapist
+from devices.simulated.kinect import PERSON, Beside, movement, simulated_pair
+from devices.simulated.person.gait import walking
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.clocks import Clock
-from fusion.skeleton import Skeleton
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.laws import COSTLY
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_people import (
@@ -27,8 +36,9 @@ from tests.helpers.two_people import (
     recorded,
     share_right,
     two_people,
+    with_ids,
 )
-from tests.helpers.two_views import moving
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, standing
 
 
 def _person(x):
@@ -250,3 +260,597 @@ def test_people_whom_two_trackers_number_otherwise(shared):
     (line,) = (line for line in read.warnings if "people" in line)
     assert "'1' of A and '2' of B" in line
     assert "--person-a and --person-b choose another" in line
+
+
+# --- One person is followed live among others, whatever ids the trackers give them.
+
+
+AROUND = Beside(walking("walk", length=12.0, strides=14), (0.6, 0.0, 0.4), later=2.5)
+"""Walks round the person, between them and each sensor, half a metre to two away."""
+
+
+def pair_of(a, b=None):
+    b = SensorFrame(a.time_ns) if b is None else b
+    return FramePair(a, b, SkeletonPair(None, None, a.time_ns, b.time_ns - a.time_ns))
+
+
+def followed_live(a, b, a_from_b=None):
+    """Of each frame: the skeletons of the person followed; and the events."""
+    people, seen, events = PersonOfPair(a[0].people[next(iter(a[0].people))].body), [], []
+    for pair in map(pair_of, a, b):
+        skeletons = people.chosen(pair, a_from_b).skeletons
+        seen.append((skeletons.a, skeletons.b))
+        events += people.learn()
+    return seen, events
+
+
+@cache
+def crossed(seed, other):
+    """A simulated pair, its frames, and the place of the person in each view."""
+    of = {"motion": "squat", "seed": seed, "body": KINECT_V2, "seconds": 20.0}
+    a, b, truth = simulated_pair(**of, other=other, exchanged=10.0)
+    frames = list(a.frames()), list(b.frames())
+    alone = simulated_pair(**of)[:2]
+    # the person's torso is where their tracker puts it if nobody else is there, to a decimetre or two
+    places = [{f.time_ns: middle(f.people[PERSON]) for f in sensor.frames() if f.people} for sensor in alone]
+    return frames, truth.a_from_b, places
+
+
+def middle(skeleton):
+    torso = skeleton.positions[list(skeleton.body.torso)]
+    return np.nanmean(torso if np.isfinite(torso).any() else skeleton.positions, axis=0)
+
+
+def longest_wrong(frames, seen, places):
+    """Seconds for which another one is followed, at most, and the share of frames in which the person is."""
+    right = []
+    for frame, skeleton in zip(frames, seen, strict=True):
+        at = places.get(frame.time_ns)
+        if at is None or skeleton is None:
+            right.append(None)
+            continue
+        others = [person for person in frame.people.values() if person is not skeleton]
+        off = np.linalg.norm(middle(skeleton) - at)
+        nearest = min((np.linalg.norm(middle(other) - at) for other in others), default=np.inf)
+        right.append(bool(off < min(nearest, 0.5)))
+    runs = [(k, len(list(run))) for k, run in groupby(right)]
+    return max((n for k, n in runs if k is False), default=0) / 30.0, np.mean([k is True for k in right])
+
+
+@pytest.mark.parametrize(
+    ("seed", "other", "least"),
+    [(0, AROUND, (0.75, 0.9)), (1, AROUND, (0.75, 0.9)), (0, therapist("sits"), (0.5, 0.5))],
+    ids=["crosses", "crosses otherwise", "sits down before the person"],
+)
+@pytest.mark.parametrize("known", [True, False])
+def test_a_therapist_is_not_followed(seed, other, least, known):
+    frames, a_from_b, places = crossed(seed, other)
+    seen, events = followed_live(*frames, a_from_b if known else None)
+    for view, of, at in zip(frames, zip(*seen, strict=True), places, strict=True):
+        wrong, share = longest_wrong(view, of, at)
+        assert wrong <= 0.3
+        assert share > least[known]  # else they are hidden, or B's person is not known yet
+    assert [event.phase for event in events if event.topic == "others"][:1] == ["start"]
+    assert not any("another one" in event.text for event in events)
+
+
+def still(x, z=2.0, states=2, scale=1.0):
+    """Somebody who stands."""
+    at = standing(AZURE_KINECT)
+    at = scale * (at - at[list(AZURE_KINECT.torso)].mean(axis=0)) + [x, 0.0, z]
+    return Skeleton.of(AZURE_KINECT, at, np.full(32, states))
+
+
+def breathing(people, time_ns):
+    """The same, a millimetre off: a skeleton that is repeated to the bit is nobody."""
+    off = np.float32(0.001 * np.sin(1e-9 * time_ns))
+    return {name: replace(person, positions=person.positions + off) for name, person in people.items()}
+
+
+def names(frames, a_from_b=None, follow="middle"):
+    """Of each frame of A, whom it follows, where B sees nobody."""
+    people = PersonOfPair(AZURE_KINECT, follow)
+    chosen = []
+    for frame in frames:
+        frame = replace(frame, people=breathing(frame.people, frame.time_ns))
+        one = people.chosen(pair_of(frame), a_from_b).skeletons.a
+        chosen.append(next((name for name, person in frame.people.items() if person is one), None))
+    return chosen, people.learn()
+
+
+def at_rate(*people, first=0):
+    return [SensorFrame((first + k) * FRAME_NS, each) for k, each in enumerate(people)]
+
+
+KNOWN = pytest.mark.parametrize("a_from_b", [None, RigidTransform.identity()], ids=["unknown", "known"])
+
+
+@KNOWN
+@pytest.mark.parametrize(("nearer_the_axis", "chosen"), [(0.06, "1"), (0.1, "2")])
+def test_the_first_choice_is_nearest_to_the_middle_of_the_view(nearer_the_axis, chosen, a_from_b):
+    """Of two at 2 and 4 m; the 2 m count as 0.08 radians."""
+    two = {"1": still(2.0 * np.tan(0.2), 2.0), "2": still(-4.0 * np.tan(0.2 - nearer_the_axis), 4.0)}
+    assert names(at_rate(two), a_from_b)[0] == [chosen]
+
+
+@pytest.mark.parametrize(
+    ("off", "beside", "taken"),
+    [(0.55, {}, True), (0.65, {}, False), (0.25, {"2": still(2.5)}, True), (0.35, {"2": still(2.5)}, False)],
+)
+def test_in_a_crowd_a_body_of_the_other_view_must_be_nearer(off, beside, taken):
+    in_a = {"1": still(0.0), **beside}
+    frames = [(in_a, {})] * 30 + [(in_a, {"1": still(off)})]
+    assert ids_of_both(frames, RigidTransform.identity())[-1] == ("1", "1" if taken else None)
+
+
+@pytest.mark.parametrize(
+    ("fit", "lead", "found"), [(0.51, 0.31, True), (0.49, 0.31, False), (0.51, 0.29, False)]
+)
+def test_a_registration_is_used_if_it_fits_and_no_other_does(monkeypatch, fit, lead, found):
+    def search(*_):
+        yield
+        return Placement(RigidTransform.identity(), None, fit, lead, np.zeros(3))
+
+    monkeypatch.setattr(following, "search_placement", search)
+    people = PersonOfPair(AZURE_KINECT)
+    for k in range(12):
+        frame = SensorFrame(k * FRAME_NS, breathing({"1": still(0.0), "2": still(1.5)}, k * FRAME_NS))
+        people.chosen(pair_of(frame, frame))
+        people.learn()
+    assert (people._search.found is not None) == found
+
+
+@KNOWN
+def test_a_stranger_is_not_taken_while_the_person_is_out_of_sight(a_from_b):
+    stranger = {"2": still(2.5)}
+    frames = [{"1": still(0.0), **stranger}] + [stranger] * 100 + [{"7": still(0.1), **stranger}]
+    assert names(at_rate(*frames), a_from_b)[0] == ["1", *[None] * 100, "7"]
+
+
+@pytest.mark.parametrize(("follow", "next_one"), [("middle", "3"), ("longest", "2")])
+def test_when_the_person_is_gone_the_one_in_the_middle_or_seen_longest_is_next(follow, next_one):
+    one, two, three = {"1": still(0.0)}, {"2": still(2.5)}, {"3": still(0.8, 3.0)}
+    frames = at_rate(*[one | two] * 60, *[one | two | three] * 30, *[two | three] * 310)
+    assert names(frames, follow=follow)[0][-1] == next_one
+
+
+@given(st.integers(1, 120), st.floats(0.0, 12.0))
+@example(1, 0.7)  # a frame, 0.53 m at most
+@example(59, 8.0)
+@example(60, 8.6)
+def test_a_lone_person_who_is_nearer_than_a_running_one_gets_is_followed_on(later, metres):
+    """At 4 m/s and 0.4 m; after two seconds, or where a clock is reset, they may be anywhere."""
+    seconds = later * FRAME_NS * 1e-9
+    assume(abs(metres - 0.4 - 4.0 * seconds) > 0.01)
+    times = 0, later * FRAME_NS, -FRAME_NS
+    people = {"1": still(0.0)}, {"2": still(metres)}, {"3": still(-5.0)}
+    frames = [SensorFrame(1000 * FRAME_NS + t, of) for t, of in zip(times, people, strict=True)]
+    taken = metres < 0.4 + 4.0 * seconds or seconds > 2.0
+    assert names(frames)[0] == ["1", "2" if taken else None, "3"]
+
+
+@pytest.mark.parametrize("people", [{}, {"1": still(0.0, states=0)}])
+def test_nobody_and_bodies_without_a_position_are_no_choice(people):
+    assert names(at_rate(people))[0] == [None]
+    both = {**people, "2": still(0.0), "3": still(1.0)}
+    assert names(at_rate(both, people))[0] == ["2", None]
+
+
+def test_a_sensor_that_was_moved_splits_nobody():
+    """The other sensor's people are half a metre off: the same skeletons are followed."""
+    moved = RigidTransform.of(np.eye(3), (0.45, 0.0, 0.0))
+    people = PersonOfPair(AZURE_KINECT)
+    for k in range(120):
+        crowd = breathing({"1": still(0.0), "2": still(1.5)}, k * FRAME_NS)
+        frame = SensorFrame(k * FRAME_NS, crowd)
+        known = RigidTransform.identity() if k < 30 else moved
+        pair = people.chosen(pair_of(frame, frame), known)
+        assert pair.skeletons.a is pair.skeletons.b is crowd["1"]
+
+
+@pytest.mark.parametrize(("off", "who", "wrong_b"), [(1.5, "2", "1"), (3.0, "1", None)])
+def test_views_that_were_put_together_wrongly_are_put_right_in_a_third_of_a_second(off, who, wrong_b):
+    """A placement that is off brings the wrong people of B to those of A, or nobody."""
+    wrong = RigidTransform.of(np.eye(3), (off, 0.0, 0.0))
+    people = PersonOfPair(AZURE_KINECT)
+    for k in range(60):
+        crowd = breathing({"1": still(0.0), "2": still(1.5)}, k * FRAME_NS)
+        frame = SensorFrame(k * FRAME_NS, crowd)
+        pair = people.chosen(pair_of(frame, frame), wrong if k < 30 else RigidTransform.identity())
+        assert pair.skeletons.a is crowd[who]
+        assert pair.skeletons.b is crowd.get(wrong_b if k < 30 else who) or 30 <= k < 40
+
+
+def test_before_the_placement_is_known_two_who_come_back_are_told_apart_in_one_view_only():
+    alone, crowd = {"1": still(0.0)}, {"1": still(0.0), "2": still(1.5)}
+    back = {"8": still(1.4), "9": still(0.1)}
+    people, seen = PersonOfPair(AZURE_KINECT), []
+    for k, of in enumerate([*[alone] * 10, *[crowd] * 30, *[{}] * 45, *[back] * 5]):
+        frame = SensorFrame(k * FRAME_NS, breathing(of, k * FRAME_NS))
+        seen.append((frame, people.chosen(pair_of(frame, frame)).skeletons))
+    assert all(pair.a is pair.b is not None for _, pair in seen[:40])
+    assert all(pair.a is frame.people["9"] and pair.b is None for frame, pair in seen[-5:])
+
+
+def ids_of_both(frames, a_from_b=None):
+    """Of each frame: whom A and B follow, where (A's people, B's people) are given."""
+    people, chosen = PersonOfPair(AZURE_KINECT), []
+    for k, sides in enumerate(frames):
+        sides = tuple(breathing(of, k * FRAME_NS) for of in sides)
+        a, b = (SensorFrame(k * FRAME_NS, of) for of in sides)
+        pair = people.chosen(pair_of(a, b), a_from_b).skeletons
+        chosen.append(
+            tuple(
+                next((name for name, person in of.items() if person is one), None)
+                for of, one in zip(sides, (pair.a, pair.b), strict=True)
+            )
+        )
+    return chosen
+
+
+PLACES = {"1": (0.05, 2.0), "2": (1.3, 2.5), "3": (-1.7, 3.0)}
+SIGHT = st.lists(
+    st.tuples(*[st.sets(st.sampled_from(sorted(PLACES)))] * 2, st.integers(1, 120)), min_size=1, max_size=6
+)
+
+
+@given(SIGHT)
+@example([(set(), {"1"}, 1), ({"2"}, set(), 1), ({"1", "2"}, {"1"}, 1)])
+@example([({"2"}, {"1"}, 1), ({"1", "2"}, {"1"}, 1)])
+@example([(set(), {"1", "2"}, 1), (set(), set(), 12), ({"1"}, {"2", "3"}, 1)])
+def test_both_views_follow_one_person_and_neither_comes_first(sight):
+    """Sensors in one place see the same people, as far as they see them."""
+    at = {name: still(*place) for name, place in PLACES.items()}
+    frames = [
+        tuple({name: at[name] for name in sorted(of)} for of in (a, b)) for a, b, n in sight for _ in range(n)
+    ]
+    chosen = ids_of_both(frames, RigidTransform.identity())
+    crowd = next((k for k, sides in enumerate(frames) if max(map(len, sides)) > 1), len(frames))
+    assert all(a == b for a, b in chosen[crowd:] if None not in (a, b))
+    assert [
+        pair[::-1] for pair in ids_of_both([sides[::-1] for sides in frames], RigidTransform.identity())
+    ] == chosen
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_child_is_told_by_the_bones_in_either_view(side):
+    beside = {"2": still(2.5, 3.0)}
+    both, child = {"1": still(0.0), **beside}, {"9": still(0.2, scale=0.6), **beside}
+    back = [({}, child), (child, {})][side]
+    chosen = ids_of_both(
+        [(both, both)] * 60 + [(beside, beside)] * 120 + [back] * 5, RigidTransform.identity()
+    )
+    assert chosen == [("1", "1")] * 60 + [(None, None)] * 125
+
+
+@KNOWN
+def test_who_comes_back_first_is_not_taken_if_all_were_away_for_seconds(a_from_b):
+    crowd, therapist_only = {"1": still(0.0), "2": still(1.5)}, {"2": still(1.5)}
+    frames = [crowd] * 60 + [{}] * 180 + [therapist_only] * 30 + [crowd] * 5
+    chosen, _ = names(at_rate(*frames), a_from_b)
+    assert chosen == ["1"] * 60 + [None] * 210 + ["1"] * 5
+
+
+def test_after_a_clock_reset_the_placement_is_found_and_the_others_end():
+    views = treated()
+    a, b = (with_ids(view, np.random.default_rng(0)) for view in views)
+    people, found = PersonOfPair(KINECT_V2), []
+    for later, count in ((3600 * 10**9, 40), (0, len(a))):
+        for one, other in list(zip(a, b, strict=True))[:count]:
+            moved = (replace(frame, time_ns=frame.time_ns + later) for frame in (one, other))
+            found.append(people.chosen(pair_of(*moved)).skeletons.b is not None)
+            people.learn()
+    assert np.mean(found[-60:]) > 0.9
+    crowd, people, events = {"1": still(0.0), "2": still(1.5)}, PersonOfPair(AZURE_KINECT), []
+    for frame in at_rate(*[crowd] * 60, first=9000) + at_rate(*[{"1": still(0.0)}] * 90):
+        people.chosen(pair_of(replace(frame, people=breathing(frame.people, frame.time_ns))))
+        events += people.learn()
+    assert [event.phase for event in events if event.topic == "others"] == ["start", "end"]
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_who_was_beside_the_person_is_no_newcomer_when_the_other_view_sees_them_later(side):
+    one, two = {"1": still(0.0)}, {"1": still(0.0), "2": still(1.5)}
+    off, near = {"2": still(1.85)}, {"2": still(1.75)}  # at first too far from where the other view has them
+    sides = [(one, two)] * 60 + [(off, {"2": still(1.5)})] * 5 + [(near, {"2": still(1.5)})] * 200
+    chosen = ids_of_both([pair[::-1] if side else pair for pair in sides], RigidTransform.identity())
+    assert set(chosen[60:]) == {(None, None)}
+
+
+@KNOWN
+@pytest.mark.parametrize(("away_s", "newcomer"), [(30, False), (70, True)])
+def test_who_was_there_a_minute_ago_is_no_newcomer_in_a_crowd(away_s, newcomer, a_from_b):
+    one, two, three = {"1": still(0.0)}, {"2": still(2.5)}, {"3": still(-2.5)}
+    passes = [one | three | {"4": still(0.0, 5.0, scale=0.5)}]  # then people are forgotten
+    frames = [one | two | three] * 30 + [one | three] * (30 * away_s) + passes + [three] * 75
+    frames += [two | three] * 5
+    assert names(at_rate(*frames), a_from_b)[0][-1] == ("2" if newcomer else None)
+
+
+# --- The person given is one in both views, live and recorded, and a moved sensor is no other person.
+
+
+BODY = KINECT_V2
+COUNT = 360
+BODIES = [moving(BODY, COUNT, seed) for seed in range(3)]
+B_FROM_A = A_FROM_B.inverse()
+
+
+def walker(k, place=(0.0, 0.0, 0.0), who=0):
+    """Somebody who walks to and fro about a place."""
+    to_and_fro = (0.4 * np.sin(0.05 * k + who), 0.0, 0.3 * np.cos(0.03 * k + 2 * who))
+    k = k % (2 * COUNT)
+    return BODIES[who][min(k, 2 * COUNT - 1 - k)] + place + np.array(to_and_fro)
+
+
+def frame_of(k, side, people, b_from_a=B_FROM_A):
+    """What a sensor sees of (id, joints in K_A's frame)."""
+    rng, t = np.random.default_rng(2 * k + side), k * FRAME_NS
+    seen = {}
+    for name, at in people:
+        at = b_from_a.apply(at) if side else at
+        seen[name] = Skeleton.of(BODY, at + rng.normal(0.0, 0.01, at.shape), None, t)
+    return SensorFrame(t, seen)
+
+
+def image_of(at):
+    """Somebody in a mirror."""
+    return (at * (1.0, 1.0, -1.0) + (0.0, 0.0, 8.0))[BODY.mirror]
+
+
+def live(frames, a_from_b=A_FROM_B, at=None, **options):
+    """Of each pair: the skeletons followed in A and B; and the events.
+
+    ``at``: a frame, and the placement from then on.
+    """
+    people, seen, events = PersonOfPair(BODY, **options), [], []
+    for k, (a, b) in enumerate(frames):
+        a_from_b = a_from_b if at is None or k < at[0] else at[1]
+        pair = FramePair(a, b, SkeletonPair(None, None, a.time_ns, 0))
+        skeletons = people.chosen(pair, a_from_b).skeletons
+        seen.append((skeletons.a, skeletons.b))
+        events += people.learn()
+    return seen, events
+
+
+def followed_recorded(frames):
+    """The same of a recording: the positions."""
+    reads = []
+    for side, of in zip("ab", zip(*frames, strict=True), strict=True):
+        people, none = RecordedPeople.of(BODY, of), np.zeros((0, 2), np.int64)
+        reads.append(OneRecording(side, people, None, [], none, people.skeletons, None, f"person_{side}"))
+    views = [read.person for read in follow_one_person(tuple(reads), Clock(), "longest")[:2]]
+    return [
+        [view.positions[k] if view.states[k].any() else None for view in views] for k in range(len(frames))
+    ]
+
+
+def who_is(frames, seen, names):
+    """Of each frame and view: who is followed; None for nobody. ``names``: of each frame and view, by id."""
+    found = []
+    for of, picks, called in zip(frames, seen, names, strict=True):
+        row = []
+        for frame, pick, each in zip(of, picks, called, strict=True):
+            at = getattr(pick, "positions", pick)
+            ids = (
+                []
+                if at is None
+                else [n for n, p in frame.people.items() if np.array_equal(p.positions, at, equal_nan=True)]
+            )
+            row.append(each[ids[0]] if ids else None)
+        found.append(tuple(row))
+    return found
+
+
+HIDDEN = st.tuples(st.integers(0, 2), st.integers(0, 1), st.integers(60, 240), st.integers(3, 100))
+"""Who is hidden from which view, from when on, and for how many frames."""
+
+
+@COSTLY
+@given(
+    st.integers(1, 3),
+    st.floats(0.0, 6.28),
+    st.floats(1.1, 1.6),
+    st.lists(HIDDEN, max_size=4),
+    st.one_of(st.none(), st.tuples(st.integers(0, 1), st.integers(60, 100), st.integers(60, 200))),
+    st.sampled_from(["kept", "renewed", "exchanged"]),
+    st.booleans(),
+    st.booleans(),
+)
+def test_who_is_followed_is_one_person_in_both_views_live_and_recorded(
+    count, angle, far, hidden, elsewhere, ids_are, one_each, mirror
+):
+    """Args of the scene: ``elsewhere`` is when a view does not see the first person, ``ids_are`` what the
+    tracker does with ids, ``one_each`` whether it gives one person, the first whom it sees, and ``mirror``
+    whether A sees the first person's mirror image, too."""
+    turns = [angle + k * np.pi / 2 for k in range(count - 1)]
+    places = [np.zeros(3), *(far * np.array((np.cos(a), 0.0, np.sin(a))) for a in turns)]
+    spans = [(who, side, range(begin, begin + n)) for who, side, begin, n in hidden]
+    if elsewhere is not None:
+        side, begin, n = elsewhere
+        spans.append((0, side, range(begin, begin + n)))
+    frames, names, rng, order = [], [], np.random.default_rng(round(1e6 * far)), np.arange(count)
+    for k in range(COUNT):
+        sides, called = [], []
+        for side in (0, 1):
+            gone = {who for who, of, span in spans if of == side and k in span}
+            seen = [who for who in range(count) if who not in gone][: 1 if one_each else None]
+            ids = ["1" if one_each else str(who) for who in seen]
+            if ids_are == "renewed":
+                ids = [str(k // 50 + 10 * who) for who in seen]
+            elif ids_are == "exchanged":
+                order = rng.permutation(count) if rng.random() < 0.05 else order
+                seen = [who for who in order if who in seen]
+                ids = [str(order[who]) for who in seen]
+            people = [(i, walker(k, places[who], who)) for i, who in zip(ids, seen, strict=True)]
+            if mirror and not side and not one_each:
+                people.append(("77", image_of(walker(k, places[0]))))
+            sides.append(frame_of(k, side, people))
+            called.append({**dict(zip(ids, seen, strict=True)), "77": 77})
+        frames.append(tuple(sides))
+        names.append(tuple(called))
+    follows = []
+    for seen in (live(frames)[0], followed_recorded(frames)):
+        found = who_is(frames, seen, names)
+        (person,) = {who for pair in found for who in pair} - {None}
+        there = np.array([[person in each.values() for each in called] for called in names])
+        given = np.array([[who is not None for who in pair] for pair in found])
+        assert given[there].mean() > 0.97
+        follows.append((person, found))
+    (live_person, online), (person, offline) = follows
+    if live_person == person:
+        assert np.mean([a == b for a, b in zip(online, offline, strict=True)]) > 0.97
+    later = live(frames, None, at=(90, A_FROM_B))[0]
+    assert len({who for pair in who_is(frames, later, names)[120:] for who in pair} - {None}) <= 1
+
+
+def both(k, b_from_a=B_FROM_A):
+    return tuple(frame_of(k, side, [("1", walker(k))], b_from_a) for side in (0, 1))
+
+
+MOVED = RigidTransform.of(Rotation.from_euler("y", 60.0, degrees=True).as_matrix(), (0.3, 0, 0)) @ B_FROM_A
+
+
+@COSTLY
+@given(st.floats(20.0, 75.0), st.floats(-1.0, 1.0), st.booleans(), st.booleans())
+def test_a_sensor_that_was_moved_is_found_within_5_s(degrees, shift, follow_moves, beside):
+    """Its view is used on if it is registered anew, and left out otherwise; others are no hindrance."""
+    turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    moved = RigidTransform.of(turn, (shift, 0.0, 0.0)) @ B_FROM_A
+    far = min(
+        np.linalg.norm(np.mean(A_FROM_B.apply(moved.apply(at)) - at, 0)) for at in map(walker, (60, 99))
+    )
+    frames = []
+    for k in range(240):
+        place = B_FROM_A if k < 60 else moved
+        people = [("1", walker(k)), *([("2", walker(k, (-1.6, 0.0, 0.6), 1))] if beside else [])]
+        frames.append((frame_of(k, 0, people), frame_of(k, 1, people, place)))
+    seen, events = live(frames, follow_moves=follow_moves)
+    called = [({"1": 1, "2": 2},) * 2] * len(frames)
+    who = who_is(frames, seen, called)
+    assert {a for a, _ in who} == {1}
+    assert {b for _, b in who} <= {1, None}
+    if far > 0.8:
+        assert all(b == (1 if follow_moves else None) for _, b in who[-20:])
+        assert follow_moves or "Calibrate again" in " ".join(event.text for event in events)
+
+
+@pytest.mark.parametrize("follow_moves", [True, False])
+def test_a_view_that_is_registered_anew_is_used_alone(follow_moves):
+    frames = [both(k) for k in range(60)] + [both(k, MOVED) for k in range(60, 200)]
+    frames += [(frame_of(k, 0, []), both(k, MOVED)[1]) for k in range(200, 560)]
+    seen, _ = live(frames, follow_moves=follow_moves)
+    assert all((b is not None) is follow_moves for _, b in seen[200:])
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
+def test_one_person_is_followed_whatever_each_view_misses_from_the_first_frame_on(there):
+    frames = [
+        tuple(frame_of(k, side, [("1", walker(k))] if seen else []) for side, seen in enumerate(each))
+        for k, each in enumerate(there)
+    ]
+    seen, events = live(frames)
+    assert [tuple(at is not None for at in each) for each in seen] == there
+    assert events == []
+
+
+def elsewhere(k, who=1):
+    return frame_of(k, 0, [("1", walker(k))]), frame_of(k, 1, [("1", walker(k, (1.5, 0.0, 0.5), who))])
+
+
+@pytest.mark.parametrize("who", [0, 1])
+def test_a_view_that_sees_only_somebody_else_is_told_within_a_second(who):
+    """Also where both stand and move alike, but for their walk."""
+    _, events = live(
+        [*map(both, range(60)), *(elsewhere(k, who) for k in range(60, 120)), *map(both, range(120, 260))]
+    )
+    told = [event for event in events if event.topic == "others"]
+    assert [event.phase for event in told] == ["start", "end"]
+    assert "The one followed is '1' of A. B sees somebody else" in told[0].text
+
+
+def test_who_is_alone_in_the_other_view_is_taken_after_ten_seconds():
+    frames = [*map(both, range(30)), *map(elsewhere, range(30, 60))]
+    frames += [(frame_of(k, 0, []), elsewhere(k)[1]) for k in range(60, 460)]
+    seen, events = live(frames)
+    assert not any(b for _, b in seen[30:358])
+    assert all(b for _, b in seen[-60:])
+    assert sum("another one is followed" in event.text for event in events) == 1
+
+
+@given(st.integers(0, 60), st.integers(1, 90), st.booleans())
+def test_a_skeleton_that_is_repeated_for_more_than_a_second_is_nobody(begin, repeated, one_view):
+    frames = [both(k) for k in range(begin + 1)]
+    a, b = frames[-1]
+    for k in range(begin + 1, begin + 1 + repeated):
+        t = k * FRAME_NS
+        fresh = both(k)[0] if one_view else replace(a, time_ns=t)
+        frames.append((fresh, replace(b, time_ns=t)))
+    frames += [both(k) for k in range(begin + 1 + repeated, begin + 4 + repeated)]
+    stale = [False] * (begin + 1) + [k * FRAME_NS > 1e9 for k in range(1, repeated + 1)] + [False] * 3
+    for seen in (live(frames)[0], followed_recorded(frames)):
+        assert [b is None for _, b in seen] == stale
+        assert [a is None for a, _ in seen] == [not one_view and of for of in stale]
+
+
+def test_two_people_who_hide_each_other_for_half_a_second_stay_two():
+    """Seen apart for 3 s; then each view sees only one of them, both in nearly one place."""
+    frames, names = [], []
+    for k in range(200):
+        away = max(0.2, 1.5 - 0.015 * max(0, k - 15))
+        people = [("0", walker(k)), ("1", walker(k) + (away, 0.0, 0.0))]
+        hide = 100 <= k < 115
+        frames.append((frame_of(k, 0, people[:1] if hide else people), frame_of(k, 1, people[hide:])))
+        names.append(({"0": 0, "1": 1},) * 2)
+    for seen in (live(frames)[0], followed_recorded(frames)):
+        assert len({who for pair in who_is(frames, seen, names) for who in pair} - {None}) == 1
+
+
+def test_a_child_who_comes_alone_after_a_helper_is_followed_after_two_seconds():
+    child = walker(0).mean(axis=0)
+    frames = list(map(both, range(60)))
+    frames += [tuple(frame_of(k, side, []) for side in (0, 1)) for k in range(60, 90)]
+    small = [child + 0.65 * (walker(k) - child) for k in range(90, 160)]
+    frames += [tuple(frame_of(k, v, [("2", at)]) for v in (0, 1)) for k, at in enumerate(small, 90)]
+    seen, _ = live(frames)
+    assert all(a is None for a, _ in seen[90:120])
+    assert all(a is not None and b is not None for a, b in seen[125:])
+
+
+@given(st.floats(-0.5, 0.5))
+@example(0.2)
+def test_who_was_beside_the_person_is_not_followed_later_whenever_the_frames_are(off):
+    """B's frames are so many intervals later: it sees the other one first while A sees the person."""
+    off_ns, frames = round(off * FRAME_NS), []
+    for k in range(270):
+        one, other = ("1", walker(k)), ("2", walker(k, (1.6, 0.0, 0.6), 1))
+        a, b = frame_of(k, 0, [one if k < 150 else other]), frame_of(k, 1, [one if k < 90 else other])
+        frames.append((a, replace(b, time_ns=b.time_ns + off_ns)))
+    called = [({"1": 1, "2": 2},) * 2] * len(frames)
+    assert who_is(frames, followed_recorded(frames), called)[:150] == [(None, None)] * 90 + [(None, 2)] * 60
+
+
+@pytest.mark.parametrize("every", [1, 2, 3])
+def test_a_mirror_image_that_was_seen_first_is_left_for_the_person(every):
+    """Also where B has fewer frames than A."""
+    people, chosen = PersonOfPair(BODY), []
+    for k in range(240):
+        seen = [("1", walker(k))] if k >= 60 else []
+        a, b = frame_of(k, 0, [("77", image_of(walker(k))), *seen]), frame_of(k, 1, seen)
+        b = None if k % every else b
+        one = people.chosen(FramePair(a, b, SkeletonPair(None, None, a.time_ns, 0)), A_FROM_B).skeletons.a
+        chosen.append(one is a.people.get("1") is not None)
+    assert not any(chosen[:60])
+    assert all(chosen[-60:])
+
+
+def test_a_child_who_comes_after_the_person_is_followed_after_two_seconds_in_a_recording():
+    """Somebody else is in view at first. A recording of one person at a time takes the next one at once."""
+    frames, child = [], walker(0).mean(axis=0)
+    for k in range(270):
+        seen = [("1", walker(k))] if k < 150 else []
+        seen += [("3", walker(k, (1.6, 0.0, 0.6), 1))] if k < 20 else []
+        seen += [("2", child + 0.65 * (walker(k) - child))] if k >= 190 else []
+        frames.append((frame_of(k, 0, seen), frame_of(k, 1, seen)))
+    found = who_is(frames, followed_recorded(frames), [({"1": 1, "2": 2, "3": 3},) * 2] * len(frames))
+    assert found == [(1, 1)] * 150 + [(None, None)] * 60 + [(2, 2)] * 60
