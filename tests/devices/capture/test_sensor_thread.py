@@ -15,7 +15,7 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import FrameBorder, SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
-from devices.sensor import DeviceError, LinkFigures, SensorFrame, SensorWrapper
+from devices.sensor import AbsentError, DeviceError, LinkFigures, SensorFrame, SensorWrapper
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.errors import BodyError
 from fusion.skeleton import Skeleton
@@ -118,19 +118,22 @@ def test_a_lost_sensor_is_reopened_until_it_is_back(sensor):
     with SensorThread(sensor, limits=TimeLimits(retry_s=1.5), wait=pause) as thread:
         sensor.put(frame_at(1))
         _after(sensor)
-        sensor.open_faults = [DeviceError("No Kinect with serial 000123.") for _ in range(3)]
+        sensor.open_faults = [of("No Kinect with serial 000123.") for of in (AbsentError, *[DeviceError] * 3)]
         sensor.put(unplugged())
         sensor.put(frame_at(2))
         _after(sensor)
         assert [arrival.frame.time_ns for arrival in thread.take()] == [1, 2]
-        assert pauses == [1.5, 3.0, 6.0, 10.0], "each opening that is refused leaks in pyk4a"
+        assert pauses == [1.5, 1.5, 3.0, 6.0, 10.0], "each opening that is refused leaks in pyk4a"
         assert thread.returns == 1
         assert thread.state is SensorState.RUNNING
         told = [event.text for event in thread.events()]
-    # Lost, tried again in vain (told once, not three times), back.
+        sensor.put(unplugged())
+        _after(sensor)
+        assert pauses[5:] == [1.5], "short again after one that succeeded"
+    # Lost, tried again in vain (told once, not four times), back.
     assert ["unplugged" in told[0], "No Kinect" in told[1], "back" in told[2]] == [True] * 3
     assert len(told) == 3
-    assert (sensor.opened, sensor.closed) == (2, 2)
+    assert (sensor.opened, sensor.closed) == (3, 3)
 
 
 def test_a_lost_sensor_is_reported_before_its_driver_has_closed_it(sensor):
@@ -177,6 +180,7 @@ def test_a_sensor_whose_tracker_takes_seconds_is_not_called_stalled(sensor):
         thread.set_interval(1 / 30)
         sensor.put(frame_at(1))
         _after(sensor)
+        assert ["gives frames again" in event.text for event in thread.events()] == [True]
         now[0] = 112.2
         assert thread.state is SensorState.STALLED
 
