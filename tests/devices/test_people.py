@@ -269,18 +269,18 @@ AROUND = Beside(walking("walk", length=12.0, strides=14), (0.6, 0.0, 0.4), later
 """Walks round the person, between them and each sensor, half a metre to two away."""
 
 
-def pair_of(a, b=None):
-    b = SensorFrame(a.time_ns) if b is None else b
-    return FramePair(a, b, SkeletonPair(None, None, a.time_ns, b.time_ns - a.time_ns))
+def live(frames, a_from_b=A_FROM_B, body=KINECT_V2, learns=True, **options):
+    """Of each pair: the skeletons followed in A and B; and the events.
 
-
-def followed_live(a, b, a_from_b=None):
-    """Of each frame: the skeletons of the person followed; and the events."""
-    people, seen, events = PersonOfPair(a[0].people[next(iter(a[0].people))].body), [], []
-    for pair in map(pair_of, a, b):
-        skeletons = people.chosen(pair, a_from_b).skeletons
+    ``a_from_b``: the placement, or a function of the number of the pair. ``learns``: whether it is searched.
+    """
+    people, seen, events = PersonOfPair(body, **options), [], []
+    for k, (a, b) in enumerate(frames):
+        later_ns = 0 if b is None else b.time_ns - a.time_ns
+        pair = FramePair(a, b, SkeletonPair(None, None, a.time_ns, later_ns))
+        skeletons = people.chosen(pair, a_from_b(k) if callable(a_from_b) else a_from_b).skeletons
         seen.append((skeletons.a, skeletons.b))
-        events += people.learn()
+        events += people.learn() if learns else []
     return seen, events
 
 
@@ -325,7 +325,7 @@ def longest_wrong(frames, seen, places):
 @pytest.mark.parametrize("known", [True, False])
 def test_a_therapist_is_not_followed(seed, other, least, known):
     frames, a_from_b, places = crossed(seed, other)
-    seen, events = followed_live(*frames, a_from_b if known else None)
+    seen, events = live(zip(*frames, strict=True), a_from_b if known else None)
     for view, of, at in zip(frames, zip(*seen, strict=True), places, strict=True):
         wrong, share = longest_wrong(view, of, at)
         assert wrong <= 0.3
@@ -347,19 +347,26 @@ def breathing(people, time_ns):
     return {name: replace(person, positions=person.positions + off) for name, person in people.items()}
 
 
-def names(frames, a_from_b=None, follow="middle"):
-    """Of each frame of A, whom it follows, where B sees nobody."""
-    people = PersonOfPair(AZURE_KINECT, follow)
-    chosen = []
-    for frame in frames:
-        frame = replace(frame, people=breathing(frame.people, frame.time_ns))
-        one = people.chosen(pair_of(frame), a_from_b).skeletons.a
-        chosen.append(next((name for name, person in frame.people.items() if person is one), None))
-    return chosen, people.learn()
+def ids_of_both(frames, a_from_b=None, times=None, **options):
+    """Of each frame: whom A and B follow, where (A's people, B's people) are given."""
+    times = range(0, len(frames) * FRAME_NS, FRAME_NS) if times is None else times
+    frames = [
+        tuple(SensorFrame(time_ns, breathing(of, time_ns)) for of in sides)
+        for time_ns, sides in zip(times, frames, strict=True)
+    ]
+    seen, _ = live(frames, a_from_b, AZURE_KINECT, learns=False, **options)
+    return [
+        tuple(
+            next((name for name, person in frame.people.items() if person is one), None)
+            for frame, one in zip(sides, picks, strict=True)
+        )
+        for sides, picks in zip(frames, seen, strict=True)
+    ]
 
 
-def at_rate(*people, first=0):
-    return [SensorFrame((first + k) * FRAME_NS, each) for k, each in enumerate(people)]
+def ids_of_a(frames, *of, **how):
+    """The same of A where B sees nobody."""
+    return [a for a, _ in ids_of_both([(people, {}) for people in frames], *of, **how)]
 
 
 KNOWN = pytest.mark.parametrize("a_from_b", [None, RigidTransform.identity()], ids=["unknown", "known"])
@@ -370,7 +377,7 @@ KNOWN = pytest.mark.parametrize("a_from_b", [None, RigidTransform.identity()], i
 def test_the_first_choice_is_nearest_to_the_middle_of_the_view(nearer_the_axis, chosen, a_from_b):
     """Of two at 2 and 4 m; the 2 m count as 0.08 radians."""
     two = {"1": still(2.0 * np.tan(0.2), 2.0), "2": still(-4.0 * np.tan(0.2 - nearer_the_axis), 4.0)}
-    assert names(at_rate(two), a_from_b)[0] == [chosen]
+    assert ids_of_a([two], a_from_b) == [chosen]
 
 
 @pytest.mark.parametrize(
@@ -395,7 +402,7 @@ def test_a_registration_is_used_if_it_fits_and_no_other_does(monkeypatch, fit, l
     people = PersonOfPair(AZURE_KINECT)
     for k in range(12):
         frame = SensorFrame(k * FRAME_NS, breathing({"1": still(0.0), "2": still(1.5)}, k * FRAME_NS))
-        people.chosen(pair_of(frame, frame))
+        people.chosen(FramePair(frame, frame, SkeletonPair(None, None, frame.time_ns, 0)))
         people.learn()
     assert (people._search.found is not None) == found
 
@@ -404,14 +411,14 @@ def test_a_registration_is_used_if_it_fits_and_no_other_does(monkeypatch, fit, l
 def test_a_stranger_is_not_taken_while_the_person_is_out_of_sight(a_from_b):
     stranger = {"2": still(2.5)}
     frames = [{"1": still(0.0), **stranger}] + [stranger] * 100 + [{"7": still(0.1), **stranger}]
-    assert names(at_rate(*frames), a_from_b)[0] == ["1", *[None] * 100, "7"]
+    assert ids_of_a(frames, a_from_b) == ["1", *[None] * 100, "7"]
 
 
 @pytest.mark.parametrize(("follow", "next_one"), [("middle", "3"), ("longest", "2")])
 def test_when_the_person_is_gone_the_one_in_the_middle_or_seen_longest_is_next(follow, next_one):
     one, two, three = {"1": still(0.0)}, {"2": still(2.5)}, {"3": still(0.8, 3.0)}
-    frames = at_rate(*[one | two] * 60, *[one | two | three] * 30, *[two | three] * 310)
-    assert names(frames, follow=follow)[0][-1] == next_one
+    frames = [one | two] * 60 + [one | two | three] * 30 + [two | three] * 310
+    assert ids_of_a(frames, follow=follow)[-1] == next_one
 
 
 @given(st.integers(1, 120), st.floats(0.0, 12.0))
@@ -422,70 +429,44 @@ def test_a_lone_person_who_is_nearer_than_a_running_one_gets_is_followed_on(late
     """At 4 m/s and 0.4 m; after two seconds, or where a clock is reset, they may be anywhere."""
     seconds = later * FRAME_NS * 1e-9
     assume(abs(metres - 0.4 - 4.0 * seconds) > 0.01)
-    times = 0, later * FRAME_NS, -FRAME_NS
+    times = [(1000 + k) * FRAME_NS for k in (0, later, -1)]
     people = {"1": still(0.0)}, {"2": still(metres)}, {"3": still(-5.0)}
-    frames = [SensorFrame(1000 * FRAME_NS + t, of) for t, of in zip(times, people, strict=True)]
     taken = metres < 0.4 + 4.0 * seconds or seconds > 2.0
-    assert names(frames)[0] == ["1", "2" if taken else None, "3"]
+    assert ids_of_a(people, times=times) == ["1", "2" if taken else None, "3"]
 
 
 @pytest.mark.parametrize("people", [{}, {"1": still(0.0, states=0)}])
 def test_nobody_and_bodies_without_a_position_are_no_choice(people):
-    assert names(at_rate(people))[0] == [None]
+    assert ids_of_a([people]) == [None]
     both = {**people, "2": still(0.0), "3": still(1.0)}
-    assert names(at_rate(both, people))[0] == ["2", None]
+    assert ids_of_a([both, people]) == ["2", None]
+
+
+TWO = {"1": still(0.0), "2": still(1.5)}
 
 
 def test_a_sensor_that_was_moved_splits_nobody():
     """The other sensor's people are half a metre off: the same skeletons are followed."""
     moved = RigidTransform.of(np.eye(3), (0.45, 0.0, 0.0))
-    people = PersonOfPair(AZURE_KINECT)
-    for k in range(120):
-        crowd = breathing({"1": still(0.0), "2": still(1.5)}, k * FRAME_NS)
-        frame = SensorFrame(k * FRAME_NS, crowd)
-        known = RigidTransform.identity() if k < 30 else moved
-        pair = people.chosen(pair_of(frame, frame), known)
-        assert pair.skeletons.a is pair.skeletons.b is crowd["1"]
+    chosen = ids_of_both([(TWO, TWO)] * 120, lambda k: moved if k >= 30 else RigidTransform.identity())
+    assert chosen == [("1", "1")] * 120
 
 
 @pytest.mark.parametrize(("off", "who", "wrong_b"), [(1.5, "2", "1"), (3.0, "1", None)])
 def test_views_that_were_put_together_wrongly_are_put_right_in_a_third_of_a_second(off, who, wrong_b):
     """A placement that is off brings the wrong people of B to those of A, or nobody."""
     wrong = RigidTransform.of(np.eye(3), (off, 0.0, 0.0))
-    people = PersonOfPair(AZURE_KINECT)
-    for k in range(60):
-        crowd = breathing({"1": still(0.0), "2": still(1.5)}, k * FRAME_NS)
-        frame = SensorFrame(k * FRAME_NS, crowd)
-        pair = people.chosen(pair_of(frame, frame), wrong if k < 30 else RigidTransform.identity())
-        assert pair.skeletons.a is crowd[who]
-        assert pair.skeletons.b is crowd.get(wrong_b if k < 30 else who) or 30 <= k < 40
+    chosen = ids_of_both([(TWO, TWO)] * 60, lambda k: wrong if k < 30 else RigidTransform.identity())
+    assert chosen[:30] == [(who, wrong_b)] * 30
+    assert {a for a, _ in chosen[30:]} == {who}
+    assert chosen[40:] == [(who, who)] * 20
 
 
 def test_before_the_placement_is_known_two_who_come_back_are_told_apart_in_one_view_only():
-    alone, crowd = {"1": still(0.0)}, {"1": still(0.0), "2": still(1.5)}
-    back = {"8": still(1.4), "9": still(0.1)}
-    people, seen = PersonOfPair(AZURE_KINECT), []
-    for k, of in enumerate([*[alone] * 10, *[crowd] * 30, *[{}] * 45, *[back] * 5]):
-        frame = SensorFrame(k * FRAME_NS, breathing(of, k * FRAME_NS))
-        seen.append((frame, people.chosen(pair_of(frame, frame)).skeletons))
-    assert all(pair.a is pair.b is not None for _, pair in seen[:40])
-    assert all(pair.a is frame.people["9"] and pair.b is None for frame, pair in seen[-5:])
-
-
-def ids_of_both(frames, a_from_b=None):
-    """Of each frame: whom A and B follow, where (A's people, B's people) are given."""
-    people, chosen = PersonOfPair(AZURE_KINECT), []
-    for k, sides in enumerate(frames):
-        sides = tuple(breathing(of, k * FRAME_NS) for of in sides)
-        a, b = (SensorFrame(k * FRAME_NS, of) for of in sides)
-        pair = people.chosen(pair_of(a, b), a_from_b).skeletons
-        chosen.append(
-            tuple(
-                next((name for name, person in of.items() if person is one), None)
-                for of, one in zip(sides, (pair.a, pair.b), strict=True)
-            )
-        )
-    return chosen
+    alone, back = {"1": still(0.0)}, {"8": still(1.4), "9": still(0.1)}
+    chosen = ids_of_both([(of, of) for of in [*[alone] * 10, *[TWO] * 30, *[{}] * 45, *[back] * 5]])
+    assert chosen[:40] == [("1", "1")] * 40
+    assert chosen[-5:] == [("9", None)] * 5
 
 
 PLACES = {"1": (0.05, 2.0), "2": (1.3, 2.5), "3": (-1.7, 3.0)}
@@ -527,24 +508,21 @@ def test_a_child_is_told_by_the_bones_in_either_view(side):
 def test_who_comes_back_first_is_not_taken_if_all_were_away_for_seconds(a_from_b):
     crowd, therapist_only = {"1": still(0.0), "2": still(1.5)}, {"2": still(1.5)}
     frames = [crowd] * 60 + [{}] * 180 + [therapist_only] * 30 + [crowd] * 5
-    chosen, _ = names(at_rate(*frames), a_from_b)
-    assert chosen == ["1"] * 60 + [None] * 210 + ["1"] * 5
+    assert ids_of_a(frames, a_from_b) == ["1"] * 60 + [None] * 210 + ["1"] * 5
 
 
 def test_after_a_clock_reset_the_placement_is_found_and_the_others_end():
-    views = treated()
-    a, b = (with_ids(view, np.random.default_rng(0)) for view in views)
-    people, found = PersonOfPair(KINECT_V2), []
-    for later, count in ((3600 * 10**9, 40), (0, len(a))):
-        for one, other in list(zip(a, b, strict=True))[:count]:
-            moved = (replace(frame, time_ns=frame.time_ns + later) for frame in (one, other))
-            found.append(people.chosen(pair_of(*moved)).skeletons.b is not None)
-            people.learn()
-    assert np.mean(found[-60:]) > 0.9
-    crowd, people, events = {"1": still(0.0), "2": still(1.5)}, PersonOfPair(AZURE_KINECT), []
-    for frame in at_rate(*[crowd] * 60, first=9000) + at_rate(*[{"1": still(0.0)}] * 90):
-        people.chosen(pair_of(replace(frame, people=breathing(frame.people, frame.time_ns))))
-        events += people.learn()
+    a, b = (with_ids(view, np.random.default_rng(0)) for view in treated())
+    frames = list(zip(a, b, strict=True))
+    late = [tuple(replace(of, time_ns=of.time_ns + 3600 * 10**9) for of in pair) for pair in frames[:40]]
+    assert np.mean([b is not None for _, b in live(late + frames, None)[0][-60:]]) > 0.9
+    alone = {"1": still(0.0)}
+    times = [(9000 + k) * FRAME_NS for k in range(60)] + [k * FRAME_NS for k in range(90)]
+    frames = [
+        (SensorFrame(time_ns, breathing(TWO if k < 60 else alone, time_ns)), SensorFrame(time_ns))
+        for k, time_ns in enumerate(times)
+    ]
+    _, events = live(frames, None, AZURE_KINECT)
     assert [event.phase for event in events if event.topic == "others"] == ["start", "end"]
 
 
@@ -564,7 +542,7 @@ def test_who_was_there_a_minute_ago_is_no_newcomer_in_a_crowd(away_s, newcomer, 
     passes = [one | three | {"4": still(0.0, 5.0, scale=0.5)}]  # then people are forgotten
     frames = [one | two | three] * 30 + [one | three] * (30 * away_s) + passes + [three] * 75
     frames += [two | three] * 5
-    assert names(at_rate(*frames), a_from_b)[0][-1] == ("2" if newcomer else None)
+    assert ids_of_a(frames, a_from_b)[-1] == ("2" if newcomer else None)
 
 
 # --- The person given is one in both views, live and recorded, and a moved sensor is no other person.
@@ -596,21 +574,6 @@ def frame_of(k, side, people, b_from_a=B_FROM_A):
 def image_of(at):
     """Somebody in a mirror."""
     return (at * (1.0, 1.0, -1.0) + (0.0, 0.0, 8.0))[BODY.mirror]
-
-
-def live(frames, a_from_b=A_FROM_B, at=None, **options):
-    """Of each pair: the skeletons followed in A and B; and the events.
-
-    ``at``: a frame, and the placement from then on.
-    """
-    people, seen, events = PersonOfPair(BODY, **options), [], []
-    for k, (a, b) in enumerate(frames):
-        a_from_b = a_from_b if at is None or k < at[0] else at[1]
-        pair = FramePair(a, b, SkeletonPair(None, None, a.time_ns, 0))
-        skeletons = people.chosen(pair, a_from_b).skeletons
-        seen.append((skeletons.a, skeletons.b))
-        events += people.learn()
-    return seen, events
 
 
 def followed_recorded(frames):
@@ -700,7 +663,7 @@ def test_who_is_followed_is_one_person_in_both_views_live_and_recorded(
     (live_person, online), (person, offline) = follows
     if live_person == person:
         assert np.mean([a == b for a, b in zip(online, offline, strict=True)]) > 0.97
-    later = live(frames, None, at=(90, A_FROM_B))[0]
+    later = live(frames, lambda k: A_FROM_B if k >= 90 else None)[0]
     assert len({who for pair in who_is(frames, later, names)[120:] for who in pair} - {None}) <= 1
 
 
