@@ -15,7 +15,6 @@ from devices.pairing import _least_interval, _moments
 from devices.recorded.apart import ApartError, items_of
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import KINECT_V1
-from fusion.clocks import Clock
 from fusion.skeleton import Skeleton
 from tests.helpers import unreliable
 from tests.helpers.frame_pairs import paired
@@ -28,52 +27,6 @@ from tests.helpers.waiting import eventually
 def frames_at(times_ns, person="0"):
     skeleton = Skeleton.of(KINECT_V1, standing(KINECT_V1))
     return [SensorFrame(t, {person: skeleton}) for t in times_ns]
-
-
-EVERY = frames_at([t * FRAME_NS for t in range(100)])
-
-
-@pytest.mark.parametrize("off", [5_000_000, 15_000_000])
-def test_frames_pair_with_the_nearest_within_half_a_frame(off):
-    """Also where they are logged in twos: every second one is stamped too late, and the others too early."""
-    b = frames_at([t * FRAME_NS + (-1) ** t * off for t in range(100) if t not in (10, 11, 50)])
-    pairing = paired(EVERY, b, every_frame=True)
-    assert (pairing.alone_a, pairing.dropped_a, pairing.dropped_b) == (3, 0, 0)
-    assert {abs(pair.skew_ns) for pair in pairing.pairs if pair.b} == {off}
-
-
-def test_frames_in_a_gap_of_the_other_recording_are_given_alone():
-    b = frames_at([t * FRAME_NS for t in range(10, 90) if not 40 <= t < 60])
-    pairing = paired(EVERY, b)
-    alone = [pair.time_ns // FRAME_NS for pair in pairing.pairs if pair.b is None]
-    assert alone == list(range(41, 59))  # the gap's edges are within 1.5 frames of a frame of B
-    assert (pairing.alone_a, pairing.dropped_a) == (18, 22)
-    assert [pair.skeletons.b for pair in pairing.pairs if pair.b is None] == [None] * 18
-
-
-def test_a_slower_sensor_has_no_gaps():
-    a = frames_at([t * FRAME_NS for t in range(300)])
-    b = frames_at([t * FRAME_NS * 6 // 5 for t in range(250)])  # 25 fps
-    pairing = paired(a, b)
-    assert (pairing.alone_a, pairing.alone_b) == (0, 0)
-    assert pairing.dropped_a >= 49
-
-
-def test_every_frame_is_kept_for_a_method_that_takes_single_views():
-    a = frames_at([t * FRAME_NS for t in range(300)])
-    b = frames_at([t * FRAME_NS * 2 for t in range(150)])  # half the rate
-    pairing = paired(a, b, every_frame=True)
-    assert (pairing.alone_a, pairing.alone_b) == (150, 0)
-    assert (pairing.dropped_a, pairing.dropped_b) == (0, 0)  # the last of A is after all of B
-    assert len(pairing.pairs) == 300
-
-
-def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a():
-    b = frames_at([t * FRAME_NS + 7_000_000_000 for t in range(100)])
-    pairing = paired(EVERY, b, clock=Clock(-6_990_000_000))
-    assert len(pairing.pairs) == 100
-    assert {pair.skew_ns for pair in pairing.pairs} == {10_000_000}
-    assert pairing.pairs[5].b.time_ns == 5 * FRAME_NS + 7_000_000_000  # on its own clock
 
 
 TIMES = st.lists(st.integers(1, 60), min_size=1, max_size=60).map(lambda steps: np.cumsum(steps).tolist())
@@ -136,30 +89,11 @@ def test_recordings_that_never_overlap_are_refused_with_their_times():
         paired(frames_at([0, FRAME_NS]), frames_at([10_000_000_000]))
 
 
-def test_a_person_absent_from_a_frame_is_none_there():
-    a = [*frames_at([0]), SensorFrame(FRAME_NS)]
-    pairing = paired(a, frames_at([0, FRAME_NS], "5"))
-    assert pairing.pairs[0].skeletons.a is not None
-    assert pairing.pairs[1].skeletons.a is None
-    assert pairing.pairs[1].skeletons.b is not None
-
-
-def test_times_far_from_zero_pair_exactly():
-    start = 1_700_000_000_000_000_000  # a wall clock in ns is beyond a float's whole numbers
-    times = [start + t * FRAME_NS for t in range(10)]
-    pairing = paired(frames_at(times), frames_at([t + 1 for t in times]))
-    assert np.all([pair.skew_ns == 1 for pair in pairing.pairs])
-
-
 # --- Generators in a process of their own.
 
 
 def items(function, *arguments, seconds=60.0):
     return items_of(function, *arguments, seconds=seconds, memory=4 << 30)
-
-
-def test_all_items_come_and_what_is_printed_is_none_of_them():
-    assert list(items(unreliable.counts, 1000)) == list(range(1000))
 
 
 @pytest.mark.parametrize("function", [unreliable.crashes, unreliable.fails])

@@ -178,20 +178,6 @@ def test_opening_again_leaves_no_tracker_behind(standin):
         assert standin.alive == 1
 
 
-def test_queue_joins_each_frame_with_its_own_people(standin):
-    with rig(standin) as r:
-        queue, out = TrackerQueue(r.tracker, wait_s=0.0), []
-        for index in range(5):
-            frame = _frame(TIME_NS + index * 33_333_000, 2000 + index)
-            with r.maker.capture(frame) as capture:
-                queue.put(frame, capture)
-            out += queue.done()
-        out += queue.flush()
-    assert [frame.time_ns for frame in out] == [TIME_NS + index * 33_333_000 for index in range(5)]
-    depths = [float(frame.people["7"].positions[1, 2]) for frame in out]
-    np.testing.assert_allclose(depths, [2.0, 2.001, 2.002, 2.003, 2.004], rtol=1e-6)
-
-
 class Hanging:
     """A tracker that gives nothing; time passes only while it is waited for."""
 

@@ -168,15 +168,6 @@ def test_without_pyk4a_the_message_says_how_to_install_it(monkeypatch):
         connected_kinects()
 
 
-@pytest.mark.usefixtures("two")
-def test_the_second_sensor_of_this_program_is_not_called_busy():
-    with (
-        _sensor("000123"),
-        pytest.raises(DeviceError, match=r"No Kinect with serial 000999\. Connected: 000123"),
-    ):
-        _sensor("000999").__enter__()
-
-
 def test_connected_sensors_are_listed_with_their_jacks(two):
     two.devices.append(Device("000789", busy=True))
     a, b, c = connected_kinects()

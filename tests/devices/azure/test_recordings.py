@@ -193,16 +193,6 @@ def test_every_recorded_frame_is_tracked(standin, path):
         assert skeleton.time_ns == frame.time_ns
 
 
-def test_a_tracker_that_fails_midway_gives_the_frames_before(standin, path):
-    source = TrackedRecording(MkvRecording(path), TrackerSettings(library=standin.path), standin.path)
-    with source:
-        frames = source.frames()
-        assert [next(frames).time_ns for _ in range(3)] == _times()[:3]
-        standin.pop_status = 1
-        with pytest.raises(DeviceError, match="failed"):
-            list(frames)
-
-
 def test_a_missing_sdk_closes_the_recording_again(path, tmp_path):
     source = TrackedRecording(MkvRecording(path), libk4a=tmp_path / "libk4a.so")
     with pytest.raises(DeviceError, match=r"No library.*Sensor SDK 1\.4"):

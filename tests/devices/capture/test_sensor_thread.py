@@ -86,28 +86,6 @@ def test_frames_get_their_time_of_arrival(sensor):
         ]
 
 
-@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
-def test_ctrl_c_while_a_sensor_opens_closes_it(earlier_threads):
-    pressed = threading.Event()
-
-    class Interrupted(ScriptedSensor):
-        def __enter__(self):
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-            assert pressed.wait(PATIENCE_S)
-            return super().__enter__()
-
-        def interrupt(self):
-            pressed.set()
-
-    sensor = Interrupted()
-    thread = SensorThread(sensor)
-    with pytest.raises(KeyboardInterrupt):
-        thread.open()
-    assert thread.state is SensorState.CLOSED
-    assert all_threads_end(earlier_threads)
-    assert sensor.opened == sensor.closed
-
-
 def test_a_lost_sensor_is_reopened_until_it_is_back(sensor):
     pauses = []
 
@@ -348,27 +326,6 @@ def test_frames_of_two_openings_that_wait_for_the_reader_keep_their_times():
     first_ns, *times = [pair.time_ns for pair in pairs]
     assert all(0 < time_ns - first_ns <= 4 * INTERVAL_NS for time_ns in times)
     assert [pair.b is not None for pair in pairs][-3:] == [True] * 3
-
-
-def test_a_pause_of_the_reader_is_not_one_of_the_sensors():
-    now = [100.0]
-    bench = _Bench(clock=lambda: now[0])
-
-    def put_and_wait():
-        received = bench.two.a.received + 1
-        bench.put(bench.a, bench.b)
-        end = time.monotonic() + PATIENCE_S
-        while min(bench.two.a.received, bench.two.b.received) < received:
-            assert time.monotonic() < end, "nothing came"
-
-    with bench.two as two:
-        put_and_wait()
-        assert len(two.poll()) == 1
-        for _ in range(8):  # as many as wait at most, over more time than a sensor may be silent
-            now[0] += 0.1
-            put_and_wait()
-        assert [pair.b is not None for pair in two.poll()] == [True] * 8
-        assert (two.a.dropped, two.b.dropped) == (0, 0)
 
 
 @pytest.mark.parametrize(("lag_ms", "words"), [(90, None), (150, "which wait for them"), (900, "too late")])

@@ -327,21 +327,6 @@ def test_a_broken_connection_to_the_same_run_is_no_restart():
 zenoh = pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
 
 
-def test_a_message_reaches_a_peer_that_opened_later():
-    address, got = free_address(), []
-    with ExitStack() as stack:
-        early = stack.enter_context(zenoh_session(ZenohAddresses(connect=(address,))))
-        late = stack.enter_context(zenoh_session(ZenohAddresses(listen=(address,))))
-        late.declare_subscriber("lab/test", lambda sample: got.append(bytes(sample.payload)))
-
-        def put():
-            early.put("lab/test", b"here")
-            return bool(got)
-
-        assert eventually(put)
-    assert set(got) == {b"here"}
-
-
 def test_blocks_with_the_same_addresses_share_a_session():
     addresses = ZenohAddresses(listen=(free_address(),))
     with zenoh_session(addresses) as one:

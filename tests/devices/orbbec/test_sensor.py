@@ -37,17 +37,9 @@ def _sensor(serial=A, **settings):
 
 def test_listing_opens_nothing_and_takes_one_context(two):
     two.devices[1].busy = True
+    of_each = {"sdk": "orbbec", "description": "Orbbec Femto Bolt, USB3.2", "tells_jacks": False}
     expected = [
-        ConnectedSensor(
-            index,
-            serial,
-            False,
-            False,
-            sdk="orbbec",
-            description="Orbbec Femto Bolt, USB3.2",
-            tells_jacks=False,
-        )
-        for index, serial in enumerate((A, B))
+        ConnectedSensor(index, serial, False, False, **of_each) for index, serial in enumerate((A, B))
     ]
     assert connected_orbbecs() == connected_orbbecs() == expected
     assert two.contexts == 1, "each context searches the buses with threads of its own"

@@ -104,17 +104,6 @@ def test_the_same_seed_makes_the_same_frames_bit_for_bit():
     assert not any(map(same, first, frames(4)))
 
 
-def test_frames_depend_neither_on_how_they_are_asked_for_nor_on_the_other_sensor():
-    a, b, _ = simulated_pair(seed=5, seconds=1.0)
-    alone = list(a.frames())
-    interleaved = [pair[0] for pair in zip(a.frames(), b.frames(), strict=True)]
-    assert all(map(same, alone, interleaved))
-    started = a.frames()
-    next(started)
-    assert same(next(a.frames()), alone[0])  # a second reader begins again
-    assert same(next(started), alone[1])
-
-
 def test_images_change_no_skeleton():
     options = {}, {"depth": "half"}, {"depth": "half", "infrared": True}
     views = [list(simulated_pair(seed=6, seconds=0.5, **images)[0].frames()) for images in options]
