@@ -263,6 +263,20 @@ def test_unplugged_at_open(device, monkeypatch):
     assert device.opened_by is None
 
 
+def test_unplugged_mid_stream_beside_another(bus, device, monkeypatch, tmp_path):
+    bus.devices.append(Device("000456"))
+    plug_in(tmp_path, "000456", number=8)
+    plug_in(tmp_path, "000123", number=7)
+    monkeypatch.setattr(pyk4a_access, "usb_kinects", lambda: usb_kinects(tmp_path))
+    with _kinect() as sensor:
+        frames = sensor.frames()
+        next(frames)
+        device.plugged = False
+        (tmp_path / "sys/bus/usb/devices/2-7/serial").write_text("")
+        with pytest.raises(DeviceError, match="unplugged"):
+            next(frames)
+
+
 def test_an_absent_sensor_offers_none_of_other_software(device, monkeypatch):
     listed = [UsbKinect("000123", Path(), True, 5000), UsbKinect("000456", Path(), True, 5000, "freenect2")]
     monkeypatch.setattr(pyk4a_access, "usb_kinects", lambda: listed)
