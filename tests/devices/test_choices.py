@@ -8,11 +8,9 @@ import pytest
 from rich.console import Console
 
 from devices.azure import checks
-from devices.azure.kinect import KinectSensor
 from devices.azure.settings import KinectSettings
 from devices.azure.tracking.settings import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings
-from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.capture_stream import LiveSensor
 from devices.capture.sensor_choice import ConnectedSensor, NeedsChoiceError, choose_two, sync_master
 from devices.live import sensors as live_sensors
@@ -66,13 +64,6 @@ def test_auto_is_blazepose_without_libk4abt(monkeypatch, tmp_path):
     assert (choice.full_name, choice.reason) == ("blazepose lite", "libk4abt is not installed")
 
 
-def test_the_requested_tracker_runs(tmp_path):
-    assert choose_tracker("k4abt", root=tmp_path).name == "k4abt"
-    assert choose_tracker("blazepose", root=tmp_path).name == "blazepose"
-    named = choose_tracker(k4abt=TrackerSettings(library=tmp_path / "libk4abt.so"), root=tmp_path)
-    assert (named.name, named.asked) == ("k4abt", True)
-
-
 def test_the_programs_tracker_takes_images_of_other_sensors():
     assert MICROSOFTS.for_images_of([]) is MICROSOFTS
     assert OURS.for_images_of([BOLT]) is OURS
@@ -83,12 +74,6 @@ def test_the_programs_tracker_takes_images_of_other_sensors():
     )
     with pytest.raises(DeviceError, match=f"{BOLT}: k4abt accepts images of libk4a only"):
         choose_tracker("k4abt").for_images_of([BOLT])
-
-
-def test_the_name_is_that_of_the_sensors_tracker():
-    kinect = KinectSensor("000123", track=False)
-    assert TrackedImages(kinect, BlazePoseSettings(network="lite")).tracked_by == "blazepose lite"
-    assert KinectSensor("000123").tracked_by == "k4abt"
 
 
 @pytest.mark.parametrize(
@@ -120,15 +105,6 @@ def test_a_femto_in_both_lists_is_taken_once(bus, orbbecs):
     bus.devices, orbbecs.devices = [Device(BOLT, orbbec=True)], [Orbbec(BOLT)]
     assert [one.sdk for one in connected_sensors(OURS)] == ["orbbec"]
     assert [one.sdk for one in connected_sensors(MICROSOFTS)] == ["k4a"], "k4abt needs libk4a's captures"
-
-
-def test_one_vendors_software_is_enough(bus, orbbecs, monkeypatch):
-    bus.devices, orbbecs.devices = [Device("000123")], [Orbbec(BOLT)]
-    monkeypatch.setitem(sys.modules, "pyk4a", None)
-    assert [one.serial for one in connected_sensors(OURS)] == [BOLT]
-    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
-    with pytest.raises(DeviceError, match="No sensor library is installed"):
-        connected_sensors(OURS)
 
 
 A, B = ConnectedSensor(0, "000123", False, False), ConnectedSensor(1, "000456", False, False)

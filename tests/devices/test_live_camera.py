@@ -101,6 +101,17 @@ def test_a_dead_colour_camera_is_named_and_depth_goes_on(schedule):
     assert all(seen.colored[-60:])
 
 
+@pytest.mark.parametrize("cause", [Cause.NO_IMAGES, Cause.LATE_IMAGES])
+def test_colour_that_never_comes_or_too_late_to_be_joined_is_named(schedule, cause):
+    schedule.color_lost = lambda _: cause is Cause.NO_IMAGES
+    schedule.color_latency_ns = 400_000_000
+    with camera(schedule, color="720P") as sensor:
+        seen = watch(schedule, sensor, 6.0)
+    assert whole(seen)
+    assert seen.first_told(cause) < 3.0
+    assert (sensor.missed, sensor.lost, len(seen.told)) == (0, 0, 1)
+
+
 # ------------------------------------------------------------------ readers, recordings, losses
 
 
@@ -137,6 +148,15 @@ def test_a_recording_slower_than_the_camera_holds_up_neither_frames_nor_the_end(
     assert max(seen.ages[settled:]) < (0.08 + 2 * cost_s if cost_s < 1.0 / 30.0 else 0.7)
     assert sensor.missed + sensor.lost == seen.numbers[-1] - seen.numbers[0] + 1 - len(seen.numbers)
     assert sensor.lost == 0
+
+
+def test_what_usb_loses_counts_as_lost_only(schedule):
+    schedule.depth_lost = lambda number: number % 10 == 0 or number in (61, 62)
+    with camera(schedule, color="720P") as sensor:
+        seen = watch(schedule, sensor, 8.0)
+    span = seen.numbers[-1] - seen.numbers[0] + 1
+    assert sensor.lost == span - len(seen.numbers) > 20
+    assert sensor.missed == 0
 
 
 # ------------------------------------------------------------------ silence

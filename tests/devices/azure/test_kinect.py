@@ -25,7 +25,7 @@ from devices.blazepose.checks import networks_check
 from devices.blazepose.settings import BlazePoseSettings
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.sensor_thread import SensorThread
-from devices.capture.usb import UsbKinect, permission_check, usb_kinects
+from devices.capture.usb import permission_check, usb_kinects
 from devices.live.checks import device_checks
 from devices.live.sensors import NoLibraryError, connected_sensors, software
 from devices.orbbec.sdk_access import connected_orbbecs, sdk_check, sensor_check
@@ -277,19 +277,6 @@ def test_unplugged_mid_stream_beside_another(bus, device, monkeypatch, tmp_path)
             next(frames)
 
 
-def test_an_absent_sensor_offers_none_of_other_software(device, monkeypatch):
-    listed = [UsbKinect("000123", Path(), True, 5000), UsbKinect("000456", Path(), True, 5000, "freenect2")]
-    monkeypatch.setattr(pyk4a_access, "usb_kinects", lambda: listed)
-    with _kinect():
-        pass
-    device.plugged = False
-    del listed[0]
-    with pytest.raises(DeviceError) as told:
-        _kinect().__enter__()
-    assert "000123" in str(told.value)
-    assert "000456" not in str(told.value)
-
-
 def test_unplugged_beside_another_without_a_usb_list(bus):
     # As on Windows: only the SDK's count of sensors shows that one is missing.
     bus.devices = [Device("000123"), Device("000456")]
@@ -407,15 +394,6 @@ def test_the_one_thing_that_is_missing_fails(standin, monkeypatch, tmp_path, lac
     assert [name for name in named if name in wanted and not named[name].ok] == [check]
     assert named[check].needed == needed
     assert named[check].advice
-
-
-def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch, tmp_path):
-    monkeypatch.setattr(shutil, "which", lambda _: None)
-    monkeypatch.setitem(sys.modules, "pyk4a", None)
-    gpu = _by_name(device_checks(choose_tracker("k4abt", TrackerSettings(processing="cpu")), tmp_path))["GPU"]
-    assert (gpu.ok, gpu.needed) == (False, False)
-    assert "about one frame per second" in gpu.advice
-    assert "duplex fuse" in gpu.advice
 
 
 @pytest.mark.parametrize(("vendor", "product"), [("045e", "097c"), ("2bc5", "066b"), ("2bc5", "0669")])

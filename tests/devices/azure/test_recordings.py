@@ -13,7 +13,6 @@ from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, Tra
 from devices.freenect2.sensor import Freenect2Sensor
 from devices.recorded.files import depth_offset
 from devices.sensor import DeviceError, Sensor, SensorFrame
-from devices.skeletons.file_sensor import SkeletonRecording
 from devices.upright import UprightSensor
 from fusion.body import KINECT_V2
 from fusion.intrinsics import Intrinsics
@@ -163,11 +162,6 @@ def test_another_kind_of_file_is_refused(tmp_path, content):
         MkvRecording(tmp_path / "none.mkv").__enter__()
 
 
-def test_frames_of_a_closed_recording_are_refused(recording):
-    with pytest.raises(DeviceError, match="not open"):
-        next(MkvRecording(recording).frames())
-
-
 TRACKED = 6
 START_NS = 336_277_000
 
@@ -222,16 +216,6 @@ def test_saved_skeletons_join_the_frame_of_their_time(path):
         assert source.warnings == ["b.mkv: 1 of 6 frames have no saved skeleton."]
     assert [list(frame.people) for frame in frames] == [["0"], ["1"], [], ["2"], ["3"], ["4"]]
     assert all(frame.depth is not None for frame in frames)
-
-
-def test_skeletons_saved_to_a_file_join_too(path, tmp_path):
-    # a file's body is known only once it is open
-    rows = [f"{time_ns // 1000},0,SPINE_BASE,0,0,2" for time_ns in _times()]
-    saved = tmp_path / "b.csv"
-    saved.write_text("\n".join(["time_us,body,joint,x,y,z", *rows]) + "\n", encoding="utf-8")
-    with RecordingWithSkeletons(MkvRecording(path), SkeletonRecording(saved)) as source:
-        assert [list(frame.people) for frame in source.frames()] == [["0"]] * TRACKED
-        assert source.body is KINECT_V2
 
 
 def test_skeletons_of_another_recording_are_refused(path):

@@ -5,7 +5,6 @@ import threading
 import time
 from contextlib import nullcontext
 from dataclasses import replace
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -17,19 +16,14 @@ from devices.blazepose.networks.files import DETECTOR, LANDMARK_NETWORKS
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
-from devices.capture.sensor_pair import TwoSensors
-from devices.capture.sensor_state import TimeLimits
-from devices.capture.sensor_thread import SensorThread
 from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
 from devices.simulated.kinect import simulated_pair
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
-from tests.helpers.command_line import duplex
 from tests.helpers.machine import need_networks
 from tests.helpers.rendered_people import CAMERA, FRAME_NS, images_of, landmarks_at
-from tests.helpers.waiting import eventually
 
 
 class Images(Sensor):
@@ -122,12 +116,6 @@ def test_opening_and_closing_reach_the_source(tmp_path):
     assert not source.opened
 
 
-def test_the_command_says_that_the_networks_are_there(capsys):
-    folder = need_networks()
-    assert duplex("tracker", "fetch", "--tracker-model", folder) == 0
-    assert "already, and complete" in capsys.readouterr().out
-
-
 LENS = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
 DEPTH = np.full((6, 8), 2000, np.uint16)
 GREY = np.full((6, 8), 90, np.uint8)
@@ -196,24 +184,6 @@ def test_other_images_are_refused_in_one_line(depth, image, message):
     assert "\n" not in str(fault.value)
 
 
-@pytest.mark.usefixtures("seen")
-def test_a_camera_that_fails_is_opened_again():
-    opened = 0
-
-    def images():
-        nonlocal opened
-        opened += 1
-        yield DEPTH, GREY, opened
-        if opened == 1:
-            raise OSError("the cable is out")
-
-    with SensorThread(DepthCamera("left", images, LENS), limits=TimeLimits(retry_s=0.01)) as thread:
-        assert eventually(lambda: thread.received == 2)
-        told = " ".join(event.text for event in thread.events())
-    assert "left failed: the cable is out." in told
-    assert "left is back" in told
-
-
 # --- Two trackers on one processor: they skip the same frames, then report a change to the lighter network.
 
 
@@ -259,25 +229,6 @@ def test_a_tracker_that_stays_slow_goes_on_with_lite_and_every_frame_again(netwo
     assert (pace.step, pace.network) == (1, "lite")
 
 
-def test_a_hitch_costs_no_accuracy(networks):
-    pace = paced(networks)
-    work(pace, 10, 50)
-    work(pace, 90, 15)
-    assert (pace.step, pace.network) == (1, "full")
-    work(pace, 200, 15)
-    work(pace, 20, 50)
-    assert pace.network == "full", "results of the first hitch do not count"
-
-
-def test_trackers_that_are_fast_enough_only_at_half_the_rate_go_on_with_lite(networks):
-    pace, steps = paced(networks), []
-    for _ in range(200):
-        steps.append(pace.step)
-        work(pace, 1, 15 if pace.step > 1 or pace.network == "lite" else 35)
-    assert (pace.step, pace.network) == (1, "lite")
-    assert sum(first != later for first, later in pairwise(steps)) == 4
-
-
 @pytest.mark.parametrize("lacks", ["the file", "a lighter one"])
 def test_without_a_lighter_network_only_frames_are_left_out(networks, lacks):
     if lacks == "the file":
@@ -296,16 +247,6 @@ def test_who_simulates_sensors_is_not_told_to_record_them(networks):
     advice = paced(networks, simulated=True).advice
     assert "track later" not in advice
     assert advice == advice.strip()
-
-
-def test_changes_and_advice_reach_the_reader_of_the_sensors(networks):
-    pace, told = paced(networks), []
-    a, b, _ = simulated_pair(motion="still", seconds=0.1)
-    with TwoSensors(a, b, decimation=pace, tell=lambda event: told.append(event.text)) as sensors:
-        work(pace, 60, 50)
-        sensors.poll(0.0)
-    assert any("lite" in text for text in told)
-    assert any("15 of 30 frames" in text and "faster processor" in text for text in told)
 
 
 def simulated(seconds):

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,7 +24,6 @@ from devices.sensor import DeviceError, SensorFrame
 from devices.simulated.imaging.rendering import halved
 from devices.simulated.kinect import PERSON
 from fusion.body import AZURE_KINECT, KINECT_V2
-from fusion.errors import FusionError
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.skeleton import Skeleton
 from fusion.witness import REACH, SEEN_PAST
@@ -97,16 +95,6 @@ def test_a_pair_keeps_its_skeletons_whatever_becomes_of_its_images():
     assert not pair_has_images(pair_without_images(pair))
 
 
-def test_infrared_goes_with_the_depth_image_of_the_same_pixels():
-    (pair,) = frame_pairs(AZURE_KINECT, 1, depth=True)
-    pair = replace(pair, a=replace(pair.a, ir=np.arange(24 * 32, dtype=np.uint16).reshape(24, 32)))
-    half, none, bare = with_depth(pair, "half"), with_depth(pair, "none"), pair_without_images(pair)
-    assert half.a.ir.shape == half.a.depth.shape
-    assert half.a.ir[1, 1] == 2 * 32 + 2
-    for kept in (none, bare):
-        assert kept.a.ir is None
-
-
 IDEAL = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5)
 
 
@@ -149,24 +137,6 @@ def test_a_turned_camera_images_turned_points_at_turned_pixels(degrees, way):
     np.testing.assert_allclose(clockwise, (lens.height - 1 - v, u), atol=1e-9)
     assert in_image(turned(lens), clockwise) == in_image(lens, np.array((u, v)))
     assert turned(turned(turned(turned(lens)))) == lens
-
-
-def test_a_pixel_right_and_below_the_centre_is_right_and_below():
-    depth = np.zeros((48, 64), np.uint16)
-    depth[40, 60] = 2000
-    (point,) = depth_to_points(depth, ray_table(IDEAL))
-    np.testing.assert_allclose(point, [2 * (60 - 31.5) / 50, 2 * (40 - 23.5) / 50, 2.0], rtol=1e-6)
-
-
-def test_pixels_outside_the_lens_model_give_no_point():
-    # With this k1 no ray reaches beyond r(1 - 0.5 r²) = 0.544, but the image's corner is at 0.78.
-    lens = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, (-0.5, 0.0, 0.0, 0.0))
-    table = ray_table(lens)
-    assert np.isnan(table[0, 0]).all()
-    assert np.isfinite(table[23, 31]).all()
-    points = depth_to_points(np.full((48, 64), 1000, np.uint16), table)
-    assert len(points) == np.isfinite(table[..., 0]).sum() < 48 * 64
-    assert np.isfinite(points).all()
 
 
 def test_a_depth_image_of_another_mode_is_refused():
@@ -231,16 +201,6 @@ def test_a_bar_is_measured_as_by_brute_force(x):
     np.testing.assert_allclose(found[2:], expected[2:], atol=0.3 * pixel)  # which pixels the disc's rim has
 
 
-def test_in_the_middle_of_a_limb_and_beside_it():
-    pixel = 2.03 / NARROW.fx
-    gap, edge, x, y = depth_witness(bar(-0.04, 0.04), NARROW, skeleton_with((0.0, 0.0, 2.03)))[WRIST]
-    assert gap == pytest.approx(-0.03, abs=1e-4)
-    assert edge == pytest.approx(0.04, abs=pixel)
-    assert (x, y) == pytest.approx((0.0, 0.0), abs=0.5 * pixel)
-    gap, edge, _, _ = depth_witness(bar(-0.04, 0.04), NARROW, skeleton_with((0.10, 0.0, 2.0)))[WRIST]
-    assert (gap, edge) == pytest.approx((1.5, -0.06), rel=0.01, abs=pixel)
-
-
 def test_nothing_is_said_without_a_reading_a_place_or_an_image():
     image = bar(-0.04, 0.04)
     found = depth_witness(image, NARROW, skeleton_with((0.0, 0.0, 2.0)))
@@ -254,24 +214,3 @@ def test_nothing_is_said_without_a_reading_a_place_or_an_image():
     seen = with_witness(SensorFrame(0, frame.people, image), NARROW).people[PERSON]
     assert seen.witness is not None
     assert with_witness(SensorFrame(0, {PERSON: seen}, image), NARROW).people[PERSON] is seen
-
-
-def test_the_lens_is_opencvs():
-    """Each column has its own depth, so that the gap tells which pixel was read."""
-    lens = Intrinsics(640, 576, 504.0, 505.0, 320.5, 330.5, (0.5, -0.3, 3e-4, -2e-4, 0.01, 0.8, -0.2, 0.05))
-    position = np.array([[0.7, -0.5, 1.9]])
-    camera = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1.0]])
-    pixel, _ = cv2.projectPoints(position, np.zeros(3), np.zeros(3), camera, np.array(lens.distortion))
-    u, v = np.round(pixel.reshape(2))
-    along = np.linalg.norm(position) / position[0, 2]
-    for axis, expected in ((1, u), (0, v)):
-        image = (1500 + np.indices((lens.height, lens.width))[axis]).astype(np.uint16)
-        gap = depth_witness(image, lens, skeleton_with(tuple(position[0])))[WRIST, 0]
-        assert (gap / along + position[0, 2]) * 1e3 - 1500 == pytest.approx(expected, abs=0.3)  # float16
-
-
-def test_a_witness_has_four_numbers_a_joint():
-    skeleton = skeleton_with((0.0, 0.0, 2.0))
-    with pytest.raises(FusionError, match=r"kinect_v2 has 25 joints; an array of them has shape \(25, 2\)"):
-        skeleton.with_witness(np.zeros((25, 2), dtype=np.float32))
-    assert replace(skeleton, witness=None).witness is None

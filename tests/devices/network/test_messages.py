@@ -29,7 +29,7 @@ from devices.network.messages import (
     encode_sensor,
 )
 from devices.network.publishing import FramePublisher, publish_until
-from devices.network.remote_sensor import CLOCK, RemoteSensor
+from devices.network.remote_sensor import RemoteSensor
 from devices.network.remote_stream import RemoteClock, RemoteStream
 from devices.network.zenoh_session import ZenohAddresses, zenoh_session
 from devices.sensor import AbsentError, DeviceError, SensorFrame
@@ -288,14 +288,6 @@ def test_two_programs_that_answer_one_request_are_a_double_key_and_no_restart(or
     assert stream.figures.malformed == 0
 
 
-def test_a_slow_reply_is_taken_after_many_further_requests():
-    stream = opened()
-    for k in range(40):  # two seconds
-        stream.clock_request(k * 50 * MS)
-    assert stream.clock_reply(encode_clock(ClockMessage(1, 0, SECOND, SECOND)), 2 * SECOND)
-    assert stream.figures.malformed == 0
-
-
 def test_a_reply_that_nobody_asked_for_or_that_comes_twice_is_left_out():
     stream = opened()
     reply = encode_clock(ClockMessage(1, 5, 6, 7))
@@ -488,28 +480,6 @@ def test_a_program_that_is_started_anew_is_taken_back(address):
         assert "zenoh:lab/a is back." in said
 
 
-def test_two_programs_under_one_key_are_reported_and_the_first_goes_on(address):
-    with ExitStack() as stack:
-        published = stack.enter_context(publisher(address))
-        thread = stack.enter_context(SensorThread(remote(address), keep=64))
-        frames_through(published, thread, 5)
-        elsewhere = ZenohAddresses(connect=(address, address))  # a session of its own
-        second = stack.enter_context(FramePublisher(KEY, elsewhere, ScriptedSensor()))
-        said = []
-
-        def reported():
-            second.publish(frame_at(0, people=True))
-            frames_through(published, thread, 1)
-            said.extend(thread.sensor.take_news())
-            return bool(said)
-
-        assert eventually(reported)
-        assert said[0].startswith("zenoh:lab/a: two programs publish under 'lab/a'")
-        frames_through(published, thread, 20)
-        assert thread.state is SensorState.RUNNING
-        assert (thread.returns, thread.sensor.link.restarts, thread.sensor.link.malformed) == (0, 0, 0)
-
-
 def test_another_body_after_a_restart_gives_one_line(address):
     far = remote(address)
     with publisher(address), far:
@@ -588,13 +558,3 @@ def remote_after(opening, address):
 
         assert eventually(heard)
         yield published, far
-
-
-def test_a_clock_request_without_content_is_counted(address):
-    with publisher(address) as published, zenoh_session(ZenohAddresses(connect=(address,))) as session:
-
-        def counted():
-            assert not list(session.get(f"{KEY}/{CLOCK}", timeout=1.0))
-            return published.malformed > 0
-
-        assert eventually(counted)
