@@ -286,7 +286,7 @@ class LivePairing:
                 return True
             due_ns, patience_ns = max(due_ns, next_ns), PATIENCE_NS
         slowest_ns = max((at - moment for at, moment, _ in other.recent), default=self.max_lag_ns)
-        until_ns = max(due_ns + min(slowest_ns, self.max_lag_ns), at_ns) + patience_ns
+        until_ns = max(due_ns + slowest_ns, at_ns) + patience_ns
         longest_ns = at_ns + self.max_lag_ns + self.interval_ns
         return now_ns >= min(until_ns, longest_ns)
 

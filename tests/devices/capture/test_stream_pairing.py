@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from devices.capture.clock.host_clock import HostClock, OutputTime, SourceTimes, Timing
-from devices.capture.stream_pairing import PATIENCE_NS, LivePairing
+from devices.capture.stream_pairing import LivePairing
 from devices.sensor import SensorFrame
 from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS, run, shots, true_skews
 
-MILLISECOND_NS = 1_000_000
+MS = 1_000_000
 WARM_UP = 90  # frames: by then the least delay of both sensors has been seen
 
 
@@ -50,7 +50,7 @@ def test_frames_of_one_moment_pair_at_any_rates_lags_losses_and_clocks(
     random = np.random.default_rng(round(1e6 * one["fps"]))
     a, b = (
         [
-            replace(shot, arrives_ns=shot.arrives_ns + lag_ms * MILLISECOND_NS)
+            replace(shot, arrives_ns=shot.arrives_ns + lag_ms * MS)
             for shot in shots(side, 7, **how)
             if random.random() >= lost
         ]
@@ -66,7 +66,7 @@ def test_frames_of_one_moment_pair_at_any_rates_lags_losses_and_clocks(
     out = 2 * figures.pairs + figures.alone_a + figures.alone_b
     assert out + figures.late + figures.unmatched_b == len(a) + len(b)
     # moments are off by the least jitter of ten seconds (3 ms exponential), by drift and by the latencies
-    slack_ns = 2 * MILLISECOND_NS + abs(one["latency_ns"] - other["latency_ns"])
+    slack_ns = 2 * MS + abs(one["latency_ns"] - other["latency_ns"])
     skews, told = true_skews(both, a, b), np.array([pair.skew_ns for pair in both])
     settled = np.array([pair.b.host_ns > 8 * SECOND_NS for pair in both], dtype=bool)
     assert (np.abs(skews[settled]) <= pairing.interval_ns / 2 + slack_ns).all()
@@ -74,7 +74,7 @@ def test_frames_of_one_moment_pair_at_any_rates_lags_losses_and_clocks(
     if not (a and b):
         return
     moments = [np.array([shot.true_ns for shot in side]) for side in (a, b)]
-    there = [np.diff(each, prepend=each[0]) < 450 * MILLISECOND_NS for each in moments]  # else it is gone
+    there = [np.diff(each, prepend=each[0]) < 450 * MS for each in moments]  # else it is gone
     found = {(id(pair.a), id(pair.b)) for pair in both}
     near = np.abs(np.subtract.outer(*moments)) <= pairing.interval_ns / 2 - slack_ns
     wanted = [
@@ -101,7 +101,7 @@ def test_no_frame_is_lost_while_clocks_drift_by_frames(ppm, seconds):
     np.testing.assert_allclose(true_skews(both, a, b), 4_000_000, atol=2)
     # Ten seconds of drift are 0.5 ms, and the least of 300 jitters is below 0.1 ms.
     told = np.array([pair.skew_ns for pair in both[WARM_UP:]], dtype=np.float64)
-    assert np.abs(told - 4_000_000).max() <= 0.8 * MILLISECOND_NS
+    assert np.abs(told - 4_000_000).max() <= 0.8 * MS
     # Theil-Sen over a minute of one-second minima, each 3 ms / 30 frames = 0.1 ms off: 0.1 ms / 60 s = 2 ppm.
     assert pairing.figures.drift_ppm == pytest.approx(ppm, abs=4)
 
@@ -119,7 +119,7 @@ def test_pairs_on_a_cable_that_arrivals_contradict_are_found_anew():
 
 
 def test_a_lost_frame_is_waited_for_five_milliseconds():
-    lag_ns = 20 * MILLISECOND_NS
+    lag_ns = 20 * MS
     pairing = LivePairing(INTERVAL_NS)
     for index in range(60):
         taken_ns = index * INTERVAL_NS
@@ -127,11 +127,11 @@ def test_a_lost_frame_is_waited_for_five_milliseconds():
         pairing.add("b", SensorFrame(taken_ns, host_ns=taken_ns), taken_ns + lag_ns)
     frame_ns = 60 * INTERVAL_NS
     assert pairing.add("a", SensorFrame(frame_ns, host_ns=frame_ns), frame_ns) == []
-    assert pairing.poll(frame_ns + lag_ns + PATIENCE_NS - 1) == []
-    (alone,) = pairing.poll(frame_ns + lag_ns + PATIENCE_NS)
+    assert pairing.poll(frame_ns + lag_ns + 5 * MS - 1) == []
+    (alone,) = pairing.poll(frame_ns + lag_ns + 5 * MS)
     assert alone.b is None
     # it comes all the same: that moment has its S* by now
-    assert pairing.add("b", SensorFrame(frame_ns, host_ns=frame_ns), frame_ns + lag_ns + PATIENCE_NS) == []
+    assert pairing.add("b", SensorFrame(frame_ns, host_ns=frame_ns), frame_ns + lag_ns + 5 * MS) == []
     assert pairing.figures.late == 1
 
 
@@ -155,7 +155,7 @@ def test_a_frame_that_no_partner_is_expected_for_does_not_wait():
 def test_it_goes_on_with_one_sensor_while_the_other_is_gone_and_takes_it_back(
     gone, begins, lasts, cable_ms, every_frame
 ):
-    delay_ns = None if cable_ms is None else cable_ms * MILLISECOND_NS
+    delay_ns = None if cable_ms is None else cable_ms * MS
     streams = {"a": shots("a", 9), "b": shots("b", 9, clock_ns=7 * SECOND_NS, phase_ns=delay_ns or 0)}
     whole = streams[gone]
     left = [shot for shot in whole if not begins < 1e-9 * (shot.true_ns - whole[0].true_ns) < begins + lasts]
@@ -176,8 +176,8 @@ def test_it_goes_on_with_one_sensor_while_the_other_is_gone_and_takes_it_back(
     alone = next(pair for pair in pairs if pair.a is None)
     truth = {id(shot.frame): shot.true_ns for shot in streams["b"]}
     # On A's clock, which here is the host's: off by latency jitter only.
-    assert alone.time_ns == pytest.approx(truth[id(alone.b)], abs=MILLISECOND_NS)
-    assert abs(pairing.lag_ns) < 3 * MILLISECOND_NS, "a later capture is no longer way"
+    assert alone.time_ns == pytest.approx(truth[id(alone.b)], abs=MS)
+    assert abs(pairing.lag_ns) < 3 * MS, "a later capture is no longer way"
 
 
 def test_a_sensor_reported_as_gone_is_not_waited_for():
@@ -196,7 +196,7 @@ def test_a_sensor_reported_as_gone_is_not_waited_for():
 def test_in_the_first_second_a_frame_waits_an_interval_longer_than_the_other_sensor_takes(lag_ms, waits_ms):
     pairing = LivePairing(INTERVAL_NS, gone_after_ns=10**18)
     events = [(index * INTERVAL_NS, "a", index) for index in range(60)]
-    events += [(index * INTERVAL_NS + lag_ms * MILLISECOND_NS, "b", index) for index in range(60)]
+    events += [(index * INTERVAL_NS + lag_ms * MS, "b", index) for index in range(60)]
     for at_ns, side, index in sorted(events):
         if at_ns < 30 * INTERVAL_NS:
             pairing.add(side, SensorFrame(index * INTERVAL_NS, host_ns=index * INTERVAL_NS), at_ns)  # type: ignore[arg-type]
@@ -206,7 +206,7 @@ def test_in_the_first_second_a_frame_waits_an_interval_longer_than_the_other_sen
     pairing.restart("a")  # what still waits goes out
     frame_ns = begun_ns + 10 * INTERVAL_NS
     assert pairing.add("a", SensorFrame(frame_ns, host_ns=frame_ns), frame_ns) == []
-    patience_ns = waits_ms * MILLISECOND_NS + INTERVAL_NS
+    patience_ns = waits_ms * MS + INTERVAL_NS
     assert pairing.poll(frame_ns + patience_ns - 1) == []
     (pair,) = pairing.poll(frame_ns + patience_ns)
     assert pair.b is None
@@ -217,7 +217,7 @@ def test_what_the_cable_told_of_a_clock_is_forgotten_with_it():
     pairing.restart("b")
     for index in range(30, 60):  # 20 ms are more than half a frame, and less than arrivals would contradict
         pairing.add("a", SensorFrame(index * INTERVAL_NS), index * INTERVAL_NS)
-        pairing.add("b", SensorFrame(index * INTERVAL_NS - 20 * MILLISECOND_NS), index * INTERVAL_NS)
+        pairing.add("b", SensorFrame(index * INTERVAL_NS - 20 * MS), index * INTERVAL_NS)
         assert (pairing.figures.pairs, pairing.figures.skew_ns) == (index + 1, 0)
 
 
@@ -264,13 +264,13 @@ def test_what_waits_for_a_sensor_that_hangs_is_bounded_by_time():
 
 @pytest.mark.parametrize(("interval_ms", "after_ms"), [(33, 500), (200, 800), (1000, 4000)])
 def test_a_sensor_is_gone_after_half_a_second_and_four_of_its_intervals(interval_ms, after_ms):
-    interval_ns = interval_ms * MILLISECOND_NS
+    interval_ns = interval_ms * MS
     pairing = LivePairing(interval_ns, max_lag_ns=10**18)
     for ns in range(0, 60 * interval_ns, interval_ns):
         pairing.add("a", SensorFrame(ns), ns)
         pairing.add("b", SensorFrame(ns), ns)
     for silent_ms, gone in ((after_ms - 1, False), (after_ms + 1, True)):
-        assert pairing._is_gone(pairing._b, ns + silent_ms * MILLISECOND_NS) == gone
+        assert pairing._is_gone(pairing._b, ns + silent_ms * MS) == gone
 
 
 @pytest.mark.parametrize("count", [14, 15])
@@ -278,8 +278,8 @@ def test_fifteen_pairs_on_a_cable_tell_the_offset_of_two_clocks(count):
     pairing, ahead_ns = LivePairing(INTERVAL_NS, sync_delay_ns=0), 100 * SECOND_NS
     for ns in range(0, count * INTERVAL_NS, INTERVAL_NS):
         pairing.add("a", SensorFrame(ns), ns)
-        pairing.add("b", SensorFrame(ns + ahead_ns), ns + 6 * MILLISECOND_NS)
-    assert pairing.figures.offset_ns == ahead_ns - (6 * MILLISECOND_NS if count < 15 else 0)
+        pairing.add("b", SensorFrame(ns + ahead_ns), ns + 6 * MS)
+    assert pairing.figures.offset_ns == ahead_ns - (6 * MS if count < 15 else 0)
 
 
 @pytest.mark.parametrize("sides", ["a", "ab"])
@@ -323,16 +323,16 @@ def test_times_of_a_live_source_are_in_nanoseconds_whatever_its_program_gives(
     times = SourceTimes("mine", told.append)
     stream = shots("a", 4, fps=fps, seed=seed)
     for shot in stream:
-        now_ns = shot.arrives_ns + late_ms * MILLISECOND_NS
+        now_ns = shot.arrives_ns + late_ms * MS
         host_ns = 10**18 + shot.arrives_ns if epoch else shot.arrives_ns
         own = SensorFrame((begins_ns + shot.true_ns) // unit, host_ns=host_ns)
         out.append(times.timed(own, now_ns))
     for frame, shot in zip(out, stream, strict=True):
         off_ns = (frame.time_ns - out[0].time_ns) - (shot.true_ns - stream[0].true_ns)
         assert (
-            abs(off_ns) <= 50 * MILLISECOND_NS
+            abs(off_ns) <= 50 * MS
         )  # the arrivals' jitter, and 20 ms in which the own times count
-        assert 0 <= shot.arrives_ns + late_ms * MILLISECOND_NS - frame.host_ns <= late_ms * MILLISECOND_NS
+        assert 0 <= shot.arrives_ns + late_ms * MS - frame.host_ns <= late_ms * MS
     assert len(told) == (unit > 1) + epoch
     assert all(line.startswith("mine: its ") for line in told)
 
@@ -348,9 +348,9 @@ def test_two_frames_that_are_late_by_the_same_are_a_reset_and_no_others(late_ms,
     for k, late in enumerate(late_ms, 1):
         since = (k, late) if since is None or abs(late - since[1]) > 10 else since
         is_reset = (k - since[0]) * every_ms >= 20
-        arrived_ns = k * every_ms * MILLISECOND_NS
+        arrived_ns = k * every_ms * MS
         expected = Timing.RESET if is_reset else Timing.LATE
-        assert clock.observe(arrived_ns - late * MILLISECOND_NS, arrived_ns) is expected
+        assert clock.observe(arrived_ns - late * MS, arrived_ns) is expected
         if is_reset:
             break
 
@@ -363,8 +363,8 @@ def test_two_frames_that_are_late_by_the_same_are_a_reset_and_no_others(late_ms,
 )
 def test_frames_of_one_clock_pair_however_late_one_sensor_comes(late_ms, delay_ms, clock_s, seed):
     """The master on the cable has set the subordinate's clock: their own times tell what is a pair."""
-    delay_ns, clock_ns = round(delay_ms * MILLISECOND_NS), round(clock_s * SECOND_NS)
-    late_ns = round(late_ms * MILLISECOND_NS)
+    delay_ns, clock_ns = round(delay_ms * MS), round(clock_s * SECOND_NS)
+    late_ns = round(late_ms * MS)
     a = shots("a", 10, clock_ns=clock_ns, latency_ns=20_000_000 + max(0, -late_ns), seed=seed)
     b = shots(
         "b", 10, clock_ns=clock_ns, phase_ns=delay_ns, latency_ns=20_000_000 + max(0, late_ns), seed=seed
@@ -372,12 +372,12 @@ def test_frames_of_one_clock_pair_however_late_one_sensor_comes(late_ms, delay_m
     pairing = LivePairing(INTERVAL_NS, sync_delay_ns=delay_ns)
     both = _both(run(pairing, a, b))
     moments = true_skews(both, a, b)
-    assert np.mean(np.abs(moments - delay_ns) < MILLISECOND_NS) >= 0.98
+    assert np.mean(np.abs(moments - delay_ns) < MS) >= 0.98
     assert len(both) >= 0.97 * len(a)
     assert pairing.figures.offset_ns == 0
     # the least of 300 jitters of 3 ms is 0.01 ms; the median of a second is 2 ms
-    assert pairing.lag_ns == pytest.approx(late_ns, abs=3 * MILLISECOND_NS)
-    assert pairing.images_late_ns == pytest.approx(late_ns, abs=0.5 * MILLISECOND_NS)
+    assert pairing.lag_ns == pytest.approx(late_ns, abs=3 * MS)
+    assert pairing.images_late_ns == pytest.approx(late_ns, abs=0.5 * MS)
 
 
 @pytest.mark.parametrize("ppm", [-60.0, 60.0])
@@ -394,7 +394,6 @@ def test_one_clock_that_drifts_by_more_than_a_millisecond_stays_one(ppm):
 # --- Laws of live pairing: whatever two sensors do, each frame comes out once, in time, at its true time.
 
 
-MS = 1_000_000
 LATENCY_NS, JITTER_NS = 20 * MS, 5 * MS
 POLL_NS = 10 * MS
 MINUTE_NS = 60 * SECOND_NS

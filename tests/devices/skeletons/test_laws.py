@@ -13,6 +13,7 @@ from devices.sensor import DeviceError
 from devices.simulated.kinect import simulated_pair
 from devices.skeletons.csv_files.reader import read_csv
 from devices.skeletons.file_sensor import SkeletonRecording
+from devices.skeletons.likelihood import axes_likelihood, stature_of
 from devices.skeletons.meaning import MeaningError
 from devices.skeletons.name_tables import FilePoints
 from devices.skeletons.stated_format import AXES, METRES, SIGNED, StatedFormat, called_axes
@@ -306,6 +307,19 @@ def test_what_info_proposes_works(tmp_path, capsys, axes, unit, names, time, wit
     for words in commands:
         words = [{"OTHER.csv": b, "s.rrd": tmp_path / "s.rrd"}.get(word, word) for word in words]
         assert duplex(*words[words.index("duplex") + 1 :], "--no-viewer", "--force") == 0
+
+
+@given(st.floats(0.1, 0.4))
+def test_who_rises_and_sinks_is_the_less_likely(rises):
+    """By the square of so many standard deviations of 0.15 statures; a hop aside costs nothing."""
+    body, seconds = BODIES["kinect_v2"], np.arange(60) / 30.0
+    still = np.repeat(moving(body, 1), 60, axis=0)
+    wave = np.sqrt(2.0) * rises * stature_of(body, still) * np.sin(2.0 * np.pi * seconds)[:, None, None]
+    up, aside = (
+        axes_likelihood(body, seconds, still + wave * np.eye(3)[axis])[2][0, SIGNED.index("x,y,z")]
+        for axis in (1, 0)
+    )
+    assert aside - up == pytest.approx(0.5 * (rises / 0.15) ** 2, rel=0.1, abs=0.1)
 
 
 def test_stated_axes_are_tested_by_the_same_likelihood(tmp_path, capsys):
