@@ -94,14 +94,6 @@ def test_a_frame_is_made_late_so_that_others_can_work_early(clock, images_take, 
     assert np.array(given[1:]) - begins[1:] == pytest.approx(ahead)
 
 
-def test_a_slow_frame_is_forgotten(clock, images_take):
-    begins = images_take(0.004, first=0.03)
-    given = [clock.now for _ in paced(simulated(2.0, depth="half"), clock).frames()]
-    ahead = np.array(given) - begins
-    assert ahead[1] > 0.03
-    assert ahead[30:] == pytest.approx(1.0 / 60.0)
-
-
 @pytest.mark.parametrize("step", [1, 2, 3])
 def test_images_are_made_and_given_of_the_kept_moments_only(clock, images_take, step):
     made = images_take(0.0)

@@ -329,9 +329,7 @@ def test_times_of_a_live_source_are_in_nanoseconds_whatever_its_program_gives(
         out.append(times.timed(own, now_ns))
     for frame, shot in zip(out, stream, strict=True):
         off_ns = (frame.time_ns - out[0].time_ns) - (shot.true_ns - stream[0].true_ns)
-        assert (
-            abs(off_ns) <= 50 * MS
-        )  # the arrivals' jitter, and 20 ms in which the own times count
+        assert abs(off_ns) <= 50 * MS  # the arrivals' jitter, and 20 ms in which the own times count
         assert 0 <= shot.arrives_ns + late_ms * MS - frame.host_ns <= late_ms * MS
     assert len(told) == (unit > 1) + epoch
     assert all(line.startswith("mine: its ") for line in told)

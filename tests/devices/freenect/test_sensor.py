@@ -1,6 +1,8 @@
 """Kinects v1, on the real fakenect, which plays dumps of simulated images."""
 
+import ctypes
 import os
+import shutil
 import sys
 import time
 
@@ -13,12 +15,12 @@ from hypothesis import strategies as st
 from devices.capture.sensor_choice import cable_notes, choose_two, sync_master
 from devices.capture.settings import CaptureSettings
 from devices.freenect import libfreenect
-from devices.freenect.libfreenect import connected_freenects, how_to_install
+from devices.freenect.libfreenect import Context, connected_freenects, how_to_install
 from devices.freenect.sensor import INTRINSICS, VENDOR, FreenectSensor, TickCounter
 from devices.live.sensors import connected_sensors
-from devices.sensor import DeviceError
+from devices.sensor import AbsentError, DeviceError
 from devices.tracker_choice import choose_tracker
-from tests.helpers.freenect import PERIOD, film, numbered, write_dump
+from tests.helpers.freenect import PERIOD, film, numbered, typed, write_dump
 from tests.helpers.usb_tree import plug_in
 
 A, B = "A00366A02534111A", "B00362721456043B"
@@ -171,3 +173,23 @@ def test_a_library_of_another_kind_is_refused(real_freenect, monkeypatch):
     monkeypatch.setattr(libfreenect, "find_library", lambda _: "libc.so.6")
     with pytest.raises(DeviceError, match=r"libc\.so\.6 is not libfreenect 0\.5 \(.*freenect_init"):
         libfreenect.load_library()
+
+
+# --- What this program uses of libfreenect, held against the real library and its player fakenect.
+
+
+def test_the_real_library_has_every_function_and_fakenect_all_but_the_list(real_freenect, fakenect, tmp_path):
+    assert typed(real_freenect) == []
+    copy = ctypes.CDLL(shutil.copy(fakenect._file, tmp_path / "copy.so"))
+    assert typed(copy) == ["freenect_list_device_attributes", "freenect_free_device_attributes"]
+
+
+def test_our_context_of_the_real_library(real_freenect):
+    assert libfreenect.load_library() is real_freenect
+    with Context() as context:
+        assert (context.serials(), context.count()) == ([], 0)
+        assert context.process(0.001)
+        with pytest.raises(AbsentError, match=r"No Kinect v1 with serial A0036\. No other is connected\."):
+            context.open("A0036")
+    assert libfreenect.connected_freenects() == []
+    assert VENDOR.sdk_check().ok

@@ -1,26 +1,16 @@
 """Claims about the simulated pair: the truth, the rig, the clocks, and repeatability."""
 
 from dataclasses import replace
-from itertools import cycle
 
 import numpy as np
 import pytest
 
-from devices.depth.camera import project
 from devices.sensor import DeviceError
-from devices.simulated.imaging.body_surface import capsules
-from devices.simulated.imaging.rendering import DepthErrors
 from devices.simulated.kinect import PERSON, Truth, TruthAhead, simulated_pair
-from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from devices.simulated.streams import Streams
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from fusion.body import AZURE_KINECT, BODIES
-from fusion.calibration.calibration import calibrate
-from fusion.calibration.start_up_pose import find_start_up_pose
-from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup
-from tests.helpers.frame_pairs import paired
+from fusion.body import BODIES
 
 # A coordinate below 4 m is rounded to float32 by at most 2⁻²³ m.
 ROUNDED = 2.0**-23 * 1.01
@@ -116,22 +106,6 @@ def test_images_change_no_skeleton():
         assert (infrared.ir.shape, infrared.ir.dtype) == (infrared.depth.shape, np.uint16)
 
 
-@pytest.mark.parametrize(("depth", "size"), [("half", (288, 320)), ("full", (576, 640))])
-def test_depth_images_show_the_person_where_the_joints_are(depth, size):
-    a, _, truth = simulated_pair(
-        motion="startup", seconds=0.1, depth=depth, errors=TrackerErrors(), depth_errors=DepthErrors.none()
-    )
-    frame = next(a.frames())
-    assert frame.depth.shape == size == (a.intrinsics.height, a.intrinsics.width)
-    joints = frame.people[PERSON].positions.astype(np.float64)
-    shapes = capsules(truth.rig.world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(0.0)[0]))
-    for name in ("SPINE_CHEST", "PELVIS", "KNEE_RIGHT", "ELBOW_RIGHT"):
-        joint = joints[AZURE_KINECT.joint(name)]
-        u, v = np.rint(project(a.intrinsics, joint)).astype(int)
-        skin = joint[2] - frame.depth[v, u] * 1e-3
-        assert 0.0 < skin < 2.0 * shapes[:, 6].max()
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -161,21 +135,3 @@ def test_the_truth_ahead_is_the_truth_a_second_at_a_time(monkeypatch):
     ahead = TruthAhead(truth)
     np.testing.assert_array_equal([ahead(time) for time in times], exact)
     assert len(asked) < len(times) / 10
-
-
-TOLERANCE = 1e-5
-"""0.01 mm. Positions leave the sensors as float32, exact to 2.4e-7 m at 4 m; R and the bone lengths are
-fitted to those, and the longest chain of bones is 8."""
-
-
-@pytest.mark.parametrize(("body", "motion"), [*zip(BODIES.values(), cycle(("badminton", "walk")))], ids=str)
-def test_without_errors_fusion_is_the_truth(body, motion):
-    rig = Rig(skew_seconds=0.0)
-    a, b, truth = simulated_pair(motion=motion, body=body, seconds=5.0, errors=TrackerErrors(), rig=rig)
-    pairs = [pair.skeletons for pair in paired(a.frames(), b.frames()).pairs]
-    chosen, how = find_start_up_pose(body, pairs)
-    assert how.startswith("start-up pose")
-    setup = FusionSetup(calibrate(body, chosen, how), FuserSettings(method="paper"))
-    fused = [frame.positions for frame in Fuser(setup).fuse_sequence(pairs)]
-    true = [truth.positions_at(pair.time_ns) for pair in pairs]
-    assert np.linalg.norm(np.array(fused) - true, axis=2).max() < TOLERANCE
