@@ -35,15 +35,14 @@ def clock():
 
 @pytest.fixture
 def images_take(clock, monkeypatch):
-    """Sets how many seconds an image takes, and the first one; returns when the images were begun."""
+    """Sets how many seconds an image takes; returns when the images were begun."""
 
-    def set_seconds(seconds, first=None):
+    def set_seconds(seconds):
         begins = []
 
         def rendered(z, *_):
-            takes = seconds if begins or first is None else first
             begins.append(clock.now)
-            clock.now += takes
+            clock.now += seconds
             return np.zeros(z.shape, dtype=np.uint16)
 
         monkeypatch.setattr("devices.simulated.kinect.depth_image", rendered)
