@@ -86,6 +86,28 @@ def test_frames_get_their_time_of_arrival(sensor):
         ]
 
 
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
+def test_ctrl_c_while_a_sensor_opens_closes_it(earlier_threads):
+    pressed = threading.Event()
+
+    class Interrupted(ScriptedSensor):
+        def __enter__(self):
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            assert pressed.wait(PATIENCE_S)
+            return super().__enter__()
+
+        def interrupt(self):
+            pressed.set()
+
+    sensor = Interrupted()
+    thread = SensorThread(sensor)
+    with pytest.raises(KeyboardInterrupt):
+        thread.open()
+    assert thread.state is SensorState.CLOSED
+    assert all_threads_end(earlier_threads)
+    assert sensor.opened == sensor.closed
+
+
 def test_a_lost_sensor_is_reopened_until_it_is_back(sensor):
     pauses = []
 
