@@ -23,7 +23,7 @@ from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from tests.benchmarks import results
-from tests.experiments.soak import soak
+from tests.helpers.soak import soak
 from viewer_app.addresses import LOOPBACK
 from viewer_app.options.shared import LiveOutputOptions
 from viewer_app.outputs.avatars.osc import Address, OscOutput

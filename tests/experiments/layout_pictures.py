@@ -6,7 +6,6 @@
 run is said, and its pictures stay as they are: the recordings (``DUPLEX_SHARED``) or the networks.
 """
 
-import argparse
 import contextlib
 import io
 import os
@@ -20,21 +19,19 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from PIL import Image
-from rerun.experimental import ViewerClient
 
 from devices.blazepose.networks.files import cache_folder, missing
 from recordings import Session
 from recordings.data import layout
 from recordings.file.rrd_file import RrdFile
+from tests.helpers.pictures import headless_viewer
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.hub import Hub
-from viewer_app.viewer.rerun_process import stop
 from viewer_app.viewer.stored_clouds import has_depth, send_computed
 from viewer_app.viewer.viewer_choice import Viewing
-from viewer_app.viewer.window import start_viewer
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / "docs" / "pictures"
@@ -43,7 +40,7 @@ WALK = SHARED / "real" / "kinect_v2_90deg_walk"
 SIZE = (1280, 720)
 MENU = 37
 """Pixels: height of the menu, which is cut off."""
-WINDOW = f"{SIZE[0]}x{SIZE[1] + MENU}"
+WINDOW = SIZE[0], SIZE[1] + MENU
 _LIMIT = 250_000
 """Bytes of a picture."""
 _COLORS = (256, 128, 64, 32)
@@ -60,11 +57,12 @@ def drawn(file, moments, clouds):
         identity = opened.identity()
     setup = session.last_setup
     found = {}
-    with viewer(file) as (client, port):
+    # read from a pipe, a recording keeps its identity: what is sent afterwards joins it
+    with file.open("rb") as data, headless_viewer("-", size=WINDOW, stdin=data) as client:
         if clouds:
-            send_computed(file, f"rerun+http://{LOOPBACK}:{port}/proxy")
+            send_computed(file, client.url)
         stream = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
-        stream.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
+        stream.connect_grpc(client.url)
         for name, moment in moments.items():
             before = blueprint_of(client)
             blueprint = session_blueprint(setup, session.whereabouts, name, depth=has_depth(session))
@@ -88,18 +86,6 @@ def without_menu(blueprint):
     """The layout without the viewer's menu, in which it warns of a machine without a graphics card."""
     panels = (blueprint.blueprint_panel, blueprint.selection_panel, blueprint.time_panel)
     return rrb.Blueprint(blueprint.root_container, *panels, rrb.TopPanel(state="hidden"), auto_views=False)
-
-
-@contextlib.contextmanager
-def viewer(file):
-    """A viewer without a screen that shows a file, and its port."""
-    # read from a pipe, a recording keeps its identity: what is sent afterwards joins it
-    with file.open("rb") as opened:
-        process, port = start_viewer(["--headless", "--window-size", WINDOW, "-"], opened)
-    try:
-        yield ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy"), port
-    finally:
-        stop(process)
 
 
 def settled_picture(client, moment):
@@ -140,19 +126,19 @@ def hard_moment(session):
     return float(session.time_ns[later][np.argmax(apart) + 15] * 1e-9)
 
 
-def of_demo(out, folder):
+def of_demo(folder):
     """The three layouts of ``duplex demo``; *setup* live, as only then it says what to do next."""
     file = folder / "demo.rrd"
     main(["demo", "--seconds", "16", "--no-viewer", "--quiet", "--save", str(file)])
     opened = Session.open(file)
     moment = hard_moment(opened)
-    write_png(out / "setup.png", live_picture(folder, (), _CALIBRATED_S))
+    write_png(PICTURES / "setup.png", live_picture(folder, (), _CALIBRATED_S))
     moments = {"inspect": moment, "report": moment}
     for name, picture in drawn(file, moments, clouds=True).items():
-        write_png(out / f"{name}.png", picture)
+        write_png(PICTURES / f"{name}.png", picture)
 
 
-def of_two_people(out, folder):
+def of_two_people(folder):
     """*setup* of a demo of two people, where both sensors see both."""
     file = folder / "people.rrd"
     two = "--people", "2", "--motion", "squat"
@@ -163,10 +149,10 @@ def of_two_people(out, folder):
         k for k in others[0] if len(others[0][k]) and len(others[1].get(k, ())) and opened.time_ns[k] > 8e9
     ]
     moments = {"setup": float(opened.time_ns[both[len(both) // 2]] * 1e-9)}
-    write_png(out / "people.png", drawn(file, moments, clouds=True)["setup"])
+    write_png(PICTURES / "people.png", drawn(file, moments, clouds=True)["setup"])
 
 
-def of_walk(out, folder):
+def of_walk(folder):
     """*inspect* and *report* of two real recordings, which have no images for *setup*."""
     if not WALK.is_dir():
         print(f"No recordings {WALK}: the pictures of a real walk stay as they are.")
@@ -176,39 +162,36 @@ def of_walk(out, folder):
     moment = hard_moment(Session.open(file))
     moments = dict.fromkeys(("inspect", "report"), moment)
     for name, picture in drawn(file, moments, clouds=False).items():
-        write_png(out / f"{name}_real.png", picture)
+        write_png(PICTURES / f"{name}_real.png", picture)
 
 
-def of_own_tracker(out, folder):
+def of_own_tracker(folder):
     """*setup* of ``duplex demo --tracker blazepose``, with the infrared images that a live viewer shows."""
     if missing("full", cache_folder()):
         print("No networks (duplex tracker fetch): setup_infrared.png stays as it is.")
         return
-    write_png(out / "setup_infrared.png", live_picture(folder, ("--tracker", "blazepose"), _TRACKING_S))
+    write_png(PICTURES / "setup_infrared.png", live_picture(folder, ("--tracker", "blazepose"), _TRACKING_S))
 
 
 def live_picture(folder, options, moment):
     """*setup* of a running ``duplex demo`` with these options."""
     hub = Hub.on_free_ports(web=False)
     shown = []
-
-    def show():
-        if eventually(lambda: _listens(hub.port), 300.0):
-            shown.extend(start_viewer(["--headless", "--window-size", WINDOW, "--connect", hub.url]))
-
-    thread = threading.Thread(target=show, daemon=True)
-    thread.start()
     options = [*options, "--layout", "setup", "--seconds", "8", "--quiet"]
-    with mock.patch("viewer_app.running.runner.choose_viewing", return_value=Viewing(hub=hub)):
-        main(["demo", *options, "--save", str(folder / "live.rrd")])
-    thread.join()
-    process, port = shown
-    try:
-        client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+    with contextlib.ExitStack() as opened:
+
+        def show():
+            if eventually(lambda: _listens(hub.port), 300.0):
+                shown.append(opened.enter_context(headless_viewer("--connect", hub.url, size=WINDOW)))
+
+        thread = threading.Thread(target=show, daemon=True)
+        thread.start()
+        with mock.patch("viewer_app.running.runner.choose_viewing", return_value=Viewing(hub=hub)):
+            main(["demo", *options, "--save", str(folder / "live.rrd")])
+        thread.join()
+        (client,) = shown
         client.run_command("ui.toggle_top_panel")
         return settled_picture(client, moment)
-    finally:
-        stop(process)
 
 
 def _listens(port):
@@ -219,16 +202,7 @@ def _listens(port):
     return True
 
 
-def run(arguments=None):
-    """Makes the pictures."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=PICTURES)
-    options = parser.parse_args(arguments)
-    options.out.mkdir(parents=True, exist_ok=True)
-    for make in (of_demo, of_two_people, of_walk, of_own_tracker):
-        with tempfile.TemporaryDirectory() as folder:
-            make(options.out, Path(folder))
-
-
 if __name__ == "__main__":
-    run()
+    for make in (of_demo, of_two_people, of_walk, of_own_tracker):
+        with tempfile.TemporaryDirectory() as at:
+            make(Path(at))

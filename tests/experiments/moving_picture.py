@@ -6,7 +6,6 @@ Joints that are far from the truth are red; what a Kinect does not see is grey, 
 graphics driver or Debian's mesa-vulkan-drivers is needed.
 """
 
-import argparse
 import io
 import tempfile
 from dataclasses import dataclass
@@ -17,7 +16,6 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
-from rerun.experimental import ViewerClient
 
 from devices.simulated.demonstration import MIRRORED, MISPLACED
 from recordings import Session
@@ -25,11 +23,9 @@ from recordings.appearance.body_shape import capsule_lengths, capsule_radii, cap
 from recordings.appearance.colors import SKELETON_COLORS
 from recordings.appearance.floor import find_floor
 from recordings.data import layout
+from tests.helpers.pictures import headless_viewer
 from tests.helpers.waiting import eventually
-from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main
-from viewer_app.viewer.rerun_process import stop
-from viewer_app.viewer.window import start_viewer
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "pictures" / "moving.webp"
 LIMIT = 1_000_000
@@ -93,18 +89,12 @@ def skeletons_of(session):
 
 def pictures(session, skeletons, rows, size):
     """Draws the three skeletons of some frames side by side."""
-    process, port = start_viewer(
-        ["--headless", "--window-size", f"{3 * (size[0] + _EDGE)}x{size[1] + 5 * _EDGE}"]
-    )
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "scene.rrd"
-            _write_scene(file, session, skeletons, rows)
-            viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
-            viewer.open(str(file))
-            return [_drawn(viewer, k, size) for k in range(len(rows))]
-    finally:
-        stop(process)
+    window = 3 * (size[0] + _EDGE), size[1] + 5 * _EDGE
+    with headless_viewer(size=window) as viewer, tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.rrd"
+        _write_scene(file, session, skeletons, rows)
+        viewer.open(str(file))
+        return [_drawn(viewer, k, size) for k in range(len(rows))]
 
 
 def _write_scene(file, session, skeletons, rows):
@@ -254,9 +244,6 @@ def write_animation(path, frames, seconds):
 
 def run():
     """Makes the picture: one round of both faults."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=PICTURE)
-    out = parser.parse_args().out
     begin, end = MIRRORED.begins - _BEFORE_S, MISPLACED.begins + MISPLACED.seconds + _AFTER_S
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "demo.rrd"
@@ -268,9 +255,9 @@ def run():
         skeletons = skeletons_of(session)
         drawn = pictures(session, skeletons, rows, _THIRD)
     frames = [with_captions(picture, skeletons, row) for picture, row in zip(drawn, rows, strict=True)]
-    quality = write_animation(out, frames, end - begin)
-    size = out.stat().st_size / 1e6
-    print(f"{out}: {begin:.1f} to {end:.1f} s, {len(frames)} pictures, {size:.2f} MB, {quality=}")
+    quality = write_animation(PICTURE, frames, end - begin)
+    size = PICTURE.stat().st_size / 1e6
+    print(f"{PICTURE}: {begin:.1f} to {end:.1f} s, {len(frames)} pictures, {size:.2f} MB, {quality=}")
 
 
 if __name__ == "__main__":

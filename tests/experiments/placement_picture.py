@@ -4,7 +4,6 @@
 best place come from :mod:`viewer_app.coach.standing_spot`, as in the viewer.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +42,7 @@ def _seen(points):
     return (away >= nearest(CAMERA)) & (away <= FARTHEST) & (np.abs(across) <= half)
 
 
-def draw(path, angle_deg=90.0):
+def draw(angle_deg=90.0):
     """Writes the picture; x of K_A's frame to the right, its z upwards."""
     b = a_from_b(angle_deg)
     figure = Figure(figsize=(6.4, 5.0), layout="constrained")
@@ -64,12 +63,14 @@ def draw(path, angle_deg=90.0):
     axes.plot(spot.x, spot.z, "o", color="black", markersize=20, fillstyle="none", markeredgewidth=2)
     axes.annotate("stand here", (spot.x, spot.z), (14, 14), textcoords="offset points")
     axes.set(xlabel="x of sensor A (m)", ylabel="z of sensor A (m)", aspect="equal", ylim=(-0.6, 4.6))
-    # no date and fixed identifiers: the same call writes the same file
+    write_svg(PICTURE, figure)
+
+
+def write_svg(path, figure):
+    """Writes a figure without a date and with fixed identifiers: the same figure is the same file."""
     with rc_context({"svg.hashsalt": "duplex-kinects"}):
         figure.savefig(path, metadata={"Date": None})
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=PICTURE)
-    draw(parser.parse_args().out)
+    draw()

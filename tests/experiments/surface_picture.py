@@ -4,17 +4,15 @@
 clouds of two simulated Kinects v2, from above, with the joints of S*.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from devices.simulated.demonstration import demonstrated
 from fusion.body import KINECT_V2
 from tests.benchmarks.surface import Recorded
-from tests.experiments.placement_picture import COLORS
+from tests.experiments.placement_picture import COLORS, write_svg
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "pictures" / "surface.svg"
 SLICES = {"chest": ("SpineShoulder", 0.05), "hips": ("SpineBase", 0.0)}
@@ -22,7 +20,7 @@ SLICES = {"chest": ("SpineShoulder", 0.05), "hips": ("SpineBase", 0.0)}
 _THICK, _AROUND = 0.03, 0.25  # metres to each side
 
 
-def draw(path, seed=7903):
+def draw(seed=7903):
     """Writes the picture; x of K_A's frame to the right, its z upwards."""
     recorded = Recorded(KINECT_V2, demonstrated("walk"), 60.0, seed, 14.0)
     pairs = recorded.pairing.pairs.skeletons
@@ -37,10 +35,7 @@ def draw(path, seed=7903):
     a, b = shared.moments[moment]
     k = int(np.searchsorted(pairs.time_ns, seen["moments"].time_ns[moment]))
     figure = Figure(figsize=(7.2, 6.8), layout="constrained")
-    panels = figure.subplots(
-        len(SLICES),
-        len(found),
-    )
+    panels = figure.subplots(len(SLICES), len(found))
     for (title, (calibration, fused)), column in zip(found.items(), panels.T, strict=True):
         in_a = calibration.a_from_b.apply(b.points)
         for (part, (joint, below)), axes in zip(SLICES.items(), column, strict=True):
@@ -56,12 +51,8 @@ def draw(path, seed=7903):
     for axes in panels[:, 0]:
         axes.set_ylabel("z of sensor A (m)")
     panels[0, 0].legend(loc="lower left", fontsize="small")
-    # no date and fixed identifiers: the same call writes the same file
-    with rc_context({"svg.hashsalt": "duplex-kinects"}):
-        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+    write_svg(PICTURE, figure)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=PICTURE)
-    draw(parser.parse_args().out)
+    draw()

@@ -1,6 +1,7 @@
 """A viewer without a screen, and pictures of its views."""
 
 import contextlib
+import subprocess
 
 import numpy as np
 from rerun.experimental import ViewerClient
@@ -14,17 +15,17 @@ from viewer_app.viewer.window import start_viewer
 
 
 @contextlib.contextmanager
-def headless_viewer(*arguments, size=(1200, 800)):
+def headless_viewer(*arguments, **how):
     """A viewer that draws without a screen; the test is skipped where there is none."""
-    with viewer_window("--headless", *arguments, size=size) as viewer:
+    with viewer_window("--headless", *arguments, **how) as viewer:
         yield viewer
 
 
 @contextlib.contextmanager
-def viewer_window(*arguments, size=(1200, 800)):
+def viewer_window(*arguments, size=(1200, 800), stdin=subprocess.DEVNULL):
     """A viewer on the display that the environment names."""
     need_viewer()
-    process, port = start_viewer(["--window-size", "{}x{}".format(*size), *arguments])
+    process, port = start_viewer(["--window-size", "{}x{}".format(*size), *arguments], stdin)
     try:
         yield ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
     finally:

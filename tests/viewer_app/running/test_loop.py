@@ -32,9 +32,9 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings.appearance.state_card import TONES, State
 from recordings.live_fusion import LiveFusion
-from tests.experiments.soak import Soak, at_pace, soak
 from tests.helpers.frame_pairs import KnownSensors, frame_pairs
 from tests.helpers.live_frames import BODY, frames
+from tests.helpers.soak import Soak, at_pace, soak
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
 from viewer_app.coach.readiness import Headline
 from viewer_app.running.loop import low_latency, run_live
