@@ -13,13 +13,13 @@ from fusion.facing.labels import Labels
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
+from tests.helpers.laws import pairs_at
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
 
 BODY = KINECT_V2
 FIRST, FRAMES = 60, 30
 EVERY = slice(FIRST, FIRST + FRAMES)
-RNG = np.random.default_rng(5)
-CLEAN = [noisy(pair_of(BODY, at, t * FRAME_NS), RNG, 0.004) for t, at in enumerate(moving(BODY, 150))]
+CLEAN = pairs_at(np.arange(150) * FRAME_NS, moving(BODY, 150), sd=0.004, seed=5)
 
 
 def new_fuser(a_from_b=A_FROM_B):

@@ -31,6 +31,7 @@ from fusion.witness import (
     weigh_witness,
 )
 from tests.helpers.interpreted import interpreted
+from tests.helpers.laws import pairs_at
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
 from tests.helpers.witnesses import evidence_in
 
@@ -93,8 +94,7 @@ def test_the_bones_tell_which_view_of_a_wrist_is_wrong():
 
     The bones bring at least a fifth; 29 % when this was written.
     """
-    random = np.random.default_rng(0)
-    pairs = [noisy(pair_of(BODY, at, t * FRAME_NS), random, 0.004) for t, at in enumerate(moving(BODY, 90))]
+    pairs = recording(90, 0.004)
     bad = [
         replace(p, b=with_arm_near_trunk(p.b, (t - 69) / 15)) if 70 <= t < 85 else p
         for t, p in enumerate(pairs)
@@ -164,11 +164,8 @@ def fused(pairs, method="duplex"):
     return Fuser(setup).fuse_sequence(pairs, Labels.with_sides(np.zeros((len(pairs), 2))))
 
 
-def recording(frames=60):
-    random = np.random.default_rng(1)
-    return [
-        noisy(pair_of(BODY, at, k * FRAME_NS), random, 0.005) for k, at in enumerate(moving(BODY, frames))
-    ]
+def recording(frames=60, sd=0.005):
+    return pairs_at(np.arange(frames) * FRAME_NS, moving(BODY, frames), sd=sd, seed=1)
 
 
 def same_bits(one, other):
