@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import rerun as rr
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -40,12 +39,12 @@ from recordings.appearance.state_card import LOOKS, State, fits, state_card
 from recordings.data import layout
 from recordings.data.frame_noise import FrameDeviations, frame_noise_of, noise_of
 from recordings.data.session_arrays import SessionArrays
-from recordings.file.rrd_file import RrdFile
 from recordings.writing.changes import Lanes
 from recordings.writing.frame_columns import frame_columns
-from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames
 from tests.helpers.pictures import contrast, linear
+from tests.helpers.recalibrated import recorder_to
+from tests.helpers.session_text import logged_in
 from tests.helpers.two_views import A_FROM_B, standing
 
 STEP = 1.0 / 256.0
@@ -232,10 +231,6 @@ def test_frames_without_feet_tell_nothing():
 # --- The picture of a set-up's state: told apart by everyone.
 
 
-def drawn(state, step=""):
-    return state_card(state, step)
-
-
 def inked(picture, state):
     """Where a picture has more of the ink than of the ground."""
     ink, ground = (np.abs(picture.astype(int) - color).sum(axis=2) for color in LOOKS[state][::-1])
@@ -248,7 +243,7 @@ def test_ink_stands_out_from_its_ground(state):
 
 
 def test_states_differ_in_shape_too():
-    shapes = [inked(drawn(state), state)[:130, :140] for state in State]
+    shapes = [inked(state_card(state, ""), state)[:130, :140] for state in State]
     for k, shape in enumerate(shapes):
         for other in shapes[:k]:
             assert (shape != other).mean() > 0.1
@@ -258,7 +253,7 @@ def test_a_long_step_is_drawn_smaller_and_stays_inside():
     long = "Only 30 degrees apart: " * 4
     assert not fits(long)
     assert fits(long[:50])
-    picture = inked(drawn(State.NOT_YET, long), State.NOT_YET)
+    picture = inked(state_card(State.NOT_YET, long), State.NOT_YET)
     assert not picture[[0, -1]].any()
     assert not picture[:, [0, -1]].any()
 
@@ -397,24 +392,18 @@ def test_lanes_are_the_same_frame_by_frame_and_at_once(rows, tmp_path):
     fuser = Fuser(FusionSetup(Calibration(V2, A_FROM_B, V2.nominal_lengths, "known")))
     for parts in ([changing], [changing[[t]] for t in range(len(rows))]):
         file = tmp_path / f"{len(parts)}.rrd"
-        stream = rr.RecordingStream(layout.APPLICATION_ID)
-        stream.save(file)
-        recorder = Recorder(stream, fuser.setup, ("a", "b"))
-        for part in parts:
-            recorder.record_rows(part)
-        stream.flush()
-        stream.disconnect()
-        lane = []
-        with RrdFile(file) as read:
-            for entity, batch in read.chunks(images=False):
-                if entity == layout.state_lane("a", V2.joints[ELBOW]) and "frame" in batch.schema.names:
-                    columns = (
-                        batch.column(name).to_pylist() for name in ("frame", "time", "StateChange:state")
-                    )
-                    lane += [(frame, time, state) for frame, time, state in zip(*columns, strict=True)]
-        names = [(frame, states) for frame, _, states in lane]
-        assert names == [(0, ["tracked"]), (40, ["inferred"]), (45, ["tracked"]), (90, ["not tracked"])]
-        assert [at / np.timedelta64(1, "ns") for _, at, _ in lane][1:] == list(rows.time_ns[[40, 45, 90]])
+        with recorder_to(file, fuser.setup) as recorder:
+            for part in parts:
+                recorder.record_rows(part)
+        lane = layout.state_lane("a", V2.joints[ELBOW])
+        assert logged_in(file, lane, "StateChange:state") == [
+            (0, ["tracked"]),
+            (40, ["inferred"]),
+            (45, ["tracked"]),
+            (90, ["not tracked"]),
+        ]
+        times = [at / np.timedelta64(1, "ns") for _, at in logged_in(file, lane, "time")]
+        assert times[1:] == list(rows.time_ns[[40, 45, 90]])
 
 
 def test_only_joints_that_change_have_a_lane_and_it_begins_at_the_beginning(rows):

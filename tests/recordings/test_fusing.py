@@ -5,31 +5,36 @@ import gc
 import os
 import tempfile
 import tracemalloc
+from concurrent.futures import Future, wait
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from uuid import uuid4
 
 import numpy as np
 import pytest
-import rerun as rr
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from devices.capture.stream_pairing import LivePairing
 from devices.depth.image_thinning import pair_without_images
 from devices.events import Event, spells_of
+from devices.frame_pairs import PERSON
+from devices.pairing import pair_views
 from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.sensor import DeviceError
 from devices.simulated.kinect import simulated_pair
 from devices.skeletons.csv_files import reader
 from devices.skeletons.csv_files.reader import read_csv
 from fusion import plan
-from fusion.body import KINECT_V1, KINECT_V2
-from fusion.calibration.calibration import Calibration
+from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
+from fusion.calibration.calibration import Calibration, nominal_calibration
+from fusion.calibration.online import CalibrationLearner
 from fusion.errors import FusionError
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
+from fusion.intrinsics import Intrinsics
+from fusion.pair_arrays import View
 from fusion.plan import plan_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
@@ -43,16 +48,20 @@ from recordings.data.session_arrays import SessionArrays
 from recordings.data.session_parts import PartOfImages
 from recordings.file import session_reader
 from recordings.file.session_writer import write_session
-from recordings.fusing.pairs import fuse_one
-from recordings.fusing.view_events import ViewEvents
+from recordings.fusing.live_surface import LiveSurface
+from recordings.fusing.pairs import fuse_one, fuse_segments
+from recordings.fusing.view_events import ViewEvents, watch
+from recordings.live_fusion import LiveFusion
 from recordings.quality.figures import report
-from recordings.writing.recorder import Recorder
 from tests.helpers.command_line import duplex
 from tests.helpers.demonstrations import pairs_of
-from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.frame_pairs import KnownSensors, frame_pairs
+from tests.helpers.laws import BODY, HIDDEN, exchanged, hidden, walking
+from tests.helpers.recalibrated import recorder_to
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.sentences import arguments, check_sentences
 from tests.helpers.skeleton_files import read_found
+from tests.helpers.two_clocks import SECOND_NS, run, shots
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, standing
 from viewer_app.report.events import event_in_words, list_events
 from viewer_app.report.words import lead_lines
@@ -162,8 +171,6 @@ def test_a_plan_in_parts_is_that_of_the_whole(tmp_path, monkeypatch):
     assert span == slice(0, 600)
     # 200 pairs instead of 600: both are the truth within their deviation
     assert np.degrees(first.a_from_b.angle_to(other.a_from_b)) < 0.5
-    assert in_parts.labels is not None
-    assert whole.labels is not None
     np.testing.assert_array_equal(in_parts.labels.codes, whole.labels.codes)
 
 
@@ -434,18 +441,14 @@ def test_a_live_file_keeps_every_figure_whoever_comes_late(data):
         frames.append(replace(frame, truth=frame.fused.positions if k >= comes[2] else None))
     with TemporaryDirectory() as folder:
         path = Path(folder) / "s.rrd"
-        stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
-        stream.save(path)
-        recorder = Recorder(stream, fuser.setup, ("a", "b"), plots_later=later)
-        first = 0
-        while first < len(frames):
-            block = frames[first : first + sizes[first]]
-            for k, frame in enumerate(block if images else [], first):
-                recorder.record_images(k, frame)
-            recorder.record_all([replace(of, pair=pair_without_images(of.pair)) for of in block])
-            first += len(block)
-        recorder.finish()
-        stream.disconnect()
+        with recorder_to(path, fuser.setup, plots_later=later) as recorder:
+            first = 0
+            while first < len(frames):
+                block = frames[first : first + sizes[first]]
+                for k, frame in enumerate(block if images else [], first):
+                    recorder.record_images(k, frame)
+                recorder.record_all([replace(of, pair=pair_without_images(of.pair)) for of in block])
+                first += len(block)
         session = Session.open(path)
     assert session.damage is None
     expected = Session.of([(fuser.setup, frames)])
@@ -494,7 +497,6 @@ def test_a_short_interruption_does_not_end_a_spell():
     assert event_in_words(moment) == "Warning: A is lost. It lasted 33 ms."
 
 
-BODY = KINECT_V2
 ARM = [BODY.joint(f"{name}_LEFT") for name in ("ELBOW", "WRIST", "HAND")]
 
 
@@ -539,3 +541,181 @@ def test_sentences_of_view_events():
         return "\n".join(f"{k} {each.topic} {each.phase}: {each.text}" for k, each in found) or "-"
 
     check_sentences("view_events", told)
+
+
+# --- R and t by the surface in live depth images: which moments are kept, and what they give.
+
+
+CAMERA = Intrinsics(32, 24, 20.0, 20.0, 16.0, 12.0)
+SECOND = 1_000_000_000
+
+
+class Never:
+    """Keeps what is submitted, and never runs it."""
+
+    def __init__(self):
+        self.submitted = []
+
+    def submit(self, _, *arguments):
+        self.submitted.append(arguments)
+        return Future()
+
+
+def learner():
+    return CalibrationLearner(
+        AZURE_KINECT, Calibration(AZURE_KINECT, A_FROM_B, AZURE_KINECT.nominal_lengths, "known")
+    )
+
+
+@given(data=st.data(), rate=st.integers(10, 60))
+@settings(max_examples=10)
+def test_a_moment_is_one_of_its_second_with_both_views_all_around(data, rate):
+    pairs = frame_pairs(AZURE_KINECT, 6 * rate, depth=True)
+    gone = data.draw(st.sets(st.integers(0, len(pairs) - 1), max_size=4))
+    gone |= set(range(0, len(pairs), 2)) if data.draw(st.booleans()) else set()  # B at half the rate
+    times = [round(k * SECOND / rate) for k in range(len(pairs))]
+    for k, time_ns in enumerate(times):
+        pair = replace(pairs[k], skeletons=replace(pairs[k].skeletons, time_ns=time_ns))
+        pairs[k] = replace(pair, skeletons=replace(pair.skeletons, b=None)) if k in gone else pair
+    executor = Never()
+    surface, known = LiveSurface(AZURE_KINECT, (CAMERA, CAMERA), executor=executor), learner()
+    for pair in pairs:
+        assert surface.observe(pair, known) == []
+    ((moments, _),) = executor.submitted  # the fit has not ended
+    assert len(moments) == 4
+    middles = [moment.pairs[3] for moment in moments]
+    assert all(middles[k + 2].time_ns - middles[k].time_ns >= SECOND for k in range(2))
+    for moment, middle in zip(moments, middles, strict=True):
+        k = times.index(middle.time_ns)
+        assert all(pair.a is not None and pair.b is not None for pair in moment.pairs)
+        assert moment.images[0] is pairs[k].a.depth
+        assert moment.images[1] is pairs[k].b.depth
+
+
+def test_who_is_seen_from_two_sides_is_where_the_surface_is():
+    """The trackers shift the joints along their rays; the images do not."""
+    a, b, truth = simulated_pair(depth="half", seconds=10.0, seed=914, body=AZURE_KINECT, motion="walk")
+    setup = FusionSetup(nominal_calibration(AZURE_KINECT), None, a.intrinsics, b.intrinsics)
+    pairs = list(pairs_of(a, b))
+    off, texts = [], []
+    for cameras in ((None, None), (a.intrinsics, b.intrinsics)):
+        fusion = LiveFusion(setup)
+        for frame in fusion.frames(KnownSensors(pairs, cameras=cameras)):
+            texts += [event.text for event in fusion.learn(frame)]
+            if fusion._surface is not None and fusion._surface._fit is not None:
+                wait([fusion._surface._fit[1]])
+        found = fusion.setup.calibration.a_from_b
+        there = truth.positions_at(np.array([pairs[-1].time_ns]))[0].mean(axis=0)
+        off.append(np.linalg.norm(found.apply(truth.a_from_b.inverse().apply(there)) - there))
+    assert sum("by the surface that both sensors see" in text for text in texts) >= 1
+    assert off[1] < 0.7 * off[0]
+
+
+def test_without_images_nothing_is_fitted():
+    executor = Never()
+    surface, known = LiveSurface(AZURE_KINECT, (CAMERA, CAMERA), executor=executor), learner()
+    for pair in frame_pairs(AZURE_KINECT, 200):
+        assert surface.observe(pair, known) == []
+    assert executor.submitted == []
+
+
+# --- A live run, and the same frames as a recording holds them, give the same pairs, S* and events.
+
+
+BEGINS_S, STANDS_S, SECONDS = 2.0, 4.0, 8.0
+"""From when on somebody is seen, and walks: the clocks are known to be one by then."""
+SPELLS = st.lists(
+    st.tuples(
+        st.sampled_from("ab"), st.sampled_from(("nobody", "arm", "half", "exchanged", "elsewhere")),
+        st.floats(0.0, SECONDS), st.floats(0.05, 2.0),
+    ),
+    max_size=4,
+)  # fmt: skip
+"""View, what is wrong in it, and from when on for how long, seconds."""
+
+
+def seen(side, seconds, spells, random):
+    """The skeleton of a view; None where it sees nobody."""
+    if seconds < BEGINS_S:
+        return None
+    at = standing(BODY) if seconds < STANDS_S else walking(seconds - STANDS_S)[0]
+    at = at + random.normal(0.0, 0.004, at.shape)
+    skeleton = Skeleton.of(BODY, A_FROM_B.inverse().apply(at) if side == "b" else at)
+    for _, what, *_ in (of for of in spells if of[0] == side and of[2] <= seconds < of[2] + of[3]):
+        if what == "nobody":
+            return None
+        if what == "exchanged":
+            skeleton = exchanged(skeleton)
+        elif what == "elsewhere":
+            positions = skeleton.positions.copy()
+            positions[HIDDEN["arm"]] += np.float32(0.4)
+            skeleton = Skeleton.of(BODY, positions)
+        else:
+            skeleton = hidden(skeleton, HIDDEN[what])
+    return skeleton
+
+
+def facts(pairs):
+    """Of each pair: time since the first, skew, and the own times of its frames."""
+    first_ns = pairs[0].time_ns
+    return [(of.time_ns - first_ns, of.skew_ns, of.a and of.a.time_ns, of.b and of.b.time_ns) for of in pairs]
+
+
+@given(
+    fps=st.sampled_from((15, 30, 60)),
+    lost=st.sampled_from((0.0, 0.1, 0.4)),
+    late_ms=st.tuples(st.integers(0, 120), st.integers(0, 120)),
+    phase=st.floats(-0.4, 0.4),
+    clock_s=st.sampled_from((0, 1_000, -7)),
+    spells=SPELLS,
+    seed=st.integers(0, 999),
+)
+def test_the_frames_of_a_live_run_give_its_pairs_its_s_star_and_its_events(
+    fps, lost, late_ms, phase, clock_s, spells, seed
+):
+    """On a cable, whose own times are of one clock; with the run's calibrations, and no later frames.
+
+    What a file of skeletons with times does not hold: which frames came too late, what arrivals told of the
+    clocks before they were known to be one, and how the calibrations were learned.
+    """
+    random = np.random.default_rng(seed)
+    streams = []
+    delay_ns = round(1e9 * phase / fps)
+    for side, ms, phase_ns in zip("ab", late_ms, (0, delay_ns), strict=True):
+        how = {"fps": fps, "phase_ns": phase_ns, "latency_ns": 20_000_000 + 1_000_000 * ms}
+        made = []
+        for shot in shots(side, SECONDS, clock_ns=clock_s * SECOND_NS, seed=seed, **how):
+            if random.random() < lost:
+                continue
+            person = seen(side, 1e-9 * shot.true_ns - 5.0, spells, random)
+            made.append(replace(shot, frame=replace(shot.frame, people={PERSON: person} if person else {})))
+        streams.append(made)
+    setup = FusionSetup(nominal_calibration(BODY), FuserSettings(hindsight="none"))
+    fusion, live, setups, told = LiveFusion(setup), [], [], []
+    for pair in run(LivePairing(round(1e9 / fps), sync_delay_ns=delay_ns), *streams):
+        live.append(fusion.fuse(fusion.chosen(pair)))
+        setups.append(fusion.setup)
+        told += [(len(live) - 1, event.text) for event in fusion.learn(live[-1]) if event.topic]
+    first = next(k for k, of in enumerate(live) if of.pair.skeletons.a or of.pair.skeletons.b)
+    live, setups = live[first:], setups[first:]
+    told = [(k - first, text) for k, text in told]
+    views = []
+    for side in "ab":
+        given = [
+            (frame, getattr(of.pair.skeletons, side)) for of in live if (frame := getattr(of.pair, side))
+        ]
+        none = np.full((len(BODY), 3), np.nan, np.float32), np.zeros(len(BODY), np.uint8)
+        arrays = zip(*(none if of is None else (of.positions, of.states) for _, of in given), strict=True)
+        times = np.array([frame.time_ns for frame, _ in given], dtype=np.int64)
+        views.append(View(times, *map(np.stack, arrays)))
+    pairs = pair_views(BODY, *views, every_frame=True).pairs
+    assert facts(pairs) == facts([of.pair for of in live])
+    begins = [k for k in range(len(live)) if k == 0 or setups[k] is not setups[k - 1]]
+    ends = [*begins[1:], len(live)]
+    segments = [(setups[k], slice(k, end)) for k, end in zip(begins, ends, strict=True)]
+    events = []
+    blocks = list(watch(BODY, fuse_segments(segments, pairs), int(pairs.skeletons.time_ns[0]), events))
+    for name in ("positions", "sigma", "weights_a", "weights_b"):
+        recorded = np.concatenate([getattr(block.fused, name) for block in blocks])
+        np.testing.assert_array_equal(recorded, [getattr(of.fused, name) for of in live], name)
+    assert [(event.frame, event.text) for event in events if event.topic] == told

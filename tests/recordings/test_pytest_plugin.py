@@ -17,7 +17,7 @@ from recordings.comparing.session_differences import write_worst_moment
 from recordings.testing import SessionsDifferError, assert_sessions_match, simulated_session
 from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.programs import ROOT, python
+from tests.helpers.programs import ROOT
 from tests.helpers.recorded_pairs import write_recordings
 from tests.helpers.two_views import calibration_of
 
@@ -161,19 +161,6 @@ def test_a_session_that_is_not_good_is_kept_and_shown(run, pytester):
     assert len(Session.open(pytester.path / path)) == 30
     assert "to accept it" not in said
     assert "picture:" not in said
-
-
-@pytest.mark.parametrize(
-    ("program", "says"),
-    [
-        ("import pytest, sys; import recordings.pytest_plugin; print('numpy' in sys.modules)", "False"),
-        ("import sys; sys.modules['pytest'] = None; from recordings import testing; print('here')", "here"),
-    ],
-    ids=["the plugin costs other projects nothing", "the comparison needs no pytest"],
-)
-def test_what_is_imported(program, says):
-    said = python("-c", program)
-    assert said.stdout.strip() == says, said.stderr
 
 
 @pytest.fixture

@@ -9,9 +9,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from unittest import mock
 from unittest.mock import patch
-from uuid import uuid4
 
 import numpy as np
 import pyarrow as pa
@@ -45,12 +43,12 @@ from recordings.file.session_writer import write_session
 from recordings.fusing.pairs import fuse_segments
 from recordings.replaying import Agreement, Replay
 from recordings.writing.properties import calibration_values
-from recordings.writing.recorder import Recorder
 from tests.helpers.damage import damaged, opened
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import FrameImages, record_fused
 from tests.helpers.laws import COSTLY
 from tests.helpers.programs import python
+from tests.helpers.recalibrated import recorder_to
 from tests.helpers.recorded_pairs import write_recordings
 from tests.helpers.two_views import calibration_of
 
@@ -89,20 +87,6 @@ def test_the_checksum_of_s_notices_the_last_bit():
     assert (fused_checksums(fused) == fused_checksums(nudged)).tolist() == [True, False, True]
 
 
-def test_a_flipped_number_is_noticed_and_counted(tmp_path):
-    whole = record_fused(tmp_path / "s.rrd", full_of_faults(KINECT_V1), calibration_of(KINECT_V1), block=10)
-    data = bytearray(whole.path.read_bytes())
-    needle = whole.rows.positions_a[33, 5].tobytes()  # stands as it is: it does not compress
-    assert data.count(needle) == 1
-    data[data.index(needle) + 2] ^= 1
-    (tmp_path / "flipped.rrd").write_bytes(bytes(data))
-    flipped = Session.open(tmp_path / "flipped.rrd")
-    assert len(flipped) == 33
-    assert flipped.frames_lost == FRAMES - 33
-    assert flipped.damage is not None
-    assert "frame 33" in flipped.damage
-
-
 def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path):
     (tmp_path / "text.rrd").write_text("hello, world\n", encoding="utf-8")
     (tmp_path / "empty.rrd").touch()
@@ -135,16 +119,6 @@ def test_another_layout_says_which_version_wrote_it(monkeypatch, fused_run):
         Session.open(old.path)
 
 
-def test_a_session_opens_without_pandas(fused_run):
-    path = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1)).path
-    program = (
-        "import sys; sys.modules['pandas'] = None; "
-        "from recordings.session import Session; print(len(Session.open(sys.argv[1])))"
-    )
-    said = python("-c", program, path)
-    assert said.stdout == "3\n", said.stderr
-
-
 @pytest.mark.parametrize("grown", [False, True])
 def test_a_session_behind_another_is_said(fused_run, tmp_path, grown):
     session, both = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1)), tmp_path / "both.rrd"
@@ -160,15 +134,12 @@ def test_an_event_moved_to_another_time_is_damage(tmp_path):
     path, moved = tmp_path / "s.rrd", tmp_path / "moved.rrd"
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     for file, at in ((path, (2, 5)), (moved, (1, 7))):
-        with rr.RecordingStream("duplex_kinects") as stream:
-            stream.set_sinks(rr.FileSink(str(file)))
-            recorder = Recorder(stream, fuser.setup, ("a", "b"))
+        with recorder_to(file, fuser.setup) as recorder:
             pairs = frame_pairs(KINECT_V1, 3)
             recorder.record_all([SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
             check = event_checksum(Event("lost").placed(2, 5))
-            with mock.patch("recordings.writing.recorder.event_checksum", return_value=check):
+            with patch("recordings.writing.recorder.event_checksum", return_value=check):
                 recorder.event(Event("lost").placed(*at), placed=True)
-            recorder.finish()
     assert [event.text for event in Session.open(path).events] == ["lost"]
     session = Session.open(moved)
     assert (session.events, session.damage) == ((), "an event does not match its checksum")
@@ -193,25 +164,28 @@ def test_the_example_runs(tmp_path, monkeypatch):
     assert attempted.failed == 0
 
 
-def test_a_part_of_the_package_does_not_wait_for_sessions():
-    program = "import sys, recordings; print('pyarrow' in sys.modules); recordings.Session"
-    said = python("-c", program)
-    assert said.stdout == "False\n"
-    with pytest.raises(AttributeError, match="Sessions"):
-        recordings.Sessions  # noqa: B018
+LARGE = {"scipy.spatial", "scipy.interpolate", "pandas", "rerun", "cv2"}
 
 
 @pytest.mark.parametrize(
-    ("statement", "without"),
+    ("program", "without"),
     [
-        ("from recordings import Session", {"scipy.spatial", "scipy.interpolate", "pandas", "rerun", "cv2"}),
-        ("from recordings import fuse", {"scipy.spatial", "scipy.interpolate", "pandas", "rerun", "cv2"}),
+        ("import recordings", {"pyarrow"}),
+        ("from recordings import Session", LARGE),
+        ("from recordings import fuse", LARGE),
+        ("import pytest, recordings.pytest_plugin", {"numpy"}),
+        ("import sys; sys.modules['pytest'] = None; from recordings import testing", {"_pytest"}),
     ],
 )
-def test_reading_sessions_and_files_loads_no_large_package(statement, without):
-    program = f"{statement}; import sys; print(*sys.modules)"
-    loaded = python("-c", program).stdout.split()
-    assert not without & set(loaded)
+def test_an_import_loads_what_it_needs_only(program, without):
+    said = python("-c", f"{program}; import sys; print(*sys.modules)")
+    assert said.returncode == 0, said.stderr
+    assert not without & set(said.stdout.split())
+
+
+def test_a_name_that_the_package_lacks_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="Sessions"):
+        recordings.Sessions  # noqa: B018
 
 
 @pytest.mark.parametrize("package", ["fusion", "devices", "recordings", "viewer_app"])
@@ -436,18 +410,14 @@ def logged_live():
     """What the coach and the streams log beside the frames."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "live.rrd"
-        stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
-        stream.save(path)
         fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
-        recorder = Recorder(stream, fuser.setup, ("a", "b"))
-        for k, pair in enumerate(frame_pairs(KINECT_V1, _FRAMES)):
-            figures = PairingFigures(alone_a=k // 4, dropped=(k // 3, 0), drift_ppm=0.5 * k)
-            recorder.record_all([SessionFrame(pair, fuser.update(pair.skeletons), 0, streams=figures)])
-            if k % 5 == 0:
-                mark = Mark((((0.0, 0.0, 0.0), (1.0, 0.0, float(k))),), "do", (0.0, 0.0, 0.0))
-                recorder.coach(CoachPage(f"page {k}", (("spot", mark),) if k else ()))
-        recorder.finish()
-        stream.disconnect()
+        with recorder_to(path, fuser.setup) as recorder:
+            for k, pair in enumerate(frame_pairs(KINECT_V1, _FRAMES)):
+                figures = PairingFigures(alone_a=k // 4, dropped=(k // 3, 0), drift_ppm=0.5 * k)
+                recorder.record_all([SessionFrame(pair, fuser.update(pair.skeletons), 0, streams=figures)])
+                if k % 5 == 0:
+                    mark = Mark((((0.0, 0.0, 0.0), (1.0, 0.0, float(k))),), "do", (0.0, 0.0, 0.0))
+                    recorder.coach(CoachPage(f"page {k}", (("spot", mark),) if k else ()))
         return tuple(Session.open(path).images.logged())
 
 

@@ -30,11 +30,11 @@ from recordings.session import Session
 from recordings.writing import changes
 from recordings.writing.arrow_columns import Column, Times, converted, depth_image, points, state_changes
 from recordings.writing.other_people import OthersLog
-from recordings.writing.recorder import Recorder
 from recordings.writing.shown_images import LATE_NS
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.live_frames import BODY, frames, known_fuser, session
-from tests.helpers.recalibrated import record_recalibrated
+from tests.helpers.recalibrated import record_recalibrated, recorder_to
+from tests.helpers.session_text import logged_in
 from tests.helpers.two_views import A_FROM_B, FRAME_NS
 
 
@@ -102,13 +102,9 @@ def seen(sensor_frame, depth, color):
 
 def messages(path, fuser, given_frames, block):
     """Frame numbers by entity and component, of all that a viewer gets."""
-    stream = rr.RecordingStream(layout.APPLICATION_ID)
-    stream.save(path)
-    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1, points=True)
-    for k in range(0, len(given_frames), block):
-        recorder.record_all(given_frames[k : k + block])
-    stream.flush()
-    stream.disconnect()
+    with recorder_to(path, fuser.setup, depth_every=1, points=True) as recorder:
+        for k in range(0, len(given_frames), block):
+            recorder.record_all(given_frames[k : k + block])
     found = {}
     with RrdFile(path) as file:
         for entity, batch in file.chunks(images=True):
@@ -162,17 +158,14 @@ def test_every_entity_of_a_session_is_in_the_list(made, tmp_path, shown):
     """So is when it is logged: what never changes is static. A file has nothing that only a viewer has."""
     fuser, some = made
     logged = {}  # by entity: whether something of it is not static
-    stream = rr.RecordingStream(layout.APPLICATION_ID)
-    stream.save(tmp_path / "s.rrd")
-    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1, points=shown)
-    for each in some:
-        pair = replace(each.pair, a=seen(each.pair.a, True, True))
-        recorder.record_all([replace(each, pair=pair, truth=each.fused.positions, streams=PairingFigures())])
-    recorder.event(Event("told"))
     mark = Mark((((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),), "do", (0.0, 0.0, 0.0))
-    recorder.coach(CoachPage("stand here", (("spot", mark),), (State.READY, "walk")))
-    recorder.finish()
-    stream.disconnect()
+    with recorder_to(tmp_path / "s.rrd", fuser.setup, depth_every=1, points=shown) as recorder:
+        for each in some:
+            told = {"truth": each.fused.positions, "streams": PairingFigures()}
+            pair = replace(each.pair, a=seen(each.pair.a, True, True))
+            recorder.record_all([replace(each, pair=pair, **told)])
+        recorder.event(Event("told"))
+        recorder.coach(CoachPage("stand here", (("spot", mark),), (State.READY, "walk")))
     with RrdFile(tmp_path / "s.rrd") as file:
         for entity, batch in file.chunks(images=True):
             logged[entity] = logged.get(entity, False) or layout.FRAME in batch.schema.names
@@ -204,19 +197,7 @@ def test_an_image_stays_until_it_is_late(made, tmp_path):
 # --- Quality and places in a session: jitter is noise and not motion; a recalibration is one message.
 
 
-def logged(path, entity):
-    """The scalars of an entity, by frame."""
-    found = {}
-    with RrdFile(path) as file:
-        for of_entity, batch in file.chunks(images=False):
-            names = batch.schema.names
-            if of_entity == entity and layout.FRAME in names and "Scalars:scalars" in names:
-                columns = (batch.column(layout.FRAME), batch.column("Scalars:scalars"))
-                found |= dict(zip(*(column.to_pylist() for column in columns), strict=True))
-    return found
-
-
-def test_a_moved_sensor_is_seen_in_millimetres_and_degrees(tmp_path):
+def test_a_moved_sensor_is_one_message_and_is_seen_in_millimetres_and_degrees(tmp_path):
     turned = Rotation.from_euler("y", 3.0, degrees=True).as_matrix()
     # 120 mm in all, along each axis
     shift = np.array([0.04, -0.08, 0.08])
@@ -226,8 +207,10 @@ def test_a_moved_sensor_is_seen_in_millimetres_and_degrees(tmp_path):
         (40, Calibration(BODY, moved, BODY.nominal_lengths, "second")),
     ]
     file = tmp_path / "s.rrd"
-    record_recalibrated(file, frame_pairs(BODY, 90), calibrations)
-    placement = logged(file, layout.PLACEMENT)
+    recorded = record_recalibrated(file, frame_pairs(BODY, 90), calibrations)
+    (change,) = np.flatnonzero((np.diff(recorded.translation, axis=0) != 0.0).any(axis=1)) + 1
+    assert poses(file, layout.kinect("b")) == [0, change]
+    placement = dict(logged_in(file, layout.PLACEMENT, "Scalars:scalars"))
     assert sorted(placement) == [2, *range(17, 90, 15)]  # jitter needs three frames
     before = [figures for frame, figures in placement.items() if frame < 40]
     assert len(before) >= 2
@@ -238,15 +221,7 @@ def test_a_moved_sensor_is_seen_in_millimetres_and_degrees(tmp_path):
 
 def poses(path, entity):
     """The frames at which a pose was logged."""
-    component = "Transform3D:translation"
-    found = []
-    with RrdFile(path) as file:
-        for of_entity, batch in file.chunks(images=False):
-            if of_entity == entity and component in batch.schema.names and layout.FRAME in batch.schema.names:
-                numbers = batch.column(layout.FRAME).to_pylist()
-                values = batch.column(component).to_pylist()
-                found += [number for number, value in zip(numbers, values, strict=True) if value]
-    return sorted(found)
+    return sorted(frame for frame, value in logged_in(path, entity, "Transform3D:translation") if value)
 
 
 def written_live(path, count):
@@ -255,19 +230,6 @@ def written_live(path, count):
         for frame in frames(fuser, count):
             live.write(frame)
     return path
-
-
-def test_a_recalibration_is_one_message(tmp_path):
-    moved = RigidTransform.of(A_FROM_B.rotation, A_FROM_B.translation + [0.1, 0.0, 0.0])
-    calibrations = [
-        (0, Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "first")),
-        (40, Calibration(BODY, moved, BODY.nominal_lengths, "second")),
-    ]
-    file = tmp_path / "s.rrd"
-    recorded = record_recalibrated(file, frame_pairs(BODY, 90), calibrations)
-    changes = np.flatnonzero((np.diff(recorded.translation, axis=0) != 0.0).any(axis=1)) + 1
-    assert poses(file, layout.kinect("b")) == [0, *changes.tolist()]
-    assert len(changes) == 1
 
 
 def test_live_and_saved_sessions_log_the_same_poses(tmp_path):
@@ -301,21 +263,13 @@ def test_the_others_are_drawn_while_they_are_there(tmp_path):
         other = Skeleton.of(BODY, a.people["7"].positions + np.float32(1.0), a.people["7"].states)
         pairs[t] = replace(pairs[t], a=replace(a, people={**a.people, "8": other}))
     path = tmp_path / "s.rrd"
-    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
-    stream.save(path)
-    recorder = Recorder(stream, fuser.setup, ("a", "b"))
-    recorder.record_all([SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
-    recorder.finish()
-    stream.disconnect()
-    drawn = {}
-    with RrdFile(path) as file:
-        for entity, batch in file.chunks(images=False):
-            if entity in map(layout.others, "ab") and layout.FRAME in batch.schema.names:
-                origins = batch.column("Arrows3D:origins").to_pylist()
-                for frame, of in zip(batch.column(layout.FRAME).to_pylist(), origins, strict=True):
-                    drawn[entity, frame] = len(of)
-    assert drawn.keys() == {(layout.others("a"), t) for t in range(4, 9)}  # the last one clears them
-    assert drawn.pop((layout.others("a"), 8)) == 0
+    with recorder_to(path, fuser.setup) as recorder:
+        recorder.record_all([SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
+    of_a, of_b = (logged_in(path, layout.others(side), "Arrows3D:origins") for side in "ab")
+    drawn = {frame: len(of) for frame, of in of_a}
+    assert of_b == []
+    assert drawn.keys() == set(range(4, 9))  # the last one clears them
+    assert drawn.pop(8) == 0
     assert all(0.5 * len(BODY) < count < len(BODY) for count in drawn.values())
     assert len(Session.open(path)) == 12
 
@@ -327,13 +281,9 @@ def test_a_viewer_s_stream_gets_the_poses_again_and_again(tmp_path, monkeypatch)
     made = frames(fuser, 70)
     for with_points, expected in ((True, [0, 30, 60]), (False, [0])):
         path = tmp_path / f"{with_points}.rrd"
-        stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
-        stream.save(path)
-        recorder = Recorder(stream, fuser.setup, ("a", "b"), points=with_points)
-        for frame in made:
-            recorder.record_all([frame])
-        recorder.finish()
-        stream.disconnect()
+        with recorder_to(path, fuser.setup, points=with_points) as recorder:
+            for frame in made:
+                recorder.record_all([frame])
         assert poses(path, layout.kinect("b")) == expected
         assert set(expected[1:]) <= set(poses(path, layout.FLOOR))
 
@@ -366,16 +316,11 @@ COUNT, PLOTTED_TOGETHER = 40, 5
 def written(path, plotted_together):
     """A session of which each frame is recorded as it comes, as a viewer's; with 1, as a file's."""
     fuser = known_fuser()
-    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
-    stream.save(path)
-    later = plotted_together > 1
-    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1, plots_later=later)
-    for frame in frames(fuser, COUNT):
-        recorder.record_all([frame])
-        if recorder.unplotted >= plotted_together:
-            recorder.plot()
-    recorder.finish()
-    stream.disconnect()
+    with recorder_to(path, fuser.setup, depth_every=1, plots_later=plotted_together > 1) as recorder:
+        for frame in frames(fuser, COUNT):
+            recorder.record_all([frame])
+            if recorder.unplotted >= plotted_together:
+                recorder.plot()
     return path
 
 

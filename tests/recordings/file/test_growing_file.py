@@ -12,8 +12,10 @@ from uuid import uuid4
 
 import cv2
 import numpy as np
+import psutil
 import pytest
 import rerun as rr
+import rerun.blueprint as rrb
 
 from devices import output_file
 from devices.events import Event
@@ -28,6 +30,7 @@ from recordings.data import layout
 from recordings.data.session_arrays import SessionFrame
 from recordings.errors import RecordingError
 from recordings.file.rrd_file import RrdFile
+from recordings.file.session_writer import whole_recording
 from recordings.file.stored_images import FileImages
 from recordings.fusing.pairs import fuse_one
 from recordings.session import Session
@@ -37,6 +40,7 @@ from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
 from tests.helpers.machine import small_disk
+from tests.helpers.recalibrated import recorder_to
 from tests.helpers.telling_demo import telling_demo, wait_for_frames
 from tests.helpers.two_views import calibration_of
 from tests.helpers.waiting import eventually
@@ -152,20 +156,24 @@ def test_it_can_be_read_while_it_grows(tmp_path):
     assert [frame for frame, _ in session.depth("b")] == [n for n in range(40) if n != 5]
 
 
-def test_damage_in_a_file_that_was_not_ended_is_counted(tmp_path):
+@pytest.mark.parametrize(("ended", "damage"), [(False, "it was not ended"), (True, "frame 12")])
+def test_a_flipped_number_is_noticed_and_counted(ended, damage, tmp_path):
     fuser, frames = fused_frames(20)
     file = file_of(tmp_path / "s.rrd", fuser)
     for frame in frames:
         file.write(frame)
     assert eventually(lambda: frames_in(tmp_path / "s.rrd") == 20)
+    if ended:
+        file.finish()
+    file.close()
     data = bytearray((tmp_path / "s.rrd").read_bytes())
-    needle = Session.open(tmp_path / "s.rrd").rows.positions_a[12, 5].tobytes()
+    needle = Session.open(tmp_path / "s.rrd").rows.positions_a[12, 5].tobytes()  # it does not compress
     assert data.count(needle) == 1
     data[data.index(needle) + 2] ^= 1
     (tmp_path / "flipped.rrd").write_bytes(data)
     flipped = Session.open(tmp_path / "flipped.rrd")
     assert (len(flipped), flipped.frames_lost) == (12, 8)
-    file.close()
+    assert damage in flipped.damage
 
 
 def grown(path, whole):
@@ -289,7 +297,6 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else_until_it_is_mended(
         assert (file.failure, len(session), session.damage) == (None, 600, None)
         assert [path.name for path in disk.folder.iterdir()] == ["s.rrd"]
         return
-    assert file.failure is not None
     assert disk.words in file.failure
     assert f"not saved from frame {file.written} on" in file.failure
     assert said == [file.waited, file.failure] if file.waited else [file.failure]
@@ -306,17 +313,6 @@ def test_a_nearly_full_disk_is_reported_and_used(tmp_path, monkeypatch, capsys):
     main(["demo", "--seconds", "1", "--depth", "none", "--no-viewer", "--save", str(path)])
     assert "Only 3 MB are free" in capsys.readouterr().out
     assert frames_in(path) > 0
-
-
-def test_an_unwritable_file_name_is_refused_before_anything_runs(tmp_path, capsys):
-    taken = tmp_path / "taken.rrd"
-    taken.write_text("precious")
-    for path in (taken, tmp_path, tmp_path / "none" / "s.rrd"):
-        with pytest.raises(SystemExit) as stop:
-            main(["demo", "--no-viewer", "--save", str(path)])
-        assert stop.value.code == 2
-        assert capsys.readouterr().err.count("\n") == 1
-    assert taken.read_text() == "precious"
 
 
 # ------------------------------------------------------------------ kill -9
@@ -389,13 +385,8 @@ def written(path, images):
     made = []
     for pair, image in zip(frame_pairs(KINECT_V2, len(images)), images, strict=True):
         made.append(fuse_one(fuser, replace(pair, a=replace(pair.a, color=image))))
-    stream = rr.RecordingStream(layout.APPLICATION_ID)
-    stream.set_sinks(rr.FileSink(str(path)))
-    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1)
-    recorder.record_all(made)
-    recorder.finish()
-    stream.flush()
-    stream.disconnect()
+    with recorder_to(path, fuser.setup, depth_every=1) as recorder:
+        recorder.record_all(made)
     return path
 
 
@@ -419,3 +410,28 @@ def test_a_gap_in_the_images_is_no_damage(images, tmp_path):
     read = images_of(written(tmp_path / "s.rrd", given)).color("a", ALL)
     assert [frame for frame, _ in read] == [0, 13]
     assert read.damaged == 0
+
+
+# --- A process that writes many files keeps no threads of their streams, and the layout is whole.
+
+
+LAYOUT = rrb.Blueprint(
+    rrb.Horizontal(rrb.Spatial3DView(origin="/points", name="scene"), rrb.TextLogView(origin="/log")),
+    rrb.TimePanel(state="collapsed"),
+)
+
+
+def write(path):
+    with whole_recording(path, LAYOUT) as stream:
+        stream.set_time("frame", sequence=0)
+        stream.log("points", rr.Points3D(np.zeros((5, 3))))
+
+
+def test_no_threads_of_earlier_files_remain(tmp_path):
+    process = psutil.Process()
+    write(tmp_path / "0.rrd")
+    write(tmp_path / "1.rrd")
+    threads = process.num_threads()
+    for k in range(2, 8):
+        write(tmp_path / f"{k}.rrd")
+    assert eventually(lambda: process.num_threads() <= threads)

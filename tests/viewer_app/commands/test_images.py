@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import rerun as rr
 
 import recordings
 from devices.azure.mkv import MkvRecording
@@ -23,18 +22,17 @@ from fusion.setup import FusionSetup
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.data import layout
 from recordings.session import Session
-from recordings.writing.recorder import Recorder
 from tests.helpers.command_line import duplex
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.machine import need_networks
 from tests.helpers.mkv_writer import INTERVAL_US, depth_image, lens_of, write_mkv, write_simulated
+from tests.helpers.recalibrated import recorder_to
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.session_text import events_of, rows_of
 from tests.helpers.two_views import A_FROM_B, calibration_of, moving
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import TrackerOptions
 from viewer_app.sensors.tracker import tracker_of
-from viewer_app.viewer.blueprint import session_blueprint
 
 # --- ``duplex fuse`` on Azure Kinect recordings, written by the tests in the real layout.
 
@@ -307,7 +305,6 @@ def test_the_demo_runs_the_own_tracker_on_images_of_a_person(tmp_path, capsys):
 def with_infrared(frame):
     """The frame with infrared images of the size of its depth images."""
     pair = frame.pair
-    assert pair.b is not None
     light = np.linspace(10, 2000, pair.a.depth.size).reshape(pair.a.depth.shape).astype(np.uint16)
     return replace(frame, pair=replace(pair, a=replace(pair.a, ir=light), b=replace(pair.b, ir=light)))
 
@@ -315,15 +312,9 @@ def with_infrared(frame):
 def written(path, *, for_viewer):
     """Ten frames with depth and infrared, as a viewer gets them or as a file does."""
     setup = FusionSetup(calibration_of(BODY))
-    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=path.stem)
-    stream.save(str(path))
-    recorder = Recorder(stream, setup, ("a", "b"), depth_every=1, points=for_viewer)
-    stream.send_blueprint(session_blueprint(setup, np.array([0.1, 0.1, 2.6]), "setup", infrared=for_viewer))
-    for frame in frames(Fuser(setup), 10, depth=True):
-        recorder.record_all([with_infrared(frame)])
-    recorder.finish()
-    stream.flush()
-    stream.disconnect()
+    with recorder_to(path, setup, depth_every=1, points=for_viewer) as recorder:
+        for frame in frames(Fuser(setup), 10, depth=True):
+            recorder.record_all([with_infrared(frame)])
     return path
 
 

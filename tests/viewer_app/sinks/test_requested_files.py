@@ -13,8 +13,9 @@ from websockets.sync.client import connect
 from devices.events import Event
 from recordings.session import Session
 from tests.helpers.live_frames import frames, known_fuser
-from tests.helpers.machine import need_browser, small_disk
+from tests.helpers.machine import small_disk
 from tests.helpers.network import free_port
+from tests.helpers.screens import browser
 from tests.helpers.waiting import eventually
 from viewer_app.outputs.websocket import WebSocketOutput
 from viewer_app.sinks.live_session import LiveSession
@@ -149,38 +150,32 @@ def test_only_the_token_begins_a_file(wrong, server):
 
 
 def test_a_page_begins_and_ends_a_file(server, tmp_path, monkeypatch):
-    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
-    chromium = need_browser()
     monkeypatch.chdir(tmp_path)
-    with playwright.sync_playwright() as p, live(server, others=[server]) as session:
-        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        try:
-            tabs = [browser.new_page(bypass_csp=True) for _ in range(2)]
-            button = tabs[0].locator("#save")
-            for tab, page in zip(tabs, (server.page, server.page.partition("/#")[0]), strict=True):
-                tab.goto(page)
-                tab.wait_for_function("skeleton.saving && skeleton.saving.state === 'ready'")
-            assert not tabs[1].locator("#save").is_visible(), "a page without the token"
-            for count, (state, word) in enumerate((("saving", "Stop saving"), ("saved", "Save again"))):
-                button.click()
-                assert eventually(lambda: server._request)
-                for frame in FRAMES[12 * count : 12 * count + 12]:
-                    session.write(frame)
-                for tab in tabs:
-                    tab.wait_for_function(f"skeleton.saving.state === '{state}'")
-                assert button.inner_text() == word
-            (file,) = session.files
-            assert tabs[1].locator("#event").inner_text() == f"Saved {file.path.name}"
-            why = "session.rrd could not be written: No space left on device."
-            server.tell_saving("failed", why)
-            tabs[0].wait_for_function("skeleton.saving.state === 'failed'")
-            server.event(Event("A sees somebody else."))
-            session.recalibrated(FUSER.setup)
-            session.write(FRAMES[0])
-            tabs[0].wait_for_function("skeleton.frame.time_s === 0")
-            assert tabs[0].locator("#event").inner_text() == why, "no event takes its place"
-            server.close()  # another program may answer, which saves nothing
-            tabs[0].wait_for_function("skeleton.hello === null && !skeleton.saving")
-        finally:
-            browser.close()
+    with browser(bypass_csp=True) as context, live(server, others=[server]) as session:
+        tabs = [context.new_page() for _ in range(2)]
+        button = tabs[0].locator("#save")
+        for tab, page in zip(tabs, (server.page, server.page.partition("/#")[0]), strict=True):
+            tab.goto(page)
+            tab.wait_for_function("skeleton.saving && skeleton.saving.state === 'ready'")
+        assert not tabs[1].locator("#save").is_visible(), "a page without the token"
+        for count, (state, word) in enumerate((("saving", "Stop saving"), ("saved", "Save again"))):
+            button.click()
+            assert eventually(lambda: server._request)
+            for frame in FRAMES[12 * count : 12 * count + 12]:
+                session.write(frame)
+            for tab in tabs:
+                tab.wait_for_function(f"skeleton.saving.state === '{state}'")
+            assert button.inner_text() == word
+        (file,) = session.files
+        assert tabs[1].locator("#event").inner_text() == f"Saved {file.path.name}"
+        why = "session.rrd could not be written: No space left on device."
+        server.tell_saving("failed", why)
+        tabs[0].wait_for_function("skeleton.saving.state === 'failed'")
+        server.event(Event("A sees somebody else."))
+        session.recalibrated(FUSER.setup)
+        session.write(FRAMES[0])
+        tabs[0].wait_for_function("skeleton.frame.time_s === 0")
+        assert tabs[0].locator("#event").inner_text() == why, "no event takes its place"
+        server.close()  # another program may answer, which saves nothing
+        tabs[0].wait_for_function("skeleton.hello === null && !skeleton.saving")
     assert len(Session.open(file.path).rows) == 12
