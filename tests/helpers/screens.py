@@ -134,7 +134,7 @@ def wayland_screen():
 
 
 @contextlib.contextmanager
-def browser(width=900, height=600):
+def browser(width=900, height=600, **how):
     """Debian's Chromium without a screen, drawing on the CPU; the test is skipped where there is none."""
     playwright = pytest.importorskip("playwright.sync_api", reason="the dev extra has playwright")
     program = need_browser()
@@ -144,7 +144,7 @@ def browser(width=900, height=600):
             executable_path=program, args=[*flags.split(), "--ignore-gpu-blocklist"]
         )
         try:
-            context = chromium.new_context(viewport={"width": width, "height": height})
+            context = chromium.new_context(viewport={"width": width, "height": height}, **how)
             context.set_default_timeout(120_000)  # milliseconds: it draws on the CPU
             yield context
         finally:

@@ -3,16 +3,14 @@
 import os
 import signal
 import sys
-from dataclasses import MISSING, fields
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import get_args
 
 import pytest
 
 from devices.cache import user_cache
 from recordings.testing import simulated_session
-from tests.helpers.command_line import duplex, one_line
+from tests.helpers.command_line import duplex, kinds_of, needed, one_line, words_of
 from tests.helpers.recorded_pairs import write_pair
 from viewer_app.options.command_line import COMMANDS
 from viewer_app.sensors.anonymity import Anonymity
@@ -37,28 +35,20 @@ ENDINGS = {
 }
 
 
-def inputs_of(options: Any) -> list[str]:
+def inputs_of(command):
     """The options of a command that name an input."""
-    hints = get_type_hints(options, include_extras=True)
-    found = []
-    for field in fields(options):
-        hint = hints[field.name]
-        kind: Any = get_args(hint)[0] if get_origin(hint) is Annotated else hint
-        kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
-        if (Path in kinds or field.name in ALSO_FILES) and field.name not in OUTPUTS:
-            found.append(field.name)
-    return found
+    kinds = {name: get_args(kind) or (kind,) for name, kind in kinds_of(command).items()}
+    return [name for name, of in kinds.items() if (Path in of or name in ALSO_FILES) and name not in OUTPUTS]
 
 
 INPUTS = [
     (command, name, ending)
-    for command, (options, _) in COMMANDS.items()
+    for command in COMMANDS
     if command not in ("doctor", "tracker fetch")  # a report of what is there, and an output
-    for name in inputs_of(options)
+    for name in inputs_of(command)
     for ending in ENDINGS.get(name, (".json",))
 ]
 MORE = {"avatar": ["--vmc", "127.0.0.1:9", "--no-viewer"], "tracker_model": ["--tracker", "blazepose"]}
-FLAGS = {"start": "from", "end": "to"}
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +61,7 @@ def good(tmp_path_factory):
     return folder
 
 
-def line_of(command: str, name: str, bad: Path, good: Path, out: Path) -> list[str]:
+def line_of(command, name, bad, good, out):
     """A command line in which all inputs are there but one."""
     images = "skeletons" in name or command == "live"
     first = good / ("a.csv" if command == "info" and name == "names" else "s.rrd")
@@ -85,15 +75,10 @@ def line_of(command: str, name: str, bad: Path, good: Path, out: Path) -> list[s
         "to": out / "n.csv",
         name: bad,
     }
-    line = [*command.split(), *MORE.get(name, ())]
-    for field in fields(COMMANDS[command][0]):  # type: ignore[arg-type]
-        needed = field.default is MISSING and field.default_factory is MISSING
-        needed |= (command, field.name) == ("sensor", "recording")
-        if needed or field.name == name or (field.name in ("a", "b") and name in ("a", "b")):
-            value = str(there.get(field.name, "x"))
-            flag = f"--{FLAGS.get(field.name, field.name).replace('_', '-')}"
-            line += [value] if not field.kw_only else [flag, value]
-    return line
+    stated = {*needed(command), name} | ({"a", "b"} if name in ("a", "b") else set())
+    stated |= {"recording"} if command == "sensor" else set()
+    more = MORE.get(name, [])
+    return [*words_of(command, {each: there.get(each, "x") for each in stated}), *more]
 
 
 FAULTS = ["fifo", "device", "folder", "missing", "binary", "unreadable", "huge"]

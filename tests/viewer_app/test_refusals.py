@@ -1,10 +1,11 @@
 """What cannot be done is refused in one line with exit code 2, and changes no file."""
 
+import ast
 import re
 import shutil
-import sys
 import tomllib
 from dataclasses import fields
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -14,7 +15,7 @@ from devices.output_file import Hidden, KeptError
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from fusion.calibration.calibration import nominal_calibration
 from recordings.calibration_file import calibration_to_json
-from tests.helpers.command_line import duplex, one_line, parsed
+from tests.helpers.command_line import FLAGS, command_lines, duplex, one_line, parsed, words_of
 from tests.helpers.documents import ROOT
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
@@ -22,7 +23,11 @@ from tests.helpers.recorded_pairs import write_pair, write_recordings, write_vie
 from tests.helpers.sentences import check_sentences, refusals
 from tests.helpers.two_views import calibration_of, moving
 from viewer_app.errors import UsageError
+from viewer_app.flags import in_flags
 from viewer_app.options.command_line import COMMANDS
+from viewer_app.options.command_line import parsed as plan_of
+from viewer_app.options.needs import NEEDS, refuse_without_effect
+from viewer_app.options.sensing import FuseOptions
 from viewer_app.output_files import check_outputs, outputs_of_one_run, write_text
 
 __all__ = ["parsed"]  # fixtures
@@ -172,15 +177,6 @@ def test_of_two_batches_on_one_folder_the_second_is_refused(tmp_path, capsys):
     first.remove()
 
 
-def test_what_an_export_needs_is_looked_for_before_fusing(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pygltflib", None)
-    monkeypatch.setattr("viewer_app.commands.fuse._read", lambda *_: pytest.fail("it is read"))
-    write_pair(tmp_path)
-    outputs = "--save", tmp_path / "s.rrd", "--to", tmp_path / "t.glb"
-    assert duplex("fuse", tmp_path / "a.csv", tmp_path / "b.csv", "--no-viewer", *outputs) == 2
-    assert "Writing .glb needs the package pygltflib" in one_line(capsys)
-
-
 def test_a_folder_that_the_system_refuses_is_told_in_one_line(tmp_path, capsys):
     for path in (tmp_path / ("a" * 300), tmp_path / ("a" * 300) / "b.rrd", tmp_path / "new" / ("a" * 300)):
         assert duplex("demo", "--no-viewer", "--record", path) == 2
@@ -199,3 +195,109 @@ def test_a_run_that_records_nothing_leaves_no_folder(tmp_path, capsys, monkeypat
         assert duplex("demo", "--no-viewer", "--record", folder) == 130
         assert capsys.readouterr().err == "duplex: stopped\n"
     assert list(tmp_path.iterdir()) == [there]
+
+
+# --- No option is without effect and without a word.
+
+
+def test_sentences_of_options():
+    """Each option with a need, on a line that does not meet it and on one that does."""
+    refused, accepted = set(), set()
+
+    def told(case):
+        try:
+            options = plan_of(case.split())
+        except UsageError as refusal:
+            refused.add(str(refusal).split()[0])
+            return str(refusal)
+        accepted.update(word for word in case.split() if word.startswith("--"))
+        return f"accepted: {type(options).__name__}"
+
+    check_sentences("options", told)
+    assert refused <= accepted
+
+
+@given(command_lines(), st.randoms(use_true_random=False))
+def test_an_option_changes_the_plan_or_is_refused_in_one_line(line, random):
+    """Whatever else is stated, and in any order."""
+    command, stated, chosen = line
+    try:
+        plan, refusal = plan_of(words_of(command, stated)), ""
+    except UsageError as error:
+        plan, refusal = None, str(error)
+    if plan is None:
+        assert "\n" not in refusal
+        assert any(f"--{FLAGS.get(name, name).replace('_', '-')}" in refusal for name in stated)
+        return
+    usual = plan_of(words_of(command, {name: of for name, of in stated.items() if name not in chosen}))
+    for name in chosen:
+        given_, default = getattr(plan, name), getattr(usual, name)
+        value = stated[name]
+        said = given_[0] if isinstance(given_, tuple) else given_
+        assert said is True if value is None else type(said)(value) == said
+        assert (plan != usual) or given_ == default
+    arguments, *options = re.split(" (?=--)", " ".join(words_of(command, stated)))
+    random.shuffle(options)
+    assert plan_of(" ".join([arguments, *options]).split()) == plan
+
+
+def test_every_need_is_shown_in_both_ways():
+    page = (Path(__file__).parents[1] / "data" / "sentences" / "options.txt").read_text(encoding="utf-8")
+    for need in NEEDS:
+        flags = [f"--{name.replace('_', '-')}" for name in need.options]
+        assert any(f"{flag} {need.what}." in page for flag in flags), need
+
+
+def test_a_batch_refuses_an_option_that_no_pair_has_a_use_for(tmp_path, capsys):
+    given = {"tracker": "k4abt", "unit": "cm"}
+    of_csv, of_mkv = (FuseOptions(a=Path(f"a.{end}"), b=Path(f"b.{end}"), **given) for end in ("csv", "mkv"))
+    refuse_without_effect(of_csv, of_mkv)
+    for alone, option in ((of_csv, "tracker"), (of_mkv, "unit")):
+        with pytest.raises(UsageError, match=f"^--{option} needs "):
+            refuse_without_effect(alone, alone)
+    write_pair(tmp_path / "pairs")
+    assert duplex("batch", tmp_path / "pairs", "--out", tmp_path / "out", "--tracker", "k4abt") == 2
+    assert "--tracker needs a recording of images" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+# --- Messages name parameters, and the command line makes flags of them.
+
+
+_COMMAND = re.compile(
+    r"\b(duplex|pip|npm|k4arecorder|pytest)\b|\{COMMAND|without --no-deps|"  # as somebody types it
+    r"^--[a-z-]+(=[a-z:]+)?$|^ --"  # an argument of a command that is run, or a part of one to type
+)
+words = st.text(st.characters(blacklist_characters="`"), max_size=30)
+names = st.from_regex(r"[a-z][a-z0-9_]{0,12}", fullmatch=True)
+
+
+@given(before=words, name=names.filter(lambda name: name != "offset_ms"), value=words, after=words)
+def test_a_parameter_becomes_a_flag_of_the_same_length_and_nothing_else_changes(before, name, value, after):
+    flag = f"--{name.replace('_', '-')}"
+    assert in_flags(f"{before} `{name}` {after}") == f"{before} {flag} {after}"
+    assert in_flags(f"{before} (`{name}={value}`, {after}") == f"{before} ({flag} {value}, {after}"
+    for of_file in (f"x`{name}`.csv", f"a/`{name}`", f"`{name}`.csv", f"`{name}`/b.csv", f"`{name}`-2"):
+        assert in_flags(f"{before} {of_file}: {after}") == f"{before} {of_file}: {after}"
+    assert len(in_flags(f"`{name}`")) == len(f"`{name}`")
+    assert in_flags(before + after) == before + after
+    assert in_flags(f"`duplex {name}`") == f"`duplex {name}`"
+
+
+@pytest.mark.parametrize("package", ["fusion", "devices", "recordings"])
+def test_no_text_below_the_command_line_names_a_flag(package):
+    """But in a command that somebody is to type, and among the arguments of one that is run."""
+    named = []
+    for module in (ROOT / package).rglob("*.py"):
+        tree = ast.parse(module.read_text(encoding="utf-8"))
+        documents = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
+        inner = {
+            id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values
+        }
+        for node in ast.walk(tree):
+            if id(node) in documents | inner or not isinstance(node, ast.JoinedStr | ast.Constant):
+                continue
+            text = ast.unparse(node)[2 if isinstance(node, ast.JoinedStr) else 1 : -1]
+            if re.search(r"--[a-z]", text) and not _COMMAND.search(text):
+                named.append(f"{module.name}: {text}")
+    assert named == []

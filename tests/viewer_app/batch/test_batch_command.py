@@ -14,6 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 
+import numpy as np
 import psutil
 import pyarrow.parquet as pq
 import pytest
@@ -21,19 +22,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from fusion.body import AZURE_KINECT
+from fusion.calibration.calibration import nominal_calibration
 from fusion.setup import REVISIONS
+from recordings.calibration_file import calibration_to_json
 from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.dying_worker import DEADLY, fuses_or_dies
 from tests.helpers.machine import small_disk
 from tests.helpers.recorded_pairs import assert_same_session, write_pair
+from tests.helpers.screens import browser
 from tests.helpers.waiting import eventually
 from viewer_app.batch import cluster, processes, worker
 from viewer_app.batch.command import usable_processors
-from viewer_app.batch.finding import Pair
-from viewer_app.batch.jobs import Job, Outcome
+from viewer_app.batch.finding import Pair, find_pairs
+from viewer_app.batch.jobs import Job, Outcome, checksum
+from viewer_app.batch.manifest import read_manifest
+from viewer_app.batch.summary import RANKED, Row, worst_first, write_page, write_parquet
 from viewer_app.batch.worker import fuse_job
 from viewer_app.commands.fuse import fuse_files
+from viewer_app.errors import UsageError
 from viewer_app.options.sensing import BatchOptions
 from viewer_app.report.pages import review_page
 
@@ -375,22 +383,14 @@ def test_a_job_that_a_cluster_repeats_is_not_fused_again(tmp_path):
 # --- ``duplex batch --scheduler``: on a Dask cluster in this process, and on one of programs.
 
 
-distributed = pytest.importorskip("distributed")
-
-"""The fastest method: these tests are about the cluster."""
-
-
 @pytest.fixture
 def local_cluster():
     """The address of a cluster with two workers in this process."""
+    distributed = pytest.importorskip("distributed")
     workers = {"n_workers": 2, "threads_per_worker": 1, "processes": False}
     address = {"protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
     with distributed.LocalCluster(**workers, **address) as made:
         yield made.scheduler_address
-
-
-def states(out):
-    return pq.read_table(out / "summary.parquet").to_pydict()["state"]
 
 
 def test_a_local_cluster_fuses_what_duplex_fuse_fuses(tmp_path, local_cluster):
@@ -398,7 +398,7 @@ def test_a_local_cluster_fuses_what_duplex_fuse_fuses(tmp_path, local_cluster):
     for seed in range(3):
         write_pair(pairs / f"p{seed}", seed=seed)
     assert duplex("batch", pairs, "--out", out, *PLAIN, "--scheduler", local_cluster) == 0
-    assert states(out) == ["fused"] * 3
+    assert table(out)["state"] == ["fused"] * 3
     pair = pairs / "p1" / "a.csv", pairs / "p1" / "b.csv"
     assert duplex("fuse", *pair, *PLAIN, "--no-viewer", "--save", alone) == 0
     assert_same_session(out / "p1" / "p1.rrd", alone)
@@ -410,7 +410,7 @@ def test_a_bad_pair_and_a_wrong_address(tmp_path, local_cluster, closed_port, ca
     write_pair(pairs / "bad")
     (pairs / "bad" / "a.csv").write_text("time_us,body\n1\n", encoding="utf-8")
     assert duplex("batch", pairs, "--out", out, *PLAIN, "--scheduler", local_cluster) == 1
-    assert states(out) == ["failed", "fused"]
+    assert table(out)["state"] == ["failed", "fused"]
     assert "bad: " in capsys.readouterr().out
     monkeypatch.setattr(cluster, "_CONNECT_WITHIN", 0.5)
     nowhere = f"tcp://127.0.0.1:{closed_port}"
@@ -426,7 +426,7 @@ def test_a_session_that_is_not_here_has_failed(tmp_path, local_cluster, monkeypa
     given = tmp_path / "pairs", "--out", tmp_path / "out", *PLAIN, "--scheduler", local_cluster
     assert duplex("batch", *given) == 1
     assert "is not shared" in capsys.readouterr().out
-    assert states(tmp_path / "out") == ["failed"]
+    assert table(tmp_path / "out")["state"] == ["failed"]
 
 
 def test_the_session_before_is_not_taken_for_a_new_one(monkeypatch):
@@ -444,6 +444,7 @@ def fused_elsewhere(job):
 
 def test_that_no_worker_is_left_is_said_and_ends_it(monkeypatch):
     """The worker is lost while it fuses, and none comes instead."""
+    distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(cluster, "fuse_job", fused_never)
     monkeypatch.setattr(cluster, "_GIVES_UP_AFTER", 0.5)
     workers = {"n_workers": 1, "threads_per_worker": 1, "processes": False}
@@ -472,9 +473,178 @@ def fused_never(_):
     LEFT.wait(20.0)
 
 
-def test_without_dask_one_line_names_the_extra(tmp_path, capsys, monkeypatch):
-    write_pair(tmp_path / "pairs")
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    arguments = tmp_path / "pairs", "--out", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9"
-    assert duplex("batch", *arguments) == 2
-    assert 'pip install "duplex-kinects[cluster]"' in one_line(capsys)
+# --- The pairs of a folder or a manifest, and the summary: order, table and page.
+
+
+def touch(root, *names):
+    for name in names:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).touch()
+
+
+FOLDERS = [
+    ("b.json a.json walk_a.csv walk_b.csv x.csv", "here=a.json+b.json walk=walk_a.csv+walk_b.csv"),
+    ("anna/a.csv anna/b.csv anna/x.txt", "anna=anna/a.csv+anna/b.csv"),
+    ("anna/run_A.skeleton anna/run_B.skeleton", "anna_run=anna/run_A.skeleton+anna/run_B.skeleton"),
+    ("a.csv b.csv ._a.csv ._b.csv w/a.csv w/b.csv w/._a.csv .DS_Store", "here=a.csv+b.csv w=w/a.csv+w/b.csv"),
+    ("w_a.csv w_b.json a.csv b.csv", "here=a.csv+b.csv; w_a.csv w_b.json"),
+    ("w_a.mkv w_b.mkv w_a.json w_b.csv", "w=w_a.mkv+w_b.mkv+w_a.json+w_b.csv"),
+    ("w/a.csv w/b.csv out/x/a.csv out/x/b.csv .old/a.csv .old/b.csv", "w=w/a.csv+w/b.csv"),
+]
+"""Files, and the pairs that they are; behind the semicolon those without a partner. macOS adds some."""
+
+
+@pytest.mark.parametrize(("files", "expected"), FOLDERS)
+def test_the_pairs_in_a_folder_that_links_to_itself(files, expected, tmp_path):
+    here = tmp_path / "here"
+    touch(here, *files.split())
+    (here / "loop").symlink_to(here)
+    pairs, left = find_pairs(here, here / "out")
+    named, _, alone = expected.partition("; ")
+    of = [(pair.name, "+".join(path.relative_to(here).as_posix() for path in pair.files)) for pair in pairs]
+    assert of == [tuple(each.split("=")) for each in named.split()]
+    assert left == [f"{here / name} has no partner and is skipped." for name in alone.split()]
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ("anna/walk_a.csv anna/walk_b.csv anna_walk/a.csv anna_walk/b.csv", "both be session anna_walk"),
+        ("summary.parquet_a.csv summary.parquet_b.csv", "would be session summary.parquet"),
+        ("SUMMARY.html_a.csv SUMMARY.html_b.csv", "would be session SUMMARY.html"),
+    ],
+)
+def test_no_session_takes_the_place_of_another_or_of_the_summary(files, said, tmp_path):
+    touch(tmp_path, *files.split())
+    with pytest.raises(UsageError, match=said):
+        find_pairs(tmp_path, tmp_path / "out")
+
+
+def test_a_manifest(tmp_path):
+    touch(tmp_path, "one.csv", "two.csv", "deep/three.mkv", "s.json")
+    manifest = tmp_path / "m.csv"
+    manifest.write_text(
+        "﻿name,a,b,skeletons_a,person_b\nwalk, one.csv,two.csv,,7\n\nrun,deep/three.mkv,two.csv,s.json,\n",
+        encoding="utf-8",
+    )
+    assert read_manifest(manifest) == [
+        Pair("walk", tmp_path / "one.csv", tmp_path / "two.csv", person_b="7"),
+        Pair("run", tmp_path / "deep/three.mkv", tmp_path / "two.csv", tmp_path / "s.json"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("tracker", "option", "name"),
+    [("blazepose", "tracker_model", "networks"), ("k4abt", "k4abt", "libk4abt.so")],
+)
+def test_workers_in_another_folder_find_the_files_of_the_options(
+    tracker, option, name, tmp_path, monkeypatch
+):
+    touch(tmp_path, "pairs/a.mkv", "pairs/b.mkv", "networks/full", "elsewhere/x", "libk4abt.so")
+    (tmp_path / "k.json").write_text(calibration_to_json(nominal_calibration(AZURE_KINECT)))
+    seen = []
+
+    def run(jobs, _):
+        monkeypatch.chdir(tmp_path / "elsewhere")
+        seen.extend(jobs)
+        yield Outcome("pairs", None, "not fused")
+
+    monkeypatch.setattr(processes, "run_in_processes", run)
+    monkeypatch.chdir(tmp_path)
+    files = "--calibrate", "k.json", "--tracker", tracker, f"--{option.replace('_', '-')}", name
+    assert duplex("batch", "pairs", "--out", "out", *files) == 1
+    options, identity = seen[0].options, seen[0].identity()["options"]
+    assert (options.source, options.out) == (tmp_path / "pairs", tmp_path / "out")
+    assert getattr(options, option) == tmp_path / name
+    assert options.calibrate == str(tmp_path / "k.json")
+    assert identity["calibrate"] == f"sha256:{checksum(tmp_path / 'k.json')}"
+    (tmp_path / "k.json").unlink()  # as if the worker did not see this folder
+    with pytest.raises(UsageError, match=r"k\.json"):
+        seen[0].identity()
+
+
+COUNTS = {f"{what}_{side}": 0 for what in ("dropped", "alone", "stale") for side in "ab"}
+
+
+def row(name, state="fused", error="", **figures):
+    job = Job(Pair(name, Path("a.csv"), Path("b.csv")), BatchOptions(source=Path(), out=Path()))
+    known = dict.fromkeys(n for n in RANKED if n != "lost") | COUNTS | {"frames_a": 50, "frames_b": 50}
+    record = {
+        "figures": known | {"calibration": "pose <1>", "verdict": "good"} | figures,
+        "warnings": ["<b>"],
+        "identity": {},
+    }
+    return Row(job, state, record if state == "fused" else None, error)
+
+
+def order(*rows):
+    return [of.job.name for of in worst_first(rows)]
+
+
+def test_failed_rows_come_first_then_the_worst_then_pending_ones():
+    assert order(
+        row("calm", views_agree=0.03, jumps_fused=0.0),
+        row("left", "pending"),
+        row("wild", views_agree=0.09, jumps_fused=0.2),
+        row("lost", "failed", "no frames"),
+        row("fair", views_agree=0.06, jumps_fused=0.1),
+    ) == ["lost", "wild", "fair", "calm", "left"]
+
+
+def test_frames_without_a_partner_count():
+    one, two = row("one", dropped_a=20, alone_b=5), row("two")
+    assert one.figures["lost"] == 0.25
+    assert order(two, one) == ["one", "two"]
+
+
+def test_the_table_is_in_si_units_and_the_page_escapes(tmp_path):
+    rows = [row("bad", "failed", "a < b"), row("a b", views_agree=0.0625), row("rest", "pending")]
+    write_parquet(rows, tmp_path / "s.parquet")
+    table = pq.read_table(tmp_path / "s.parquet").to_pydict()
+    assert table["name"] == ["bad", "a b", "rest"]
+    assert table["views_agree"] == [None, 0.0625, None]
+    assert table["session"] == [None, "a b/a b.rrd", None]
+    write_page(rows, tmp_path / "s.html")
+    page = (tmp_path / "s.html").read_text(encoding="utf-8")
+    for words in ("a &lt; b", 'href="a%20b/a%20b.rrd"', "<td>62</td>", "pose &lt;1&gt;", "1 not fused yet"):
+        assert words in page
+    assert "<b>" not in page
+
+
+def test_the_page_sorts_filters_and_explains(tmp_path):
+    random = np.random.default_rng(0)
+    rows, words = [], ("good", "usable", "poor", "unknown")
+    for k, apart in enumerate([None, *random.permutation(12) * 0.011]):
+        told = {"verdict": words[k % 4], "verdict_reason": f"reason {k}" if k % 4 else ""}
+        rows.append(row(f"n{k}", views_agree=apart, bone_error=0.0, good=k / 12, **told))
+    write_page(rows, tmp_path / "s.html")
+    with browser() as context:
+        tab = context.new_page()
+        errors, asked = [], []
+        tab.on("pageerror", lambda error: errors.append(str(error)))
+        tab.on("request", lambda request: asked.append(request.url))
+        tab.goto((tmp_path / "s.html").as_uri())
+        shown, heads = tab.locator("#fused tbody tr:visible"), tab.locator("#fused th")
+        names = heads.all_inner_texts()
+        agree = names.index("views agree mm")
+
+        def column(k):
+            return [each.split("\t")[k].strip() for each in shown.all_inner_texts()]
+
+        for turn in (1, -1):
+            heads.nth(agree).click()
+            *known, last = column(agree)
+            assert last == "–"
+            assert [int(each) for each in known] == sorted(map(int, known))[::turn]
+        heads.nth(1).click()
+        order = [each.split()[0] for each in column(1)]
+        assert order == sorted(order, key=("poor", "unknown", "usable", "good").index)
+        tab.locator("#word").select_option("poor")
+        assert {each.split()[0] for each in column(1)} == {"poor"}
+        assert tab.locator("#count").inner_text() == f"{shown.count()} of 13"
+        tab.locator("#word").select_option("")
+        tab.locator("#filter").fill("REASON 11")
+        assert column(0) == ["n11"]
+        meanings = tab.locator("details dt").all_text_contents()
+        assert meanings == names[2:]
+        assert (errors, asked) == ([], [(tmp_path / "s.html").as_uri()])

@@ -1,14 +1,16 @@
-"""``duplex replay``, ``compare``, ``review``, ``export``, ``trim`` and ``info`` on one session."""
+"""``duplex fuse``, ``replay``, ``compare``, ``review``, ``export``, ``trim`` and ``info``."""
 
+import errno
 import json
+import math
 import re
 import shutil
 from dataclasses import replace
 from html import unescape
-from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
@@ -20,9 +22,11 @@ from recordings.calibration_file import calibration_to_json
 from recordings.data import layout
 from recordings.export import FILES
 from recordings.file.session_writer import write_session
+from recordings.gait import SIDES
 from recordings.quality.figures import fusion_figures, report
 from recordings.quality.per_second import SecondQuality
 from recordings.session import Session
+from tests.experiments import example_recordings
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
@@ -31,6 +35,7 @@ from tests.helpers.motion_capture import write_c3d, write_trc
 from tests.helpers.programs import python
 from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.recorded_pairs import write_json, write_ntu, write_recordings, write_view
+from tests.helpers.sentences import check_sentences, printed
 from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import A_FROM_B, calibration_of, moving
 from viewer_app.commands.replay import verify
@@ -51,6 +56,16 @@ def session(recorded, tmp_path):
     return shutil.copy(recorded, tmp_path / "recorded.rrd")
 
 
+@pytest.fixture(scope="module")
+def by_the_paper(recorded):
+    """The same by another method, in a file whose name is markup."""
+    path = recorded.with_name("<b>paper.rrd")
+    assert duplex("replay", recorded, "--no-viewer", "--method", "paper", "--save", path) == 0
+    return path
+
+
+QUICKLY = "--no-viewer", "--offset", "0"
+"""Without a search for the offset of the clocks."""
 LARGE = {"pandas", "numba", "scipy.optimize", "scipy.signal", "matplotlib", "rerun", "cv2"}
 PROGRAM = """
 import atexit, sys
@@ -76,18 +91,6 @@ def test_a_command_imports_the_large_packages_that_it_uses(command, imported, se
     modules = set(said.stdout.splitlines()[-1].split())
     assert said.returncode == 0, said.stderr
     assert modules & LARGE == imported
-
-
-def test_no_line_is_wrapped_where_no_terminal_reads_it(session, tmp_path, capsys):
-    path = tmp_path / f"{'long' * 40}.rrd"
-    assert duplex("trim", session, "--to", 1, "--save", path) == 0
-    assert duplex("info", path) == 0
-    assert duplex("review", path, "--no-viewer") == 0
-    printed = capsys.readouterr().out.splitlines()
-    assert f"Saved {path}: 31 of 90 frames." in printed
-    assert any(line.split() == ["session", str(path)] for line in printed)
-    verdict = next(line for line in printed if line.startswith("Verdict"))
-    assert len(verdict) > 80 or verdict.endswith(".")
 
 
 def test_a_replay_is_verified_and_can_be_replayed_again(session, tmp_path, capsys):
@@ -116,24 +119,17 @@ def test_where_no_window_opens_the_report_and_the_session_are_written(session, t
     def no_window(*_):
         raise UsageError("no driver")
 
-    report, saved = tmp_path / "r.json", tmp_path / "again.rrd"
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: None)
     monkeypatch.setattr("viewer_app.viewer.file_window.start_viewer", no_window)
-    assert duplex("replay", session, "--report", report, "--save", saved) == 2
-    assert capsys.readouterr().err == "duplex: no driver\n"
-    assert len(Session.open(saved)) == 90
-    assert report.exists()
-    assert duplex("compare", session, saved) == 2
+    fuse = "fuse", *write_recordings(tmp_path), "--offset", 0
+    for line, frames in ((("replay", session), 90), (fuse, 70)):
+        report, saved = tmp_path / f"{line[0]}.json", tmp_path / f"{line[0]}.rrd"
+        assert duplex(*line, "--report", report, "--save", saved) == 2
+        assert capsys.readouterr().err == "duplex: no driver\n"
+        assert len(Session.open(saved)) == frames
+        assert report.exists()
+    assert duplex("compare", session, tmp_path / "replay.rrd") == 2
     assert "S* is the same in every frame they share." in capsys.readouterr().out
-
-
-def test_where_no_display_is_a_replay_and_a_comparison_say_so(session, monkeypatch, capsys):
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
-    for command in (("replay", session), ("compare", session, session)):
-        assert duplex(*command) == 0
-        assert "There is no display; no window opens." in capsys.readouterr().out
-        assert duplex(*command, "--no-viewer") == 0
-        assert "no window" not in capsys.readouterr().out
 
 
 def test_outputs_of_a_replay_get_the_session_s_rate(tmp_path, monkeypatch, capsys):
@@ -184,17 +180,16 @@ def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_
     assert "trimmed at its beginning; frames before it also have an effect." in capsys.readouterr().out
 
 
-def test_a_replay_with_other_settings_is_compared_with_the_first(session, tmp_path, capsys):
-    other, compared = tmp_path / "equal.rrd", tmp_path / "compared.rrd"
-    assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
+def test_a_replay_with_other_settings_is_compared_with_the_first(session, by_the_paper, tmp_path, capsys):
+    compared = tmp_path / "compared.rrd"
     capsys.readouterr()
-    assert duplex("compare", session, other, "--no-viewer", "--save", compared, "--worst", "2") == 0
+    assert duplex("compare", session, by_the_paper, "--no-viewer", "--save", compared, "--worst", "2") == 0
     said = capsys.readouterr().out
     assert "method: duplex against paper" in said
     assert "90 frames in common" in said
     assert said.count(" differs by ") == 2  # at least a second apart, of three
     assert compared.stat().st_size > 10_000
-    assert duplex("compare", session, other, "--no-viewer", "--worst", "0") == 0
+    assert duplex("compare", session, by_the_paper, "--no-viewer", "--worst", "0") == 0
     said = capsys.readouterr().out
     assert " differs by " not in said
     assert "the same in every frame" not in said
@@ -202,41 +197,17 @@ def test_a_replay_with_other_settings_is_compared_with_the_first(session, tmp_pa
     assert "S* is the same in every frame" in capsys.readouterr().out
 
 
-def test_the_window_of_a_comparison_opens_where_s_star_differs_most(session, tmp_path, monkeypatch):
-    other, opened = tmp_path / "paper.rrd", []
-    assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
+def test_the_window_of_a_comparison_opens_where_s_star_differs_most(session, by_the_paper, monkeypatch):
+    opened = []
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: None)
     monkeypatch.setattr("viewer_app.viewer.file_window.show", lambda _, at_ns: opened.append(at_ns))
     for worst in ("0", "2"):
-        assert duplex("compare", session, other, "--worst", worst) == 0
-    one, two = Session.open(session), Session.open(other)
+        assert duplex("compare", session, by_the_paper, "--worst", worst) == 0
+    one, two = Session.open(session), Session.open(by_the_paper)
     apart = np.nanmax(np.linalg.norm(one.fused - two.fused, axis=2), axis=1, initial=0.0)
     assert opened == 2 * [one.time_ns[np.argmax(apart)]]
     assert duplex("compare", session, session) == 0
     assert opened[2:] == [0]
-
-
-@pytest.mark.usefixtures("without_plots")
-def test_names_with_brackets_are_printed_as_they_are(session, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "300")
-    name = "[/bold]a[red].rrd"
-    path = Path(name)
-    path.parent.mkdir(exist_ok=True)
-    path.write_bytes(session.read_bytes()[:-50])  # reported as cut off, with its name
-    out = path.with_suffix("")
-    for command in (
-        ("info", path),
-        ("replay", path, "--no-viewer", "--save", f"{out}_2.rrd", "--report", f"{out}.json"),
-        ("review", path, "--no-viewer", "--html", f"{out}.html"),
-        ("compare", path, path, "--no-viewer", "--save", f"{out}_3.rrd"),
-        ("export", path, "--to", f"{out}.csv"),
-        ("trim", path, "--to", "1", "--save", f"{out}_4.rrd"),
-    ):
-        assert duplex(*command) == 0
-        said = capsys.readouterr().out
-        assert name in said
-        assert all(str(part) in said for part in command[3:] if str(part).endswith(("_2.rrd", ".html")))
 
 
 def test_a_trimmed_session_is_a_session(session, tmp_path):
@@ -251,47 +222,56 @@ def test_a_trimmed_session_is_a_session(session, tmp_path):
     assert (event.frame, event.time_ns, event.text) == (0, 0, "calibrated: known truth")
 
 
-@pytest.mark.parametrize("command", [("trim", "--save", "good.rrd"), ("export", "--to", "good.npz")])
+@pytest.mark.parametrize("good", [(0, 2), (0, 1, 2), ()])
+@pytest.mark.parametrize("verb", ["trim", "export", "fuse"])
 def test_only_the_good_seconds_are_taken_and_a_line_says_what_is_left_out(
-    command, session, tmp_path, capsys, monkeypatch
+    verb, good, session, tmp_path, capsys, monkeypatch
 ):
-    whole, (verb, option, name) = Session.open(session), command
-    frames = len(whole)
-    for good in (np.arange(frames) // 30 != 1, np.full(frames, True), np.full(frames, False)):
-        path = tmp_path / name
-        path.unlink(missing_ok=True)
-        seconds = tuple(SecondQuality(float(k), "good" if good[30 * k + 5] else "poor", "") for k in range(3))
-        monkeypatch.setattr("recordings.quality.per_second.quality_per_second", lambda _, each=seconds: each)
-        assert duplex(verb, session, "--good", option, path) == (0 if good.any() else 2)
-        told = capsys.readouterr()
-        if not good.any():
-            assert "No second of" in told.err
-            assert not path.exists()
-            continue
-        kept = Session.open(session).good_frames
-        fused = Session.open(path).fused if verb == "trim" else np.load(path)["fused"]
-        np.testing.assert_allclose(fused, whole.fused[kept], atol=2e-7)
-        left_out = f"Left out: {frames - kept.sum()} of {frames} frames, in seconds that are not good: 1–2 s."
-        assert (left_out in told.out) == (not good.all())
-
-
-def test_two_sessions_are_on_one_page(session, tmp_path, capsys):
-    pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
-    other, path = tmp_path / "<b>other.rrd", tmp_path / "c.html"
-    assert duplex("replay", session, "--method", "paper", "--no-viewer", "--save", other) == 0
+    saved, table = tmp_path / "good.rrd", tmp_path / "good.npz"
+    fuse = "fuse", *write_recordings(tmp_path), *QUICKLY
+    line = {
+        "trim": ("trim", session, "--save", saved),
+        "export": ("export", session, "--to", table),
+        "fuse": (*fuse, "--save", saved, "--to", table),
+    }[verb]
+    if verb == "fuse":
+        session = tmp_path / "whole.rrd"
+        assert duplex(*fuse, "--save", session) == 0
+    whole = Session.open(session)
+    seconds = tuple(SecondQuality(float(k), "good" if k in good else "poor", "") for k in range(3))
+    monkeypatch.setattr("recordings.quality.per_second.quality_per_second", lambda _: seconds)
     capsys.readouterr()
-    assert duplex("compare", session, other, "--no-viewer", "--html", path) == 0
+    assert duplex(*line, "--good") == (0 if good else 2)
+    told, kept = capsys.readouterr(), np.isin(whole.time.astype(int), good)
+    if not good:
+        assert "No second of" in told.err
+        assert not saved.exists()
+        assert not table.exists()
+        return
+    written = [path for path in line if path in (saved, table)]
+    for path in written:
+        fused = Session.open(path).fused if path is saved else np.load(path)["fused"]
+        np.testing.assert_allclose(fused, whole.fused[kept], atol=5e-7)
+    left_out = f"Left out: {(~kept).sum()} of {len(whole)} frames, in seconds that are not good: 1–2 s."
+    assert re.findall("Left out.*", told.out) == ([] if kept.all() else [left_out])
+
+
+def test_two_sessions_are_on_one_page(session, by_the_paper, tmp_path, capsys):
+    pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
+    path = tmp_path / "c.html"
+    capsys.readouterr()
+    assert duplex("compare", session, by_the_paper, "--no-viewer", "--html", path) == 0
     said, page = " ".join(capsys.readouterr().out.split()), path.read_text(encoding="utf-8")
     assert f"Wrote {path}." in said
-    assert "<b>other" not in page
+    assert "<b>paper" not in page
     text = unescape(page)
-    for words in (session.name, other.name, "method: duplex against paper"):
+    for words in (session.name, by_the_paper.name, "method: duplex against paper"):
         assert words in text
     for line in re.findall(r"<p><strong>(.*?)</strong>: (.*?)</p>", text):
         assert " ".join(line) in said
     for when, words in re.findall(r"<td>([\d.]+) s</td><td>(frame .*?)</td>", text):
         assert f"{when} s {words}" in said
-    for each in map(Session.open, (session, other)):
+    for each in map(Session.open, (session, by_the_paper)):
         assert text.count(f"<td>{each.body.joints[5]}</td>") == 1
         assert unescape(good_seconds(each).text) in text
     assert text.count('<div class="quality"') == 2
@@ -337,29 +317,6 @@ def test_the_verdict_on_a_calibration_goes_with_the_session(tmp_path, capsys, mo
     assert [line.removeprefix("calibration ") for line in verdict(capsys.readouterr().out)] == said
     page = unescape(html.read_text(encoding="utf-8"))
     assert all(line in page for line in said)
-
-
-def test_info_says_what_is_in_it_and_what_is_missing(session, tmp_path, capsys):
-    assert duplex("info", session) == 0
-    said = capsys.readouterr().out
-    for words in ("kinect_v2, 25 joints", "90 in", "A 90, B 89", "85° apart", "whole"):
-        assert words in said
-    assert "Calibrated: known truth" in said
-    assert all(reason in said for reason in Session.open(session).verdict.reasons)
-    cut = tmp_path / "cut.rrd"
-    cut.write_bytes(session.read_bytes()[:-50])
-    assert duplex("info", cut) == 0
-    assert "cut off" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("person", [0, 1])
-def test_info_says_from_when_several_people_are_there(person, tmp_path, capsys):
-    first = replace(calibration_of(KINECT_V2), bone_lengths=KINECT_V2.nominal_lengths)
-    other = replace(first, bone_lengths=0.8 * first.bone_lengths, person=person)
-    path = tmp_path / "s.rrd"
-    record_recalibrated(path, frame_pairs(KINECT_V2, 30), [(0, first), (12, other)])
-    assert duplex("info", path) == 0
-    assert ("1.75 m from 0.0 s, 1.40 m from 0.4 s" in capsys.readouterr().out) is bool(person)
 
 
 @pytest.mark.usefixtures("without_plots")
@@ -424,10 +381,15 @@ def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(tmp_path, cap
     assert duplex("replay", part, "--verify") == 0
 
 
-@pytest.mark.parametrize("ending", ["rrd", "bvh", "C3D", "csv", "glb", "parquet", "trc"])
-def test_a_full_disk_ends_with_one_line_and_no_file(session, tmp_path, capsys, ending):
-    name = f"s.{ending}"
-    command = ("trim", session, "--save") if ending == "rrd" else ("export", session, "--to")
+FULL = "trim.rrd", "s.bvh", "s.C3D", "s.csv", "s.glb", "s.parquet", "s.trc", "fuse.rrd"
+
+
+@pytest.mark.parametrize("name", FULL)
+def test_a_full_disk_ends_with_one_line_and_no_file(session, tmp_path, capsys, name):
+    command = {
+        "trim.rrd": ("trim", session, "--save"),
+        "fuse.rrd": ("fuse", *write_recordings(tmp_path), *QUICKLY, "--save"),
+    }.get(name, ("export", session, "--to"))
     assert duplex(*command, tmp_path / name) == 0
     whole = (tmp_path / name).stat().st_size / 1024
     for kilobytes in (4, *(int(share * whole) for share in (0.5, 0.8))):
@@ -437,6 +399,11 @@ def test_a_full_disk_ends_with_one_line_and_no_file(session, tmp_path, capsys, e
         said = one_line(capsys).rstrip()
         assert f"{name} could not be written: " in said
         assert said.endswith((": No space left on device.", "; the disk may be full."))
+    if name == "fuse.rrd":  # Rerun's log of the failure would be lines beside it
+        with small_disk(tmp_path / "small", int(0.9 * whole)) as disk:
+            done = python("-m", "viewer_app.cli", *command, disk / name, timeout=120.0)
+        assert done.returncode == 2
+        assert re.fullmatch(r"duplex: .*\.rrd could not be written: .*\n", done.stderr)
 
 
 # --- Files damaged at random: each is read, or refused with one line and exit code 2; never a traceback.
@@ -525,81 +492,184 @@ def test_damaged_calibrations_are_used_or_refused(whole, tmp_path, capsys, wound
     _must_be_fused_or_refused(capsys, *whole[".csv"], "--calibrate", calibration)
 
 
-# --- ``duplex info`` of recordings and of motion capture; of sessions see test_session_commands.
-
-
-FEET = [KINECT_V2.joint(f"Foot{side}") for side in ("Left", "Right")]
-
-
-def told(capsys, *arguments):
-    """The rows that were printed, by name, and the code and errors."""
-    code = duplex("info", *arguments)
-    printed = capsys.readouterr()
-    rows = (line.strip().partition("  ") for line in printed.out.splitlines())
-    return {name: value.strip() for name, _, value in rows}, code, printed.err
+# --- What commands print of sessions, of recordings and of motion capture.
 
 
 @pytest.fixture
-def recording(tmp_path):
+def folder(session, tmp_path, monkeypatch):
+    """Sessions, one of them cut off and one of two people, recordings and motion capture."""
+    session.rename(tmp_path / "w.rrd")
+    (tmp_path / "[red]w.rrd").write_bytes((tmp_path / "w.rrd").read_bytes()[:-50])
+    first = replace(calibration_of(KINECT_V2), bone_lengths=KINECT_V2.nominal_lengths)
+    other = replace(first, bone_lengths=0.8 * first.bone_lengths, person=1)
+    record_recalibrated(tmp_path / "two.rrd", frame_pairs(KINECT_V2, 30), [(0, first), (12, other)])
+    write_recording(tmp_path / "a.csv")
+    text = (tmp_path / "a.csv").read_text()
+    (tmp_path / "no_joints.csv").write_text(text.replace("joint", "bone_of", 1))
+    (tmp_path / "a.txt").write_text("a\n")
+    points = np.random.default_rng(0).normal(0.0, 800.0, (50, 2, 3))
+    points[:, 1] = np.nan
+    for write in (write_c3d, write_trc):
+        write(tmp_path / f"t.{write.__name__[-3:]}", ("LASI", "RASI"), np.arange(50) / 120.0, points)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
+    return tmp_path
+
+
+def write_recording(path):
     """Of millimetres, feet that were never seen, a column that is ignored, and a pause of two seconds."""
     positions = 1e3 * (moving(KINECT_V2, 40) + np.random.default_rng(0).normal(0.0, 0.005, (40, 25, 3)))
-    positions[:, FEET] = 0.0
-    path = write_view(tmp_path / "a.csv", KINECT_V2, positions)
-    header, *rows = path.read_text().splitlines()
+    positions[:, [KINECT_V2.joint(f"Foot{side}") for side in ("Left", "Right")]] = 0.0
+    header, *rows = write_view(path, KINECT_V2, positions).read_text().splitlines()
     cells = [row.split(",") for row in rows]
     late = [[str(int(row[0]) + 2_000_000 * (k >= 500)), *row[1:]] for k, row in enumerate(cells)]
     path.write_text("\n".join([f"{header},remark", *(f"{','.join(row)},none" for row in late)]) + "\n")
-    return path
 
 
-def test_what_is_in_a_recording_of_skeletons(recording, capsys):
-    rows, code, _ = told(capsys, recording)
-    assert code == 0
-    assert rows["joints"] == "23 of 25 of kinect_v2"
-    assert rows["never seen"] == "FootLeft, FootRight"
-    assert rows["people"] == "'0' in 40 frames"
-    assert rows["frames"] == "40 in 3.30 s, 30.0 per second"
-    assert rows["gaps"] == "1, of 2.03 s at 0.63 s"
-    assert rows["unit"].startswith("millimetres; the person is 2.6")
-    assert rows["ignored"] == "columns remark"
-    assert "read as millimetres" in rows["note"]
-    assert rows["likely unit"].startswith("mm 0.0, ")
-    assert rows["fuse it"] == f"duplex fuse {recording} OTHER.csv --unit-a mm --save s.rrd"
-    rows, code, _ = told(capsys, recording, "--unit", "mm")
-    assert "note" not in rows
-    assert rows["fuse it"].endswith("--unit-a mm --save s.rrd")
-
-
-def test_a_recording_that_cannot_be_read_is_described_and_says_why(recording, capsys):
-    recording.write_text(recording.read_text().replace("joint", "bone_of", 1))
-    rows, code, errors = told(capsys, recording)
-    assert code == 2
-    assert rows["begins with"] == ascii(recording.read_text()[:60])
-    assert rows["format"].endswith("it cannot be read")
-    assert "no column joint" in errors
-    other = recording.with_suffix(".txt")
-    other.write_text("a\n")
-    rows, code, errors = told(capsys, other)
-    assert (code, rows["file"]) == (2, "a.txt, 0 kB")
-    assert ".txt is not a format that can be read" in errors
-
-
-@pytest.mark.parametrize("write", [write_c3d, write_trc])
-def test_what_is_in_motion_capture(tmp_path, capsys, write):
-    path = tmp_path / {"write_c3d": "t.c3d", "write_trc": "t.trc"}[write.__name__]
-    points = np.random.default_rng(0).normal(0.0, 800.0, (50, 2, 3))
-    points[:, 1] = np.nan
-    rows, code, _ = told(capsys, write(path, ("LASI", "RASI"), np.arange(50) / 120.0, points))
-    assert code == 0
-    assert rows["points"] == "2: LASI, RASI"
-    assert rows["never seen"] == "RASI"
-    assert rows["frames"] == "50 in 0.41 s, 120.0 per second"
-    assert rows["compare it"] == f"duplex compare s.rrd {path}"
+@pytest.mark.usefixtures("folder", "without_plots")
+def test_sentences_that_commands_print(capsys):
+    check_sentences("printed", printed(capsys))
 
 
 def test_what_is_in_a_recording_of_images(shared, capsys):
-    rows, code, _ = told(capsys, shared / "azure" / "recording.mkv")
-    assert code == 0
-    assert rows["sensor"].endswith("NFOV_UNBINNED, standalone")
-    assert rows["recorded"] == "2020-08-31T15:20:37.000000Z"
-    assert "5 frames per second, as the file states" in rows["duration"]
+    assert duplex("info", shared / "azure" / "recording.mkv") == 0
+    said = capsys.readouterr().out
+    for words in ("NFOV_UNBINNED, standalone", "2020-08-31T15:20:37.000000Z", "5 frames per second, as the"):
+        assert words in said
+
+
+# --- ``duplex fuse`` at the command line: arguments, output and files.
+
+
+@pytest.fixture
+def recordings(tmp_path):
+    """Two views of a person, each with 10 mm of noise."""
+    return write_recordings(tmp_path)
+
+
+def figures_of(path):
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def test_two_recordings_become_a_session_a_report_and_a_summary(recordings, tmp_path, capsys):
+    session, report = tmp_path / "s.rrd", tmp_path / "r.json"
+    # the method duplex allows for trackers that show people too frontal, and these are exact
+    options = "--method", "paper", "--no-viewer", "--save", session, "--report", report, "--verbose"
+    assert duplex("fuse", *recordings, *options) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    words = ("Frames 70 pairs", "start-up pose", "axes are 85° apart", "Largest bone error", "ms per frame")
+    assert [each for each in words if each not in said] == []
+    figures = figures_of(report)
+    assert figures["paired"] == 70
+    assert figures["dropped"] == {"a": 0, "b": 0}
+    assert figures["bone_error_mm"]["fused"]["max"] < 1e-3
+    assert set(figures["bones"]) == set(filter(None, KINECT_V2.bones))
+    forearm = figures["bones"]["forearm_left"]
+    assert set(forearm) == {"target_m", "length_from", "a", "b", "fused"}
+    assert set(forearm["fused"]) == {"mean_m", "std_mm", "max_error_mm"}
+    # each view's noise of 10 mm an axis disagrees by a Maxwell median of 1.538 · √2 · 10 mm
+    assert figures["views_agree_mm"]["median"] == pytest.approx(21.7, rel=0.1)
+    assert rr.chunk.RrdReader(session).store().schema() is not None
+    assert {p.name for p in tmp_path.iterdir()} == {"a.csv", "b.csv", "s.rrd", "r.json"}
+
+
+def test_the_report_has_the_gait_of_the_session(tmp_path):
+    saved, report = tmp_path / "s.rrd", tmp_path / "r.json"
+    walk = example_recordings.FOLDER / "a.csv", example_recordings.FOLDER / "b.csv"
+    assert duplex("fuse", *walk, *QUICKLY, "--save", saved, "--report", report) == 0
+    figures, gait = figures_of(report)["gait"], Session.open(saved).gait
+    for side in SIDES:
+        of_side, steps = figures[side], gait.of_side(side)
+        assert of_side["steps"] == len(steps) > 1
+        assert of_side["gait_cycles"] == len(gait.cycles(side))
+        assert of_side["step_length_m"]["mean"] == pytest.approx(np.mean([step.length for step in steps]))
+        stance, spread = gait.stance(side), of_side["stance_percent"]["sd"]
+        if len(stance) > 1:
+            assert spread == pytest.approx(100 * np.nanstd(stance, ddof=1), rel=1e-4, abs=1e-4)  # float32
+        else:
+            assert spread is None
+    assert figures["cadence_per_minute"] == {
+        name: pytest.approx(x, rel=1e-4) for name, x in gait.cadence._asdict().items()
+    }
+    assert figures["asymmetry_percent"].keys() == gait.asymmetry.keys()
+
+
+def test_nobody_who_walks_is_said_in_the_report_too(recordings, tmp_path):
+    report = tmp_path / "r.json"
+    assert duplex("fuse", *recordings, *QUICKLY, "--report", report) == 0
+    gait = figures_of(report)["gait"]
+    assert gait["walks"] == gait["left"]["steps"] == 0
+    assert gait["cadence_per_minute"] == gait["speed_m_per_s"] == {"value": None, "sigma": None}
+    assert gait["right"]["step_length_m"] == {"mean": None, "sd": None}
+
+
+def test_recordings_of_other_people_are_refused_and_can_be_forced(shared, tmp_path, capsys):
+    a = shared / "real_more" / "kinect_v2_90deg_walk_18" / "a.csv"
+    b = shared / "real_more" / "kinect_v2_90deg_walk_2" / "b.csv"
+    assert duplex("fuse", a, b, "--no-viewer") == 2
+    assert "a.csv and b.csv cannot be of one person at the same time" in one_line(capsys)
+    report = tmp_path / "r.json"
+    assert duplex("fuse", a, b, "--no-viewer", "--force", "--report", report) == 0
+    assert figures_of(report)["verdict"]["word"] == "poor"
+
+
+def test_a_calibration_of_other_places_is_named(shared, tmp_path, capsys):
+    folder, calibration = shared / "real" / "kinect_v2_90deg_steps", tmp_path / "c.json"
+    views = folder / "a.csv", folder / "b.csv"
+    assert duplex("fuse", *views, "--no-viewer", "--save-calibration", calibration) == 0
+    capsys.readouterr()
+    assert duplex("fuse", *views[::-1], "--no-viewer", "--calibrate", calibration) == 2
+    line = one_line(capsys)
+    assert "The calibration does not fit b.csv and a.csv" in line
+    assert "--force" in line
+
+
+def test_a_session_tells_how_files_were_read_without_their_folders(recordings, tmp_path, capsys):
+    header, *rows = recordings[0].read_text(encoding="utf-8").splitlines()
+    x = header.split(",").index("x")
+    cells = [row.split(",") for row in rows]
+    places = ([str(1e3 * float(at)) for at in row[x : x + 3]] for row in cells)
+    scaled = [",".join((*row[:x], *at, *row[x + 3 :])) for row, at in zip(cells, places, strict=True)]
+    recordings[0].write_text("\n".join([header, *scaled, ""]), encoding="utf-8")
+    saved = tmp_path / "s.rrd"
+    assert duplex("fuse", *recordings, "--no-viewer", "--save", saved) == 0
+    assert f"{recordings[0]}: read as millimetres" in capsys.readouterr().out
+    texts = [event.text for event in Session.open(saved).events]
+    assert any(text.startswith(f"{recordings[0].name}: read as") for text in texts)
+    assert not any(str(tmp_path) in text for text in texts)
+
+
+@pytest.mark.parametrize("beyond", [False, True])
+def test_seconds_beyond_the_recordings_are_told(recordings, tmp_path, capsys, beyond):
+    report = tmp_path / "r.json"
+    assert duplex("fuse", *recordings, *QUICKLY, "--report", report) == 0
+    figures = figures_of(report)
+    asked = 999 if beyond else math.ceil(figures["seconds"])
+    again = "--calibrate", f"seconds:{asked}", "--report", report, "--force"
+    assert duplex("fuse", *recordings, *QUICKLY, *again) == 0
+    which = f"all {figures['seconds']:.1f} s" if beyond else f"first {asked} s"
+    assert figures_of(report)["calibration"]["how"] == f"{which}, {figures['paired']} frames"
+    said = f"--calibrate seconds:999: the recordings are shorter; calibrating on {which}."
+    assert (said in capsys.readouterr().out) == beyond
+
+
+def test_a_calibration_can_be_kept_and_used_again(recordings, tmp_path):
+    kept, first, again = tmp_path / "c.json", tmp_path / "1.json", tmp_path / "2.json"
+    assert duplex("fuse", *recordings, *QUICKLY, "--save-calibration", kept, "--report", first) == 0
+    more = ("--calibrate", kept, "--person-b", "0")
+    assert duplex("fuse", *recordings, *QUICKLY, *more, "--report", again) == 0
+    one, two = figures_of(first), figures_of(again)
+    assert one["bones"] == two["bones"]
+    assert two["calibration"]["how"].startswith("loaded from")
+
+
+def test_a_session_survives_an_export_that_fails(recordings, tmp_path, monkeypatch, capsys):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("recordings.export.tables.write_npz", full)
+    saved, table = tmp_path / "s.rrd", tmp_path / "s.npz"
+    assert duplex("fuse", *recordings, *QUICKLY, "--save", saved, "--to", table) == 2
+    assert "No space left" in capsys.readouterr().err
+    assert not table.exists()
+    assert len(Session.open(saved)) > 0
