@@ -1,6 +1,7 @@
 """The page of ``duplex review``, in a real browser where there is one."""
 
 import base64
+import io
 import json
 import re
 import zlib
@@ -13,11 +14,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from devices.recorded.files import distinct_names
+from devices.sensor import ColorCamera, ColorImage
 from fusion.body import KINECT_V2
+from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
 from recordings.appearance.colors import PREDICTED_COLOR
 from recordings.appearance.floor import floor_under
+from recordings.data.images import Images, SessionImages
 from recordings.gait import Gait, Measured, Step, Turn
 from recordings.quality.figures import report
 from recordings.quality.limits import POSSIBLE
@@ -26,11 +32,11 @@ from tests.helpers.command_line import duplex
 from tests.helpers.footfalls import walking_session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
-from tests.helpers.machine import need_browser
 from tests.helpers.screens import browser
 from tests.helpers.two_views import calibration_of
 from viewer_app.report import motion as motion_module
 from viewer_app.report.motion import _kept_frames, encoded_motion
+from viewer_app.report.pages.film import film
 from viewer_app.report.pages.review_page import recorded, review_page
 from viewer_app.report.svg_plots import (
     _BAND_POINTS,
@@ -66,6 +72,15 @@ def page(session):
     return path
 
 
+def page_of(session):
+    return review_page(session, report(session) | {"without_truth": truth_free_figures(session)})
+
+
+def telling(session, **words):
+    """The session with more that it tells about itself."""
+    return replace(session, about={**session.about, "session": session.about["session"] | words})
+
+
 PLOTS = [f"pages.review_page.{name}" for name in ("line_plot", "bar_plot", "trust_map")]
 
 
@@ -87,7 +102,7 @@ def titles(monkeypatch):
 def test_the_page_has_the_gait_of_people_who_walk_and_of_no_others(page, tmp_path, monkeypatch):
     titles_instead_of(PLOTS, monkeypatch)
     walking = walking_session(tmp_path / "walk.rrd")
-    text = review_page(walking, report(walking) | {"without_truth": truth_free_figures(walking)})
+    text = page_of(walking)
     assert re.search(
         rf"{len(walking.gait.steps)} steps in {walking.gait.walking_seconds:.0f} s of walking, 1 walk; "
         r"cadence 104\.\d ± \d+\.\d steps/min, .* \(± standard error\); .*"  # a stride takes 1.15 s
@@ -315,7 +330,7 @@ def test_joints_that_were_never_seen_are_marked(session, monkeypatch):
         monkeypatch.setattr(f"viewer_app.report.pages.review_page.{plot}", drawn)
     titles_instead_of([PLOTS[0], "walking.line_plot", "walking.cycle_plot"], monkeypatch)
     changed = without(session, "FootLeft")
-    text = review_page(changed, report(changed) | {"without_truth": truth_free_figures(changed)})
+    text = page_of(changed)
     assert "<strong>Never seen</strong>: left foot: S* guesses them" in text
     assert "as long as on the other side" in text
     assert [[name for name in each if "never" in name] for each in names] == [["FootLeft (never seen)"]] * 2
@@ -323,85 +338,77 @@ def test_joints_that_were_never_seen_are_marked(session, monkeypatch):
 
 @pytest.mark.usefixtures("titles")
 def test_an_event_of_the_list_leads_to_its_moment(fused_run, tmp_path):
-    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
-    chromium = need_browser()
     session = fused_run(frame_pairs(KINECT_V2, 90), calibration_of(KINECT_V2))
     events = [
         replace(session.events[0], time_ns=k * 100_000_000, frame=3 * k, text=f"n {k}") for k in range(25)
     ]
     session = replace(session, events=tuple(events))
     path = tmp_path / "page.html"
-    path.write_text(review_page(session, report(session) | {"without_truth": truth_free_figures(session)}))
-    with playwright.sync_playwright() as p:
-        started = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        try:
-            tab = started.new_page(viewport={"width": 1280, "height": 900})
-            errors = []
-            tab.on("pageerror", lambda error: errors.append(str(error)))
-            tab.goto(path.as_uri())
-            tab.locator("#play:enabled").wait_for()
-            picture = "document.getElementById('person').toDataURL()"
-            rows = tab.locator("#events tbody tr")
-            assert [row.split()[0] for row in rows.all_inner_texts()] == [str(k + 1) for k in range(25)]
-            first = tab.evaluate(picture)
-            tab.locator("#events button").nth(20).click()
-            assert tab.locator("#clock").inner_text().startswith("2.00 of")
-            assert "N 20" in tab.locator("#events tr[aria-current]").inner_text()
-            assert tab.evaluate(picture) != first
-            tab.locator("#moment").fill("1.0")
-            assert tab.locator("#clock").inner_text().startswith("1.00 of")
-            at_1 = tab.evaluate(picture)
-            box = tab.locator("#person").bounding_box()
-            tab.mouse.move(box["x"] + 200, box["y"] + 200)
-            tab.mouse.down()
-            tab.mouse.move(box["x"] + 300, box["y"] + 200)
-            tab.mouse.up()
-            assert tab.evaluate(picture) != at_1
-            for label in tab.locator(".key input").all():
-                label.uncheck()
-            empty = tab.evaluate(picture)
-            tab.locator(".key input").last.check()
-            assert tab.evaluate(picture) != empty
-            clock, why = tab.locator("#clock"), tab.locator("#why")
-            box = tab.locator("#quality").bounding_box()
-            tab.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + 20)
-            end = session.time_ns[-1] * 1e-9
-            assert float(clock.inner_text().split()[0]) == pytest.approx(0.75 * end, abs=0.02)
-            last = session.quality_per_second[int(0.75 * end)]
-            assert why.inner_text().endswith(last.reason or last.word)
-            tab.locator("#person").focus()
-            moments = []
-            for key in (".", ".", ",", "Home", ",", "End"):
-                tab.keyboard.press(key)
-                moments.append(float(clock.inner_text().split()[0]))
-            on, twice, back, home, before, last = moments
-            assert on == back < twice
-            assert (home, before, last) == (0.0, 0.0, pytest.approx(end, abs=0.01))
-            for key in ("+", "+", "l", "Home", " "):
-                tab.keyboard.press(key)
-            assert tab.locator("#speed").input_value() == "2"
-            assert tab.locator("#loop").is_checked()
-            assert tab.locator("#play").inner_text() == "Pause"
-            tab.wait_for_function("+document.getElementById('clock').textContent.split(' ')[0] > 2.5")
-            tab.wait_for_function("+document.getElementById('clock').textContent.split(' ')[0] < 1")  # again
-            for key in (" ", "l", "End"):
-                tab.keyboard.press(key)
-            tab.locator("#play").click()
-            tab.wait_for_function("document.getElementById('play').textContent === 'Play'")  # at the end
-            assert tab.locator("#clock").inner_text() == f"{end:.2f} of {end:.2f} s"
-            assert errors == []
-        finally:
-            started.close()
+    path.write_text(page_of(session))
+    with browser(1280, 900) as context:
+        tab = context.new_page()
+        errors = []
+        tab.on("pageerror", lambda error: errors.append(str(error)))
+        tab.goto(path.as_uri())
+        tab.locator("#play:enabled").wait_for()
+        picture = "document.getElementById('person').toDataURL()"
+        rows = tab.locator("#events tbody tr")
+        assert [row.split()[0] for row in rows.all_inner_texts()] == [str(k + 1) for k in range(25)]
+        first = tab.evaluate(picture)
+        tab.locator("#events button").nth(20).click()
+        assert tab.locator("#clock").inner_text().startswith("2.00 of")
+        assert "N 20" in tab.locator("#events tr[aria-current]").inner_text()
+        assert tab.evaluate(picture) != first
+        tab.locator("#moment").fill("1.0")
+        assert tab.locator("#clock").inner_text().startswith("1.00 of")
+        at_1 = tab.evaluate(picture)
+        box = tab.locator("#person").bounding_box()
+        tab.mouse.move(box["x"] + 200, box["y"] + 200)
+        tab.mouse.down()
+        tab.mouse.move(box["x"] + 300, box["y"] + 200)
+        tab.mouse.up()
+        assert tab.evaluate(picture) != at_1
+        for label in tab.locator(".key input").all():
+            label.uncheck()
+        empty = tab.evaluate(picture)
+        tab.locator(".key input").last.check()
+        assert tab.evaluate(picture) != empty
+        clock, why = tab.locator("#clock"), tab.locator("#why")
+        box = tab.locator("#quality").bounding_box()
+        tab.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + 20)
+        end = session.time_ns[-1] * 1e-9
+        assert float(clock.inner_text().split()[0]) == pytest.approx(0.75 * end, abs=0.02)
+        last = session.quality_per_second[int(0.75 * end)]
+        assert why.inner_text().endswith(last.reason or last.word)
+        tab.locator("#person").focus()
+        moments = []
+        for key in (".", ".", ",", "Home", ",", "End"):
+            tab.keyboard.press(key)
+            moments.append(float(clock.inner_text().split()[0]))
+        on, twice, back, home, before, last = moments
+        assert on == back < twice
+        assert (home, before, last) == (0.0, 0.0, pytest.approx(end, abs=0.01))
+        for key in ("+", "+", "l", "Home", " "):
+            tab.keyboard.press(key)
+        assert tab.locator("#speed").input_value() == "2"
+        assert tab.locator("#loop").is_checked()
+        assert tab.locator("#play").inner_text() == "Pause"
+        tab.wait_for_function("+document.getElementById('clock').textContent.split(' ')[0] > 2.5")
+        tab.wait_for_function("+document.getElementById('clock').textContent.split(' ')[0] < 1")  # again
+        for key in (" ", "l", "End"):
+            tab.keyboard.press(key)
+        tab.locator("#play").click()
+        tab.wait_for_function("document.getElementById('play').textContent === 'Play'")  # at the end
+        assert tab.locator("#clock").inner_text() == f"{end:.2f} of {end:.2f} s"
+        assert errors == []
 
 
 @pytest.mark.usefixtures("titles")
-def test_a_click_in_the_list_of_people_copies_the_options_that_follow_one(fused_run, tmp_path):
+def test_a_click_in_the_list_of_people_copies_the_options_that_follow_one(session, tmp_path):
     people = [(["1", "2"], [3.0, 0.5]), ([None, "a <b"], [0.1, 2.0]), (["3", None], [2.0, 0.0])]
-    session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
-    told = {"people": [json.dumps([{"ids": i, "seconds": s} for i, s in people])]}
-    session = replace(session, about={**session.about, "session": session.about["session"] | told})
+    session = telling(session, people=[json.dumps([{"ids": i, "seconds": s} for i, s in people])])
     path = tmp_path / "page.html"
-    path.write_text(review_page(session, report(session) | {"without_truth": truth_free_figures(session)}))
+    path.write_text(page_of(session))
     options = ["--person-a 1 --person-b 2", "--person-b 'a <b'"]
     with browser(390) as context:
         context.grant_permissions(["clipboard-read", "clipboard-write"])
@@ -432,11 +439,11 @@ def test_the_page_shows_exchanged_sides_large_one_frame_rate_and_no_empty_plot(s
         changed = replace(
             session, rows=replace(rows, positions_b=positions, exchanged=exchanged, skew_ns=skew)
         )
-        figures = report(changed) | {"without_truth": truth_free_figures(changed)}
-        text = unescape(review_page(changed, figures))
+        text = unescape(page_of(changed))
         plots[name] = "skew of B" in titles
         titles.clear()
     assert plots == {"some": True, "none": False}
+    figures = report(changed)
     share = in_percent(figures["repaired"]["exchanged"]["b"])
     assert share == "40 %"  # 23 of the 58 frames with a person, who has no anatomy; then S* turns this doll
     assert f'<dt>Repaired</dt><dd class="figure">0 %, {share}</dd>' in text
@@ -447,7 +454,7 @@ def test_the_page_shows_exchanged_sides_large_one_frame_rate_and_no_empty_plot(s
 
 @pytest.mark.usefixtures("titles")
 def test_a_tile_says_its_figure_once_and_the_page_what_was_recorded(session):
-    text = unescape(review_page(session, report(session) | {"without_truth": truth_free_figures(session)}))
+    text = unescape(page_of(session))
     tiles = re.findall(r'<dt>(.*?)</dt><dd class="figure">(.*?)</dd>\n<dd[^>]*>(.*?)</dd>', text)
     assert len(tiles) >= 3
     for label, figure, beside in tiles:
@@ -456,13 +463,11 @@ def test_a_tile_says_its_figure_once_and_the_page_what_was_recorded(session):
     first = text[text.index("<h1>") : text.index("<dl")]
     for part in (f"{len(session)} frames", "body kinect_v2", "method duplex, revision", "file of 20"):
         assert part in first
-    when = {"recorded": ["2020-08-31T15:20:37.000000Z"]}
-    dated = replace(session, about={**session.about, "session": session.about["session"] | when})
+    dated = telling(session, recorded=["2020-08-31T15:20:37.000000Z"])
     assert re.search(r"^recorded 2020-0[89]-.. ..:\d0; ", recorded(dated))
     assert "file of" not in recorded(dated)
     for said in ("0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00", 5.0):
-        other = {**session.about["session"], "recorded": [said]}
-        assert "nothing says when" in recorded(replace(session, about={**session.about, "session": other}))
+        assert "nothing says when" in recorded(telling(session, recorded=[said]))
     strip = re.findall(
         r'<i class="(\w+)" style="flex-grow: ([\d.]+)" data-at="([\d.]+)" title="(.*?)">', text
     )
@@ -475,15 +480,107 @@ def test_a_tile_says_its_figure_once_and_the_page_what_was_recorded(session):
 
 
 @pytest.mark.usefixtures("titles")
-def test_what_a_session_says_is_text_and_never_markup(fused_run):
-    session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
+def test_what_a_session_says_is_text_and_never_markup(session):
     settings = session.about["settings"] | {"note": ["<script>alert(1)</script>"]}
     hostile = replace(session.events[0], text="<img src=x onerror=alert(1)> & more")
     about = {**session.about, "settings": settings}
     session = replace(session, events=(*session.events, hostile), about=about)
-    text = review_page(session, report(session) | {"without_truth": truth_free_figures(session)})
+    text = page_of(session)
     assert "Roughness" in text
     assert text.count("<script") == 1
     assert "alert(1)</script" not in text
     assert "<img" not in text
     assert "&lt;img src=x onerror=alert(1)&gt; &amp; more" in text
+
+
+# --- The film of small colour images on the page of a session.
+
+
+CAMERA = ColorCamera(Intrinsics(320, 180, 157.0, 157.0, 159.5, 89.5), RigidTransform.identity())
+GAP = range(20, 60)
+"""Frames in which B has no image."""
+
+
+def picture(frame, side):
+    """A JPEG whose grey is the frame's number, with noise of another size for each sensor."""
+    noise = np.random.default_rng(frame).normal(frame + 60.0, 1.0 if side == "a" else 40.0, (180, 320, 3))
+    out = io.BytesIO()
+    Image.fromarray(np.clip(noise, 0, 255).astype(np.uint8)).save(out, "JPEG", quality=90)
+    return out.getvalue()
+
+
+class Colored(SessionImages):
+    """Colour images of A in every frame, of B except in a gap; one is damaged."""
+
+    def color(self, side, frames):
+        def made():
+            for frame in frames:
+                if side == "a" or frame not in GAP:
+                    jpeg = claiming(65_500, 65_500) if (frame, side) == (0, "a") else picture(frame, side)
+                    yield frame, ColorImage(jpeg, CAMERA)
+
+        return Images(made)
+
+
+def claiming(width, height):
+    """An image that says that it is of this size."""
+    jpeg = bytearray(picture(0, "a"))
+    at = jpeg.index(b"\xff\xc0") + 5
+    jpeg[at : at + 4] = height.to_bytes(2) + width.to_bytes(2)
+    return bytes(jpeg)
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    path = tmp_path_factory.mktemp("film") / "s.rrd"
+    session = record_fused(path, frame_pairs(KINECT_V2, 90), calibration_of(KINECT_V2))
+    assert film(session) == {}
+    return replace(session, images=Colored())
+
+
+def test_the_film_has_small_images_at_their_moments_and_fits_into_a_page(filmed):
+    found = film(filmed)
+    assert set(found) == {"a", "b"}
+    for side, images in found.items():
+        frames = [int(np.argmin(np.abs(filmed.time - seconds))) for seconds, _ in images]
+        every = [k for k in range(0, 90, 3) if side == "a" or k not in GAP]
+        assert frames == [k for k in every if (side, k) != ("a", 0)]
+        for frame, (_, jpeg) in zip(frames, images, strict=True):
+            small = Image.open(io.BytesIO(base64.b64decode(jpeg)))
+            assert small.size == (240, 135)
+            assert np.mean(np.asarray(small)) == pytest.approx(frame + 60.0, abs=4.0)
+    bytes_of_a_minute = len(json.dumps(found)) * 60.0 / filmed.time[-1]
+    assert bytes_of_a_minute < 12e6  # a page of a minute has at most 15 MB, and all the rest has 1.5
+
+
+def test_there_are_at_most_ten_images_a_second(filmed):
+    faster = replace(filmed, rows=replace(filmed.rows, time_ns=filmed.rows.time_ns * 6 // 5))  # 25 Hz
+    seconds = [at for at, _ in film(faster)["a"]]
+    assert np.diff(seconds).min() > 0.099
+
+
+def test_the_player_shows_the_image_of_its_moment_or_how_old_it_is(filmed, tmp_path):
+    page = tmp_path / "s.html"
+    page.write_text(page_of(filmed), encoding="utf-8")
+    assert '<script type="application/json" id="film">' in page.read_text(encoding="utf-8")
+    found = film(filmed)
+    with browser(1000, 700) as chromium:
+        tab = chromium.new_page()
+        wrong, asked = [], []
+        tab.on("pageerror", lambda error: wrong.append(str(error)))
+        tab.on("request", lambda request: asked.append(request.url))
+        tab.goto(page.as_uri())
+        tab.locator("#play:enabled").wait_for()
+        for frame in (0, 15, 31, 45, 89):
+            tab.locator("#moment").fill(f"{filmed.time[frame]:.6f}")
+            shown = float(tab.locator("#clock").inner_text().split()[0])
+            for side, images in found.items():
+                figure = tab.locator(f".film [data-side={side}]")
+                seconds, jpeg = min(images, key=lambda each: abs(each[0] - shown))
+                assert figure.locator("img").get_attribute("src").endswith(jpeg)
+                late = abs(seconds - shown) > 0.25
+                words = f"{abs(seconds - shown):.1f} s" if late else f"at {seconds:.2f} s"
+                assert words in figure.inner_text()
+                assert (figure.locator("img").get_attribute("class") == "late") == late
+        assert wrong == []
+        assert [url for url in asked if not url.startswith(("file:", "data:"))] == []

@@ -273,7 +273,6 @@ def test_spheres_have_the_radius_of_one_standard_deviation():
     made = frames(known_fuser(), 3)
     rows = SessionArrays.stack(BODY, BODY.nominal_lengths, made)
     half_sizes = shown_values(rows, layout.FUSED_SKELETON, layout.SIGMA_SPHERES)
-    assert half_sizes is not None
     sigma = np.array([frame.fused.sigma for frame in made])
     np.testing.assert_allclose(half_sizes, np.repeat(sigma[..., None], 3, axis=2), rtol=0, atol=0.51 * STEP)
 
