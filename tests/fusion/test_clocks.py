@@ -59,11 +59,13 @@ def test_a_delay_is_found_at_any_frame_rate(rate, delay, phase, lost, seed):
     skew = phase / rate
     pairs = as_pairs(*views_at(seconds, seconds + skew + delay, seed), seconds, skew)
     found = lag_of(KINECT_V2, pairs, A_FROM_B)
+    assert found is not None
     assert found.offset_ns * 1e-9 == pytest.approx(delay, abs=0.005)
     live = LagEstimator(KINECT_V2)
     for pair in pairs:
         live.observe(pair, A_FROM_B)
     # It is not iterated: noise of the velocities of such calm motion takes away up to a quarter.
+    assert live.estimate is not None
     assert live.estimate.offset_ns * 1e-9 == pytest.approx(delay, abs=0.005 + 0.25 * abs(delay))
 
 
@@ -77,11 +79,13 @@ def test_an_offset_of_seconds_is_found_at_any_frame_rate(rate, offset, seed):
     seconds_b = seconds + 0.4 / rate
     a, b = views_at(seconds, seconds_b, seed)
     found = find_clock_offset(KINECT_V2, as_view(a, seconds), as_view(b, seconds_b - offset))
+    assert found is not None
     assert found.offset_ns * 1e-9 == pytest.approx(offset, abs=0.005)
 
 
 def test_a_clock_that_runs_slow_is_found_as_skew():
     found = lag_of(KINECT_V2, swaying(0.0, 1800, drift=500e-6), A_FROM_B)
+    assert found is not None
     assert found.rate_ppm == pytest.approx(500.0, abs=3.0 * found.rate_sd_ppm)
     assert found.rate_sd_ppm < 50.0
 
@@ -127,6 +131,7 @@ def test_the_longest_times_do_not_overflow():
     far_ns = -8_999_000_000_000_000_000
     a, b = views_of("walk")
     found = find_clock_offset(AZURE_KINECT, a._replace(time_ns=a.time_ns + far_ns), b)
+    assert found is not None
     assert found.offset_ns == pytest.approx(far_ns, abs=FRAME_NS / 3)
 
 
@@ -135,6 +140,7 @@ def test_long_recordings_are_compared_where_they_overlap(monkeypatch):
     a, b = long_views(80)
     early = b.chosen(np.flatnonzero(b.time_ns < 55_000_000_000))
     found = find_clock_offset(KINECT_V2, a, early._replace(time_ns=early.time_ns - 400_000_000))
+    assert found is not None
     assert found.offset_ns == pytest.approx(400_000_000, abs=FRAME_NS / 3)
 
 
@@ -145,6 +151,7 @@ def test_the_growth_of_an_offset_is_found():
         times = (b.time_ns * (1.0 + 1e-6 * ppm)).astype(np.int64) - 400_000_000
         a, fast = a._replace(time_ns=a.time_ns + far_ns), b._replace(time_ns=times + far_ns)
         found = find_clock_offset(KINECT_V2, a, fast)
+        assert found is not None
         found = find_clock_course(a, fast, found)
         assert found.steps == ()
         assert found.rate_ppm == pytest.approx(-ppm, abs=3.0 * found.rate_sd_ppm)
@@ -161,6 +168,7 @@ def test_lost_frames_of_a_file_timed_by_frame_numbers_are_steps(lost):
     numbered = b.chosen(np.setdiff1d(np.arange(len(b.time_ns)), lost))
     numbered = numbered._replace(time_ns=b.time_ns[: len(numbered.time_ns)])
     found = clock_by_motion(KINECT_V2, a, numbered)
+    assert found is not None
     true = np.delete(b.time_ns, lost)
     off = np.abs(numbered.time_ns + found.at(numbered.time_ns) - true)
     assert found.steps
@@ -172,6 +180,7 @@ def test_a_rate_is_found_in_half_a_minute_without_an_offset():
     a, b = long_views(30)
     slow = b._replace(time_ns=(b.time_ns[0] + 0.996 * (b.time_ns - b.time_ns[0])).astype(np.int64))
     found = clock_by_motion(KINECT_V2, a, slow)
+    assert found is not None
     assert found.steps == ()
     np.testing.assert_allclose(slow.time_ns + found.at(slow.time_ns), b.time_ns, atol=FRAME_NS / 3)
     assert clock_by_motion(KINECT_V2, a, b) is None

@@ -15,6 +15,7 @@ ARM = 0.9
 _STEP = 0.1  # metres between the tested places
 _TORSO_HEIGHT = 1.0  # metres above the floor
 _THERE = 0.4  # metres from the middle of the ring
+_OF_EQUAL = 0.01  # of places that are as near, the one with most margin
 _ENOUGH = 0.5  # metres of margin: a step; with as much, nearer is better, where depth is more accurate
 
 
@@ -54,7 +55,7 @@ def standing_spot(
         room = np.minimum(room, _room(in_b, cameras[1], farthest(body, cameras[1])))
         away = np.maximum(away, in_b[..., 2])
     enough = np.where(room >= min(_ENOUGH, room.max()), away, np.inf)
-    best = np.unravel_index(int(np.argmin(enough)), room.shape)
+    best = np.unravel_index(int(np.argmin(enough - _OF_EQUAL * room)), room.shape)
     return StandingSpot(float(x[best]), float(z[best]), float(room[best]))
 
 

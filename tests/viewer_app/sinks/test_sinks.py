@@ -364,6 +364,7 @@ def test_a_viewer_that_comes_later_sees_the_history(fuser):
 
 def test_a_window_stands_still_when_the_session_has_ended(fuser):
     """One whose time runs draws all the time, with memory that some drivers never free."""
+    need_viewer()
     from rerun.experimental import ViewerClient
 
     with session(fuser, None, Hub.on_free_ports(web=False), window=True) as live:
