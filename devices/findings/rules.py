@@ -22,6 +22,7 @@ NFOV: 1.3); its range then, binned, metres."""
 _VIEWS_MM = {"kinect_v1": 100.0, "kinect_v2": 100.0, "azure_kinect": 60.0, "blazepose": 90.0}
 _ERROR_MM = {"kinect_v1": 80.0, "kinect_v2": 80.0, "azure_kinect": 60.0, "blazepose": 90.0}
 WALK, RING = "walk a few steps back and forth", "stand in the ring"
+AIM = "aim A and B at one place, 2.5 m from each, 90° apart"
 _USABLE = 1.5
 _OUT_OF_RANGE = 0.25
 
@@ -165,7 +166,7 @@ RULES: dict[str, Rule] = {
     "overlap": Rule(
         "what the best place lacks of room for a person, before both sensors", "m", below(0.0, 0.0),
         what="A and B have no place to stand in common", limit="the best one lacks {value} m",
-        live="aim A and B at one place, 2.5 m from each, 90° apart", digits=1,
+        live=AIM, digits=1,
         told_by=frozenset({"mirrored", "moved", "hidden"})),
     "angle": Rule(
         "angle between the sensors, about the vertical, less two standard deviations", "°",

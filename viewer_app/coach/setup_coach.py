@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from devices.capture.causes import MORE_FRAMES, Origin
 from devices.depth.camera import in_image, project
 from devices.findings.finding import Finding, followed, judge
-from devices.findings.rules import RULES, Limits, farthest, nearest, of_error, of_views, within
+from devices.findings.rules import AIM, Limits, farthest, nearest, of_error, of_views, within
 from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
@@ -42,8 +42,8 @@ WARM_UP = 2400.0
 _NOW, _RATE_WINDOW, _LATELY = 1.0, 2.0, 4.0
 """Seconds over which shares and distances, rates, and medians are judged."""
 _HANDED = 15.0
-"""Seconds after which a frame counts 1/e for mirror images. A driver gives them always; who walks away from a
-Kinect v2 looks mirrored for seconds."""
+"""Seconds after which a frame counts 1/e in the share of mirror images. A driver mirrors every frame. Who
+walks away from a simulated Kinect v2 looks mirrored for seconds only."""
 _EVIDENCE = 0.5
 """Of these: nothing is judged before a view has given frames for so long."""
 _AIMS = (
@@ -92,7 +92,7 @@ class _Moment(NamedTuple):
 
 
 class _Share:
-    """Of the time in which something is known, the share in which it is so; see _HANDED."""
+    """The share of mirror images among the frames that tell it. New frames count most; see _HANDED."""
 
     def __init__(self) -> None:
         self._first_s, self._last_s, self._known, self._so = math.inf, 0.0, 0.0, 0.0
@@ -101,7 +101,7 @@ class _Share:
         """Takes what is known at a time in seconds."""
         if is_so is None:
             return
-        kept = math.exp((self._last_s - time) / _HANDED)
+        kept = math.exp(min(self._last_s - time, 0.0) / _HANDED)  # times may be set back
         self._known, self._so = kept * self._known + 1.0, kept * self._so + is_so
         self._first_s, self._last_s = min(self._first_s, time), time
 
@@ -160,7 +160,7 @@ class Coach:
                 self._came_at[k] = time
             if skeleton is not None:
                 self._seen_at[k] = time
-            views.append(self._view(came, skeleton, k))
+            views.append(self._view(came, skeleton, k, time))
         apart = error = math.nan
         if skeletons.a is not None and skeletons.b is not None:
             codes = frame.fused.exchanged_a & WHOLE, frame.fused.exchanged_b & WHOLE
@@ -182,7 +182,7 @@ class Coach:
         while time - self._moments[0].time > _LATELY:
             self._moments.popleft()
 
-    def _view(self, frame: SensorFrame | None, skeleton: Skeleton | None, k: int) -> _View:
+    def _view(self, frame: SensorFrame | None, skeleton: Skeleton | None, k: int, time: float) -> _View:
         crowd = frame is not None and len(frame.people) > 1
         if skeleton is None:
             return _View(frame is not None, crowd)
@@ -193,7 +193,7 @@ class Coach:
         feet = below.any() or not (skeleton.tracked | outside)[self._feet].any()
         shown = skeleton.tracked & ~outside
         mirrored = mirrored_share(self.body, np.where(shown[:, None], skeleton.positions, np.nan)[None])
-        self._mirrored[k].add(1e-9 * skeleton.time_ns, mirrored)
+        self._mirrored[k].add(time, mirrored)
         torso = skeleton.positions[list(self.body.torso), 2]
         away = float(np.nanmean(torso)) if np.isfinite(torso).any() else math.nan
         return _View(
@@ -321,11 +321,11 @@ class Coach:
         return self._spot[1]
 
     def _nearer(self, found: Finding, frame: SessionFrame, ring: StandingSpot) -> Finding:
-        """A finding that asks to stand in the ring; of who stands there, to bring the sensors nearer."""
+        """A finding that asks to stand in the ring, or to aim the sensors if the person stands there."""
         if not frame.fused.has_person:
             return found
         at = np.nanmedian(frame.fused.positions[list(self.body.torso)], axis=0)
-        return replace(found, step=str(RULES["overlap"].live)) if ring.is_at(at[0], at[2]) else found
+        return replace(found, step=AIM) if ring.is_at(at[0], at[2]) else found
 
 
 def _beyond(points: NDArray[np.float32], lens: Intrinsics) -> tuple[float, ...]:

@@ -15,8 +15,8 @@ ARM = 0.9
 _STEP = 0.1  # metres between the tested places
 _TORSO_HEIGHT = 1.0  # metres above the floor
 _THERE = 0.4  # metres from the middle of the ring
-_OF_EQUAL = 0.01  # of places that are as near, the one with most margin
-_ENOUGH = 0.5  # metres of margin: a step; with as much, nearer is better, where depth is more accurate
+_ENOUGH = 0.5  # metres of margin: a step. With as much, nearer is better: depth is more accurate there.
+_MARGIN = 0.01  # metres that a metre of margin is worth: it decides between places that are as near
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class StandingSpot:
     visible."""
 
     def is_at(self, x: float, z: float) -> bool:
-        """Whether somebody at a place stands here."""
+        """Whether a person at (x, z), metres in K_A's frame, stands here."""
         return math.hypot(x - self.x, z - self.z) <= _THERE
 
 
@@ -55,7 +55,7 @@ def standing_spot(
         room = np.minimum(room, _room(in_b, cameras[1], farthest(body, cameras[1])))
         away = np.maximum(away, in_b[..., 2])
     enough = np.where(room >= min(_ENOUGH, room.max()), away, np.inf)
-    best = np.unravel_index(int(np.argmin(enough - _OF_EQUAL * room)), room.shape)
+    best = np.unravel_index(int(np.argmin(enough - _MARGIN * room)), room.shape)
     return StandingSpot(float(x[best]), float(z[best]), float(room[best]))
 
 

@@ -30,7 +30,7 @@ from viewer_app.sensors.anonymity import Anonymity
 SECONDS = 10.0
 _WHAT = (
     f"{SECONDS:g} seconds of depth and infrared images of both sensors, up to 350 MB, in which you and the "
-    f"room can be seen"  # two sensors of 640 × 576 pixels: docs/sensors.md
+    f"room can be seen"  # that size is of 640 × 576 pixels: python -m tests.experiments.recording_cost
 )
 _PROGRAM = "duplex-kinects"
 _OTHERS = ("pyk4a-bundle", "pyorbbecsdk", "pyorbbecsdk2")  # sensors' packages that are no requirement of ours

@@ -37,7 +37,7 @@ _WATCHED_EVERY = 0.25  # seconds
 _BLOCK = 1 << 16  # bytes that are written at once: as many as a pipe holds
 _PLOTTED_TOGETHER = 5  # frames, a sixth of a second
 _DEPTH_HZ = 10.0  # depth images per sensor; limited by the viewer's memory for images
-_PAUSED_WITHIN = 2.0  # seconds; a viewer that is farther behind goes on
+_PAUSED_WITHIN = 2.0  # seconds; a viewer that is farther behind reads the rest later
 _EARLY = 0.9  # share of the interval: a frame that arrives slightly early still counts
 _ELSEWHERE = 0.5  # metres: K_B stays in the picture if it is off by less
 _HALF_NS = 16_000_000
@@ -283,7 +283,7 @@ class ViewerSink(ViewerFeed):
         self.wait_until_free(seconds)
 
     def close(self) -> None:
-        """Stops feeding. The window stays, at the last frame; the hub ends."""
+        """Stops feeding and ends the hub. The window stays open, at the last frame."""
         if self.window is not None:
             self.window.leave()
         super().close()

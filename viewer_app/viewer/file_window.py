@@ -12,12 +12,11 @@ from recordings.appearance.coach_page import CoachPage
 from recordings.data import layout
 from recordings.file.session_writer import write_session
 from recordings.session import Session
-from viewer_app.addresses import LOOPBACK
 from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.hub import Hub
 from viewer_app.viewer.rerun_process import stop
 from viewer_app.viewer.stored_clouds import add_computed, has_depth
-from viewer_app.viewer.window import pause, start_viewer
+from viewer_app.viewer.window import pause, start_viewer, viewer_url
 
 T = TypeVar("T")
 _READS_WITHIN = 20.0  # seconds
@@ -103,7 +102,7 @@ def show(path: Path, at_ns: int = 0) -> bool:
     """
     with path.open("rb") as file:
         process, port = start_viewer(["--hide-welcome-screen", "-"], file)
-        add_computed(file, f"rerun+http://{LOOPBACK}:{port}/proxy")
+        add_computed(file, viewer_url(port))
     return pause(process, port, at_ns, _READS_WITHIN)
 
 

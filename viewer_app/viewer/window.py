@@ -23,7 +23,7 @@ from viewer_app.viewer.rerun_process import STARTS_WITHIN, listens, not_started,
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
-_ENDS_WITHIN = 1.0  # seconds
+_ENDS_WITHIN, _ANSWERS_WITHIN = 1.0, 1.0  # seconds
 _HANGS_AFTER, _IDLE_SHARE = 5.0, 0.05  # seconds; of a processor
 _REOPENED = 3  # times in a row
 _VIEWER = "Rerun's viewer"
@@ -32,7 +32,7 @@ _LOOKED_AFTER_EVERY, _ASKED_EVERY = 0.5, 0.1  # seconds
 
 
 def start_window(hub: Hub, headless: bool = False) -> tuple[subprocess.Popen[bytes], int]:
-    """Starts a viewer that shows what the hub has; `headless` is for tests. Returns as `start_viewer`."""
+    """Starts a viewer that shows what the hub has; `headless` is for tests. Returns its process and port."""
     arguments = ["--connect", hub.url, "--hide-welcome-screen", *(["--headless"] if headless else [])]
     return start_viewer(arguments)
 
@@ -115,37 +115,50 @@ def _last_words(arguments: Sequence[str]) -> str:
 
 
 def pause(viewer: subprocess.Popen[bytes], port: int, at_ns: int, within: float) -> bool:
-    """Stops the time of a viewer, which draws all the time otherwise; returns whether it stands where asked.
+    """Stops the time of a viewer, which draws all the time otherwise; returns whether it has read so far.
 
     Args:
-        at_ns: Nanoseconds since the first pair. It stops there once it has read so far.
-        within: Seconds, after which it stops where it is.
+        at_ns: Where to stop, nanoseconds since the first pair.
+        within: Seconds to wait until it has read so far. One that has not reads the rest while it stands
+            there; one that hangs is left after another second.
     """
-    deadline = time.monotonic() + within
-    while viewer.poll() is None:
-        late = time.monotonic() > deadline
-        # The interface is experimental: whatever fails in it must not end a command that is done.
-        with contextlib.suppress(Exception):
-            client = _client(port)
-            state = client.get_state()
-            read = [line for each in state.recordings for line in each.timelines if line.name == layout.TIME]
-            stands = not state.loading and any(line.end is not None and line.end >= at_ns for line in read)
-            if stands:
-                client.set_time(layout.TIME, duration=np.timedelta64(at_ns, "ns"), play_state="paused")
-            elif late:
-                client.set_time(play_state="paused")
-            if stands or late:
-                return stands
-        if late:
-            return False
-        time.sleep(_ASKED_EVERY)
-    return False
+    stands = threading.Event()
+
+    def ask() -> None:
+        deadline = time.monotonic() + within
+        while viewer.poll() is None:
+            late = time.monotonic() > deadline
+            # The interface is experimental: whatever fails in it must not end a command that is done.
+            with contextlib.suppress(Exception):
+                client = _client(port)
+                state = client.get_state()
+                lines = [line for each in state.recordings for line in each.timelines]
+                read = [line.end for line in lines if line.name == layout.TIME and line.end is not None]
+                whole = not state.loading and max(read, default=-1) >= at_ns
+                if whole or late:
+                    client.set_time(layout.TIME, duration=np.timedelta64(at_ns, "ns"), play_state="paused")
+                    if whole:
+                        stands.set()
+                    return
+            if late:
+                return
+            time.sleep(_ASKED_EVERY)
+
+    asking = threading.Thread(target=ask, name="viewer's time", daemon=True)  # a hung viewer never answers
+    asking.start()
+    asking.join(within + _ANSWERS_WITHIN)
+    return stands.is_set()
+
+
+def viewer_url(port: int) -> str:
+    """Where a viewer of this machine takes data and orders."""
+    return f"rerun+http://{LOOPBACK}:{port}/proxy"
 
 
 def _client(port: int) -> ViewerClient:
     from rerun.experimental import ViewerClient
 
-    return ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+    return ViewerClient.connect(viewer_url(port))
 
 
 def why_nothing_is_drawn() -> str:
@@ -180,7 +193,7 @@ class ViewerWindow:
         self._thread.join(timeout=1.0)
 
     def pause(self, at_ns: int, within: float) -> bool:
-        """As :func:`pause`."""
+        """Stops its time; see :func:`pause`."""
         return pause(self.process, self.port, at_ns, within)
 
     def _look_after(self) -> None:

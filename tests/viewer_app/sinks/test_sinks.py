@@ -41,7 +41,6 @@ from tests.helpers.pictures import headless_viewer
 from tests.helpers.real_libraries import PYK4A
 from tests.helpers.two_views import FRAME_NS
 from tests.helpers.waiting import eventually
-from viewer_app.addresses import LOOPBACK
 from viewer_app.sinks import item_queue
 from viewer_app.sinks.item_queue import DropOldest, QueuedFrame
 from viewer_app.sinks.live_session import SAMPLE, LiveSession
@@ -54,6 +53,7 @@ from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.hub import Hub
 from viewer_app.viewer.rerun_process import stop
 from viewer_app.viewer.viewer_choice import Viewing
+from viewer_app.viewer.window import viewer_url
 
 LOST = Event("A is lost", "WARN", "A", "start")
 
@@ -372,13 +372,23 @@ def test_a_window_stands_still_when_the_session_has_ended(fuser):
             live.write(frame)
         live.viewer.wait_until_free(10.0)
     window = live.viewer.window
-    viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{window.port}/proxy")
+    viewer = ViewerClient.connect(viewer_url(window.port))
     try:
         assert [each.current_time for each in viewer.get_state().recordings] == [59 * FRAME_NS]
         viewer.set_time(layout.TIME, duration=0)  # from where one that follows goes to the end again
         time.sleep(0.5)
         assert [each.current_time for each in viewer.get_state().recordings] == [0]
+        viewer.set_time(play_state="following")
+        assert window.pause(59 * FRAME_NS, 10.0)
+        viewer.set_time(play_state="following")
+        assert not window.pause(10**12, 0.1)  # it has not read so far, and stands there all the same
+        viewer.set_time(layout.TIME, duration=0)
+        time.sleep(0.5)
+        assert [each.current_time for each in viewer.get_state().recordings] == [0]
+        window.process.send_signal(signal.SIGSTOP)
+        assert not window.pause(0, 0.1)  # one that hangs does not keep the program
     finally:
+        window.process.kill()
         stop(window.process)
 
 
