@@ -168,12 +168,13 @@ class RealSenseRecording(ImageRecording):
                     continue
                 return
 
-        given, last_ns, played_ns, heard_s = 0, -1, 0, self._clock()
+        given, first_ns, last_ns, played_ns, heard_s = 0, 0, -1, 0, self._clock()
 
         def complete() -> Iterator[SensorFrame]:
-            nonlocal given, last_ns
+            nonlocal given, first_ns, last_ns
             while (moment := reader.joiner.take()) is not None:
                 if moment.time_ns > last_ns:
+                    first_ns = first_ns if given else moment.time_ns
                     given, last_ns = given + 1, moment.time_ns
                     yield reader.frame_of(moment, None)
 
@@ -203,9 +204,10 @@ class RealSenseRecording(ImageRecording):
         if not given:
             raise DeviceError(f"{self.name} holds no complete frame. Play it in realsense-viewer.")
         if self.duration_ns - played_ns > _ENDS * self.interval_ns:
+            read_ns = last_ns - first_ns + self.interval_ns  # the position runs ahead by what is in the queue
             said = (
                 f"{self.name} is damaged, or depth ended early: {given} frames of the first "
-                f"{1e-9 * played_ns:.1f} of {1e-9 * self.duration_ns:.1f} s could be read."
+                f"{1e-9 * read_ns:.1f} of {1e-9 * self.duration_ns:.1f} s could be read."
             )
             self.warnings = [*dict.fromkeys((*self.warnings, said))]
 
