@@ -139,16 +139,21 @@ def moments(
 def one_movement(body: Body, p: Array, q: Array) -> RigidTransform | None:
     """The placement of the sensors that makes one movement of two views' joints; None if none does.
 
-    That of a mirror image leaves 18 % of the variance, as its body is not quite that of the person.
+    Left and right may be exchanged in some frames, as by a tracker that takes a back for a front. The mirror
+    image of somebody who walks leaves more than the whole variance.
 
     Args:
         p, q: (T, J, 3) metres in each sensor's frame; NaN where unknown.
     """
-    known = np.isfinite(p + q).all(axis=(0, 2))  # throughout
+    exchanged = q[:, body.mirror]
+    known = np.isfinite(p + q + exchanged).all(axis=(0, 2))  # throughout
     if known.sum() < _FEWEST_JOINTS or abs(np.median(sizes(body, p) - sizes(body, q))) > ANOTHER_SIZE:
         return None
-    p, q = p[:, known], q[:, known]
+    p, q, exchanged = p[:, known], q[:, known], exchanged[:, known]
     try:
+        found = fit_rigid(p.reshape(-1, 3), q.reshape(-1, 3))
+        turned = np.flatnonzero(_apart(found, p, exchanged) < _apart(found, p, q))
+        q[turned] = exchanged[turned]
         found = fit_rigid(p.reshape(-1, 3), q.reshape(-1, 3))
     except CalibrationError:
         return None

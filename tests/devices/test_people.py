@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from devices.frame_pairs import FramePair
 from devices.people import following
 from devices.people.following import PersonOfPair
-from devices.people.placement import Placement
+from devices.people.placement import Placement, one_movement
 from devices.people.recorded_people import OneRecording, RecordedPeople
 from devices.people.recorded_person import follow_one_person
 from devices.people.tracks import Numbering, Tracks
@@ -674,11 +674,26 @@ def both(k, b_from_a=B_FROM_A):
 MOVED = RigidTransform.of(Rotation.from_euler("y", 60.0, degrees=True).as_matrix(), (0.3, 0, 0)) @ B_FROM_A
 
 
+def exchanged(frame, k, share):
+    """The frame with left and right exchanged in a share of the time, as trackers see backs."""
+    if k % 50 >= 50 * share:
+        return frame
+    people = {of: replace(at, positions=at.positions[BODY.mirror]) for of, at in frame.people.items()}
+    return replace(frame, people=people)
+
+
 @COSTLY
-@given(st.floats(20.0, 75.0), st.floats(-1.0, 1.0), st.booleans(), st.booleans())
-def test_a_sensor_that_was_moved_is_found_within_5_s(degrees, shift, follow_moves, beside):
+@given(
+    st.sampled_from("xy"),
+    st.floats(20.0, 75.0),
+    st.floats(-1.0, 1.0),
+    st.booleans(),
+    st.booleans(),
+    st.floats(0.0, 0.4),
+)
+def test_a_sensor_that_was_moved_is_found_within_5_s(axis, degrees, shift, follow_moves, beside, backs):
     """Its view is used on if it is registered anew, and left out otherwise; others are no hindrance."""
-    turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    turn = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
     moved = RigidTransform.of(turn, (shift, 0.0, 0.0)) @ B_FROM_A
     far = min(
         np.linalg.norm(np.mean(A_FROM_B.apply(moved.apply(at)) - at, 0)) for at in map(walker, (60, 99))
@@ -687,7 +702,7 @@ def test_a_sensor_that_was_moved_is_found_within_5_s(degrees, shift, follow_move
     for k in range(240):
         place = B_FROM_A if k < 60 else moved
         people = [("1", walker(k)), *([("2", walker(k, (-1.6, 0.0, 0.6), 1))] if beside else [])]
-        frames.append((frame_of(k, 0, people), frame_of(k, 1, people, place)))
+        frames.append((exchanged(frame_of(k, 0, people), k, backs), frame_of(k, 1, people, place)))
     seen, events = live(frames, follow_moves=follow_moves)
     called = [({"1": 1, "2": 2},) * 2] * len(frames)
     who = who_is(frames, seen, called)
@@ -696,6 +711,16 @@ def test_a_sensor_that_was_moved_is_found_within_5_s(degrees, shift, follow_move
     if far > 0.8:
         assert all(b == (1 if follow_moves else None) for _, b in who[-20:])
         assert follow_moves or "Calibrate again" in " ".join(event.text for event in events)
+
+
+@given(st.integers(0, 600), st.floats(0.0, 0.4))
+def test_a_mirror_image_is_no_person_before_a_sensor_that_was_moved(first, backs):
+    at = range(first, first + 180, 3)
+    p = np.array([walker(k) for k in at])
+    image = np.array([image_of(walker(k)) for k in at])
+    some = [k % 50 < 50 * backs for k in at]
+    image[some] = image[some][:, BODY.mirror]
+    assert one_movement(BODY, p, MOVED.apply(image.reshape(-1, 3)).reshape(p.shape)) is None
 
 
 @pytest.mark.parametrize("follow_moves", [True, False])
