@@ -25,9 +25,9 @@ POSE_TURN = np.radians(2.3)
 POSE_APART = {"azure_kinect": 0.05, "kinect_v1": 0.1, "kinect_v2": 0.1, "blazepose": 0.1}
 """Of a start-up pose seen in part: largest standard deviation of R without the trackers' turn of the person,
 radians, and by body the largest median distance of the views, metres."""
-MOVEMENT_TURN, MOVEMENT_SHIFT, MOVEMENT_APART = np.radians(1.5), 0.06, 0.08
+MOVEMENT_TURN, MOVEMENT_SHIFT = np.radians(1.5), 0.06
 """Of movement: largest standard deviations of R, radians, and of t, metres at the person, without lasting
-errors of the trackers; median distance of the views' joints, metres."""
+errors of the trackers."""
 MOVEMENT_SAME, MOVEMENT_GAIN = np.radians(3.0), 10.0
 """Of movement: largest angle between fits that are one solution, radians; log likelihood by which the best
 one must beat the others."""

@@ -18,7 +18,6 @@ import numpy as np
 from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import (
-    MOVEMENT_APART,
     MOVEMENT_GAIN,
     MOVEMENT_SAME,
     MOVEMENT_SHIFT,
@@ -87,7 +86,7 @@ class GradualCalibration:
         fit, evidence = found
         self._before, self._last = fit, fit.a_from_b
         agree = before is not None and before.a_from_b.angle_to(fit.a_from_b) < MOVEMENT_SAME
-        if not (agree and _certain(fit, evidence)):
+        if not (agree and _certain(fit)):
             return None
         try:
             return with_frontal_sd(self._body, evidence, fit, self._settings), evidence
@@ -115,15 +114,9 @@ class GradualCalibration:
         return best.fit, best.evidence
 
 
-def _certain(fit: RobustFit, evidence: Evidence) -> bool:
-    sure = evidence.weights > 0.5
-    apart = np.linalg.norm((evidence.a - fit.a_from_b.apply(evidence.b))[sure], axis=1)
-    return bool(
-        fit.rotation_sd < MOVEMENT_TURN
-        and fit.translation_sd**2 < MOVEMENT_SHIFT**2 + common_variance(fit.a_from_b, fit.centre)
-        and len(apart) > 0
-        and np.median(apart) < MOVEMENT_APART
-    )
+def _certain(fit: RobustFit) -> bool:
+    lasting = common_variance(fit.a_from_b, fit.centre)
+    return fit.rotation_sd < MOVEMENT_TURN and fit.translation_sd**2 < MOVEMENT_SHIFT**2 + lasting
 
 
 class Calibrator:

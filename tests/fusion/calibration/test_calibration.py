@@ -233,10 +233,14 @@ def test_a_pose_seen_in_part_is_enough_and_the_whole_pose_is_preferred(motion, a
     assert calibrator.calibration.how.startswith(how)
 
 
-@pytest.mark.parametrize(("body", "angle", "seed"), [(KINECT_V2, 90.0, 5), (AZURE_KINECT, 180.0, 3)], ids=str)
+@pytest.mark.parametrize(
+    ("body", "angle", "seed"),
+    [(KINECT_V2, 90.0, 5), (KINECT_V2, 120.0, 2), (KINECT_V2, 140.0, 0), (AZURE_KINECT, 180.0, 3)],
+    ids=str,
+)
 def test_a_person_who_walks_needs_no_pose(body, angle, seed):
-    """The recording begins after the pose. 16 keyframes 0.2 s apart and a second fit take 4 s; with other
-    seeds of Kinect v2, whose views lean, R becomes certain after up to 30 s."""
+    """The recording begins after the pose. 16 keyframes 0.2 s apart and a second fit take 4 s. The views of
+    Kinects v2 differ by up to 108 mm."""
     calibrator, seconds, truth = watched(body, "walk", angle, 17.0, from_second=5.0, seed=seed)
     assert calibrator.final
     assert calibrator.calibration.how.startswith("movement, ")
