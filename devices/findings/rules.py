@@ -50,6 +50,7 @@ class Rule:
         is_event: Whether its beginning and end are events of a session.
         lost: Whether a view shows no one.
         first: Whether it is told though the last step is not done.
+        by_place: Whether the person is asked into the ring first, if they stand elsewhere.
     """
 
     figure: str
@@ -65,6 +66,7 @@ class Rule:
     is_event: bool = True
     lost: bool = False
     first: bool = False
+    by_place: bool = False
 
 
 def below(good: float, usable: float) -> Limits:
@@ -159,10 +161,11 @@ RULES: dict[str, Rule] = {
         what="{you_are} {value} m from {who}", limit="good is {low} to {high} m",
         live=("step back {by} m from {who}", "come {by} m closer to {who}"),
         files=("record with the person further away", "record with the person nearer"), digits=1,
-        told_by=frozenset({"overlap"})),
+        told_by=frozenset({"overlap"}), by_place=True),
     "feet": Rule(
         "frames with a foot out of view, now", "%", below(50.0, 50.0), what="feet out of view of {who}",
-        live="tilt {who} down by {turn}°, or step back from it", told_by=frozenset({"distance"})),
+        live="tilt {who} down by {turn}°, or step back from it", told_by=frozenset({"distance"}),
+        by_place=True),
     "overlap": Rule(
         "what the best place lacks of room for a person, before both sensors", "m", below(0.0, 0.0),
         what="A and B have no place to stand in common", limit="the best one lacks {value} m",
@@ -187,17 +190,17 @@ RULES: dict[str, Rule] = {
     "error": Rule(
         "expected error of S*: its median standard deviation", "mm", below(60.0, 90.0),
         what="S* is expected to be off by {value} mm", limit="good is below {high}",
-        live=RING, files="record with both sensors nearer, and 90° apart",
-        told_by=_VIEWS | {"distance", "angle", "precision"}),
+        live=AIM, files="record with both sensors nearer, and 90° apart",
+        told_by=_VIEWS | {"distance", "angle", "precision"}, by_place=True),
     "views": Rule(
         "distance between the views, median", "mm", below(60.0, 90.0),
         what="the views differ by {value} mm", limit="good is below {high}",
-        live=RING, files="check that both show one moment, or {calibrate}",
-        told_by=_VIEWS | {"hidden", "precision"}),
+        live=AIM, files="check that both show one moment, or {calibrate}",
+        told_by=_VIEWS | {"hidden", "precision"}, by_place=True),
     "whole": Rule(
         "frames with a part of the person out of view, now", "%", below(50.0, inf),
-        what="a part of you is out of view of {who}", live=RING + ", or {aim}",
-        told_by=frozenset({"distance", "feet"}), is_event=False),
+        what="a part of you is out of view of {who}", live="{aim}",
+        told_by=frozenset({"distance", "feet"}), is_event=False, by_place=True),
     "nobody": Rule(
         "time with nobody in view, or without a frame", "%", _DOUBTFUL,
         what="nobody is in view for {lasts}", live="stay in view", files="leave that out with `good`"),

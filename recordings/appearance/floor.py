@@ -49,7 +49,7 @@ class FloorFinder:
         self._ankles = [body.joint("ankle left"), body.joint("ankle right")]
         self._recent: deque[NDArray[np.float64]] = deque(maxlen=_OVER)
         self._since = 0
-        self.a_from_floor = _ASSUMED
+        self.a_from_floor = LEVEL_FLOOR
 
     def add(self, fused: NDArray[np.floating]) -> bool:
         """Adds (T, J, 3) S* in K_A's frame, metres; returns whether the floor changed noticeably."""
@@ -57,14 +57,16 @@ class FloorFinder:
         whole = np.asarray(fused[seen], dtype=np.float64)
         self._recent.extend(whole[:: math.ceil(len(whole) / _OVER) or 1])
         self._since += len(fused)
-        found = self.a_from_floor is not _ASSUMED
+        found = self.a_from_floor is not LEVEL_FLOOR
         if len(self._recent) < _ENOUGH or (self._since < _EVERY and found):
             return False
         self._since = 0
         new = find_floor(self._body, np.array(self._recent))
         moved = np.linalg.norm(new.translation - self.a_from_floor.translation)
         turned = new.angle_to(self.a_from_floor)
-        if found and (min(turned, new.angle_to(_ASSUMED)) > _LIES or (moved < _MOVED and turned < _TURNED)):
+        if found and (
+            min(turned, new.angle_to(LEVEL_FLOOR)) > _LIES or (moved < _MOVED and turned < _TURNED)
+        ):
             return False
         self.a_from_floor = new
         return True
@@ -90,7 +92,15 @@ def floor_under(rows: SessionArrays) -> RigidTransform:
     body, fused = rows.body, rows.fused[:: len(rows) // _SAMPLES + 1]
     ankles = [body.joint("ankle left"), body.joint("ankle right")]
     whole = fused[np.isfinite(fused[:, ankles]).all(axis=(1, 2))]
-    return find_floor(body, whole) if len(whole) else _ASSUMED
+    return find_floor(body, whole) if len(whole) else LEVEL_FLOOR
+
+
+def height_of(
+    a_from_floor: RigidTransform, x: NDArray[np.float64], z: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """y of the floor at x and z, of one shape, metres in K_A's frame."""
+    down, origin = a_from_floor.rotation[:, 1], a_from_floor.translation
+    return np.asarray((down @ origin - down[0] * x - down[2] * z) / down[1])
 
 
 def floor_frame(up: NDArray[np.float64], height: float) -> RigidTransform:
@@ -112,5 +122,5 @@ def floor_frame(up: NDArray[np.float64], height: float) -> RigidTransform:
     return RigidTransform.of(np.stack((right, down, np.cross(right, down)), axis=1), height * down)
 
 
-_ASSUMED = floor_frame(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT)
+LEVEL_FLOOR = floor_frame(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT)
 """K_A ← floor of a sensor that stands upright, until feet have been seen."""

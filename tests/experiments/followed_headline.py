@@ -19,13 +19,11 @@ from fusion.body import BODIES
 from fusion.calibration.calibration import nominal_calibration
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
-from recordings.appearance.floor import CAMERA_HEIGHT
 from recordings.appearance.state_card import State
 from recordings.live_fusion import LiveFusion
 from tests.helpers.frame_pairs import frame_pair
 from viewer_app.coach.readiness import Readiness
 from viewer_app.coach.setup_coach import Coach, Situation
-from viewer_app.coach.standing_spot import standing_spot
 
 ATTEMPTS, JUDGED = 12, 5.0
 
@@ -99,8 +97,7 @@ class Program:
                 off = frame.fused.positions - truth.positions_at(own_ns)
                 errors.append(float(np.nanmean(np.linalg.norm(off, axis=1))))
         self.passed_ns += round(1e9 * (seconds + 2.0))
-        known = now.calibration.a_from_b if now.calibration.a_from_b.translation.any() else None
-        spot = standing_spot(known, cameras, self.body.name, CAMERA_HEIGHT)
+        spot = self.coach.ring(frame)
         return shown, places[0].pose.apply(np.array([[spot.x, 0.0, spot.z]]))[0, [0, 2]], errors
 
     def _later(self, frame):

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from devices.findings.rules import farthest, nearest
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
-from recordings.appearance.floor import CAMERA_HEIGHT
+from recordings.appearance.floor import LEVEL_FLOOR
 from viewer_app.coach.standing_spot import ARM, standing_spot
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "pictures" / "placement.svg"
@@ -59,7 +59,7 @@ def draw(angle_deg=90.0):
         axes.annotate(
             f"sensor {name}", pose.apply(np.zeros(3))[[0, 2]], (10, -14), textcoords="offset points"
         )
-    spot = standing_spot(b, (CAMERA, CAMERA), BODY, CAMERA_HEIGHT)
+    spot = standing_spot(b, (CAMERA, CAMERA), BODY, LEVEL_FLOOR)
     axes.plot(spot.x, spot.z, "o", color="black", markersize=20, fillstyle="none", markeredgewidth=2)
     axes.annotate("stand here", (spot.x, spot.z), (14, 14), textcoords="offset points")
     axes.set(xlabel="x of sensor A (m)", ylabel="z of sensor A (m)", aspect="equal", ylim=(-0.6, 4.6))

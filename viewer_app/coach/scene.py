@@ -1,7 +1,6 @@
 """The coach's advice in the 3D scene: where to stand, which sensor has a problem, where B would see more."""
 
 import math
-from collections import deque
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -16,7 +15,7 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform, rotation_of
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage, Mark, Point
-from recordings.appearance.floor import ANKLE, CAMERA_HEIGHT
+from recordings.appearance.floor import CAMERA_HEIGHT, LEVEL_FLOOR, height_of
 from recordings.appearance.state_card import State
 from viewer_app.coach.readiness import Headline, to_markdown
 from viewer_app.coach.setup_coach import HOLD, Situation
@@ -24,7 +23,6 @@ from viewer_app.coach.standing_spot import StandingSpot, standing_spot
 
 _RING = 0.3  # metres, radius
 _UNDER = 0.5  # metres
-_FLOOR_OVER = 60  # frames
 _COARSE = 0.1  # metres: rounding of the drawings, so that invisible changes are not logged
 _FRUSTUM = 0.35  # metres: around the sensor's own
 _BEST_ANGLE = 90.0  # degrees
@@ -35,9 +33,6 @@ class CoachScene:
 
     def __init__(self, body: Body, cameras: tuple[Intrinsics, Intrinsics]) -> None:
         self._body, self._cameras = body, cameras
-        self._feet = [body.joint("ANKLE_LEFT"), body.joint("ANKLE_RIGHT")]
-        self._lowest: deque[float] = deque(maxlen=_FLOOR_OVER)
-        self._found: tuple[Calibration, float, StandingSpot] | None = None
 
     def page(
         self,
@@ -46,6 +41,7 @@ class CoachScene:
         fused: FusedFrame | None = None,
         shown: Headline | None = None,
         notes: Sequence[str] = (),
+        floor: RigidTransform | None = None,
     ) -> CoachPage:
         """The page to show now.
 
@@ -53,17 +49,18 @@ class CoachScene:
             notes: What to know where nothing is wrong.
             shown: The headline of a set-up. The spot is drawn until it is ready, unless it says to walk.
                 None: no spot is drawn.
-            fused: The newest S*; its feet give the floor. None without a person.
+            fused: The newest S*. None without a person.
+            floor: K_A ← floor. None: level, at the usual height.
         """
         person = None if fused is None else self._person(fused)
         angle = any(each.rule == "angle" for each in findings)
         walks = shown is not None and shown.kind in RULES and RULES[shown.kind].live == WALK
         stands = shown is not None and shown.state is not State.READY and not walks
         marks = {
-            "spot": self._spot(now, person) if stands else None,
+            "spot": self._spot(now, person, floor or LEVEL_FLOOR) if stands else None,
             "sensor_a": self._sensor("A", findings, RigidTransform.identity()),
             "sensor_b": self._sensor("B", findings, now.calibration.a_from_b),
-            "better_b": self._better(now.calibration) if angle else None,
+            "better_b": self._better(now.calibration, floor or LEVEL_FLOOR) if angle else None,
         }
         drawn = tuple((name, mark) for name, mark in marks.items() if mark is not None)
         card = None if shown is None else (shown.state, shown.step)
@@ -73,46 +70,23 @@ class CoachScene:
 
     def _person(self, fused: FusedFrame) -> NDArray[np.float64] | None:
         """(2,) rounded x and z of the person's position."""
-        feet = fused.positions[self._feet]
-        if np.isfinite(feet).all():
-            self._lowest.append(float(feet[:, 1].max()) + ANKLE)
         torso = fused.positions[list(self._body.torso)]
         if not np.isfinite(torso).all():
             return None
         return _coarse(torso[:, [0, 2]].mean(axis=0))
 
-    @property
-    def _floor(self) -> float:
-        """y of the floor in K_A's frame, metres."""
-        return float(_coarse(np.median(self._lowest))) if self._lowest else CAMERA_HEIGHT
+    def _place(self, calibration: Calibration, floor: RigidTransform) -> StandingSpot:
+        known = calibration.a_from_b if calibration.a_from_b.translation.any() else None
+        return standing_spot(known, self._cameras, self._body.name, floor)
 
-    def _place(self, calibration: Calibration) -> StandingSpot:
-        floor = self._floor
-        if self._found is None or self._found[:2] != (calibration, floor):
-            known = bool(calibration.a_from_b.translation.any())
-            spot = standing_spot(
-                calibration.a_from_b if known else None,
-                self._cameras,
-                self._body.name,
-                floor,
-            )
-            self._found = calibration, floor, spot
-        return self._found[2]
-
-    def _spot(self, now: Situation, person: NDArray[np.float64] | None) -> Mark | None:
-        place, floor = self._place(now.calibration), self._floor
+    def _spot(self, now: Situation, person: NDArray[np.float64] | None, floor: RigidTransform) -> Mark:
+        place = self._place(now.calibration, floor)
         round_it = np.linspace(0.0, 2.0 * np.pi, 33)
-        ring = np.stack(
-            (
-                place.x + _RING * np.cos(round_it),
-                np.full_like(round_it, floor),
-                place.z + _RING * np.sin(round_it),
-            ),
-            axis=-1,
-        )
+        ring = place.x + _RING * np.cos(round_it), place.z + _RING * np.sin(round_it)
         # the words are below the ring and the point clouds, which would cover them
-        post = np.array([[place.x, floor, place.z], [place.x, floor + _UNDER, place.z]])
-        lines, under = (_line(ring), _line(post)), _line(post)[1]
+        post = _on(floor, np.array([place.x]), np.array([place.z])).repeat(2, axis=0)
+        post[1, 1] += _UNDER
+        lines, under = (_line(_on(floor, *ring)), _line(post)), _line(post)[1]
         to_go = np.zeros(2) if person is None else np.array([place.x, place.z]) - person
         far = float(np.linalg.norm(to_go))
         if person is None or now.held > 0.0 or place.is_at(*person):
@@ -121,17 +95,16 @@ class CoachScene:
         across = np.array([-along[1], along[0]])
         tip = person + along * (far - _RING)
         flat = [person, tip, tip - 0.15 * (along + 0.6 * across), tip, tip - 0.15 * (along - 0.6 * across)]
-        arrow = np.array([[x, floor, z] for x, z in flat])
-        return Mark((*lines, _line(arrow)), "do", under)
+        return Mark((*lines, _line(_on(floor, *np.transpose(flat)))), "do", under)
 
     def _sensor(self, side: str, findings: Sequence[Finding], in_a: RigidTransform) -> Mark | None:
         if not any(each.side == side and RULES[each.rule].is_event for each in findings):
             return None
         return Mark(tuple(_frustum(self._cameras["AB".index(side)], in_a)), "mend")
 
-    def _better(self, calibration: Calibration) -> Mark:
+    def _better(self, calibration: Calibration, floor: RigidTransform) -> Mark:
         """The position of B if it moved around the person until the axes form a right angle."""
-        best = better_place(calibration.a_from_b, self._place(calibration))
+        best = better_place(calibration.a_from_b, self._place(calibration, floor))
         way = np.linspace(calibration.a_from_b.translation, best.translation, 9)
         lines = (*_frustum(self._cameras[1], best), _line(way))
         under = _line(best.translation[None] + (0.0, _FRUSTUM, 0.0))[0]
@@ -156,7 +129,7 @@ def places(setup: FusionSetup) -> NDArray[np.float64]:
     """
     body, a_from_b = setup.body, setup.calibration.a_from_b
     known = bool(a_from_b.translation.any())
-    spot = standing_spot(a_from_b if known else None, setup.intrinsics, body.name, CAMERA_HEIGHT)
+    spot = standing_spot(a_from_b if known else None, setup.intrinsics, body.name, LEVEL_FLOOR)
     best = better_place(a_from_b, spot).translation
     sensors = [np.zeros(3), a_from_b.translation if known else best, best]
     person = [[spot.x, y, spot.z] for y in (CAMERA_HEIGHT + _UNDER, CAMERA_HEIGHT - TALL)]
@@ -173,6 +146,11 @@ def _frustum(camera: Intrinsics, in_a: RigidTransform) -> Iterator[tuple[Point, 
     yield _line(np.concatenate((corners, corners[:1])))
     for corner in corners:
         yield _line(np.stack((eye, corner)))
+
+
+def _on(floor: RigidTransform, x: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 3) points on the floor, in steps of a tenth of a metre in height."""
+    return np.stack((x, _coarse(height_of(floor, x, z)), z), axis=-1)
 
 
 def _line(points: NDArray[np.float64]) -> tuple[Point, ...]:

@@ -16,17 +16,16 @@ from numpy.typing import NDArray
 from devices.capture.causes import MORE_FRAMES, Origin
 from devices.depth.camera import in_image, project
 from devices.findings.finding import Finding, followed, judge
-from devices.findings.rules import AIM, Limits, farthest, nearest, of_error, of_views, within
+from devices.findings.rules import RING, RULES, Limits, farthest, nearest, of_error, of_views, within
 from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.calibration.comparison import RecentPlacement
+from fusion.calibration.comparison import PlacementOff, RecentPlacement
 from fusion.facing.handedness import mirrored_share
 from fusion.facing.model import WHOLE
 from fusion.intrinsics import Intrinsics
-from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, nearer
-from recordings.appearance.floor import CAMERA_HEIGHT
+from recordings.appearance.floor import LEVEL_FLOOR
 from recordings.calibration_file import is_loaded
 from recordings.data.session_arrays import SessionFrame
 from recordings.quality.figures import placement_figures
@@ -135,8 +134,9 @@ class Coach:
         self._seen_at, self._came_at = [-math.inf, -math.inf], [-math.inf, -math.inf]
         self._began: float | None = None
         self._calibration: Calibration | None = None
-        self._spot: tuple[RigidTransform, StandingSpot] | None = None
         self._recent = RecentPlacement(body, in_steps=True)
+        self.placed: Calibration | None = None
+        """The calibration, before it is final with the placement that the last seconds show."""
 
     def watch(self, frame: SessionFrame, now: Situation) -> list[Finding]:
         """All current findings with the next frame, in the order in which to follow them."""
@@ -148,7 +148,21 @@ class Coach:
                 self._moments = deque(each._replace(apart=math.nan, error=math.nan) for each in self._moments)
             self._calibration = now.calibration
         self._remember(frame, now, time)
-        return followed((*self._views(frame, now, time), *self._placement(frame, now)))
+        off = self._recent.off(now.calibration)
+        self.placed, turn_sd = self._newest(now.calibration)
+        found = [*self._views(frame, now, time)]
+        if not now.final:
+            found += judge("uncalibrated", 0, calibrated="not calibrated")
+        if turn_sd is not None:
+            found += self._placement(frame, self.placed, turn_sd, off)
+            found = [self._in_ring(each, frame, self.ring(frame)) for each in found]
+        return followed(found)
+
+    def ring(self, frame: SessionFrame) -> StandingSpot:
+        """The best place to stand, as far as the sensors' placement is known."""
+        known = self.placed is not None and self.placed.a_from_b.translation.any()
+        a_from_b = self.placed.a_from_b if self.placed is not None and known else None
+        return standing_spot(a_from_b, self.intrinsics, self.body.name, frame.floor or LEVEL_FLOOR)
 
     def _remember(self, frame: SessionFrame, now: Situation, time: float) -> None:
         pair, skeletons = frame.pair, frame.pair.skeletons
@@ -283,49 +297,40 @@ class Coach:
             cause=cause,
         )
 
-    def _placement(self, frame: SessionFrame, now: Situation) -> Iterator[Finding]:
-        """What is wrong with the sensors' placement and with S*."""
-        calibration = now.calibration
-        if not now.final:
-            yield from judge("uncalibrated", 0, calibrated="not calibrated")
-        off, newest = self._recent.off(calibration), self._recent.newest
-        sd = None if calibration.registration is None else calibration.registration.rotation_sd
-        if calibration.provisional and newest is not None:  # B may have been moved since
-            calibration, sd = replace(calibration, a_from_b=newest.a_from_b), newest.rotation_sd
+    def _newest(self, calibration: Calibration) -> tuple[Calibration, float | None]:
+        """What is known of the placement, and R's deviation in radians; None if it is too little to judge."""
+        registration, newest = calibration.registration, self._recent.newest
+        turn_sd = None if registration is None else registration.rotation_sd
+        if not calibration.provisional:
+            return calibration, turn_sd or 0.0
+        if newest is not None:  # B may have been moved since
+            calibration, turn_sd = replace(calibration, a_from_b=newest.a_from_b), newest.rotation_sd
         seen = self._moments[-1].time - self._moments[0].time
-        if calibration.provisional and (sd is None or seen < _EVIDENCE * _LATELY):  # as mirror images need
-            return
-        turn_sd = math.degrees(sd or 0.0)
+        return calibration, turn_sd if seen >= _EVIDENCE * _LATELY else None  # as mirror images need
+
+    def _placement(
+        self, frame: SessionFrame, calibration: Calibration, turn_sd: float, off: PlacementOff | None
+    ) -> Iterator[Finding]:
+        """What is wrong with the sensors' placement and with S*."""
         up = np.array([0.0, -1.0, 0.0]) if frame.floor is None else -frame.floor.rotation[:, 1]
         angle = math.degrees(calibration.angle_about(up))
-        yield from judge("angle", angle, uncertain=2.0 * turn_sd)
-        ring = self._ring(calibration.a_from_b)
-        yield from judge("overlap", -ring.room)
+        yield from judge("angle", angle, uncertain=2.0 * math.degrees(turn_sd))
+        yield from judge("overlap", -self.ring(frame).room)
         if calibration.provisional:
             return
-        yield from judge("precision", turn_sd)
+        yield from judge("precision", math.degrees(turn_sd))
         yield from compared(placement_figures(off), is_loaded(calibration))
         error = self._lately(_LATELY, lambda each: each.error)
         apart = self._lately(_LATELY, lambda each: each.apart)
-        for each in (
-            *judge("error", median_of(error), limits=of_error(self.body.name)),
-            *judge("views", median_of(apart), limits=of_views(self.body.name)),
-        ):
-            yield self._nearer(each, frame, ring)
+        yield from judge("error", median_of(error), limits=of_error(self.body.name))
+        yield from judge("views", median_of(apart), limits=of_views(self.body.name))
 
-    def _ring(self, a_from_b: RigidTransform) -> StandingSpot:
-        """The best place."""
-        if self._spot is None or self._spot[0] is not a_from_b:
-            spot = standing_spot(a_from_b, self.intrinsics, self.body.name, CAMERA_HEIGHT)
-            self._spot = a_from_b, spot
-        return self._spot[1]
-
-    def _nearer(self, found: Finding, frame: SessionFrame, ring: StandingSpot) -> Finding:
-        """A finding that asks to stand in the ring, or to aim the sensors if the person stands there."""
-        if not frame.fused.has_person:
+    def _in_ring(self, found: Finding, frame: SessionFrame, ring: StandingSpot) -> Finding:
+        """A finding that asks into the ring, if the person stands elsewhere and that may do."""
+        if not (RULES[found.rule].by_place and frame.fused.has_person) or ring.room < 0.0:
             return found
         at = np.nanmedian(frame.fused.positions[list(self.body.torso)], axis=0)
-        return replace(found, step=AIM) if ring.is_at(at[0], at[2]) else found
+        return found if ring.is_at(at[0], at[2]) else replace(found, step=RING)
 
 
 def _beyond(points: NDArray[np.float32], lens: Intrinsics) -> tuple[float, ...]:

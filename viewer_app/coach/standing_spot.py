@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.findings.rules import farthest, nearest
+from devices.findings.rules import TALL, farthest, nearest
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
+from recordings.appearance.floor import height_of
 
 ARM = 0.9
 """Metres from the trunk to a fingertip, arms out."""
@@ -34,29 +36,51 @@ class StandingSpot:
         return math.hypot(x - self.x, z - self.z) <= _THERE
 
 
+@lru_cache(maxsize=4)
 def standing_spot(
-    a_from_b: RigidTransform | None, cameras: tuple[Intrinsics, Intrinsics], body: str, floor: float
+    a_from_b: RigidTransform | None,
+    cameras: tuple[Intrinsics, Intrinsics],
+    body: str,
+    a_from_floor: RigidTransform,
 ) -> StandingSpot:
     """Finds the nearest place with a step of margin, or the one with the largest margin.
 
     The limits of each sensor are its nearest and farthest distance, and the sides of the image for a person
-    with both arms out. K_A is assumed to be upright: the floor is a plane of equal y.
+    with both arms out. Where head and feet are in both images as the sensors are tilted now, only such places
+    count: no sensor has to be tilted there.
 
     Args:
         a_from_b: Transform K_A ← K_B; None if it is unknown, then only K_A counts.
         body: The name of the sensors' body, on which their range depends.
-        floor: y of the floor in K_A's frame.
+        a_from_floor: See :func:`recordings.appearance.floor.floor_frame`.
     """
     x, z = np.meshgrid(np.arange(-4.0, 4.0, _STEP), np.arange(0.5, 6.0, _STEP))
-    torso = np.stack((x, np.full_like(x, floor - _TORSO_HEIGHT), z), axis=-1)
-    room, away = _room(torso, cameras[0], farthest(body, cameras[0])), z
-    if a_from_b is not None:
-        in_b = a_from_b.inverse().apply(torso.reshape(-1, 3)).reshape(torso.shape)
-        room = np.minimum(room, _room(in_b, cameras[1], farthest(body, cameras[1])))
-        away = np.maximum(away, in_b[..., 2])
-    enough = np.where(room >= min(_ENOUGH, room.max()), away, np.inf)
-    best = np.unravel_index(int(np.argmin(enough - _MARGIN * room)), room.shape)
+    up = -a_from_floor.rotation[:, 1]
+    torso = np.stack((x, height_of(a_from_floor, x, z), z), axis=-1) + _TORSO_HEIGHT * up
+    room, upright, away = (np.full(x.shape, each) for each in (np.inf, np.inf, 0.0))
+    for a_from_k, camera in zip((RigidTransform.identity(), a_from_b), cameras, strict=True):
+        if a_from_k is None:
+            continue
+        k_from_a = a_from_k.inverse()
+        feet, middle, head = (
+            k_from_a.apply((torso + of * up).reshape(-1, 3)).reshape(torso.shape)
+            for of in (-_TORSO_HEIGHT, 0.0, TALL - _TORSO_HEIGHT)
+        )
+        room = np.minimum(room, _room(middle, camera, farthest(body, camera)))
+        upright = np.minimum(upright, _upright(feet, head, camera))
+        away = np.maximum(away, middle[..., 2])
+    enough = room >= min(_ENOUGH, room.max())
+    whole = enough & (upright >= 0.0)
+    cost = np.where(whole if whole.any() else enough, away - _MARGIN * room, np.inf)
+    best = np.unravel_index(int(np.argmin(cost)), room.shape)
     return StandingSpot(float(x[best]), float(z[best]), float(room[best]))
+
+
+def _upright(feet: NDArray[np.float64], head: NDArray[np.float64], camera: Intrinsics) -> NDArray[np.float64]:
+    """Metres from feet and head (…, 3) in the sensor's frame to the lower and the upper edge of the image."""
+    below = feet[..., 2] * (camera.height - 0.5 - camera.cy) / camera.fy - feet[..., 1]
+    above = head[..., 2] * camera.cy / camera.fy + head[..., 1]
+    return np.asarray(np.minimum(below, above))
 
 
 def _room(torso: NDArray[np.float64], camera: Intrinsics, far: float) -> NDArray[np.float64]:

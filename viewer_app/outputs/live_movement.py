@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from devices.events import Event
 from fusion.body import Body
-from fusion.movement.angles import UP, angle_sigma, joint_angles
-from recordings.appearance.floor import CAMERA_HEIGHT, floor_frame
+from fusion.movement.angles import angle_sigma, joint_angles
+from recordings.appearance.floor import LEVEL_FLOOR
 from recordings.gait.events import find_gait
 from viewer_app.sinks.item_queue import QueuedFrame
 
@@ -28,7 +28,7 @@ class LiveMovement:
 
     def __init__(self, body: Body) -> None:
         self._body = body
-        self.floor = floor_frame(np.array(UP), CAMERA_HEIGHT)
+        self.floor = LEVEL_FLOOR
         self._recent: deque[tuple[int, NDArray[np.float64]]] = deque()
         self._due_ns = _WINDOW_NS // 2
         self._told: dict[str, float] = {}

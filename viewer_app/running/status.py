@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
@@ -150,7 +151,9 @@ class LiveDisplay:
         if self._sounds is not None:
             self._sounds.tell(shown)
         found, fused = self._readiness.findings, status.frame.fused
-        page = self._scene.page(found, situation, fused, shown, self._notes(now_ns, situation.calibration))
+        notes = self._notes(now_ns, situation.calibration)
+        drawn = replace(situation, calibration=self._coach.placed or situation.calibration)
+        page = self._scene.page(found, drawn, fused, shown, notes, status.frame.floor)
         if page != self._page:
             self._page = page
             self._session.coach(page)

@@ -3,6 +3,7 @@
 import itertools
 import re
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from devices.depth.camera import in_image, project
 from devices.findings.finding import Finding, followed, judge
-from devices.findings.rules import AIM, RULES, WALK, farthest, nearest, within
+from devices.findings.rules import AIM, RING, RULES, WALK, farthest, nearest, within
 from devices.sensor import SensorFrame
 from devices.simulated.demonstration import demonstrated, good_rig, therapist
 from devices.simulated.kinect import Scene, SimulatedKinect
@@ -25,6 +26,7 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState, nearer
 from recordings.appearance.coach_page import CoachPage
+from recordings.appearance.floor import LEVEL_FLOOR, floor_frame, height_of
 from recordings.appearance.state_card import State, fits
 from recordings.data.session_arrays import SessionFrame
 from recordings.fusing.pairs import fuse_one
@@ -185,6 +187,10 @@ def test_depth_errors_that_a_calibration_states_are_no_distance_of_the_views():
     assert not rules[1]
 
 
+NOT_PLACED = Situation(replace(KNOWN, provisional=True), final=False, held=0.0)
+"""So that nobody is asked into the ring."""
+
+
 @pytest.mark.parametrize("way", [(-45.0, 0.0), (45.0, 0.0), (0.0, -25.0), (0.0, 40.0)], ids=str)
 @COSTLY
 @given(st.floats(0.9, 1.0))
@@ -199,7 +205,7 @@ def test_a_sensor_that_is_turned_as_told_has_the_whole_person_in_its_image(way, 
 
     for _ in range(4):  # one direction with each step
         joints = person_at(aside, down)
-        found = watched(joints, seconds=2.0, every=5)
+        found = watched(joints, seconds=2.0, every=5, now=NOT_PLACED, b=False)
         told = next((of.step for of in found if of.side == "A" and of.rule in ("feet", "whole")), None)
         if told is None:
             assert in_image(CAMERA, project(CAMERA, joints)).all()
@@ -295,13 +301,13 @@ def test_views_that_differ_are_told_while_the_calibration_is_refined(refined):
 @pytest.mark.parametrize("there", [True, False])
 def test_who_stands_in_the_ring_is_not_told_to(there):
     moved = replace(A_FROM_B, translation=A_FROM_B.translation + (0.15, 0.0, 0.0))
-    spot = standing_spot(A_FROM_B, (CAMERA, CAMERA), BODY.name, 1.0)
+    spot = standing_spot(A_FROM_B, (CAMERA, CAMERA), BODY.name, LEVEL_FLOOR)
     joints = standing(BODY)
     away = np.zeros(3) if there else np.array([0.6, 0.0, 0.0])
     torso = joints[list(BODY.torso)].mean(axis=0)
     at = joints + [spot.x - torso[0], 0.0, spot.z - torso[2]] + away
     (found,) = (each for each in watched(at, really=moved) if each.rule == "views")
-    assert found.step == (AIM if there else RULES["views"].live)
+    assert found.step == (AIM if there else RING)
 
 
 def test_a_tall_person_fits_into_the_image_at_the_nearest_distance():
@@ -492,9 +498,10 @@ def fused(at=PERSON):
     return Fuser(FusionSetup(KNOWN)).update(pair_of(BODY, at))
 
 
-def page(now=None, seen=None, *found, state=State.NOT_YET, kind=""):
+def page(now=None, seen=None, *found, state=State.NOT_YET, kind="", floor=None):
     now = now or Situation(KNOWN, final=False, held=0.0)
-    return CoachScene(BODY, CAMERAS).page(found, now, seen, Headline(state, "as advised", kind))
+    headline = Headline(state, "as advised", kind)
+    return CoachScene(BODY, CAMERAS).page(found, now, seen, headline, floor=floor)
 
 
 def marks(*given, **more):
@@ -511,7 +518,7 @@ def middle_of_ring(mark):
 @pytest.mark.parametrize("b", [None, A_FROM_B])
 def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b):
     far = farthest(BODY.name, CAMERA)
-    spot = standing_spot(b, CAMERAS, BODY.name, 1.0)
+    spot = standing_spot(b, CAMERAS, BODY.name, LEVEL_FLOOR)
     assert spot.room > 0.0
     for sensor in (RigidTransform.identity(), b):
         if sensor is None:
@@ -523,16 +530,49 @@ def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b):
             assert 0.0 <= pixel[0] <= CAMERA.width
 
 
+@given(
+    st.floats(50.0, 130.0),
+    st.tuples(st.floats(0.4, 2.2), st.floats(0.4, 2.2)),
+    st.tuples(st.floats(-10.0, 25.0), st.floats(-10.0, 25.0)),
+)
+def test_who_stands_in_the_ring_is_seen_from_head_to_foot_if_there_is_such_a_place(angle, high, tilt):
+    """As the sensors are tilted, K_A too."""
+    around, down = Rotation.from_euler("y", -angle, degrees=True), Rotation.from_euler
+    b = around.apply([0.0, 0.0, -2.6]) + (0.0, high[0] - high[1], 2.6)
+    tilted = [down("x", -of, degrees=True) for of in tilt]
+    level_from_a = RigidTransform.of(tilted[0].as_matrix(), np.zeros(3))
+    level_from_b = RigidTransform.of((around * tilted[1]).as_matrix(), b)
+    a_from_b = level_from_a.inverse() @ level_from_b
+    a_from_floor = floor_frame(level_from_a.inverse().apply([0.0, -1.0, 0.0]), high[0])
+
+    def seen(x, z, tall, aside=0.0, step=0.0):
+        """Whether both see all of a person so tall, and as much aside, with a step to go in each distance."""
+        up = -a_from_floor.rotation[:, 1]
+        feet = np.array([x, height_of(a_from_floor, np.array(x), np.array(z)), z])
+        for a_from_k in (RigidTransform.identity(), a_from_b):
+            corners = [[k * aside, 0.0, 0.0] for k in (-1.0, 0.0, 1.0)]
+            person = a_from_k.inverse().apply([feet, feet + up, feet + tall * up])
+            far = nearest(CAMERA) + step <= person[1, 2] <= farthest(BODY.name, CAMERA) - step
+            images = [project(CAMERA, person + corner) for corner in corners]
+            if not (far and all(in_image(CAMERA, image).all() for image in images)):
+                return False
+        return True
+
+    spot = standing_spot(a_from_b, CAMERAS, BODY.name, a_from_floor)
+    places = product(np.arange(-2.0, 2.1, 0.2), np.arange(1.4, 4.6, 0.2))
+    if not seen(spot.x, spot.z, 1.9):
+        assert not any(seen(x, z, 2.1, ARM + 0.5, 0.5) for x, z in places)
+
+
 def test_sensors_that_look_away_from_each_other_leave_no_place():
     back = RigidTransform.of(Rotation.from_euler("y", 180, degrees=True).as_matrix(), [0.0, 0.0, 0.0])
-    assert standing_spot(back, CAMERAS, BODY.name, 1.0).room < 0.0
+    assert standing_spot(back, CAMERAS, BODY.name, LEVEL_FLOOR).room < 0.0
 
 
 def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it():
     away = fused(PERSON + [1.5, 0.0, 0.3])
-    mark = marks(seen=away)["spot"]
-    floor = max(away.positions[BODY.joint(f"ANKLE_{side}"), 1] for side in ("LEFT", "RIGHT")) + 0.08
-    assert middle_of_ring(mark)[1] == pytest.approx(floor, abs=0.051)  # drawn in steps of 0.1 m
+    mark = marks(seen=away, floor=floor_frame(np.array([0.0, -1.0, 0.0]), 0.9))["spot"]
+    assert middle_of_ring(mark)[1] == pytest.approx(0.9)
     arrow = np.array(mark.lines[2])
     torso = away.positions[list(BODY.torso)].mean(axis=0)
     assert np.linalg.norm(arrow[0] - torso, axis=0) > 0.3  # on the floor, not in the body
@@ -542,7 +582,7 @@ def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it():
 
 
 def test_the_pose_is_counted_down_on_the_card_and_the_circle_stays_until_ready():
-    spot = standing_spot(A_FROM_B, CAMERAS, BODY.name, 1.0)
+    spot = standing_spot(A_FROM_B, CAMERAS, BODY.name, LEVEL_FLOOR)
     torso = PERSON[list(BODY.torso)].mean(axis=0)
     there = fused(PERSON + [spot.x - torso[0], 0.0, spot.z - torso[2]])
     assert page(seen=there, kind="uncalibrated").card == (State.NOT_YET, "as advised")
@@ -579,7 +619,7 @@ def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle):
     mark = marks(now, fused(), finding("angle"))["better_b"]
     way = np.array(mark.lines[-1])
     assert way[0] == pytest.approx(a_from_b.translation, abs=1e-3)
-    spot = standing_spot(a_from_b, CAMERAS, BODY.name, 1.0)
+    spot = standing_spot(a_from_b, CAMERAS, BODY.name, LEVEL_FLOOR)
     away = np.array([spot.x, 0.0, spot.z])
     # the floor is known to 0.1 m only, which moves the spot by a step at most
     assert np.linalg.norm(way[-1] - away) == pytest.approx(np.linalg.norm(way[0] - away), abs=0.15)
