@@ -251,7 +251,7 @@ def _is_knock(
         found = fit_knock(body, before, after, old, settings.refinement.fit)
     except CalibrationError:
         return True
-    return found.gain > settings.knock.needed(found.keyframes)
+    return settings.knock.excess(found) > 1.0
 
 
 def larger_speeds(a: NDArray[np.floating], b: NDArray[np.floating], time_ns: NDArray[np.int64]) -> Array:

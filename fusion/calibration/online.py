@@ -231,10 +231,10 @@ class CalibrationLearner:
             return []
         self._test_ns = now_ns + settings.retested_ns
         found = self._fit_knock(since_ns)
-        gain = -np.inf if found is None else found.gain / settings.needed(found.keyframes)
-        if found is not None and gain > 1.0:
+        excess = -np.inf if found is None else settings.excess(found)
+        if found is not None and excess > 1.0:
             return [self._restart(now_ns, since_ns, found)]
-        if now_ns - since_ns > settings.dropped_ns * (1 if gain < 0.5 else 2):
+        if now_ns - since_ns > settings.dropped_ns * (1 if excess < 0.5 else 2):
             self._knock.withdraw(now_ns)
         return []
 

@@ -12,7 +12,11 @@ by the model of :mod:`fusion.registration.robust_fit` with one set of biases β 
 
 A tracker's bias that changes with heading is in β, and a registration that was never quite right is in T, so
 that both are explained without D. What remains is the gain of log-likelihood by D, at the price of D's prior.
+And D is more than the errors that last as long as a pose (:mod:`fusion.registration.lasting_errors`): of a
+person who stands still after a walk, these alone turn R by degrees.
 """
+
+from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
@@ -24,8 +28,9 @@ import numpy as np
 from fusion.body import Body
 from fusion.registration.error_model import RobustFitSettings, cost_of
 from fusion.registration.keyframes import Evidence, match_sides
-from fusion.registration.robust_fit import Prior, RobustFit, fit_robust
-from fusion.rigid import RigidTransform
+from fusion.registration.lasting_errors import common_variance
+from fusion.registration.robust_fit import Prior, RobustFit, fit_robust, with_frontal_sd
+from fusion.rigid import RigidTransform, rotation_vector
 from fusion.skeleton import TRACKED, Skeleton, SkeletonPair
 from fusion.support.medians import median_of_known
 from fusion.support.types import Array
@@ -62,9 +67,16 @@ class KnockSettings:
     """Number of keyframes before the knock at which twice that gain is needed: they do not yet show how
     biases change from pose to pose."""
 
+    least: float = 12.6
+    """Smallest significance of D: χ² of six degrees of freedom, 95 %."""
+
     def needed(self, keyframes: int) -> float:
         """The gain that a knock needs after so many keyframes."""
         return self.gain * (1.0 + self.few / max(keyframes, 1))
+
+    def excess(self, found: KnockFit) -> float:
+        """What a suspected knock has of what it needs; above 1 it is one."""
+        return min(found.gain / self.needed(found.keyframes), found.significance / self.least)
 
 
 class _Block(NamedTuple):
@@ -172,6 +184,7 @@ class KnockFit:
     fit: RobustFit  # R and t after the knock
     turn: float  # radians, by which the sensor would have turned
     shift: float  # metres, by which it would have moved the person
+    significance: float  # squared, D over the deviations of both registrations, lasting errors included
     keyframes: int  # number of pairs before it
 
 
@@ -227,7 +240,27 @@ def fit_knock(
         for evidence, fit in ((every, one), (both, two))
     ]
     price = 0.5 * (turn / KNOCK_TURN) ** 2 + 0.5 * (shift / KNOCK_SHIFT) ** 2
-    return KnockFit(costs[0] - costs[1] - price, found, turn, shift, len(before.a))
+    gain = costs[0] - costs[1] - price
+    sure = _significance(body, (before, later), (first, found), settings) if gain > 0.0 else 0.0
+    return KnockFit(gain, found, turn, shift, sure, len(before.a))
+
+
+def _significance(
+    body: Body,
+    seen: tuple[Evidence, Evidence],
+    fits: tuple[RobustFit, RobustFit],
+    settings: RobustFitSettings,
+) -> float:
+    """The squared difference of two fits over their deviations, with errors that last as long as a pose."""
+    first, new = (with_frontal_sd(body, of, fit, settings) for of, fit in zip(seen, fits, strict=True))
+    step = new.a_from_b @ first.a_from_b.inverse()
+    off = np.append(step.apply(new.centre) - new.centre, rotation_vector(step.rotation))
+    there = np.eye(6)  # the first one's deviations where the person is after the knock
+    there[:3, 3:] = np.cross(np.eye(3), new.centre - first.centre)
+    covariance = there @ first.covariance @ there.T + new.covariance
+    lasting = common_variance(first.a_from_b, first.centre, settings.common_sd)
+    covariance[:3, :3] -= lasting * np.eye(3)  # both have it, and the same one
+    return float(off @ np.linalg.solve(covariance, off))
 
 
 def _joined(one: Evidence, other: Evidence) -> Evidence:

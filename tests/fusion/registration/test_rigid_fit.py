@@ -390,7 +390,7 @@ KNOCK = RigidTransform.of(Rotation.from_euler("y", 2.0, degrees=True).as_matrix(
 NEEDED = KnockSettings().needed(24)
 
 
-def seen(first, bias, knock=None, turn=1.6):
+def seen(first, bias, knock=None, turn=1.6, walks=1.0):
     """24 pairs of a person who walks about and turns; B has a bias by heading, and may be knocked."""
     rng = np.random.default_rng(first)
     pairs = []
@@ -399,7 +399,7 @@ def seen(first, bias, knock=None, turn=1.6):
         at = moving(KINECT_V2, 1)[0]
         centre = at.mean(axis=0)
         at = (at - centre) @ Rotation.from_euler("y", angle).as_matrix().T + centre
-        at = at + [0.5 * np.sin(0.4 * k), 0.0, 0.4 * np.cos(0.25 * k)]
+        at = at + walks * np.array([0.5 * np.sin(0.4 * k), 0.0, 0.4 * np.cos(0.25 * k)])
         b = at + bias(angle)
         views = [at, A_FROM_B.inverse().apply(b)]
         if knock is not None:
@@ -442,6 +442,17 @@ def test_a_registration_that_was_never_right_is_no_knock():
     off = RigidTransform.of(turn, [0.05, 0.0, 0.0]) @ A_FROM_B
     found = judged(seen(0, none), seen(24, none), off)
     assert found.gain < 0.1 * NEEDED
+
+
+@given(st.floats(-8.0, 8.0), st.floats(0.0, 0.4), st.integers(0, 1))
+def test_how_frontal_a_tracker_shows_somebody_who_stands_is_no_knock_and_hides_none(turn, place, moved):
+    """B's view of who stands still after a walk is turned about the person, as Kinects v2 do."""
+    still = seen(24, none, turn=0.0, walks=place)
+    still = turned_back(still, A_FROM_B, np.radians(turn))
+    if moved:
+        still = still._replace(b=still.b + (0.0, 0.0, 0.25))
+    found = judged(seen(0, by_heading), still)
+    assert (KnockSettings().excess(found) > 1.0) == bool(moved)
 
 
 def test_few_keyframes_before_need_a_greater_gain():
