@@ -166,6 +166,10 @@ RULES: dict[str, Rule] = {
         "frames with a foot out of view, now", "%", below(50.0, 50.0), what="feet out of view of {who}",
         live="tilt {who} down by {turn}°, or step back from it", told_by=frozenset({"distance"}),
         by_place=True),
+    "whole": Rule(
+        "frames with a part of the person out of view, now", "%", below(50.0, inf),
+        what="a part of you is out of view of {who}", live="{aim}",
+        told_by=frozenset({"distance", "feet"}), is_event=False, by_place=True),
     "overlap": Rule(
         "what the best place lacks of room for a person, before both sensors", "m", below(0.0, 0.0),
         what="A and B have no place to stand in common", limit="the best one lacks {value} m",
@@ -197,10 +201,6 @@ RULES: dict[str, Rule] = {
         what="the views differ by {value} mm", limit="good is below {high}",
         live=AIM, files="check that both show one moment, or {calibrate}",
         told_by=_VIEWS | {"hidden", "precision"}, by_place=True),
-    "whole": Rule(
-        "frames with a part of the person out of view, now", "%", below(50.0, inf),
-        what="a part of you is out of view of {who}", live="{aim}",
-        told_by=frozenset({"distance", "feet"}), is_event=False, by_place=True),
     "nobody": Rule(
         "time with nobody in view, or without a frame", "%", _DOUBTFUL,
         what="nobody is in view for {lasts}", live="stay in view", files="leave that out with `good`"),

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from devices.findings.finding import Finding, capital, followed
+from devices.findings.finding import WORDS, Finding, capital, followed
 from devices.findings.rules import RULES
 from fusion.calibration.calibration import Calibration
 from recordings.appearance.state_card import State
@@ -65,20 +65,23 @@ class Readiness:
 
 
 def headline(findings: Sequence[Finding], calibration: Calibration, kept: Headline | None = None) -> Headline:
-    """The state, and the step that comes first, of findings as :func:`followed` orders them.
+    """The state, by the worst of the findings as :func:`followed` gives them, and the step that comes first.
+
+    It is the first one in the table: who is asked to walk about stands in the right place already.
 
     Args:
         kept: The last one, whose step stays first until it is done, of the same sensor if it can.
     """
-    asked = [each for each in findings if each.step]
+    order = list(RULES)
+    asked = sorted((each for each in findings if each.step), key=lambda each: order.index(each.rule))
     if not asked:
         return Headline(State.READY, f"Record now: {_precision(calibration)}whole body in both views")
-    first = asked[0]
+    first, state = asked[0], _STATES[max((each.word for each in asked), key=WORDS.index)]
     if kept is not None and not RULES[first.rule].first:
         alike = [each for each in asked if each.rule == kept.kind and each.word == first.word]
         first = next((each for each in alike if each.side == kept.side), next(iter(alike), first))
     said = in_flags(capital(f"{first.what}: {first.step}"))
-    return Headline(_STATES[first.word], said, first.rule, first.side)
+    return Headline(state, said, first.rule, first.side)
 
 
 def to_markdown(

@@ -17,6 +17,7 @@ ARM = 0.9
 _STEP = 0.1  # metres between the tested places
 _TORSO_HEIGHT = 1.0  # metres above the floor
 _THERE = 0.4  # metres from the middle of the ring
+_TOES = 0.15  # metres that toes before the trunk look lower than the floor under it
 _ENOUGH = 0.5  # metres of margin: a step. With as much, nearer is better: depth is more accurate there.
 _MARGIN = 0.01  # metres that a metre of margin is worth: it decides between places that are as near
 
@@ -64,7 +65,7 @@ def standing_spot(
         k_from_a = a_from_k.inverse()
         feet, middle, head = (
             k_from_a.apply((torso + of * up).reshape(-1, 3)).reshape(torso.shape)
-            for of in (-_TORSO_HEIGHT, 0.0, TALL - _TORSO_HEIGHT)
+            for of in (-_TORSO_HEIGHT - _TOES, 0.0, TALL - _TORSO_HEIGHT)
         )
         room = np.minimum(room, _room(middle, camera, farthest(body, camera)))
         upright = np.minimum(upright, _upright(feet, head, camera))
