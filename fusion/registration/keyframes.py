@@ -95,26 +95,26 @@ class KeyframeSet:
         )
         self._store = new_arrays(Evidence, K=capacity, J=len(body))
         self._cells: dict[tuple[int, ...], list[int]] = {}  # the slots in each, oldest first
-        self._count = 0
+        self._times: list[int] = []  # of the slots
         self._newest: int | None = None
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._times)
 
     @property
     def evidence(self) -> Evidence:
         """All keyframes, as views of the store, not ordered by time."""
-        return self._store.chosen(slice(0, self._count))
+        return self._store.chosen(slice(0, len(self)))
 
     def forget_before(self, time_ns: int) -> None:
         """Forgets the keyframes older than ``time_ns``."""
-        keep = [k for k in range(len(self)) if self._store.time_ns[k] >= time_ns]
+        keep = [k for k, of_slot in enumerate(self._times) if of_slot >= time_ns]
         for values in self._store:
             values[: len(keep)] = values[keep]
         number = {old: new for new, old in enumerate(keep)}
         self._cells = {cell: [number[k] for k in slots if k in number] for cell, slots in self._cells.items()}
-        self._count = len(keep)
-        self._newest = int(np.argmax(self._store.time_ns[: len(keep)])) if keep else None
+        self._times = [self._times[k] for k in keep]
+        self._newest = int(np.argmax(self._times)) if keep else None
 
     def add(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> bool:
         """Whether a pair shows something new, and became a keyframe; the caller leaves out stale ones."""
@@ -139,7 +139,7 @@ class KeyframeSet:
         store = self._store
         store.a[slot], store.b[slot], store.weights[slot] = a, b, weight
         store.basis[slot] = 1.0, np.cos(heading), np.sin(heading)
-        store.time_ns[slot] = time_ns
+        store.time_ns[slot] = self._times[slot] = time_ns
         self._newest = slot
         return True
 
@@ -149,11 +149,11 @@ class KeyframeSet:
 
     def due(self, time_ns: int) -> bool:
         """Whether enough time has passed since the newest keyframe."""
-        return self._newest is None or time_ns - self._store.time_ns[self._newest] >= _SHORTEST_NS
+        return self._newest is None or time_ns - self._times[self._newest] >= _SHORTEST_NS
 
     def _new(self, views: tuple[Array, Array], weight: Array, time_ns: int) -> bool:
         newest = self._newest
-        if newest is None or time_ns - self._store.time_ns[newest] >= _LONGEST_NS:
+        if newest is None or time_ns - self._times[newest] >= _LONGEST_NS:
             return True
         both = (weight > 0.0) & (self._store.weights[newest] > 0.0)
         if not both.any():
@@ -168,13 +168,13 @@ class KeyframeSet:
         return float(np.arctan2(across[2], across[0]))
 
     def _slot(self, cell: tuple[int, ...]) -> int:
-        slot = self._count
+        slot = len(self)
         if slot < self._capacity:
-            self._count += 1
+            self._times.append(0)
         else:
             most = max(map(len, self._cells.values()))
             fullest = (slots for slots in self._cells.values() if len(slots) == most)
-            slot = min(fullest, key=lambda slots: int(self._store.time_ns[slots[0]])).pop(0)
+            slot = min(fullest, key=lambda slots: self._times[slots[0]]).pop(0)
         self._cells.setdefault(cell, []).append(slot)
         return slot
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.support.medians import median_of_known
+
 _LONGEST_NS = 300_000_000  # between the first and the last of three frames: over more, movement is no line
 _RMS_OF_MEDIAN = 1.1262  # √3 / 1.5382, of the length of a normal 3-vector
 
@@ -46,10 +48,9 @@ class FrameDeviations:
         return found
 
 
-def noise_of(deviations: NDArray[np.float64]) -> float:
-    """The RMS length of the noise, metres, from the median of some deviations; NaN without any."""
-    known = deviations[np.isfinite(deviations)]
-    return _RMS_OF_MEDIAN * float(np.median(known)) if len(known) else float("nan")
+def noise_of(deviations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) RMS length of the noise, metres, from the median of (N, …) deviations each; NaN without any."""
+    return _RMS_OF_MEDIAN * median_of_known(deviations.reshape(len(deviations), -1))
 
 
 def frame_noise_of(positions: NDArray[np.floating], time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -61,4 +62,4 @@ def frame_noise_of(positions: NDArray[np.floating], time_ns: NDArray[np.int64]) 
     frames within 0.3 s.
     """
     deviations = FrameDeviations().add(positions, time_ns)
-    return np.array([noise_of(column) for column in deviations.T])
+    return noise_of(deviations.T)

@@ -20,6 +20,7 @@ from fusion.rigid import RigidTransform
 from fusion.skeleton import nearer
 from fusion.support.large_arrays import GrowingArray, Rows, parts
 from fusion.support.medians import median_of_known
+from fusion.support.read_only import cached_array
 from recordings.data import layout
 from recordings.data.checksums import fused_checksums, joint_digests
 from recordings.data.corrected_sides import corrects_sides
@@ -143,7 +144,7 @@ _i1, _i8, _u1, _u2, _u4, _bool = np.int8, np.int64, np.uint8, np.uint16, np.uint
 _f2, _f4, _f8 = np.float16, np.float32, np.float64
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SessionArrays:
     """T frames of J joints, in metres and nanoseconds; NaN where data are missing.
 
@@ -302,11 +303,20 @@ class SessionArrays:
     def __len__(self) -> int:
         return len(self.frame)
 
+    def __repr__(self) -> str:
+        return f"<SessionArrays: {len(self)} frames, {self.body.name}>"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The data alone: a copy would have arrays that can be written."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
     def __getitem__(self, frames: slice | NDArray[np.int64]) -> SessionArrays:
         """Selects frames; their numbers and times stay unchanged."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
         per_frame = {n: v[frames] for n, v in kept.items() if n != "body" and v is not None}
-        return replace(self, **per_frame)
+        some = replace(self, **per_frame)
+        some.__dict__.update((n, v[frames]) for n, v in self.__dict__.items() if n not in kept)  # computed
+        return some
 
     @property
     def b_in_a(self) -> NDArray[np.float64]:
@@ -328,12 +338,14 @@ class SessionArrays:
         never = self.never_seen
         return np.where(never[:, None], np.nan, self.fused) if never.any() else self.fused
 
-    def corrects(self, side: int) -> NDArray[np.bool_]:
-        """(T,) whether A (0) or B (1) reports left and right exchanged, and S* corrects this."""
-        codes = self.filled("exchanged")[:, side]
-        if side == 0:
-            return corrects_sides(self.body, self.fused, self.positions_a, self.states_a, codes)
-        return corrects_sides(self.body, self.fused, self.b_in_a, self.states_b, codes)
+    @cached_array
+    def corrected(self) -> NDArray[np.bool_]:
+        """(T, 2) whether A and B report left and right exchanged, and S* corrects this."""
+        codes = self.filled("exchanged")
+        b = self.b_in_a if codes[:, 1].any() else self.positions_b  # nobody asks where it is
+        views = (self.positions_a, self.states_a), (b, self.states_b)
+        sides = [corrects_sides(self.body, self.fused, *of, codes[:, k]) for k, of in enumerate(views)]
+        return np.stack(sides, axis=1)
 
     @property
     def frame_rate(self) -> float:
@@ -368,7 +380,7 @@ class SessionArrays:
             a, b = nearer(a.astype(np.float64), errors[:, 0]), nearer(b.astype(np.float64), errors[:, 1])
         return np.asarray(np.linalg.norm(a - self._in_a(b), axis=2))
 
-    @property
+    @cached_array
     def disagreement(self) -> NDArray[np.float64]:
         """(T,) metres between p and R q + t, median over the joints that both see; NaN without any."""
         parts = (median_of_known(rows.view_difference) for rows in self.parts())

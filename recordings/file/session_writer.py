@@ -34,9 +34,9 @@ from recordings.file.rrd_file import RrdFile, damage_of
 from recordings.writing.changes import log_quality
 from recordings.writing.recorder import Recorder
 
-_BLOCK, _MOST_BLOCKS = 300, 256
-"""Frames per write: a file that is cut off loses at most ten seconds more than what is missing.
-One of more than 25 minutes loses more: Rerun keeps 0.4 MB of each block until the file is complete, and
+_BLOCK, _MOST_BLOCKS = 1200, 256
+"""Frames per write: a file that is cut off loses at most forty seconds more than what is missing.
+One of more than 3 hours loses more: Rerun keeps 0.4 MB of each block until the file is complete, and
 7 kB of each frame while it writes a block."""
 _FLUSH_WITHIN = 60  # seconds
 _FULL = 65_536  # bytes: with less space, a disk is full

@@ -68,7 +68,7 @@ def fusion_figures(setup: FusionSetup, rows: SessionArrays, first: int) -> Figur
     up = upright_direction(rows.body, rows.fused[:: max(1, len(rows) // _STANDING)].astype(np.float64))
     empty_a, empty_b = ((states == 0).all(axis=1) for states in (rows.states_a, rows.states_b))
     gave_a, gave_b = (clock != NO_FRAME for clock in (rows.clock_a, rows.clock_b))
-    seen, apart = seen_people(rows), rows[first:].disagreement
+    seen, apart = seen_people(rows), rows.disagreement[first:]
     agree = ViewsAgree.of(apart)
     there = seen.any(axis=0) & (np.arange(len(rows)) >= first)
     return {
@@ -250,7 +250,9 @@ def _repaired(rows: SessionArrays) -> Figures:
     seen = ~rows.predicted.all(axis=1)
     exchanged = None
     if rows.exchanged is not None:
-        exchanged = {key: of_finite(np.mean, rows.corrects(k)[seen]) for k, key in enumerate(("a", "b"))}
+        exchanged = {
+            key: of_finite(np.mean, of[seen]) for key, of in zip("ab", rows.corrected.T, strict=True)
+        }
     return {
         "exchanged": exchanged,
         "unseen_joints": float(rows.predicted[seen].mean()) if seen.any() else None,

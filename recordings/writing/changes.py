@@ -112,7 +112,7 @@ class QualityLog:
         ends = np.array(due, dtype=np.int64) + 1 + every.shape[1] - len(rows)
         *windows, rest = np.split(every, ends, axis=1)
         self._kept = [rest.copy()]  # a view would keep the whole block in memory
-        jitters = 1e3 * np.array([[noise_of(of) for of in window] for window in windows])
+        jitters = 1e3 * np.array([noise_of(window) for window in windows])
         at = np.array(due, dtype=np.int64)
         for entity, values in ((layout.JITTER, jitters), (layout.PLACEMENT, self._moved(rows, at))):
             scalars = converted(rr.Scalars, "scalars", values, values.size)

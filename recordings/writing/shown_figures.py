@@ -55,7 +55,7 @@ def _view_figures(side: str) -> Iterator[ShownFigure]:
     entity, ids = layout.skeleton(side), [layout.CLASS_IDS[key] for key in (side, f"exchanged_{side}")]
 
     def exchanged(rows: SessionArrays) -> NDArray[np.bool_]:
-        return rows.corrects(layout.VIEWS.index(side))[:, None]
+        return rows.corrected[:, layout.VIEWS.index(side), None]
 
     def colors(rows: SessionArrays) -> NDArray[Any]:
         untracked = getattr(rows, f"states_{side}") != TrackingState.TRACKED

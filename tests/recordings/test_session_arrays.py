@@ -1,5 +1,6 @@
 """Per-frame figures: declared once, in memory, file and checksum; and what is derived from them."""
 
+import copy
 import itertools
 import weakref
 from dataclasses import replace
@@ -94,6 +95,23 @@ def test_disagreement_is_the_median_over_the_joints_that_both_see():
     assert {len(d) for d in seen} >= {0, 1, 2, 3, 4}
     wanted = [np.median(d) if len(d) else np.nan for d in seen]
     np.testing.assert_array_equal(some.disagreement, wanted)
+
+
+@given(st.lists(st.slices(30), max_size=3))
+def test_what_was_computed_of_all_frames_is_that_of_some(cuts):
+    """Also of some of some, and of a copy; it cannot be written."""
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
+    frames = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 30, no_b=(3, 4))]
+    rows = SessionArrays.stack(KINECT_V1, KINECT_V1.nominal_lengths, frames)
+    flagged = replace(rows, exchanged=np.arange(60).reshape(30, 2).astype(np.int8) % 3)
+    for name in ("disagreement", "corrected"):
+        some = flagged
+        for cut in cuts:
+            getattr(some, name)
+            some = some[cut]
+        for each in (some, copy.deepcopy(some)):
+            np.testing.assert_array_equal(getattr(each, name), getattr(replace(some), name))
+            assert not getattr(each, name).flags.writeable
 
 
 def test_depth_errors_that_a_calibration_states_are_no_difference_of_the_views(tmp_path):
