@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 import mmap
+import os
 import struct
-from collections.abc import Collection, Iterator
+import sys
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -66,6 +68,7 @@ class Columns:
     """By entity, for entities logged occasionally: (frame, {component: values})."""
     damage: str | None = None  # description of the damage; None if the file is whole
     identity: tuple[str, str] | None = None  # application and recording id
+    entities: Entities | None = None
 
 
 _Parts = dict[tuple[str, str], tuple[GrowingArray, GrowingArray, NDArray[Any]]]
@@ -80,20 +83,31 @@ def read_columns(path: Path, wanted: Collection[tuple[str, str]]) -> Columns:
         for entity, batch in file.chunks(images=False):
             if not _take(entity, batch, found) and entity in entities:
                 _take_numbers(entity, batch, wanted, parts)
-        found.damage, found.identity = file.damage, file.identity()
+        found.damage, found.identity, found.entities = file.damage, file.identity(), file.entities
     arrays = GrowingArray.wholes(array for frames, values, _ in parts.values() for array in (frames, values))
     found.values = dict(zip(parts, zip(arrays[::2], arrays[1::2], strict=True), strict=True))
     return found
 
 
+@dataclass
+class Entities:
+    """The entities of a file's chunks, as far as they were unpacked: no chunk is unpacked in vain again."""
+
+    file: tuple[int, ...]  # which one, of what size, since when: of a file that was replaced nothing is known
+    at: dict[int, str] = field(default_factory=dict)  # by the first byte of a chunk
+
+
 class RrdFile:
     """The messages that a file has at the time of opening.
+
+    Args:
+        entities: From reading the file before.
 
     Raises:
         RecordingError: The file cannot be read, or is not an .rrd file.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, entities: Entities | None = None) -> None:
         self.damage: str | None = None
         self._unread: list[tuple[int, int]] = []
         self._path = path
@@ -102,6 +116,9 @@ class RrdFile:
             if start[:4] != _MAGIC:
                 raise RecordingError(f"{path} is not a session: it does not begin like an .rrd file.")
             self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            now = os.fstat(file.fileno())
+        own = now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns
+        self.entities = entities if entities is not None and entities.file == own else Entities(own)
 
     def __enter__(self) -> RrdFile:
         return self
@@ -132,23 +149,28 @@ class RrdFile:
             offset = end
         self._wrong("it was not ended")
 
-    def chunks(self, images: bool) -> Iterator[tuple[str, pa.RecordBatch]]:
-        """Entity and content of each chunk of the recording, in the order of writing. Depth images are not
-        even decompressed unless `images`.
+    def chunks(
+        self, images: bool, wanted: Callable[[str], bool] = bool
+    ) -> Iterator[tuple[str, pa.RecordBatch]]:
+        """Entity and content of each chunk of wanted entities, in the order of writing. Images are not even
+        decompressed unless `images`.
         """
         for kind, begin, end in self.messages():
             if kind != _CHUNK:
                 continue
             if not images and self._data.find(_IMAGE, begin, min(begin + _IMAGE_WITHIN, end)) >= 0:
                 continue
+            if (known := self.entities.at.get(begin)) is not None and not wanted(known):
+                continue
             try:
-                chunk = _unpack(self._data[begin:end])
+                entity, batch = _unpack(self._data[begin:end])
             except _DAMAGED:
                 self._wrong(f"the message at byte {begin} is damaged")
                 self._unread.append((begin, end))
                 continue
-            if chunk is not None:
-                yield chunk
+            self.entities.at[begin] = sys.intern(entity)
+            if wanted(entity):
+                yield entity, batch
 
     def identity(self) -> tuple[str, str] | None:
         """Application and recording id, by the first whole chunk; None without one."""
@@ -193,11 +215,11 @@ def without_footer(rrd: bytes, with_header: bool) -> memoryview:
     return memoryview(rrd)[0 if with_header else _FILE_HEADER : offset]
 
 
-def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
-    """Entity and content of a chunk; None if the chunk belongs to a blueprint."""
+def _unpack(message: bytes) -> tuple[str, pa.RecordBatch | None]:
+    """Entity and content of a chunk; of a blueprint neither."""
     fields = _fields(message)
     if _fields(fields[_STORE]).get(1) != _RECORDING:
-        return None
+        return "", None
     payload = fields[_PAYLOAD]
     if fields[_PACKING] == _LZ4:
         if fields[_SIZE] > _LZ4_RATIO * len(payload):

@@ -79,7 +79,7 @@ def read_session(path: Path) -> SessionData:
         events=events,
         frames_lost=lost,
         damage=damage,
-        images=FileImages(path, found.identity),
+        images=FileImages(path, found.identity, found.entities),
     )
 
 

@@ -1,7 +1,7 @@
 """The images and other people in a session's file, read on demand. What is damaged is skipped and counted."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +17,7 @@ from recordings.data import layout
 from recordings.data.checksums import image_checksum
 from recordings.data.images import Images, SessionImages
 from recordings.errors import RecordingError
-from recordings.file.rrd_file import RrdFile
+from recordings.file.rrd_file import Entities, RrdFile
 
 T = TypeVar("T")
 _WRONG = (LookupError, TypeError, ValueError, AttributeError, pa.ArrowException)
@@ -28,7 +28,7 @@ class ImageReader(Images[T]):
     """The images of one sensor with their frame numbers, in order; iteration reads the file.
 
     Args:
-        file: Its path, and the application and id of the recording that was opened.
+        opened: Opens the file.
         checked: Returns the bytes of row k of a chunk, and whether they match their checksum. The checksum
             also covers the frame number.
         frames: The wanted frames; with a step, images of frames that are at least so far apart.
@@ -36,14 +36,14 @@ class ImageReader(Images[T]):
 
     def __init__(
         self,
-        file: tuple[Path, tuple[str, str] | None],
+        opened: Callable[[], AbstractContextManager[RrdFile]],
         entity: str,
         checked: Callable[[pa.RecordBatch, int, int], tuple[Any, bool]],
         decoded: Callable[[Any], T],
         frames: range,
     ) -> None:
         super().__init__(lambda: ((frame, decoded(raw)) for frame, raw in self._whole()))
-        self._file = file
+        self._opened = opened
         self._entity, self._checked, self._frames = entity, checked, frames
 
     def count(self) -> int:
@@ -53,9 +53,10 @@ class ImageReader(Images[T]):
     def _whole(self) -> Iterator[tuple[int, Any]]:
         self.damaged = 0
         next_frame = self._frames.start
-        with _opened(*self._file) as file:
-            for entity, batch in file.chunks(images=self._entity not in map(layout.others, layout.VIEWS)):
-                if entity != self._entity or layout.FRAME not in batch.schema.names:
+        images = self._entity not in map(layout.others, layout.VIEWS)
+        with self._opened() as file:
+            for _, batch in file.chunks(images, self._entity.__eq__):
+                if layout.FRAME not in batch.schema.names:
                     continue
                 for k, frame in enumerate(batch.column(layout.FRAME).to_pylist()):
                     try:
@@ -77,31 +78,34 @@ class FileImages(SessionImages):
 
     Args:
         identity: Of the recording that was opened; another one under its name is refused.
+        entities: What is known of the file.
     """
 
-    def __init__(self, path: Path, identity: tuple[str, str] | None) -> None:
-        self._file = path, identity
+    def __init__(self, path: Path, identity: tuple[str, str] | None, entities: Entities | None) -> None:
+        self._path, self._identity, self._entities = path, identity, entities
 
     def depth(self, side: str, frames: range) -> Images[NDArray[np.uint16]]:
-        return ImageReader(self._file, layout.depth(side), _checked_depth, decode_depth, frames)
+        return ImageReader(self._opened, layout.depth(side), _checked_depth, decode_depth, frames)
 
     def color(self, side: str, frames: range) -> Images[ColorImage]:
-        return ImageReader(self._file, layout.color(side), _checked_color, _decoded_color, frames)
+        return ImageReader(self._opened, layout.color(side), _checked_color, _decoded_color, frames)
 
     def others(self, side: str, frames: range) -> Images[NDArray[np.float32]]:
-        return ImageReader(self._file, layout.others(side), _checked_others, lambda bones: bones, frames)
+        return ImageReader(self._opened, layout.others(side), _checked_others, lambda bones: bones, frames)
 
     def logged(self) -> Iterator[tuple[str, pa.RecordBatch]]:
-        with _opened(*self._file) as file:
-            yield from (each for each in file.chunks(images=False) if layout.is_logged(each[0]))
+        with self._opened() as file:
+            yield from file.chunks(False, layout.is_logged)
 
-
-@contextmanager
-def _opened(path: Path, identity: tuple[str, str] | None) -> Iterator[RrdFile]:
-    with RrdFile(path) as file:
-        if file.identity() != identity:
-            raise RecordingError(f"{path} holds another session now. Open it again to read its images.")
-        yield file
+    @contextmanager
+    def _opened(self) -> Iterator[RrdFile]:
+        with RrdFile(self._path, self._entities) as file:
+            if file.identity() != self._identity:
+                raise RecordingError(
+                    f"{self._path} holds another session now. Open it again to read its images."
+                )
+            self._entities = file.entities
+            yield file
 
 
 def _checked_others(batch: pa.RecordBatch, k: int, frame: int) -> tuple[NDArray[np.float32], bool]:

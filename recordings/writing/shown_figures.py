@@ -54,8 +54,8 @@ def _view_figures(side: str) -> Iterator[ShownFigure]:
     """Of S_A or S_B: colours, bones, and a class that is another one in frames whose sides are exchanged."""
     entity, ids = layout.skeleton(side), [layout.CLASS_IDS[key] for key in (side, f"exchanged_{side}")]
 
-    def exchanged(rows: SessionArrays) -> NDArray[np.bool_]:
-        return rows.corrected[:, layout.VIEWS.index(side), None]
+    def exchanged(rows: SessionArrays) -> NDArray[Any]:
+        return np.asarray(rows.corrected[:, layout.VIEWS.index(side), None])
 
     def colors(rows: SessionArrays) -> NDArray[Any]:
         untracked = getattr(rows, f"states_{side}") != TrackingState.TRACKED

@@ -38,6 +38,7 @@ from recordings.data.checksums import event_checksum, fused_checksums, image_che
 from recordings.data.session_arrays import SessionFrame
 from recordings.data.session_data import runs_of
 from recordings.errors import RecordingError
+from recordings.file import rrd_file
 from recordings.file.rrd_file import END_OF_FILE, without_footer
 from recordings.file.session_writer import write_session
 from recordings.fusing.pairs import fuse_segments
@@ -220,6 +221,26 @@ def test_images_are_read_no_further_than_asked(session, tmp_path, frame):
     images = damaged.depth("a", 0, 8)
     assert images.count() == 8
     assert images.damaged == 0
+
+
+def test_a_chunk_of_frames_is_unpacked_once_to_open_and_save_a_session(session, tmp_path, monkeypatch):
+    """Chunks of images twice at most: whose they are is known after the first time."""
+    unpacked, real = Counter(), rrd_file._unpack
+
+    def counted(message):
+        entity, batch = real(message)
+        unpacked[entity, message] += 1
+        return entity, batch
+
+    monkeypatch.setattr(rrd_file, "_unpack", counted)
+    Session.open(session.path).save(tmp_path / "s.rrd")
+    copied = {of(side) for of in (layout.depth, layout.color, layout.others) for side in layout.VIEWS}
+    of_frames = [count for (entity, _), count in unpacked.items() if entity not in copied]
+    assert len(of_frames) > 20
+    assert max(of_frames) == 1
+    assert max(unpacked.values()) == 2
+    again = Session.open(tmp_path / "s.rrd")
+    assert [again.depth("a").count() for _ in range(2)] == [T, T]
 
 
 # --- A damaged session gives one line of error, or exactly the first frames; cut off, its events, too.
