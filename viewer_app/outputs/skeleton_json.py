@@ -67,6 +67,10 @@ class SkeletonJson:
         """Whether a session is saved that a page asked for, and its file or why not."""
         return json.dumps({"type": "saving", "version": VERSION, "state": state, "text": text})
 
+    def may_save(self, may: bool) -> str:
+        """Whether a page that asked for it has the token with which it may ask for a session."""
+        return json.dumps({"type": "may_save", "version": VERSION, "may": may})
+
     def frame(self, timed: QueuedFrame) -> str:
         """A frame: positions and velocities (J, 3), rotations (J, 4) x, y, z, w, confidence (J,), sigma (J,),
         covariances (J, 3, 3), angles and their sigma (K,); null where the method does not know them."""

@@ -304,26 +304,29 @@ class WebSocketOutput(LiveOutput):
         sending = asyncio.create_task(self._feed(connection, client))
         try:
             async for message in connection:
-                self.ignored += not self._takes(message)
+                self.ignored += not self._takes(message, client)
         except ConnectionClosed:
             pass
         finally:
             self._clients.discard(client)
             sending.cancel()
 
-    def _takes(self, message: str | bytes) -> bool:
-        """Takes a request with the token; returns whether it is one."""
+    def _takes(self, message: str | bytes, client: _Client) -> bool:
+        """Takes a request, or tells whether the client has the token; returns whether it has it and asks so."""
         try:
             said = json.loads(message)
         except (ValueError, RecursionError):
             return False
-        if not self._token or not isinstance(said, dict) or not isinstance(said.get("on"), bool):
+        if not self._token or not isinstance(said, dict) or said.get("type") != "save" or "on" not in said:
             return False
         given = str(said.get("token")).encode(errors="replace")
-        if said.get("type") != "save" or not hmac.compare_digest(given, self._token.encode()):
-            return False
-        self._request.append(said["on"])
-        return True
+        may = hmac.compare_digest(given, self._token.encode())
+        if said["on"] is None:
+            client.news["may_save"] = self._json.may_save(may)
+            client.more.set()
+        elif may and isinstance(said["on"], bool):
+            self._request.append(said["on"])
+        return may and isinstance(said["on"], bool | None)
 
     async def _feed(self, connection: ServerConnection, client: _Client) -> None:
         from websockets.exceptions import ConnectionClosed

@@ -11,6 +11,8 @@ from typing import Literal, Protocol
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from recordings.data.session_arrays import SessionFrame
+from viewer_app.errors import UsageError
+from viewer_app.output_files import check_writable
 from viewer_app.sinks.session_file import SessionFile
 from viewer_app.sinks.sink import FanOut
 
@@ -57,16 +59,24 @@ class RequestedFiles(FanOut):
             self._end(file)
         elif file is None and wanted:
             path = free_path(Path(), datetime.now(), [each.path for each in self.files])
-            file = self._opened(path, self._setup)
-            if self._page is not None:
-                file.coach(self._page)
-            self.files.append(file)
-            self.file, self.sinks = file, (file,)
-            self._requests.tell_saving("saving", file.path.name)
+            try:
+                check_writable(path.absolute(), force=False)
+            except (UsageError, OSError) as refusal:  # the folder is read-only, or gone
+                self._requests.tell_saving("failed", str(refusal))
+            else:
+                self._begin(path)
         elif file is not None and file.waited not in (None, self._waited):  # for the disk
             self._waited = file.waited
             self._requests.tell_saving("saving", file.waited)
         super().write(frame)
+
+    def _begin(self, path: Path) -> None:
+        file = self._opened(path, self._setup)
+        if self._page is not None:
+            file.coach(self._page)
+        self.files.append(file)
+        self.file, self.sinks = file, (file,)
+        self._requests.tell_saving("saving", file.path.name)
 
     def recalibrated(self, setup: FusionSetup) -> None:
         self._setup = setup

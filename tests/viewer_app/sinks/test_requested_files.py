@@ -92,6 +92,30 @@ def test_a_full_disk_is_told_while_it_is_waited_for(tmp_path, monkeypatch):
     assert session.open_file is None
 
 
+@pytest.mark.parametrize("gone", [False, True])
+def test_that_nothing_can_be_saved_in_a_folder_is_told_at_once(gone, tmp_path, monkeypatch):
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    if gone:
+        folder.rmdir()
+    else:  # root may write everywhere
+        monkeypatch.setattr("os.access", lambda path, how: Path(path) != folder)
+    requests = Requests({0: True, 3: True})
+    with live(requests) as session:
+        session.write(FRAMES[0])
+        (state, text) = requests.told[-1]
+        assert state == "failed"
+        assert gone or text == f"The folder {folder} is not writable."
+        session.write(FRAMES[1])
+        monkeypatch.undo()
+        monkeypatch.chdir(tmp_path)
+        for frame in FRAMES[2:6]:
+            session.write(frame)
+    assert requests.told[-1][0] == "saved"
+    assert [len(Session.open(file.path)) for file in session.files] == [3]
+
+
 def test_a_fault_of_the_writer_is_told_and_raised(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("viewer_app.sinks.session_file.write_items", lambda *_: 1 / 0)
@@ -132,6 +156,7 @@ def said_by(client, kind):
         "save", 7, None, [], {"type": "save", "on": True}, {"type": "save", "on": "yes", "token": "TOKEN"},
         {"type": "save", "on": True, "token": ["TOKEN"]}, {"type": "frame", "on": True, "token": "TOKEN"},
         {"type": "save", "on": True, "token": "\ud800"}, {"type": "save", "on": True, "token": "TOKEN0"},
+        {"type": "save", "on": None, "token": "old"}, {"type": "save", "token": "TOKEN"},
     ])
 )  # fmt: skip
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -149,14 +174,28 @@ def test_only_the_token_begins_a_file(wrong, server):
     assert server.ignored == before + 1
 
 
+def test_who_asks_is_told_whether_the_token_is_right(server):
+    base, _, token = server.page.partition("/#")
+    with connect(base.replace("http", "ws")) as client:
+        for given_, may in ((token, True), ("old", False), ("", False)):
+            client.send(json.dumps({"type": "save", "on": None, "token": given_}))
+            assert said_by(client, "may_save")["may"] is may
+    assert server.ignored == 2
+    assert server.take_request() is None
+
+
 def test_a_page_begins_and_ends_a_file(server, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with browser(bypass_csp=True) as context, live(server, others=[server]) as session:
-        tabs = [context.new_page() for _ in range(2)]
-        button = tabs[0].locator("#save")
-        for tab, page in zip(tabs, (server.page, server.page.partition("/#")[0]), strict=True):
+        tabs = [context.new_page() for _ in range(3)]
+        button, base = tabs[0].locator("#save"), server.page.partition("/#")[0]
+        for tab, page in zip(tabs, (server.page, base, f"{base}/#old"), strict=True):
             tab.goto(page)
             tab.wait_for_function("skeleton.saving && skeleton.saving.state === 'ready'")
+        for tab in (tabs[0], tabs[2]):
+            tab.wait_for_function("typeof skeleton.may === 'boolean'")
+        assert not tabs[2].locator("#save").is_visible(), "the token of an earlier run"
+        assert "earlier run" in tabs[2].locator("#event").inner_text()
         assert not tabs[1].locator("#save").is_visible(), "a page without the token"
         for count, (state, word) in enumerate((("saving", "Stop saving"), ("saved", "Save again"))):
             button.click()
