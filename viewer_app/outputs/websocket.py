@@ -312,7 +312,7 @@ class WebSocketOutput(LiveOutput):
             sending.cancel()
 
     def _takes(self, message: str | bytes, client: _Client) -> bool:
-        """Takes a request, or tells whether the client has the token; returns whether it has it and asks so."""
+        """Takes a request, or tells whether the client has the token; whether it has it and asks so."""
         try:
             said = json.loads(message)
         except (ValueError, RecursionError):
