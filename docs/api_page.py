@@ -8,7 +8,7 @@ stay within one major version, or change with a note in [Upgrading](upgrading.md
 _TOPICS: tuple[tuple[str, str, str, str], ...] = (
     (
         "Sessions",
-        "What `fuse`, `Session.open` and `Session.of_arrays` return, and what a session gives.",
+        "What `fuse`, `fuse_arrays` and `Session.open` return, and what a session gives.",
         "recordings",
         "Session SkeletonSeries QualitySeries AngleSeries RotationSeries Gait Step Turn Verdict "
         "SecondQuality Comparison TruthComparison Event SessionArrays SessionFrame",
@@ -17,7 +17,7 @@ _TOPICS: tuple[tuple[str, str, str, str], ...] = (
         "Fusing",
         "",
         "",
-        "recordings.fuse recordings.fuse_live recordings.live_fusion.LiveFrames",
+        "recordings.fuse recordings.fuse_arrays recordings.fuse_live recordings.live_fusion.LiveFrames",
     ),
     (
         "Tests",

@@ -6,6 +6,7 @@ from fusion.support.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from devices.events import Event as Event
+    from recordings.array_fusion import fuse_arrays as fuse_arrays
     from recordings.comparing.session_comparison import Comparison as Comparison
     from recordings.comparing.truth_comparison import TruthComparison as TruthComparison
     from recordings.data.series import AngleSeries as AngleSeries

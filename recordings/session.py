@@ -23,12 +23,9 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
-from numpy.typing import ArrayLike
-
 from devices.events import Event
-from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.setup import FuserSettings, FusionSetup
+from fusion.setup import FusionSetup
 from recordings.data.images import NO_IMAGES, SessionImages
 from recordings.data.session_arrays import SessionArrays, SessionFrame, SessionFrames
 from recordings.errors import RecordingError
@@ -47,8 +44,8 @@ _BLOCK = 300  # frames that are turned into arrays at once
 class Session(SessionSeries):
     """A recorded capture: the sensor data, the fused skeletons and the settings of the fusion.
 
-    :func:`recordings.fuse`, :meth:`open` and :meth:`of_arrays` make one. It can be pickled; its depth images
-    are then read from its file.
+    :func:`recordings.fuse`, :func:`recordings.fuse_arrays` and :meth:`open` make one. It can be pickled; its
+    depth images are then read from its file.
     """
 
     @staticmethod
@@ -106,42 +103,6 @@ class Session(SessionSeries):
             damage=None,
             images=images,
         )
-
-    @staticmethod
-    def of_arrays(
-        body: Body | str,
-        time: ArrayLike,
-        positions_a: ArrayLike,
-        positions_b: ArrayLike,
-        *,
-        states_a: ArrayLike | None = None,
-        states_b: ArrayLike | None = None,
-        calibration: Calibration | None = None,
-        settings: FuserSettings | None = None,
-        sources: tuple[str, str] = ("a", "b"),
-    ) -> Session:
-        """Fuses the skeletons of two sensors, as :func:`recordings.fuse` does with recordings.
-
-        Args:
-            body: The body tracker's family, or its name: ``kinect_v1``, ``kinect_v2``, ``azure_kinect`` or
-                ``blazepose``.
-            time: (T,) seconds of both sensors, increasing.
-            positions_a, positions_b: (T, J, 3) metres, each in its sensor's frame: x right, y down, z
-                forward. NaN marks a joint that was not seen.
-            states_a, states_b: (T, J) 0 not tracked, 1 inferred, 2 tracked; None: every joint that has a
-                position is tracked.
-            calibration: An earlier calibration; None: found from the skeletons.
-            settings: Settings of the method; None: the default, with ``hindsight="labels"``.
-            sources: Names of the sensors, K_A first.
-
-        Raises:
-            RecordingError: There is no such body, or an array has another shape, unit or order.
-            FusionError: The views cannot be calibrated, or cannot be of one person at one time.
-        """
-        from recordings.fusing.two_views import fuse_arrays  # an opened session needs no method
-
-        views = (positions_a, states_a), (positions_b, states_b)
-        return Session.of(*fuse_arrays(body, time, views, sources, settings, calibration))
 
     def export(
         self,

@@ -7,24 +7,21 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from devices.events import Event
-from devices.pairing import Pairing, pair_views
-from fusion.body import BODIES, Body
+from devices.pairing import Pairing
+from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import Surfaces
 from fusion.errors import CalibrationError
 from fusion.facing.handedness import mirrored_share
 from fusion.intrinsics import Intrinsics
-from fusion.pair_arrays import View
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings, FusionSetup
-from fusion.skeleton import checked_joints, impossible
 from fusion.support.progress import Progress, quietly
-from recordings.data.images import NO_IMAGES, SessionImages
+from recordings.data.images import SessionImages
 from recordings.data.session_arrays import SessionFrames
-from recordings.errors import RecordingError, UnknownNameError
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
 
@@ -43,49 +40,6 @@ class FusedRecordings(NamedTuple):
     events: Sequence[Event]  # those of the views come in while the frames are taken
     images: SessionImages
     about: Mapping[str, str | float]
-
-
-def fuse_arrays(
-    body: Body | str,
-    time: ArrayLike,
-    views: Sequence[tuple[ArrayLike, ArrayLike | None]],
-    sources: tuple[str, str] = ("a", "b"),
-    settings: FuserSettings | None = None,
-    calibration: Calibration | None = None,
-) -> FusedRecordings:
-    """Fuses positions (T, J, 3) and states (T, J) of A and of B; see
-    :meth:`recordings.session.Session.of_arrays`."""
-    if isinstance(body, str):
-        if body not in BODIES:
-            raise UnknownNameError("body", body, tuple(BODIES))
-        body = BODIES[body]
-    seconds = np.asarray(time, dtype=np.float64)
-    time_ns = np.rint(1e9 * (seconds - seconds[:1])).astype(np.int64) if seconds.ndim == 1 else None
-    if time_ns is None or not len(time_ns) or not np.isfinite(seconds).all() or (np.diff(time_ns) <= 0).any():
-        raise RecordingError(
-            f"`time` is (T,) seconds that increase, of at least one frame; got {seconds.shape} values."
-        )
-    read = []
-    for side, (positions, states) in zip("ab", views, strict=True):
-        at = np.array(positions, dtype=np.float64)
-        if at.shape != (len(time_ns), len(body), 3):
-            raise RecordingError(
-                f"`positions_{side}` has the shape {at.shape}; {len(time_ns)} frames of {body.name} need "
-                f"{(len(time_ns), len(body), 3)}."
-            )
-        stated = np.isfinite(at).all(axis=2)
-        if stated.any() and impossible(at)[stated].mean() > _MOSTLY:
-            raise RecordingError(
-                f"`positions_{side}`: most joints are where no sensor sees. Positions are metres in the "
-                "sensor's frame: x right, y down, z forward."
-            )
-        read.append(View(time_ns, *checked_joints(body, at, states, (len(time_ns),))))
-    settings = settings or FuserSettings(hindsight="labels")
-    pairing = pair_views(body, read[0], read[1], every_frame=settings.method == "duplex")
-    about = {"dropped_a": pairing.dropped_a, "dropped_b": pairing.dropped_b}
-    refine = calibration is None
-    plan, frames, events = fuse_views(body, pairing, sources, settings, calibration, refine=refine)
-    return FusedRecordings(frames, sources, events, NO_IMAGES, about | clock_of(plan))
 
 
 def fuse_views(

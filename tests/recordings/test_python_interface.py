@@ -20,7 +20,7 @@ from devices.simulated.kinect import simulated_pair
 from fusion import BODIES, KINECT_V2, DuplexError
 from fusion.movement.humanoid import human_bones
 from fusion.movement.joint_rotations import rotations_of
-from recordings import RecordingError, Session, UnknownNameError, fuse
+from recordings import RecordingError, Session, UnknownNameError, fuse, fuse_arrays
 from recordings.quality.figures import report
 from recordings.replaying import Replay
 from recordings.testing import SessionsDifferError, assert_session, assert_sessions_match, simulated_session
@@ -36,7 +36,7 @@ REFUSED = {
     "export": lambda s: s.export("s.fbx"),
     "table": lambda s: s.to_arrow("broad"),
     "names": lambda s: s.export("s.bvh", names="vicon"),
-    "body": lambda s: Session.of_arrays("kinect_v3", s.time, s.b_in_a, s.b_in_a),
+    "body": lambda s: fuse_arrays("kinect_v3", s.time, s.b_in_a, s.b_in_a),
     "truth": lambda s: s.compare_with("s.xlsx"),
     "tolerance": lambda s: assert_sessions_match(s, s, joints_mm={"rwist": 1.0}),
     "joint": lambda s: s.body.joint("rwist"),
@@ -164,7 +164,7 @@ def test_arrays_become_a_session():
     a, b, truth = simulated_pair(motion="walk", seconds=4.0, body=KINECT_V2)
     points = [np.array([frame.people["1"].positions for frame in sensor.frames()]) for sensor in (a, b)]
     time = np.arange(len(points[0])) / 30.0
-    made = Session.of_arrays("kinect_v2", 12.0 + time, *points)
+    made = fuse_arrays("kinect_v2", 12.0 + time, *points)
     np.testing.assert_allclose(made.time, time, atol=1e-9)
     np.testing.assert_array_equal(made.skeleton_a.positions, points[0].astype(np.float32))
     off = np.linalg.norm(made.fused - truth.positions_at(made.time_ns), axis=2)
@@ -176,7 +176,7 @@ def test_arrays_become_a_session():
         ((KINECT_V2, time[:0], points[0][:0], points[1][:0]), "at least one frame"),
     ):
         with pytest.raises(RecordingError, match=said):
-            Session.of_arrays(*wrong)
+            fuse_arrays(*wrong)
 
 
 def test_people_are_those_whose_bones_s_star_has(session, tmp_path):
@@ -190,7 +190,7 @@ def test_people_are_those_whose_bones_s_star_has(session, tmp_path):
         root = at[half:, session.body.root, None]
         nobody = np.full_like(at[half - 60 : half], np.nan)
         of_two.append(np.concatenate((at[: half - 60], nobody, root + 0.7 * (at[half:] - root))))
-    made = Session.of_arrays(session.body, session.time, *of_two)
+    made = fuse_arrays(session.body, session.time, *of_two)
     made.save(tmp_path / "s.rrd")
     again = Replay.of(Session.open(tmp_path / "s.rrd")).fused()
     for each in (made, again, again.part(slice(half // 2, None))):
@@ -256,7 +256,7 @@ def test_arrays_survive_a_file_and_a_process(name, frames, lost, tmp_path):
     for k in lost & set(range(frames)):
         at[k % 2][k] = np.nan
     time = whole.time[60 : 60 + frames]
-    made = Session.of_arrays(name, time, *at, calibration=whole.calibration)
+    made = fuse_arrays(name, time, *at, calibration=whole.calibration)
     made.save(tmp_path / "s.rrd")
     opened, moved = Session.open(tmp_path / "s.rrd"), pickle.loads(pickle.dumps(made))
     for other in (opened, moved, copy.deepcopy(made)):
