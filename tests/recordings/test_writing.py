@@ -8,10 +8,11 @@ from uuid import uuid4
 import numpy as np
 import pytest
 import rerun as rr
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from devices.depth.image_thinning import pair_without_images
 from devices.events import Event
 from devices.frame_pairs import PairingFigures
 from devices.sensor import ColorCamera, ColorImage
@@ -19,12 +20,14 @@ from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.movement.angles import ANGLES
 from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
 from recordings.appearance.coach_page import CoachPage, Mark
 from recordings.appearance.state_card import State
 from recordings.data import layout
 from recordings.data.session_arrays import SessionFrame
 from recordings.file.rrd_file import RrdFile, read_columns
+from recordings.fusing.pairs import fuse_one
 from recordings.quality.limits import PLOTTED_DEGREES, POSSIBLE
 from recordings.session import Session
 from recordings.writing import changes
@@ -32,10 +35,11 @@ from recordings.writing.arrow_columns import Column, Times, converted, depth_ima
 from recordings.writing.other_people import OthersLog
 from recordings.writing.shown_images import LATE_NS
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.laws import COSTLY
 from tests.helpers.live_frames import BODY, frames, known_fuser, session
 from tests.helpers.recalibrated import record_recalibrated, recorder_to
 from tests.helpers.session_text import logged_in
-from tests.helpers.two_views import A_FROM_B, FRAME_NS
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, standing
 
 
 @pytest.fixture(scope="module")
@@ -182,6 +186,86 @@ def test_every_entity_of_a_session_is_in_the_list(made, tmp_path, shown):
     absent = {of.path for of in left.values() if shown or of.kind != layout.VIEWER}
     # of whole sessions; of odd poses; of states that change; of infrared images
     assert absent <= {"/how_good", "/angles/beyond", "/lanes/{1}/{0}", "/kinect_{}/depth/infrared"}
+
+
+def held_in(path):
+    """By entity and component, what holds at each frame; of the events all; of what never changes, that."""
+    every, count = {}, len(Session.open(path))
+    with RrdFile(path) as file:
+        for entity, batch in file.chunks(images=True):
+            rows = batch.to_pydict()
+            order, frames = batch.column(0).to_pylist(), rows.get(layout.FRAME, [-1] * batch.num_rows)
+            for name in () if entity.startswith("/__") else batch.schema.names[1:]:
+                if name not in (layout.FRAME, layout.TIME, "log_time", "log_tick"):
+                    every.setdefault((entity, name), []).extend(zip(frames, order, rows[name], strict=True))
+    held = {}
+    for key, values in every.items():
+        values.sort(key=lambda value: value[:2])
+        at = [[of for frame, _, of in values if frame <= t] for t in range(count)]
+        held[key] = [of for *_, of in values] if key[0] == layout.EVENTS else [of[-1:] for of in at]
+    return held
+
+
+def alike(one, other):
+    """Whether two values are equal; numbers but for what S* loses in float32, and a step of σ in float16."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(alike(of, other[name]) for name, of in one.items())
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(alike, one, other))
+    if isinstance(one, float):
+        return bool(np.isclose(one, other, rtol=1e-3, atol=2e-3, equal_nan=True))
+    return one == other
+
+
+FROM_ALL = (layout.FLOOR, layout.ANGLES, layout.ANGLES_BEYOND, layout.SECONDS_LANE)
+"""Entities that follow from all frames where they are known: those of a block of a live file know fewer."""
+moments = st.integers(0, 14)
+
+
+@settings(COSTLY)
+@given(
+    comes=st.tuples(moments, moments), other=st.tuples(moments, moments), color=moments, knocked=moments,
+    sizes=st.lists(st.integers(1, 7), min_size=14), rates=st.tuples(moments, moments),
+)  # fmt: skip
+def test_each_entity_of_a_live_file_is_in_what_is_saved_of_it(
+    comes, other, color, knocked, sizes, rates, tmp_path_factory
+):
+    """Whoever and whatever comes late, and however it was written."""
+    folder, count, fuser = tmp_path_factory.mktemp("s"), 14, known_fuser()
+    some = frame_pairs(BODY, count, depth=True, no_a=range(min(comes[0], comes[1])), only_a=range(comes[1]))
+    with recorder_to(folder / "live.rrd", fuser.setup, depth_every=1) as recorder:
+        first = 0
+        while first < count:
+            block = []
+            for k in range(first, min(first + sizes[first], count)):
+                pair, a = some[k], some[k].a
+                if a is not None and other[0] <= k < sum(other):
+                    stranger = Skeleton.of(BODY, standing(BODY) + 1.0, np.full(len(BODY), 2))
+                    a = replace(a, people={**a.people, "8": stranger})
+                if a is not None and k >= color:
+                    a = replace(a, color=COLOR)
+                pair = replace(pair, a=a)
+                told = PairingFigures(
+                    alone_a=k // (1 + rates[0]), dropped=(k // (1 + rates[1]), 0), drift_ppm=k
+                )
+                block.append(replace(fuse_one(fuser, pair), streams=told if k >= rates[0] else None))
+                recorder.record_images(k, block[-1])
+            recorder.record_all([replace(of, pair=pair_without_images(of.pair)) for of in block])
+            recorder.event(Event(f"after {first}", "WARN"))
+            mark = Mark((((0.0, 0.0, 0.0), (1.0, 0.0, float(first))),), "do", (0.0, 0.0, 0.0))
+            recorder.coach(CoachPage(f"page {first}", (("spot", mark),) if first % 2 else ()))
+            if first <= knocked < first + sizes[first]:
+                calibration = replace(fuser.setup.calibration, how="again")
+                fuser.recalibrate(FusionSetup(calibration, fuser.setup.settings, *fuser.setup.intrinsics))
+                recorder.recalibrated(fuser.setup)
+            first += sizes[first]
+    Session.open(folder / "live.rrd").save(folder / "once.rrd")
+    Session.open(folder / "once.rrd").save(folder / "twice.rrd")
+    live, once, twice = (held_in(folder / f"{name}.rrd") for name in ("live", "once", "twice"))
+    assert {key for key in live if key[0] not in FROM_ALL} == {key for key in once if key[0] not in FROM_ALL}
+    for key in live:
+        assert key[0] in FROM_ALL or alike(live[key], once[key]), key
+    assert repr(once) == repr(twice)
 
 
 def test_an_image_stays_until_it_is_late(made, tmp_path):
