@@ -85,6 +85,21 @@ FAULTS = ["fifo", "device", "folder", "missing", "binary", "unreadable", "huge"]
 """A huge file has holes: it takes no room on the disk, and no memory holds it."""
 
 
+def put_there(folder):
+    """Puts files where outputs go; what they hold."""
+    for name in ("n.rrd", "n.csv", "n.json", "n.html", "n.zip", "n.mcap"):
+        (folder / name).write_text("old")
+    return contents(folder)
+
+
+def contents(folder):
+    return {
+        path.relative_to(folder): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not path.is_symlink() and path.stat().st_size < 1 << 20
+    }
+
+
 @pytest.mark.parametrize("kind", FAULTS)
 @pytest.mark.parametrize(("command", "name", "ending"), INPUTS)
 def test_every_input(command, name, ending, kind, good, tmp_path, capsys):
@@ -110,14 +125,38 @@ def test_every_input(command, name, ending, kind, good, tmp_path, capsys):
     def waits(*_):
         raise AssertionError(f"{command} waits for {name}")
 
+    there, force = put_there(tmp_path), ["--force"] if "force" in kinds_of(command) else []
+
     before = signal.signal(signal.SIGALRM, waits)
     signal.alarm(30)
     try:
-        assert duplex(*line_of(command, name, bad, good, tmp_path)) == 2
+        assert duplex(*line_of(command, name, bad, good, tmp_path), *force) == 2
     finally:
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
     one_line(capsys)
+    assert contents(tmp_path) == there
+
+
+FILES = {
+    "save": "n.rrd",
+    "report": "n.json",
+    "save_calibration": "n.json",
+    "html": "n.html",
+    "to": "n.csv",
+    "bundle": "n.zip",
+    "save_mcap": "n.mcap",
+}
+TAKEN = [(command, name) for command in COMMANDS for name in FILES if name in kinds_of(command)]
+
+
+@pytest.mark.parametrize(("command", "name"), TAKEN)
+def test_what_is_there_stays_without_force(command, name, good, tmp_path, capsys):
+    there = put_there(tmp_path)
+    line = line_of(command, name, tmp_path / FILES[name], good, tmp_path / "more")
+    assert duplex(*line, *(["--no-viewer"] if "no_viewer" in kinds_of(command) else [])) == 2
+    assert FILES[name] in one_line(capsys)
+    assert contents(tmp_path) == there
 
 
 @pytest.mark.parametrize("text", ["[" * 5000, "joints = " + "[" * 5000, f"joints = {'1' * 5000}", "\ufeff"])
