@@ -53,6 +53,7 @@ from recordings.fusing.pairs import fuse_one, fuse_segments
 from recordings.fusing.view_events import ViewEvents, watch
 from recordings.live_fusion import LiveFusion
 from recordings.quality.figures import report
+from recordings.replaying import Agreement, Replay
 from tests.helpers.command_line import duplex
 from tests.helpers.demonstrations import pairs_of
 from tests.helpers.frame_pairs import KnownSensors, frame_pairs
@@ -458,6 +459,7 @@ def test_a_live_file_keeps_every_figure_whoever_comes_late(data):
         if values.dtype == in_memory.dtype and name not in ("fused", "truth", "sigma", "fuse_ms"):  # rounded
             np.testing.assert_array_equal(values, in_memory, name)
     assert (session.truth is None) == (expected.truth is None)
+    assert Agreement.of(session, Replay.of(session).fused().fused).kind == "bits"
 
 
 # --- Events at a moment, spells with a start and an end, and limbs that a view reports at a wrong place.
