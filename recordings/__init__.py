@@ -6,7 +6,6 @@ from fusion.support.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from devices.events import Event as Event
-    from recordings.array_fusion import fuse_arrays as fuse_arrays
     from recordings.comparing.session_comparison import Comparison as Comparison
     from recordings.comparing.truth_comparison import TruthComparison as TruthComparison
     from recordings.data.series import AngleSeries as AngleSeries
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from recordings.errors import RecordingError as RecordingError
     from recordings.errors import UnknownNameError as UnknownNameError
     from recordings.file_fusion import fuse as fuse
+    from recordings.file_fusion import fuse_arrays as fuse_arrays
     from recordings.gait import Gait as Gait
     from recordings.gait import Step as Step
     from recordings.gait import Turn as Turn

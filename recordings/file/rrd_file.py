@@ -68,7 +68,7 @@ class Columns:
     """By entity, for entities logged occasionally: (frame, {component: values})."""
     damage: str | None = None  # description of the damage; None if the file is whole
     identity: tuple[str, str] | None = None  # application and recording id
-    entities: Entities | None = None
+    entities: Entities = field(default_factory=dict)
 
 
 _Parts = dict[tuple[str, str], tuple[GrowingArray, GrowingArray, NDArray[Any]]]
@@ -79,29 +79,25 @@ def read_columns(path: Path, wanted: Collection[tuple[str, str]]) -> Columns:
     """Reads properties, events, calibrations and the wanted components. Raises as :class:`RrdFile`."""
     found, entities = Columns(), {entity for entity, _ in wanted}
     parts: _Parts = {}
-    with RrdFile(path) as file:
+    with RrdFile(path, found.entities) as file:
         for entity, batch in file.chunks(images=False):
             if not _take(entity, batch, found) and entity in entities:
                 _take_numbers(entity, batch, wanted, parts)
-        found.damage, found.identity, found.entities = file.damage, file.identity(), file.entities
+        found.damage, found.identity = file.damage, file.identity()
     arrays = GrowingArray.wholes(array for frames, values, _ in parts.values() for array in (frames, values))
     found.values = dict(zip(parts, zip(arrays[::2], arrays[1::2], strict=True), strict=True))
     return found
 
 
-@dataclass
-class Entities:
-    """The entities of a file's chunks, as far as they were unpacked: no chunk is unpacked in vain again."""
-
-    file: tuple[int, ...]  # which one, of what size, since when: of a file that was replaced nothing is known
-    at: dict[int, str] = field(default_factory=dict)  # by the first byte of a chunk
+Entities = dict[tuple[int, ...], str]
+"""Of chunks that were unpacked, by file, its size and time, and their first byte: none is in vain again."""
 
 
 class RrdFile:
     """The messages that a file has at the time of opening.
 
     Args:
-        entities: From reading the file before.
+        entities: Known already; more are added.
 
     Raises:
         RecordingError: The file cannot be read, or is not an .rrd file.
@@ -117,8 +113,8 @@ class RrdFile:
                 raise RecordingError(f"{path} is not a session: it does not begin like an .rrd file.")
             self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
             now = os.fstat(file.fileno())
-        own = now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns
-        self.entities = entities if entities is not None and entities.file == own else Entities(own)
+        self._file = now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns
+        self._entities = {} if entities is None else entities
 
     def __enter__(self) -> RrdFile:
         return self
@@ -160,7 +156,7 @@ class RrdFile:
                 continue
             if not images and self._data.find(_IMAGE, begin, min(begin + _IMAGE_WITHIN, end)) >= 0:
                 continue
-            if (known := self.entities.at.get(begin)) is not None and not wanted(known):
+            if (known := self._entities.get((*self._file, begin))) is not None and not wanted(known):
                 continue
             try:
                 entity, batch = _unpack(self._data[begin:end])
@@ -168,7 +164,7 @@ class RrdFile:
                 self._wrong(f"the message at byte {begin} is damaged")
                 self._unread.append((begin, end))
                 continue
-            self.entities.at[begin] = sys.intern(entity)
+            self._entities[*self._file, begin] = sys.intern(entity)
             if wanted(entity):
                 yield entity, batch
 

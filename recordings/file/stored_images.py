@@ -81,7 +81,7 @@ class FileImages(SessionImages):
         entities: What is known of the file.
     """
 
-    def __init__(self, path: Path, identity: tuple[str, str] | None, entities: Entities | None) -> None:
+    def __init__(self, path: Path, identity: tuple[str, str] | None, entities: Entities) -> None:
         self._path, self._identity, self._entities = path, identity, entities
 
     def depth(self, side: str, frames: range) -> Images[NDArray[np.uint16]]:
@@ -104,7 +104,6 @@ class FileImages(SessionImages):
                 raise RecordingError(
                     f"{self._path} holds another session now. Open it again to read its images."
                 )
-            self._entities = file.entities
             yield file
 
 

@@ -26,7 +26,7 @@ from recordings.fusing.pairs import Segments, block_count, calibration_event, fu
 from recordings.fusing.view_events import watch
 
 _UNRELATED = 0.2  # metres
-_MOSTLY = 0.5
+MOSTLY = 0.5
 
 
 Fused = Sequence[tuple[FusionSetup, Iterable[SessionFrames]]]
@@ -101,7 +101,7 @@ def _why_unrelated(
     """Why recordings cannot be of one person at one time."""
     a, b = names
     for name, view in zip(names, pairing.pairs.skeletons.views, strict=True):
-        if (mirrored_share(body, view.positions) or 0.0) > _MOSTLY:
+        if (mirrored_share(body, view.positions) or 0.0) > MOSTLY:
             return (
                 f"{name} is the mirror image of a person: state its axes with `axes`, or change the sign of "
                 "x in it. `force` uses it as it is."

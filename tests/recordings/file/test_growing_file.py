@@ -392,7 +392,7 @@ def written(path, images):
 
 def images_of(path):
     with RrdFile(path) as file:
-        return FileImages(path, file.identity(), None)
+        return FileImages(path, file.identity(), {})
 
 
 def test_images_come_back_with_lens_and_place(session, images):
