@@ -12,18 +12,15 @@ from devices.sensor import DeviceError
 from fusion.body import Body
 from fusion.clocks import Clock
 from fusion.clocks.course import find_clock_course
-from fusion.clocks.search import agreement, candidates, find_clock_offset, is_better
+from fusion.clocks.partners import median_interval, nearest_of, with_partners
+from fusion.clocks.search import candidates, find_clock_offset
 from fusion.pair_arrays import Pairs, View
 from fusion.support.large_arrays import stored
 
 ONE_RUN_NS = 60_000_000_000
 """Two sensors whose first frames arrived at most so far apart were recorded by one run of the program."""
 _BETTER, _ALIKE, _NAMED = 0.8, 1.1, 3  # of the distances of views at offsets that are named, and how many
-_JUMP, _MOST_JUMPS = 2.5, 8  # frame intervals, and jumps
-_CERTAIN, _FEWEST_NEW, _AS_WELL = 2.0, 12, 1.25  # standard errors, frames, and mean penalties
-_NEIGHBOURS, _RHYTHM = 2, 0.25  # frames, and the scatter of their skews compared with others
 _ONE_CLOCK = Clock()
-_COUNTED, _ENOUGH = 3000, 0.995  # frames, and their share
 _GAP = 1.5
 """Frame intervals: if the nearest frame of the other recording is farther away, the other recording has a
 gap."""
@@ -126,13 +123,6 @@ def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.
     return np.flatnonzero(within & (apart > _GAP * median_interval(others)))
 
 
-def nearest_of(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each time the index of the nearest of the others, the earlier where two are as near."""
-    after = np.minimum(np.searchsorted(others, times), len(others) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(np.abs(others[before] - times) <= np.abs(others[after] - times), before, after)
-
-
 def _least_interval(times: NDArray[np.int64]) -> int:
     """The median interval of frames without one missing between them, though half are missing.
 
@@ -142,11 +132,6 @@ def _least_interval(times: NDArray[np.int64]) -> int:
     if not len(steps):
         return median_interval(times)
     return int(np.median(steps[steps <= _GAP * np.quantile(steps, 0.25)]))
-
-
-def median_interval(times: NDArray[np.int64]) -> int:
-    """Nanoseconds between two frames; a thirtieth of a second for a single frame."""
-    return int(np.median(np.diff(times))) if len(times) > 1 else 33_000_000
 
 
 def _span(times: NDArray[np.int64]) -> str:
@@ -168,7 +153,7 @@ def clock_by_motion(body: Body, a: View, b: View) -> Clock | None:
     if most < 2 * interval / 3 or not (changes or found.significant):
         return None
     return replace(
-        found, offset_ns=found.offset_ns + _with_partners(a.time_ns, b.time_ns + found.at(b.time_ns))
+        found, offset_ns=found.offset_ns + with_partners(a.time_ns, b.time_ns + found.at(b.time_ns))
     )
 
 
@@ -185,64 +170,6 @@ def clock_in_question(body: Body, a: View, b: View) -> str:
         f"The views agree best with B's clock at {places}{instead}; they are too short, or too alike, to be "
         f"sure: `offset_ms={best[0][0] * 1e-6:.0f}` takes the first."
     )
-
-
-def jumps_closed(body: Body, a: View, b: View) -> tuple[View, View]:
-    """The person in all frames of two recordings, with times that go on where one clock jumps ahead.
-
-    A jump may be a pause, or a clock that was set. Where only one recording has it, the motion tells which.
-    """
-    views, jumps = [a, b], []
-    for side, (view, other) in enumerate(((a, b), (b, a))):
-        steps, usual = np.diff(view.time_ns), median_interval(view.time_ns)
-        for k in np.flatnonzero(steps > _JUMP * usual).tolist():
-            first, end = np.searchsorted(other.time_ns, view.time_ns[k : k + 2])
-            if end - first > _JUMP:
-                jumps.append((int(steps[k]) - usual, side, int(k) + 1))
-    least = agreement(body, a, b) if jumps else np.zeros(0)
-    for longer_ns, side, k in sorted(jumps, reverse=True)[:_MOST_JUMPS]:
-        tried = list(views)
-        later = np.arange(len(views[side].time_ns)) >= k
-        tried[side] = views[side]._replace(time_ns=views[side].time_ns - longer_ns * later)
-        costs = agreement(body, *tried)
-        if _agrees(costs, least):
-            views, least = tried, costs
-    return views[0], views[1]
-
-
-def _agrees(costs: NDArray[np.float64], before: NDArray[np.float64]) -> bool:
-    """Whether views agree better than before, or in more frames as well."""
-    more = int(np.isfinite(costs).sum() - np.isfinite(before).sum())
-    as_well = np.nanmean(costs) < _AS_WELL * np.nanmean(before)
-    return is_better(costs, before, _CERTAIN) or bool(more > _FEWEST_NEW and as_well)
-
-
-def _with_partners(a_ns: NDArray[np.int64], b_ns: NDArray[np.int64]) -> float:
-    """What to add to B's times, up to some frames' certainty right, so that its frames have partners.
-
-    Where both have one rhythm, as of one computer that took their frames in turns, it tells the frames that
-    belong together. Else it is the least with which hardly a frame loses its partner.
-    """
-    interval = median_interval(a_ns)
-    nearest = nearest_of(b_ns, a_ns)
-    skews = [
-        b_ns - a_ns[np.clip(nearest + k, 0, len(a_ns) - 1)] for k in range(-_NEIGHBOURS, _NEIGHBOURS + 1)
-    ]
-    middles = [float(np.median(skew)) for skew in skews]
-    scatter = [float(np.median(np.abs(skew - middle))) for skew, middle in zip(skews, middles, strict=True)]
-    first, second = np.argsort(scatter, kind="stable")[:2].tolist()
-    if scatter[first] < _RHYTHM * scatter[second]:
-        return float(-middles[first])
-    some = slice(max(len(b_ns) - _COUNTED, 0) // 2, None)
-    b_ns = b_ns[some][:_COUNTED]
-    shifts = interval // 16 * np.arange(-8, 9)
-    counts = []
-    for shift in shifts.tolist():
-        near = nearest_of(b_ns + shift, a_ns)
-        paired = np.abs(a_ns[near] - b_ns - shift) <= interval // 2
-        counts.append(len(np.unique(near[paired])))
-    enough = shifts[np.array(counts) >= _ENOUGH * max(counts)]
-    return float(min(enough, key=abs))
 
 
 def clock_by_cable(

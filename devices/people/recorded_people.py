@@ -31,6 +31,7 @@ class RecordedPeople(Rows[SensorFrame]):
     frame: NDArray[np.int64]  # (N,) of each skeleton: number of its frame, in order
     person: NDArray[np.int64]  # (N,) index of its id
     skeletons: View  # N rows
+    sets: Sequence[int] = ()  # times of the first frames after the clock was set
 
     @staticmethod
     def of(body: Body, frames: Iterable[SensorFrame]) -> RecordedPeople:

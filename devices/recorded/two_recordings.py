@@ -19,7 +19,6 @@ from devices.pairing import (
     clock_by_cable,
     clock_by_motion,
     clock_in_question,
-    jumps_closed,
     pair_views,
 )
 from devices.people.recorded_people import Follow, OneRecording, RecordedPeople, SeenPerson
@@ -39,6 +38,8 @@ from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import BODIES, Body
 from fusion.clocks import Clock
+from fusion.clocks.partners import median_interval
+from fusion.clocks.parts import parts_joined
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import Pairs, View, joined_views
 from fusion.support.large_arrays import give_back, parts
@@ -348,21 +349,47 @@ def _as_body(view: View, body: Body, other: Body) -> View:
 
 
 def _going_on(a: OneRecording, b: OneRecording) -> tuple[OneRecording, OneRecording]:
-    """The same with times that go on where one clock jumps ahead, by who is seen longest, and a line."""
+    """The same with times that go on where a clock was set, by who is seen longest, and lines about it.
+
+    Raises:
+        DeviceError: The person's movement contradicts the times beside a clock that was set.
+    """
     reads = a, b
     if a.people.body is not b.people.body:
         return reads
-    seen = [
+    view_a, view_b = (
         read.people.view([read.people.choose_person(read.wanted, read.name, read.option)]) for read in reads
-    ]
-    for k, (read, person) in enumerate(zip(reads, jumps_closed(a.people.body, *seen), strict=True)):
-        by_ns = int(read.people.time_ns[-1] - person.time_ns[-1])
-        if by_ns:
-            jumped = f"the clock jumped by {by_ns * 1e-9:.3f} s, as one that is set"
-            line = f"{read.name}: by the movement, {jumped}; from there, the times go on."
-            read = replace(read, people=read.people.at(person.time_ns), warnings=[*read.warnings, line])
-            reads = (read, b) if k == 0 else (reads[0], read)
-    return reads
+    )
+    joined = parts_joined(a.people.body, view_a, view_b, (a.people.sets, b.people.sets))
+    if joined.unsure is not None:
+        if a.people.crowded or b.people.crowded:
+            return reads  # it may be somebody else
+        read, first = reads[joined.unsure.side], joined.unsure.first
+        raise DeviceError(
+            f"{read.name}: its clock was set {_seconds_to(read, first):.2f} s after the first frame, and the "
+            "movement does not tell how the times go on. Fuse the parts before and after it apart; "
+            "`offset_ms` takes the times as if no frame was lost there."
+        )
+    lines: tuple[list[str], list[str]] = [], []
+    for cut, by_ns in joined.moved:
+        read, by = reads[cut.side], f"{abs(by_ns) * 1e-9:.3f} s"
+        if by_ns > 0:
+            what = f"at least {by} are missing where the clock was set"
+        elif cut.certain:
+            what = f"{by} are too many where the clock was set"
+        else:
+            what = f"the clock jumped by {by}, as one that is set; from there, the times go on"
+        if not cut.certain or abs(by_ns) > 2 * median_interval(read.people.time_ns):
+            lines[cut.side].append(f"{read.name}: by the movement, {what}.")
+    read_a, read_b = (
+        replace(read, people=read.people.at(times), warnings=[*read.warnings, *told])
+        for read, times, told in zip(reads, joined.times, lines, strict=True)
+    )
+    return (read_a, read_b) if joined.moved else reads
+
+
+def _seconds_to(read: OneRecording, frame: int) -> float:
+    return 1e-9 * float(read.people.time_ns[frame] - read.people.time_ns[0])
 
 
 def _course_in_words(clock: Clock) -> str:

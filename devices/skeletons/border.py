@@ -100,7 +100,9 @@ def checked(of: Look, meaning: Meaning) -> ReadFile:
     frame = (np.cumsum(~drop) - 1)[found.frame[rows]]
     seen, person = np.unique(found.person[rows], return_inverse=True)
     ids = [found.ids[k] for k in seen]
-    people = RecordedPeople(found.points.body, found.time_ns[~drop], ids, frame, person, skeletons)
+    people = RecordedPeople(
+        found.points.body, found.time_ns[~drop], ids, frame, person, skeletons, found.sets
+    )
     if people.ids and not skeletons.states.any():
         raise DeviceError(f"{of.path}: no joint has a position in any frame.")
     about_meaning = said(of.evidence, meaning, found.names, found.clock)

@@ -47,6 +47,7 @@ class FoundPoints:
         table: The ready-made table of names that was found.
         warnings: What the user should know about the file, a line each.
         ignored: Names of columns that are not read.
+        sets: Times of the first frames after the clock was set.
         where: Where in the file a point of a skeleton is, for messages, by their numbers.
     """
 
@@ -63,6 +64,7 @@ class FoundPoints:
     table: str = ""
     warnings: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
+    sets: Sequence[int] = ()
     where: Callable[[int, int], str] | None = None
 
 
@@ -155,6 +157,7 @@ def found_of(rows: JointRows, table: str = "", told: Sequence[str] = (), **about
         points, times, rows.people, skeletons // max(1, len(rows.people)),
         skeletons % max(1, len(rows.people)), joined_views(blocks()), names=names, clock=clock.clock,
         table=found_table, warnings=(*told, *about_points, *clock.told, *backward, *repeated), where=where,
+        sets=clock.sets,
         **about,
     )  # fmt: skip
 

@@ -52,11 +52,13 @@ class CaptureTimes(NamedTuple):
         time_ns: Nanoseconds, in the file's order.
         clock: How they are read, in words, if otherwise than the column says.
         told: Lines for the user.
+        sets: The times of the first frames after the clock was set.
     """
 
     time_ns: NDArray[np.int64]
     clock: str
     told: list[str]
+    sets: list[int]
 
 
 def capture_times(
@@ -93,8 +95,8 @@ def capture_times(
         time_ns = times * ns
     else:
         time_ns = np.rint(times * us).astype(np.int64) * 1000
-    time_ns, about_clock = _going_on(name, time_ns, key, anonymous)
-    return CaptureTimes(time_ns, clock, told + about_clock)
+    time_ns, about_clock, sets = _going_on(name, time_ns, key, anonymous)
+    return CaptureTimes(time_ns, clock, told + about_clock, sets)
 
 
 def find_time_unit(
@@ -165,8 +167,8 @@ _UNITS = (
 
 def _going_on(
     name: object, time_ns: NDArray[np.int64], key: NDArray[Any] | None, anonymous: bool
-) -> tuple[NDArray[np.int64], list[str]]:
-    """Times that go on where a clock is set between two parts in order, and lines about it.
+) -> tuple[NDArray[np.int64], list[str], list[int]]:
+    """Times that go on where a clock is set between two parts in order, lines about it, and when it was.
 
     A part begins where the times go back, or step over several frames. One that begins before the end of the
     last one, or more than an hour after it, goes on after it; a pause remains. Few frames that fit neither
@@ -181,22 +183,29 @@ def _going_on(
     steps = np.diff(times)
     back = np.flatnonzero(steps < 0) + 1
     if not len(steps) or (len(back) == 0 and steps.max() <= _LONGEST_NS):
-        return time_ns, []
+        return time_ns, [], []
     if key is not None and not all((key[: rows[k]] == key[rows[k]]).any() for k in back.tolist()):
-        return time_ns, []
+        return time_ns, [], []
     begins_again = anonymous and len(back) and times[back[-1]] <= times[0]
     if begins_again and np.isin(times[back[-1] :], times[: back[0]]).mean() > 1 / 2:
-        return time_ns, []  # of another person, who has no id
+        return time_ns, [], []  # of another person, who has no id
     interval = int(np.median(steps[steps > 0])) if (steps > 0).any() else 0
     order = np.argsort(times, kind="stable")
     moved = np.abs(order - np.arange(len(order))).max()
     if 0 < moved < FEWEST and np.diff(times[order]).min() > _EVEN * interval:
-        return time_ns, []
+        return time_ns, [], []
     begins = np.append(0, np.flatnonzero((steps < 0) | (steps > _PAUSE * interval)) + 1).tolist()
     parts = list(zip(begins, [*begins[1:], len(times)], strict=True))
     if max(end - begin for begin, end in parts) < FEWEST:
-        return time_ns, []
-    going, fits, shift, last, moves = times.copy(), np.zeros(len(times), np.bool_), 0, None, list[str]()
+        return time_ns, [], []
+    going, fits, shift, last, moves, sets = (
+        times.copy(),
+        np.zeros(len(times), np.bool_),
+        0,
+        None,
+        list[str](),
+        list[int](),
+    )
     for begin, end in parts:
         gap = interval if last is None else int(times[begin]) + shift - last
         forward = 0 < gap <= _LONGEST_NS
@@ -205,13 +214,14 @@ def _going_on(
             continue
         if not forward:
             shift += interval - gap
+            sets.append(int(times[begin]) + shift)
             moves.append(f"{'went back' if gap < 0 else 'jumped'} by {abs(interval - gap) * 1e-9:.3f} s")
         going[begin:end], fits[begin:end] = times[begin:end] + shift, True
         last = int(going[end - 1])
     told, kept, stray = [], np.flatnonzero(fits), np.flatnonzero(~fits)
     sizes = np.diff(np.append(rows, len(time_ns)))
     if (2 * sizes[stray] < np.median(sizes)).any():  # rows that are repeated, no frames
-        return time_ns, []
+        return time_ns, [], []
     if len(stray) > LOGGED_TWICE * len(times):
         what = (
             f"the times of {len(stray)} of {len(times)} frames fit no others; they go back {len(back)} times"
@@ -230,7 +240,7 @@ def _going_on(
         told.append(
             f"{name}: the clock {said}, as one that is set or past midnight; from there, the times go on."
         )
-    return going[np.cumsum(np.append(0, np.diff(time_ns) != 0))], told
+    return going[np.cumsum(np.append(0, np.diff(time_ns) != 0))], told, sets
 
 
 def moments_of(texts: list[str]) -> NDArray[np.int64] | None:

@@ -15,6 +15,7 @@ from fusion.clocks import Clock
 from fusion.pair_arrays import View
 from fusion.registration.rigid_fit import robust_fits, sum_of_coordinates
 from fusion.registration.sampled_motion import Interpolation, Sampling
+from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED
 from fusion.support.types import Array
 
@@ -97,14 +98,41 @@ def find_clock_offset(body: Body, a: View, b: View) -> Clock | None:
     return found
 
 
-def agreement(body: Body, a: View, b: View) -> Array:
-    """(_COMPARED,) penalties of the frames at the offset at which the registered views agree best."""
-    a, b = (view.chosen(np.flatnonzero(view.states.any(axis=1))) for view in (a, b))
-    if min(len(a.time_ns), len(b.time_ns)) < FEWEST:
-        return np.full(_COMPARED, np.nan)
-    costs = frame_costs(a, b, [_near(a, b, offset) for offset, _ in _peaks(body, a, b, (0,))])
+def agreement(body: Body, a: View, b: View) -> tuple[int, Array]:
+    """The offset, ns, at which the registered views agree best, and the frames' penalties there."""
+    offsets = [_near(a, b, offset) for offset, _ in _peaks(body, a, b, (0,))]
+    costs = frame_costs(a, b, offsets)
     frames = np.isfinite(costs).sum(axis=1)
-    return np.asarray(costs[int(np.argmin(np.where(2 * frames >= frames.max(), mean_costs(costs), np.inf)))])
+    best = int(np.argmin(np.where(2 * frames >= frames.max(), mean_costs(costs), np.inf)))
+    return offsets[best], np.asarray(costs[best])
+
+
+def placement_at(a: View, b: View) -> RigidTransform:
+    """The placement ``a_from_b`` of two views."""
+    chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
+    p, q = _tracked(a, chosen), _at_times(b, a.time_ns[None, chosen])
+    R, t = robust_fits(p.reshape(1, -1, 3), q.reshape(1, -1, 3))
+    return RigidTransform(R[0], t[0])
+
+
+def placed_costs(
+    body: Body, own: View, other: View, other_from_own: RigidTransform, shifts_ns: NDArray[np.int64]
+) -> Array:
+    """(K, _COMPARED) penalties of frames of a view, moved by K times, under one placement; NaN without the
+    other. They are of midpoints, which an exchange of left and right does not move."""
+    left, right = body.midpoints
+    chosen = np.linspace(0, len(own.time_ns) - 1, _COMPARED).astype(np.int64)
+    p = other_from_own.apply(_tracked(own, chosen))
+    p = 0.5 * (p[:, left] + p[:, right])
+    costs = []
+    for shift in shifts_ns.tolist():
+        q = _at_times(other, own.time_ns[None, chosen] + shift)[0]
+        penalty = np.log1p(sum_of_coordinates((p - 0.5 * (q[:, left] + q[:, right])) ** 2) / _FAR**2)
+        known = np.isfinite(penalty)
+        count = known.sum(axis=1)
+        sums = np.where(known, penalty, 0.0).sum(axis=1)
+        costs.append(np.where(count >= 3, sums / np.maximum(count, 1), np.nan))
+    return np.array(costs)
 
 
 def candidates(body: Body, a: View, b: View) -> tuple[float, list[tuple[int, float]]]:
@@ -155,7 +183,7 @@ def _minimum(costs: Array) -> float:
     rows = np.pad(mean_costs(costs), 1, mode="edge")
     means = 0.25 * (rows[:-2] + 2.0 * rows[1:-1] + rows[2:])
     k = int(np.argmin(means))
-    return k + _vertex(-means[max(k - 1, 0) : k + 2])
+    return k + vertex(-means[max(k - 1, 0) : k + 2])
 
 
 def _peaks(body: Body, a: View, b: View, besides: tuple[int, ...]) -> list[tuple[int, float]]:
@@ -194,12 +222,12 @@ def largest_peaks(r: Array, reach: int, count: int) -> list[tuple[int, float]]:
         k = int(np.argmax(r))
         if r[k] < _LEAST_CORRELATION:
             break
-        peaks.append((round((reach - k - _vertex(r[max(k - 1, 0) : k + 2])) * GRID_NS), float(r[k])))
+        peaks.append((round((reach - k - vertex(r[max(k - 1, 0) : k + 2])) * GRID_NS), float(r[k])))
         r[max(k - APART, 0) : k + APART + 1] = -np.inf
     return peaks
 
 
-def _vertex(r: Array) -> float:
+def vertex(r: Array) -> float:
     """Where a parabola through three values has its maximum, in steps from the middle one."""
     if len(r) < 3 or not np.isfinite(r).all():
         return 0.0

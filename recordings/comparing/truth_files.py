@@ -166,7 +166,7 @@ def _read_csv(path: Path) -> _Read:
         labels, seconds, points = read_vendor_text(path, content)
         return labels, seconds, _without_origin(points), ""
     (text,) = text_rows(path, -1, required=())
-    time_ns, clock, told = capture_times(
+    time_ns, clock, told, _ = capture_times(
         path, *text.times(), shortest_us=2_000.0, anonymous=True
     )  # motion capture is fast, and several skeletons may follow each other
     times, frame = np.unique(time_ns, return_inverse=True)

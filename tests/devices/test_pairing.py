@@ -7,17 +7,22 @@ from dataclasses import replace
 import numpy as np
 import psutil
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from devices.capture.stream_pairing import LivePairing
 from devices.pairing import _least_interval, _moments
 from devices.recorded.apart import ApartError, items_of
 from devices.sensor import DeviceError, SensorFrame
-from fusion.body import KINECT_V1
+from devices.skeletons.times import capture_times
+from fusion.body import KINECT_V1, KINECT_V2
+from fusion.clocks.partners import nearest_of
+from fusion.clocks.parts import parts_joined
 from fusion.skeleton import Skeleton
 from tests.helpers import unreliable
+from tests.helpers.continuous_motion import as_view, views_at
 from tests.helpers.frame_pairs import paired
+from tests.helpers.laws import COSTLY
 from tests.helpers.programs import python
 from tests.helpers.two_clocks import run, shots
 from tests.helpers.two_views import FRAME_NS, standing
@@ -188,3 +193,39 @@ os._exit(0)
 def test_the_process_ends_with_its_parent():
     number = int(python("-c", ENDS_AT_ONCE).stdout)
     assert eventually(lambda: not psutil.pid_exists(number))
+
+
+@COSTLY
+@given(
+    sets=st.tuples(*[st.sampled_from((0, -60, -8, -1, -0.2, 0.2, 1, 8, 60, 86_400))] * 2),
+    at=st.floats(6.0, 12.0),
+    apart=st.floats(0.0, 4.0),
+    lost=st.sampled_from([(0, 0), (0, 0), (3, 0), (0, 2), (3, 3)]),
+    fps=st.sampled_from((15, 30)),
+    seed=st.integers(0, 99),
+)
+@example(sets=(0.2, 86_400), at=7.3, apart=3.9, lost=(3, 0), fps=30, seed=16)
+@example(sets=(-1, 60), at=11.6, apart=1.6, lost=(3, 0), fps=30, seed=49)
+@example(sets=(8, 8), at=9.0, apart=1.9, lost=(0, 0), fps=30, seed=1)
+def test_clocks_that_are_set_in_both_files_pair_no_frames_of_other_moments(sets, at, apart, lost, fps, seed):
+    """Each at its own moment, where frames may be lost, too; few frames lose their partner."""
+    true, views, told = [], [], []
+    for side in (0, 1):
+        seconds = np.arange(20 * fps) / fps + 0.4 / fps * side
+        since = seconds - at - apart * side
+        true.append(seconds[(since < 0) | (since >= lost[side] * (sets[side] != 0))])
+    for side, positions in enumerate(views_at(*true, seed)):
+        later = sets[side] * (true[side] >= at + apart * side)
+        read = capture_times("ab"[side], "time_ns", np.rint(1e9 * (true[side] + later)).astype(np.int64))
+        views.append(as_view(positions, true[side])._replace(time_ns=read.time_ns))
+        told.append(read.sets)
+    joined = parts_joined(KINECT_V2, *views, told)
+    assert joined.unsure is None
+    first_ns = [times[0] for times in joined.times]
+    a, b = (1e-9 * (times - ns) + own[0] for times, ns, own in zip(joined.times, first_ns, true, strict=True))
+    partner = nearest_of(a, b)
+    paired = np.abs(b[partner] - a) <= 0.5 / fps
+    off = np.abs(true[1][partner] - true[0])
+    possible = np.abs(np.subtract.outer(true[0], true[1])).min(axis=1) < 0.5 / fps
+    assert np.count_nonzero(paired & (off > 1.45 / fps)) <= 0.01 * len(a)
+    assert np.count_nonzero(possible & ~paired) <= fps * (apart + 1)
