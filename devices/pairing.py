@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from devices.frame_pairs import RecordedPairs, lone_side
 from devices.sensor import DeviceError
 from fusion.body import Body
-from fusion.clocks import Clock
+from fusion.clocks import Clock, median_interval, nearest_of, with_partners
 from fusion.clocks.course import find_clock_course
-from fusion.clocks.partners import median_interval, nearest_of, with_partners
 from fusion.clocks.search import candidates, find_clock_offset
 from fusion.pair_arrays import Pairs, View
 from fusion.support.large_arrays import stored

@@ -17,8 +17,7 @@ from devices.pairing import clock_by_motion
 from devices.people.tracks import Index, Tracks
 from fusion.body import Body
 from fusion.calibration.person_size import ANOTHER_SIZE, sizes_of
-from fusion.clocks import Clock
-from fusion.clocks.partners import median_interval, nearest_of
+from fusion.clocks import Clock, median_interval, nearest_of
 from fusion.errors import CalibrationError
 from fusion.registration.rigid_fit import fit_recording, fit_rigid
 from fusion.rigid import RigidTransform

@@ -37,8 +37,7 @@ from devices.skeletons.file_sensor import SkeletonRecording
 from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import BODIES, Body
-from fusion.clocks import Clock
-from fusion.clocks.partners import median_interval
+from fusion.clocks import Clock, median_interval
 from fusion.clocks.parts import parts_joined
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import Pairs, View, joined_views

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.clocks import Times
-from fusion.clocks.partners import median_interval, rhythm
+from fusion.clocks import Times, median_interval, rhythm
 from fusion.clocks.search import (
     FEWEST,
     GRID_NS,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
-from fusion.clocks.partners import median_interval, nearest_of
+from fusion.clocks import median_interval, nearest_of
 from recordings.data import layout
 from recordings.data.frame_noise import frame_noise_of
 from recordings.data.session_arrays import SessionArrays

@@ -16,7 +16,7 @@ from devices.recorded.apart import ApartError, items_of
 from devices.sensor import DeviceError, SensorFrame
 from devices.skeletons.times import capture_times
 from fusion.body import KINECT_V1, KINECT_V2
-from fusion.clocks.partners import nearest_of
+from fusion.clocks import nearest_of
 from fusion.clocks.parts import parts_joined
 from fusion.skeleton import Skeleton
 from tests.helpers import unreliable
