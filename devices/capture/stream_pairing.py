@@ -29,7 +29,6 @@ from fusion.skeleton import SkeletonPair
 Side = Literal["a", "b"]
 _SYNCED_PAIRS, _SYNCED_ENOUGH = 61, 15  # pairs on a cable that tell the offset, at most and at least
 _ONE_CLOCK_NS = 1_000_000  # own times of two frames on a cable that agree to so much are of one clock
-_AGREE_ENOUGH = 3  # of the newest frames of a sensor must agree, and one thereafter: others may be lost
 PATIENCE_NS = 5_000_000
 """A frame waits this much longer than the partner's slowest frame of the last ten seconds took."""
 
@@ -186,8 +185,8 @@ class LivePairing:
         wanted_ns = time_ns - stream.delay_ns + other.delay_ns + ahead_ns
         near = (abs(own_ns - wanted_ns) for _, _, own_ns in islice(reversed(other.recent), 4 * PENDING))
         stream.agree.append(min(near, default=_ONE_CLOCK_NS) < _ONE_CLOCK_NS)
-        before, most = self._one_clock, max(sum(each.agree) for each in self._streams.values())
-        self._one_clock = abs(a - b) <= self.max_lag_ns and most >= (1 if before else _AGREE_ENOUGH)
+        before, agree = self._one_clock, any(True in each.agree for each in self._streams.values())
+        self._one_clock = abs(a - b) <= self.max_lag_ns and agree
         if self._one_clock and not before:
             self._synced.clear()
             for each in self._streams.values():

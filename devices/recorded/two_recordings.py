@@ -38,7 +38,6 @@ from devices.skeletons.stated_format import UNSTATED, StatedFormat
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import BODIES, Body
 from fusion.clocks import Clock, median_interval
-from fusion.clocks.parts import parts_joined
 from fusion.intrinsics import Intrinsics
 from fusion.pair_arrays import Pairs, View, joined_views
 from fusion.support.large_arrays import give_back, parts
@@ -356,6 +355,8 @@ def _going_on(a: OneRecording, b: OneRecording) -> tuple[OneRecording, OneRecord
     reads = a, b
     if a.people.body is not b.people.body:
         return reads
+    from fusion.clocks.parts import parts_joined  # not where files are only read
+
     view_a, view_b = (
         read.people.view([read.people.choose_person(read.wanted, read.name, read.option)]) for read in reads
     )

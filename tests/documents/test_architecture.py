@@ -121,7 +121,7 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
         ("from fusion import Fuser", 7_030, 0),
         ("from recordings import Session", 5_870, 5),
         ("from recordings import fuse", 16_400, 25),
-        (RUN_FUSE.format(pair=PAIR), 24_800, 42),
+        (RUN_FUSE.format(pair=PAIR), 24_900, 42),
         ("import viewer_app.commands.live", 33_040, 58),
     ],
 )

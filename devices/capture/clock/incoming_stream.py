@@ -94,7 +94,6 @@ class IncomingStream:
         waited, self.waiting, self.used_ns = self.waiting, [], None
         self.recent.clear()
         self.agree.clear()
-        self.overtakes_until_ns = _NEVER_NS
         return waited
 
     def set_clock(self, clock_ns: int) -> None:

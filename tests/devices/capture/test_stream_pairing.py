@@ -251,6 +251,18 @@ def test_frames_out_of_order_are_put_in_their_place():
     assert pairing.figures.reordered == 1
 
 
+@pytest.mark.parametrize("sides", ["ab", "ba"])
+def test_a_partner_that_is_overtaken_is_waited_for(sides):
+    """From the first one on: that one's partner is out, because no frame had been overtaken."""
+    pairing = _aligned()
+    for index in range(30, 90, 2):
+        at_ns = (index + 1) * INTERVAL_NS
+        for late_ms, side, other in ((0, sides[0], 0), (1, sides[0], 1), (2, sides[1], 1), (3, sides[1], 0)):
+            pairing.add(side, SensorFrame((index + other) * INTERVAL_NS), at_ns + late_ms * MS)  # type: ignore[arg-type]
+    pairing.poll(100 * INTERVAL_NS)
+    assert pairing.figures.pairs == 89
+
+
 def test_what_waits_for_a_sensor_that_hangs_is_bounded_by_time():
     pairing = LivePairing(INTERVAL_NS, gone_after_ns=10**18)
     hour_ns = 3600 * SECOND_NS
