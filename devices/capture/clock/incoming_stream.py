@@ -93,7 +93,6 @@ class IncomingStream:
         """
         waited, self.waiting, self.used_ns = self.waiting, [], None
         self.recent.clear()
-        self.agree.clear()
         return waited
 
     def set_clock(self, clock_ns: int) -> None:

@@ -212,13 +212,22 @@ def test_in_the_first_second_a_frame_waits_an_interval_longer_than_the_other_sen
     assert pair.b is None
 
 
-def test_what_the_cable_told_of_a_clock_is_forgotten_with_it():
+@pytest.mark.parametrize("side", ["a", "b"])
+def test_what_the_cable_told_of_a_clock_is_forgotten_with_it(side):
     pairing = _aligned(sync_delay_ns=0)
-    pairing.restart("b")
+    pairing.restart(side)
     for index in range(30, 60):  # 20 ms are more than half a frame, and less than arrivals would contradict
-        pairing.add("a", SensorFrame(index * INTERVAL_NS), index * INTERVAL_NS)
-        pairing.add("b", SensorFrame(index * INTERVAL_NS - 20 * MS), index * INTERVAL_NS)
+        for each in "ab":
+            own_ns = index * INTERVAL_NS - 20 * MS * (each == side)
+            pairing.add(each, SensorFrame(own_ns), index * INTERVAL_NS)  # type: ignore[arg-type]
         assert (pairing.figures.pairs, pairing.figures.skew_ns) == (index + 1, 0)
+
+
+def test_a_sensor_that_never_came_is_not_waited_for():
+    pairing = LivePairing(INTERVAL_NS)
+    for ns in range(0, SECOND_NS, INTERVAL_NS):
+        pairs = pairing.add("a", SensorFrame(ns), ns)
+    assert [pair.time_ns for pair in pairs] == [ns]
 
 
 def _aligned(count=30, **more):
@@ -363,6 +372,16 @@ def test_two_frames_that_are_late_by_the_same_are_a_reset_and_no_others(late_ms,
         assert clock.observe(arrived_ns - late * MS, arrived_ns) is expected
         if is_reset:
             break
+
+
+@pytest.mark.parametrize(
+    ("late_ms", "timing"),
+    [(499, Timing.IN_TIME), (501, Timing.LATE), (-499, Timing.IN_TIME), (-501, Timing.RESET)],
+)
+def test_half_a_second_is_late_or_a_reset(late_ms, timing):
+    clock = HostClock()
+    clock.observe(0, 0)
+    assert clock.observe(SECOND_NS, SECOND_NS + late_ms * MS) is timing
 
 
 @given(
