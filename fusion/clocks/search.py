@@ -6,6 +6,7 @@ tells which one puts the person in the same place.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,8 +193,7 @@ def _peaks(body: Body, a: View, b: View, besides: tuple[int, ...]) -> list[tuple
     known_x, known_y = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
     x, y = np.nan_to_num(x), np.nan_to_num(y)
     product, power_x, power_y = (
-        correlate(first, second, every=False)[:, 0]
-        for first, second in ((x, y), (x * x, known_y), (known_x, y * y))
+        correlate(first, second) for first, second in ((x, y), (x * x, known_y), (known_x, y * y))
     )
     r = coefficients(product, power_x, power_y, _OVERLAP)
     return [(offset, float(r[reach - offset // GRID_NS])) for offset in besides] + largest_peaks(
@@ -235,13 +235,11 @@ def vertex(r: Array) -> float:
     return float(0.5 * (r[0] - r[2]) / curvature) if curvature < 0.0 else 0.0
 
 
-def correlate(x: Array, y: Array, *, every: bool = True) -> Array:
-    """Σ x_n y_{n+k} of each signal, or their sum, for each k at which x lies within y."""
+def correlate(x: Array, y: Array) -> Array:
+    """The sum over the signals of Σ x_n y_{n+k}, for each k at which x lies within y."""
     size = -(-(len(x) + len(y)) // _FFT) * _FFT
     spectrum = np.conj(np.fft.rfft(x, size, axis=0)) * np.fft.rfft(y, size, axis=0)
-    if not every:
-        spectrum = spectrum.sum(axis=1, keepdims=True)
-    return np.asarray(np.fft.irfft(spectrum, size, axis=0)[: len(y) - len(x) + 1])
+    return np.asarray(np.fft.irfft(spectrum.sum(axis=1), size)[: len(y) - len(x) + 1])
 
 
 def _speeds(body: Body, view: View, grid: NDArray[np.int64]) -> Array:
@@ -249,16 +247,22 @@ def _speeds(body: Body, view: View, grid: NDArray[np.int64]) -> Array:
 
     They are the speeds of midline joints and of midpoints, and the mean speeds of left and right joints.
     """
-    at = np.where((view.states == TRACKED)[..., None], view.positions, np.nan).astype(np.float64)
-    fresh = np.append(True, ((at[1:] != at[:-1]) & np.isfinite(at[1:])).any(axis=(1, 2)))
-    at, time_ns = at[fresh], view.time_ns[fresh]
-    own, other = body.midpoints
-    lateral, sampling = own != other, Sampling.of(time_ns)
-    middle, each = (_speed(time_ns, points, sampling) for points in (0.5 * (at[:, own] + at[:, other]), at))
-    mean = 0.5 * (each[:, own] + each[:, other])
-    speeds = np.log(_STILL + np.concatenate([middle, mean[:, lateral]], axis=1))
-    signals = np.full((len(grid), speeds.shape[1]), np.nan)
-    for signal, speed in zip(signals.T, speeds.T, strict=True):
+
+    def of(joint: int) -> Array:  # all joints of a long recording take too much memory
+        return _tracked(view, np.s_[:, joint])
+
+    fresh = np.arange(len(view.time_ns)) == 0
+    for at in map(of, range(len(body))):
+        fresh[1:] |= ((at[1:] != at[:-1]) & np.isfinite(at[1:])).any(axis=1)
+    time_ns, pairs = view.time_ns[fresh], np.stack(body.midpoints, axis=1).tolist()
+    sampling = Sampling.of(time_ns)
+    speeds = [_speed(time_ns, 0.5 * (of(own) + of(other))[fresh], sampling) for own, other in pairs]
+    for own, other in pairs:
+        if own != other:
+            each = [_speed(time_ns, of(joint)[fresh], sampling) for joint in (own, other)]
+            speeds.append(0.5 * (each[0] + each[1]))
+    signals = np.full((len(grid), len(speeds)), np.nan)
+    for signal, speed in zip(signals.T, speeds, strict=True):
         known = np.flatnonzero(np.isfinite(speed))
         if len(known) < FEWEST:
             continue
@@ -266,17 +270,17 @@ def _speeds(body: Body, view: View, grid: NDArray[np.int64]) -> Array:
         after = np.clip(np.searchsorted(times, grid), 1, len(times) - 1)
         inside = (grid >= times[0]) & (grid <= times[-1])
         inside &= times[after] - times[after - 1] < sampling.gap_ns
-        signal[inside] = np.interp(grid[inside], times, speed[known])
+        signal[inside] = np.interp(grid[inside], times, np.log(_STILL + speed[known]))
         signal -= np.nanmean(signal) if inside.any() else 0.0
     return signals
 
 
 def _speed(time_ns: NDArray[np.int64], at: Array, sampling: Sampling) -> Array:
-    """(T, N) m/s of (T, N, 3)."""
-    speed, reach = np.full(at.shape[:2], np.nan), sampling.reach
+    """(T,) m/s of (T, 3)."""
+    speed, reach = np.full(len(at), np.nan), sampling.reach
     elapsed = time_ns[2 * reach :] - time_ns[: -2 * reach]
-    moved = np.linalg.norm(at[2 * reach :] - at[: -2 * reach], axis=2)
-    speed[reach:-reach] = moved / (1e-9 * np.maximum(elapsed, 1))[:, None]
+    moved = np.linalg.norm(at[2 * reach :] - at[: -2 * reach], axis=1)
+    speed[reach:-reach] = moved / (1e-9 * np.maximum(elapsed, 1))
     speed[reach:-reach][elapsed > sampling.span_ns] = np.nan
     speed[speed > _FASTEST] = np.nan
     return speed
@@ -305,8 +309,8 @@ def _squared(a: View, b: View, offsets_ns: Sequence[int]) -> Array:
     return np.asarray(sum_of_coordinates((p - (q @ R[:, None].mT + t[:, None, None])) ** 2))
 
 
-def _tracked(view: View, index: NDArray[np.int64]) -> Array:
-    """(N, J, 3) positions in some frames; NaN where not tracked."""
+def _tracked(view: View, index: Any) -> Array:
+    """(N, J, 3) positions in some frames, or (T, 3) of a joint; NaN where not tracked."""
     tracked = (view.states[index] == TRACKED)[..., None]
     return np.where(tracked, view.positions[index], np.nan).astype(np.float64)
 

@@ -157,7 +157,7 @@ class JointRotations:
 
 
 def rotations_of(
-    body: Body, positions: NDArray[np.float64], time_ns: NDArray[np.int64]
+    body: Body, positions: NDArray[np.floating], time_ns: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """(T, J, 4) the rotations of all frames of S* (T, J, 3); see :meth:`JointRotations.update`."""
     rotations = JointRotations(body)

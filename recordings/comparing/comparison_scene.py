@@ -76,7 +76,7 @@ def _log_skeleton(
     stream: rr.RecordingStream,
     entity: str,
     times: list[rr.TimeColumn],
-    joints: Array,
+    joints: NDArray[np.floating],
     number: int,
     color: Color,
     radius: float,
@@ -92,7 +92,10 @@ def _log_skeleton(
 
 
 def _log_pelvis(
-    stream: rr.RecordingStream, frame: NDArray[np.int64], time_ns: NDArray[np.int64], pelvis: Array
+    stream: rr.RecordingStream,
+    frame: NDArray[np.int64],
+    time_ns: NDArray[np.int64],
+    pelvis: NDArray[np.floating],
 ) -> None:
     """Logs (T, 3) positions of the pelvis, where they are known: the eye follows them."""
     known = np.isfinite(pelvis).all(axis=1)

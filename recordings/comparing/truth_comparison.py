@@ -8,7 +8,7 @@ scaled.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,12 +20,12 @@ from devices.skeletons.stated_format import METRES
 from fusion.body import Body
 from fusion.clocks.fit import correlation_at
 from fusion.errors import CalibrationError
-from fusion.facing.evidence import upright_direction
 from fusion.movement.angles import joint_angles
 from fusion.movement.joint_rotations import rotations_of
 from fusion.pair_arrays import View
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
+from fusion.support.large_arrays import parts
 from fusion.support.medians import median_of_known
 from fusion.support.types import Array
 from recordings.comparing.truth_files import TruthFile
@@ -40,7 +40,7 @@ _SIZE_WITHIN = 1.4  # factor between the sizes of the person in both files
 _MOST_FITTED = 3000  # frames that the transform is fitted to
 _LARGEST_RESIDUAL = 0.12  # metres, the median of S*; others whose displacements correlate are 0.17 apart
 _NAMED = 0.9  # correlation at which a variant of a truth is said to be the right one
-_MIRROR = np.array([-1.0, 1.0, 1.0])
+_MIRROR = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
 _OWN_FRAME = 0.3  # metres that a fit moves a truth that is in K_A's frame
 _MIRRORED = 0.6  # of the residual: a mirror image that fits so much better is right
 
@@ -74,8 +74,8 @@ class TruthComparison:
     residual: float
     frame: NDArray[np.int64]
     time_ns: NDArray[np.int64]
-    found: dict[str, Array]
-    truth: dict[str, Array]
+    found: dict[str, NDArray[np.float32]]
+    truth: dict[str, NDArray[np.float32]]
     up: Array
 
     @staticmethod
@@ -102,45 +102,45 @@ class TruthComparison:
         table = table or fitting_table(body, truth.labels)
         joints = truth.joints(body, table)
         metres, unit = _unit_of(rows.fused, joints, session, truth)
-        found = {"a": rows.positions_a.astype(np.float64), "b": rows.b_in_a, "fused": rows.fused}
-        times = rows.time_ns, rows.time_ns + rows.skew_ns, rows.time_ns
-        views = {key: view_of(of, at) for of, (key, at) in zip(times, found.items(), strict=True)}
+        path = replace(JointPath.of(truth.seconds, joints), metres=metres)
+        del joints  # as large as the file
+        b_in_a = np.concatenate([part.b_in_a.astype(np.float32) for part in rows.parts()])
+        views = {
+            "a": view_of(rows.time_ns, rows.positions_a),
+            "b": view_of(rows.time_ns + rows.skew_ns, b_in_a),
+            "fused": view_of(rows.time_ns, rows.fused),
+        }
         files = f"{truth.name} and {session}"
-
-        def match(points: Array) -> _Match:
-            path = JointPath(truth.seconds, metres * points)
-            return _match(body, found, views, path, files, table.name, offset_s)
-
+        match = partial(_match, body, views, files, table.name, offset_s)
         try:
-            matched = match(joints)
+            offset, common, true, fit, residual = match(path)
         except RecordingError:
             variants = {
-                "a mirror image: its axes are left-handed": joints * _MIRROR,
-                "of a person whose left and right are exchanged": joints[:, body.mirror],
+                "a mirror image: its axes are left-handed": lambda at: at * _MIRROR,
+                "of a person whose left and right are exchanged": lambda at: at[:, body.mirror],
             }
-            for words, points in variants.items():
+            for words, change in variants.items():
                 try:
-                    if match(points).offset.correlation < _NAMED:
+                    if match(path.changed(change)).offset.correlation < _NAMED:
                         continue
                 except RecordingError:
                     continue
                 raise RecordingError(f"{files}: the truth is {words}.") from None
             raise
-        offset, common, true, fit, residual = matched
         return TruthComparison(
             body=body,
             truth_name=truth.name,
             table=table.name,
-            joints=np.flatnonzero(np.isfinite(joints).any(axis=(0, 2))),
+            joints=np.flatnonzero(np.isfinite(path.at).any(axis=(0, 2))),
             unit=unit,
             offset=offset,
             a_from_truth=fit,
             residual=residual,
             frame=rows.frame[common],
             time_ns=rows.time_ns[common],
-            found={key: at[common] for key, at in found.items()},
-            truth={key: fit.apply(at) for key, at in true.items()},
-            up=upright_direction(body, rows.fused),
+            found={key: view.positions[common] for key, view in views.items()},
+            truth={key: fit.apply(true.pop(key)).astype(np.float32) for key in SKELETONS},
+            up=session.up,
         )
 
     def __len__(self) -> int:
@@ -157,7 +157,8 @@ class TruthComparison:
 
         It is if the fit moves the truth by 0.3 m at most. So much of the error of S* may be in the fit.
         """
-        filed = self.a_from_truth.inverse().apply(self.truth["fused"])
+        back, truth = self.a_from_truth.inverse(), self.truth["fused"]
+        filed = np.concatenate([back.apply(truth[part]).astype(np.float32) for part in parts(len(self))])
         if np.nanmedian(_length(filed - self.truth["fused"])) > _OWN_FRAME:
             return None
         return float(np.nanmean(_length(filed - self.found["fused"])))
@@ -183,15 +184,16 @@ class TruthComparison:
     def _rest(self) -> dict[str, tuple[Array, Array]]:
         """(J, 3) constant part, and (T, J) length of the rest."""
         turns = rotations_of(self.body, self.found["fused"], self.time_ns)
-        known = np.isfinite(turns).all(axis=2)
-        frames = Rotation.from_quat(turns[known])
-        parts = {}
-        for key in SKELETONS:
-            own = np.full(self.found[key].shape, np.nan)
-            own[known] = frames.apply((self.found[key] - self.truth[key])[known], inverse=True)
-            constant = median_of_known(own.transpose(1, 0, 2))
-            parts[key] = constant, _length(own - constant)
-        return parts
+        found = {key: (np.empty((turns.shape[1], 3)), np.full(turns.shape[:2], np.nan)) for key in SKELETONS}
+        for joint in range(len(self.body)):  # all of a long session take gigabytes
+            known = np.isfinite(turns[:, joint]).all(axis=1)
+            frames = Rotation.from_quat(turns[known, joint])
+            for key, (constant, rest) in found.items():
+                off = self.found[key][known, joint] - self.truth[key][known, joint]
+                own = frames.apply(off, inverse=True)
+                constant[joint] = median_of_known(own.T)
+                rest[known, joint] = _length(own - constant[joint])
+        return found
 
     @property
     def constant(self) -> dict[str, Array]:
@@ -209,7 +211,9 @@ class TruthComparison:
         return {key: rest for key, (_, rest) in self._rest.items()}
 
 
-def _unit_of(fused: Array, joints: Array, session: SessionSeries, truth: TruthFile) -> tuple[float, str]:
+def _unit_of(
+    fused: Array, joints: NDArray[np.float32], session: SessionSeries, truth: TruthFile
+) -> tuple[float, str]:
     """Metres per unit of the truth, and the unit's name: the person has the same size as S*."""
     ratio = float(np.nanmedian(_spans(fused) / _spans(joints)))
     metres, words = min(METRES.values(), key=lambda unit: abs(np.log(ratio / unit[0])))
@@ -222,7 +226,7 @@ def _unit_of(fused: Array, joints: Array, session: SessionSeries, truth: TruthFi
     return metres, words
 
 
-def _spans(joints: Array) -> Array:
+def _spans(joints: NDArray[np.floating]) -> Array:
     """(J, J) median distance between two joints; NaN where unknown."""
     some = joints[:: max(1, len(joints) // 200)]
     spans = np.linalg.norm(some[:, :, None] - some[:, None], axis=3)
@@ -238,19 +242,18 @@ class _Match(NamedTuple):
 
     offset: TimeOffset
     common: NDArray[np.int64]  # frames of the session
-    true: dict[str, Array]  # the truth in its own frame, as in TruthComparison
+    true: dict[str, NDArray[np.float32]]  # the truth in its own frame, as in TruthComparison
     fit: RigidTransform
     residual: float
 
 
 def _match(
     body: Body,
-    found: dict[str, Array],
     views: dict[str, View],
-    path: JointPath,
     files: str,
     table: str,
     offset_s: float | None,
+    path: JointPath,
 ) -> _Match:
     """Raises RecordingError where the truth is no truth of the session."""
     timed = path_of(path)
@@ -265,25 +268,23 @@ def _match(
         )
     elif not offset.sure:
         raise RecordingError(f"{files}: the person moves too little to find the offset; give `offset`.")
-    true = {key: timed.positions(view.time_ns + offset.clock.at(view.time_ns)) for key, view in views.items()}
-    common = np.flatnonzero(np.isfinite(found["fused"] + true["fused"]).any(axis=(1, 2)))
+    times = {key: view.time_ns + offset.clock.at(view.time_ns) for key, view in views.items()}
+    true = {key: timed.positions(at).astype(np.float32) for key, at in times.items()}
+    common = np.flatnonzero(np.isfinite(views["fused"].positions + true["fused"]).any(axis=(1, 2)))
     if len(common) < _FEWEST_FRAMES:
         raise RecordingError(
             f"{files} have {len(common)} frames with an S* in common, at an offset of "
             f"{offset.seconds:.3f} s: too few to compare."
         )
-    true = {key: at[common] for key, at in true.items()}
-    every = max(1, len(common) // _MOST_FITTED)
-    p = np.concatenate([found[key][common][::every] for key in SKELETONS])
-    q = np.concatenate([true[key][::every] for key in SKELETONS])
+    true = {key: true.pop(key)[common] for key in SKELETONS}
+    some = slice(None, None, max(1, len(common) // _MOST_FITTED))
+    p = np.stack([views[key].positions[common[some]] for key in SKELETONS]).astype(np.float64)
+    q = np.stack([true[key][some] for key in SKELETONS]).astype(np.float64)
     try:
         fit = fit_recording(p, q)
         residual, mirrored = (
-            float(np.nanmedian(_length(found["fused"][common] - one.apply(at))))
-            for one, at in (
-                (fit, true["fused"]),
-                (fit_recording(p, q * _MIRROR), true["fused"] * _MIRROR),
-            )
+            float(np.nanmedian(_length(p[-1] - one.apply(at))))
+            for one, at in ((fit, q[-1]), (fit_recording(p, q * _MIRROR), q[-1] * _MIRROR))
         )
     except CalibrationError as error:
         raise RecordingError(f"{files}: {error}") from None
@@ -295,5 +296,5 @@ def _match(
     return _Match(offset, common, true, fit, residual)
 
 
-def _length(vectors: Array) -> Array:
+def _length(vectors: NDArray[np.floating]) -> Array:
     return np.asarray(np.linalg.norm(vectors, axis=-1))

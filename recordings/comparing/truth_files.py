@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
@@ -9,21 +10,21 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from devices.input_file import input_text, open_input, reading
+from devices.input_file import open_input, reading
 from devices.sensor import DeviceError
 from devices.skeletons.csv_files.text import codes, refuse_cut_off, text_rows
 from devices.skeletons.name_tables import NameTable, listed
 from devices.skeletons.times import capture_times
 from fusion.body import Body
+from fusion.support.large_arrays import parts, stored
 from fusion.support.medians import median_of_known
 from recordings.comparing.c3d_file import read_c3d
-from recordings.comparing.vendor_text import is_vendor_text, read_vendor_text
+from recordings.comparing.vendor_text import is_vendor_text, read_trc, read_vendor_text
 from recordings.errors import MissingFileError, RecordingError
 
 SUFFIXES = (".c3d", ".trc", ".csv", ".tsv")
 """Suffixes of files of motion capture."""
 _FEWEST_JOINTS = 5
-_TRC_HEAD = 5  # lines before the first frame; an empty one may follow
 _LARGEST = 2 << 30  # bytes of a .trc or .c3d; a .trc of 50 points at 120 Hz takes 600 MB an hour
 
 
@@ -35,23 +36,23 @@ class TruthFile:
         name: The file, for messages.
         labels: Names of the M points.
         seconds: (N,) times in order.
-        points: (N, M, 3) in the file's unit and axes; NaN where a point is missing.
+        points: (N, M, 3) in the file's unit and axes; NaN where a point is missing. Many lie in a file.
         warning: What the user should know about the file, if anything.
     """
 
     name: str
     labels: tuple[str, ...]
     seconds: NDArray[np.float64]
-    points: NDArray[np.float64]
+    points: NDArray[np.float32]
     warning: str = ""
 
-    def joints(self, body: Body, table: NameTable) -> NDArray[np.float64]:
+    def joints(self, body: Body, table: NameTable) -> NDArray[np.float32]:
         """(N, J, 3) the joints of a body, by a table of names; NaN where the file has none.
 
         Raises:
             RecordingError: It has fewer than five.
         """
-        joints = np.full((len(self.seconds), len(body), 3), np.nan)
+        joints = np.full((len(self.seconds), len(body), 3), np.nan, dtype=np.float32)
         for joint, points in table.points_of(body, self.labels).items():
             joints[:, joint] = self.points[:, points].mean(axis=1)
         count = int(np.isfinite(joints).any(axis=(0, 2)).sum())
@@ -78,7 +79,7 @@ def read_truth(path: Path) -> TruthFile:
             labels, seconds, points, warning = reader(path)
     except DeviceError as error:
         raise RecordingError(str(error)) from None
-    points[~np.isfinite(points).all(axis=2)] = np.nan
+    points[np.isnan(points).any(axis=2)] = np.nan
     frame, point = np.nonzero(_strays(points))
     points[frame, point] = np.nan
     if len(frame):
@@ -89,72 +90,57 @@ def read_truth(path: Path) -> TruthFile:
         raise RecordingError(f"{path} has no points.")
     if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all():  # false where NaN
         raise RecordingError(f"{path} needs at least two frames, with times that increase.")
+    (points,) = stored(points)
     return TruthFile(str(path), tuple(labels), seconds, points, warning)
 
 
-_Read = tuple[list[str], NDArray[np.float64], NDArray[np.float64], str]
+_Read = tuple[list[str], NDArray[np.float64], NDArray[np.float32], str]
 
 
 def _read_c3d(path: Path) -> _Read:
     with open_input(path, _LARGEST) as file:
-        header = np.frombuffer(file.read(10).ljust(10, b"\0"), dtype="<u2").astype(np.int64)
-    read = read_c3d(path)
-    rate, points, labels = float(read["rate"]), read["points"], read["labels"].tolist()
-    if not 0.0 < rate < math.inf:
-        raise RecordingError(f"{path} states {rate:g} frames per second.")
-    stated = header[4] - header[3] + 1  # last and first frame; long files have more
-    if len(points) < stated:  # ezc3d reads what is there
-        raise RecordingError(f"{path} is cut off: it states {stated} frames and has {len(points)}.")
-    points[read["residuals"] < 0.0] = np.nan
-    return labels[: points.shape[1]], np.arange(len(points)) / rate, _without_origin(points), ""
+        try:
+            read = read_c3d(file)
+        except RecordingError as fault:
+            raise RecordingError(f"{path} is not a .c3d: {fault}.") from None
+    count = len(read.points)
+    if not 0.0 < read.rate < math.inf:
+        raise RecordingError(f"{path} states {read.rate:g} frames per second.")
+    if count < read.stated:
+        raise RecordingError(f"{path} is cut off: it states {read.stated} frames and has {count}.")
+    labels = read.labels[: read.points.shape[1]]
+    return labels, np.arange(count) / read.rate, _without_origin(read.points[:, : len(labels)]), ""
 
 
 def _read_trc(path: Path) -> _Read:
-    lines = input_text(path, errors="replace", most=_LARGEST).splitlines()
-    if len(lines) <= _TRC_HEAD or not lines[3].lower().startswith("frame#"):
-        raise RecordingError(f"{path} is not a .trc: its fourth line does not begin with Frame#.")
-    tabs = "\t" if "\t" in lines[3] else None  # else spaces, between which no cell can be empty
-    labels = [name.strip() for name in lines[3].split(tabs)[2:] if name.strip()]
-    width = 2 + 3 * len(labels)
-    heads, values = (line.split(tabs) for line in lines[1:3])
-    stated = dict(zip(heads, values, strict=False)).get("NumFrames", "").strip()
-    rows = []
-    for number, line in enumerate(lines[_TRC_HEAD:], start=_TRC_HEAD + 1):
-        if not line.strip():
-            continue
-        cells = line.split(tabs)
-        if len(cells) < width:
-            what = "is cut off" if tabs else "has spaces instead of tabs and lacks cells"
-            raise RecordingError(
-                f"{path}, line {number} {what}: {len(labels)} points need {width} columns, and it has "
-                f"{len(cells)}."
-            )
-        try:
-            rows.append(np.array([float(cell) if cell.strip() else math.nan for cell in cells[:width]]))
-        except ValueError:
-            raise RecordingError(f"{path}, line {number}: not a row of numbers separated by tabs.") from None
-    if stated.isdecimal() and len(rows) < int(stated):
-        raise RecordingError(f"{path} is cut off: it states {stated} frames and has {len(rows)}.")
-    table = np.array(rows).reshape(-1, width)
-    return labels, table[:, 1], _without_origin(table[:, 2:].reshape(len(table), -1, 3)), ""
+    with _text(path) as file:
+        labels, seconds, points = read_trc(path, file)
+    return labels, seconds, _without_origin(points), ""
 
 
-def _strays(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _text(path: Path) -> TextIOWrapper:
+    return TextIOWrapper(open_input(path, _LARGEST), "utf-8-sig", "replace")
+
+
+def _strays(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     """(N, M) points that are farther from the others of their frame than a body reaches.
 
     A point is as far from the median point of its frame as in the median of the frames, and at most two sizes
     of the body farther; the size is that distance of a point at the body's ends.
     """
+    away = np.empty(points.shape[:2], dtype=np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
-        away = np.linalg.norm(points - median_of_known(points)[:, None], axis=2)
+        for part in parts(len(points)):
+            away[part] = np.linalg.norm(points[part] - median_of_known(points[part])[:, None], axis=2)
         usual = median_of_known(away.T)
         size = np.quantile(usual[np.isfinite(usual)], 0.9) if np.isfinite(usual).any() else 0.0
         return np.asarray(away > usual + 2.0 * size)
 
 
-def _without_origin(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _without_origin(points: NDArray[np.float32]) -> NDArray[np.float32]:
     """Points at exactly 0, 0, 0 are missing."""
-    return np.where((points == 0.0).all(axis=2, keepdims=True), np.nan, points)
+    points[(points == 0.0).all(axis=2)] = np.nan
+    return points
 
 
 def _read_csv(path: Path) -> _Read:
@@ -162,8 +148,8 @@ def _read_csv(path: Path) -> _Read:
     with open_input(path) as file:
         vendor = is_vendor_text(file.read(100).decode("utf-8-sig", "replace").replace("\r", ""))
     if vendor:
-        content = input_text(path, "utf-8-sig", "replace", _LARGEST)
-        labels, seconds, points = read_vendor_text(path, content)
+        with _text(path) as text_file:
+            labels, seconds, points = read_vendor_text(path, text_file)
         return labels, seconds, _without_origin(points), ""
     (text,) = text_rows(path, -1, required=())
     time_ns, clock, told, _ = capture_times(
@@ -201,7 +187,7 @@ def _read_csv(path: Path) -> _Read:
         raise RecordingError(
             f"{path}, line {text.line(int(row[first]))}: {labels[joint[first]]} has a second row at one time."
         )
-    points = np.full((len(times) * len(labels), 3), np.nan)
+    points = np.full((len(times) * len(labels), 3), np.nan, dtype=np.float32)
     points[slot] = values
     text.decimals.check(path)
     words = f"{clock} {' '.join(told)}".strip()

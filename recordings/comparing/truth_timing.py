@@ -9,9 +9,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,46 +20,73 @@ from fusion.clocks import Clock, Times
 from fusion.clocks.fit import Path, best_offsets, fitted_clock, part_offsets, with_rate
 from fusion.pair_arrays import View
 from fusion.skeleton import TRACKED
+from fusion.support.large_arrays import parts, stored
 from fusion.support.types import Array
 
 _LONGEST_GAP = 0.1  # seconds without a point that are interpolated
 _SEARCH_RATE = 60.0  # Hz of the truth in the search of the offset
 _OTHERS_NS = 100_000_000  # nearer candidates are one
-_OF_A_CANDIDATE = 400  # displacements of each joint
 _LEAST_CORRELATION = 0.8  # of displacements; other movements reach 0.7, seldom 0.85; right ones 0.97
 _LARGEST_SD, _LARGEST_LAG = 0.015, 0.050  # seconds: the person moves too little to tell
 _CONTRADICTS = 0.020  # seconds between a given offset and one by the motion
 
 
+@dataclass(frozen=True, eq=False)
 class JointPath:
-    """(N, J, 3) joints, NaN where unknown, at (N,) times; cubic splines over short gaps only."""
+    """Joints over time: cubic splines, over short gaps only.
 
-    def __init__(self, seconds: Array, positions: Array) -> None:
-        from scipy.interpolate import CubicSpline, PPoly
+    Attributes:
+        seconds: (N,) times in order.
+        at: (N, J, 3) positions in the truth's unit; NaN in longer gaps.
+        slopes: (N, J, 3) what they change by in a second.
+        metres: Metres per unit.
+    """
 
-        self.seconds, self._shape = seconds, positions.shape[1:]
-        longest = max(_LONGEST_GAP, 2.5 * float(np.median(np.diff(seconds))))
-        known = np.isfinite(positions[:, :, 0])
-        masks, of_mask = np.unique(known, axis=1, return_inverse=True)
-        # one for all joints that are known at the same times
-        self._splines = list[tuple[NDArray[np.int64], Array, Any, NDArray[np.bool_]]]()
-        for mask, some in enumerate(masks.T):
-            if some.sum() > 1:
-                times, of = seconds[some], np.flatnonzero(of_mask == mask)
-                of_joints = np.empty((4, len(times) - 1, len(of), *positions.shape[2:]))
-                for k, joint in enumerate(of.tolist()):  # a long one takes several times its memory
-                    of_joints[:, :, k] = CubicSpline(times, positions[some, joint]).c
-                spline = PPoly.construct_fast(of_joints, times)
-                self._splines.append((of, times, spline, np.diff(times) <= longest))
+    seconds: Array
+    at: NDArray[np.float32]
+    slopes: NDArray[np.float32]
+    metres: float = 1.0
 
-    def at(self, times: Array) -> Array:
-        """(T, J, 3) positions; NaN in gaps and outside."""
-        found = np.full((len(times), *self._shape), np.nan)
-        for joints, known, spline, short in self._splines:
-            before = np.clip(np.searchsorted(known, times, side="right") - 1, 0, len(known) - 2)
-            inside = np.flatnonzero((times >= known[0]) & (times <= known[-1]) & short[before])
-            found[np.ix_(inside, joints)] = spline(times[inside])
+    @staticmethod
+    def of(seconds: Array, positions: NDArray[np.float32]) -> JointPath:
+        """That of (N, J, 3) positions, NaN where unknown."""
+        from scipy.interpolate import CubicSpline
+
+        at, slopes = np.full((2, *positions.shape), np.nan, dtype=np.float32)
+        for joint in range(positions.shape[1]):
+            known = np.flatnonzero(np.isfinite(positions[:, joint, 0]))
+            if len(known) > 1:
+                times = seconds[known]
+                spline = CubicSpline(times, positions[known, joint])
+                after = np.clip(np.searchsorted(times, seconds), 1, len(times) - 1)
+                short = times[after] - times[after - 1] <= _longest_gap(seconds)
+                inside = (seconds >= times[0]) & (seconds <= times[-1]) & (short | (times[after] == seconds))
+                at[inside, joint], slopes[inside, joint] = (spline(seconds[inside], n) for n in (0, 1))
+        at, slopes = stored(at, slopes)
+        return JointPath(seconds, at, slopes)
+
+    def changed(self, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> JointPath:
+        """The path whose positions, and what they change by, are changed."""
+        return replace(self, at=change(self.at), slopes=change(self.slopes))
+
+    def positions(self, times: Array) -> Array:
+        """(T, J, 3) metres at (T,) times; NaN in gaps and outside."""
+        found, most = np.empty((len(times), *self.at.shape[1:])), _longest_gap(self.seconds)
+        for part in parts(len(times)):
+            some = times[part]
+            k = np.clip(np.searchsorted(self.seconds, some, side="right") - 1, 0, len(self.seconds) - 2)
+            step = self.seconds[k + 1] - self.seconds[k]
+            share = (some - self.seconds[k]) / step
+            share[(share < 0.0) | (share > 1.0) | (step > most)] = np.nan
+            s, step = share[:, None, None], step[:, None, None]
+            start, change = self.at[k], self.at[k + 1] - self.at[k]
+            bend = (1.0 - s) * (step * self.slopes[k] - change) - s * (step * self.slopes[k + 1] - change)
+            found[part] = self.metres * (start + s * change + s * (1.0 - s) * bend)
         return found
+
+
+def _longest_gap(seconds: Array) -> float:
+    return max(_LONGEST_GAP, 2.5 * float(np.median(np.diff(seconds))))
 
 
 @dataclass(frozen=True)
@@ -128,7 +154,7 @@ class TimeOffset:
 def path_of(truth: JointPath) -> Path:
     """The truth's joints on its clock."""
     first, last = (round(1e9 * end) for end in (truth.seconds[0], truth.seconds[-1]))
-    return Path(first, last, lambda time_ns: truth.at(np.asarray(1e-9 * time_ns)))
+    return Path(first, last, lambda time_ns: truth.positions(np.asarray(1e-9 * time_ns)))
 
 
 def find_offset(body: Body, views: Sequence[View], fused: View, truth: JointPath) -> TimeOffset | None:
@@ -141,21 +167,20 @@ def find_offset(body: Body, views: Sequence[View], fused: View, truth: JointPath
     even = truth.seconds[0] + np.arange(int(1e-9 * true_span * _SEARCH_RATE) + 1) / _SEARCH_RATE
     own, true = (
         view.chosen(np.flatnonzero(view.states.any(axis=1)))
-        for view in (fused, view_of(np.rint(1e9 * even).astype(np.int64), truth.at(even)))
+        for view in (fused, view_of(np.rint(1e9 * even).astype(np.int64), truth.positions(even)))
     )
     # the search takes the frames of the first view, the shorter one, and adds nanoseconds to the second
     pair, sign = ((true, own), 1.0) if true_span < span else ((own, true), -1.0)
     path, refined = path_of(truth), list[Clock]()
     for candidate in part_offsets(body, *pair):
-        found = fitted_clock(views, path, Clock(sign * candidate), most=_OF_A_CANDIDATE)
+        found = fitted_clock(views, path, Clock(sign * candidate))
         if found and all(abs(found.clock.offset_ns - one.offset_ns) > _OTHERS_NS for one in refined):
             refined.append(found.clock)
     equal = best_offsets(*pair, [round(sign * one.offset_ns) for one in refined])
     if not equal:
         return None
     clock, *others = (refined[k] for k in equal)
-    whole = fitted_clock(views, path, clock)
-    clock = with_rate(views, path, clock if whole is None else whole.clock)
+    clock = with_rate(views, path, clock)
     of_fused = fitted_clock([fused], path, clock)
     if of_fused is None or of_fused.correlation < _LEAST_CORRELATION:
         return None
@@ -164,7 +189,7 @@ def find_offset(body: Body, views: Sequence[View], fused: View, truth: JointPath
     return TimeOffset(clock, path.first_ns, of_fused.correlation, lag, elsewhere)
 
 
-def view_of(time_ns: Times, positions: Array) -> View:
+def view_of(time_ns: Times, positions: NDArray[np.floating]) -> View:
     """(T, J, 3) joints at (T,) times, tracked where they are known."""
     states = np.where(np.isfinite(positions).all(axis=2), TRACKED, 0).astype(np.uint8)
-    return View(time_ns, positions.astype(np.float32), states)
+    return View(time_ns, positions.astype(np.float32, copy=False), states)

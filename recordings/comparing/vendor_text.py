@@ -1,80 +1,122 @@
-"""Motion capture in the text exports of OptiTrack Motive, Vicon Nexus and Qualisys Track Manager."""
+"""Motion capture in the texts of OpenSim, OptiTrack Motive, Vicon Nexus and Qualisys Track Manager.
+
+They are read line by line: a quarter of an hour has a hundred thousand lines of hundreds of cells.
+"""
 
 import csv
 import math
 import re
-from collections.abc import Sequence
+from array import array
+from collections.abc import Iterator, Sequence
+from itertools import chain, islice, takewhile
+from operator import itemgetter
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.errors import RecordingError
 
-Rows = list[list[str]]
-Read = tuple[list[str], NDArray[np.float64], NDArray[np.float64]]
-
+Rows = Iterator[list[str]]
+Read = tuple[list[str], NDArray[np.float64], NDArray[np.float32]]
+"""M labels, (N,) times in seconds, and (N, M, 3) points in the file's unit."""
 
 _NEXUS = re.compile(r"(Devices|Events|Joints|Segments|Model Outputs|Trajectories)\W*(\n|\Z)")
+_TRC_HEAD = 5  # lines before the first frame; an empty one may follow
 
 
 def is_vendor_text(start: str) -> bool:
-    """Whether a file that begins so is of one of these programs."""
+    """Whether a .csv or .tsv that begins so is of one of these programs."""
     return start.startswith(("Format Version,", "NO_OF_FRAMES\t")) or _NEXUS.match(start) is not None
 
 
-def read_vendor_text(name: object, text: str) -> Read:
-    """Reads labels, times in seconds, and points (N, M, 3) in the file's unit.
+def read_vendor_text(path: object, file: TextIO) -> Read:
+    """Reads what Motive, Nexus or Track Manager wrote.
 
     Raises:
         RecordingError: It is not complete, or has no points.
     """
-    read = {"Fo": _motive, "NO": _qualisys}.get(text[:2], _nexus)
-    separator = "\t" if read is _qualisys else ","
+    begin = file.read(2)
+    file.seek(0)
+    read = {"Fo": _motive, "NO": _qualisys}.get(begin, _nexus)
     try:
-        return read(
-            [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), delimiter=separator)]
-        )
+        return read(csv.reader(file, delimiter="\t" if read is _qualisys else ","))
     except (csv.Error, StopIteration, IndexError, KeyError, ValueError) as fault:
-        raise RecordingError(f"{name} is not complete, or not as its program writes it ({fault}).") from None
+        raise RecordingError(f"{path} is not complete, or not as its program writes it ({fault}).") from None
+
+
+def read_trc(path: object, file: TextIO) -> Read:
+    """Reads a .trc.
+
+    Raises:
+        RecordingError: It is not complete, or no .trc.
+    """
+    heads = list(islice(file, _TRC_HEAD))
+    if len(heads) < _TRC_HEAD or not heads[3].lower().startswith("frame#"):
+        raise RecordingError(f"{path} is not a .trc: its fourth line does not begin with Frame#.")
+    tabs = "\t" if "\t" in heads[3] else None  # else spaces, between which no cell can be empty
+    labels = [name.strip() for name in heads[3].split(tabs)[2:] if name.strip()]
+    stated = dict(zip(*(line.split(tabs) for line in heads[1:3]), strict=False)).get("NumFrames", "").strip()
+    width, number = 2 + 3 * len(labels), 0
+
+    def rows() -> Rows:
+        nonlocal number
+        for number, line in enumerate(file, start=_TRC_HEAD + 1):
+            row = line.split(tabs)
+            if len(row) < width and line.strip():
+                what = "is cut off" if tabs else "has spaces instead of tabs and lacks cells"
+                raise RecordingError(
+                    f"{path}, line {number} {what}: {len(labels)} points need {width} columns, and it has "
+                    f"{len(row)}."
+                )
+            yield row
+
+    try:
+        seconds, points = _table(rows(), 1, range(2, width, 3))
+    except ValueError:
+        raise RecordingError(f"{path}, line {number}: not a row of numbers separated by tabs.") from None
+    if stated.isdecimal() and len(points) < int(stated):
+        raise RecordingError(f"{path} is cut off: it states {stated} frames and has {len(points)}.")
+    return labels, seconds, points
 
 
 def _motive(rows: Rows) -> Read:
     """Rows of heads end with ``Frame,Time (Seconds)``; of a skeleton, bones are taken instead of markers."""
-    head = next(k for k, row in enumerate(rows) if row and row[0] == "Frame")
-    of = {row[1]: row for row in rows[1:head] if len(row) > 1}
-    begins = [k for k in _begins(rows[head]) if rows[head - 1][k] == "Position"]
-    bones = [k for k in begins if of["Type"][k] == "Bone"]
-    begins = bones or begins
-    table = _table(rows[head + 1 :], len(rows[head]))
-    return [of["Name"][k] for k in begins], table[:, 1], _points(table, begins)
+    heads = [_stripped(next(rows))]
+    while heads[-1][:1] != ["Frame"]:
+        heads.append(_stripped(next(rows)))
+    *heads, kinds, axes = heads[1:]
+    of = {row[1]: row for row in heads if len(row) > 1}
+    begins = [k for k in _begins(axes) if kinds[k] == "Position"]
+    begins = [k for k in begins if of["Type"][k] == "Bone"] or begins
+    return [of["Name"][k] for k in begins], *_table(rows, 1, begins)
 
 
 def _nexus(rows: Rows) -> Read:
     """Sections follow one another; an empty row ends one."""
-    first = next(k for k, row in enumerate(rows) if row[:1] == ["Trajectories"])
-    rate, names, axes = float(rows[first + 1][0]), rows[first + 2], rows[first + 3]
-    if not rate > 0.0:
+    next(row for row in rows if _stripped(row[:1]) == ["Trajectories"])
+    (rate, *_), names, axes, _ = (_stripped(next(rows)) for _ in range(4))
+    if not float(rate) > 0.0:
         raise ValueError(f"its rate is {rate}")
-    rows = rows[first + 5 :]
-    end = next((k for k, row in enumerate(rows) if not any(row)), len(rows))
-    table, begins = _table(rows[:end], len(axes)), _begins(axes)
-    seconds = (table[:, 0] - table[0, 0]) / rate
-    return [names[k] for k in begins], seconds, _points(table, begins)
+    begins = _begins(axes)
+    frames, points = _table(takewhile(_has_cells, rows), 0, begins)
+    return [names[k] for k in begins], (frames - frames[0]) / float(rate), points
 
 
 def _qualisys(rows: Rows) -> Read:
     """Rows of names and values, perhaps a head, and rows of points, perhaps after frame and time."""
-    of = {row[0]: row[1:] for row in rows if row and row[0].isupper()}
+    of = dict[str, list[str]]()
+    for row in map(_stripped, rows):
+        if row and row[0].isupper():
+            of[row[0]] = row[1:]
+        elif row and _is_number(row[0]):
+            break
     names = [name for name in of["MARKER_NAMES"] if name]
-    first = next(k for k, row in enumerate(rows) if len(row) >= 3 * len(names) and _is_number(row[0]))
-    rows = [row for row in rows[first:] if any(row)]
-    if len(rows) < int(of["NO_OF_FRAMES"][0]):
-        raise ValueError(f"it states {of['NO_OF_FRAMES'][0]} frames and has {len(rows)}")
-    before = 2 if len(rows[0]) >= 2 + 3 * len(names) else 0  # a tab may follow the last
-    table = _table(rows, before + 3 * len(names))
-    seconds = table[:, 1] if before else np.arange(len(table)) / float(of["FREQUENCY"][0])
-    points = table[:, before:].reshape(len(table), -1, 3)
-    return names, seconds, points
+    timed = len(row) >= 2 + 3 * len(names)  # a tab may follow the last
+    seconds, points = _table(chain([row], rows), int(timed), range(2 * timed, 2 * timed + 3 * len(names), 3))
+    if len(points) < int(of["NO_OF_FRAMES"][0]):
+        raise ValueError(f"it states {of['NO_OF_FRAMES'][0]} frames and has {len(points)}")
+    return names, seconds if timed else np.arange(len(points)) / float(of["FREQUENCY"][0]), points
 
 
 def _begins(axes: Sequence[str]) -> list[int]:
@@ -82,18 +124,41 @@ def _begins(axes: Sequence[str]) -> list[int]:
     return [k for k in range(len(axes)) if list(axes[k : k + 3]) == ["X", "Y", "Z"]]
 
 
-def _points(table: NDArray[np.float64], begins: Sequence[int]) -> NDArray[np.float64]:
-    return np.stack([table[:, k : k + 3] for k in begins], axis=1)
+def _stripped(row: Sequence[str]) -> list[str]:
+    return [cell.strip() for cell in row]
+
+
+def _has_cells(row: Sequence[str]) -> bool:
+    return any(map(str.strip, row))
 
 
 def _is_number(cell: str) -> bool:
     return cell.replace(".", "").replace("-", "").isdecimal()
 
 
-def _table(rows: Rows, width: int) -> NDArray[np.float64]:
-    """Rows of numbers; an empty cell is NaN, and so are those that a row lacks at its end."""
-    rows = [row for row in rows if any(row)]
-    if not rows:
+def _table(rows: Rows, time: int, begins: Sequence[int]) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """A column of times, and points of which each begins in a column.
+
+    An empty cell is NaN, and so are those that a row lacks at its end.
+    """
+    columns = [time, *(k + axis for k in begins for axis in range(3))]
+    chosen, last, seconds = itemgetter(*columns), max(columns), array("d")
+
+    def points() -> Iterator[list[float]]:
+        for row in filter(_has_cells, rows):
+            try:
+                at, *values = map(float, chosen(row))
+            except (ValueError, IndexError):
+                cells = chosen([*row, *[""] * (last + 1 - len(row))])
+                at, *values = (float(cell.strip() or math.nan) for cell in cells)
+            seconds.append(at)
+            yield values
+
+    found = np.empty((0, len(begins), 3), dtype=np.float32)
+    if begins:
+        with np.errstate(over="ignore"):  # a wrong sample may be of any size
+            values = np.fromiter(points(), np.dtype((np.float32, 3 * len(begins))))
+        found = np.asarray(values, dtype=np.float32).reshape(-1, len(begins), 3)
+    if not len(found):
         raise ValueError("it has no frames")
-    cells = [[float(cell or math.nan) for cell in row[:width]] for row in rows]
-    return np.array([row + [math.nan] * (width - len(row)) for row in cells]).reshape(-1, width)
+    return np.array(seconds), found

@@ -41,7 +41,11 @@ _OF_A_FRAME = 0.25  # of the time between frames, by which interpolation errs
 
 
 def find_gait(
-    body: Body, time_ns: ArrayLike, positions: Array, up: ArrayLike, sigma: ArrayLike | None = None
+    body: Body,
+    time_ns: ArrayLike,
+    positions: NDArray[np.floating],
+    up: ArrayLike,
+    sigma: ArrayLike | None = None,
 ) -> Gait:
     """Finds the steps and the turns.
 

@@ -56,7 +56,7 @@ class Part(NamedTuple):
 
 
 def parts_of(
-    body: Body, seconds: Array, positions: Array, up: Array, sigma: ArrayLike | None
+    body: Body, seconds: Array, positions: NDArray[np.floating], up: Array, sigma: ArrayLike | None
 ) -> Iterator[Part]:
     from scipy.interpolate import CubicSpline
     from scipy.signal import sosfiltfilt  # loads for a second

@@ -1,6 +1,8 @@
 """Files of motion capture, written by others and by this program."""
 
 import math
+import tracemalloc
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -8,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from scipy.stats import ttest_rel
 
@@ -22,12 +25,13 @@ from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
 from fusion.skeleton import TRACKED
-from recordings.comparing import c3d_file
+from fusion.support import large_arrays
+from recordings.comparing import c3d_file, truth_files, truth_timing
 from recordings.comparing.agreement import agreement, step_agreement
 from recordings.comparing.session_comparison import Comparison
 from recordings.comparing.truth_comparison import SKELETONS, TruthComparison
 from recordings.comparing.truth_files import TruthFile, read_truth
-from recordings.comparing.truth_timing import TimeOffset
+from recordings.comparing.truth_timing import JointPath, TimeOffset
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
 from recordings.gait import SIDES, Gait
@@ -41,13 +45,13 @@ from tests.helpers.motion_capture import (
     captured,
     true_positions,
     write_c3d,
+    write_c3d_of,
     write_motive,
     write_nexus,
     write_qualisys,
     write_trc,
 )
 from tests.helpers.two_views import A_FROM_B, calibration_of, standing
-from tests.helpers.unreliable import never_ends
 
 LABELS = ("Ann:LASI", "Ann:RASI", "Ann:C7")
 
@@ -178,28 +182,88 @@ def test_a_missing_file_is_named(tmp_path):
         read_truth(tmp_path / "none.c3d")
 
 
-@pytest.mark.parametrize("at", [534, 540, 550])
-def test_a_damaged_c3d_does_not_take_the_program_along(tmp_path, at):
-    """ezc3d crashes at these bytes of the parameters."""
-    pytest.importorskip("ezc3d")
-    path = tmp_path / "m.c3d"
-    write_c3d(path, ["A", "B"], np.arange(20) / 30, np.ones((20, 2, 3)))
-    assert read_truth(path).labels == ("A", "B")
+@pytest.mark.parametrize("processor", [84, 85, 86], ids=["intel", "dec", "mips"])
+@pytest.mark.parametrize("scale", [-0.01, 0.125], ids=["floats", "integers"])
+@pytest.mark.parametrize("part", [1, 200, 1 << 20])
+def test_a_c3d_of_any_processor_is_read_as_by_another_library(processor, scale, part, tmp_path, monkeypatch):
+    times, points = points_of(40)
+    path = write_c3d_of(processor, scale, tmp_path / "t.c3d", LABELS, times, points)
+    monkeypatch.setattr(c3d_file, "_PART", part)
+    read = read_truth(path)
+    assert read.labels == LABELS
+    np.testing.assert_allclose(read.seconds, times, atol=1e-5)
+    np.testing.assert_allclose(read.points, points, atol=1e-3 if scale < 0.0 else 0.07)
+    with path.open("rb") as file:
+        other = np.stack([at for _, at, _ in pytest.importorskip("c3d").Reader(file).read_frames()])
+    known = other[..., 3] >= 0.0
+    np.testing.assert_allclose(read.points[known], other[known][:, :3], atol=1e-3)
+
+
+@given(seed=st.integers(0, 999), rate=st.sampled_from([5.0, 30.0, 120.0]), size=st.integers(1, 400))
+def test_a_path_is_the_spline_of_what_is_known_however_it_is_taken_apart(seed, rate, size, monkeypatch):
+    random = np.random.default_rng(seed)
+    seconds = np.cumsum(random.uniform(0.5, 1.5, 90)) / rate
+    points = np.cumsum(random.normal(0.0, 0.02, (90, 3, 3)), axis=0).astype(np.float32)
+    points[random.random((90, 3)) < 0.2] = np.nan
+    points[40 : 40 + round(0.5 * rate), 0] = np.nan  # longer than is bridged
+    path = JointPath.of(seconds, points)
+    times = random.uniform(seconds[0] - 0.1, seconds[-1] + 0.1, 300)
+    found = path.positions(times)
+    longest = max(0.1, 2.5 * np.median(np.diff(seconds)))
+    for joint in range(3):
+        known = np.flatnonzero(np.isfinite(points[:, joint, 0]))
+        of = seconds[known]
+        after = np.clip(np.searchsorted(of, times), 1, len(of) - 1)
+        inside = (times >= of[0]) & (times <= of[-1]) & (of[after] - of[after - 1] <= longest)
+        expected = np.where(inside[:, None], CubicSpline(of, points[known, joint])(times), np.nan)
+        np.testing.assert_allclose(found[:, joint], expected, atol=1e-5)
+    monkeypatch.setattr(truth_timing, "parts", lambda count: large_arrays.parts(count, size))
+    np.testing.assert_array_equal(path.positions(times), found)
+
+
+@given(seed=st.integers(0, 999), size=st.integers(1, 400))
+def test_strays_are_the_same_however_the_frames_are_taken_apart(seed, size, tmp_path, monkeypatch):
+    random = np.random.default_rng(seed)
+    points = random.normal(0.0, 500.0, (60, 5, 3))
+    points[random.random((60, 5)) < 0.05] *= 100.0
+    path = write_c3d(tmp_path / "s.c3d", list("ABCDE"), np.arange(60) / 30, points)
+    whole = read_truth(path)
+    monkeypatch.setattr(truth_files, "parts", lambda count: large_arrays.parts(count, size))
+    assert read_truth(path).warning == whole.warning
+    np.testing.assert_array_equal(read_truth(path).points, whole.points)
+
+
+@pytest.mark.parametrize(
+    ("writer", "name"),
+    [
+        (write_c3d, "t.c3d"), (write_trc, "t.trc"), (write_motive, "t.csv"), (write_nexus, "t.csv"),
+        (write_qualisys, "t.tsv"),
+    ],
+)  # fmt: skip
+def test_reading_takes_twice_the_memory_of_the_points(writer, name, tmp_path):
+    def peak(count):
+        points = np.random.default_rng(1).normal(0.0, 500.0, (count, 20, 3))
+        path = writer(tmp_path / name, [f"P{k}" for k in range(20)], np.arange(count) / 120.0, points)
+        tracemalloc.start()
+        try:
+            return read_truth(path).points.nbytes, tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    peak(20)  # with what is imported
+    (few, less), (many, more) = peak(4500), peak(9000)
+    assert more - less < 2.0 * (many - few)
+
+
+@given(at=st.integers(0, 2559), value=st.integers(0, 255), end=st.integers(0, 2560))
+def test_a_damaged_c3d_is_read_or_refused(tmp_path, at, value, end):
+    path = write_c3d(tmp_path / "m.c3d", ["A", "B"], np.arange(20) / 30, np.ones((20, 2, 3)))
     damaged = bytearray(path.read_bytes())
-    damaged[at] = 255
-    path.write_bytes(damaged)
-    with pytest.raises(RecordingError, match=r"m\.c3d is not a \.c3d that ezc3d can read"):
-        read_truth(path)
-
-
-def test_a_c3d_that_never_ends_is_given_up(tmp_path, monkeypatch):
-    pytest.importorskip("ezc3d")
-    path = tmp_path / "m.c3d"
-    write_c3d(path, ["A", "B"], np.arange(20) / 30, np.ones((20, 2, 3)))
-    monkeypatch.setattr(c3d_file, "content", never_ends)
-    monkeypatch.setattr(c3d_file, "_SECONDS", 0.2)
-    with pytest.raises(RecordingError, match="does not end"):
-        read_truth(path)
+    damaged[at] = value
+    path.write_bytes(damaged[: max(end, at)])
+    with suppress(RecordingError):
+        read = read_truth(path)
+        assert read.points.shape == (len(read.seconds), len(read.labels), 3)
 
 
 # --- Comparison with motion capture whose offset, frame and errors are known.
@@ -393,8 +457,8 @@ def test_a_truth_whose_clock_has_another_speed_is_found(walk, right, fast):
     assert means[0] == pytest.approx(means[1], rel=0.01)
     given = TruthComparison.of(walk.session, wrong, offset_s=found.offset.seconds)
     assert given.offset.fast == found.offset.fast
-    # whole nanoseconds may differ by one, and joints are slower than 8 m/s
-    np.testing.assert_allclose(given.distance["fused"], found.distance["fused"], atol=1e-8)
+    # of whole nanoseconds, at less than 8 m/s, and of float32 some metres away
+    np.testing.assert_allclose(given.distance["fused"], found.distance["fused"], atol=1e-6)
 
 
 def test_a_session_with_a_pause_in_its_middle_is_compared(walk):

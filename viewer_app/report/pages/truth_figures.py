@@ -33,7 +33,7 @@ _BLOCK_S = 2.0  # seconds of frames whose errors may be alike: about two strides
 def truth_figures(comparison: TruthComparison) -> Figures:
     """The figures as ``--report`` writes them; None where one is unknown."""
     offset, joints = comparison.offset, comparison.joints
-    transform = comparison.a_from_truth
+    transform, steps = comparison.a_from_truth, _of_steps(comparison)
     return {
         "truth": comparison.truth_name,
         "names": comparison.table,
@@ -63,7 +63,7 @@ def truth_figures(comparison: TruthComparison) -> Figures:
             for k, name in enumerate(ANGLES)
             if np.isfinite(comparison.angles["fused"][1][:, k]).sum() >= _FEWEST
         },
-        "steps": _of_steps(comparison),
+        "steps": steps,
     }
 
 
