@@ -43,6 +43,7 @@ from tests.helpers.machine import lacks
 from tests.helpers.motion_capture import captured, true_positions
 from tests.helpers.poses import posed
 from tests.helpers.recalibrated import record_recalibrated
+from tests.helpers.ros import OPTICAL, messages, nanoseconds, rosbags
 from tests.helpers.two_views import calibration_of
 
 
@@ -510,6 +511,7 @@ _AXES = {
 @given(data=st.data())
 def test_an_export_read_by_another_reader_puts_every_joint_in_its_place(data, tmp_path_factory):
     """Whenever somebody is there: markers between frames too, animations hold the last pose."""
+    rosbags()
     session, folder = uneven(_walk(), data.draw), tmp_path_factory.mktemp("s")
     moments = even_moments(session.rows).time_ns
     there = positions_at(session.rows, moments)
@@ -526,6 +528,14 @@ def test_an_export_read_by_another_reader_puts_every_joint_in_its_place(data, tm
     np.testing.assert_allclose(
         bvh_joints(folder / "s.bvh", KINECT_V2), on_floor(session, at[known]), atol=1e-4
     )
+    session.export(folder / "s.mcap")
+    markers = [message for topic, _, message in messages(folder / "s.mcap") if topic.endswith("/markers")]
+    for k, (joints, _) in enumerate(message.markers for message in markers):
+        assert nanoseconds(joints.header.stamp) == session.time_ns[k]
+        points = np.array([[p.x, p.y, p.z] for p in joints.points]).reshape(-1, 3)
+        seen = session.fused[k][~session.rows.never_seen]
+        np.testing.assert_allclose(points, seen[np.isfinite(seen).all(axis=1)] @ OPTICAL.T, atol=1e-9)
+    assert len(markers) == len(session)
 
 
 @OF_EVERY_BODY
