@@ -112,7 +112,8 @@ RULES: dict[str, Rule] = {
         live="wait for {who}", told_by=_SLOW, is_event=False, lost=True, first=True),
     "unseen": Rule(
         "time without a person in a view, now", "s", below(1.0, 1.0), what="{who} sees no one",
-        live="step into its view", told_by=frozenset({"no_frames"}), lost=True, first=True),
+        live="stand 2.5 m in front of it", told_by=frozenset({"no_frames", "unseen_together"}), lost=True,
+        first=True),
     "others": Rule(
         "time with somebody else in view before the calibration, now", "%", below(50.0, 50.0),
         what="someone else is in view of {who}", live="ask them to step aside", first=True),
@@ -136,7 +137,7 @@ RULES: dict[str, Rule] = {
         limit="S* predicts what is not measured"),
     "unseen_together": Rule(
         "frames with a joint in both views", "", Limits((1.0, inf), (1.0, inf)),
-        what="no joint was seen by both sensors", live="check that both see you",
+        what="no joint was seen by both sensors", live=AIM,
         files="check that both see the person", beyond="unknown"),
     "two_people": Rule(
         "distance between the views, for 5 % of the time", "mm", below(500.0, 500.0),

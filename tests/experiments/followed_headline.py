@@ -131,10 +131,9 @@ def done(headline, places, person, ring):
         way = person - places[k].at
         by = float(far[2]) * (1 if far[1] == "back" else -1)
         person = person + by * way / np.linalg.norm(way)
-    elif "into its view" in step:
+    elif "in front of it" in step:
         yaw = np.radians(places[k].yaw)
-        ahead = np.array([np.sin(yaw), np.cos(yaw)])
-        person = places[k].at + ahead * np.clip((person - places[k].at) @ ahead, 1.5, 4.0)
+        person = places[k].at + 2.5 * np.array([np.sin(yaw), np.cos(yaw)])
     elif "ring" in step:
         person = ring
     return tuple(places), person, "walk" if "walk" in step else "startup"

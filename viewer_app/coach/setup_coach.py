@@ -131,6 +131,7 @@ class Coach:
         self._moments: deque[_Moment] = deque()
         self._seen = np.zeros(len(body), dtype=np.bool_)  # joints that were ever seen
         self._mirrored = _Share(), _Share()
+        self._together = False  # whether both views ever saw the person at one time
         self._seen_at, self._came_at = [-math.inf, -math.inf], [-math.inf, -math.inf]
         self._began: float | None = None
         self._calibration: Calibration | None = None
@@ -177,6 +178,7 @@ class Coach:
             views.append(self._view(came, skeleton, k, time))
         apart = error = math.nan
         if skeletons.a is not None and skeletons.b is not None:
+            self._together = True
             codes = frame.fused.exchanged_a & WHOLE, frame.fused.exchanged_b & WHOLE
             self._recent.add(skeletons, codes)
             errors = now.calibration.depth_errors.tolist()
@@ -234,6 +236,8 @@ class Coach:
     def _views(self, frame: SessionFrame, now: Situation, time: float) -> Iterator[Finding]:
         """What is wrong with a view."""
         assert self._began is not None
+        if min(self._seen_at) > -math.inf:
+            yield from judge("unseen_together", float(self._together))
         for k, side in enumerate("AB"):
             view = (frame.pair.a, frame.pair.b)[k]
             skeleton = (frame.pair.skeletons.a, frame.pair.skeletons.b)[k]

@@ -187,6 +187,24 @@ def test_depth_errors_that_a_calibration_states_are_no_distance_of_the_views():
     assert not rules[1]
 
 
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=12))
+def test_sensors_are_aimed_at_one_place_if_both_see_somebody_but_never_at_once(seen):
+    """A second each; who is not seen by either is asked before a sensor if the views overlap."""
+    coach, found = Coach(BODY, (CAMERA, CAMERA)), []
+    fuser = Fuser(FusionSetup(KNOWN))
+    for k, time_ns in enumerate(range(0, len(seen) * 10**9, 10**9 // 10)):
+        both = pair_of(BODY, standing(BODY), time_ns)
+        views = [
+            {"1": of} if there else {} for of, there in zip((both.a, both.b), seen[k // 10], strict=True)
+        ]
+        pair = frame_pair(*(SensorFrame(time_ns, view) for view in views), "1", time_ns)
+        found = coach.watch(fuse_one(fuser, pair), NOT_PLACED)
+    told = {each.rule: each.step for each in found}
+    apart = all(map(any, zip(*seen, strict=True))) and (True, True) not in seen
+    assert (told.get("unseen_together") == AIM) == apart
+    assert not (apart and "unseen" in told)
+
+
 NOT_PLACED = Situation(replace(KNOWN, provisional=True), final=False, held=0.0)
 """So that nobody is asked into the ring."""
 
