@@ -120,9 +120,9 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
     [
         ("from fusion import Fuser", 7_030, 0),
         ("from recordings import Session", 5_870, 5),
-        ("from recordings import fuse", 16_400, 25),
+        ("from recordings import fuse", 16_450, 25),
         (RUN_FUSE.format(pair=PAIR), 24_900, 42),
-        ("import viewer_app.commands.live", 33_040, 58),
+        ("import viewer_app.commands.live", 33_100, 58),
     ],
 )
 def test_who_reads_one_thing_need_not_read_all(what, most_lines, most_of_devices):
