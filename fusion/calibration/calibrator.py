@@ -32,12 +32,13 @@ from fusion.calibration.calibration import (
 from fusion.calibration.start_up_pose import StartUpPose
 from fusion.errors import CalibrationError
 from fusion.registration.error_model import RobustFitSettings
-from fusion.registration.keyframes import Evidence, KeyframeSet
+from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of
 from fusion.registration.lasting_errors import FrontalTurn, common_variance
 from fusion.registration.rigid_fit import label_free_fit
 from fusion.registration.robust_fit import Found, RobustFit, fits_from, registration_of, with_frontal_sd
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
+from fusion.support.types import Array
 
 _EVERY_NS = 1_000_000_000
 _FEWEST, _MOST = 16, 64  # keyframes; as for a refinement, and enough for a first fit
@@ -194,20 +195,27 @@ class Calibrator:
         if fitted is None:
             return None
         fit, evidence = fitted
-        nominal = self._body.nominal_lengths
-        try:
-            lengths = robust_bone_lengths(self._body, evidence, fit.a_from_b, nominal)
-        except CalibrationError:
-            lengths = self.calibration.bone_lengths
+        lengths = self._bone_lengths(evidence, fit.a_from_b, self.calibration.bone_lengths)
         how = f"movement, {len(evidence.a)} keyframes"
         registration = registration_of(self._body, evidence, fit)
         return Calibration(self._body, fit.a_from_b, lengths, how, registration)
 
+    def _bone_lengths(self, evidence: Evidence, a_from_b: RigidTransform, otherwise: Array) -> Array:
+        try:
+            return robust_bone_lengths(self._body, evidence, a_from_b, self._body.nominal_lengths)
+        except CalibrationError:
+            return otherwise
+
     def _try(self, pairs: list[SkeletonPair], how: str) -> Calibration | None:
         try:
-            self.calibration = replace(
-                calibrate(self._body, pairs, how, frontal=self._frontal), provisional=True
-            )
+            found = replace(calibrate(self._body, pairs, how, frontal=self._frontal), provisional=True)
         except CalibrationError:
             return None
-        return self.calibration
+        if self._frontal:  # where R is wrong or sides are exchanged, eq. (13) has short limbs
+            usual = self._body.nominal_lengths
+            bones = self._body.bone_joints
+            usual = usual * np.median(found.bone_lengths[bones] / usual[bones])
+            evidence = evidence_of(self._body, pairs)
+            found = replace(found, bone_lengths=self._bone_lengths(evidence, found.a_from_b, usual))
+        self.calibration = found
+        return found

@@ -250,6 +250,20 @@ def test_a_person_who_walks_needs_no_pose(body, angle, seed):
     assert shift < 0.1
 
 
+@given(st.integers(0, 40), st.sets(st.integers(0, 29)), st.floats(0.6, 1.1))
+def test_provisional_bones_are_a_persons_though_a_view_exchanges_sides(first, exchanges, size):
+    """Of the average of both views, arms would be of 0.1 m."""
+    calibrator, bones = Calibrator(KINECT_V2), KINECT_V2.bone_joints
+    for k, at in enumerate(moving(KINECT_V2, 90)[first : first + 30] * size):
+        pair = pair_of(KINECT_V2, at, k * FRAME_NS)
+        if k in exchanges:
+            a = Skeleton.of(KINECT_V2, pair.a.positions[KINECT_V2.mirror], None, pair.time_ns)
+            pair = SkeletonPair(a, pair.b, pair.time_ns)
+        calibrator.watch(pair)
+        ratio = calibrator.calibration.bone_lengths[bones] / (size * KINECT_V2.nominal_lengths[bones])
+        assert 0.6 < ratio.min() <= ratio.max() < 1.5
+
+
 def test_a_person_who_shows_too_little_leaves_the_calibration_provisional():
     """At 180° a squat seen from two sides leaves a solution turned by half a circle nearly as good."""
     calibrator, _, _ = watched(KINECT_V2, "squat", 180.0, 12.0)
