@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from devices.findings.finding import WORDS, Finding, capital, followed
-from devices.findings.rules import RULES
+from devices.findings.finding import Finding, capital, followed
+from devices.findings.rules import RULES, WALK
 from fusion.calibration.calibration import Calibration
 from recordings.appearance.state_card import State
 from viewer_app.flags import in_flags
@@ -13,6 +13,8 @@ from viewer_app.flags import in_flags
 LASTS = 2.0
 """Seconds for which a headline stays, and for which a problem counts after it was found last."""
 _DONE_AT_ONCE = "uncalibrated"  # a calibration is there at once; a figure swings about its limit
+_PLACES = tuple(RULES)[tuple(RULES).index("distance") : tuple(RULES).index("uncalibrated")]
+"""Rules about where person and sensors are."""
 _STATES = {"usable": State.ALMOST, "unknown": State.ALMOST, "poor": State.NOT_YET}
 
 
@@ -65,23 +67,24 @@ class Readiness:
 
 
 def headline(findings: Sequence[Finding], calibration: Calibration, kept: Headline | None = None) -> Headline:
-    """The state, by the worst of the findings as :func:`followed` gives them, and the step that comes first.
+    """The state, and the step that comes first, of findings as :func:`followed` orders them.
 
-    It is the first one in the table: who is asked to walk about stands in the right place already.
+    Who is asked to walk about is asked into place before: a sensor that is moved afterwards undoes the walk.
 
     Args:
         kept: The last one, whose step stays first until it is done, of the same sensor if it can.
     """
-    order = list(RULES)
-    asked = sorted((each for each in findings if each.step), key=lambda each: order.index(each.rule))
+    asked = [each for each in findings if each.step]
     if not asked:
         return Headline(State.READY, f"Record now: {_precision(calibration)}whole body in both views")
-    first, state = asked[0], _STATES[max((each.word for each in asked), key=WORDS.index)]
+    first, word = asked[0], asked[0].word
+    if RULES[first.rule].live == WALK:
+        first = next((each for each in asked if each.rule in _PLACES), first)
     if kept is not None and not RULES[first.rule].first:
-        alike = [each for each in asked if each.rule == kept.kind and each.word == first.word]
+        alike = [each for each in asked if each.rule == kept.kind and each.word == word]
         first = next((each for each in alike if each.side == kept.side), next(iter(alike), first))
     said = in_flags(capital(f"{first.what}: {first.step}"))
-    return Headline(state, said, first.rule, first.side)
+    return Headline(_STATES[word], said, first.rule, first.side)
 
 
 def to_markdown(

@@ -441,6 +441,20 @@ def test_whatever_was_advised_the_headline_comes_to_say_what_is_wrong_now(steps,
     assert shown.kind in (asked or {""})
 
 
+@given(
+    st.sets(st.sampled_from(range(len(FINDINGS)))), st.sampled_from(["distance", "feet", "whole", "angle"])
+)
+def test_nobody_is_asked_to_walk_about_before_person_and_sensors_are_in_place(others, rule):
+    """Nor into place while they walk about as asked."""
+    found = followed([finding(rule, "A"), finding("precision"), *(FINDINGS[k] for k in others)])
+    told = headline(found, KNOWN)
+    assert RULES[told.kind].live != WALK
+    walks = headline(
+        [finding("precision"), finding(rule, "A")], KNOWN, Headline(State.NOT_YET, "", "precision")
+    )
+    assert walks.kind == "precision"
+
+
 @given(st.sets(st.sampled_from(range(len(FINDINGS))), max_size=6), st.randoms())
 def test_no_order_changes_what_is_said_and_a_cause_has_the_word_of_its_consequence(which, rng):
     given_ = [FINDINGS[k] for k in sorted(which)]
