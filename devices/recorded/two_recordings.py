@@ -347,11 +347,7 @@ def _as_body(view: View, body: Body, other: Body) -> View:
 
 
 def _going_on(a: OneRecording, b: OneRecording) -> tuple[OneRecording, OneRecording]:
-    """The same with times that go on where a clock was set, by who is seen longest, and lines about it.
-
-    Raises:
-        DeviceError: The person's movement contradicts the times beside a clock that was set.
-    """
+    """The same with times that go on where a clock was set, by who is seen longest, and lines about it."""
     reads = a, b
     if a.people.body is not b.people.body:
         return reads
@@ -364,12 +360,12 @@ def _going_on(a: OneRecording, b: OneRecording) -> tuple[OneRecording, OneRecord
     if joined.unsure is not None:
         if a.people.crowded or b.people.crowded:
             return reads  # it may be somebody else
-        read, first = reads[joined.unsure.side], joined.unsure.first
-        raise DeviceError(
-            f"{read.name}: its clock was set {_seconds_to(read, first):.2f} s after the first frame, and the "
-            "movement does not tell how the times go on. Fuse the parts before and after it apart; "
-            "`offset_ms` takes the times as if no frame was lost there."
+        side, first = joined.unsure.side, joined.unsure.first
+        told = (
+            f"{reads[side].name}: its clock was set {_seconds_to(reads[side], first):.2f} s after the first "
+            "frame, and the movement does not tell how the times go on; they do as if no frame was lost."
         )
+        return (_told(a, told), b) if side == 0 else (a, _told(b, told))
     lines: tuple[list[str], list[str]] = [], []
     for cut, by_ns in joined.moved:
         read, by = reads[cut.side], f"{abs(by_ns) * 1e-9:.3f} s"
@@ -386,6 +382,10 @@ def _going_on(a: OneRecording, b: OneRecording) -> tuple[OneRecording, OneRecord
         for read, times, told in zip(reads, joined.times, lines, strict=True)
     )
     return (read_a, read_b) if joined.moved else reads
+
+
+def _told(read: OneRecording, line: str) -> OneRecording:
+    return replace(read, warnings=[*read.warnings, line])
 
 
 def _seconds_to(read: OneRecording, frame: int) -> float:

@@ -87,7 +87,7 @@ _SERIALS = ("000001111111", "000002222222")
 _CTRL_C = int(signal.SIGINT)
 _MASTER = frozenset((Cause.IT_OR_MASTER_UNPLUGGED, Cause.WAITING, Cause.NO_PULSES, Cause.SILENT))
 _LATER = frozenset((Cause.CLOSES_LATER,))
-_NO_ADVICE = ("Step into its view", "USB controller, and light")
+_NO_ADVICE = ("Stand 2.5 m in front of it", "USB controller, and light")
 
 SCENARIOS = (
     # Without a fault
@@ -144,7 +144,7 @@ SCENARIOS = (
     _during("tracker fails", ((0.0, {"bt.fail_b": 1}), (1.0, {"bt.fail_b": 0})), Cause.TRACKER_FAILED,
         words=("is back",)),
     _during("tracker takes nothing", ((0.0, {}),), Cause.CAPTURE_REFUSED, conf="bt.fail_b=1", seconds=3),
-    _during("nobody there", (), conf="bt.nobody=1", words=("sees no one. Step into its view",)),
+    _during("nobody there", (), conf="bt.nobody=1", words=("sees no one. Stand 2.5 m in front of it",)),
     # The end
     _ended("Ctrl-C while running", ((_RUNS, {}), (2.0, _CTRL_C)), words=("Saved",)),
     _ended("SIGTERM while running", ((_RUNS, {}), (2.0, int(signal.SIGTERM))), words=("Saved",)),
