@@ -17,6 +17,7 @@ from tests.helpers.machine import small_disk
 from tests.helpers.network import free_port
 from tests.helpers.screens import browser
 from tests.helpers.waiting import eventually
+from viewer_app.outputs import output
 from viewer_app.outputs.websocket import WebSocketOutput
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.requested_files import free_path
@@ -186,6 +187,7 @@ def test_who_asks_is_told_whether_the_token_is_right(server):
 
 def test_a_page_begins_and_ends_a_file(server, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(output, "_SILENT_S", 60.0)  # a busy machine makes long pauses
     with browser(bypass_csp=True) as context, live(server, others=[server]) as session:
         tabs = [context.new_page() for _ in range(3)]
         button, base = tabs[0].locator("#save"), server.page.partition("/#")[0]
