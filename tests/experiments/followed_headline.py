@@ -118,6 +118,9 @@ def done(headline, places, person, ring):
         ways[1] = ways[0] + np.copysign(0.5 * np.pi, between)
         at = [person + d * np.array([np.sin(way), np.cos(way)]) for d, way in zip(far, ways, strict=True)]
         places = [replace(each, at=tuple(xz)).aimed(person) for each, xz in zip(places, at, strict=True)]
+        if "aim" in step:  # at the trunk
+            downs = [float(np.degrees(np.arctan2(each.height - 0.95, 2.5))) for each in places]
+            places = [replace(each, tilt=down) for each, down in zip(places, downs, strict=True)]
     elif turn := re.search(r"(tilt|turn) .*?(\d+)°", step):
         there = "ring" not in step or np.linalg.norm(ring - person) < 0.25
         by = float(turn[2]) * (-1 if "up by" in step or "to its left" in step else 1)

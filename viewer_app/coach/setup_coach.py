@@ -330,8 +330,13 @@ class Coach:
         yield from judge("views", median_of(apart), limits=of_views(self.body.name))
 
     def _in_ring(self, found: Finding, frame: SessionFrame, ring: StandingSpot) -> Finding:
-        """A finding that asks into the ring, if the person stands elsewhere and that may do."""
-        if not (RULES[found.rule].by_place and frame.fused.has_person) or ring.room < 0.0:
+        """A finding that asks into the ring, if the person stands elsewhere and that may do.
+
+        One view alone does not tell whether the other sensor is still where the ring supposes it.
+        """
+        skeletons = frame.pair.skeletons
+        known = skeletons.a is not None and skeletons.b is not None and ring.room >= 0.0
+        if not (RULES[found.rule].by_place and frame.fused.has_person and known):
             return found
         at = np.nanmedian(frame.fused.positions[list(self.body.torso)], axis=0)
         return found if ring.is_at(at[0], at[2]) else replace(found, step=RING)
