@@ -16,7 +16,18 @@ from numpy.typing import NDArray
 from devices.capture.causes import MORE_FRAMES, Origin
 from devices.depth.camera import in_image, project
 from devices.findings.finding import Finding, followed, judge
-from devices.findings.rules import RING, RULES, Limits, farthest, nearest, of_error, of_views, within
+from devices.findings.rules import (
+    AIM,
+    RING,
+    RULES,
+    WALK,
+    Limits,
+    farthest,
+    nearest,
+    of_error,
+    of_views,
+    within,
+)
 from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
@@ -43,6 +54,8 @@ _NOW, _RATE_WINDOW, _LATELY = 1.0, 2.0, 4.0
 _HANDED = 15.0
 """Seconds after which a frame counts 1/e in the share of mirror images. A driver mirrors every frame. Who
 walks away from a simulated Kinect v2 looks mirrored for seconds only."""
+_AIMED_M, _AIMED_DEG = 3.0, 15.0
+"""Sensors that are no farther from the ring, and no more off 90°, need not be aimed anew."""
 _EVIDENCE = 0.5
 """Of these: nothing is judged before a view has given frames for so long."""
 _AIMS = (
@@ -155,8 +168,10 @@ class Coach:
         if not now.final:
             found += judge("uncalibrated", 0, calibrated="not calibrated")
         if turn_sd is not None:
-            found += self._placement(frame, self.placed, turn_sd, off)
-            found = [self._in_ring(each, frame, self.ring(frame)) for each in found]
+            up = np.array([0.0, -1.0, 0.0]) if frame.floor is None else -frame.floor.rotation[:, 1]
+            angle, ring = math.degrees(self.placed.angle_about(up)), self.ring(frame)
+            found += self._placement(self.placed, turn_sd, angle, ring, off)
+            found = [self._in_ring(each, frame, ring, angle) for each in found]
         return followed(found)
 
     def ring(self, frame: SessionFrame) -> StandingSpot:
@@ -313,13 +328,16 @@ class Coach:
         return calibration, turn_sd if seen >= _EVIDENCE * _LATELY else None  # as mirror images need
 
     def _placement(
-        self, frame: SessionFrame, calibration: Calibration, turn_sd: float, off: PlacementOff | None
+        self,
+        calibration: Calibration,
+        turn_sd: float,
+        angle: float,
+        ring: StandingSpot,
+        off: PlacementOff | None,
     ) -> Iterator[Finding]:
         """What is wrong with the sensors' placement and with S*."""
-        up = np.array([0.0, -1.0, 0.0]) if frame.floor is None else -frame.floor.rotation[:, 1]
-        angle = math.degrees(calibration.angle_about(up))
         yield from judge("angle", angle, uncertain=2.0 * math.degrees(turn_sd))
-        yield from judge("overlap", -self.ring(frame).room)
+        yield from judge("overlap", -ring.room)
         if calibration.provisional:
             return
         yield from judge("precision", math.degrees(turn_sd))
@@ -329,17 +347,22 @@ class Coach:
         yield from judge("error", median_of(error), limits=of_error(self.body.name))
         yield from judge("views", median_of(apart), limits=of_views(self.body.name))
 
-    def _in_ring(self, found: Finding, frame: SessionFrame, ring: StandingSpot) -> Finding:
+    def _in_ring(self, found: Finding, frame: SessionFrame, ring: StandingSpot, angle: float) -> Finding:
         """A finding that asks into the ring, if the person stands elsewhere and that may do.
 
-        One view alone does not tell whether the other sensor is still where the ring supposes it.
+        One view alone does not tell whether the other sensor is still where the ring supposes it. To aim
+        sensors is not asked once they are aimed: what is left is the tracker's.
         """
         skeletons = frame.pair.skeletons
         known = skeletons.a is not None and skeletons.b is not None and ring.room >= 0.0
         if not (RULES[found.rule].by_place and frame.fused.has_person and known):
             return found
         at = np.nanmedian(frame.fused.positions[list(self.body.torso)], axis=0)
-        return found if ring.is_at(at[0], at[2]) else replace(found, step=RING)
+        if not ring.is_at(at[0], at[2]):
+            return replace(found, step=RING)
+        if found.step == AIM and ring.away <= _AIMED_M and abs(angle - 90.0) <= _AIMED_DEG:
+            return replace(found, step=WALK if found.rule == "views" else "")  # B may have been moved
+        return found
 
 
 def _beyond(points: NDArray[np.float32], lens: Intrinsics) -> tuple[float, ...]:

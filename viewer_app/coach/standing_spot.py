@@ -31,6 +31,8 @@ class StandingSpot:
     room: float
     """Margin in metres at the tightest limit of either sensor; negative if the person is not fully
     visible."""
+    away: float
+    """Metres from the farther sensor."""
 
     def is_at(self, x: float, z: float) -> bool:
         """Whether a person at (x, z), metres in K_A's frame, stands here."""
@@ -74,7 +76,7 @@ def standing_spot(
     whole = enough & (upright >= 0.0)
     cost = np.where(whole if whole.any() else enough, away - _MARGIN * room, np.inf)
     best = np.unravel_index(int(np.argmin(cost)), room.shape)
-    return StandingSpot(float(x[best]), float(z[best]), float(room[best]))
+    return StandingSpot(float(x[best]), float(z[best]), float(room[best]), float(away[best]))
 
 
 def _upright(feet: NDArray[np.float64], head: NDArray[np.float64], camera: Intrinsics) -> NDArray[np.float64]:

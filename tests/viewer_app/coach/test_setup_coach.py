@@ -316,16 +316,20 @@ def test_views_that_differ_are_told_while_the_calibration_is_refined(refined):
     assert "views" in {each.rule for each in watched(really=moved, refined=refined)}
 
 
-@pytest.mark.parametrize("there", [True, False])
-def test_who_stands_in_the_ring_is_not_told_to(there):
-    moved = replace(A_FROM_B, translation=A_FROM_B.translation + (0.15, 0.0, 0.0))
-    spot = standing_spot(A_FROM_B, (CAMERA, CAMERA), BODY.name, LEVEL_FLOOR)
+@pytest.mark.parametrize(
+    ("there", "angle", "step"),
+    [(False, 90.0, RING), (True, 62.0, AIM), (True, 118.0, AIM), (True, 90.0, WALK)],
+)
+def test_who_stands_in_the_ring_is_not_told_to_nor_are_aimed_sensors_aimed(there, angle, step):
+    a_from_b = turned_around(angle)
+    really = replace(a_from_b, translation=a_from_b.translation + (0.15, 0.0, 0.0))
+    spot = standing_spot(a_from_b, (CAMERA, CAMERA), BODY.name, LEVEL_FLOOR)
     joints = standing(BODY)
     away = np.zeros(3) if there else np.array([0.6, 0.0, 0.0])
     torso = joints[list(BODY.torso)].mean(axis=0)
     at = joints + [spot.x - torso[0], 0.0, spot.z - torso[2]] + away
-    (found,) = (each for each in watched(at, really=moved) if each.rule == "views")
-    assert found.step == (AIM if there else RING)
+    found = watched(at, really=really, now=Situation(calibrated_of(angle), final=True, held=0.0))
+    assert {each.step for each in found if each.rule == "views"} == {step}
 
 
 def test_a_tall_person_fits_into_the_image_at_the_nearest_distance():
