@@ -22,9 +22,9 @@ from fusion.calibration.calibration import (
     MOVEMENT_SAME,
     MOVEMENT_SHIFT,
     MOVEMENT_TURN,
-    POSE_APART,
     POSE_TURN,
     USABLE_TURN_DEG,
+    VIEWS_APART,
     Calibration,
     calibrate,
     nominal_calibration,
@@ -87,7 +87,7 @@ class GradualCalibration:
         fit, evidence = found
         self._before, self._last = fit, fit.a_from_b
         agree = before is not None and before.a_from_b.angle_to(fit.a_from_b) < MOVEMENT_SAME
-        if not (agree and _certain(fit)):
+        if not (agree and _certain(self._body, fit, evidence)):
             return None
         try:
             return with_frontal_sd(self._body, evidence, fit, self._settings), evidence
@@ -115,9 +115,15 @@ class GradualCalibration:
         return best.fit, best.evidence
 
 
-def _certain(fit: RobustFit) -> bool:
+def _certain(body: Body, fit: RobustFit, evidence: Evidence) -> bool:
     lasting = common_variance(fit.a_from_b, fit.centre)
-    return fit.rotation_sd < MOVEMENT_TURN and fit.translation_sd**2 < MOVEMENT_SHIFT**2 + lasting
+    apart = np.linalg.norm(evidence.a - fit.a_from_b.apply(evidence.b), axis=2)[evidence.weights > 0.5]
+    return bool(
+        fit.rotation_sd < MOVEMENT_TURN
+        and fit.translation_sd**2 < MOVEMENT_SHIFT**2 + lasting
+        and len(apart) > 0
+        and np.median(apart) < VIEWS_APART[body.name]
+    )
 
 
 class Calibrator:
@@ -182,7 +188,7 @@ class Calibrator:
                     np.sin(angle), np.cos(angle), known=self._frontal
                 )
                 most = min(np.hypot(POSE_TURN, lasting), np.radians(USABLE_TURN_DEG))
-                apart = POSE_APART[self._body.name]
+                apart = VIEWS_APART[self._body.name]
                 if known is not None and known.rotation_sd < most and known.residual_median < apart:
                     return found
         except CalibrationError:
